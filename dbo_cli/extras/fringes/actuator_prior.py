@@ -26,9 +26,11 @@ PLAY_DENSITY = 2.0
 START_SHARE = 0.3
 """Of a play's weight: how far what it remembers from before the log may count."""
 BEND_WEIGHT = 0.2
+"""Standard deviation of a bend's weight before the fit, of half the stroke; as the next two, chosen."""
 LAG_WEIGHT = 0.1
+"""The same of a lag's weight."""
 GAIN_WEIGHT = 3.0
-"""Standard deviations of the weights before the fit, of half the stroke; chosen."""
+"""The same of the gain."""
 
 
 @dataclass(frozen=True)

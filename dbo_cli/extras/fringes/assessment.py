@@ -11,6 +11,7 @@ from dbo_cli.extras.fringes.swings import Floats, turning_points
 from dbo_cli.extras.fringes.track import Track, TurnOdds
 
 FEWEST_ROWS = 50
+"""Of a log, or of a part between interruptions; chosen."""
 ENOUGH_ODDS = 100.0
 """To one: below, a turn is named."""
 OFTEN = 0.1
@@ -67,9 +68,9 @@ def refuse_fast(time: Floats, signal: Floats, name: str) -> None:
     if means[fastest] > 2.0 * np.sin(0.5 * LARGEST_STEP * TURN) ** 2:
         rate = (time.size - 1) / (time[-1] - time[0])
         raise InputError(
-            f"{name}: at {time[fastest]:.6g} s the signal changes by more than a quarter of a fringe from row "
-            f"to row, so that fringes cannot be counted (more than {rate:.4g} samples a second, or a slower "
-            "drive)"
+            f"{name}: at {time[fastest]:.6g} s the signal changes by more than a quarter of a fringe from "
+            f"row to row, so that fringes cannot be counted (more than {rate:.4g} samples a second, or a "
+            "slower drive)"
         )
 
 

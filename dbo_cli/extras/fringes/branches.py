@@ -15,6 +15,8 @@ turn is chosen by a model of the actuator (``actuator_prior``):
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
@@ -24,6 +26,7 @@ from dbo_cli.extras.fringes.swings import Floats, Indices
 from dbo_cli.records import dataclass
 
 TURN = 2.0 * np.pi
+"""rad; the phase of a fringe."""
 GRID = 48
 """States of the chain in a fringe."""
 NODES = 24
@@ -52,6 +55,7 @@ NODE_NOISE = 0.01
 GRID_NOISE = 0.03
 """Of the amplitude; what a block's phase being one number costs."""
 MOST_ODDS = 1e12
+"""What is said instead of larger odds."""
 
 
 @dataclass(frozen=True)
@@ -137,8 +141,8 @@ def first_fit(
     expected = np.zeros(terms + names.size)
     expected[0] = half_stroke
     information = rows.T @ rows + np.diag(prior)
-    covariance = np.linalg.inv(information)
-    solution = covariance @ (rows.T @ (phases / CROSSING_NOISE) + prior * expected)
+    covariance: Floats = np.asarray(np.linalg.inv(information), dtype=np.float64)
+    solution: Floats = covariance @ (rows.T @ (phases / CROSSING_NOISE) + prior * expected)
     solution = _with_whole_counts(solution, covariance, terms, names.size)
     step = np.full(turn_count, 2.0 * STEP_BEFORE * TURN)
     phase = columns.values @ solution[:terms] + solution[terms]
@@ -344,7 +348,7 @@ def follow(
     """
     side = round(reach * GRID)
     spacing = TURN / GRID
-    grid = spacing * np.arange(-side, side + 1)
+    grid: Floats = spacing * np.arange(-side, side + 1.0)
     logs = block_likelihood(nodes, signal, light, phase, grid)
     weights = np.exp(logs - logs.max(axis=1, keepdims=True)) + 1e-30
     direction, back = one_way(nodes, fit)
@@ -462,7 +466,7 @@ def turn_odds(chain: Chain, distance: Floats, anchors: Indices) -> tuple[Floats,
     """
     odds = np.empty(max(anchors.size - 1, 0))
     others = np.empty(odds.size)
-    for place, (before, after) in enumerate(zip(anchors[:-1], anchors[1:], strict=True)):
+    for place, (before, after) in enumerate(pairwise(anchors)):
         away = np.abs(chain.grid - distance[before]) > SAME_BRANCH * TURN
         belief = np.where(away, 0.0, chain.forward[before])
         belief = chain.moved(belief, int(before), int(after)) * chain.backward[after]

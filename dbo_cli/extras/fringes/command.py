@@ -47,9 +47,9 @@ def fringes(given: Given) -> None:
     Examples
     --------
     One photodiode and a helium-neon laser:
-        dbo fringes run.csv --voltage HV --signal PD1 --wavelength 632.8nm -o recorded.csv
+        dbo fringes run.csv --voltage HV --signal PD1 --wavelength 632.8nm -o rec.csv
     Two in quadrature:
-        dbo fringes run.csv --voltage HV --signal PD1 --quadrature PD2 --per-fringe 316.4nm -o recorded.csv
+        dbo fringes run.csv --signal PD1 --quadrature PD2 --per-fringe 316.4nm -o rec.csv
     """
     from dbo_cli.extras.fringes.run import FringeOptions, write_displacement
 

@@ -1,4 +1,4 @@
-"""What a photodiode sees beside the fringes: offset and amplitude that drift, noise, clipping, a dark beam."""
+"""What a photodiode sees beside the phase: drifting offset and amplitude, noise, clipping, a dark beam."""
 
 from __future__ import annotations
 
@@ -9,9 +9,16 @@ from scipy.interpolate import BSpline
 from dbo_cli.extras.fringes.branches import TURN
 from dbo_cli.extras.fringes.swings import Floats
 
-FRINGES_A_KNOT = 6.0
+FRINGES_A_KNOT = 2.5
 """Fringes on the way between knots of the drifting offset and amplitude."""
-MOST_KNOTS = 16
+MOST_KNOTS = 24
+"""Of a log; drift is slow."""
+DRIFT = 0.02
+"""Of the amplitude; what offset and amplitude are thought to drift by from knot to knot; chosen."""
+FIRST_DRIFT = 0.005
+"""The same while the phase is not yet sure: else the light would make up for a wrong phase."""
+FIRST_NOISE = 0.1
+"""Of the amplitude, before it was looked at."""
 CLIPPED_ROWS = 0.02
 """Of all rows: as many at the very same extreme value mean that the photodiode is clipped."""
 DARK = 0.25
@@ -60,15 +67,22 @@ def dark_parts(signal: Floats) -> list[tuple[int, int]]:
 def drift_basis(place: Floats, fringes: float) -> Floats:
     """Return smooth functions of ``place`` (0 to 1): cubic splines, more of them the more fringes went by."""
     knots = int(np.clip(fringes / FRINGES_A_KNOT, 1, MOST_KNOTS))
-    degree = 3 if knots > 2 else knots - 1
+    degree = min(3, knots - 1)
     inner = np.linspace(0.0, 1.0, knots - degree + 1)
     sequence = np.concatenate([np.zeros(degree), inner, np.ones(degree)])
     dense: Floats = BSpline.design_matrix(place, sequence, degree).toarray()
     return dense
 
 
+def _stiffness(knots: int, factors: int) -> Floats:
+    """Return the matrix of the sum of squared differences of neighbouring knots, for several factors."""
+    bent = np.diff(np.eye(knots), axis=0)
+    one = bent.T @ bent + 1e-9 * np.eye(knots)
+    return np.asarray(np.kron(np.eye(factors), one), dtype=np.float64)
+
+
 def fit_light(
-    signal: Floats, terms: list[Floats], fringes: Floats, weight: Floats
+    signal: Floats, terms: list[Floats], fringes: Floats, weight: Floats, drift: float = DRIFT
 ) -> tuple[list[Floats], float]:
     """Fit a signal by 1 and given functions of the phase, each times a drifting factor.
 
@@ -82,6 +96,8 @@ def fit_light(
         Fringes gone by until each row: drift is smooth over these, so that each part has fringes enough.
     weight
         0 where a row says nothing, else 1.
+    drift
+        How far the factors are thought to drift from knot to knot, of the amplitude.
 
     Returns
     -------
@@ -95,11 +111,14 @@ def fit_light(
     rows = np.column_stack([basis, *(basis * term[:, None] for term in terms)])
     products = (rows * weight[:, None]).T @ rows
     targets = rows.T @ (weight * signal)
-    ridge = 1e-9 * float(np.trace(products)) / products.shape[0]
-    solution = np.linalg.solve(products + ridge * np.eye(products.shape[0]), targets)
-    residual = signal - rows @ solution
-    free = max(float(weight.sum()) - solution.size, 1.0)
-    noise = float(np.sqrt(weight @ residual**2 / free))
+    free = max(float(weight.sum()) - rows.shape[1], 1.0)
+    amplitude = np.sqrt(2.0) * float(np.std(signal[weight > 0.0]))
+    stiffness = _stiffness(basis.shape[1], 1 + len(terms)) / (drift * amplitude) ** 2
+    noise = FIRST_NOISE * amplitude
+    for _ in range(3):
+        solution: Floats = np.linalg.solve(products + noise**2 * stiffness, targets)
+        residual = signal - rows @ solution
+        noise = float(np.sqrt(weight @ residual**2 / free))
     width = basis.shape[1]
     factors = [basis @ solution[k * width : (k + 1) * width] for k in range(1 + len(terms))]
     return factors, noise
@@ -108,5 +127,5 @@ def fit_light(
 def travelled(phase: Floats) -> Floats:
     """Return the fringes gone by until each row, a little for each row beside (rests drift, too)."""
     steps = np.abs(np.diff(phase)) / TURN
-    rest = 0.01 * float(steps.sum()) / max(steps.size, 1)
+    rest = 0.1 * float(steps.sum()) / max(steps.size, 1)
     return np.concatenate([[0.0], np.cumsum(steps + rest)])

@@ -2,29 +2,43 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError
 from dbo_cli.extras.fringes import branches
-from dbo_cli.extras.fringes.actuator_prior import columns_of
+from dbo_cli.extras.fringes.actuator_prior import Columns, columns_of
 from dbo_cli.extras.fringes.branches import TURN, Fit, Light, Nodes
-from dbo_cli.extras.fringes.light import clipped_rows, fit_light, percentile_ends, travelled
-from dbo_cli.extras.fringes.phase_smoother import Channel, smooth
+from dbo_cli.extras.fringes.light import (
+    DRIFT,
+    FIRST_DRIFT,
+    clipped_rows,
+    fit_light,
+    percentile_ends,
+    travelled,
+)
+from dbo_cli.extras.fringes.phase_smoother import Channel, Smoothed, smooth
 from dbo_cli.extras.fringes.swings import (
     Floats,
     Indices,
     crossings,
     drive_threshold,
-    noise_of,
+    kinks_of,
     turning_points,
 )
 from dbo_cli.extras.fringes.track import Track, TurnOdds
 from dbo_cli.extras.fringes.whole_counts import added_counts, joint_odds, swing_counts
+from dbo_cli.records import dataclass
 
 ROUNDS = 10
 """Rounds of model and branches at most."""
-FIRST_ROUNDS = 3
+FEWEST_ROUNDS = 3
+"""Rounds at least: the light is fitted better in each."""
+VALUE_ROUNDS = 3
+"""Rounds of phases and of the light that they fit."""
+FIRST_ROUNDS = 4
 """Rounds of the first fit whose bends act on the phase of the round before."""
 INSIDE = (0.12, 0.97)
 """Of a swing's voltage: crossings between these are counted in the first fit; a lag is over there."""
@@ -32,74 +46,133 @@ FEWEST_CROSSINGS = 8
 """Crossings of the middle: four fringes on the whole way."""
 
 
+@dataclass(frozen=True)
+class _Log:
+    """A log, cut into swings and blocks.
+
+    ``weight`` (rows) is 0 where the photodiode is clipped. ``half_stroke`` is about, in rad.
+    """
+
+    time: Floats
+    drive: Floats
+    signal: Floats
+    weight: Floats
+    turns: Indices
+    nodes: Nodes
+    fringes_a_volt: float
+
+    @property
+    def half_stroke(self) -> float:
+        """Half of the whole displacement, about, rad."""
+        return 0.5 * TURN * self.fringes_a_volt * float(np.ptp(self.drive))
+
+    def columns(self, phase: Floats | None = None) -> Columns:
+        """Return the terms of an actuator at the blocks, bent as an earlier model's phase."""
+        starts = self.nodes.starts
+        return columns_of(self.time[starts], self.drive[starts], self.turns.size - 1, phase)
+
+    def at_rows(self, at_blocks: Floats) -> Floats:
+        """Return values of the blocks' first rows at every row."""
+        return np.interp(np.arange(self.signal.size), self.nodes.starts, at_blocks)
+
+
 def track_one_signal(time: Floats, drive: Floats, signal: Floats) -> Track:
-    """Return the phase of one photodiode's log; it rises with the drive."""
+    """Return the phase of one photodiode's log; it rises with the drive.
+
+    Parameters
+    ----------
+    time, drive, signal
+        s, V, and the photodiode in any unit (rows).
+
+    Raises
+    ------
+    InputError
+        There are no fringes, or too few of them.
+    """
+    log, fit = _first_model(time, drive, signal)
+    light = _demodulated(signal, log.at_rows(fit.phase), log.weight)
+    fit, light, rounds = _settled(log, fit, light)
+    chain, distance, phase = _path(log, light, fit, branches.REACH)
+    records = _odds(log, fit, chain, distance)
+    doubt = log.at_rows(branches.doubt(chain, distance))
+    smoothed, channel = _values(log, light, phase)
+    deviation = np.sqrt(smoothed.deviation**2 + doubt)
+    noise = channel.noise / float(np.mean(np.abs(channel.cosine)))
+    clipped = int(signal.size - log.weight.sum())
+    return Track(smoothed.phase, deviation, records, noise, [channel], rounds, clipped)
+
+
+def _first_model(time: Floats, drive: Floats, signal: Floats) -> tuple[_Log, Fit]:
+    """Return the log cut into blocks, and a model from the crossings inside the swings."""
     turns = turning_points(drive, drive_threshold(drive))
-    clipped = clipped_rows(signal)
-    weight = np.where(clipped, 0.0, 1.0)
+    weight = np.where(clipped_rows(signal), 0.0, 1.0)
     low, high = percentile_ends(signal)
     middle = np.full(signal.size, 0.5 * (low + high))
     amplitude = np.full(signal.size, 0.5 * (high - low))
     places, slopes = crossings(signal, middle, amplitude)
     if places.size < FEWEST_CROSSINGS:
-        raise InputError("few")
+        raise InputError(_few(places.size))
     volts = np.interp(places, np.arange(drive.size), drive)
     chosen, phases, swings = _phases_inside(places, slopes, volts, drive, turns)
     fringes_a_volt = _slope(phases, volts[chosen], swings, places.size)
     nodes = branches.make_nodes(time, drive, turns, fringes_a_volt)
-    half_stroke = 0.5 * TURN * fringes_a_volt * float(np.ptp(drive))
-    node_time = time[nodes.starts]
-    node_drive = drive[nodes.starts]
-    count = nodes.turns.size - 2
-    columns = columns_of(node_time, node_drive, count + 1)
-    at_nodes = np.interp(places[chosen], nodes.starts, np.arange(nodes.starts.size))
-    fit = branches.first_fit(columns, at_nodes, phases, swings, half_stroke, count)
+    log = _Log(time, drive, signal, weight, turns, nodes, fringes_a_volt)
+    at_blocks = np.interp(places[chosen], nodes.starts, np.arange(nodes.starts.size))
+    phase = None
     for _ in range(FIRST_ROUNDS):
-        columns = columns_of(node_time, node_drive, count + 1, fit.phase)
-        fit = branches.first_fit(columns, at_nodes, phases, swings, half_stroke, count)
-    model = np.interp(np.arange(drive.size), nodes.starts, fit.phase)
-    light = _demodulated(signal, model, weight)
+        fit = branches.first_fit(
+            log.columns(phase), at_blocks, phases, swings, log.half_stroke, turns.size - 2
+        )
+        phase = fit.phase
+    return log, fit
+
+
+def _settled(log: _Log, fit: Fit, light: Light) -> tuple[Fit, Light, int]:
+    """Return model and light once another round changes no branch, and the rounds; 0 where none came."""
+    before = None
     reach = 2.0 * branches.REACH
-    before: NDArray[np.float64] | None = None
-    rounds = 0
     for number in range(ROUNDS):
-        chain, distance, phase = _path(nodes, signal, light, fit, reach)
-        factors, noise = fit_light(signal, [np.cos(phase)], travelled(phase), weight)
-        light = Light(factors[0], factors[1], noise, weight)
-        at_node = fit.phase + distance
-        columns = columns_of(node_time, node_drive, count + 1, fit.phase)
-        found = swing_counts(columns, nodes, at_node, half_stroke)
-        if np.any(found.counts != 0):
-            at_node = at_node + TURN * added_counts(nodes, found)
-        fit = branches.refit(columns, nodes, at_node, half_stroke)
+        _, distance, phase = _path(log, light, fit, reach)
         reach = branches.REACH
-        anchors = branches.anchors_of(nodes, fit.phase)
-        if before is not None and np.max(np.abs(at_node - before)[anchors]) < 0.25 * TURN:
-            rounds = number
-            if number >= 3:
-                break
-        before = at_node
-    chain, distance, phase = _path(nodes, signal, light, fit, reach)
-    odds, others = branches.turn_odds(chain, distance, branches.anchors_of(nodes, fit.phase))
-    found = swing_counts(columns, nodes, fit.phase + distance, half_stroke)
-    doubt = np.interp(np.arange(signal.size), nodes.starts, branches.doubt(chain, distance))
-    odds, others = joint_odds(odds, others, found)
-    kinks = kinks_of(drive, fringes_a_volt)
-    smoothed = None
-    for _ in range(3):
-        channel = Channel(signal, light.offset, light.amplitude, np.zeros(signal.size), light.noise, weight)
-        smoothed = smooth(time, [channel], phase, kinks)
+        drift = FIRST_DRIFT if number < FEWEST_ROUNDS - 1 else DRIFT
+        factors, noise = fit_light(log.signal, [np.cos(phase)], travelled(phase), log.weight, drift)
+        light = Light(factors[0], factors[1], noise, log.weight)
+        at_blocks = fit.phase + distance
+        columns = log.columns(fit.phase)
+        counts = swing_counts(columns, log.nodes, at_blocks, log.half_stroke)
+        at_blocks = at_blocks + TURN * added_counts(log.nodes, counts)
+        fit = branches.refit(columns, log.nodes, at_blocks, log.half_stroke)
+        anchors = branches.anchors_of(log.nodes, fit.phase)
+        if before is not None and number >= FEWEST_ROUNDS:
+            moved = (at_blocks - at_blocks[0]) - (before - before[0])
+            if np.max(np.abs(moved[anchors])) < branches.SAME_BRANCH * TURN:
+                return fit, light, number
+        before = at_blocks
+    return fit, light, 0
+
+
+def _odds(log: _Log, fit: Fit, chain: branches.Chain, distance: Floats) -> list[TurnOdds]:
+    """Return the odds of each inner turn: by itself, and with all others."""
+    odds, others = branches.turn_odds(chain, distance, branches.anchors_of(log.nodes, fit.phase))
+    counts = swing_counts(log.columns(fit.phase), log.nodes, fit.phase + distance, log.half_stroke)
+    odds, others = joint_odds(odds, others, counts)
+    records = []
+    for row, odd, other in zip(log.turns[1:-1], odds, others, strict=True):
+        records.append(TurnOdds(int(row), float(odd), float(other) / TURN))
+    return records
+
+
+def _values(log: _Log, light: Light, phase: Floats) -> tuple[Smoothed, Channel]:
+    """Return the phases that the light gives on these branches, and what it is like there."""
+    kinks = kinks_of(log.drive, log.fringes_a_volt)
+    none = np.zeros(phase.size)
+    for _ in range(VALUE_ROUNDS):
+        channel = Channel(log.signal, light.offset, light.amplitude, none, light.noise, log.weight)
+        smoothed = smooth(log.time, [channel], phase, kinks)
         phase = smoothed.phase
-        factors, noise = fit_light(signal, [np.cos(phase)], travelled(phase), weight)
-        light = Light(factors[0], factors[1], smoothed.noise[0], weight)
-    assert smoothed is not None
-    records = [
-        TurnOdds(int(row), float(odd), float(other) / TURN)
-        for row, odd, other in zip(turns[1:-1], odds, others, strict=True)
-    ]
-    ratio = light.noise / float(np.mean(np.abs(light.amplitude)))
-    deviation = np.sqrt(smoothed.deviation**2 + doubt)
-    return Track(smoothed.phase, deviation, records, ratio, [channel], rounds, int(clipped.sum()))
+        factors, _ = fit_light(log.signal, [np.cos(phase)], travelled(phase), log.weight)
+        light = Light(factors[0], factors[1], smoothed.noise[0], log.weight)
+    return smoothed, channel
 
 
 def _few(crossed: int) -> str:
@@ -114,32 +187,19 @@ def _few(crossed: int) -> str:
 def _demodulated(signal: Floats, model: Floats, weight: Floats) -> Light:
     """Return offset and amplitude at a model's phases, whatever its slow error: by cosine and sine."""
     terms = [np.cos(model), np.sin(model)]
-    factors, noise = fit_light(signal, terms, travelled(model), weight)
+    factors, noise = fit_light(signal, terms, travelled(model), weight, FIRST_DRIFT)
     return Light(factors[0], np.hypot(factors[1], factors[2]), noise, weight)
 
 
-def _path(
-    nodes: Nodes, signal: Floats, light: Light, fit: Fit, reach: float
-) -> tuple[branches.Chain, Floats, Floats]:
-    rows = np.arange(signal.size)
-    model = np.interp(rows, nodes.starts, fit.phase)
-    chain = branches.follow(nodes, signal, light, fit, model, reach)
+def _path(log: _Log, light: Light, fit: Fit, reach: float) -> tuple[branches.Chain, Floats, Floats]:
+    """Return the chain, its path (rad from the model, blocks), and the phase on it (rows)."""
+    nodes = log.nodes
+    rows = np.arange(log.signal.size)
+    model = log.at_rows(fit.phase)
+    chain = branches.follow(nodes, log.signal, light, fit, model, reach)
     distance = chain.distance
-    middles = nodes.starts + 0.5 * np.diff(np.append(nodes.starts, signal.size))
+    middles = nodes.starts + 0.5 * np.diff(np.append(nodes.starts, log.signal.size))
     return chain, distance, model + np.interp(rows, middles, distance)
-
-
-def kinks_of(drive: Floats, fringes_a_volt: float) -> Floats:
-    """Return how sharply the phase may turn because the drive has a corner, rad^2 (rows)."""
-    second = np.zeros(drive.size)
-    second[1:-1] = np.abs(np.diff(drive, 2))
-    usual = float(np.median(second)) + noise_of(drive)
-    sharp = np.where(second > 10.0 * usual, second, 0.0) * TURN * fringes_a_volt
-    wide = sharp.copy()
-    for shift in (1, 2, 3):
-        wide[shift:] = np.maximum(wide[shift:], sharp[:-shift])
-        wide[:-shift] = np.maximum(wide[:-shift], sharp[shift:])
-    return wide**2
 
 
 def _phases_inside(
@@ -149,7 +209,7 @@ def _phases_inside(
     chosen = np.zeros(places.size, dtype=bool)
     phases = np.zeros(places.size)
     swings = np.zeros(places.size, dtype=np.int_)
-    for number, (begin, end) in enumerate(zip(turns[:-1], turns[1:], strict=True)):
+    for number, (begin, end) in enumerate(pairwise(turns)):
         travel = drive[end] - drive[begin]
         part = (volts - drive[begin]) / travel
         inside = (places > begin) & (places < end) & (part > INSIDE[0]) & (part < INSIDE[1])

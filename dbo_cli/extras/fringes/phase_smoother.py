@@ -19,6 +19,7 @@ from dbo_cli.records import dataclass
 Floats = NDArray[np.float64]
 
 PASSES = 8
+"""Gauss-Newton passes at most; chosen."""
 LARGEST_CHANGE = 0.4
 """rad in one pass."""
 ROUGHNESS = np.logspace(-9.0, -1.0, 9)
@@ -35,7 +36,8 @@ def second_differences(time: Floats) -> tuple[Floats, Floats, Floats]:
     relative = np.maximum(steps / mean, 0.05)
     before = 1.0 / relative[:-1]
     after = 1.0 / relative[1:]
-    return before, -(before + after), after
+    middle: Floats = -(before + after)
+    return before, middle, after
 
 
 def penalty_bands(time: Floats, give: Floats) -> Floats:
@@ -55,7 +57,7 @@ def penalty_bands(time: Floats, give: Floats) -> Floats:
 
 def _penalty(bands: Floats, phase: Floats) -> Floats:
     """Return the product of the banded matrix and the phase."""
-    product = bands[2] * phase
+    product: Floats = bands[2] * phase
     product[:-1] += bands[1, 1:] * phase[1:]
     product[1:] += bands[1, 1:] * phase[:-1]
     product[:-2] += bands[0, 2:] * phase[2:]

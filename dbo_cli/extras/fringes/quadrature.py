@@ -16,15 +16,16 @@ from dbo_cli.errors import InputError
 from dbo_cli.extras.fringes.branches import TURN
 from dbo_cli.extras.fringes.light import clipped_rows, fit_light, travelled
 from dbo_cli.extras.fringes.phase_smoother import Channel, smooth
-from dbo_cli.extras.fringes.swings import Floats
+from dbo_cli.extras.fringes.swings import Floats, kinks_of
 from dbo_cli.extras.fringes.track import Track
 
 ROUNDS = 4
+"""Rounds of ellipse and angle; chosen."""
 LEAST_ROUND = 0.02
 """The least ratio of the ellipse's axes, squared: a flatter one is no quadrature."""
 
 
-def track_quadrature(time: Floats, first: Floats, second: Floats, kinks: Floats) -> Track:
+def track_quadrature(time: Floats, drive: Floats, first: Floats, second: Floats) -> Track:
     """Return the phase of two photodiodes; its sign is the interferometer's.
 
     Raises
@@ -41,6 +42,7 @@ def track_quadrature(time: Floats, first: Floats, second: Floats, kinks: Floats)
     for _ in range(ROUNDS):
         channels = _channels(first, second, phase, weight)
         phase = _angle(channels)
+    kinks = kinks_of(drive, float(np.ptp(phase)) / TURN / float(np.ptp(drive)))
     smoothed = smooth(time, channels, phase, kinks)
     for _ in range(2):
         channels = _channels(first, second, smoothed.phase, weight)

@@ -14,7 +14,7 @@ from dbo_cli.extras.fringes import assessment
 from dbo_cli.extras.fringes.branches import TURN
 from dbo_cli.extras.fringes.figures import plots_of_track
 from dbo_cli.extras.fringes.light import dark_parts
-from dbo_cli.extras.fringes.one_signal import kinks_of, track_one_signal
+from dbo_cli.extras.fringes.one_signal import track_one_signal
 from dbo_cli.extras.fringes.quadrature import track_quadrature
 from dbo_cli.extras.fringes.swings import Floats
 from dbo_cli.extras.fringes.track import Track
@@ -116,8 +116,7 @@ def displacement_of(signals: Signals, options: FringeOptions, name: str, remarks
         if signals.quadrature is None:
             track = track_one_signal(signals.time, signals.drive, signals.signal)
         else:
-            none = np.zeros(signals.time.size)
-            track = track_quadrature(signals.time, signals.signal, signals.quadrature, none)
+            track = track_quadrature(signals.time, signals.drive, signals.signal, signals.quadrature)
     except InputError as problem:
         raise InputError(f"{name}: {problem}") from None
     track = _with_sign(track, signals, options, remarks)
@@ -245,12 +244,8 @@ def write_displacement(
             plots = plots_of_track(part.signals, part.values, part.deviation, part.track)
             save(plots, Path(options.figures), stem if len(made) == 1 else f"{stem}-{number}")
     if options.scale_uncertainty > 0.0:
-        remarks.note(
-            [
-                f"a fringe of {1000.0 * fringe:.6g} nm is known to {options.scale_uncertainty:g} %: so is the "
-                "gain of every model that is identified from this log, beside what its fit says"
-            ]
-        )
+        known = f"a fringe of {1000.0 * fringe:.6g} nm is known to {options.scale_uncertainty:g} %"
+        remarks.note([f"{known}: so is the gain of every model from this log, beside what its fit says"])
     return remarks
 
 

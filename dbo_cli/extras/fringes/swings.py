@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -19,6 +20,10 @@ Three and a half standard deviations of a noise of 10 %.
 """
 
 
+KINK_REACH = 4
+"""Rows to either side over which a drive's second differences are taken."""
+
+
 def noise_of(values: Floats) -> float:
     """Return the standard deviation of a signal's white noise, from its second differences.
 
@@ -27,7 +32,7 @@ def noise_of(values: Floats) -> float:
     if values.size < 3:
         return 0.0
     second = np.abs(np.diff(values, 2))
-    return float(np.median(second)) / (0.6745 * np.sqrt(6.0))
+    return float(np.median(second) / (0.6745 * np.sqrt(6.0)))
 
 
 def turning_points(drive: Floats, threshold: float) -> Indices:
@@ -83,4 +88,22 @@ def crossings(signal: Floats, middle: Floats, amplitude: Floats) -> tuple[Floats
     after = rows[changes + 1]
     rise = height[after] - height[before]
     places = before - height[before] / rise * (after - before)
-    return places, np.sign(rise).astype(np.int_)
+    slopes = np.where(rise > 0.0, 1, -1)
+    return np.asarray(places, dtype=np.float64), slopes
+
+
+def kinks_of(drive: Floats, fringes_a_volt: float) -> Floats:
+    """Return how sharply the phase may turn because the drive does, rad^2 (rows).
+
+    The square of the drive's second difference, in phase; the largest within ``KINK_REACH`` rows, since the
+    displacement turns a little later.
+    """
+    reach = min(KINK_REACH, (drive.size - 1) // 2)
+    second = np.zeros(drive.size)
+    if reach < 1:
+        return second
+    bent = drive[2 * reach :] - 2.0 * drive[reach:-reach] + drive[: -2 * reach]
+    second[reach:-reach] = np.abs(bent) / reach**2
+    sharp = 2.0 * np.pi * fringes_a_volt * second
+    wide: Floats = maximum_filter1d(sharp, 2 * reach + 1, mode="nearest") ** 2
+    return wide

@@ -28,6 +28,7 @@ DISCREPANCY = 0.07
 SEARCHED = 40.0
 """Of the cost beyond the best: vectors that cost more are not looked at."""
 MOST_VISITS = 30_000
+"""Nodes of the search; behind them the log counts as undecided."""
 
 
 @dataclass(frozen=True)
