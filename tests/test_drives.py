@@ -17,7 +17,7 @@ from trials import Floats
 from dbo_cli.drives.gate import DriveGate, GateError
 from dbo_cli.drives.limits import require_one_unit
 from dbo_cli.errors import InputError, LimitError, UsageError
-from dbo_cli.extras.live.controller import Converter
+from dbo_cli.extras.live.converter import Converter
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag
 from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits
 from dbo_cli.runs.api import Model

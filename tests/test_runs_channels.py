@@ -14,8 +14,8 @@ from conftest import SMALL_MODEL, folder_content
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.extras.channels.columns import ChannelReader
-from dbo_cli.extras.channels.model_set import read_model, read_set, set_to_bytes
-from dbo_cli.hysteresis.model_file import Node, model_of, model_to_bytes
+from dbo_cli.extras.channels.model_set import set_to_bytes
+from dbo_cli.hysteresis.model_file import Node, model_of, model_to_bytes, read_model, read_set
 from dbo_cli.logs.columns import OutColumn
 from dbo_cli.logs.hdf5.store import matrix_writer
 from dbo_cli.logs.request import ReadingOptions, parse_address
@@ -348,12 +348,14 @@ def test_figures_of_channels_are_refused_before_anything_is_written(mirror: Any)
 def test_show_lists_the_models_of_a_set(mirror: Any) -> None:
     said = mirror("show", "set.json")
     assert said.out.splitlines()[0] == "3 models (FILE::CHANNEL names one)"
-    assert [line.split()[0] for line in said.out.splitlines()[2:]] == ["channel", *CHANNELS]
+    rows = [line.split() for line in said.out.splitlines()[2:]]
+    assert [row[0] for row in rows] == ["channel", *CHANNELS]
+    assert [row[rows[0].index("sign") + 6] for row in rows[1:]] == ["rising"] * 3
     assert (
         json.loads(mirror("show", "set.json", "--format", "json").out)["models"]["b"]["output"]["max"] == 10.0
     )
     assert mirror("show", "set.json::b").out.startswith(
-        "forward model: voltage 0 to 10 V to displacement 1 to 10 um\n"
+        "forward model: voltage 0 to 10 V to displacement 1 to 10 um\ndisplacement rises as voltage rises\n"
     )
 
 

@@ -185,7 +185,8 @@ class DriveFigures:
             time = np.broadcast_to(steps, drive.shape)[int(self.last is None) :]
             moved = change[int(self.last is None) :]
             self.seconds += float(time.sum())
-            rates = moved[time > 0.0] / time[time > 0.0]
+            with np.errstate(over="ignore"):  # in steps of next to no time
+                rates = moved[time > 0.0] / time[time > 0.0]
             self.fastest = max(self.fastest, float(rates.max(initial=0.0)))
         self.largest_step = max(self.largest_step, float(change.max()))
         self.travel += float(change.sum())

@@ -225,11 +225,12 @@ double stepper_step(stepper *self, double x) {
     return y;
 }
 
-void stepper_goes_on(stepper *self, double y) {
-    dbo_backlash_apply(&self->op, &self->now, y, self->decay);
-    const size_t touched = dbo_backlash_touched(&self->op, &self->now);
-    if (touched > self->touched) self->touched = touched;
-    self->planned = 0;
+void stepper_follow(stepper *self, double y) {
+    dbo_backlash_state *next = stepper_copy(self);
+    dbo_backlash_apply(&self->op, next, y, self->decay);
+    self->clipped = 0;
+    self->touched = dbo_backlash_touched(&self->op, next);
+    self->planned = 1;
 }
 
 static PyObject *stepper_plan(PyObject *object, PyObject *value) {
@@ -252,7 +253,7 @@ static PyObject *stepper_commit(PyObject *object, PyObject *nothing) {
     return Py_BuildValue("");
 }
 
-static PyObject *stepper_apply(PyObject *object, PyObject *value) {
+static PyObject *stepper_follow_output(PyObject *object, PyObject *value) {
     stepper *self = (stepper *)object;
     const double y = PyFloat_AsDouble(value);
     if (PyErr_Occurred()) return NULL;
@@ -260,7 +261,7 @@ static PyObject *stepper_apply(PyObject *object, PyObject *value) {
         PyErr_SetString(PyExc_ValueError, "memory on the input: its output does not give the state");
         return NULL;
     }
-    stepper_goes_on(self, y);
+    stepper_follow(self, y);
     return Py_BuildValue("");
 }
 
@@ -276,8 +277,8 @@ static PyObject *stepper_last(PyObject *object, void *nothing) {
 
 static PyMethodDef stepper_methods[] = {
     {"plan", stepper_plan, METH_O, "The output for an input; nothing changes yet."},
-    {"commit", stepper_commit, METH_NOARGS, "Go on to the state that the last plan leads to."},
-    {"apply", stepper_apply, METH_O, "Go on to the state that this output leads to, whatever was planned."},
+    {"commit", stepper_commit, METH_NOARGS, "Go on to the state that was worked out last."},
+    {"follow", stepper_follow_output, METH_O, "Work out the state that this output leads to; nothing changes yet."},
     {"set", stepper_set, METH_VARARGS, "Take over words, memory and the output before."},
     {"get", stepper_get, METH_VARARGS, "Fill words and memory; return the output before."},
     {NULL, NULL, 0, NULL}};

@@ -40,6 +40,7 @@ from dbo_cli.logs.sample_block import (
     JITTER,
     TIME,
     ColumnInfo,
+    DroppedRows,
     SampleBlock,
     Table,
     TimeCheck,
@@ -141,6 +142,7 @@ class _JoinedTable(Table):
 
     def __init__(self, first: Table, options: ReadingOptions) -> None:
         self.place, self.notes = first.place, first.notes
+        self.dropped, self.doubtful = DroppedRows(), first.doubtful
         self.columns = list(first.columns)
         self.files = {"": _File(first, {column.number: column for column in first.columns})}
         self._options = options
@@ -241,10 +243,16 @@ class _JoinedTable(Table):
                 found = file.table.blocks(wanted)
                 streams.append(found if clock is None else _timed(found, clock, own))
                 places.append(file.table.place)
-        for parts in _in_step(places, streams, self._options.skip_bad, self.notes):
+        unequal: list[str] = []
+        for parts in _in_step(places, streams, self._options.skip_bad, unequal):
             yield self._merged(places, parts)
+        self.notes.extend(unequal)
+        self.doubtful.extend(unequal)
+        for file in (first, *others):
+            self.dropped.extend(file.table.dropped)
         for other in others:
             self.notes.extend(other.table.notes)
+            self.doubtful.extend(f"{other.table.place}: {text}" for text in other.table.doubtful)
 
     def _merged(self, places: Sequence[str], parts: Sequence[SampleBlock]) -> SampleBlock:
         """Put parts of several files beside each other; rows that one of them lacks are left out.
@@ -465,6 +473,16 @@ class SignalLog(Source):
     def read(self) -> SampleBlock:
         """Read all samples as one block."""
         return joined(list(self.blocks()))
+
+    @property
+    def dropped(self) -> DroppedRows:
+        """Rows that ``skip_bad`` left out; complete after the last block."""
+        return self._table.dropped
+
+    @property
+    def doubtful(self) -> list[str]:
+        """What was passed over in silence and may have been rows; complete after the last block."""
+        return self._table.doubtful
 
     def close(self) -> None:
         """Close the file."""
