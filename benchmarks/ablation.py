@@ -28,13 +28,13 @@ from foreign_plants import CONDITION, HELD_OUT, KINDS, LATER, NOISE, STEP, STROK
 from test_hysteresis_identification_dynamics import RATE, plant
 from test_hysteresis_identification_dynamics import recorded as recorded_stage
 
+from dbo_cli.extras.compare.play_model import with_plays
 from dbo_cli.hysteresis.dynamics import Lag, Resonance
 from dbo_cli.hysteresis.excitation import Excitation
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, identify, search
 from dbo_cli.hysteresis.identification.evaluation import predict
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator
-from dbo_cli.relatives.play_model import with_plays
 
 LATE = ("late sensor",)  # what is late there is not the actuator
 FREQUENCY = 80.0  # of the stage's resonance, Hz

@@ -30,9 +30,9 @@ from invented_actuators import cases, nested_turns
 from numpy.typing import NDArray
 
 from dbo_cli.errors import DboError
+from dbo_cli.extras.compare.judging import NAMES, SAME_STAGES, Row, compare
 from dbo_cli.hysteresis.excitation import Excitation
 from dbo_cli.hysteresis.identification import Recording
-from dbo_cli.relatives.judging import NAMES, SAME_STAGES, Row, compare
 
 ROOT = Path(__file__).resolve().parents[1]
 Floats = NDArray[np.float64]

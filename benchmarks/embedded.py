@@ -30,8 +30,8 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 from exported import made_model  # noqa: E402
 
-from dbo_cli.export import export_model  # noqa: E402
-from dbo_cli.export.source_text import array, hex_double, hex_float, integer  # noqa: E402
+from dbo_cli.extras.export.export import export_model  # noqa: E402
+from dbo_cli.extras.export.source_text import array, hex_double, hex_float, integer  # noqa: E402
 
 HERE = Path(__file__).resolve().parent / "embedded"
 ARITHMETICS = ("double", "float", "q31")

@@ -30,7 +30,7 @@ from exported import COMPILERS, SANITIZERS, as_given, compiled, in_units, random
 from invented_actuators import cases  # noqa: E402
 
 from dbo_cli.errors import ModelError  # noqa: E402
-from dbo_cli.export import export_model  # noqa: E402
+from dbo_cli.extras.export.export import export_model  # noqa: E402
 from dbo_cli.hysteresis.identification import IdentificationOptions, identify  # noqa: E402
 from dbo_cli.hysteresis.model import ActuatorModel  # noqa: E402
 

@@ -1,7 +1,8 @@
 """Actuators of kinds that the package does not have: how well moves are predicted, and what is stated of it.
 
 Each plant is recorded with several drives. The model of every recording, and its rivals from
-``dbo_cli.relatives``, predict moves of other levels, amplitudes, speeds and dwell, each after a full sweep.
+``dbo_cli.extras.compare``, predict moves of other levels, amplitudes, speeds and dwell, each after a full
+sweep.
 Printed are the test error over that of the best rival (chosen by test error, which no user can), and the
 actual error, offset and the sensor's noise included, over the one stated for that very move.
 
@@ -26,11 +27,11 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from invented_actuators import RATE, BoucWen, Plays, bent, drive, first_order, nested_turns, swept
 
+from dbo_cli.extras.compare.judging import compare
 from dbo_cli.hysteresis.identification import Recording
 from dbo_cli.hysteresis.identification.evaluation import predict
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.move_error import move_error
-from dbo_cli.relatives.judging import compare
 from dbo_cli.runs.api import Model
 
 Floats = NDArray[np.float64]

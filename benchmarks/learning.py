@@ -26,9 +26,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.drives.learning import ORDER, RepeatedMove, Tracked
 from dbo_cli.drives.options import DriveOptions
 from dbo_cli.errors import InputError
+from dbo_cli.extras.repeat.learning import ORDER, RepeatedMove, Tracked
 from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Resonance, ZeroPhaseLowPass
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, Relaxation, ScaleStage, Stage

@@ -73,7 +73,7 @@ FAULTS: list[Fault] = [
         ("else if (bit_of(words, i - 1) != ones) {", "else if (bit_of(words, i) != ones) {", "a state is read from its bits"),
     ),
     *_faults(
-        "export/firmware/dbo_kernel_single.c",
+        "extras/export/firmware/dbo_kernel_single.c",
         ("export",),
         ("if (left < 0 && crossed > 0U) way->nearly = 64U * block + place;",
          "if (left < 0) way->nearly = 64U * block + place;",
@@ -91,7 +91,7 @@ FAULTS: list[Fault] = [
         ("counts *= 1.0F / 256.0F;", "", "beyond 2^31 counts a number is a position still"),
     ),
     *_faults(
-        "export/single_code.py",
+        "extras/export/single_code.py",
         ("export",),
         ("coarse = max(math.frexp(abs(offset) / count / COUNTS)[1], 0) if plan.terms else 0", "coarse = 0",
          "a memory may refer to what is far from the range"),
@@ -356,7 +356,7 @@ FAULTS: list[Fault] = [
         ("while unique.casefold() in taken:", "while unique in taken:", "file names differ where letters' size does not"),
     ),
     *_faults(
-        "logs/binary.py",
+        "extras/instruments/binary.py",
         ("logs_values",),
         ("return None if index and stored.is_integer() else source", "return source",
          "row numbers of pandas are no column"),
@@ -410,7 +410,7 @@ FAULTS: list[Fault] = [
          "no second copy is left where a rename fails"),
     ),
     *_faults(
-        "drives/shapes.py",
+        "extras/moves/shapes.py",
         ("trajectories",),
         ("place + speed * count / math.pi", "place - speed * count / math.pi", "a turn lies outside the line"),
         ("part - np.sin(2.0 * math.pi * part) / (2.0 * math.pi)", "part - 0.0",
@@ -422,7 +422,7 @@ FAULTS: list[Fault] = [
         ("tip = (high - low) * turn / math.pi", "tip = 0.0 * turn / math.pi", "a triangle's tips stay in the range"),
     ),
     *_faults(
-        "waveforms.py",
+        "extras/moves/generators.py",
         ("waveforms",),
         ("found = found - (self.decode(found) > within[1])", "found = found - 0",
          "a code next to the upper limit is the one inside it"),
@@ -433,13 +433,13 @@ FAULTS: list[Fault] = [
          "a file that reads back as something else is not written"),
     ),
     *_faults(
-        "waveforms.py",
+        "extras/moves/generators.py",
         ("waveforms",),
         ("seconds = (rows if loop else rows - 1) / rate", "seconds = rows / rate", "a drive played once keeps its ends"),
         ("period = seconds if loop else None", "period = None", "a loop goes on from its last row to its first"),
     ),
     *_faults(
-        "runs/waveform_files.py",
+        "extras/moves/waveform.py",
         ("waveforms",),
         ("within = within if options.gain > 0.0 else within[::-1]", "pass", "limits behind an inverting amplifier"),
         ("limits.max_slew / abs(options.gain) + coarse * rate", "limits.max_slew / abs(options.gain)",
@@ -482,13 +482,13 @@ FAULTS: list[Fault] = [
          "an infinite limit and a repeated time make no infinite drive"),
     ),
     *_faults(
-        "hysteresis/loops.py",
+        "extras/repeat/settled_loops.py",
         ("runs_repeated",),
         ("parts = [abs(w * (own - held))", "parts = [abs(w * own)",
          "a memory is off by what it is away from the loop's own"),
     ),
     *_faults(
-        "drives/loops.py",
+        "extras/repeat/loop_drive.py",
         ("runs_repeated",),
         ("return np.linspace(first, target, max(math.ceil(abs(target - first) / most), 1), endpoint=False)",
          "return np.full(1, first)",
@@ -499,14 +499,14 @@ FAULTS: list[Fault] = [
          "a loop behind a lag may begin where the lag stands"),
     ),
     *_faults(
-        "drives/learning.py",
+        "extras/repeat/learning.py",
         ("runs_repeated",),
         ("for k in strongest + np.flatnonzero(energy[strongest:] > ENERGY * energy.max()):",
          "for k in np.flatnonzero(energy > ENERGY * energy.max()):",
          "weak slow bands do not stop learning"),
     ),
     *_faults(
-        "drives/controller.py",
+        "extras/live/controller.py",
         ("runs_controller",),
         ("self.samples = needed if seconds", "self.samples = needed + 1 if seconds",
          "the stated latency is the one that the drive has"),
@@ -557,14 +557,14 @@ FAULTS: list[Fault] = [
          "memory = Relaxation(basis.low, LENGTHS, per_volt)", "ways are volts in the model"),
     ),
     *_faults(
-        "relatives/plays.py",
+        "extras/compare/plays.py",
         ("relatives",),
         ("share = sum(gain * (1.0 - a) for", "share = sum(gain * a for",
          "a memory answers the drive of the very sample"),
         ("rows[0] = [0.0] * len(held)", "rows[0] = rows[0]", "memories are at rest at the first sample"),
     ),
     *_faults(
-        "relatives/play_model.py",
+        "extras/compare/play_model.py",
         ("relatives",),
         ("radii = np.append(0.0, travelled)[begins]", "radii = travelled[begins]",
          "a play begins to move where its slope begins"),
@@ -572,14 +572,14 @@ FAULTS: list[Fault] = [
          "memories beside plays go on from block to block"),
     ),
     *_faults(
-        "relatives/fitting.py",
+        "extras/compare/fitting.py",
         ("relatives",),
         ("sample_period(prepared.logs)", "sample_period(logs)", "a delay's step is that of the whole log"),
         ("            if not scores:\n                raise\n            break", "            raise",
          "plays that the solver cannot tell apart are not taken"),
     ),
     *_faults(
-        "relatives/judging.py",
+        "extras/compare/judging.py",
         ("relatives",),
         ("told = rmse * float(str(ratio))", "told = rmse",
          "what is expected of a relative is wider than its fit"),

@@ -21,10 +21,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli.extras.compare.judging import processor_ns
+from dbo_cli.extras.compare.plays import PlayOperator
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator
-from dbo_cli.relatives.judging import processor_ns
-from dbo_cli.relatives.plays import PlayOperator
 
 Floats = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ import sys
 
 import numpy as np
 
-from dbo_cli.drives.settling import settling_seconds
+from dbo_cli.extras.moves.settling import settling_seconds
 from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, Relaxation, ScaleStage, Stage

@@ -20,8 +20,9 @@ if TYPE_CHECKING:
         OutputError,
         UsageError,
     )
-    from dbo_cli.runs.api import Model, ModelSet, compensate, identify, read_log, read_model, report, simulate
-    from dbo_cli.runs.trajectories import trajectory
+    from dbo_cli.extras.channels.api import ModelSet
+    from dbo_cli.extras.moves.trajectory import trajectory
+    from dbo_cli.runs.api import Model, compensate, identify, read_log, read_model, report, simulate
 
 __all__ = [
     "DboError",
@@ -44,18 +45,25 @@ __all__ = [
     "trajectory",
 ]
 
-_ROOMS = {"DboWarning": "errors", "trajectory": "runs.trajectories"}
+_OF_ERRORS = ("Error", "Warning")
 
 
 if not TYPE_CHECKING:  # else a type checker would believe in any name
 
     def __getattr__(name: str) -> object:
-        """Load a public name when it is asked for."""
+        """Load a public name of the core or of an extra when it is asked for."""
+        from importlib import import_module
+        from importlib.util import find_spec
+
+        # Importing a module of this package asks for its name here first.
+        if name.startswith("_") or find_spec(f"dbo_cli.{name}") is not None:
+            raise AttributeError(f"module 'dbo_cli' has no attribute {name!r}")
+        brought = import_module("dbo_cli.extensions").find("api", name)
+        if brought is not None:
+            return brought
         if name not in __all__:
             raise AttributeError(f"module 'dbo_cli' has no attribute {name!r}")
-        from importlib import import_module
-
-        room = _ROOMS.get(name) or ("errors" if name.endswith("Error") else "runs.api")
+        room = "errors" if name.endswith(_OF_ERRORS) else "runs.api"
         return getattr(import_module(f"dbo_cli.{room}"), name)
 
 

@@ -30,17 +30,16 @@ PLACES: dict[str, tuple[int, float, float, str]] = {
     "errors": (0, 0.0, 3.4, "what users meet: one class a kind"),
     "records": (0, 3.7, 6.0, "how a class of fields is made"),
     "version": (0, 8.5, 10.0, ""),
-    "hysteresis": (1, 0.0, 4.8, "operators, model, states, their files"),
-    "logs": (1, 5.2, 10.0, "formats, columns, units, clocks, outputs"),
-    "identification": (2, 0.0, 3.1, "a model from logs"),
-    "export": (2, 3.45, 6.55, "a model as C"),
-    "waveforms": (2, 6.9, 10.0, "generators' files"),
-    "relatives": (3, 0.0, 3.1, "what to compare with"),
+    "extensions": (1, 0.0, 10.0, "the table where core and extras meet"),
+    "hysteresis": (2, 0.0, 4.8, "operators, model, states, their files"),
+    "logs": (2, 5.2, 10.0, "formats, columns, units, clocks, outputs"),
+    "identification": (3, 0.0, 3.1, "a model from logs"),
     "drives": (4, 0.0, 6.5, "what leaves for an amplifier: pieces, one state, one gate"),
     "reports": (4, 6.9, 10.0, "figures of merit, pages"),
     "runs": (5, 0.0, 10.0, "the use cases: blocks in, blocks out; what must be said comes back as data"),
-    NAMES: (6, 0.0, 4.8, "the public names, loaded when asked for"),
-    "cli": (6, 5.2, 10.0, "options, one call, output"),
+    "cli": (6, 0.0, 10.0, "options, one call, output"),
+    "extras": (7, 0.0, 10.0, "what may be left out, a folder each; nothing below knows them"),
+    NAMES: (8, 0.0, 4.8, "the public names, loaded when asked for"),
 }
 """The rooms; an arrow may only lead to a lower level."""
 
@@ -152,7 +151,7 @@ def paint(axes: Axes) -> None:
         middle = 2.0 * level + 0.5
         axes.text((left + right) / 2, middle + (0.2 if what else 0.0), name, weight="bold", **spot)
         axes.text((left + right) / 2, middle - 0.22, what, color=style.MUTED, fontsize=7.5, **spot)
-    axes.set(xlim=(-0.1, 10.1), ylim=(-0.1, 13.1))
+    axes.set(xlim=(-0.1, 10.1), ylim=(-0.1, 17.1))
     axes.axis("off")
 
 
@@ -187,7 +186,7 @@ def picture() -> bytes:
 
     content = io.BytesIO()
     with rc_context(rc_params_from_file(style.STYLE_FILE, use_default_template=False)):
-        figure = Figure(figsize=(7.2, 7.6))
+        figure = Figure(figsize=(7.2, 9.4))
         FigureCanvasAgg(figure)
         paint(figure.add_axes((0.0, 0.0, 1.0, 1.0)))
         figure.savefig(content, format="svg", metadata={"Date": None, "Creator": None})

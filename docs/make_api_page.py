@@ -15,9 +15,9 @@ from typing import Any
 
 import dbo_cli
 from dbo_cli import errors
-from dbo_cli.drives.controller import Controller
 from dbo_cli.drives.options import DriveOptions
-from dbo_cli.drives.shapes import TrajectoryOptions
+from dbo_cli.extras.live.controller import Controller
+from dbo_cli.extras.moves.shapes import TrajectoryOptions
 from dbo_cli.hysteresis.identification import IdentificationOptions
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.logs.request import ReadingOptions
@@ -104,7 +104,13 @@ def record_part(one: type) -> str:
 def class_part(one: type) -> str:
     """Return the part about a class: what it is, its properties, its methods."""
     parts = [record_part(one)]
-    public = {key: value for key, value in vars(one).items() if not key.startswith("_")}
+    public = {
+        key: value
+        for base in reversed(one.__mro__)
+        if base.__module__.startswith("dbo_cli.")
+        for key, value in vars(base).items()
+        if not key.startswith("_")
+    }
     known = [
         f"- `{key}`: {markdown(' '.join((inspect.getdoc(value) or '').split()))}"
         for key, value in public.items()

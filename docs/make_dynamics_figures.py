@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from make_figures import write
 
-from dbo_cli.drives.learning import ORDER, RESONANCE_PART
+from dbo_cli.extras.repeat.learning import ORDER, RESONANCE_PART
 from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, Relaxation, ScaleStage, Stage

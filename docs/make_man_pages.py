@@ -10,7 +10,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from dbo_cli.cli.commands import COMMANDS, EXIT_CODES, Command
+from dbo_cli.cli import commands
+from dbo_cli.cli.command import EXIT_CODES, Command
 from dbo_cli.cli.typer_adapter import root_command
 from dbo_cli.version import __version__
 
@@ -54,7 +55,7 @@ def page(name: str, heading: str, parts: list[tuple[str, str]]) -> str:
 
 def also(name: str) -> str:
     """Return the other pages."""
-    titles = ["dbo", *(f"dbo-{one}" for one in COMMANDS)]
+    titles = ["dbo", *(f"dbo-{one}" for one in commands.names())]
     return ",\n".join(f".BR {roff(one)} (1)" for one in titles if one != name)
 
 
@@ -79,7 +80,7 @@ def first_page() -> str:
     """Return the page of the program."""
     root: Any = root_command()
     heading, _, text = (root.help or "").partition("\n")
-    rows = [(f"dbo {name}", one.summary) for name, one in COMMANDS.items()]
+    rows = [(f"dbo {name}", one.summary) for name, one in commands.every().items()]
     codes = sorted([*EXIT_CODES, MISSED], key=lambda code: int(code[0]))
     parts = [("SYNOPSIS", ".B dbo\nCOMMAND [OPTIONS] ..."), ("DESCRIPTION", paragraphs(text.strip()))]
     parts += [("COMMANDS", listed(rows)), ("FILES", paragraphs(FILES)), ("EXIT STATUS", listed(codes))]
@@ -89,7 +90,7 @@ def first_page() -> str:
 def pages() -> dict[str, str]:
     """Return all pages by the names of their files."""
     made = {"dbo.1": first_page()}
-    return made | {f"dbo-{name}.1": command_page(name, command) for name, command in COMMANDS.items()}
+    return made | {f"dbo-{name}.1": command_page(name, command) for name, command in commands.every().items()}
 
 
 if __name__ == "__main__":

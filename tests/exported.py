@@ -13,7 +13,7 @@ import cached_cc
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.export.single_code import counts_of_range
+from dbo_cli.extras.export.single_code import counts_of_range
 from dbo_cli.hysteresis.model import ActuatorModel, PointStage, Quantity, Relaxation, ScaleStage
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator
 

@@ -67,7 +67,7 @@ def test_gaps_repeats_and_rows_without_a_number_are_named(bench: Any) -> None:
     found = json.loads(Path("found.json").read_text())
     assert found["format"] == "dbo-check" and not found["passed"]
     assert found["problems"] == [
-        "row 21: holds no number",
+        "row 21: column 'voltage_V' is not a number: 'OVLD'",
         "row 201: the time stamp repeats",
         "row 22: a gap in time (3 rows in all)",
     ]
@@ -253,13 +253,13 @@ def test_gains_that_mean_nothing(bench: Any, words: str, message: str) -> None:
 
 
 def test_what_the_way_there_leaves_is_not_said_of_the_file(bench: Any) -> None:
-    done = bench(
-        "compensate", "model.json", "wish.csv", "--from", "-2", "--v-min", "-3", "--approach", "auto"
-    )
+    words = "--from -2 --v-min -3 --extrapolate --approach auto"
+    done = bench("compensate", "model.json", "wish.csv", *words.split())
     assert done.code == 0 and float(done.out.splitlines()[1].split(",")[1]) < 1.0  # the model begins there
     assert done.err == (
-        "dbo: warning: the limits of the drive reach beyond 0 to 10 V, where the model was identified; it "
-        "extrapolates there\n"
+        "dbo: wish.csv: the drive may go from -3 to 10 V (identified: 0 to 10 V)\n"
+        "dbo: warning: wish.csv: the drive goes 2 V below the 0 to 10 V on which the model was identified; "
+        "it extrapolates there\n"
     )
 
 
@@ -295,13 +295,37 @@ def test_limits_with_units_and_currents_mean_the_same_for_every_model(
     assert np.abs(np.diff(drives[0])).max() == pytest.approx(0.1, rel=1e-3)  # 0.4 mA / 4 uF, in 1 ms
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (
+            "--v-max 3000",
+            "--v-max 3000: plain numbers are read in kV, and the model goes from 0 to 0.01 kV: give its unit "
+            "(3000V, 3000kV)",
+        ),
+        (
+            "--from 5",
+            "--from 5: plain numbers are read in kV, and the model goes from 0 to 0.01 kV: give its unit "
+            "(5V, 5kV)",
+        ),
+        (
+            "--max-slew 2000",
+            "--max-slew 2000: the model's drive is in kV: give its unit (2000V/s, 2000kV/s)",
+        ),
+    ],
+)
+def test_plain_limits_that_are_probably_in_volts_are_refused(bench: Any, words: str, message: str) -> None:
+    Path("kv.json").write_text(json.dumps(in_other_unit("kV", 1000.0)))
+    done = bench("compensate", "kv.json", "wish.csv", *words.split(), "-o", "kv.csv")
+    assert done == (2, "", f"dbo: error: {message}\n")
+    assert not Path("kv.csv").exists()
+
+
 def test_plain_limits_are_said_to_be_in_the_drive_s_unit(bench: Any) -> None:
     Path("kv.json").write_text(json.dumps(in_other_unit("kV", 1000.0)))
     said = "limits without a unit are read in kV, the drive's (1.2kV, 2000V/s are converted)"
-    done = bench("compensate", "kv.json", "wish.csv", "--max-slew", "2000", "-o", "kv.csv")
+    done = bench("compensate", "kv.json", "wish.csv", "--v-max", "0.1", "-o", "kv.csv")
     assert done.code == 0 and done.err.count(f"dbo: wish.csv: {said}\n") == 1
-    done = bench("check", "kv.csv", "--v-max", "0.1", "--max-slew", "2kV/s")
-    assert (done.code, done.err) == (0, f"dbo: kv.csv: {said}\n")
     done = bench("check", "kv.csv", "--v-max", "100V", "--max-slew", "2V/ms", "--from", "5V")
     assert (done.code, done.err) == (0, "")
     done = bench("check", "kv.csv", "--max-slew", "2V/s")
@@ -372,10 +396,12 @@ def test_identify_takes_the_rating_in_units(bench: Any) -> None:
 def test_export_takes_limits_in_units_and_warns_beyond_the_model(bench: Any) -> None:
     done = bench("export", "model.json", "-o", "out", "--v-max", "0.015kV", "--v-min", "0",
                  "--max-slew", "20V/s", "--sample-rate", "1000")  # fmt: skip
+    assert done.code == 0 and "warning" not in done.err
+    done = bench("export", "model.json", "-o", "out", "--v-max", "0.015kV", "--v-min", "0",
+                 "--extrapolate", "--max-slew", "20V/s", "--sample-rate", "1000", "--overwrite")  # fmt: skip
     warning = (
-        "the limits of the drive reach beyond 0 to 10 V, where the model was identified; it extrapolates "
+        "the limits allow 5 V above the 0 to 10 V on which the model was identified; it extrapolates there"
     )
-    warning += "there"
     assert done.code == 0 and f"dbo: warning: {warning}\n" in done.err
     assert (
         "0.0 ... 15.0 V, changing by at most 20.0 V a second" in done.err
@@ -394,3 +420,187 @@ def test_a_recording_in_another_unit_is_compared_in_its_own(bench: Any) -> None:
     write("other.csv", "time_s,voltage_mA", TIME, DRIVE)
     done = bench("check", "other.csv", "--voltage", "voltage_mA", "--against", "drive.csv")
     assert done.code == 1 and "drive.csv: column 'voltage_V' is in V, but the recording is in mA" in done.err
+
+
+# --- as strict as what writes a generator's file ---
+
+BAD_CELLS = {
+    "inf": "is not finite: 'inf'", "-inf": "is not finite: '-inf'", "nan": "is not finite: 'nan'",
+    "1e400": "is not finite: '1e400'", "": "is empty", "abort": "is not a number: 'abort'",
+    "9.9e37": "is the instrument's overflow: '9.9e37'",
+}  # fmt: skip
+
+
+def with_rows(name: str, rows: dict[int, str], end: str = "\n") -> None:
+    """Write the drive with some rows (from 1) replaced; {time} is the row's time."""
+    lines = [f"{time:.3f},{volts:.4f}" for time, volts in zip(TIME.tolist(), DRIVE.tolist(), strict=True)]
+    for row, text in rows.items():
+        lines[row - 1] = text.format(time=lines[row - 1].split(",")[0])
+    Path(name).write_text("time_s,voltage_V\n" + "\n".join(lines) + end)
+
+
+@pytest.mark.parametrize("row", [1, 2, 200, 399, 400])
+@pytest.mark.parametrize("cell", BAD_CELLS)
+def test_a_row_without_a_number_is_a_problem_wherever_it_stands(bench: Any, cell: str, row: int) -> None:
+    with_rows("bad.csv", {row: "{time}," + cell})
+    done = bench("check", "bad.csv", "--v-min", "0", "--v-max", "100", "--format", "json")
+    problem = f"row {row}: column 'voltage_V' {BAD_CELLS[cell]}"
+    assert done.code == 3 and done.err.startswith(f"dbo: error: bad.csv: {problem}"), done.err
+    assert json.loads(done.out)["problems"][0] == problem
+    assert bench("waveform", "bad.csv", "--to", "npy", "-o", "bad.npy").code == 1
+
+
+@pytest.mark.parametrize("row", [1, 200, 400])
+@pytest.mark.parametrize(("text", "cells"), [("{time}", "1 cell"), ("{time},1,2", "3 cells")])
+def test_a_row_of_another_width_is_a_problem(bench: Any, row: int, text: str, cells: str) -> None:
+    with_rows("bad.csv", {row: text})
+    done = bench("check", "bad.csv")
+    problem = f"row {row}: {cells} where the other rows have 2"
+    assert done.code == 3 and done.err.startswith(f"dbo: error: bad.csv: {problem}"), done.err
+
+
+@pytest.mark.parametrize("last", ["0.399,48.7", "0.399,", "0.399", "0.39", "0"])
+def test_a_file_that_is_cut_in_its_last_line_does_not_pass(bench: Any, last: str) -> None:
+    with_rows("cut.csv", {400: last}, end="")
+    done = bench("check", "cut.csv")
+    assert done.code == 3 and done.err.startswith("dbo: error: cut.csv: row 400: "), done.err
+    assert bench("waveform", "cut.csv", "--to", "npy", "-o", "cut.npy").code == 1
+
+
+@pytest.mark.parametrize(
+    ("line", "shown"), [(",", ","), ("stopped", "stopped"), ("nothing,here", "nothing,here")]
+)
+def test_a_first_row_that_is_taken_for_a_part_of_the_header_is_a_problem(
+    bench: Any, line: str, shown: str
+) -> None:
+    with_rows("bad.csv", {1: line})
+    done = bench("check", "bad.csv", "--time", "1", "--voltage", "2")
+    problem = f"line 2: '{shown}' is neither a row nor a header"
+    assert done.code == 3 and done.err.startswith(f"dbo: error: bad.csv: {problem}"), done.err
+    with_rows("ruled.csv", {1: "------,-------"})
+    assert bench("check", "ruled.csv").code == 0
+    Path("units.csv").write_text("time,drive\ns,V\n" + "".join(f"{k},{k}\n" for k in range(9)))
+    assert bench("check", "units.csv").code == 0
+
+
+def test_an_empty_line_among_rows_of_one_cell_is_a_problem(bench: Any) -> None:
+    lines = [f"{volts:.4f}" for volts in DRIVE.tolist()]
+    Path("one.csv").write_text(
+        "\n".join(["voltage_V", "", *lines, "", ""])
+    )  # above and below it means nothing
+    assert bench("check", "one.csv", "--sample-rate", "1000").code == 0
+    lines[199] = ""
+    Path("one.csv").write_text("\n".join(["voltage_V", *lines]) + "\n")
+    done = bench("check", "one.csv", "--sample-rate", "1000", "--block-rows", "7")
+    assert (done.code, done.err) == (3, "dbo: error: one.csv: line 201: holds no number between two rows\n")
+
+
+def test_many_bad_rows_are_named_up_to_twenty_and_counted(bench: Any) -> None:
+    with_rows("bad.csv", dict.fromkeys(range(1, 401, 10), "{time},nan"))
+    done = bench("check", "bad.csv", "--format", "json")
+    problems = json.loads(done.out)["problems"]
+    assert problems[19] == "row 191: column 'voltage_V' is not finite: 'nan'"
+    assert problems[20] == "20 more rows hold no number"
+
+
+@pytest.mark.parametrize("name", ["bad.npy", "bad.h5"])
+def test_binary_files_are_as_strict(bench: Any, name: str) -> None:
+    drive = DRIVE.copy()
+    drive[[0, 399]] = np.nan, np.inf
+    if name.endswith("npy"):
+        np.save(name, np.stack([TIME, drive], 1))
+    else:
+        h5py = pytest.importorskip("h5py")
+        with h5py.File(name, "w") as file:
+            file["time_s"], file["voltage_V"] = TIME, drive
+    columns = ["--time", "1", "--voltage", "2"] if name.endswith("npy") else []
+    done = bench("check", name, *columns, "--format", "json")
+    problems = json.loads(done.out)["problems"]
+    assert (done.code, [text.split(":")[0] for text in problems]) == (3, ["row 1", "row 400"])
+    assert problems[0].endswith(" is not finite: 'nan'") and problems[1].endswith(" is not finite: 'inf'")
+
+
+def test_files_of_unequal_length_and_a_meant_drive_with_bad_rows_are_problems(bench: Any) -> None:
+    write("time.csv", "time_s", TIME[:300])
+    done = bench("check", "drive.csv", "--time", "time.csv::time_s")
+    assert done.code == 3 and "the files do not end at the same row: " in done.err
+    with_rows("meant.csv", {1: "{time},nan"})
+    done = bench("check", "drive.csv", "--against", "meant.csv")
+    assert done.code == 3
+    assert done.err.startswith(
+        "dbo: error: drive.csv: meant.csv: row 1: column 'voltage_V' is not finite: 'nan'"
+    )
+
+
+# --- plain numbers are no limits of a column in kV or mV ---
+
+
+@pytest.mark.parametrize(
+    ("unit", "words", "message"),
+    [
+        ("kV", "--v-max 100", "--v-max 100: the drive is in kV, and a plain number may be meant in V "
+         "(--v-max 0.1kV or --v-max 100kV)"),
+        ("kV", "--v-min -20", "--v-min -20: the drive is in kV, and a plain number may be meant in V "
+         "(--v-min -0.02kV or --v-min -20kV)"),
+        ("mV", "--max-slew 2000", "--max-slew 2000: the drive is in mV, and a plain number may be meant in V "
+         "(--max-slew 2000000mV/s or --max-slew 2000mV/s)"),
+        ("mA", "--from 1", "--from 1: the drive is in mA, and a plain number may be meant in A "
+         "(--from 1000mA or --from 1mA)"),
+        ("mbar", "--against played.csv --tolerance 1", "--tolerance 1: the drive is in mbar, and a plain "
+         "number may be meant in bar (--tolerance 1000mbar or --tolerance 1mbar)"),
+        ("kV", "--v-max 5bar", "--v-max 5bar: cannot be converted; a figure in kV is needed"),
+        ("bar", "--v-max 5V", "--v-max 5V: cannot be converted; a figure in bar is needed"),
+    ],
+)  # fmt: skip
+def test_a_limit_that_may_mean_something_else_is_refused(
+    bench: Any, unit: str, words: str, message: str
+) -> None:
+    for name in ("d.csv", "played.csv"):
+        write(name, f"time_s,drive ({unit})", TIME, DRIVE / 1000.0)
+    done = bench("check", "d.csv", "--voltage", "2", *words.split())
+    assert (done.code, done.out, done.err) == (2, "", f"dbo: error: {message}\n")
+
+
+@pytest.mark.parametrize(
+    ("unit", "passing", "breaking"),
+    [
+        ("kV", "--v-min 0 --v-max 0.0901kV --max-slew 1.3kV/s --from 50V", "--v-max 89V"),
+        ("mA", "--v-min 0 --v-max 0.0901A --max-slew 1.3A/s --from 50mA", "--v-max 0.089A"),
+        ("bar", "--v-max 90.1bar --max-slew 1300", "--v-max 89"),
+        ("mbar", "--v-max 0.0901bar", "--v-max 8900Pa"),
+    ],
+)
+def test_limits_with_a_unit_are_taken(bench: Any, unit: str, passing: str, breaking: str) -> None:
+    scale = 1000.0 if unit == "kV" else 1.0
+    write("d.csv", f"time_s,drive ({unit})", TIME, DRIVE / scale)
+    done = bench("check", "d.csv", "--voltage", "2", *passing.split())
+    assert done.code == 0, done.err
+    assert bench("check", "d.csv", "--voltage", "2", *breaking.split()).code == 3
+
+
+def test_limits_of_a_column_without_a_unit_are_said_to_be_plain(bench: Any) -> None:
+    write("d.csv", "time_s,drive", TIME, DRIVE)
+    done = bench("check", "d.csv", "--v-max", "100")
+    said = "dbo: d.csv: column 'drive' has no unit: limits are taken in what its figures count\n"
+    assert (done.code, done.err) == (0, said)
+    assert bench("check", "d.csv").err == ""
+    done = bench("check", "d.csv", "--v-max", "0.1kV")
+    assert (
+        done.code == 2 and "--v-max 0.1kV: cannot be converted; a figure without a unit is needed" in done.err
+    )
+
+
+def test_figures_that_no_amplifier_has(bench: Any) -> None:
+    write("huge.csv", "time_s,voltage_V", TIME[:4], [0.0, 1e99, 1e101, 1.0])
+    message = "row 3: 1e+101 V is no voltage: it is beyond 1e+100"
+    for words in (["check", "huge.csv"], ["waveform", "huge.csv", "--to", "npy", "-o", "d.npy"]):
+        done = bench(*words)
+        assert (done.code, done.out, message in done.err) == (1, "", True), done.err
+    done = bench("check", "drive.csv", "--against", "huge.csv")
+    assert (done.code, done.err) == (
+        1,
+        "dbo: error: huge.csv: row 3: 1e+101 is no voltage: it is beyond 1e+100\n",
+    )
+    write("close.csv", "time_s,voltage_V", [0.0, 5e-324, 1e-323, 1.5e-323], [0.0, 1.0, 2.0, 3.0])
+    done = bench("check", "close.csv", "--format", "json")
+    assert done.code == 0 and json.loads(done.out)["fastest"] is None and "Infinity" not in done.out

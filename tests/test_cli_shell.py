@@ -17,14 +17,15 @@ from typing import Any
 import pytest
 
 from dbo_cli import __version__
-from dbo_cli.cli import app
-from dbo_cli.cli.commands import COMMANDS, Progress, Reporter
+from dbo_cli.cli import app, commands
+from dbo_cli.cli.command import Progress, Reporter
 from dbo_cli.cli.typer_adapter import root_command
 from dbo_cli.errors import FitError, InputError, LimitError, ModelError, OutputError, UsageError
 from dbo_cli.hysteresis.identification import IdentificationOptions
 from dbo_cli.logs.request import ReadingOptions, parse_address
 from dbo_cli.runs.identifying import IdentifyRun
 
+COMMANDS = commands.every()
 ROOT = Path(__file__).resolve().parent.parent
 LIST = "identify, show, invert, simulate, compensate, check, report, excite, export, compare, trajectory, waveform"
 

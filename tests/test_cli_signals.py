@@ -337,13 +337,43 @@ def test_compensate_keeps_tighter_limits_and_slew(bench: Any) -> None:
     assert "(voltage 2 to 7 V, 20 V/s): clipped" in done.err
 
 
-def test_compensate_warns_of_limits_beyond_the_model(bench: Any) -> None:
-    done = bench("compensate", "model.json", "wanted.csv", "--v-max", "15")
-    assert done.err == (
-        f"dbo: wanted.csv: {depends('0.867')}\n{begins('wanted.csv', '1.66667')}"
-        "dbo: warning: the limits of the drive reach beyond 0 to 10 V, where the model was identified; "
-        "it extrapolates there\n"
-    )
+def test_a_limit_beyond_the_range_does_not_widen_it(bench: Any) -> None:
+    write("far.csv", "displacement_um\n5\n9.5\n12.5\n")
+    plain = bench("compensate", "model.json", "far.csv", "--on-limit", "clip")
+    done = bench("compensate", "model.json", "far.csv", "--v-max", "15", "--on-limit", "clip")
+    assert done.out == plain.out
+    note = "dbo: far.csv: the drive may go from 0 to 10 V (identified: 0 to 10 V)\n"
+    assert done.err.replace(note, "") == plain.err and note in done.err
+
+
+def test_extrapolate_goes_beyond_the_range_and_says_by_how_much(bench: Any) -> None:
+    write("far.csv", "displacement_um\n5\n9.5\n12.5\n")
+    done = bench("compensate", "model.json", "far.csv", "--v-max", "15", "--extrapolate")
+    voltage = [float(line.split(",")[1]) for line in done.out.splitlines()[1:]]
+    assert done.code == 0 and 10.0 < max(voltage) < 15.0
+    beyond = f"{max(voltage) - 10.0:.3g} V above the 0 to 10 V on which the model was identified"
+    assert f"dbo: warning: far.csv: the drive goes {beyond}; it extrapolates there\n" in done.err
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (
+            "--v-min 12 --v-max 15",
+            "--v-min 12 V leaves nothing of the range on which the model was identified, 0 to 10 V (another "
+            "limit, or --extrapolate with --v-min and --v-max to go beyond it)",
+        ),
+        (
+            "--v-max -1",
+            "--v-max -1 V leaves nothing of the range on which the model was identified, 0 to 10 V (another "
+            "limit, or --extrapolate with --v-min and --v-max to go beyond it)",
+        ),
+        ("--extrapolate", "--extrapolate goes as far as --v-min and --v-max say: give one of them"),
+    ],
+)
+def test_limits_that_leave_nothing_are_refused(bench: Any, words: str, message: str) -> None:
+    done = bench("compensate", "model.json", "wanted.csv", *words.split())
+    assert done == (2, "", f"dbo: error: {message}\n")
 
 
 def test_condition_prepends_a_sweep_in_negative_time(bench: Any) -> None:

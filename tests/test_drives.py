@@ -14,9 +14,10 @@ from test_hysteresis_model import build, wanted
 from test_runs_repeated import RATE, actuator, move, period
 from trials import Floats
 
-from dbo_cli.drives.controller import Converter
 from dbo_cli.drives.gate import DriveGate, GateError
+from dbo_cli.drives.limits import require_one_unit
 from dbo_cli.errors import InputError, LimitError, UsageError
+from dbo_cli.extras.live.converter import Converter
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag
 from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits
 from dbo_cli.runs.api import Model
@@ -75,6 +76,16 @@ def test_the_gate_names_the_first_row_that_breaks_a_limit() -> None:
         with pytest.raises(GateError, match=text):
             DriveGate(DriveLimits(0.0, 10.0)).admit(np.array([1.0, row]))
     assert GateError.exit_code == 1
+
+
+@pytest.mark.parametrize("last", [None, 0.0, np.inf, -np.inf])
+@pytest.mark.parametrize("row", [np.inf, -np.inf, np.nan])
+def test_the_gate_lets_no_infinite_row_through_whatever_its_range(row: float, last: float | None) -> None:
+    for limits in (DriveLimits(-np.inf, np.inf), DriveLimits(0.0, np.inf), DriveLimits(-np.inf, 5.0)):
+        with pytest.raises(GateError, match=f"breaks its limits: {row} is no voltage;"):
+            DriveGate(limits, last).admit(np.array([1.0, row, 2.0]))
+        assert DriveGate(limits, last).broken(np.array([row])).all()
+    assert DriveGate(DriveLimits(-np.inf, np.inf), last).violation(np.array([1e308])) == ""
 
 
 def test_from_outside_its_range_a_drive_may_only_come_inwards() -> None:
@@ -139,10 +150,17 @@ def limits_of(model: ActuatorModel, slew: float | None) -> DriveLimits:
     return DriveLimits(model.input.minimum, model.input.maximum, slew)
 
 
-def test_limits_above_the_gears_are_swept_all_the_same() -> None:
+def test_a_sweep_stays_within_the_identified_range() -> None:
     model = Model(actuator(frequency=None))
-    done = model.compensate(np.full(200, 5.0), **prompt(condition=True, v_min=120.0, v_max=150.0))
-    assert done.values.min() >= 120.0 and done.values.max() == 150.0
+    wide = prompt(condition=True, v_min=-50.0, v_max=150.0, extrapolate=True)
+    done = model.compensate(np.full(200, 5.0), **wide)
+    assert done.values.min() == pytest.approx(0.0, abs=1e-4) and done.values.max() == 100.0
+    with pytest.raises(UsageError) as refused:
+        model.compensate(np.full(200, 5.0), **wide | {"v_min": 120.0})
+    assert str(refused.value) == (
+        "`condition` sweeps the range on which the model was identified, 0 to 100 V, and the limits leave "
+        "nothing of it"
+    )
 
 
 @pytest.mark.parametrize("passes", [0, 1, 2, 3])
@@ -227,7 +245,7 @@ def test_a_lead_makes_a_move_that_begins_in_motion_exact(frequency: float, delay
     plant = actuator(frequency=frequency, delay=delay)
     t = np.arange(800) / RATE
     moving = 6.0 + 0.4 * np.sin(2.0 * np.pi * 30.0 * t + 0.7)
-    wide = prompt(v_min=-200.0, v_max=300.0, state="empty")
+    wide = prompt(v_min=-200.0, v_max=300.0, extrapolate=True, state="empty")
     plain = Model(plant).compensate(moving, **wide)
     assert any("begins on the move" in text and "`lead` auto" in text for text in plain.warnings) or delay
     led = Model(plant).compensate(moving, **wide, lead="auto")
@@ -381,3 +399,17 @@ def test_rows_of_arrays_are_read_ahead_as_those_of_files() -> None:
     first = Model(plant).compensate(move(), rows="1:2500", **prompt(state="empty"))
     rest = Model(plant).compensate(move(), rows="2501:", **prompt(state=first.state))
     assert np.array_equal(np.concatenate([first.values, rest.values]), whole.values)
+
+
+def two_units() -> dict[str, str | None]:
+    return {"a": "V", "b": "kV"}
+
+
+def test_plain_limits_of_channels_in_different_units_are_refused() -> None:
+    with pytest.raises(UsageError) as refused:
+        require_one_unit(two_units(), v_min=0.0, v_max=15.0)
+    assert str(refused.value) == (
+        "`v_max` 15: channel a is driven in V and channel b in kV: give the limit's unit"
+    )
+    require_one_unit(two_units(), v_min=0, v_max="15V")
+    require_one_unit({"a": "V", "b": "V"}, v_max=15.0)

@@ -25,11 +25,11 @@ from exported import (
 )
 
 from dbo_cli.errors import DboError, ModelError, OutputError, UsageError
-from dbo_cli.export import export_model
-from dbo_cli.export.cascade_plan import plan_cascade
-from dbo_cli.export.single_code import axes_of, derive_bounds, fold, row_shift, single_tables
-from dbo_cli.export.single_kernel import SingleKernel
-from dbo_cli.export.source_text import RESERVED, check_name, hex_double, integer
+from dbo_cli.extras.export.cascade_plan import plan_cascade
+from dbo_cli.extras.export.export import export_model
+from dbo_cli.extras.export.single_code import axes_of, derive_bounds, fold, row_shift, single_tables
+from dbo_cli.extras.export.single_kernel import SingleKernel
+from dbo_cli.extras.export.source_text import RESERVED, check_name, hex_double, integer
 from dbo_cli.hysteresis.cascade import through
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage, DriveLimits, ModelState, Quantity, Relaxation
@@ -433,8 +433,13 @@ REFUSED: list[tuple[dict[str, Any], type[DboError], str]] = [
         UsageError,
         "limits on the drive (`v_min`, `v_max`",
     ),
-    ({"v_min": 5.0, "v_max": 4.0}, ModelError, "the lower voltage limit, 5.0, is not below the upper, 4.0"),
-    ({"arithmetic": "q31", "v_max": 1e6}, ModelError, "`v_min`, `v_max`: beyond twice the model's range"),
+    ({"v_min": 5.0, "v_max": 4.0}, UsageError, "`v_min` 5 must be below `v_max` 4"),
+    (
+        {"arithmetic": "q31", "v_max": 1e6, "extrapolate": True},
+        ModelError,
+        "`v_min`, `v_max`: beyond twice the model's range",
+    ),
+    ({"extrapolate": True}, UsageError, "`extrapolate` goes as far as `v_min` and `v_max` say"),
     ({"arithmetic": "q31", "max_slew": 1e-9}, ModelError, "`max_slew`: less than this arithmetic resolves"),
     (
         {"arithmetic": "q31", "sample_rate": 1e14},

@@ -15,7 +15,7 @@ import pytest
 from exported import COMPILERS, SANITIZERS, WARNINGS, compile_c, made_model, random_moves
 
 from dbo_cli.errors import ModelError, OutputError, UsageError
-from dbo_cli.export import export_model
+from dbo_cli.extras.export.export import export_model
 from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits
 from dbo_cli.hysteresis.model_file import model_to_bytes
 

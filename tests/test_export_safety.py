@@ -16,10 +16,10 @@ import pytest
 from exported import COMPILERS, SANITIZERS, TYPES, WARNINGS, cmake, compile_c, made_model, random_moves
 
 from dbo_cli.errors import ModelError
-from dbo_cli.export import export_model
-from dbo_cli.export.cascade_plan import plan_cascade
-from dbo_cli.export.single_code import axes_of, counts_of_range, single_tables
-from dbo_cli.export.source_text import fill, plain
+from dbo_cli.extras.export.cascade_plan import plan_cascade
+from dbo_cli.extras.export.export import export_model
+from dbo_cli.extras.export.single_code import axes_of, counts_of_range, single_tables
+from dbo_cli.extras.export.source_text import fill, plain
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
 from dbo_cli.hysteresis.model import NEGLIGIBLE, ActuatorModel, DriveLimits
 

@@ -16,10 +16,10 @@ from exported import COMPILERS, TYPES, WARNINGS, as_given, compile_c, compiled, 
 from test_export import delayed
 
 from dbo_cli.errors import DboError
-from dbo_cli.export import export_model, export_set
+from dbo_cli.extras.channels.model_set import set_to_bytes
+from dbo_cli.extras.export.export import export_model, export_set
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_set import set_to_bytes
 
 RATE = 1000.0
 FLAGS = [

@@ -11,10 +11,10 @@ import pytest
 from trials import Floats, random_operator
 
 from dbo_cli.errors import ModelError
+from dbo_cli.extras.repeat.settled_loops import settled_drive, settled_run, undone_loop
 from dbo_cli.hysteresis import drive_lag
 from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
-from dbo_cli.hysteresis.loops import settled_drive, settled_run, undone_loop
 from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits, PointStage, Quantity, ScaleStage, Stage
 from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, read_state, state_to_bytes
 from dbo_cli.hysteresis.model_state import ModelState, OutsideError

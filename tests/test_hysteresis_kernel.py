@@ -403,13 +403,14 @@ def test_steps_planned_committed_and_applied_are_those_of_blocks(relaxation: boo
                 state, before = after, float(y[0])
             else:
                 before = float(rng.uniform(low, high))
-                stepper.apply(before)
+                stepper.follow(before)
+                stepper.commit()
                 state = forward.run([before], state, decay=decay)[1]
         with pytest.raises(ValueError, match=r"^nothing was planned to be committed$"):
             BacklashStepper(inverse, state, before, 0.01, limits).commit()
         if relaxation:
             with pytest.raises(ValueError, match=r"^memory on the input: its output does not give the"):
-                BacklashStepper(forward, state, before, 0.01).apply(0.0)
+                BacklashStepper(forward, state, before, 0.01).follow(0.0)
 
 
 @needs_compiled

@@ -186,7 +186,7 @@ def test_a_damaged_file_reads_as_written_or_is_refused(data: st.DataObject) -> N
 
 
 def test_a_list_of_unlike_values_states_no_rate() -> None:
-    from dbo_cli.logs.binary import _statements
+    from dbo_cli.extras.instruments.binary import _statements
 
     stated = _statements({"signals": [{}, np.zeros(4)], "fs": 1000.0})
     assert [one.rate for one in stated] == [1000.0]

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import InputError
+from dbo_cli.extras.instruments.headers import read_instrument_header
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.sample_block import SampleBlock
@@ -18,7 +19,6 @@ from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.text import text_table
 from dbo_cli.logs.text import text_table as parsing
 from dbo_cli.logs.text.dialect import Dialect, detect
-from dbo_cli.logs.text.instruments import read_instrument_header
 from tests.shapes.instrument_files import INSTRUMENT_FILES
 from tests.shapes.readable import READABLE, Shape
 

@@ -167,7 +167,7 @@ def outcome(text: bytes, dialect: Dialect, skip: bool) -> object:
         (list(b.rows), list(b.lines or []) if isinstance(b.lines, range) else np.asarray(b.lines).tolist(),
          [a.view(np.uint64).tolist() for a in b.values.values()])
         for b in blocks
-    ], parser.dropped, parser.first_dropped  # fmt: skip
+    ], parser.dropped  # fmt: skip
 
 
 @settings(derandomize=True, deadline=None, max_examples=300)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from dbo_cli.cli.commands import COMMANDS
+from dbo_cli.cli import commands
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 spec = importlib.util.spec_from_file_location("make_man_pages", DOCS / "make_man_pages.py")
@@ -20,7 +20,7 @@ spec.loader.exec_module(make_man_pages)
 
 def test_the_pages_are_up_to_date() -> None:
     kept = {path.name: path.read_text(encoding="utf-8") for path in (DOCS / "man").iterdir()}
-    assert kept.keys() == {"dbo.1", *(f"dbo-{name}.1" for name in COMMANDS)}
+    assert kept.keys() == {"dbo.1", *(f"dbo-{name}.1" for name in commands.names())}
     assert kept == make_man_pages.pages(), "run docs/make_man_pages.py"
 
 

@@ -28,10 +28,10 @@ from test_hysteresis_model_file import (
 )
 
 from dbo_cli.errors import DboError
+from dbo_cli.extras.channels.model_set import Coupling, set_to_bytes
 from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, InverseMemory, Lag, Resonance
 from dbo_cli.hysteresis.model import ModelState
 from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, read_state, state_to_bytes
-from dbo_cli.hysteresis.model_set import Coupling, set_to_bytes
 from dbo_cli.hysteresis.operators import BacklashState
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"

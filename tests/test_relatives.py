@@ -16,6 +16,11 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from dbo_cli.errors import FitError, ModelError, UsageError
+from dbo_cli.extras.compare import fitting
+from dbo_cli.extras.compare.fitting import RELATIVES, Design, Products, fit, gather, rows_of, solve
+from dbo_cli.extras.compare.judging import NAMES, compare
+from dbo_cli.extras.compare.play_model import RelativeModel, with_plays
+from dbo_cli.extras.compare.plays import KINDS, NOTHING, Kind, PlayOperator, PlayState
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.cascade import DelayStage, ScaleStage
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
@@ -25,11 +30,6 @@ from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DriveLimits
 from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, read_state, state_to_bytes
 from dbo_cli.hysteresis.model_state import ModelState, OutsideError, Quantity
 from dbo_cli.hysteresis.operators import DiscretePointOperator, OutputLimits, Relaxation
-from dbo_cli.relatives import fitting
-from dbo_cli.relatives.fitting import RELATIVES, Design, Products, fit, gather, rows_of, solve
-from dbo_cli.relatives.judging import NAMES, compare
-from dbo_cli.relatives.play_model import RelativeModel, with_plays
-from dbo_cli.relatives.plays import KINDS, NOTHING, Kind, PlayOperator, PlayState
 from dbo_cli.runs.api import Model
 
 Floats = NDArray[np.float64]

@@ -13,9 +13,9 @@ import pytest
 from conftest import SMALL_MODEL, folder_content
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.hysteresis.model_file import Node, model_of, model_to_bytes
-from dbo_cli.hysteresis.model_set import read_model, read_set, set_to_bytes
-from dbo_cli.logs.channels import ChannelReader
+from dbo_cli.extras.channels.columns import ChannelReader
+from dbo_cli.extras.channels.model_set import set_to_bytes
+from dbo_cli.hysteresis.model_file import Node, model_of, model_to_bytes, read_model, read_set
 from dbo_cli.logs.columns import OutColumn
 from dbo_cli.logs.hdf5.store import matrix_writer
 from dbo_cli.logs.request import ReadingOptions, parse_address
@@ -513,7 +513,7 @@ def info(*names: str) -> list[ColumnInfo]:
     ],
 )  # fmt: skip
 def test_sides_that_do_not_belong_together(names: list[str], patterns: dict[str, str], message: str) -> None:
-    from dbo_cli.logs.channels import channels_of
+    from dbo_cli.extras.channels.columns import channels_of
 
     with pytest.raises(InputError) as refused:
         channels_of("run", info(*names), patterns)
@@ -521,7 +521,7 @@ def test_sides_that_do_not_belong_together(names: list[str], patterns: dict[str,
 
 
 def test_patterns_see_units_and_case() -> None:
-    from dbo_cli.logs.channels import channels_of
+    from dbo_cli.extras.channels.columns import channels_of
 
     for pattern in ("V{}", "v{}", "V{}_V", "V{channel}"):
         assert list(channels_of("run", info("time_s", "V1_V", "V2_V"), {"input": pattern}, {1})) == ["1", "2"]

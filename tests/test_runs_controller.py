@@ -14,7 +14,7 @@ from test_hysteresis_model import build
 from test_runs_repeated import actuator, move, rms
 
 from dbo_cli import InputError, Model, ModelError, UsageError
-from dbo_cli.drives.bank import Bank
+from dbo_cli.extras.live.bank import Bank
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
 
 RATE = 200.0

@@ -14,10 +14,10 @@ from virtual_mirror import VirtualMirror, save_table
 
 import dbo_cli
 from dbo_cli.errors import ModelError
+from dbo_cli.extras.channels.model_set import Coupling, read_set, set_to_bytes
 from dbo_cli.hysteresis.excitation import Excitation, channel_drives
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import Node, model_of
-from dbo_cli.hysteresis.model_set import Coupling, read_set, set_to_bytes
 
 CHANNELS = ("1", "2", "3")
 GAINS = np.array([[1.0, 0.02, 0.0], [-0.01, 1.0, 0.03], [0.0, 0.015, 1.0]])

@@ -13,8 +13,8 @@ import pytest
 from conftest import SMALL_MODEL
 from trials import Floats
 
-from dbo_cli.drives.settling import settling_seconds
 from dbo_cli.errors import InputError, LimitError, UsageError
+from dbo_cli.extras.moves.settling import settling_seconds
 from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
 from dbo_cli.hysteresis.model import (
@@ -72,7 +72,14 @@ def rms(x: Floats) -> float:
     return float(np.sqrt(np.mean(x * x)))
 
 
-WIDE = {"sample_rate": RATE, "v_min": -40.0, "v_max": 140.0, "state": "empty", "details": True}
+WIDE = {
+    "sample_rate": RATE,
+    "v_min": -40.0,
+    "v_max": 140.0,
+    "extrapolate": True,
+    "state": "empty",
+    "details": True,
+}
 
 
 @pytest.mark.parametrize("delay", [0.0, 3.0 / RATE])

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from conftest import SMALL_MODEL
 
+from dbo_cli.extras.channels.model_set import read_set
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import Node, model_of
-from dbo_cli.hysteresis.model_set import read_set
 
 CHANNELS = [str(k) for k in range(1, 9)]
 GEARS = 64

@@ -17,7 +17,7 @@ from test_runs_repeated import RATE, actuator
 import dbo_cli
 from dbo_cli import InputError, LimitError, UsageError
 from dbo_cli.drives.gate import DriveFigures
-from dbo_cli.drives.settling import StepTimes, distance_in, settling_seconds
+from dbo_cli.extras.moves.settling import StepTimes, distance_in, settling_seconds
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
 from dbo_cli.hysteresis.model import BacklashStage, Relaxation
 from dbo_cli.hysteresis.model_file import model_to_bytes

@@ -13,8 +13,8 @@ import pytest
 from conftest import SMALL_MODEL
 
 import dbo_cli as dbo_api
-from dbo_cli.drives.shapes import TrajectoryOptions, move, risen, started, turned
 from dbo_cli.errors import UsageError
+from dbo_cli.extras.moves.shapes import TrajectoryOptions, move, risen, started, turned
 
 RESONANT = SMALL_MODEL | {
     "version": 2,

@@ -17,11 +17,11 @@ import scipy.io.wavfile
 from conftest import ROOT
 from virtual_actuator import PRESETS, VirtualActuator
 
-from dbo_cli.cli.options import GENERATOR_FILES
 from dbo_cli.drives.gate import GateError
 from dbo_cli.errors import OutputError
-from dbo_cli.runs import waveform_files
-from dbo_cli.waveforms import FORMATS, Coding, Signals, at_points, written
+from dbo_cli.extras.moves import waveform as waveform_files
+from dbo_cli.extras.moves.command import GENERATOR_FILES
+from dbo_cli.extras.moves.generators import FORMATS, Coding, Signals, at_points, written
 
 TIME = np.arange(200) / 1000.0
 DRIVE = 50.0 + 40.0 * np.sin(2.0 * np.pi * 5.0 * TIME)
@@ -201,7 +201,8 @@ def test_a_file_that_reads_back_as_something_else_is_not_written(
     with pytest.raises(OutputError, match="the rigol-raf file would not read back as it was written"):
         written("rigol-raf", Signals(np.array([[0, 1]]), 1.0, (0.0, 1.0)))
     monkeypatch.setattr(waveform_files, "_rounded", lambda volts, *_: (volts, volts + 51.0, 0.0))
-    done = bench("waveform", "drive.csv", "--to", "npy", "--v-max", 100, "-o", "d.npy")
+    words = ["--to", "npy", "--v-max", 100, "--max-rounding", 100, "-o", "d.npy"]
+    done = bench("waveform", "drive.csv", *words)
     assert done.code == GateError.exit_code and not Path("d.npy").exists()
     assert "this program computed a drive that breaks its limits" in done.err
 
@@ -406,3 +407,41 @@ def test_a_summary_of_each_drive(bench: Any) -> None:
     both = json.loads(Path("r.json").read_text())
     assert [one["range"] for one in both] == [[column.min(), column.max()] for column in table[:, 1:].T]
     assert {one["rows"] for one in both} == {len(table)}
+
+
+# --- what would not be the drive any more ---
+
+
+def test_rounding_that_takes_the_move_away_is_refused(bench: Any) -> None:
+    words = ["--to", "uint16", "--codes", "0:10", "--volts", "0:100", "-o", "d.bin"]
+    done = bench("waveform", "drive.csv", *words)
+    assert (done.code, Path("d.bin").exists()) == (3, False)
+    assert done.err == (
+        "dbo: error: drive.csv: rounding moves it by up to 4.99 V, 6.23 % of its 80 V and more than 1 % "
+        "(narrower --volts, a wider span of --codes, or --max-rounding PERCENT)\n"
+    )
+    assert bench("waveform", "drive.csv", *words, "--max-rounding", 6.2).code == 3
+    ok(bench("waveform", "drive.csv", *words, "--max-rounding", 6.3))
+    assert set(np.fromfile("d.bin", "<u2")) == set(range(1, 10))
+    write("constant.csv", TIME, np.full(200, 3.0))  # no move that could be rounded away
+    ok(bench("waveform", "constant.csv", *words))
+
+
+def test_each_of_several_drives_has_to_outlast_its_rounding(bench: Any) -> None:
+    write("other.csv", TIME, 50.0 + 0.0005 * (DRIVE - 50.0))
+    done = bench("waveform", "drive.csv", "other.csv", "--to", "wav", "-o", "d.wav")
+    assert done.code == 3 and done.err.startswith("dbo: error: other.csv: rounding moves it by up to 0.0006")
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "message"),
+    [
+        ("--to npy --gain 1e-320", 2, "--gain 9.99989e-321: the drive over it is beyond the range of the arithmetic"),
+        ("--to npy --rate 1e308", 2, "--rate 1e+308: a drive of 0.199 s becomes more than 1,000,000,000 points"),
+        ("--to npy --points 10000000000", 2, "--points 10,000,000,000: a drive of 0.199 s becomes more than 1,000,000,000 points"),
+        ("--to uint16 --volts -1e308:1e308", 2, "--volts -1e+308:1e+308: the span is beyond the range of the arithmetic"),
+    ],
+)  # fmt: skip
+def test_figures_beyond_the_arithmetic_are_refused(bench: Any, words: str, code: int, message: str) -> None:
+    done = bench("waveform", "drive.csv", *words.split(), "-o", f"d.{'bin' if '16' in words else 'npy'}")
+    assert (done.code, done.err) == (code, f"dbo: error: {message}\n")

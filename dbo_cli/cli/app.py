@@ -105,12 +105,8 @@ def _open_closed_streams() -> None:
 
 def _dispatch(words: list[str]) -> int:
     """Parse the command line and run the command it names."""
-    from dbo_cli.cli.commands import run_usual
-
     if any("\0" in word for word in words):  # from ``main`` in Python; a shell cannot hand one on
         raise UsageError("a word of the command line holds a NUL character, which no name and no value can")
-    if run_usual(words):
-        return 0
     from dbo_cli.cli.typer_adapter import run as run_command
 
     return run_command(words)
@@ -140,15 +136,15 @@ def _report_error(problem: BaseException, words: list[str]) -> int:
 
 def _where_to_look(words: list[str]) -> str:
     """Return the remedy for a wrong command line: where the options are listed."""
-    from dbo_cli.cli.commands import COMMANDS
+    from dbo_cli.cli import commands
 
-    command = "".join(f" {word}" for word in words[:1] if word in COMMANDS)
+    command = "".join(f" {word}" for word in words[:1] if word in commands.names())
     return f" (dbo{command} --help lists what there is)"
 
 
 def _print_line(text: str) -> None:
     """Print one line on stderr, whatever line breaks the text came with."""
-    from dbo_cli.cli.commands import Progress, shell_line
+    from dbo_cli.cli.command import Progress, shell_line
 
     try:
         begin = Progress.ERASE if sys.stderr.isatty() else ""  # over what a long run has shown so far

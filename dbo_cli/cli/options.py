@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import inspect
 import keyword
-from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 from dbo_cli.cli.values import PARSERS, Parser, choice, figure_above_0, number_or_word, positive, text, whole
-from dbo_cli.errors import DboError
 
 OPTIONS = "Options"
 READING_LOGS = "Reading logs"
@@ -226,13 +224,15 @@ STATE = Option(
 )
 SAVE_STATE = Option("--save-state FILE", "Write the state after the last row.", heading=STARTING)
 OUTSIDE = Option("--outside extend|hold|error", "What happens outside the model's input range.", "extend")
-VOLTAGE_MIN = Option("--v-min VOLT", "Lowest drive voltage [default: the model's].")
-VOLTAGE_MAX = Option("--v-max VOLT", "Highest drive voltage [default: the model's].")
+VOLTAGE_MIN = Option("--v-min VOLT", "Lowest drive voltage; cuts the range that was identified.")
+VOLTAGE_MAX = Option("--v-max VOLT", "Highest drive voltage; cuts the range that was identified.")
+EXTRAPOLATE = Option("--extrapolate", "Go beyond the identified range, as far as --v-min and --v-max say.")
 MAX_SLEW = Option("--max-slew VOLT/S", "Fastest change of the drive; 2V/ms as well.")
 FROM = Option("--from VOLT", "What the amplifier stands at before the first row.")
 DRIVING = (  # the fields of ``DriveOptions`` but for the state, which is read with the model
     VOLTAGE_MIN,
     VOLTAGE_MAX,
+    EXTRAPOLATE,
     MAX_SLEW,
     Option(
         "--max-current AMPERE",
@@ -343,15 +343,6 @@ SETTLE = Option(
 )
 MODEL_FIGURES = Option("--figures DIR", "Draw the model's curves, PNG and SVG, into this folder.")
 
-# --- compare ---
-MODEL_NAMES = Option(
-    "--models NAME,...", "Only these of dbo, line, pi, rate, singularity-free, asymmetric, same-stages."
-)
-NO_TIMINGS = Option("--no-timings", "Measure no times: the table repeats to the byte.")
-SAVE_MODELS = Option(
-    "--save-models DIR", "Also write every model that was fitted, NAME.json, into this folder."
-)
-
 # --- excite: the parameters of ``write_excitation`` ---
 EXCITATION = (  # of ``excitation_of``
     Option("--v-max VOLT", "Highest drive voltage: the actuator's rating.", REQUIRED),
@@ -370,83 +361,6 @@ DRIVEN = Option(
     "--channels N",
     "Drives of N channels, voltage_1 and so on: together with different turns, then one by one.",
     parse=whole(2),
-)
-
-# --- export: the parameters of ``export_model`` ---
-EXPORTING = (
-    Option("--name NAME", "Begins the names of files, types, functions.", "actuator"),
-    Option("--direction inverse|forward", "Displacement to drive, or drive to displacement.", "inverse"),
-    Option(
-        "--arithmetic double|float|q31",
-        "double: the bits of dbo compensate; float32 or 32-bit fixed point: with a bound on the error.",
-        "double",
-    ),
-    Option("--sample-rate HZ", "Steps per second of the controller."),
-    Option("--gears N", "Fewer gears; says what is lost."),
-    VOLTAGE_MIN,
-    VOLTAGE_MAX,
-    MAX_SLEW,
-    Option("--lookup", "A table of all states: 12 gears at most, double."),
-    Option("--arduino", "Lay the files out as an Arduino library."),
-    Option("--fmu", "Add an FMI 2.0 co-simulation unit for this computer; double."),
-    Option("--shared", "Add a flat C library for this computer; double."),
-    Option("--overwrite", "Replace a folder that an export wrote."),
-)
-
-# --- trajectory, waveform ---
-GENERATOR_FILES = (
-    "npy", "wav", "int16", "uint16", "tdms", "pi-gcs", "keysight-arb", "tektronix-tfw", "rigol-raf",
-    "picoscope",
-)  # fmt: skip
-SHAPES = choice(("raster", "spiral", "staircase", "sine", "triangle"))
-SHAPE = Option("SHAPE", "raster, spiral, staircase, sine or triangle.", parse=SHAPES)
-MOVE = (  # the fields of ``TrajectoryOptions``
-    Option("--rate HZ", "Rows a second.", REQUIRED),
-    Option("--range LOW:HIGH", "From where to where: a raster's lines, a spiral's first axis.", REQUIRED),
-    Option("--slow-range LOW:HIGH", "The second axis of raster and spiral [default: the same]."),
-    Option("--frequency HZ", "Lines, turns or cycles a second."),
-    Option("--lines N", "Of a raster."),
-    Option("--pixels N", "Of a line: each gets a whole number of rows."),
-    Option("--overscan PERCENT", "How far lines go on at their speed beyond the range.", "0"),
-    Option("--one-way", "Lines in one direction, the way back as fast; a staircase up alone."),
-    Option("--turns N", "Of a spiral."),
-    Option("--cycles N", "Of sine and triangle [default: 1]."),
-    Option("--steps N", "Of a staircase."),
-    Option("--dwell SECONDS", "At each level of a staircase.", parse=positive),
-    Option("--rest SECONDS", "At rest before and after the move.", "0"),
-    Option("--loop", "Whole cycles without start and stop, for compensate --periodic."),
-    Option("--bandwidth HZ", "Each turn, step, start and stop takes one period of it."),
-)
-MOVE_MODEL = Option(
-    "--model MODEL",
-    "Round to what it can be trusted to, refuse what it cannot reach; one an axis, or one for both.",
-    repeated=True,
-)
-UNIT = Option("--unit UNIT", "What the figures are in: um, nm, mrad [default: the model's].")
-DRIVES = Option("DRIVE", "The drive; several where the file has channels.", repeated=True)
-DRIVE_COLUMNS = DRIVE_COLUMN._replace(
-    meaning="The drive, guessed by name; several times: columns of one file, or one a file.", repeated=True
-)
-WAVEFORM = (  # the fields of ``WaveformOptions``
-    Option("--to FORMAT", ", ".join(GENERATOR_FILES) + ".", REQUIRED, parse=choice(GENERATOR_FILES)),
-    Option("--gain FACTOR", "Of the amplifier behind the generator: divided out.", "1"),
-    Option(
-        "--points N",
-        "Of the generator: resampled to so many; with --rate the last value fills.",
-        parse=whole(2),
-    ),
-    Option("--rate HZ", "Points a second [default: the drive's]."),
-    Option("--codes LOW:HIGH", "The lowest and the highest code [default: the format's]."),
-    Option("--volts LOW:HIGH", "What they mean at the generator [default: the drive's ends]."),
-    Option("--loop", "The drive repeats: it must close, and stays so at another rate."),
-    Option("--v-min VOLT", "Lowest drive allowed."),
-    Option("--v-max VOLT", "Highest drive allowed."),
-    MAX_SLEW,
-    Option(
-        "--tolerance VOLT",
-        "By how much another rate may move the drive [default: a thousandth of its range].",
-        parse=figure_above_0,
-    ),
 )
 
 # --- which command has which, in the order of the help ---
@@ -472,60 +386,5 @@ OPTIONS_OF: dict[str, tuple[Option, ...]] = {
         *REPORT_COLUMNS, OUTPUT,
     ),
     "excite": (*REPORTING, *EXCITATION, DRIVEN, OUTPUT_FORMAT, OUTPUT),
-    "export": (MODEL, *REPORTING, FOLDER, *EXPORTING),
-    "compare": (
-        LOGS, *READING_OF_LOGS, *REPORTING, MODEL_NAMES, VALIDATE, SKIP, NO_TIMINGS, SAVE_MODELS, FIGURES,
-        REPORT_FORMAT, VOLTAGE, DISPLACEMENT, OUTPUT,
-    ),
-    "trajectory": (SHAPE, *REPORTING, *MOVE, MOVE_MODEL, UNIT, OUTPUT_FORMAT, SUMMARY, OUTPUT),
-    "waveform": (DRIVES, *READING_OF_LOGS, *REPORTING, *WAVEFORM, DRIVE_COLUMNS, SUMMARY, OUTPUT),
 }
 # fmt: on
-
-
-# --- a usual line, read without the command-line library ---
-
-
-def read_line(words: Sequence[str], declared: Sequence[Option]) -> dict[str, Any] | None:
-    """Return the value of each option by its key; None where the library has to look at the line."""
-    given = _texts(iter(words), {name: option for option in declared for name in option.names})
-    if given is None:
-        return None
-    loose, values = given.pop("", []), {}
-    for option in declared:
-        if option.names:
-            texts = given.get(option.key, [])
-        else:  # an argument; one that may be repeated is the last
-            count = len(loose) if option.repeated else 1
-            texts, loose = loose[:count], loose[count:]
-        if texts:
-            found = texts if option.repeated else texts[-1]
-        elif option.default is REQUIRED or not option.names:
-            return None
-        else:
-            found = False if option.metavar is None else option.default
-        try:
-            values[option.key] = option.value(found)
-        except DboError:
-            return None
-    return None if loose else values
-
-
-def _texts(words: Iterator[str], known: dict[str, Option]) -> dict[str, list[Any]] | None:
-    """Return the texts of the options that are there by their keys, those of arguments by no key."""
-    given: dict[str, list[Any]] = {}
-    for word in words:
-        name, joined, text = word.partition("=") if word.startswith("--") else (word, "", "")
-        option = known.get(name)
-        if option is None:
-            if word.startswith("-") and word != "-":
-                return None
-            given.setdefault("", []).append(word)
-        elif option.metavar is None and not joined:
-            given[option.key] = [True]
-        else:
-            value = text if joined else next(words, None)
-            if option.metavar is None or value is None:
-                return None
-            given.setdefault(option.key, []).append(value)
-    return given

@@ -23,8 +23,8 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from dbo_cli.cli import options
-from dbo_cli.cli.commands import COMMANDS, Given
+from dbo_cli.cli import commands, options
+from dbo_cli.cli.command import Command, Given
 from dbo_cli.cli.options import Option
 from dbo_cli.errors import DboError, UsageError
 from dbo_cli.version import __version__
@@ -61,7 +61,7 @@ class TableCommand(ParsedValues, TyperCommand):
     def format_help_text(self, ctx: Any, formatter: Any) -> None:
         """Write the description, what the command writes, and the examples."""
         super().format_help_text(ctx, formatter)
-        command = COMMANDS[self.name or ""]
+        command = command_of(self.name or "")
         with formatter.section("Writes"):
             formatter.write_text(command.writes)
         with formatter.section("Examples"):
@@ -70,7 +70,7 @@ class TableCommand(ParsedValues, TyperCommand):
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the options, then the exit codes."""
-        for heading, rows in [*self.sections(ctx), ("Exit codes", COMMANDS[self.name or ""].exit_codes)]:
+        for heading, rows in [*self.sections(ctx), ("Exit codes", command_of(self.name or "").exit_codes)]:
             with formatter.section(heading):
                 formatter.write_dl(rows, col_max=28)
 
@@ -94,23 +94,25 @@ class Commands(ParsedValues, TyperGroup):
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names in the order of a working day."""
-        return list(COMMANDS)
+        return commands.names()
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Build the command of a name, or return None."""
-        return _build(cmd_name) if cmd_name in COMMANDS else None
+        command = commands.find(cmd_name)
+        return None if command is None else _build(cmd_name, command)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the command that the first word names, or say which there are."""
-        if args[0] not in COMMANDS and not args[0].startswith("-"):
-            near = difflib.get_close_matches(args[0], COMMANDS, 1)
+        if not args[0].startswith("-") and commands.find(args[0]) is None:
+            names = commands.names()
+            near = difflib.get_close_matches(args[0], names, 1)
             meant = f": {near[0]}?" if near else ""
-            raise UsageError(f"no such command: '{args[0]}'{meant}; there are: {', '.join(COMMANDS)}")
+            raise UsageError(f"no such command: '{args[0]}'{meant}; there are: {', '.join(names)}")
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write each command with the first line of its documentation."""
-        rows = [(name, one.summary) for name, one in COMMANDS.items()]
+        rows = [(name, command_of(name).summary) for name in commands.names()]
         with formatter.section("Commands"):
             formatter.write_dl(rows)
 
@@ -191,14 +193,21 @@ def _root(
         typer.echo(context.get_help())
 
 
-def _build(name: str) -> Any:
+def command_of(name: str) -> Command:
+    """Return a command that is known to be there."""
+    command = commands.find(name)
+    assert command is not None, name
+    return command
+
+
+def _build(name: str, made_of: Command) -> Any:
     """Turn a command of the table into one of the command-line library."""
-    function, declared = COMMANDS[name]
+    function, declared = made_of
 
     def command(**values: Any) -> None:
         function(Given(typed=WORDS.get(), **values))
 
-    command.__doc__ = COMMANDS[name].section()
+    command.__doc__ = made_of.section()
     parameters = [_parameter(option) for option in declared]
     # The library takes the options from the signature.
     command.__dict__["__signature__"] = inspect.Signature(parameters)

@@ -20,6 +20,7 @@ EXACT = 1e-12  # of a variance: what sums and transforms of double precision lea
 FEWEST_SHARED = 0.25  # of the shorter of the two: in a few rows everything is like everything
 ANOTHER = 0.5  # correlation below which a recording is of another drive; chosen, in between
 OTHER_SPEED = 0.1  # of what is left at the right speed: less at another one, and it was played at that
+LARGEST = 1e100  # in any unit; sums of squares of what is beyond leave the range of float64
 FEWEST_FOR_PARTS = 16  # rows from which on a part of a row is looked for: three numbers are fitted to them
 
 
@@ -75,8 +76,9 @@ def check_drive(
     Raises
     ------
     InputError
-        A slew limit is to be checked and no time is known.
+        A slew limit is to be checked and no time is known; or a row is no voltage at all.
     """
+    require_voltages(drive, place, suffix)
     checked = CheckedDrive(DriveFigures())
     steps = None if time is None or time.size < 2 else _check_clock(checked, time, place)
     if steps is None and limits.max_slew is not None:
@@ -99,6 +101,14 @@ def check_drive(
         problem = f"from the last row to the first: {seam}" if seam else _open_seam(drive, suffix)
         checked.problems += [problem] if problem else []
     return checked
+
+
+def require_voltages(drive: Floats, place: Callable[[int], str], suffix: str = "") -> None:
+    """Refuse figures that no amplifier has and no sum of squares holds (InputError)."""
+    beyond = ~(np.abs(drive) <= LARGEST)
+    if beyond.any():
+        row = int(np.argmax(beyond))
+        raise InputError(f"{place(row)}: {drive[row]:g}{suffix} is no voltage: it is beyond {LARGEST:g}")
 
 
 def _open_seam(drive: Floats, suffix: str) -> str:

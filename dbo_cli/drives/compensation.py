@@ -13,26 +13,26 @@ import math
 from collections.abc import Iterator
 from dataclasses import field
 from itertools import chain
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dbo_cli import extensions
 from dbo_cli.drives.gate import DriveFigures, DriveGate
-from dbo_cli.drives.learning import write_history
+from dbo_cli.drives.limits import beyond_range, limits_note, voltage_in
 from dbo_cli.drives.model_run import ModelRun, Response, Tally, first_blocks
 from dbo_cli.drives.options import DriveOptions, plain_in, volts_a_unit
-from dbo_cli.drives.pieces import NOTHING, Before, ramp, require_rows, rest_samples, sweep, way
+from dbo_cli.drives.pieces import NOTHING, Before, ramp, require_rows, rest_samples, sweep, sweep_range, way
 from dbo_cli.errors import InputError, LimitError, Remarks, UsageError
-from dbo_cli.hysteresis.loops import slow_model
+from dbo_cli.extras.repeat.learning import write_history
+from dbo_cli.extras.repeat.settled_loops import slow_model
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
 from dbo_cli.hysteresis.move_error import MOST_ROWS, MoveError, move_error
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock, even_step, median_step
-from dbo_cli.logs.units import in_unit
 from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
-    from dbo_cli.drives.learning import Lesson
-    from dbo_cli.drives.settling import StepTimes
+    from dbo_cli.extras.repeat.learning import Lesson
 
 REACH_SLACK = 0.01  # of the range: a trajectory this little outside is clipped and counted like any other
 SLACK = 1e-9  # of the range: what rounding may add to a drive that ends at its limit
@@ -70,7 +70,7 @@ class Compensation(ModelRun):
     came_from: float | None = field(init=False)
     limits: DriveLimits = field(init=False)
     gate: DriveGate = field(init=False)
-    settling: StepTimes | None = None
+    settling: Any = None
 
     compensates = True
     remedies = "`condition` sweeps it there, "
@@ -79,9 +79,7 @@ class Compensation(ModelRun):
         """Take the options apart."""
         options = self.options
         if options.settle is not None:
-            from dbo_cli.drives.settling import StepTimes
-
-            self.settling = StepTimes(self.model, options.settle)
+            self.settling = extensions.find("run", "compensate --settle")(self.model, options.settle)
         self.limits, self.start = options.limits(self.model), options.state
         self.why_time, self.bandwidth = options.why_time, options.bandwidth
         if self.lesson is not None:
@@ -155,7 +153,7 @@ class Compensation(ModelRun):
     def _comes_from(self) -> float | None:
         """Return where the drive stands before the first row: a saved state, or what was said, knows it."""
         given, state = self.options.from_, self.start
-        asked = None if given is None else in_unit("from_", given, self.model.input.unit)
+        asked = None if given is None else voltage_in("from_", given, self.model.input)
         known = self.model.drive_of(state) if isinstance(state, ModelState) else None
         if asked is not None and known is not None and abs(asked - known) > SAME_DRIVE * self.output.span:
             raise UsageError(f"`from_` {asked:g} contradicts `state`, which was left at {known:g}")
@@ -190,12 +188,14 @@ class Compensation(ModelRun):
             raise UsageError("`approach` needs `from_` VOLT (what the amplifier stands at) or a `state`")
         rows: list[FloatArray] = []
         if last is not None and options.approach is not None:
-            inside = limits.v_min if options.condition else min(max(last, limits.v_min), limits.v_max)
+            inside = min(max(last, limits.v_min), limits.v_max)
+            if options.condition:
+                inside = sweep_range(self.model, limits)[0]
             seconds = options.approach if options.condition else "auto"
             here = np.array([last] if state is None else [])  # a state's own row was played before
             rows = [here, ramp("approach", last, inside, step, seconds, limits)]
         if options.condition:
-            self.gate.require_start(step, None if rows else limits.v_min)
+            self.gate.require_start(step, None if rows else sweep_range(self.model, limits)[0])
             rows.append(sweep(self.model, limits, step)[int(bool(rows)) :])
         elif last is not None and options.approach is not None:
             at_rest = state is None and rows[1].size == 0
@@ -312,8 +312,8 @@ class Compensation(ModelRun):
                 f"{self.source.name}: the drive starts {abs(self.missed):.3g}{self.input.suffix} off the "
                 "first value, which the actuator does not pass when it settles (`state` empty or `condition`)"
             )
-        if beyond := self.limits.beyond(self.model.input):
-            remarks.warn(beyond)
+        if beyond := beyond_range(self.model.input, self.drive.low, self.drive.high):
+            remarks.warn(f"{self.source.name}: the drive goes {beyond}")
 
     def remarks(self) -> Remarks:
         """Return what is to be said of the run so far, and what was said before."""
@@ -349,6 +349,8 @@ class Compensation(ModelRun):
         asked = self.options
         if read := plain_in(self.model.input.unit, asked.v_min, asked.v_max, asked.max_slew, asked.from_):
             yield read
+        if held := limits_note(self.model.input, self.limits, asked.v_min, asked.v_max):
+            yield held
         if first is not None and self.came_from is None:
             yield (
                 f"the drive begins at {first:.6g}{unit}; from where the amplifier comes is not known "

@@ -8,6 +8,7 @@ nothing is written. ``dbo check`` asks the same gate about drives of other progr
 from __future__ import annotations
 
 import math
+import sys
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from dbo_cli.records import dataclass
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+LARGEST = sys.float_info.max  # beyond it is infinity, which no limit allows
 
 
 class GateError(DboError):
@@ -53,9 +55,11 @@ class DriveGate:
             Seconds since the row before; needed with a slew limit.
         """
         limits, last = self.limits, self.last
-        bad: Bools = ~((drive >= limits.v_min) & (drive <= limits.v_max))
-        if last is not None and not limits.v_min <= last <= limits.v_max:
-            bad[: _inwards(drive, last, limits)] = False
+        low, high = max(limits.v_min, -LARGEST), min(limits.v_max, LARGEST)
+        bad: Bools = ~((drive >= low) & (drive <= high))
+        if last is not None and not low <= last <= high:
+            coming = _inwards(drive, last, limits)
+            bad[:coming] = ~np.isfinite(drive[:coming])
         step = limits.largest_step(time_step)
         if step is not None:
             before = _before(drive, last)
@@ -138,7 +142,7 @@ def _inwards(drive: Floats, last: float, limits: DriveLimits) -> int:
     """Return how many rows, the first ones, come from outside the range without going further out."""
     bound, sign = (limits.v_max, 1.0) if last > limits.v_max else (limits.v_min, -1.0)
     outwards = sign * drive > sign * _before(drive, last)
-    coming = (sign * (drive - bound) > 0.0) & ~outwards
+    coming = (sign * drive > sign * bound) & ~outwards
     return drive.size if coming.all() else int(np.argmin(coming))
 
 
@@ -181,7 +185,8 @@ class DriveFigures:
             time = np.broadcast_to(steps, drive.shape)[int(self.last is None) :]
             moved = change[int(self.last is None) :]
             self.seconds += float(time.sum())
-            rates = moved[time > 0.0] / time[time > 0.0]
+            with np.errstate(over="ignore"):  # in steps of next to no time
+                rates = moved[time > 0.0] / time[time > 0.0]
             self.fastest = max(self.fastest, float(rates.max(initial=0.0)))
         self.largest_step = max(self.largest_step, float(change.max()))
         self.travel += float(change.sum())

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
 
+from dbo_cli.drives.limits import Figure as Figure
+from dbo_cli.drives.limits import drive_limits, require_one_unit
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, StartName
@@ -15,8 +18,6 @@ from dbo_cli.logs.units import UnitFactor, in_unit, unit_factor
 from dbo_cli.records import dataclass
 
 Seconds = float | Literal["auto"] | None
-Figure = float | str | None
-"""A limit: a number in the unit of the drive, or a text with a unit of its own (``1.2kV``, ``2V/ms``)."""
 NEED_TIME = (
     "max_slew", "max_current", "condition", "approach", "lead", "return_", "periodic", "bandwidth"
 )  # fmt: skip
@@ -31,7 +32,9 @@ class DriveOptions:
     Attributes
     ----------
     v_min, v_max : float, optional
-        The least and the greatest drive; the model's range where not given.
+        The least and the greatest drive. They cut the range on which the model was identified.
+    extrapolate : bool
+        Go beyond that range, as far as ``v_min`` and ``v_max`` say.
     max_slew : float, optional
         Fastest change of the drive, per second (``"2V/ms"``).
     max_current, capacitance : float, optional
@@ -78,6 +81,7 @@ class DriveOptions:
 
     v_min: Figure = None
     v_max: Figure = None
+    extrapolate: bool = False
     max_slew: Figure = None
     max_current: Figure = None
     capacitance: Figure = None
@@ -141,15 +145,25 @@ class DriveOptions:
 
     def limits(self, model: ActuatorModel) -> DriveLimits:
         """Return the limits of the drive of a forward model."""
-        drive = model.input
-        low = drive.minimum if self.v_min is None else self.v_min
-        high = drive.maximum if self.v_max is None else self.v_max
-        limits, farad = limits_in(drive.unit, low, high, self.max_slew), self.farad
+        limits = drive_limits(
+            model.input, self.v_min, self.v_max, self.max_slew, extrapolate=self.extrapolate
+        )
+        farad = self.farad
         if self.max_current is None or farad is None:
             return limits
         volts = np.array(in_unit("max_current", self.max_current, "A") / farad)  # a second
         slew = float(volts_a_unit(model).inverse.apply(volts))
         return dataclasses.replace(limits, max_slew=min(slew, limits.max_slew or math.inf))
+
+    def require_one_unit(self, units: Mapping[str, str | None]) -> None:
+        """Refuse plain numbers as limits of channels whose drives have different units (UsageError)."""
+        require_one_unit(units, **self.typed_limits)
+
+    @property
+    def typed_limits(self) -> dict[str, float | str]:
+        """The limits that were typed, by their names."""
+        typed = {"v_min": self.v_min, "v_max": self.v_max, "max_slew": self.max_slew, "from_": self.from_}
+        return {name: limit for name, limit in typed.items() if limit is not None}
 
     @property
     def farad(self) -> float | None:

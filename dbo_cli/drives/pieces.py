@@ -70,18 +70,29 @@ def ramp(name: str, begin: float, end: float, step: float, seconds: Seconds, lim
 
 
 def sweep(model: ActuatorModel, limits: DriveLimits, step: float) -> Floats:
-    """Return the voltages of a sweep from the lower limit over the whole range and back, and a rest there.
+    """Return the voltages of a sweep from the lower end of the range to the upper and back, and a rest there.
 
     A drive at or below X_0 clears every bit, so that the past is wiped out; the rest lets resonances and lags
     die away.
     """
-    low, high = limits.v_min, limits.v_max
-    if low < model.drive_end < high:
-        high = model.drive_end
-    if not math.isfinite(high - low):
-        raise UsageError("`condition` sweeps the whole range of the drive: give finite limits")
+    low, high = sweep_range(model, limits)
     count = _rows("`condition`: the sweep", high - low, step, SWEEP_SECONDS, limits)
     return swings([low, high, low, low], [count, count, rest_samples(model, step)])
+
+
+def sweep_range(model: ActuatorModel, limits: DriveLimits) -> tuple[float, float]:
+    """Return the ends of a sweep: those of the identified range, within the limits (UsageError: none)."""
+    low = max(limits.v_min, model.input.minimum)
+    high = min(limits.v_max, model.input.maximum)
+    if low < model.drive_end < high:
+        high = model.drive_end
+    if not low < high:
+        raise UsageError(
+            "`condition` sweeps the range on which the model was identified, "
+            f"{model.input.minimum:.6g} to {model.input.maximum:.6g}{model.input.suffix}, and the limits "
+            "leave nothing of it"
+        )
+    return low, high
 
 
 def rest_samples(model: ActuatorModel, step: float) -> int:

@@ -247,26 +247,33 @@ done:
     return PyFloat_FromDouble(self->now.last);
 }
 
+/* The state to go to, for now that of the present, with the same turns: a step writes to none that `now` has. */
+static dbo_backlash_state *from_now(stepper *self) {
+    double *memory = self->next.memory;
+    for (size_t j = 0; j < self->op.terms; j++) memory[j] = self->now.memory[j];
+    self->next = self->now;
+    self->next.memory = memory;
+    return &self->next;
+}
+
 double stepper_step(stepper *self, double x) {
     const dbo_limits *limits = self->limited ? &self->limits : NULL;
-    double *memory = self->next.memory;
+    dbo_backlash_state *next = from_now(self);
     dbo_counts counts = {0, 0, 0, 0};
     double y;
-    self->next = self->now; /* with the same turns: a step writes to none that `now` has */
-    self->next.memory = memory;
-    for (size_t j = 0; j < self->op.terms; j++) memory[j] = self->now.memory[j];
     if (self->table)
-        y = dbo_backlash_step_fixed(&self->op, &self->fixed, &self->next, x, limits, &counts);
+        y = dbo_backlash_step_fixed(&self->op, &self->fixed, next, x, limits, &counts);
     else
-        y = dbo_backlash_step(&self->op, &self->next, x, self->decay, limits, &counts);
+        y = dbo_backlash_step(&self->op, next, x, self->decay, limits, &counts);
     self->clipped = counts.clipped;
     self->planned = 1;
     return y;
 }
 
-void stepper_goes_on(stepper *self, double y) {
-    dbo_backlash_apply(&self->op, &self->now, y, self->decay);
-    self->planned = 0;
+void stepper_follow(stepper *self, double y) {
+    dbo_backlash_apply(&self->op, from_now(self), y, self->decay);
+    self->clipped = 0;
+    self->planned = 1;
 }
 
 static PyObject *stepper_plan(PyObject *object, PyObject *value) {
@@ -289,7 +296,7 @@ static PyObject *stepper_commit(PyObject *object, PyObject *nothing) {
     return Py_BuildValue("");
 }
 
-static PyObject *stepper_apply(PyObject *object, PyObject *value) {
+static PyObject *stepper_follow_output(PyObject *object, PyObject *value) {
     stepper *self = (stepper *)object;
     const double y = PyFloat_AsDouble(value);
     if (PyErr_Occurred()) return NULL;
@@ -297,7 +304,7 @@ static PyObject *stepper_apply(PyObject *object, PyObject *value) {
         PyErr_SetString(PyExc_ValueError, "memory on the input: its output does not give the state");
         return NULL;
     }
-    stepper_goes_on(self, y);
+    stepper_follow(self, y);
     return Py_BuildValue("");
 }
 
@@ -313,8 +320,8 @@ static PyObject *stepper_last(PyObject *object, void *nothing) {
 
 static PyMethodDef stepper_methods[] = {
     {"plan", stepper_plan, METH_O, "The output for an input; nothing changes yet."},
-    {"commit", stepper_commit, METH_NOARGS, "Go on to the state that the last plan leads to."},
-    {"apply", stepper_apply, METH_O, "Go on to the state that this output leads to, whatever was planned."},
+    {"commit", stepper_commit, METH_NOARGS, "Go on to the state that was worked out last."},
+    {"follow", stepper_follow_output, METH_O, "Work out the state that this output leads to; nothing changes yet."},
     {"set", stepper_set, METH_VARARGS, "Take over words, memory and the output before."},
     {"get", stepper_get, METH_VARARGS, "Fill words and memory; return the output before."},
     {NULL, NULL, 0, NULL}};

@@ -32,7 +32,7 @@ int is_stepper(PyObject *object);
 /* The output for an input, and the state to go to. */
 double stepper_step(stepper *self, double x);
 
-/* The output was `y`, whatever was planned. */
-void stepper_goes_on(stepper *self, double y);
+/* The state to go to, where the output was `y`. */
+void stepper_follow(stepper *self, double y);
 
 #endif

@@ -8,10 +8,11 @@ is wrong, spelled as a path: ``stages[0].dx[3]``.
 from __future__ import annotations
 
 import functools
-import importlib
 import itertools
 import json
 import math
+import os
+import re
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -19,6 +20,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
+from dbo_cli import extensions
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.hysteresis.cascade import DelayHistory, DelayStage, OtherHysteresis, ScaleStage, Stage
 from dbo_cli.hysteresis.dynamics import Antiresonance, InverseMemory, Lag, Resonance, Section, SectionStates
@@ -36,6 +38,7 @@ MOST_STAGES = 16  # twice what identification makes; 400 of a million segments t
 MOST_GEARS = 1_000_000  # a file of some bytes must not ask for more memory than a machine has
 SHORTEST_RUN = 3  # equal widths in a row are written once from this many on: two are shorter as they are
 LINE = 100  # characters, after which the next line of a list begins
+_BEGIN_OF_SET = re.compile(rb'(\xef\xbb\xbf)?\s*\{\s*"format":\s*"' + SET_FORMAT.encode() + rb'"')
 _NOTE_DEPTH = 20  # objects within one another in what is carried along: a bound for recursion
 
 Json = dict[str, Any]
@@ -292,20 +295,86 @@ STAGES = {
 }
 """Every stage that a model of gears may have; ``docs/model-file.md`` says what they mean."""
 
-OTHER_STAGES = "dbo_cli.relatives.play_model"
-"""The module that reads another hysteresis than that of gears; imported where a file has such a stage."""
+
+class StageInFiles(NamedTuple):
+    """How an extra reads a stage with another hysteresis than that of gears.
+
+    Attributes
+    ----------
+    read_stage : callable
+        Makes the stage of its node.
+    model : callable
+        Makes the model of a cascade with such a stage, as ``ActuatorModel`` does.
+    read_state : callable
+        Makes what the stage remembers of its node in a state file and the model.
+    """
+
+    read_stage: Callable[[Node], Stage]
+    model: Callable[..., ActuatorModel]
+    read_state: Callable[[Node, Any], BacklashState]
 
 
-def _others() -> Any:
-    return importlib.import_module(OTHER_STAGES)
-
-
-def _has_gears(stages: Iterable[Stage]) -> bool:
-    """Tell whether a cascade has no other hysteresis than that of gears."""
-    return not any(isinstance(stage, OtherHysteresis) for stage in stages)
+def _brought(stages: Iterable[Stage]) -> StageInFiles | None:
+    """Return what reads the other hysteresis of a cascade; None where it has gears."""
+    for stage in stages:
+        if isinstance(stage, OtherHysteresis):
+            brought: StageInFiles = extensions.find("model", stage.file_values()["type"])
+            return brought
+    return None
 
 
 def read_model(path: str) -> ActuatorModel:
+    """Read a model file, or one model of a set (``FILE::CHANNEL``); ``-`` is standard input.
+
+    A file that has not changed is not read again: a thousand logs are run through one model.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or the set has no such channel.
+    ModelError
+        It is not a model, of a newer version, or contradicts itself; the message names file and key.
+    """
+    file, separator, channel = path.partition("::")
+    if separator and not os.path.exists(path):
+        model: ActuatorModel = read_set(file)[channel]
+        return model
+    if not os.path.isfile(path):
+        return _read_single(path)
+    status = os.stat(path)
+    return _unchanged(path, status.st_mtime_ns, status.st_size)
+
+
+@functools.lru_cache(maxsize=1)
+def _unchanged(path: str, changed: int, size: int) -> ActuatorModel:
+    return _read_single(path)
+
+
+def read_set(path: str) -> Any:
+    """Read a set of models: a mapping of channels to models, with their ``coupling``.
+
+    Raises
+    ------
+    UsageError
+        The extra that reads sets is not installed.
+    InputError, ModelError
+        As for ``read_model``.
+    """
+    return extensions.find("model", SET_FORMAT)(path)
+
+
+def is_set(path: str) -> bool:
+    """Tell whether a file begins as a model set does; a pipe is not read."""
+    if not os.path.isfile(path):
+        return False
+    try:
+        with open(path, "rb") as file:
+            return _BEGIN_OF_SET.match(file.read(200)) is not None
+    except OSError:
+        return False
+
+
+def _read_single(path: str) -> ActuatorModel:
     """Read a model file; ``-`` is standard input.
 
     Raises
@@ -330,7 +399,8 @@ def model_of(root: Node) -> ActuatorModel:
         note.check_notes(_NOTE_DEPTH)
     source, result = (_read(root.node(key), Quantity, QUANTITY) for key in ("input", "output"))
     carried = {key: note.values for key, note in notes.items()}
-    make: Callable[..., ActuatorModel] = ActuatorModel if _has_gears(cascade) else _others().RelativeModel
+    brought = _brought(cascade)
+    make: Callable[..., ActuatorModel] = ActuatorModel if brought is None else brought.model
     model: ActuatorModel = root.build(lambda: make(direction, source, result, cascade, **carried))
     return model
 
@@ -400,12 +470,11 @@ def _stage(node: Node) -> Stage:
         raise node.refuse("type", "is missing")
     kind = node.text("type")
     if kind not in STAGES:
-        others = _others().READERS
-        if kind not in others:
-            known = ", ".join([*STAGES, *others])
+        brought: StageInFiles | None = extensions.find("model", kind)
+        if brought is None:
+            known = ", ".join([*STAGES, *extensions.keys("model")])
             raise node.refuse("type", f"{kind!r} is not a known stage; there are: {known}")
-        other: Stage = others[kind](node)
-        return other
+        return brought.read_stage(node)
     stage: Stage = _read(node, STAGES[kind].make, STAGES[kind].fields, ("type",))
     return stage
 
@@ -521,8 +590,8 @@ def read_state(path: str, model: ActuatorModel) -> ModelState:
     """
     root = load_document(path, STATE_FORMAT, "state")
     timed = root.values["version"] > 1
-    geared = _has_gears(model.stages)
-    key, read = ("backlash", _bits_and_memory) if geared else ("plays", _others().read_places)
+    brought = _brought(model.stages)
+    key, read = ("backlash", _bits_and_memory) if brought is None else ("plays", brought.read_state)
     root.only(
         ("format", "version", "model", key, *(("time",) if timed else ()), "drive", "delay"),
         ("dynamics", "drive_lag") if timed else (),

@@ -11,6 +11,7 @@ import zlib
 from collections.abc import Sequence
 from typing import IO, Any, cast
 
+from dbo_cli import extensions
 from dbo_cli.errors import InputError
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.request import CHANGED, Given, Request, parse_address
@@ -19,40 +20,30 @@ _PIPE_BYTES = 1 << 18  # a reading of a pipe: four of what Linux keeps in one
 _UNREADABLE = (EOFError, zlib.error, OSError)  # what reading and unpacking raise
 _GZIP_MAGIC = b"\x1f\x8b"  # RFC 1952, 2.3.1
 _UTF16 = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
-# First bytes of a file that is no table of text: what messages call it, and what reads it (module, function).
-BINARY = {
-    b"\x89HDF\r\n\x1a\n": ("HDF5", "hdf5.reader.open_hdf5"),
-    b"MATLAB 5.0 MAT-file": ("a MATLAB file", "binary.open_matlab"),
-    b"\x93NUMPY": ("a NumPy array", "binary.open_npy"),
-    b"PAR1": ("Parquet", "binary.open_parquet"),
-    b"ARROW1": ("Feather", "binary.open_feather"),
-    b"FEA1": ("Feather", "binary.open_old_feather"),
-    b"TDSm": ("TDMS", "binary.open_tdms"),
-    b"CDF\x01": ("netCDF", "binary.open_netcdf"),
-    b"CDF\x02": ("netCDF", "binary.open_netcdf"),
-    b"\xd0\xcf\x11\xe0": ("an old Excel workbook", "binary.open_excel"),
-    # Texts that are no tables.
-    **dict.fromkeys((b"    -1\n", b"    -1\r\n"), ("UFF", "binary.open_uff")),
-    **dict.fromkeys((b"IGOR\n", b"IGOR\r"), ("an Igor text file", "text.whole_texts.open_igor")),
-    **dict.fromkeys(
-        (b'{"', b"{\n", b"{\r\n", b"[{", b"[[", b'["', b"[\n", b"[\r\n"),
-        ("JSON", "text.whole_texts.open_json"),
-    ),
-}
-ZIP = b"PK\x03\x04"  # APPNOTE.TXT 4.3.7; the other signatures are those of the file(1) database
+HDF5 = b"\x89HDF\r\n\x1a\n"  # HDF5 file format specification, II.A
 _UNPACK = "unpack it, or compress it with gzip"
+# First bytes of files that are not read, by the file(1) database, and what messages say of them.
 _UNREAD = {
-    ZIP: "a zip archive: a workbook ends in .xlsx, a NumPy archive in .npz",
+    b"PK\x03\x04": "a zip archive: a workbook ends in .xlsx, a NumPy archive in .npz",
     b"BZh": f"compressed with bzip2: {_UNPACK}",
     b"\xfd7zXZ": f"compressed with xz: {_UNPACK}",
     b"(\xb5/\xfd": f"compressed with zstd: {_UNPACK}",
     b"7z\xbc\xaf": f"a 7z archive: {_UNPACK}",
     b"%PDF": "a PDF document: give the measured data as CSV",
 }
-_REMEDIES = _UNREAD | {
-    start: f"{name}: give it as a file, not through a pipe or compressed"
-    for start, (name, _) in BINARY.items()
-}
+
+
+def _no_text(start: bytes) -> str:
+    """Return what a file is whose first bytes are not those of a text log, and the remedy; else nothing."""
+    for magic, remedy in _UNREAD.items():
+        if start.startswith(magic):
+            return remedy
+    name = "HDF5" if start.startswith(HDF5) else ""
+    kind_of = extensions.find_installed("reader", "by content")
+    if not name and kind_of is not None:
+        kind = kind_of(start, "")
+        name = "" if kind is None else kind.name
+    return f"{name}: give it as a file, not through a pipe or compressed" if name else ""
 
 
 class _Hashing(io.RawIOBase):
@@ -228,9 +219,8 @@ class ByteSource:
             self._owned.append(cast(IO[bytes], unpacked))
             stream = cast(IO[bytes], io.BufferedReader(cast(Any, unpacked), 1 << 20))
             start = self._first_bytes(stream)
-        for magic, remedy in _REMEDIES.items():
-            if start.startswith(magic):
-                raise InputError(f"{self.name}: this is not a text log but {remedy}")
+        if what := _no_text(start):
+            raise InputError(f"{self.name}: this is not a text log but {what}")
         return stream, start
 
     def _decoder(self, encoding: str | None, start: bytes) -> Any:

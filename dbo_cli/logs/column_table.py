@@ -17,7 +17,16 @@ from dbo_cli.logs.clock import Statement, agreed_rate, read_statements
 from dbo_cli.logs.columns import column_info, column_label
 from dbo_cli.logs.plain_text import counted
 from dbo_cli.logs.request import Request, remedy_for
-from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, Table, are_measured, dropped_note
+from dbo_cli.logs.sample_block import (
+    MOST_NAMED,
+    BadRow,
+    ColumnInfo,
+    DroppedRows,
+    FloatArray,
+    SampleBlock,
+    Table,
+    are_measured,
+)
 from dbo_cli.records import dataclass
 
 Fetch = Callable[[int, int], Any]
@@ -254,6 +263,7 @@ class ColumnTable(Table):
             instead = ", ".join(self.held) or "nothing"
             raise InputError(f"{self.place}: no columns of numbers: it holds {instead}{self.remedy}")
         self.notes, self.columns = [], []
+        self.dropped, self.doubtful = DroppedRows(), []
         for number, one in enumerate(self.sources, start=1):
             info = column_info(one.label.rsplit("/", 1)[-1], number, one.unit)
             self.columns.append(replace(info, name=one.label))
@@ -305,7 +315,6 @@ class ColumnTable(Table):
             listed = ", ".join(f"'{s.label}' {n}" for s, n in zip(sources, lengths, strict=True))
             raise InputError(f"{self.place}: the columns are of unequal length: {listed}")
         end = min(lengths[0], options.rows[1] or lengths[0])
-        dropped, first = 0, ""
         for start in range(options.rows[0] - 1, end, options.block_rows):
             stop = min(end, start + options.block_rows)
             with self.request.reading(self.kind, self.damaged):
@@ -319,17 +328,29 @@ class ColumnTable(Table):
                 ]
                 bad = np.argwhere(~np.logical_or(good, blank).T)  # row and column, the first row first
                 if len(bad):
-                    row, number = bad[0].tolist()
-                    column, value = column_label(wanted[number]), str(float(arrays[number][row]))
-                    message = f"{self.place}: row {start + row + 1}: {column} is not finite: {value!r}"
-                    count = len(np.unique(bad[:, 0]))
+                    rows, first = np.unique(bad[:, 0], return_index=True)
+                    named = (
+                        self._bad_row(start, wanted, arrays, row, number)
+                        for row, number in bad[first[:MOST_NAMED]].tolist()
+                    )
                     if not options.skip_bad:
-                        raise InputError(f"{message} {remedy_for(count - 1, len(block) - 1 - row)}")
-                    dropped, first = dropped + count, first or message
+                        remedy = remedy_for(len(rows) - 1, len(block) - 1 - int(rows[0]))
+                        raise InputError(f"{next(named)} {remedy}")
+                    self.dropped.extend(DroppedRows(len(rows), list(named)))
                 block = block.chosen(whole)
             yield block
-        if dropped:
-            self.notes.append(dropped_note(first, dropped))
+        if self.dropped.count:
+            self.notes.append(self.dropped.note())
+
+    def _bad_row(
+        self, start: int, wanted: Sequence[ColumnInfo], arrays: Sequence[FloatArray], row: int, number: int
+    ) -> BadRow:
+        """Name a row of a block that begins at ``start`` by the column that holds no number there."""
+        value = str(float(arrays[number][row]))
+        at = start + row + 1
+        return BadRow(
+            at, f"{self.place}: row {at}", f"{column_label(wanted[number])} is not finite: {value!r}"
+        )
 
     def close(self) -> None:
         """Close the file."""

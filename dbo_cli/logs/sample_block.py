@@ -8,7 +8,7 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,10 +138,43 @@ def join_places(parts: Sequence[Places]) -> Places:
     return range(first, following)
 
 
-def dropped_note(first: str, count: int) -> str:
-    """Return the note on rows that ``skip_bad`` dropped; ``first`` is the first one's message."""
-    more = f" and {count - 1} more" if count > 1 else ""
-    return f"{first}{more}: {count} row{'s' if count > 1 else ''} dropped"
+MOST_NAMED = 20  # rows that are named one by one; all are counted
+
+
+class BadRow(NamedTuple):
+    """A row that holds no number: its data row number (from 1), where that is for messages, and why."""
+
+    row: int
+    where: str
+    problem: str
+
+    def __str__(self) -> str:
+        """Return place and problem."""
+        return f"{self.where}: {self.problem}"
+
+
+@dataclass
+class DroppedRows:
+    """Rows that were left out: how many, and the first ones with what is wrong there."""
+
+    count: int = 0
+    named: list[BadRow] = field(default_factory=list)
+
+    def add(self, bad: BadRow) -> None:
+        """Add a row."""
+        if len(self.named) < MOST_NAMED:
+            self.named.append(bad)
+        self.count += 1
+
+    def extend(self, others: DroppedRows) -> None:
+        """Add what was left out elsewhere."""
+        self.named = (self.named + others.named)[:MOST_NAMED]
+        self.count += others.count
+
+    def note(self) -> str:
+        """Return in one line what was left out."""
+        more = f" and {self.count - 1} more" if self.count > 1 else ""
+        return f"{self.named[0]}{more}: {self.count} row{'s' if self.count > 1 else ''} dropped"
 
 
 class Table:
@@ -150,6 +183,8 @@ class Table:
     place: str
     columns: list[ColumnInfo]
     notes: list[str]
+    dropped: DroppedRows  # what ``skip_bad`` left out; complete after the last block
+    doubtful: list[str]  # lines that were passed over in silence and may have been rows; likewise
     others: Sequence[str] = ()  # the addresses of further files that were joined
     found_time: Any = None  # what ``clock.find_time_column`` found, where it looked already
 

@@ -12,18 +12,18 @@ be equally long::
 
 from __future__ import annotations
 
-import importlib
 import os
 import re
 from bisect import bisect_right
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from dbo_cli import extensions
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.byte_source import BINARY, ZIP, input_record
+from dbo_cli.logs.byte_source import HDF5, input_record
 from dbo_cli.logs.clock import FoundTime, TimeColumn, find_time_column, time_column
 from dbo_cli.logs.columns import ColumnWish, choose_columns, contradicted_unit, find_column
 from dbo_cli.logs.request import (
@@ -40,6 +40,7 @@ from dbo_cli.logs.sample_block import (
     JITTER,
     TIME,
     ColumnInfo,
+    DroppedRows,
     SampleBlock,
     Table,
     TimeCheck,
@@ -52,10 +53,8 @@ from dbo_cli.logs.text.text_table import TextTable
 from dbo_cli.logs.units import Scale, kind_of_unit
 from dbo_cli.records import dataclass
 
-_HDF5, _MATLAB = "hdf5.reader.open_hdf5", "binary.open_matlab"
-_EXCEL = "binary.open_excel"
-_ZIP_ENDINGS = {".npz": "binary.open_npz"} | dict.fromkeys((".xlsx", ".xlsm", ".xlsb", ".ods"), _EXCEL)
-_USER_BLOCKS = (512, 1024, 2048)  # where an HDF5 file may begin instead (MATLAB v7.3: 512)
+_USER_BLOCKS = (0, 512, 1024, 2048)  # where an HDF5 file may begin (MATLAB v7.3: 512)
+_TEXT = (".csv", ".tsv", ".txt", ".dat", ".gz", "")  # endings of text; others may be an extra's
 
 
 def open_table(request: Request) -> Table:
@@ -70,44 +69,16 @@ def open_table(request: Request) -> Table:
     if address.table is not None:
         held: Table = address.table.opened(request.options)
         return held
-    reader = _reader_by_content(address) or (_HDF5 if address.kind == "hdf5" else "")
-    if not reader:
+    read = _reader_by_content(address)
+    if read is None:
         table = TextTable(request)
-        return _side_by_side(request, table) or table
-    module, _, function = reader.rpartition(".")
-    read = getattr(importlib.import_module(f"dbo_cli.logs.{module}"), function)
-    opened: Table = read(request)
-    return opened
+        by_names = extensions.find_installed("reader", "rows of values")
+        return table if by_names is None else by_names(request, table)
+    return read(request)
 
 
-def _side_by_side(request: Request, table: TextTable) -> Table | None:
-    """Read a table of a data base that has several rows a sample; None for any other.
-
-    Raises
-    ------
-    InputError
-        It is one, and comes through a pipe.
-    """
-    names = {name.strip("_").lower() for name in table.dialect.headers}
-    if not (table.dialect.sparse or "value" in names):
-        return None
-    from dbo_cli.logs.text.whole_texts import SIGNALS, side_by_side
-
-    found, close = None, True
-    try:
-        if table.source.is_regular:
-            found = side_by_side(request, table.dialect)
-        elif names & set(SIGNALS) and not request.named:
-            raise InputError(f"{table.place}: a row for each value: give it as a file, not through a pipe")
-        close = found is not None
-    finally:
-        if close:
-            table.close()
-    return found
-
-
-def _reader_by_content(address: Address) -> str:
-    """Return the module and function that read a file of such content; nothing for text and streams.
+def _reader_by_content(address: Address) -> Callable[[Request], Table] | None:
+    """Return what opens a file of such content; None for text and streams.
 
     Raises
     ------
@@ -115,8 +86,7 @@ def _reader_by_content(address: Address) -> str:
         It is what this program wrote and no log.
     """
     if address.is_stream or not (os.path.isfile(address.path) and os.access(address.path, os.R_OK)):
-        return ""
-    lower = address.path.lower()
+        return _open_hdf5 if address.kind == "hdf5" else None
     with open(address.path, "rb") as file:
         head = file.read(2056)
     own = re.match(rb'\{\s*"format":\s*"dbo-(model|model-set|state|report)"', head)
@@ -124,22 +94,27 @@ def _reader_by_content(address: Address) -> str:
         remedy = "; a report takes a model as `model`" if own[1] == b"model" else ""
         kind = own[1].decode()
         raise InputError(f"{address.text}: this is a {kind}, not a log (give a recording{remedy})")
-    if head.startswith(ZIP):
-        return _ZIP_ENDINGS.get(os.path.splitext(lower)[1], "")
-    if any(head[at : at + 8] == b"\x89HDF\r\n\x1a\n" for at in _USER_BLOCKS):
-        return _HDF5
-    known = (reader for start, (_, reader) in BINARY.items() if head.startswith(start))
-    return next(known, _MATLAB if lower.endswith(".mat") and _is_matlab_4(head) else "")
+    if any(head[at : at + len(HDF5)] == HDF5 for at in _USER_BLOCKS):
+        return _open_hdf5
+    kind_of = extensions.find_installed("reader", "by content")
+    known = None if kind_of is None else kind_of(head, address.path)
+    if known is not None:
+        opens: Callable[[Request], Table] = known.open
+        return opens
+    if address.kind == "hdf5":
+        return _open_hdf5
+    ending = os.path.splitext(address.path.lower())[1]
+    brought: Callable[[Request], Table] | None = None
+    if ending not in _TEXT:
+        brought = extensions.find("reader", ending)
+    return brought
 
 
-def _is_matlab_4(head: bytes) -> bool:
-    """Check the five whole numbers that begin every matrix of a MATLAB v4 file."""
-    for order in ("little", "big"):
-        numbers = [int.from_bytes(head[at : at + 4], order, signed=True) for at in range(0, 20, 4)]
-        kind, rows, columns, imaginary, name = numbers
-        if 0 <= kind < 5000 and min(rows, columns) >= 0 and imaginary in (0, 1) and 0 < name < 512:
-            return len(head) >= 20
-    return False
+def _open_hdf5(request: Request) -> Table:
+    """Open an HDF5 file; its library is imported only then."""
+    from dbo_cli.logs.hdf5.reader import open_hdf5
+
+    return open_hdf5(request)
 
 
 # --- several files as one -------------------------------------------------------------------------
@@ -167,6 +142,7 @@ class _JoinedTable(Table):
 
     def __init__(self, first: Table, options: ReadingOptions) -> None:
         self.place, self.notes = first.place, first.notes
+        self.dropped, self.doubtful = DroppedRows(), first.doubtful
         self.columns = list(first.columns)
         self.files = {"": _File(first, {column.number: column for column in first.columns})}
         self._options = options
@@ -267,10 +243,16 @@ class _JoinedTable(Table):
                 found = file.table.blocks(wanted)
                 streams.append(found if clock is None else _timed(found, clock, own))
                 places.append(file.table.place)
-        for parts in _in_step(places, streams, self._options.skip_bad, self.notes):
+        unequal: list[str] = []
+        for parts in _in_step(places, streams, self._options.skip_bad, unequal):
             yield self._merged(places, parts)
+        self.notes.extend(unequal)
+        self.doubtful.extend(unequal)
+        for file in (first, *others):
+            self.dropped.extend(file.table.dropped)
         for other in others:
             self.notes.extend(other.table.notes)
+            self.doubtful.extend(f"{other.table.place}: {text}" for text in other.table.doubtful)
 
     def _merged(self, places: Sequence[str], parts: Sequence[SampleBlock]) -> SampleBlock:
         """Put parts of several files beside each other; rows that one of them lacks are left out.
@@ -491,6 +473,16 @@ class SignalLog(Source):
     def read(self) -> SampleBlock:
         """Read all samples as one block."""
         return joined(list(self.blocks()))
+
+    @property
+    def dropped(self) -> DroppedRows:
+        """Rows that ``skip_bad`` left out; complete after the last block."""
+        return self._table.dropped
+
+    @property
+    def doubtful(self) -> list[str]:
+        """What was passed over in silence and may have been rows; complete after the last block."""
+        return self._table.doubtful
 
     def close(self) -> None:
         """Close the file."""

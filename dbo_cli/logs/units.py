@@ -138,6 +138,55 @@ def kind_of_unit(unit: str | None) -> str | None:
     return found[0] if found else _OTHER_KINDS.get(unit)
 
 
+def without_prefix(unit: str | None) -> str | None:
+    """Return a unit without its SI prefix (``V`` for ``kV``), or None where it has none."""
+    if unit is None or unit in _BASES or unit not in _SIZES:
+        return None
+    base = unit[1:]
+    return base if base in _SIZES and unit[0] in _PREFIXES else None
+
+
+def require_unit(name: str, given: float | str | None, unit: str | None, per: str | None = None) -> None:
+    """Refuse a plain number where the unit that it would be read in has a prefix, as kV has.
+
+    Parameters
+    ----------
+    name
+        The parameter, for messages.
+    given
+        A figure; 0 means the same in all units, and a text with a unit of its own is taken.
+    unit, per
+        What it would be read in, and the unit of time of a speed.
+
+    Raises
+    ------
+    UsageError
+        100 may mean 100 V where the drive is in kV.
+    """
+    plain = without_prefix(unit)
+    value = _plain_number(given)
+    if plain is None or value is None or value == 0.0 or not math.isfinite(value):
+        return
+    factor = unit_factor(plain, unit)
+    assert factor is not None
+    behind = f"/{per}" if per else ""
+    smaller = float(factor.apply(np.array(value)))
+    raise UsageError(
+        f"`{name}` {value:.9g}: the drive is in {unit}, and a plain number may be meant in {plain} (`{name}` "
+        f"{smaller:.9g}{unit}{behind} or `{name}` {value:.9g}{unit}{behind})"
+    )
+
+
+def _plain_number(given: float | str | None) -> float | None:
+    """Return a figure that has no unit of its own as a number; None for any other."""
+    if not isinstance(given, str):
+        return given
+    try:
+        return float(given)
+    except ValueError:
+        return None
+
+
 def unit_factor(unit: str | None, wanted: str | None) -> UnitFactor | None:
     """Return by what figures in ``unit`` are multiplied to be in ``wanted``; None for unlike units.
 

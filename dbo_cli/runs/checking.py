@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from dbo_cli.drives.check import CheckedDrive, check_drive, check_played, played_tolerance
+from dbo_cli.drives.check import CheckedDrive, check_drive, check_played, played_tolerance, require_voltages
+from dbo_cli.drives.gate import Floats
 from dbo_cli.drives.options import Figure, check_gain, limits_in, plain_in
 from dbo_cli.errors import LimitError, Remarks, UsageError, plain
+from dbo_cli.hysteresis.model_state import DriveLimits
 from dbo_cli.logs.columns import wish
+from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, check_document, selected_files
-from dbo_cli.logs.sample_block import SampleBlock, even_step, joined
+from dbo_cli.logs.sample_block import DroppedRows, SampleBlock, even_step, joined
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.sources import remarks_of
-from dbo_cli.logs.units import in_unit
+from dbo_cli.logs.units import in_unit, require_unit
 from dbo_cli.logs.whole_output import check_output, write_whole
 from dbo_cli.records import dataclass
 
@@ -24,10 +29,10 @@ from dbo_cli.records import dataclass
 class CheckOptions:
     """What a drive is checked for.
 
-    Limits are infinite where not given; numbers are in the unit of the drive's file, texts have their own
-    (``"1.2kV"``). With ``against``, the drive is a recording of what was played, and ``against`` the file of
-    what was to be; ``gain`` is that of an amplifier between the two places.
-    ``voltage`` is the drive's column.
+    Limits are infinite where not given; numbers are in the unit of the drive's file, which may then have no
+    prefix (100 may mean volts where the file has kV), and texts have their own (``"1.2kV"``).
+    With ``against``, the drive is a recording of what was played, and ``against`` the file of what was to be;
+    ``gain`` is that of an amplifier between the two places. ``voltage`` is the drive's column.
     """
 
     v_min: Figure = None
@@ -46,6 +51,29 @@ class CheckOptions:
         if self.gain != 1.0 and self.against is None:
             raise UsageError("`gain` is that behind a recording (`against` FILE is the drive it is of)")
 
+    def limits_in(self, unit: str | None) -> DriveLimits:
+        """Return the limits in the unit of the drive.
+
+        Raises
+        ------
+        UsageError
+            A limit is in another unit, or in none where the drive's has a prefix.
+        """
+        for name in ("v_min", "v_max", "from_", "tolerance"):
+            require_unit(name, getattr(self, name), unit)
+        require_unit("max_slew", self.max_slew, unit, "s")
+        return limits_in(unit, self.v_min, self.v_max, self.max_slew)
+
+    @property
+    def figures(self) -> tuple[Figure, ...]:
+        """All that is in the unit of the drive."""
+        return self.v_min, self.v_max, self.max_slew, self.from_, self.tolerance
+
+    @property
+    def has_plain_limits(self) -> bool:
+        """Whether any limit is a number without a unit."""
+        return any(one is not None and not isinstance(one, str) for one in self.figures)
+
 
 def check_file(
     drive: Address, output: Address, form: str | None, reading: ReadingOptions, options: CheckOptions
@@ -63,55 +91,112 @@ def check_file(
     inputs: list[Given] = [drive, *([] if against is None else [against])]
     inputs += selected_files(options.voltage, reading.time)
     check_output(output, inputs)
-    block, unit, step, remarks = _read(drive, options.voltage, reading)
-    values, rows = block.values["voltage"], np.asarray(block.rows)
+    read = _read(drive, options.voltage, reading)
+    values, rows, unit = read.values, np.asarray(read.block.rows), read.unit
+    limits = options.limits_in(unit)
+    problems = list(read.problems)
+    remarks = read.remarks
+    most, slack = None, 0.0
     if against is not None:
-        other, _, own, more = _read(
-            against, None, dataclasses.replace(reading, rows=ALL_ROWS, time=None), unit
-        )
-        remarks.add(more)
+        whole = dataclasses.replace(reading, rows=ALL_ROWS, time=None)
+        meant = _read(against, None, whole, unit)
+        remarks.add(meant.remarks)
+        problems = read.dropped + [f"{against.name}: {problem}" for problem in meant.problems]
         most = None if options.tolerance is None else in_unit("tolerance", options.tolerance, unit)
-        slack = played_tolerance(other.values["voltage"], most) / abs(options.gain)
+        slack = played_tolerance(meant.values, most) / abs(options.gain)
+        meant_rows = meant.block.rows
+        require_voltages(meant.values, lambda row: f"{against.name}: row {meant_rows[row]:,}")
     suffix = f" {unit}" if unit else ""
     checked = check_drive(
         values,
-        block.time,
-        limits_in(unit, options.v_min, options.v_max, options.max_slew),
+        read.block.time,
+        limits,
         from_=None if options.from_ is None else in_unit("from_", options.from_, unit),
         loop=options.loop,
-        tolerance=0.0 if against is None else slack,
+        tolerance=slack,
         place=lambda row: f"row {int(rows[row]):,}",
         suffix=suffix,
     )
-    missing = np.diff(rows) > 1
-    if missing.any():
-        checked.problems.insert(0, f"row {int(rows[np.argmax(missing)]) + 1:,}: holds no number")
+    checked.problems[:0] = problems
     if against is not None:
-        check_played(checked, other.values["voltage"], values, (own, step), most, options.gain, suffix)
-    name = drive.name
-    if read := plain_in(
-        unit, options.v_min, options.v_max, options.max_slew, options.from_, options.tolerance
-    ):
-        remarks.note([f"{name}: {read}"])
-    lines = _lines(name, checked, unit)
-    found = {"format": "dbo-check", "version": 1, "name": name, "unit": unit, "passed": not checked.problems,
-             **dataclasses.asdict(checked.figures), "played": checked.played or None,
-             "problems": [plain(text) for text in checked.problems]}  # fmt: skip
-    text = json.dumps(found, indent=2, ensure_ascii=False) if chosen == "json" else "\n".join(lines)
-    write_whole(output, (text + "\n").encode(), protect=inputs)
+        check_played(checked, meant.values, values, (meant.step, read.step), most, options.gain, suffix)
+    name = cleaned(drive.name)
+    if unit is None and options.has_plain_limits:
+        column = cleaned(read.column)
+        remarks.note([f"{name}: column '{column}' has no unit: limits are taken in what its figures count"])
+    elif said := plain_in(unit, *options.figures):
+        remarks.note([f"{name}: {said}"])
+    write_whole(output, _report(name, checked, unit, chosen).encode(), protect=inputs)
     if checked.problems:
         more_of = f" (and {len(checked.problems) - 1} more)" if len(checked.problems) > 1 else ""
         raise LimitError(f"{name}: {checked.problems[0]}{more_of}")
     return remarks
 
 
+def _report(name: str, checked: CheckedDrive, unit: str | None, form: str) -> str:
+    """Return the check as text or JSON."""
+    if form != "json":
+        return "\n".join(_lines(name, checked, unit)) + "\n"
+    found = {
+        "format": "dbo-check",
+        "version": 1,
+        "name": name,
+        "unit": unit,
+        "passed": not checked.problems,
+        **_finite(dataclasses.asdict(checked.figures)),
+        "played": checked.played or None,
+        "problems": [plain(text) for text in checked.problems],
+    }
+    return json.dumps(found, indent=2, ensure_ascii=False) + "\n"
+
+
+def _finite(figures: dict[str, Any]) -> dict[str, Any]:
+    """Return figures as JSON has them: there is no infinity in it."""
+    return {key: None if value is not None and math.isinf(value) else value for key, value in figures.items()}
+
+
+class _Drive(NamedTuple):
+    """A drive read whole.
+
+    Attributes
+    ----------
+    block
+        Its good rows.
+    unit, column
+        Of its column.
+    step
+        Its even step (s), where it has one.
+    dropped
+        Rows that hold no number, named.
+    doubtful
+        What the reader passed over in silence.
+    remarks
+        What is said of the reading.
+    """
+
+    block: SampleBlock
+    unit: str | None
+    column: str
+    step: float | None
+    dropped: list[str]
+    doubtful: list[str]
+    remarks: Remarks
+
+    @property
+    def values(self) -> Floats:
+        """The good rows' figures."""
+        return self.block.values["voltage"]
+
+    @property
+    def problems(self) -> list[str]:
+        """What a program that plays the file would have to drop or to guess."""
+        return self.dropped + self.doubtful
+
+
 def _read(
     address: Address, voltage: str | None, reading: ReadingOptions, wanted: str | None = None
-) -> tuple[SampleBlock, str | None, float | None, Remarks]:
-    """Return a drive read whole (in ``wanted``, where both units are known), its unit and its even step (s).
-
-    Rows that hold no number are dropped.
-    """
+) -> _Drive:
+    """Return a drive read whole (in ``wanted``, where both units are known)."""
     options = dataclasses.replace(reading, skip_bad=True)
     with open_log(address, {"voltage": wish("voltage", voltage, option="voltage")}, options) as log:
         if wanted is not None and log.columns["voltage"].unit is not None:
@@ -120,7 +205,16 @@ def _read(
         step = 1.0 / log.stated_rate if log.stated_rate else None
         if step is None and block.time is not None:
             step = even_step(block.time)
-        return block, log.columns["voltage"].unit, step, remarks_of(log)
+        column = log.columns["voltage"]
+        remarks = remarks_of(log)
+        return _Drive(block, column.unit, column.name, step, _named(log.dropped), log.doubtful, remarks)
+
+
+def _named(dropped: DroppedRows) -> list[str]:
+    """Return a line for each row that was dropped, and one for those beyond the first ones."""
+    lines = [f"row {bad.row:,}: {cleaned(bad.problem)}" for bad in sorted(dropped.named)]
+    rest = dropped.count - len(lines)
+    return [*lines, f"{rest:,} more rows hold no number"] if rest else lines
 
 
 def _lines(name: str, checked: CheckedDrive, unit: str | None) -> list[str]:

@@ -19,8 +19,7 @@ from dbo_cli.drives.gate import DriveFigures, DriveGate, Floats
 from dbo_cli.drives.model_run import ModelRun, reads_ahead
 from dbo_cli.errors import SILENT, InputError, Listener, OutputError, Remarks, UsageError, plain
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import model_to_bytes, read_state, state_to_bytes
-from dbo_cli.hysteresis.model_set import read_model
+from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, read_state, state_to_bytes
 from dbo_cli.hysteresis.model_state import START_NAMES, DriveLimits, ModelState, Quantity, StartName
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs import request
@@ -35,8 +34,8 @@ from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
-    from dbo_cli.drives.learning import Tracked
     from dbo_cli.drives.options import DriveOptions
+    from dbo_cli.extras.repeat.learning import Tracked
     from dbo_cli.hysteresis.excitation import Excitation
 
 
@@ -141,7 +140,7 @@ class SignalRun:
             return self._written(run, log, _column_of(log, model.input), listener)
 
     def _compensated(self, model: ActuatorModel, drive: DriveOptions, listener: Listener) -> Remarks:
-        from dbo_cli.drives.loops import compensation
+        from dbo_cli.extras.repeat.loop_drive import compensation
 
         wanted = model.output
         ahead = reads_ahead(model) or drive.bandwidth is not None
@@ -469,7 +468,7 @@ def tracked_wishes(
 
 def tracked_of(source: Source, model: ActuatorModel) -> Tracked:
     """Read a recording whole, in the units of the model."""
-    from dbo_cli.drives.learning import Tracked
+    from dbo_cli.extras.repeat.learning import Tracked
 
     bring_to(source, "voltage", model.input, "the model")
     bring_to(source, "measured", model.output, "the model")

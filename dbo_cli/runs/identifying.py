@@ -8,15 +8,13 @@ import os
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import field
-from pathlib import Path
 from typing import Any
 
 from dbo_cli.errors import SILENT, Listener, Remarks, UsageError
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording
 from dbo_cli.hysteresis.identification import identify as identify_model
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import model_to_bytes
-from dbo_cli.hysteresis.model_set import read_model
+from dbo_cli.hysteresis.model_file import model_to_bytes, read_model
 from dbo_cli.logs import request
 from dbo_cli.logs.columns import is_order
 from dbo_cli.logs.plain_text import cleaned
@@ -25,7 +23,7 @@ from dbo_cli.logs.sample_block import joined
 from dbo_cli.logs.signal_log import SignalLog
 from dbo_cli.logs.sources import ArraySource, Source, is_table, remarks_of
 from dbo_cli.logs.units import in_unit
-from dbo_cli.logs.whole_output import all_or_none, check_output, write_whole
+from dbo_cli.logs.whole_output import check_output, write_whole
 from dbo_cli.records import dataclass
 from dbo_cli.runs.files import bring_to, opened, recording_wishes, short_names
 from dbo_cli.version import program_version_string
@@ -270,59 +268,3 @@ def _record_of(source: Source, log: Any) -> Mapping[str, Any]:
         digest.update(values.astype("<f8").tobytes())
     count = next(iter(source.values.values())).size
     return known or {"name": "arrays", "sha256": digest.hexdigest(), "rows": count}
-
-
-# --- compare: every model fitted to the same logs, in one table ---
-
-
-@dataclass(frozen=True)
-class TableOptions:
-    """What to compare and how; ``names`` None: all models; not ``timed``: same input, same bytes."""
-
-    names: tuple[str, ...] | None = None
-    skip_seconds: float = 0.0
-    timed: bool = True
-    form: str | None = None
-    figures: str | None = None
-    models_folder: str | None = None
-
-
-@all_or_none()
-def compare_logs(
-    asked: IdentifyRun, output: Address, options: TableOptions, listener: Listener = SILENT
-) -> Remarks:
-    """Fit every model to the logs and write the table; ``asked.reading.rows`` are not the validation's."""
-    from dbo_cli.relatives.judging import NAMES, compare
-    from dbo_cli.reports.drawing import check_folder, save
-    from dbo_cli.reports.models import ModelTable
-    from dbo_cli.runs.reporting import report_form
-
-    form = report_form(output, options.form)
-    inputs = [*asked.logs, *asked.validation]
-    check_output(output, inputs)
-    request.check_format(asked.reading.format, inputs)
-    for folder in (options.figures, options.models_folder):
-        if folder is not None:
-            check_folder(folder)
-    fitted, checks = asked.read(listener)
-    recordings, others = [one.recording for one in fitted], [one.recording for one in checks]
-    rows = compare(recordings, others, options.names or NAMES, options.skip_seconds, options.timed)
-    unit = recordings[0].displacement_unit
-    names = [tuple(one.name for one in some) for some in (recordings, others)]
-    shown = ModelTable(tuple(rows), unit, names[0], names[1])
-    if options.figures is not None:
-        save(shown.plots(), Path(options.figures), "models")
-    program = program_version_string()
-    provenance = {"program": program, "inputs": [dict(one.record) for one in [*fitted, *checks]]}
-    if options.models_folder is not None:
-        for row in rows:
-            if row.model is not None:
-                path = os.path.join(options.models_folder, f"{row.name}.json")
-                content = model_to_bytes(dataclasses.replace(row.model, provenance=provenance))
-                write_whole(path, content, protect=inputs)
-    content = shown.rendered(form, provenance, program)
-    write_whole(output, content, protect=inputs)
-    remarks = Remarks()
-    for one in [*fitted, *checks]:
-        remarks.add(one.remarks)
-    return remarks

@@ -8,12 +8,12 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
+from dbo_cli import extensions
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.cascade import OtherHysteresis
 from dbo_cli.hysteresis.dynamics import Lag
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, PointStage
-from dbo_cli.hysteresis.model_file import section_values
-from dbo_cli.hysteresis.model_set import ModelSet, is_set, read_model, read_set
+from dbo_cli.hysteresis.model_file import is_set, read_model, read_set, section_values
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.logs.request import Address, check_document
 from dbo_cli.logs.whole_output import write_whole
@@ -35,7 +35,7 @@ def show_model(
                 f"`figures` draws one model, and {model_file} is a set: name one ({model_file}::CHANNEL)"
             )
         check_document(output, "what is shown", chosen)
-        text = _set_text(read_set(model_file), chosen)
+        text = extensions.find("run", "show a set")(read_set(model_file), chosen)
     else:
         model = read_model(model_file)
         check_document(output, "what is shown", chosen)
@@ -52,41 +52,6 @@ def show_model(
 
     save(plots_of_model(model), folder, "model")
     return [f"figures are in {figures}"]
-
-
-def _set_text(there: ModelSet, form: str) -> str:
-    """Return what is in a set of models: a line a channel, or the same as JSON."""
-    models, coupling = {channel: contents(model) for channel, model in there.items()}, there.coupling
-    if form == "json":
-        whole = {"format": "dbo-show-set", "version": 1, "models": models}
-        if coupling is not None:
-            whole["coupling"] = {"condition": coupling.condition, **coupling.values()}
-        return json.dumps(whole, indent=2, ensure_ascii=False)
-    lines = _set_lines(models)
-    return "\n".join(lines if coupling is None else [*lines, "", coupling.summary()])
-
-
-def _set_lines(models: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Return a table of a set: what each channel spans, how good it is, and how many warnings it has."""
-    rows: list[tuple[str, ...]] = [
-        ("channel", "drive", "output", "gears", "fit RMSE", "% of range", "expected", "warnings")
-    ]
-    for channel, one in models.items():
-        fit, unit = one["fit"], one["output"]["unit"] or ""
-        ends = [
-            f"{q['min']:.4g} to {q['max']:.4g} {q['unit'] or ''}".strip()
-            for q in (one["input"], one["output"])
-        ]
-        errors = [
-            ""
-            if fit.get(key) is None
-            else f"{fit[key]:.3g}{'' if key.endswith('percent') else f' {unit}'}".strip()
-            for key in ("rmse", "rmse_percent", "expected_rmse")
-        ]
-        rows.append((channel, *ends, str(one["gears"] or ""), *errors, str(len(one["warnings"]))))
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
-    return [f"{len(models):,} models (FILE::CHANNEL names one)", "", *lines]
 
 
 def contents(model: ActuatorModel) -> dict[str, Any]:
@@ -125,15 +90,8 @@ def _settling(model: ActuatorModel, settle: str | None) -> dict[str, Any]:
     """Return how long a step over the whole drive takes to stay within a distance, where it is asked for."""
     if settle is None:
         return {}
-    from dbo_cli.drives.settling import below_error, distance_in, settling_seconds
-
     forward = model if model.direction == "forward" else model.inverse()
-    distance, drive = distance_in(settle, forward.output.unit), forward.input
-    ways = ((drive.minimum, drive.maximum), (drive.maximum, drive.minimum))
-    seconds = max(settling_seconds(forward, *way, distance) for way in ways)
-    hint = below_error(forward, distance)
-    found = {"distance": distance, "unit": forward.output.unit, "seconds": seconds}
-    return {"settling": found | ({"hint": hint.strip(" ()")} if hint else {})}
+    return {"settling": extensions.find("run", "show --settle")(forward, settle)}
 
 
 def as_text(content: Mapping[str, Any]) -> str:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.clock import Statement
+from dbo_cli.logs.columns import split_header
 from dbo_cli.logs.plain_text import counted, decoded, pattern
 from dbo_cli.logs.request import BLANKS, FILL_GAPS, ReadingOptions
 from dbo_cli.logs.text.lines import (
@@ -61,7 +62,8 @@ class Dialect:
     that a row may end in one cell of text more.
 
     ``clock`` is what the header states of the sample rate, ``start`` the time (s) of the first row, ``notes``
-    are for the user, and ``end_mark`` is what the program writes behind the last row.
+    are for the user, and ``end_mark`` is what the program writes behind the last row. ``passed`` are the
+    numbers and the texts of lines above the first row that belong neither to it nor to the header.
     """
 
     delimiter: str
@@ -81,6 +83,7 @@ class Dialect:
     start: float = 0.0
     notes: tuple[str, ...] = ()
     end_mark: bytes = b""
+    passed: tuple[tuple[int, str], ...] = ()
 
     def is_comment(self, line: str) -> bool:
         """Return whether a line is empty or a comment."""
@@ -192,6 +195,7 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
         find_header_block(lines, layout.first, shape.delimiter),
         _is_sparse(last, shape),
         tuple(one for line in lines[: layout.first] for one in labelled(line, comments)),
+        passed=tuple((number + 1, lines[number].strip()) for number in layout.passed),
     )  # fmt: skip
 
 
@@ -299,6 +303,7 @@ class _Layout(NamedTuple):
     names: list[str]
     units: list[str]
     fits: int
+    passed: Sequence[int] = ()
 
 
 def _layout(
@@ -319,13 +324,27 @@ def _layout(
     if header:
         first = next((number for number in numbered if number > header[-1]), good)
         names, units = _names_and_units(rows, above, header)
-        return _Layout(first, names, units, 2 if len(_trimmed(names, shape.width)) == shape.width else 1)
+        fits = 2 if len(_trimmed(names, shape.width)) == shape.width else 1
+        below = [number for number in above if header[-1] < number < first]
+        if header[-1] - 1 in header and _has_units(rows[header[-1] - 1]) and not (units or _has_units(names)):
+            below.insert(0, header[-1])  # the names may be a row without numbers
+        return _Layout(first, names, units, fits, [n for n in below if not _is_ruled(rows[n])])
     # What a blank line separates from the data are key-value lines of an instrument.
     blank = max((number for number in range(good) if not lines[number].strip()), default=-1)
     full = (number for number in numbered if len(rows[number]) == shape.width and number > blank)
     first = next(full, good)
     names, units = _other_header(lines, first, shape, comments)
-    return _Layout(first, names, units, 2 if names else 0)
+    empty = [n for n in above if n < first and len(rows[n]) == shape.width and not any(rows[n])]
+    return _Layout(first, names, units, 2 if names else 0, empty)
+
+
+def _has_units(names: list[str]) -> bool:
+    return any(split_header(name)[1] is not None for name in names)
+
+
+def _is_ruled(cells: list[str]) -> bool:
+    """Return whether a line only divides the header from the data, as one of dashes does."""
+    return any(cells) and not re.search(r"\w", "".join(cells))
 
 
 def _some_numbers(cells: list[str], shape: _Shape) -> bool:

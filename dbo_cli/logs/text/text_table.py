@@ -9,29 +9,32 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli import extensions
 from dbo_cli.errors import InputError
 from dbo_cli.logs.byte_source import ByteSource
 from dbo_cli.logs.clock import agreed_rate
 from dbo_cli.logs.columns import column_info, column_label
 from dbo_cli.logs.libraries import import_polars
-from dbo_cli.logs.plain_text import counted, decoded, pattern
+from dbo_cli.logs.plain_text import counted, decoded, pattern, shortened
 from dbo_cli.logs.request import ALL_ROWS, BLANKS, PIPE_ROWS, ReadingOptions, Request, Rows, remedy_for
 from dbo_cli.logs.sample_block import (
+    MOST_NAMED,
     TIME,
+    BadRow,
     ColumnInfo,
+    DroppedRows,
     FloatArray,
     Places,
     SampleBlock,
     Table,
     are_measured,
-    dropped_note,
 )
 from dbo_cli.logs.text.dialect import Dialect, cause_of, detect, has_data
 from dbo_cli.logs.text.lines import LineBlocks, RepeatedHeader, complain, is_text, looks_cut, one_ahead
@@ -63,11 +66,16 @@ class TextTable(Table):
         options, live = request.options, request.live
         self.place, self._options = request.address.name, options
         self.notes: list[str] = []
+        self.dropped = DroppedRows()
         self.source = ByteSource(request)
         try:
             self._lines = LineBlocks(self.source, _LARGEST_BLOCK)
             head = self._lines.head(lambda text: live and has_data(text, options))
             self.dialect = found = self._detected(head, options, live)
+            self.doubtful = [
+                f"line {line + self._lines.empty_lines}: {shortened(text)!r} is neither a row nor a header"
+                for line, text in found.passed
+            ]
         except BaseException:
             self.source.close()
             raise
@@ -94,9 +102,9 @@ class TextTable(Table):
                 complete = head if whole else head[: head.rfind(b"\n") + 1]
                 if _PLAIN.fullmatch(complete):
                     return detect(self.place, complete, options)
-                from dbo_cli.logs.text.instruments import read_instrument_header
-
-                return read_instrument_header(self.place, complete, options)
+                read_header = extensions.find_installed("reader", "header") or detect
+                dialect: Dialect = read_header(self.place, complete, options)
+                return dialect
             except InputError as problem:
                 refusal = problem
             head = None if live else self._lines.longer_head()
@@ -121,13 +129,32 @@ class TextTable(Table):
         options = self._options
         rows = options.block_rows if self.source.is_regular else min(options.block_rows, PIPE_ROWS)
         self._lines.block_bytes = min(_LARGEST_BLOCK, max(64, rows * self._bytes_per_row))
-        parser = BlockParser(self.place, self.dialect, picks, options.rows, options.skip_bad)
+        parser = BlockParser(self.place, self.dialect, picks, options.rows, options.skip_bad, self.dropped)
         found = parser.parse(self._data(parser), self._small)
-        yield from one_ahead(found) if self._ahead else found
+        if self._ahead:
+            found = one_ahead(found)
+        if self.dialect.width == 1:
+            found = self._watched(found)
+        yield from found
         if parser.repeated is not None and parser.repeated.count:
             self.notes.append(parser.repeated.note(TIME in picks))
-        if parser.dropped:
-            self.notes.append(dropped_note(parser.first_dropped, parser.dropped))
+        if self.dropped.count:
+            self.notes.append(self.dropped.note())
+
+    def _watched(self, blocks: Iterator[SampleBlock]) -> Iterator[SampleBlock]:
+        """Note empty lines between rows of one column: each may be a cell that is empty."""
+        last_row, last_line = 0, 0
+        for block in blocks:
+            if len(block) and block.lines is not None:
+                rows = np.concatenate([[last_row], block.rows])
+                lines = np.concatenate([[last_line], block.lines])
+                passed = np.diff(lines) - np.diff(rows)
+                if not last_row:
+                    passed[0] = 0  # what stands above the data
+                for place in np.flatnonzero(passed)[: MOST_NAMED - len(self.doubtful)].tolist():
+                    self.doubtful.append(f"line {lines[place + 1] - 1}: holds no number between two rows")
+                last_row, last_line = int(rows[-1]), int(lines[-1])
+            yield block
 
     def close(self) -> None:
         """Close the file."""
@@ -172,11 +199,11 @@ class TextTable(Table):
             return True
         if why is None:
             why = f"and its last cell {cell[:40]!r} is shorter than those above ({above[-1][:40]!r})"
-        message = f"{place}: the last line has no line end, {why}: the record was cut there"
+        bad = BadRow(row, place, f"the last line has no line end, {why}: the record was cut there")
         if not parser.skip_bad:
             out = f"`skip_bad` or `rows` :{max(1, row - 1)} leaves it out"
-            raise InputError(f"{message} ({out}; end the line if it is whole)")
-        parser.drop(message)
+            raise InputError(f"{bad} ({out}; end the line if it is whole)")
+        parser.dropped.add(bad)
         return False
 
 
@@ -190,8 +217,8 @@ _AT_ONCE = 1 << 17  # bytes; what fits the cache is looked through three times a
 class BlockParser:
     """Turns blocks of lines into arrays of the wanted columns, counting rows and lines as it goes.
 
-    ``rows`` limits what is read to data rows first..last (from 1); ``dropped`` counts rows left out by
-    ``skip_bad``, ``first_dropped`` keeps the first one's message.
+    ``rows`` limits what is read to data rows first..last (from 1); ``dropped`` are the rows that ``skip_bad``
+    left out.
     """
 
     place: str
@@ -199,8 +226,7 @@ class BlockParser:
     picks: Mapping[str, ColumnInfo]
     rows: Rows = ALL_ROWS
     skip_bad: bool = False
-    dropped: int = 0
-    first_dropped: str = ""
+    dropped: DroppedRows = field(default_factory=DroppedRows)
     next_row: int = 1
     next_line: int = 1
     repeated: RepeatedHeader | None = None
@@ -337,25 +363,20 @@ class BlockParser:
         problem = problem or self._text_among_numbers(cells)
         if not problem:
             return None if blank else row
-        message = f"{self.place}:{self.next_line}: {problem}"
+        bad = BadRow(self.next_row, f"{self.place}:{self.next_line}", problem)
         if not self.skip_bad:
-            raise InputError(f"{message} {self._remedy(cell)}")
-        self.drop(message)
+            raise InputError(f"{bad} {self._remedy(cell)}")
+        self.dropped.add(bad)
         return None
 
     def _remedy(self, cell: str) -> str:
         """Return what to do about the row being taken, by how many of the block's next rows are bad, too."""
-        twin = replace(self, skip_bad=True, rows=ALL_ROWS, dropped=0)
+        twin = replace(self, skip_bad=True, rows=ALL_ROWS, dropped=DroppedRows())
         texts = (decoded(raw.removesuffix(b"\r")) for raw in self.ahead if raw)
         rows = [text for text in texts if not self.dialect.is_comment(text)]
         for text in rows:
             twin._parse_row(text)
-        return remedy_for(twin.dropped, len(rows), cause_of(cell))
-
-    def drop(self, message: str) -> None:
-        """Count a row that is left out, and keep the first one's message."""
-        self.dropped += 1
-        self.first_dropped = self.first_dropped or message
+        return remedy_for(twin.dropped.count, len(rows), cause_of(cell))
 
     def _text_among_numbers(self, cells: list[str]) -> str:
         """Describe where text stands in a column of numbers that nobody asked for: no sample has it."""

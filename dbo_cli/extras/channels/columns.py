@@ -1,0 +1,297 @@
+"""Channels: columns that a pattern names, and a log that is read once for all of them.
+
+``V{}`` (or ``V{channel}``) stands for V1, V2, …; ``voltages[{}]`` for the columns of a matrix. Several
+patterns have to name the same channels. What comes out of one channel is what its columns alone would give:
+one whose rows cannot be read together with the others' is read by itself.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import field, replace
+
+from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs.byte_source import file_sha256
+from dbo_cli.logs.clock import FoundTime, find_time_column
+from dbo_cli.logs.columns import MORE_TIME_NAMES, PLACE, TIME_NAMES, column_label, list_columns
+from dbo_cli.logs.request import ALL_ROWS, Address, ReadingOptions, Request, Rows
+from dbo_cli.logs.sample_block import ColumnInfo, DroppedRows, SampleBlock, Table, joined
+from dbo_cli.logs.signal_log import open_table
+from dbo_cli.logs.text.text_table import TextTable
+from dbo_cli.records import dataclass
+
+_LISTED = 5  # channels that a message names at most
+
+
+def column_of(pattern: str, channel: str) -> str:
+    """Return the column that a pattern means for a channel, as one would name it."""
+    name = PLACE.sub(lambda place: channel, pattern)
+    return f"name={name}" if re.fullmatch(r"[+-]?\d+", name) else name
+
+
+def is_matrix(pattern: str) -> bool:
+    """Tell whether a pattern names the columns of a matrix."""
+    return pattern.endswith("[{}]") or pattern.endswith("[{channel}]")
+
+
+def channels_of(
+    place: str, columns: Sequence[ColumnInfo], patterns: Mapping[str, str], taken: Collection[int] = ()
+) -> dict[str, dict[str, ColumnInfo]]:
+    """Find the channels of a log: for each, the column of every pattern, in the order of the log.
+
+    Parameters
+    ----------
+    place
+        The log's name, for messages.
+    columns
+        What the log has.
+    patterns
+        By the parameter that each was given as.
+    taken
+        Numbers of columns that no pattern means (the time).
+
+    Raises
+    ------
+    UsageError
+        A pattern has several places for the channel's name, or some parameters are patterns and others not.
+    InputError
+        A pattern matches nothing, two columns are one channel's, or a channel lacks a column.
+    """
+    for option, pattern in patterns.items():
+        if len(PLACE.findall(pattern)) != 1:
+            raise UsageError(
+                f"`{option}` '{pattern}': put {{}} once where the channel's name stands, as in every pattern"
+                " beside it"
+            )
+    found = {option: _matches(place, columns, option, one, taken) for option, one in patterns.items()}
+    names = list(dict.fromkeys(channel for one in found.values() for channel in one))
+    for option, one in found.items():
+        first, *others = [channel for channel in names if channel not in one] or [""]
+        if first:
+            counts = ", ".join(f"`{key}` {len(found[key]):,}" for key in found)
+            shown = [*others[: _LISTED - 1], *(["…"] if len(others) >= _LISTED else [])]
+            more = f" nor for {', '.join(shown)} ({len(others) + 1:,} channels)" if others else ""
+            raise InputError(
+                f"{place}: no column '{column_of(patterns[option], first)}' (`{option}`) for channel"
+                f" '{first}'{more} (columns found: {counts})"
+            )
+    return {channel: {option: one[channel] for option, one in found.items()} for channel in names}
+
+
+def _matches(
+    place: str, columns: Sequence[ColumnInfo], option: str, pattern: str, taken: Collection[int]
+) -> dict[str, ColumnInfo]:
+    """Return the columns of one pattern by channel: by the name without its unit, else the whole name."""
+    before, after = PLACE.split(pattern)
+    free = [one for one in columns if one.quantity and one.number not in taken]
+    for fold in (str, str.lower):
+        shape = re.compile(re.escape(fold(before)) + "(.+)" + re.escape(fold(after)), re.DOTALL)
+        for whole in (False, True):
+            found: dict[str, ColumnInfo] = {}
+            for column in free:
+                name = column.name if whole else column.quantity
+                match = shape.fullmatch(fold(name))
+                if match is None:
+                    continue
+                channel = name[match.start(1) : match.end(1)]
+                if channel in found:
+                    first = column_label(found[channel])
+                    raise InputError(
+                        f"{place}: `{option}` '{pattern}': {first} and {column_label(column)} are both "
+                        f"channel '{channel}' (rename one, or make the pattern longer)"
+                    )
+                found[channel] = column
+            if found:
+                return found
+    raise InputError(f"{place}: `{option}` '{pattern}' matches no column: {list_columns(columns)}")
+
+
+@dataclass(kw_only=True)
+class HeldTable(Table):
+    """Some columns of a table in memory.
+
+    Attributes
+    ----------
+    place, columns, described
+        As the table that was read has them; only the columns that are held.
+    block
+        All rows; the values by column number, as text.
+    found_time
+        The time column, found among all columns of the log.
+    clock
+        The rate (Hz) and the first row's time (s) that the file states, or the refusal.
+    digest
+        Of the file.
+    """
+
+    place: str
+    columns: list[ColumnInfo]
+    described: str
+    block: SampleBlock
+    found_time: FoundTime
+    clock: tuple[float | None, float] | InputError
+    digest: str | None
+    remarks: tuple[str, ...] = ()
+    rows: Rows = ALL_ROWS
+    notes: list[str] = field(default_factory=list)
+    dropped: DroppedRows = field(default_factory=DroppedRows)
+    doubtful: list[str] = field(default_factory=list)
+
+    def opened(self, options: ReadingOptions) -> HeldTable:
+        """Return a table to read from, whose notes and clock are its own."""
+        found = self.found_time
+        if found.clock is not None:
+            found = found._replace(clock=replace(found.clock, notes=list(found.clock.notes)))
+        return replace(self, rows=options.rows, found_time=found, notes=list(self.remarks))
+
+    def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
+        """Return the sample rate (Hz) that the file states, and the first row's time (s)."""
+        if isinstance(self.clock, InputError):
+            raise self.clock
+        return self.clock
+
+    def describe(self) -> str:
+        """Describe in one line how the log is written."""
+        return self.described
+
+    def blocks(self, picks: Mapping[str, ColumnInfo]) -> Iterator[SampleBlock]:
+        """Return the rows asked for as one block; none of them is bad."""
+        values = {role: self.block.values[str(pick.number)] for role, pick in picks.items()}
+        block = replace(self.block, values=values).within(self.rows)
+        if len(block):
+            yield block
+
+    @property
+    def sha256(self) -> str | None:
+        """The digest of what was read."""
+        return self.digest
+
+
+@dataclass
+class ChannelReader:
+    """A log whose channels are read together, and handed on one by one.
+
+    Text is read whole, once; of formats whose columns can be read alone, one channel is held at a time.
+
+    Parameters
+    ----------
+    address
+        The log.
+    options
+        How it is to be read.
+    patterns
+        By the parameter that each was given as.
+    digest
+        Hash the file, for the provenance of models.
+
+    Raises
+    ------
+    InputError, UsageError
+        As for ``channels_of``, or the log cannot be read.
+    """
+
+    address: Address
+    options: ReadingOptions
+    patterns: Mapping[str, str]
+    digest: bool = False
+    channels: dict[str, dict[str, ColumnInfo]] = field(init=False)
+    _held: dict[str, HeldTable | None] = field(default_factory=dict)
+    _sha256: str | None = None
+
+    def __post_init__(self) -> None:
+        """Open the log and find its channels."""
+        if any("::" in one for one in (*self.patterns.values(), self.options.time or "")):
+            all_of_one = "takes all of them, and the time, from one log: no FILE::COLUMN"
+            raise UsageError(f"a pattern of columns {all_of_one}")
+        self._table = self._open()
+        self._first_notes = list(self._table.notes)
+        try:
+            columns = self._table.columns
+            times = {c.number for c in columns if c.quantity.lower() in (*TIME_NAMES, *MORE_TIME_NAMES)}
+            self.channels = channels_of(self._table.place, columns, self.patterns, times)
+            named = [column for one in self.channels.values() for column in one.values()]
+            self._time = find_time_column(self._table.place, columns, self.options, named)
+            self._timed = {} if self._time.clock is None else self._time.clock.picks
+        except BaseException:
+            self._table.close()
+            raise
+
+    def __iter__(self) -> Iterator[str]:
+        """Return the channels in the order of the log."""
+        return iter(self.channels)
+
+    def close(self) -> None:
+        """Close the log."""
+        self._table.close()
+
+    def log(self, channel: str) -> Address:
+        """Return the log of one channel, by the log's address: read already, or where it is bad the file."""
+        if isinstance(self._table, TextTable):
+            if not self._held:
+                self._hold(list(self.channels))
+            table = self._held.get(channel)
+        else:
+            self._table.notes[:] = self._first_notes
+            table = self._read([channel])[channel]
+        return self.address if table is None else replace(self.address, table=table)
+
+    def _open(self) -> Table:
+        address = self.address.or_format(self.options.format)
+        # Read to the end, whatever rows are asked for: a channel's log takes its own rows of what is held.
+        whole = replace(self.options, rows=(self.options.rows[0], None), skip_bad=False)
+        return open_table(Request(address, whole, list(self.patterns.values()), digest=self.digest))
+
+    def _hold(self, channels: Sequence[str]) -> None:
+        """Read channels together, or in two halves where a row is bad in one of them."""
+        read = self._read(channels)
+        if None not in read.values() or len(channels) == 1 or self.address.is_stream:
+            self._held |= read
+            return
+        half = len(channels) // 2
+        for part in (channels[:half], channels[half:]):
+            self._table.close()
+            self._table = self._open()
+            self._hold(part)
+
+    def _read(self, channels: Sequence[str]) -> dict[str, HeldTable | None]:
+        """Return what channels hold; None for each where any of their rows is bad."""
+        picked = {column.number: column for one in channels for column in self.channels[one].values()}
+        picks = {str(number): column for number, column in picked.items()}
+        try:
+            parts = list(self._table.blocks(picks | self._timed))
+        except InputError:
+            if self.address.is_stream:
+                raise
+            return dict.fromkeys(channels)
+        if not parts:
+            return dict.fromkeys(channels)
+        block = joined(parts)
+        times = {str(one.number): block.values[role] for role, one in self._timed.items()}
+        held = dict(block.values) | times
+        return {channel: self._table_of(channel, replace(block, values=held)) for channel in channels}
+
+    def _table_of(self, channel: str, block: SampleBlock) -> HeldTable:
+        """Return the columns of one channel, and the time, as a table."""
+        if self._sha256 is None and self.digest:
+            self._sha256 = self._table.sha256 or file_sha256(self.address.path)
+        own = [*self._timed.values(), *self.channels[channel].values()]
+        values = {str(one.number): block.values[str(one.number)] for one in own}
+        return HeldTable(
+            place=self._table.place,
+            columns=own,
+            described=self._table.describe(),
+            block=replace(block, values=values),
+            found_time=self._time,
+            clock=self._clock(channel),
+            digest=self._sha256,
+            remarks=tuple(self._table.notes),
+        )
+
+    def _clock(self, channel: str) -> tuple[float | None, float] | InputError:
+        if self._time.clock is not None or self.options.sample_rate is not None:
+            return None, 0.0
+        try:
+            return self._table.even_clock(self.channels[channel].values())
+        except InputError as problem:
+            return problem

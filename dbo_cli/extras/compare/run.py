@@ -1,0 +1,68 @@
+"""The use case ``compare``: every model fitted to the same logs, in one table."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from dbo_cli.errors import SILENT, Listener, Remarks
+from dbo_cli.extras.compare.judging import NAMES, compare
+from dbo_cli.extras.compare.table import ModelTable
+from dbo_cli.hysteresis.model_file import model_to_bytes
+from dbo_cli.logs import request
+from dbo_cli.logs.request import Address
+from dbo_cli.logs.whole_output import all_or_none, check_output, write_whole
+from dbo_cli.reports.drawing import check_folder, save
+from dbo_cli.runs.identifying import IdentifyRun
+from dbo_cli.runs.reporting import report_form
+from dbo_cli.version import program_version_string
+
+
+@dataclass(frozen=True)
+class TableOptions:
+    """What to compare and how; ``names`` None: all models; not ``timed``: same input, same bytes."""
+
+    names: tuple[str, ...] | None = None
+    skip_seconds: float = 0.0
+    timed: bool = True
+    form: str | None = None
+    figures: str | None = None
+    models_folder: str | None = None
+
+
+@all_or_none()
+def compare_logs(
+    asked: IdentifyRun, output: Address, options: TableOptions, listener: Listener = SILENT
+) -> Remarks:
+    """Fit every model to the logs and write the table; ``asked.reading.rows`` are not the validation's."""
+    form = report_form(output, options.form)
+    inputs = [*asked.logs, *asked.validation]
+    check_output(output, inputs)
+    request.check_format(asked.reading.format, inputs)
+    for folder in (options.figures, options.models_folder):
+        if folder is not None:
+            check_folder(folder)
+    fitted, checks = asked.read(listener)
+    recordings, others = [one.recording for one in fitted], [one.recording for one in checks]
+    rows = compare(recordings, others, options.names or NAMES, options.skip_seconds, options.timed)
+    unit = recordings[0].displacement_unit
+    names = [tuple(one.name for one in some) for some in (recordings, others)]
+    shown = ModelTable(tuple(rows), unit, names[0], names[1])
+    if options.figures is not None:
+        save(shown.plots(), Path(options.figures), "models")
+    program = program_version_string()
+    provenance = {"program": program, "inputs": [dict(one.record) for one in [*fitted, *checks]]}
+    if options.models_folder is not None:
+        for row in rows:
+            if row.model is not None:
+                path = os.path.join(options.models_folder, f"{row.name}.json")
+                content = model_to_bytes(dataclasses.replace(row.model, provenance=provenance))
+                write_whole(path, content, protect=inputs)
+    content = shown.rendered(form, provenance, program)
+    write_whole(output, content, protect=inputs)
+    remarks = Remarks()
+    for one in [*fitted, *checks]:
+        remarks.add(one.remarks)
+    return remarks

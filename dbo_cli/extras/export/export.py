@@ -1,0 +1,375 @@
+"""A model as a folder of C sources with tables, self-test, build files and one page to read.
+
+A model set, too, is one folder: one kernel, the tables of every channel, and calls of all.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, replace
+from importlib import resources
+from typing import Any, Literal
+
+from dbo_cli.drives.limits import beyond_range, drive_limits
+from dbo_cli.errors import DboError, ModelError, UsageError
+from dbo_cli.extras.export import project_files as project
+from dbo_cli.extras.export import source_text as c
+from dbo_cli.extras.export.cascade_plan import CascadePlan, Direction, plan_cascade, with_fewer_gears
+from dbo_cli.extras.export.double_code import double_code
+from dbo_cli.extras.export.project_files import ExportSummary, Translated
+from dbo_cli.extras.export.single_code import NarrowGearsError, single_code
+from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits
+
+Arithmetic = Literal["double", "float", "q31"]
+ARITHMETICS = ("double", "float", "q31")
+_OF_THE_SET = {"folder", "files", "warnings", "direction", "arithmetic"}  # not of a channel in export.json
+_KERNEL_NAME = re.compile(r"\bdbo_\w+\b(?!\.)")  # types and functions, but not the names of files
+
+
+def export_model(
+    model: ActuatorModel,
+    folder: str,
+    *,
+    name: str = "actuator",
+    direction: Direction = "inverse",
+    arithmetic: Arithmetic = "double",
+    sample_rate: float | None = None,
+    gears: int | None = None,
+    v_min: float | str | None = None,
+    v_max: float | str | None = None,
+    max_slew: float | str | None = None,
+    extrapolate: bool = False,
+    lookup: bool = False,
+    arduino: bool = False,
+    fmu: bool = False,
+    shared: bool = False,
+    overwrite: bool = False,
+) -> ExportSummary:
+    """Write a model as C sources for a controller, and return what they amount to.
+
+    ``model`` is forward or inverse; it is turned as ``direction`` says. ``folder`` appears whole or not at
+    all; ``overwrite`` replaces one that an earlier export wrote. ``name`` begins the names of files, types
+    and functions. An inverse takes displacement and gives the drive, as ``compensate``, within the range on
+    which the model was identified, cut by ``v_min`` and ``v_max`` (beyond it with ``extrapolate``), and
+    changing by at most ``max_slew`` a second (texts may have a unit, ``2kV/s``); a forward export takes the
+    drive. double gives the bits of ``simulate`` and ``compensate``; float and q31 come with a derived bound.
+    ``sample_rate`` is needed where relaxation, slew or a delay depends on it. ``gears`` takes fewer than the
+    model has. In double only: ``lookup`` (12 gears at most) is a table of all states, ``fmu`` adds an FMI 2.0
+    unit and ``shared`` a flat library, both compiled for this computer. ``arduino`` lays the files out as an
+    Arduino library.
+
+    Raises
+    ------
+    UsageError
+        An argument contradicts another or is out of range; ``name`` is no usable identifier.
+    ModelError
+        A stage cannot be exported, or not in this arithmetic.
+    OutputError
+        The folder exists already or cannot be written; ``fmu`` or ``shared`` find no C compiler.
+    """
+    c.check_name(name)
+    check_choices(arithmetic, direction, {"lookup": lookup, "fmu": fmu, "shared": shared}, arduino)
+    project.check_folder(folder, overwrite)
+    one = translated(
+        model, folder, name=name, direction=direction, arithmetic=arithmetic, sample_rate=sample_rate,
+        gears=gears, v_min=v_min, v_max=v_max, max_slew=max_slew, extrapolate=extrapolate, lookup=lookup,
+    )  # fmt: skip
+    files = _files(one, arduino, fmu, shared)
+    summary = replace(one.summary, files=(*sorted(files), project.MANIFEST))
+    figures = asdict(summary)
+    del figures["folder"], figures["warnings"]
+    project.write_folder(folder, files, figures, overwrite)
+    return summary
+
+
+def translated(
+    model: ActuatorModel, folder: str, *, name: str, direction: Direction, arithmetic: Arithmetic,
+    lookup: bool, sample_rate: float | None = None, gears: int | None = None,
+    v_min: float | str | None = None, v_max: float | str | None = None, max_slew: float | str | None = None,
+    extrapolate: bool = False,
+) -> Translated:  # fmt: skip
+    """Translate a model into C; see ``export_model``."""
+    model = replace(model, input=c.plain_quantity(model.input), output=c.plain_quantity(model.output))
+    model, loss = (model, {}) if gears is None else with_fewer_gears(model, gears)
+    limits = _limits(model, direction, v_min, v_max, max_slew, extrapolate)
+    plan = plan_cascade(model, direction, sample_rate, limits)
+    try:
+        code = double_code(plan, lookup) if arithmetic == "double" else single_code(plan, arithmetic == "q31")
+    except NarrowGearsError as problem:
+        other = f"`arithmetic` double{'' if arithmetic == 'q31' else ' or q31'}"
+        raise ModelError(f"{problem} ({_gears_that_do(model, plan, arithmetic)}{other})") from None
+    words = _words(plan, name, arithmetic)
+    count, run = plan.model.backlash.n, plan.model.backlash.equal_run
+    # Towards the input; an inverse then to its limits, and back to where a drive lag's own limits hold it.
+    passes = 1 if plan.model.direction == "forward" else 2 if plan.model.drive_lag is None else 3
+    worst = worst_pass(count, run, arithmetic)
+    beyond = ""
+    if plan.limits is not None:
+        beyond = beyond_range(plan.model.drive, plan.limits.v_min, plan.limits.v_max)
+    summary = ExportSummary(
+        folder=folder, name=name, direction=plan.model.direction, arithmetic=arithmetic, files=(),
+        gears=count, table_rows=-(-count // run), run=run, table_bytes=code.table_bytes,
+        state_bytes=code.state_bytes, worst_blocks=worst[0] * passes, worst_gears=worst[1] * passes,
+        vectors=sum(len(one.inputs) for one in code.vectors), bounds=code.bounds, gears_loss=loss,
+        notes=tuple(_notes(plan, loss, words)), warnings=(f"the limits allow {beyond}",) if beyond else (),
+    )  # fmt: skip
+    return Translated(plan, code, summary, words)
+
+
+def _gears_that_do(model: ActuatorModel, plan: CascadePlan, arithmetic: str) -> str:
+    """Return the remedy for gears that are too narrow: how many, halved until they do, are wide enough."""
+    gears, rate = plan.model.backlash.n // 2, None if plan.time_step is None else 1.0 / plan.time_step
+    while gears:
+        fewer = plan_cascade(with_fewer_gears(model, gears)[0], plan.model.direction, rate, plan.limits)
+        try:
+            single_code(fewer, arithmetic == "q31")
+        except NarrowGearsError:
+            gears //= 2
+        else:
+            return f"`gears` {gears}, or "
+    return ""
+
+
+def check_choices(
+    arithmetic: str, direction: str, double_only: dict[str, bool], arduino: bool = False
+) -> None:
+    """Refuse choices that do not exist or contradict each other."""
+    if arithmetic not in ARITHMETICS:
+        raise UsageError(f"`arithmetic` {arithmetic!r}: there are {', '.join(ARITHMETICS)}")
+    if direction not in ("inverse", "forward"):
+        raise UsageError(f"`direction` {direction!r}: there are inverse, forward")
+    for option, wanted in double_only.items():
+        if wanted and arithmetic != "double":
+            raise UsageError(f"`{option}` needs `arithmetic` double")
+    if arduino and (double_only["fmu"] or double_only["shared"]):
+        raise UsageError("`arduino` goes with neither `fmu` nor `shared`: export twice")
+
+
+def _limits(
+    model: ActuatorModel, direction: Direction, v_min: float | str | None, v_max: float | str | None,
+    max_slew: float | str | None, extrapolate: bool,
+) -> DriveLimits | None:  # fmt: skip
+    """Return the limits of an inverse's drive; a forward model has none."""
+    if direction == "forward":
+        if extrapolate or (v_min, v_max, max_slew) != (None, None, None):
+            raise UsageError(
+                "limits on the drive (`v_min`, `v_max`, `max_slew`, `extrapolate`) need `direction` inverse"
+            )
+        return None
+    return drive_limits(model.drive, v_min, v_max, max_slew, extrapolate=extrapolate)
+
+
+def worst_pass(gears: int, run: int, arithmetic: str) -> tuple[int, int]:
+    """Return the most blocks that crossing gears one way looks at, and the most gears it takes one by one.
+
+    In double there are no blocks; runs of gears between turns of the drive count, at most as many as there
+    are gears. Else the gears are in the first and the last block: all gears below the kernel's LEAP, else
+    SINGLE in each word, and runs of equal gears instead of gears.
+    """
+    if arithmetic == "double":
+        return 0, gears
+    return -(-gears // 64), min(gears, 2 * (64 if run < 3 else 8 + 63 // run + 2))
+
+
+def _words(plan: CascadePlan, name: str, arithmetic: str) -> c.Values:
+    """Return what every file of an export knows."""
+    model, inverse = plan.model, plan.model.direction == "inverse"
+    return {
+        "NAME": name, "GUARD": name.upper(),
+        "TITLE": f"The {plan.model.direction} hysteresis model of an actuator,"
+        f" {model.input.quantity} to {model.output.quantity}",
+        "ORIGIN": f"Written by dbo export from the model {model.digest[:16]}.",
+        "MEANING": f"the {'displacement wanted' if inverse else 'drive'} in,"
+        f" the {'drive' if inverse else 'displacement'} out",
+        "timed": plan.time_step is not None, "ahead": plan.read_ahead > 0.0, "inverse": inverse,
+        "alone": True, "counts": arithmetic == "q31", "AHEAD": repr(plan.read_ahead),
+        "PLACE": "uint16_t" if model.backlash.n < 2**16 else "uint32_t",
+        "RATE": repr(0.0 if plan.time_step is None else 1.0 / plan.time_step),
+    }  # fmt: skip
+
+
+def _notes(plan: CascadePlan, loss: dict[str, float], words: c.Values) -> list[str]:
+    """Return what the caller must know or do."""
+    found: dict[str, str | bool] = {"loss": bool(loss), "GEARS": str(plan.model.backlash.n)}
+    if plan.time_step is not None:
+        steps = round(plan.read_ahead / plan.time_step, 6)
+        found["SHOWN_RATE"] = f"{1.0 / plan.time_step:.12g}"
+        found["SHOWN_AHEAD"] = f"{plan.read_ahead:.9g} s ({steps:.6g} sample{'s' if steps > 1 else ''})"
+    if plan.limits is not None:
+        slew, unit = plan.limits.max_slew, plan.model.drive.suffix
+        slowly = "" if slew is None else f", changing by at most {slew!r}{unit} a second"
+        found["LEAST"], found["MOST_SLEW"] = repr(plan.limits.v_min), f"{plan.limits.v_max!r}{unit}{slowly}"
+    if loss:
+        unit = (plan.model.output if plan.model.direction == "forward" else plan.model.input).suffix
+        most, percent, rms = loss["max"], loss["max_percent"], loss["rms"]
+        found["LOSS"] = f"{most:.3g}{unit} ({percent:.2g} % of the range) at most, {rms:.3g}{unit}"
+    return c.fill("notes.md", {**words, **found}).splitlines()
+
+
+def _files(one: Translated, arduino: bool, fmu: bool, shared: bool) -> dict[str, str | bytes]:
+    """Return the content of every file by its path in the folder."""
+    plan, code, summary, words = one
+    name = summary.name
+    own = c.model_sources(words, code)
+    test = own.pop(f"{name}_test.c")
+    sources = own | kernel_files(words, summary.arithmetic, code.headers)
+    files: dict[str, str | bytes] = {**project.project_files(one, sources, test, arduino)}
+    if shared:
+        files |= project.library_files(words, sources)
+    if fmu:
+        files[f"{name}.fmu"] = project.fmu_bytes(plan, words, sources)
+    return files
+
+
+def kernel_files(words: c.Values, arithmetic: str, headers: tuple[str, ...]) -> dict[str, str]:
+    """Return the kernel's sources as they are, and headers that make their names this export's own."""
+    name, guard = words["NAME"], words["GUARD"]
+    package, firmware = (
+        resources.files("dbo_cli.hysteresis"),
+        resources.files("dbo_cli.extras.export") / "firmware",
+    )
+    files = {}
+    for file in ("dbo_kernel", *(header.removesuffix(".h") for header in headers)):
+        for kind in ("c", "h"):
+            path = (firmware if file == "dbo_lookup" else package) / f"{file}.{kind}"
+            if arithmetic != "double":
+                path = firmware / f"{file}_single.{kind}"
+            files[f"{file}.{kind}"] = path.read_text(encoding="utf-8")
+    names = sorted({word for text in files.values() for word in _KERNEL_NAME.findall(text)})
+    for file in [file for file in files if file.endswith(".h")]:
+        kernel_guard = file.upper().replace(".", "_")
+        guards = {"OWN_GUARD": f"{guard}_{kernel_guard}", "KERNEL_GUARD": kernel_guard}
+        files[file] = c.fill("kernel_header.h", {"NAME": name, **guards, "text": files[file]})
+    defined = "".join(f"#undef {word}\n#define {word} {name}_{word}\n" for word in names)
+    chosen = {key: arithmetic == key for key in ("float", "q31")}
+    known = {**chosen, "names": defined, "PLACE": words["PLACE"]}
+    return {**files, f"{name}_names.h": c.fill("NAME_names.h", known)}
+
+
+def export_set(
+    models: Mapping[str, ActuatorModel], folder: str, *, name: str = "actuator",
+    direction: Direction = "inverse", arithmetic: Arithmetic = "double", lookup: bool = False,
+    overwrite: bool = False, arduino: bool = False, fmu: bool = False, shared: bool = False, **options: Any,
+) -> dict[str, ExportSummary]:  # fmt: skip
+    """Write the models of a set as C sources with one kernel, and return what each channel amounts to.
+
+    ``name`` begins the names of the set, with the channel behind it (``NAME_CHANNEL``) those of a channel.
+    ``options`` are those of ``export_model``, the same for all channels.
+
+    Raises
+    ------
+    DboError
+        As ``export_model``, with the channel's name.
+    UsageError
+        Two channels would have the same names in C, or an option is of single models alone.
+    """
+    for option, wanted in {"arduino": arduino, "fmu": fmu, "shared": shared}.items():
+        if wanted:
+            raise UsageError(
+                f"`{option}` is of one model: export a folder a channel (-o '{folder}/{{channel}}')"
+            )
+    c.check_name(name)
+    check_choices(arithmetic, direction, {"lookup": lookup})
+    project.check_folder(folder, overwrite)
+    made = {}
+    for channel, own in _names(models, name).items():
+        try:
+            c.check_name(own)
+            made[channel] = translated(
+                models[channel], folder, name=own, direction=direction, arithmetic=arithmetic, lookup=lookup,
+                **options,
+            )  # fmt: skip
+        except DboError as problem:
+            raise type(problem)(f"channel {channel}: {problem}") from None
+    files = _set_files(made, name)
+    listed = [*sorted(files), project.MANIFEST]
+    figures = {
+        "name": name, "direction": direction, "arithmetic": arithmetic, "files": listed,
+        "channels": {
+            channel: {key: value for key, value in asdict(one.summary).items() if key not in _OF_THE_SET}
+            for channel, one in made.items()
+        },
+    }  # fmt: skip
+    project.write_folder(folder, files, figures, overwrite)
+    return {channel: replace(one.summary, files=tuple(listed)) for channel, one in made.items()}
+
+
+def _names(channels: Iterable[str], name: str) -> dict[str, str]:
+    """Return what begins each channel's names, never different in case alone: some disks do not see it."""
+    found, taken = {}, {"names", "test"}
+    for channel in channels:
+        word = re.sub(r"[^A-Za-z0-9_]", "_", channel)
+        files = {word.lower(), f"{word.lower()}_test"}
+        if files & taken or word.lower().startswith("dbo_"):
+            raise UsageError(
+                f"channel '{channel}': {name}_{word} is what files of the set or of another channel are"
+                " called: rename the channel"
+            )
+        taken |= files
+        found[channel] = f"{name}_{word}"
+    return found
+
+
+def _set_files(made: Mapping[str, Translated], name: str) -> dict[str, str]:
+    """Return the content of every file."""
+    one = next(iter(made.values()))
+    arithmetic = one.summary.arithmetic
+    words: dict[str, str | bool] = {
+        **one.words, "NAME": name, "GUARD": name.upper(), "alone": False, "FIRST": one.summary.name,
+        "PLACE": max(str(each.words["PLACE"]) for each in made.values()),
+        "TITLE": f"The {one.plan.model.direction} hysteresis models of {len(made)} actuators",
+        "ORIGIN": "Written by dbo export from a model set.", "COUNT": str(len(made)),
+        "VECTORS": str(sum(each.summary.vectors for each in made.values())), "ARITHMETIC": arithmetic,
+        "moving": any(each.plan.model.dynamics is not None for each in made.values()),
+    }  # fmt: skip
+    headers = tuple(dict.fromkeys(header for each in made.values() for header in each.code.headers))
+    sources, tests = kernel_files(words, arithmetic, headers), {}
+    for each in made.values():
+        own = c.model_sources({**each.words, "alone": False}, each.code)
+        test = f"{each.summary.name}_test.c"
+        tests[test] = own.pop(test)
+        sources |= own
+    lines = _lines(made, name)
+    known = words | lines | {"NUMBER": one.code.number}
+    sources |= {f"{name}.{kind}": c.fill(f"SET.{kind}", known) for kind in "hc"}
+    values = project.build_values(words, one.code.number, sources, [f"{name}_test.c", *tests]) | lines
+    pages = {"SET_main.c": "example_main.c", "SET_README.md": "README.md", "SET_test.c": f"{name}_test.c"}
+    around = {file: c.fill(page, values) for page, file in pages.items()}
+    return {**sources, **tests, **around, **project.build_files(values)}
+
+
+def _lines(made: Mapping[str, Translated], name: str) -> dict[str, str | bool]:
+    """Return the lines that a set's files have for each channel."""
+    found: dict[str, list[str]] = {}
+    duties: dict[str, list[str]] = {}
+    for place, (channel, one) in enumerate(made.items()):
+        own, shown = one.summary.name, c.plain(channel).replace("|", "/")
+        figures = project.shown_figures(one)
+        cells = (
+            shown, f"`{own}_...`",
+            *(f"{figures[f'{way}_NAME']}, {figures[f'{way}_RANGE']}" for way in ("INPUT", "OUTPUT")),
+            *(str(figures[key]) for key in ("GEARS", "TABLE_BYTES", "STATE_BYTES")),
+            f"{figures['WORST_BLOCKS']}, {figures['WORST_GEARS']}",
+        )  # fmt: skip
+        for key, line in {
+            "headers": f'#include "{own}.h"',
+            "states": f"    {own}_state of_{place}; /* channel {shown} */",
+            "inits": f"    {own}_init(&state->of_{place});",
+            "resets": f"    {own}_reset(&state->of_{place}, drives[{place}]);",
+            "steps": f"    out[{place}] = {own}_step(&state->of_{place}, in[{place}]);",
+            "prototypes": f"unsigned {own}_self_test(void);",
+            "runs": f"    wrong += {own}_self_test();",
+            "rows": f"| {' | '.join(cells)} |",
+            "errors": f"- {shown}: {figures['SAME_GEARS']}), {figures['AFTER_CLOSE_TURN']})",
+        }.items():
+            found.setdefault(key, []).append(line)
+        for note in (*one.summary.notes, *one.summary.warnings):
+            duties.setdefault(note.replace(f"{own.upper()}_", f"{name.upper()}_CHANNEL_"), []).append(shown)
+    samples = [one.code.vectors[0].inputs[10] for one in made.values()]
+    found["duties"] = [
+        f"- {note}" + (f" (channel {', '.join(of)})" if len(of) < len(made) else "")
+        for note, of in duties.items()
+    ]
+    found["samples"] = [c.array(next(iter(made.values())).code.number, "samples", samples).rstrip()]
+    return {key: "\n".join(lines) + "\n" for key, lines in found.items()}

@@ -1,0 +1,585 @@
+"""The model in float32 or q31 as C: tables, how far they can be from the float64 model, steps and self-test.
+
+The bounds on the error are derived from the tables, step by step.
+Every rounding is bounded by half a unit (q31) or by 2^-24 of the largest number that can stand there
+(float32), and followed to the output through the slopes. Two runs cross the same gears unless the drive
+turns within the crossing tolerance of a gear's end. After such a turn their remembered turning points differ
+by up to one gear's width until a larger move wipes them out. The output depends on nested turning points
+m_1, m_2 ... by the difference of the slopes at which the branches before and behind each end, and these
+differences add up to at most the total variation of the slopes: hence one width times that variation.
+
+Memory on the output feeds an error back. Where the loop gain is below one, errors grow by 1/(1 - gain).
+Else a bound comes from energy: with V = sum c_j e_j^2 / (2 b_j) a disturbance r of the input gives
+V_k+1 <= V_k + r e - s e^2 - sum c_j ((b_j/2) e^2 + (1 - b_j/2) e_j^2), so V <= r^2 / (4 (s + kappa/2) rho)
+with rho = min 2 b_j (1 - b_j/2), and sum c_j a_j e_j <= r A by Cauchy-Schwarz.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from dbo_cli.errors import ModelError
+from dbo_cli.extras.export.cascade_plan import CascadePlan, ignored_beyond, self_test_moves
+from dbo_cli.extras.export.single_kernel import F, Segments, SingleKernel, SingleTables, clamped
+from dbo_cli.extras.export.source_text import (
+    ModelCode,
+    Vectors,
+    array,
+    delay_line,
+    hex_float,
+    integer,
+    struct_rows,
+)
+from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, through
+from dbo_cli.hysteresis.kernel import Floats
+from dbo_cli.hysteresis.model import DriveLimits, Quantity
+from dbo_cli.records import dataclass
+
+Text = Callable[[Any], str]
+
+COUNTS = 2.0**30
+"""A range is so many counts of q31 to either side of its middle, which leaves a factor of two beyond it."""
+
+MOST_FINE_BITS = 12
+"""Positions are finer than counts by so many bits at most: slopes keep the 16 bits that far inputs lose."""
+
+MOST_GEARS = 46_340
+"""Up to here n gears find their row with a product of 32 bits, whatever the run."""
+
+SLOWEST_REST = 2.0**-34
+"""A memory that follows by less a step would stand still below 2^10 counts, 1e-6 of the range."""
+
+EPS = 2.0**-24
+"""Half a unit in the last place of a float32, as a part of the number."""
+
+LEAST_TOLERANCE = 20
+"""A crossing tolerance finer than 2^-20 of a gear gains nothing: the float64 model's own is 2^-30."""
+
+COARSEST_TOLERANCE = 4
+"""Where even 2^-4 of a gear drowns in rounding, the arithmetic cannot hold the gears."""
+
+
+@dataclass(frozen=True)
+class Folded:
+    """Points and scales as one piecewise linear function in float64: its nodes, and the slope of each."""
+
+    x: Floats
+    y: Floats
+    slope: Floats
+
+
+@dataclass(frozen=True)
+class Axes:
+    """The gears at the time step, and how the arithmetic holds them.
+
+    ``wide`` and ``high`` are the widths wanted, per gear; ``widths`` and ``heights`` those of the tables, in
+    the same units; positions are multiples of ``x_unit`` and ``y_unit``. ``fine`` are the bits by which
+    positions are finer than counts, on either axis.
+    """
+
+    kappa: float
+    wide: Floats
+    high: Floats
+    widths: Floats
+    heights: Floats
+    x_unit: float
+    y_unit: float
+    fine: tuple[int, int]
+
+    @property
+    def x_count(self) -> float:
+        """One count of the input axis."""
+        return self.x_unit * 2.0 ** self.fine[0]
+
+    @property
+    def y_count(self) -> float:
+        """One count of the output axis."""
+        return self.y_unit * 2.0 ** self.fine[1]
+
+
+def fold(stages: MemoryFree, low: float, high: float) -> Folded:
+    """Return points and scales, composed, as one function of an input between ``low`` and ``high``.
+
+    Exact up to float64's rounding: its nodes are the points of every stage, led back to the input.
+    """
+    nodes = [low]
+    for place, stage in enumerate(stages):
+        if isinstance(stage, ScaleStage):
+            continue
+        inner = stage.segments[1:, 0] + stage.x0
+        back = tuple(one.inverse() for one in reversed(stages[:place]))
+        nodes += through(back, np.ascontiguousarray(inner)).tolist()
+    span = high - low
+    found: list[float] = []
+    for node in sorted(nodes):
+        if not found or node - found[-1] > 1e-9 * span:
+            found.append(node)
+    x = np.array([*found, max(found[-1] + span, high)])
+    y = through(stages, x.copy())
+    return Folded(x[:-1], y[:-1], np.diff(y) / np.diff(x))
+
+
+def quantised(wanted: Floats, run: int, unit: float) -> Floats:
+    """Return one width a run, whole multiples of ``unit``, whose running sums follow the exact ones."""
+    widths, total, reached = [], 0.0, 0.0
+    for begin in range(0, len(wanted), run):
+        count = min(run, len(wanted) - begin)
+        total += float(wanted[begin]) * count
+        width = max(round((total - reached) / count / unit), 1) * unit
+        widths.append(width)
+        reached += width * count
+    return np.array(widths)
+
+
+def axes_of(plan: CascadePlan) -> Axes:
+    """Return the gears with kappa in their widths, and the units of positions."""
+    gears = plan.model.backlash
+    kappa = plan.kappa
+    wide, high = gears.gears[:, 0] + kappa * gears.gears[:, 1], gears.gears[:, 1].copy()
+    totals = [float(wide.sum()), float(high.sum())]
+    if gears.memory_on == "input" and plan.terms:
+        totals[1] += float(np.sum(plan.gain)) * totals[0]
+    fine = [0, 0]
+    units = []
+    for axis, (total, widths) in enumerate(zip(totals, (wide, high), strict=True)):
+        most = float(widths.max()) / total * COUNTS
+        fine[axis] = min(math.floor(math.log2((2.0**31 - 1024.0) / most)), MOST_FINE_BITS)
+        units.append(total / COUNTS / 2.0 ** fine[axis])
+    run = gears.equal_run
+    return Axes(
+        kappa, wide, high, quantised(wide, run, units[0]), quantised(high, run, units[1]),
+        units[0], units[1], (fine[0], fine[1]),
+    )  # fmt: skip
+
+
+def shift_for(largest: float) -> int:
+    """Return the shift, 62 at most, that brings a factor just below 2^31, as a whole number."""
+    return min(math.floor(math.log2((2.0**31 - 1.0) / largest)), 62) if largest > 0.0 else 30
+
+
+def segments_of(folded: Folded, q31: bool, x: tuple[float, float], y: tuple[float, float]) -> Segments:
+    """Return a folded function in the arithmetic; ``x`` and ``y`` are (offset, unit) of either axis."""
+    at, up = (folded.x - x[0]) / x[1], (folded.y - y[0]) / y[1]
+    slopes = folded.slope * x[1] / y[1]
+    if not q31:
+        return Segments([(F(a), F(b), F(s)) for a, b, s in zip(at, up, slopes, strict=True)], 0)
+    at, up = np.rint(at), np.rint(up)
+    slopes[:-1] = np.diff(up) / np.maximum(np.diff(at), 1.0)
+    shift = shift_for(float(np.abs(slopes).max()))
+    if shift < 16 or float(np.abs(at).max()) >= 2.0**31:
+        raise ModelError("points or scales beyond the range of q31 (`arithmetic` float or double)")
+    rows = zip(at.tolist(), up.tolist(), slopes.tolist(), strict=True)
+    return Segments([(int(a), int(b), round(s * 2.0**shift)) for a, b, s in rows], shift)
+
+
+def counts_of_range(quantity: Quantity) -> tuple[float, float]:
+    """Return where a range has its count 0, and how much one count is."""
+    return 0.5 * (quantity.minimum + quantity.maximum), 0.5 * quantity.span / COUNTS
+
+
+def _remembered(plan: CascadePlan, axes: Axes) -> tuple[int, float, float]:
+    """Return the shift from positions to what memories count, one of those, and where the axis begins.
+
+    It is a count of the remembered axis, or coarser where the reference is far away: they have 31 bits.
+    """
+    gears, on_output = plan.model.backlash, plan.model.backlash.memory_on == "output"
+    offset = (gears.y0 if on_output else gears.x0) - plan.reference
+    count = axes.y_count if on_output else axes.x_count
+    coarse = max(math.frexp(abs(offset) / count / COUNTS)[1], 0) if plan.terms else 0
+    return axes.fine[int(on_output)] + coarse, count * 2.0**coarse, offset
+
+
+def _carried(plan: CascadePlan, axes: Axes) -> Floats:
+    """Return what each memory adds, in positions, for one of its counts."""
+    count = _remembered(plan, axes)[1]
+    if plan.model.backlash.memory_on == "output":
+        return plan.gain * plan.decay * (count / axes.x_unit)
+    return plan.gain * (count / axes.y_unit)
+
+
+def _terms(plan: CascadePlan, axes: Axes) -> tuple[list[tuple[int, int, int]], int]:
+    """Return (carried, rest, rest_shift) of each relaxation term, and the shift of what is carried."""
+    factors, rests = _carried(plan, axes), 1.0 - plan.decay
+    shift = shift_for(float(factors.sum()))
+    if shift < 0:
+        raise ModelError("relaxation.gain: beyond the range of this arithmetic (`arithmetic` double)")
+    downs = [math.floor(math.log2(COUNTS / rest)) for rest in rests.tolist()]
+    return [
+        (round(factor * 2.0**shift), round(rest * 2.0**down), down)
+        for factor, rest, down in zip(factors.tolist(), rests.tolist(), downs, strict=True)
+    ], shift
+
+
+def _rows(axes: Axes, q31: bool) -> tuple[list[tuple[int, int, Any]], int]:
+    """Return the gear table and, in q31, the shift of its slopes."""
+    slopes = axes.heights / axes.widths * (axes.x_unit / axes.y_unit)
+    shift = shift_for(float(slopes.max())) if q31 else 0
+    if q31 and shift < 16:
+        raise ModelError("dy: a gear too steep for q31 (`arithmetic` float or double)")
+    return [
+        (round(w / axes.x_unit), round(h / axes.y_unit), round(s * 2.0**shift) if q31 else F(s))
+        for w, h, s in zip(axes.widths.tolist(), axes.heights.tolist(), slopes.tolist(), strict=True)
+    ], shift
+
+
+def single_tables(plan: CascadePlan, axes: Axes, q31: bool, tolerance: float) -> SingleTables:
+    """Return every constant; ``tolerance`` is the part of a gear that may be missing when it is crossed.
+
+    Raises
+    ------
+    ModelError
+        Something is beyond what the arithmetic holds.
+    """
+    gears = plan.model.backlash
+    if gears.n > MOST_GEARS:
+        raise ModelError(f"dx: {gears.n} gears are more than {MOST_GEARS} (`gears` fewer, or double)")
+    on_output = gears.memory_on == "output"
+    source, result = plan.model.input, plan.model.output
+    rows, slope_shift = _rows(axes, q31)
+    base = gears.x0 + (axes.kappa * (gears.y0 - plan.reference) if on_output else 0.0)
+    taken, given = (counts_of_range(source), counts_of_range(result)) if q31 else ((0.0, 1.0), (0.0, 1.0))
+    x_step, y_step = (axes.x_unit, axes.y_unit) if q31 else (axes.x_count, axes.y_count)
+    before = fold(plan.model.head, source.minimum, source.maximum)
+    behind = fold(plan.model.tail, gears.y0, gears.y0 + float(axes.high.sum()))
+    if plan.model.direction == "forward":
+        drive = segments_of(before, q31, taken, (gears.x0, x_step))
+    else:
+        undone = fold(plan.drive_stages, result.minimum, result.maximum)
+        drive = segments_of(undone, q31, given, (gears.y0, y_step))
+    clip, change, positions = _limits(plan, axes, q31)
+    first = to_counts(plan.first_output, result) if q31 else F(plan.first_output)
+    if clip is not None:
+        first = min(max(first, clip[0]), clip[1])
+    whole, part = plan.delay_samples or (-1, 0.0)
+    delay = whole, round(part * COUNTS) if q31 else F(part)
+    drive_shift, drive_count, offset = _remembered(plan, axes)
+    terms, carried_shift = _terms(plan, axes)
+    span = sum(rows[i // gears.equal_run][0] for i in range(gears.n))
+    return SingleTables(
+        q31=q31, rows=rows, n=gears.n, run=gears.equal_run, tolerance=round(-math.log2(tolerance)),
+        terms=terms, carried_shift=carried_shift, memory_on_output=on_output,
+        drive_offset=round(offset / drive_count) if plan.terms else 0, drive_shift=drive_shift,
+        slope_shift=slope_shift, x_shift=axes.fine[0], y_shift=axes.fine[1],
+        least=-span, most=2 * span, limits=positions,
+        covered=plan.model.covered_gears.operator.n, spare_bits=plan.model.covered_gears.spare_bits,
+        before=segments_of(before, q31, taken, (base, x_step)),
+        behind=segments_of(behind, q31, (gears.y0, axes.y_count), given),
+        drive=drive, clip=clip, change=change, first=first, delay=delay,
+    )  # fmt: skip
+
+
+def to_counts(value: float, quantity: Quantity) -> int:
+    """Return a value in counts of q31, saturating."""
+    middle, unit = counts_of_range(quantity)
+    return clamped(round((value - middle) / unit))
+
+
+def _limits(
+    plan: CascadePlan, axes: Axes, q31: bool
+) -> tuple[tuple[Any, Any] | None, Any, tuple[int, int, int] | None]:
+    """Return the limits on the output in the arithmetic, rounded inwards: clip, change and positions.
+
+    ``clip`` and ``change`` are numbers as they come out; ``positions`` are low, high and step (-1: no slew
+    limit) as the gears meet them. None of them is outside of the model's own.
+    """
+    limits, inner = plan.limits, plan.inner_limits
+    if limits is None or inner is None:
+        return None, None, None
+    clip = _count_clip(limits, plan.model.drive) if q31 else _float_clip(limits)
+    if not clip[0] < clip[1]:
+        raise ModelError("`v_min`, `v_max`: too close for this arithmetic (`arithmetic` double)")
+    change, step = None, -1.0
+    if limits.max_slew is not None and plan.slew_step is not None and plan.time_step is not None:
+        asked = limits.max_slew * plan.time_step
+        change, reached = _count_change(asked, plan.model.drive) if q31 else _float_change(asked, clip)
+        step = plan.slew_step * (reached / asked) / axes.y_unit
+        if step < 4.0:
+            raise ModelError(
+                "`max_slew`: less than this arithmetic resolves in one step (`sample_rate` lower)"
+            )
+    low, high = ((v - plan.model.backlash.y0) / axes.y_unit for v in (inner.v_min, inner.v_max))
+    if max(abs(low), abs(high), step) >= 2.0**59:
+        raise ModelError("`v_min`, `v_max`: beyond what this arithmetic holds (`arithmetic` double)")
+    return clip, change, (math.ceil(low), math.floor(high), math.floor(step))
+
+
+def _float_clip(limits: DriveLimits) -> tuple[Any, Any]:
+    low, high = F(limits.v_min), F(limits.v_max)
+    low = np.nextafter(low, F(np.inf)) if float(low) < limits.v_min else low
+    high = np.nextafter(high, F(-np.inf)) if float(high) > limits.v_max else high
+    return low, high
+
+
+def _count_clip(limits: DriveLimits, drive: Quantity) -> tuple[int, int]:
+    """Return the limits in counts, each, as ``NAME_OUT`` converts it, within the limits asked for."""
+    middle, unit = counts_of_range(drive)
+    low, high = round((limits.v_min - middle) / unit), round((limits.v_max - middle) / unit)
+    if max(abs(low), abs(high)) >= 2**31 - 1:
+        raise ModelError("`v_min`, `v_max`: beyond twice the model's range, which q31 does not hold")
+    while low * unit + middle < limits.v_min:
+        low += 1
+    while high * unit + middle > limits.v_max:
+        high -= 1
+    return low, high
+
+
+def _float_change(asked: float, clip: tuple[Any, Any]) -> tuple[Any, float]:
+    """Return the change that adding to an output may round up to the one asked for, and what is sure.
+
+    A sum is off by half a unit in the last place of the largest output, and the change itself by as much.
+    """
+    place = float(np.spacing(max(abs(clip[0]), abs(clip[1]))))
+    change = F(max(asked - 0.5 * place, 0.0))
+    change = np.nextafter(change, F(0.0)) if float(change) > asked - 0.5 * place else change
+    return change, max(asked - 2.0 * place, 0.0)
+
+
+def _count_change(asked: float, drive: Quantity) -> tuple[int, float]:
+    """Return the change in whole counts, and what that is."""
+    unit = counts_of_range(drive)[1]
+    change = min(math.floor(asked / unit), 2**32)  # 2^32: more than from one end to the other
+    return change, min(change * unit, asked)
+
+
+def _function_error(
+    folded: Folded, q31: bool, end: float, offset: float, x_unit: float, y_unit: float
+) -> float:
+    """Bound the rounding in one piecewise linear function, up to ``end`` on its input."""
+    lengths = np.abs(np.diff(np.append(folded.x, max(end, folded.x[-1]))))
+    rises = np.abs(folded.slope) * lengths
+    if q31:
+        shift = shift_for(float(np.abs(folded.slope).max()) * x_unit / y_unit)
+        nodes = 0.5 * float(np.abs(folded.slope).max()) * x_unit + 0.5 * y_unit
+        return nodes + y_unit * (0.5 + float(lengths.max()) / x_unit * 2.0 ** -(shift + 1))
+    largest = float(np.abs(folded.y - offset).max() + rises.max())
+    constant = float((np.abs(folded.slope) * np.abs(folded.x)).max())
+    return EPS * (3.0 * float(rises.max()) + constant + 2.0 * largest)  # and x - x_c, the product, the sum
+
+
+def _subset_error(table: Floats, wanted: Floats, run: int) -> float:
+    """Bound what the roundings of any set of gears add up to."""
+    off = np.repeat(table, run)[: len(wanted)] - wanted
+    return float(max(off[off > 0.0].sum(), -off[off < 0.0].sum()))
+
+
+def _loop(plan: CascadePlan, axes: Axes, steepest: float) -> tuple[float, float, float]:
+    """Bound what memory adds: its own rounding, as the input meets it, and how errors come back through it.
+
+    Returns the rounding, the gain of the loop, and how much a disturbance grows.
+    """
+    c, a = plan.gain, plan.decay
+    if not plan.terms:
+        return 0.0, 0.0, 1.0
+    on_output = plan.model.backlash.memory_on == "output"
+    b, carried = 1.0 - a, (c * a if on_output else c)
+    _, count, offset = _remembered(plan, axes)
+    drive = float((axes.high if on_output else axes.wide).sum()) + abs(offset)
+    other = axes.x_unit if on_output else axes.y_unit
+    held = count * (2.0 + 2.0 * drive / count * 2.0**-30 + 2.0**-24 / b)
+    shift = shift_for(float(_carried(plan, axes).sum()))
+    recall = other * (0.5 + plan.terms * drive / count * 2.0 ** -(shift + 1))
+    own = float(np.sum(carried * held)) + recall
+    if not on_output:
+        return own, float(np.sum(c)), 1.0
+    loop = steepest * float(np.sum(carried))
+    stiff = max(1.0 / steepest - axes.kappa, 0.0) + 0.5 * axes.kappa
+    rho = float(np.min(2.0 * b * (1.0 - 0.5 * b)))
+    energy = 1.0 + math.sqrt(float(np.sum(2.0 * b * c * a**2)) / (4.0 * stiff * rho))
+    return own, float(np.sum(carried)), min(1.0 / (1.0 - loop) if loop < 1.0 else math.inf, energy)
+
+
+class NarrowGearsError(ModelError):
+    """The gears are too narrow for the arithmetic; fewer would do."""
+
+
+def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> dict[str, float]:
+    """Return the bounds for inputs inside the model's range, in the output's unit and in % of its range.
+
+    ``same_gears`` holds while both have crossed the same gears, and with memory always did;
+    ``after_close_turn`` always, also after turns within ``close_turn_fraction`` of a gear's end. That is the
+    part of a gear that may be missing when it counts as crossed, a power of two.
+
+    Raises
+    ------
+    ModelError
+        The gears are too narrow for the arithmetic: its rounding is beyond 1/16 of one.
+    """
+    gears, source, result = plan.model.backlash, plan.model.input, plan.model.output
+    run, on_output = gears.equal_run, gears.memory_on == "output"
+    slopes = axes.high / axes.wide
+    steepest, span, height = float(slopes.max()), float(axes.wide.sum()), float(axes.high.sum())
+    own, gain, growth = _loop(plan, axes, steepest)
+    base = gears.x0 + (axes.kappa * (gears.y0 - plan.reference) if on_output else 0.0)
+    x_in, y_out = counts_of_range(source)[1], counts_of_range(result)[1]
+    before = fold(plan.model.head, source.minimum, source.maximum)
+    entering = _function_error(before, q31, source.maximum, base, x_in, axes.x_unit)
+    across = entering + _subset_error(axes.widths, axes.wide, run)
+    off_x = np.repeat(axes.widths, run)[: gears.n] - axes.wide
+    off_y = np.repeat(axes.heights, run)[: gears.n] - axes.high
+    rising = _subset_error(axes.heights, axes.high, run)
+    rising += float(np.max(np.abs(off_y) + slopes * np.abs(off_x)))
+    if q31:
+        shift = shift_for(steepest * axes.x_unit / axes.y_unit)
+        rising += axes.y_unit * (1.0 + float(axes.wide.max()) / axes.x_unit * 2.0 ** -(shift + 1))
+    else:
+        across += EPS * 2.0 * span + axes.x_count
+        rising += EPS * 4.0 * float(axes.high.max()) + axes.y_unit
+    if on_output:
+        steady = steepest * (across + own) + rising
+        inner = steady * growth if growth < math.inf else math.inf
+        place = across + own + gain * inner
+    else:
+        inner = steepest * across + gain * entering + own + rising + axes.y_count
+        place = across
+    tolerance = _tolerance(place, float(axes.wide.min()), rising, float(axes.high.min()), plan)
+    hop = float(axes.wide.max()) * float(np.sum(np.abs(np.diff(slopes)))) * growth
+    behind = fold(plan.model.tail, gears.y0, gears.y0 + height)
+    bend = float(np.abs(behind.slope).max())
+    leaving = _function_error(
+        Folded(behind.x - gears.y0, behind.y, behind.slope), q31, height, 0.0, axes.y_count, y_out
+    ) + bend * 0.5 * axes.y_count + (y_out if q31 else EPS * bend * height)  # fmt: skip
+    if plan.model.delay_seconds and not on_output and not q31:
+        leaving += 3.0 * EPS * max(abs(result.minimum), abs(result.maximum))
+    same = bend * inner + leaving
+    found: dict[str, float] = {}
+    for key, value in (("same_gears", same), ("after_close_turn", same + bend * hop)):
+        found |= {key: value, f"{key}_percent": 100.0 * value / result.span}
+    return {**found, "close_turn_fraction": tolerance}
+
+
+def _tolerance(place: float, narrow: float, rising: float, low: float, plan: CascadePlan) -> float:
+    """Return a power of two, twice what rounding can shift a turn by, as a part of the smallest gear."""
+    part = 2.0 * max(place / narrow, rising / low)
+    power = min(math.floor(-math.log2(part)) if part > 0.0 else LEAST_TOLERANCE, LEAST_TOLERANCE)
+    if power < COARSEST_TOLERANCE:
+        raise NarrowGearsError(
+            f"{plan.model.backlash.n} gears are too narrow for this arithmetic: its rounding is "
+            f"{100.0 * part:.2g} % of the smallest"
+        )
+    return 2.0**-power
+
+
+def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
+    """Return the model as C in float32 or in q31.
+
+    Raises
+    ------
+    ModelError
+        The model is beyond what the arithmetic holds.
+    """
+    if plan.model.dynamics is not None or plan.model.drive_lag is not None:
+        raise ModelError(
+            "dynamics are beyond float and q31 (`arithmetic` double, or identify with `dynamics` 0)"
+        )
+    axes = axes_of(plan)
+    if plan.terms and float((1.0 - plan.decay).min()) < SLOWEST_REST:
+        raise ModelError(
+            "relaxation.tau: a memory this slow at this rate stands still in this arithmetic"
+            " (`sample_rate` lower, or `arithmetic` double)"
+        )
+    bounds = derive_bounds(plan, axes, q31)
+    t = single_tables(plan, axes, q31, bounds["close_turn_fraction"])
+    text: Text = integer if q31 else hex_float
+    number = "int32_t" if q31 else "float"
+    spare = plan.spare_words(32)
+    tables, size = _tables(t, text)
+    if spare:
+        tables += array("uint32_t", "spare", spare)
+    words = (t.n + 31) // 32 + 4 * (t.n // 64)  # DBO_WORDS(n)
+    members = [f"uint32_t words[{words}];", "uint32_t segments[3];", "dbo_backlash_state gears;"]
+    if t.terms:
+        members.append(f"dbo_memory memory[{len(t.terms)}];")
+    delay = ""
+    if t.delay[0] >= 0:
+        more, delay = delay_line(t.delay[0], number, _between(t, text))
+        members += more
+    low, high = ("", "") if t.clip is None else map(text, t.clip)
+    values: dict[str, str | bool] = {
+        "counts": q31, "inverse": plan.model.direction == "inverse", "terms": bool(t.terms),
+        "spare": bool(spare), "delay": bool(delay), "tables": tables, "delay_line": delay,
+        "SPARE_WORDS": str(len(spare)),
+        "WORDS": str(words), "TERMS": str(len(t.terms)), "COVERED": str(plan.model.covered_gears.operator.n),
+        "MEMORY": "state->memory" if t.terms else "0", "SPARE": "spare" if spare else "0",
+        "LIMITS": "0" if t.limits is None else "&limits", "LOWEST_OUTPUT": low, "HIGHEST_OUTPUT": high,
+        "FIRST_OUTPUT": text(t.first), "slew": t.change is not None,
+        "CHANGE": "" if t.change is None else text(t.change), "REACH": f"{ignored_beyond(plan.model.input)}F",
+        "DRIVE_REACH": f"{ignored_beyond(plan.model.drive)}F",
+        "Y_SHIFT": str(t.y_shift),
+    }  # fmt: skip
+    for label, segments in (("BEFORE", t.before), ("BEHIND", t.behind), ("DRIVE", t.drive)):
+        values |= {f"{label}_ROWS": str(len(segments.rows)), f"{label}_SHIFT": str(segments.shift)}
+    for way, quantity in (("INPUT", plan.model.input), ("OUTPUT", plan.model.output)):
+        middle, unit = counts_of_range(quantity)
+        values |= {
+            f"{way}_MIDDLE": repr(middle), f"{way}_COUNT": repr(unit), f"{way}_COUNTS": repr(1.0 / unit),
+            f"{way}_LABEL": f"{quantity.quantity}{f' ({quantity.unit})' if quantity.unit else ''}",
+        }  # fmt: skip
+    return ModelCode(number, members, "single.c", values, _vectors(plan, t, text), (), size, bounds)
+
+
+def _tables(t: SingleTables, text: Text) -> tuple[str, int]:
+    """Return all tables but that of the spare gears, and their bytes."""
+    rows = [[integer(width), integer(height), text(slope)] for width, height, slope in t.rows]
+    out, size = array("dbo_gear", "gears", struct_rows(rows)), 12 * len(t.rows)
+    if t.n >= 64:
+        each = np.repeat(np.array([row[:2] for row in t.rows], np.int64), t.run, axis=0)
+        sums = np.vstack([np.zeros((1, 2), np.int64), np.cumsum(each, axis=0)])[: t.n + 1 : 64].tolist()
+        out += array("dbo_block", "blocks", struct_rows([[integer(v) for v in place] for place in sums]))
+        size += 16 * len(sums)
+    if t.terms:
+        factors = [[integer(carried), integer(rest), f"{shift}U"] for carried, rest, shift in t.terms]
+        out += array("dbo_term", "terms", struct_rows(factors))
+        size += 12 * len(factors)
+    shift = row_shift(t.n, t.run)
+    factor = (2**shift + t.run - 1) // t.run
+    out += (
+        f"static const dbo_backlash op = {{gears, {'blocks' if t.n >= 64 else '0'}, {t.n}U, {t.run}U,"
+        f" {factor}U, {shift}U, {t.tolerance}U,"
+        f" {'terms' if t.terms else '0'}, {len(t.terms)}U,\n"
+        f"    {t.carried_shift}U, {int(t.memory_on_output)}, {integer(t.drive_offset)}, {t.drive_shift}U,"
+        f" {t.slope_shift}U, {t.x_shift}U, {t.y_shift}U, {integer(t.least)}, {integer(t.most)}}};\n"
+    )
+    if t.limits is not None:
+        out += f"static const dbo_limits limits = {{{', '.join(integer(v) for v in t.limits)}}};\n"
+    for label, segments in (("before", t.before), ("behind", t.behind), ("drives", t.drive)):
+        rows = [[text(value) for value in row] for row in segments.rows]
+        out += array("dbo_segment", label, struct_rows(rows))
+        size += (24 if t.q31 else 12) * len(rows)
+    return out, size
+
+
+def row_shift(n: int, run: int) -> int:
+    """Return a shift with which i * ceil(2^shift / run) >> shift is i // run for all i < n, in 32 bits."""
+    return (n * run - 1).bit_length() if run > 1 else 0
+
+
+def _between(t: SingleTables, text: Text) -> str:
+    """Return the expression between two samples of a delay line."""
+    part = t.delay[1]
+    if not part:
+        return "later"
+    if not t.q31:
+        return f"later + {text(part)} * (earlier - later)"
+    both = f"(int64_t)later * {2**30} + (int64_t){part} * ((int64_t)earlier - later)"
+    return f"dbo_counts_of({both}, 30U)"
+
+
+def _vectors(plan: CascadePlan, t: SingleTables, text: Text) -> list[Vectors]:
+    """Return two runs, computed by the readable twin of the kernel."""
+    source, found = plan.model.input, []
+    start = to_counts(plan.trimmed_drive, plan.model.drive) if t.q31 else F(plan.trimmed_drive)
+    for seed, reset in enumerate((None, start), 1):
+        moves = self_test_moves(source.minimum, source.maximum, seed)
+        inputs: list[Any] = [to_counts(v, source) if t.q31 else F(v) for v in moves.tolist()]
+        kernel = SingleKernel(t)
+        with np.errstate(over="ignore", under="ignore"):
+            if reset is not None:
+                kernel.reset(reset)
+            outputs = [kernel.step(x) for x in inputs]
+        texts = ([text(v) for v in values] for values in (inputs, outputs))
+        found.append(Vectors(None if reset is None else text(reset), *texts))
+    return found

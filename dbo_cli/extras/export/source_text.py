@@ -1,0 +1,235 @@
+"""Text of exported files: templates that are files of their own kind; numbers, arrays and names as C."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from importlib import resources
+
+import numpy as np
+
+from dbo_cli.errors import UsageError
+from dbo_cli.hysteresis.model import Quantity
+from dbo_cli.hysteresis.model_file import filled
+from dbo_cli.records import dataclass
+
+_IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_LONGEST = 40  # NAME_names.h and the longest names of the kernel stay far below what linkers and disks hold
+_TAKEN = ("dbo_", "fmi2", "example_main", "int8_t", "int16_t", "int32_t", "int64_t", "size_t", "uint")
+
+Values = Mapping[str, str | bool]
+
+_MARK, _END = r"^[ \t]*(?:/\*|<!--|#)", r"(?: \*/| -->)?\n"
+_SECTION = re.compile(rf"{_MARK}\? (!?)(\w+){_END}(.*?){_MARK}: \2{_END}", re.M | re.S)
+_LINES = re.compile(rf"{_MARK}\+ (\w+){_END}", re.M)
+
+
+def _template(name: str) -> str:
+    return (resources.files("dbo_cli.extras.export") / "templates" / name).read_text(encoding="utf-8")
+
+
+RESERVED = frozenset(_template("reserved_words.txt").split())
+"""Words of C and C++, and names that every program has."""
+
+
+def fill(template: str, values: Values) -> str:
+    """Return a file of ``templates/`` filled in.
+
+    A name in capitals stands for its value (``NAME_step``, and ``TERMSU`` for the unsigned constant), a line
+    that is the comment ``+ name`` for lines of text; lines between the comments ``? name`` and ``: name``
+    stay where the value is true (``? !name``: where it is not). Values are not searched for names.
+    """
+    text = _template(template)
+    while _SECTION.search(text):
+        text = _SECTION.sub(lambda at: at[3] if bool(values[at[2]]) != bool(at[1]) else "", text)
+    names = sorted((name for name in values if name.isupper()), key=len, reverse=True)
+    if names:
+        word = re.compile(rf"(?<![A-Za-z0-9_])(?:{'|'.join(names)})(?=U?(?![A-Za-z0-9]))")
+        text = word.sub(lambda at: str(values[at[0]]), text)
+    return _LINES.sub(lambda at: str(values[at[1]]), text)
+
+
+def plain(text: str) -> str:
+    """Return text on one line that cannot end the comment it stands in, nor begin another."""
+    words = "".join(c if c.isprintable() else " " for c in text)
+    return re.sub(r"\*(?=/)|/(?=\*)", lambda at: f"{at[0]} ", words)
+
+
+def plain_quantity(quantity: Quantity) -> Quantity:
+    """Return a quantity whose name and unit end no comment that they stand in."""
+    return replace(quantity, quantity=plain(quantity.quantity), unit=quantity.unit and plain(quantity.unit))
+
+
+def check_name(name: str) -> None:
+    """Refuse a name that cannot begin the names of files, types and functions in C, C++ and on every disk.
+
+    Raises
+    ------
+    UsageError
+        It is no identifier, reserved, or taken by the files that are exported beside it.
+    """
+    problems = (
+        (not _IDENTIFIER.fullmatch(name),
+         "is no C identifier (a letter first, then letters, digits and underscores)"),
+        (len(name) > _LONGEST, f"has {len(name)} characters; at most {_LONGEST} are allowed"),
+        (bool(RESERVED & {name, name.lower()}), "is a reserved word of C or C++ (choose another)"),
+        (name.lower().startswith(_TAKEN), "is taken by the files of the export (choose another)"),
+    )  # fmt: skip
+    for wrong, why in problems:
+        if wrong:
+            raise UsageError(f"`name` {name!r}: {why}")
+
+
+def hex_double(value: float) -> str:
+    """Return a C99 constant that is this float64 to the bit."""
+    return float(value).hex()
+
+
+def hex_float(value: float) -> str:
+    """Return a C99 constant that is this number's float32 to the bit."""
+    return float(np.float32(value)).hex() + "f"
+
+
+def integer(value: int) -> str:
+    """Return a C constant; the least 32-bit and 64-bit numbers have no literal of their own."""
+    value = int(value)
+    if value == -(2**31):
+        return "(-2147483647 - 1)"
+    if value == -(2**63):
+        return "(-INT64_C(9223372036854775807) - 1)"
+    return str(value) if abs(value) < 2**31 else f"INT64_C({value})"
+
+
+def array(kind: str, name: str, items: Sequence[str]) -> str:
+    """Return the definition of a constant array, private to its file, in lines of at most 108 characters."""
+    lines = filled([*items[:-1], f"{items[-1]},"], 108, "    ").removesuffix(",")  # as if one more followed
+    return f"static const {kind} {name}[{len(items)}] = {{\n{lines}}};\n"
+
+
+def struct_rows(rows: Iterable[Iterable[str]]) -> list[str]:
+    """Return initialisers of structures."""
+    return ["{" + ", ".join(row) + "}" for row in rows]
+
+
+def double_rows(rows: Iterable[Iterable[float]]) -> list[str]:
+    """Return initialisers of structures of float64."""
+    return struct_rows([hex_double(value) for value in row] for row in rows)
+
+
+@dataclass(frozen=True)
+class Vectors:
+    """One run of the self-test, as C constants: the start, the inputs, and the outputs expected.
+
+    ``reset`` is None for a run after ``NAME_init``, else the drive given to ``NAME_reset``.
+    """
+
+    reset: str | None
+    inputs: Sequence[str]
+    outputs: Sequence[str]
+
+
+@dataclass(frozen=True)
+class ModelCode:
+    """A model in one arithmetic as C, before it has a name.
+
+    Attributes
+    ----------
+    number : str
+        The type of inputs, outputs and drives.
+    members : list of str
+        Members of the state beside the output.
+    template : str
+        The template of NAME.c.
+    values : mapping
+        What it is filled with.
+    vectors : list of Vectors
+        The self-test.
+    headers : tuple of str
+        The kernel's headers beside ``dbo_kernel.h``.
+    table_bytes : int
+        The size of the constant tables.
+    bounds : mapping
+        Derived bounds on the error by name; empty for double.
+    """
+
+    number: str
+    members: list[str]
+    template: str
+    values: Values
+    vectors: list[Vectors]
+    headers: tuple[str, ...]
+    table_bytes: int
+    bounds: Mapping[str, float]
+
+    @property
+    def state_bytes(self) -> int:
+        """The size of the state on a 32-bit chip, its members at their natural alignment."""
+        place = 2 if max(count for *_, count in map(declared, self.members)) < 2**16 else 4
+        gears = 48 if self.number == "double" else 40
+        sizes = {
+            "double": (8, 8), "float": (4, 4), "int32_t": (4, 4), "uint32_t": (4, 4), "size_t": (4, 4),
+            "int": (4, 4), "dbo_place": (place, place), "dbo_backlash_state": (gears, 8),
+            "dbo_lookup_state": (16, 8), "dbo_section_state": (24, 8), "dbo_inverse_state": (24, 8),
+            "dbo_memory": (8, 8),
+        }  # fmt: skip
+        total = 0
+        for kind, _, count in map(declared, [*self.members, f"{self.number} output;"]):
+            size, alignment = sizes[kind]
+            total = -(-total // alignment) * alignment + size * (count or 1)
+        return -(-total // 8) * 8
+
+
+def declared(member: str) -> tuple[str, str, int]:
+    """Return type, name and length of a member of the state; 0 where it is no array."""
+    kind, rest = member.removesuffix(";").split(" ", 1)
+    name, _, count = rest.removesuffix("]").partition("[")
+    return kind, name, int(count or 0)
+
+
+def delay_line(samples: int, number: str, between: str) -> tuple[list[str], str]:
+    """Return members and steps of a delay of so many samples and a part.
+
+    ``between`` is the expression between two samples, of ``later`` and ``earlier``. Before the first sample
+    the first value holds.
+    """
+    size = samples + 2
+    values = {
+        "SLOTS": str(size), "LATER": str(size - samples), "EARLIER": str(size - samples - 1),
+        "NUMBER": number, "BETWEEN": between,
+    }  # fmt: skip
+    members = [f"{number} delayed[{size}];", "uint32_t delay_at;", "int delay_filled;"]
+    return members, fill("delay_line.c", values)
+
+
+def model_sources(words: Values, code: ModelCode) -> dict[str, str]:
+    """Return a model's header, source and self-test; ``words`` are what every file of an export knows."""
+    values = {
+        **words, **code.values, "NUMBER": code.number,
+        "members": "".join(f"    {member}\n" for member in code.members),
+        "kernel_headers": "".join(f'#include "{header}"\n' for header in code.headers),
+    }  # fmt: skip
+    name = words["NAME"]
+    return {
+        f"{name}.h": fill("NAME.h", values),
+        f"{name}.c": fill(code.template, values),
+        f"{name}_test.c": _self_test(values, code),
+    }
+
+
+def _self_test(values: Values, code: ModelCode) -> str:
+    vectors, runs = [], ""
+    for k, run in enumerate(code.vectors):
+        vectors.append(array(code.number, f"inputs_{k}", run.inputs))
+        vectors.append(array(code.number, f"expected_{k}", run.outputs))
+        start = "init(&state)" if run.reset is None else f"reset(&state, {run.reset})"
+        label = f"after {start[: start.index('(')]}"
+        runs += (
+            f"    {values['NAME']}_{start};\n"
+            f'    wrong += play("{label}", &state, inputs_{k}, expected_{k}, {len(run.inputs)}U);\n'
+        )
+    bits = {"double": "uint64_t", "float": "uint32_t", "int32_t": "int32_t"}[code.number]
+    count = str(sum(len(run.inputs) for run in code.vectors))
+    return fill(
+        "NAME_test.c", {**values, "BITS": bits, "COUNT": count, "vectors": "\n".join(vectors), "runs": runs}
+    )

@@ -1,0 +1,288 @@
+"""Write drives as the file that a generator, a wave table or a converter takes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from dbo_cli.drives.check import TOLERANCE, check_drive
+from dbo_cli.drives.gate import DriveGate, Floats
+from dbo_cli.drives.options import Figure, check_gain, limits_in
+from dbo_cli.errors import InputError, LimitError, Remarks, UsageError
+from dbo_cli.extras.moves import generators as waveforms
+from dbo_cli.extras.moves.generators import FORMATS, Points, Values
+from dbo_cli.hysteresis.model_state import DriveLimits
+from dbo_cli.logs.columns import wish
+from dbo_cli.logs.request import Address, ReadingOptions, check_document
+from dbo_cli.logs.sample_block import joined, require_even
+from dbo_cli.logs.signal_log import open_log
+from dbo_cli.logs.sources import remarks_of
+from dbo_cli.logs.units import in_unit
+from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
+from dbo_cli.records import dataclass
+from dbo_cli.runs.files import Destination, read_record, summary_of_values, write_summary
+
+SAME_RATE = 1e-9  # two drives for one file are of one clock; the stamps' digits aside
+_REMEDIES = {
+    "a gap in time": " (`rows` A:B plays a part, `resample` HZ goes straight through)",
+    "does not close": " (compensate's `periodic` makes one that does; without `loop` it is played once)",
+}
+PLAYS = "a generator plays even steps"
+
+
+@dataclass(frozen=True)
+class WaveformOptions:
+    """What file is asked for, and what the drive may do; limits in volts, or texts with their unit.
+
+    Attributes
+    ----------
+    to : str
+        A key of ``FORMATS``.
+    gain : float
+        Of the amplifier: the file's volts are the drive's over this.
+    points, rate
+        Points of the generator, and points a second (Hz); the drive's own where not given.
+    codes : (int, int), optional
+        The lowest and the highest code; the format's where not given.
+    volts : (float, float), optional
+        What these mean at the generator's output; the drive's ends where not given.
+    loop : bool
+        The drive repeats.
+    tolerance : float, optional
+        By how much another rate may move the drive (V); a thousandth of its range where not given.
+    max_rounding : float
+        By how much rounding to codes may move each drive, in per cent of its range.
+
+    Raises
+    ------
+    UsageError
+        A value is senseless, or says nothing of this format.
+    """
+
+    to: str
+    gain: float = 1.0
+    points: int | None = None
+    rate: float | None = None
+    codes: tuple[float, float] | None = None
+    volts: tuple[float, float] | None = None
+    loop: bool = False
+    v_min: Figure = None
+    v_max: Figure = None
+    max_slew: Figure = None
+    tolerance: Figure = None
+    max_rounding: float = 1.0
+    voltage: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be meant."""
+        limits_in("V", self.v_min, self.v_max, self.max_slew)
+        form = FORMATS[self.to]
+        check_gain(self.gain)
+        if self.volts is not None and math.isinf(self.volts[1] - self.volts[0]):
+            low, high = self.volts
+            raise UsageError(f"`volts` {low:g}:{high:g}: the span is beyond the range of the arithmetic")
+        if form.codes is None and (self.codes or (self.volts and not form.normal)):
+            raise UsageError(f"`{'codes' if self.codes else 'volts'}`: {self.to} files hold volts, no codes")
+        if form.volts_needed and self.volts is None:
+            raise UsageError(f"`volts` LOW:HIGH: say what the lowest and the highest code of {self.to} mean")
+        if form.codes is not None and self.codes is not None:
+            low, high = self.codes
+            least, most = (-32768, 32767) if form.codes[0] < 0 else (0, 65535)
+            if low != round(low) or high != round(high) or not least <= low < high <= most:
+                raise UsageError(f"`codes` {low:g}:{high:g}: give whole numbers from {least} to {most}")
+
+    @property
+    def limits(self) -> DriveLimits:
+        """The drive's limits in volts; infinite where not given."""
+        return limits_in("V", self.v_min, self.v_max, self.max_slew)
+
+
+def write_waveform(
+    drives: Sequence[Address], destination: Destination, reading: ReadingOptions, options: WaveformOptions
+) -> Remarks:
+    """Write a generator's file of one drive, or of several that are played together, and what was done.
+
+    Raises
+    ------
+    InputError
+        A drive has no even clock, or the drives do not belong together.
+    LimitError
+        A drive breaks its limits, does not fit the volts, does not close, or is moved too far by another rate
+        or by rounding.
+    GateError
+        What was written, read back, breaks a limit: this program's fault; nothing is left behind.
+    """
+    output, summary = destination.output, destination.summary
+    waveforms.check_name("-" if output.is_stream else output.path, options.to)
+    check_outputs([one for one in (output, summary) if one is not None], drives)
+    if summary is not None:
+        check_document(summary, "a summary", "json")
+    signals = _signals(drives, options.voltage)
+    if len(signals) > 1 and not FORMATS[options.to].channels:
+        raise UsageError(f"a {options.to} file holds one drive, not {len(signals)} (one file each)")
+    names = [one.name if len(drives) == len(signals) else f"{one.name}, {column}" for one, column in signals]
+    remarks, found = Remarks(), [_read(*one, reading, options) for one in signals]
+    for _, _, said, _ in found:
+        remarks.add(said)
+    values, steps, _, records = zip(*found, strict=True)
+    for name, one, step in zip(names, values, steps, strict=True):
+        if one.size != values[0].size or abs(step / steps[0] - 1.0) > SAME_RATE:
+            raise InputError(f"{name}: has other rows or another rate than {names[0]}: play them apart")
+    drive = np.stack(values)
+    played = waveforms.at_points(drive, 1.0 / steps[0], options.points, options.rate, options.loop)
+    most = TOLERANCE * float(np.ptp(drive))
+    if options.tolerance is not None:
+        most = in_unit("tolerance", options.tolerance, "V")
+    if played.moved > most:
+        raise LimitError(
+            f"{names[0]}: {played.volts.shape[1]:,} points move the drive by up to {played.moved:.3g} V, "
+            f"more than {most:.3g} V (more `points`, a higher `rate`, or `tolerance` VOLT)"
+        )
+    data, back, lines = _encoded(played, names, options)
+    with all_or_none():
+        write_whole(output, data, protect=drives)
+        if summary is not None:
+            done = (
+                summary_of_values(one, destination.command, read, Remarks([*said.notes, line], said.warnings))
+                for read, one, (_, _, said, _), line in zip(records, back, found, lines, strict=True)
+            )
+            write_summary(summary, list(done))
+    remarks.note(lines)
+    return remarks
+
+
+def _signals(drives: Sequence[Address], columns: Sequence[str]) -> list[tuple[Address, str | None]]:
+    """Return which column of which file each channel is: a column a file, or several of one file."""
+    if len(columns) < 2:
+        return [(one, *(columns or (None,))) for one in drives]
+    if len(drives) == 1:
+        return [(drives[0], column) for column in columns]
+    if len(drives) != len(columns):
+        raise UsageError(
+            f"`voltage`: {len(columns)} columns of {len(drives)} files (one for each, or one for all)"
+        )
+    return list(zip(drives, columns, strict=True))
+
+
+def _read(
+    address: Address, column: str | None, reading: ReadingOptions, options: WaveformOptions
+) -> tuple[Floats, float, Remarks, dict[str, Any]]:
+    """Return a drive in volts, read whole and within its limits, its even step (s), remarks, its record."""
+    name = address.name
+    with open_log(address, {"voltage": wish("voltage", column, option="voltage")}, reading) as log:
+        log.require_time(PLAYS)
+        log.convert("voltage", "V", "a generator's file")
+        block = joined(list(log.blocks()))
+        said, read = remarks_of(log), read_record(name, log.reading_record())
+        assert block.time is not None
+        rows = block.rows
+        drive, stated = block.values["voltage"], log.stated_rate
+    if drive.size < 2:
+        raise InputError(f"{name}: a drive of one row is nothing to play")
+    checked = check_drive(
+        drive,
+        block.time,
+        options.limits,
+        loop=options.loop,
+        place=lambda row: f"row {rows[row]:,}",
+        suffix=" V",
+    )
+    if checked.problems:
+        problem = checked.problems[0]
+        remedy = next((text for words, text in _REMEDIES.items() if words in problem), "")
+        raise LimitError(f"{name}: {problem}{remedy}")
+    return drive, 1.0 / stated if stated else require_even(name, block.time, PLAYS), said, read
+
+
+def _encoded(
+    played: Points, names: Sequence[str], options: WaveformOptions
+) -> tuple[bytes, Floats, list[str]]:
+    """Return the bytes, the volts that passed the gate when read back, and a line on each drive."""
+    form, rate = FORMATS[options.to], played.rate
+    with np.errstate(over="ignore"):
+        volts = played.volts / options.gain
+    if not np.isfinite(volts).all():
+        raise UsageError(f"`gain` {options.gain:g}: the drive over it is beyond the range of the arithmetic")
+    count = volts.shape[1]
+    if not form.points[0] <= count <= form.points[1]:
+        raise UsageError(
+            f"a {options.to} file takes {form.points[0]:g} to {form.points[1]:,g} points, not {count:,} "
+            f"(`points` {min(max(count, form.points[0]), form.points[1]):g})"
+        )
+    if options.to == "wav":
+        rate = waveforms.whole_rate(rate)
+    ends = options.volts or (float(volts.min()), float(volts.max()))
+    if volts.min() < ends[0] or volts.max() > ends[1]:
+        raise LimitError(
+            f"{names[0]}: the drive takes {volts.min():.6g} to {volts.max():.6g} V of the generator, and "
+            f"`volts` gives {ends[0]:.6g} to {ends[1]:.6g} (wider `volts`, or the amplifier's `gain`, "
+            f"which is {options.gain:g})"
+        )
+    limits = options.limits
+    within = (limits.v_min / options.gain, limits.v_max / options.gain)
+    within = within if options.gain > 0.0 else within[::-1]
+    content, back, coarse = _rounded(volts, ends, within, options)
+    for name, exact, rounded in zip(names, volts, back, strict=True):
+        _refuse_coarse(name, exact, rounded, options)
+    data = waveforms.written(options.to, waveforms.Signals(content, rate, ends))
+    slew = None if limits.max_slew is None else limits.max_slew / abs(options.gain) + coarse * rate
+    for one in back:
+        gate = DriveGate(DriveLimits(*within, slew))
+        gate.admit(np.append(one, one[0]) if options.loop else one, 1.0 / rate)
+    rounding = float(np.abs(back - volts).max())
+    codes = options.codes or form.codes or ((-1, 1) if form.normal else None)
+    mean = "" if codes is None else f"; {codes[0]:g} to {codes[1]:g} mean {ends[0]:.6g} to {ends[1]:.6g} V"
+    return (
+        data,
+        back,
+        [_line(name, one, played, rounding, options) + mean for name, one in zip(names, back, strict=True)],
+    )
+
+
+def _rounded(
+    volts: Floats, ends: tuple[float, float], within: tuple[float, float], options: WaveformOptions
+) -> tuple[Values, Floats, float]:
+    """Return what is written for volts, the volts that it means, and how coarse it is (V)."""
+    form = FORMATS[options.to]
+    if form.codes is None and not form.normal:
+        return volts, volts, 0.0
+    if ends[0] == ends[1]:
+        raise UsageError("`volts` LOW:HIGH: the drive is constant, so say what the codes mean")
+    if form.codes is None:
+        half = 0.5 * (ends[1] - ends[0])
+        part = np.clip((volts - ends[0]) / half - 1.0, -1.0, 1.0)
+        return part, np.clip(ends[0] + (part + 1.0) * half, *ends), 0.0
+    codes = options.codes or form.codes
+    coding = waveforms.Coding((int(codes[0]), int(codes[1])), ends)
+    content = coding.encode(volts, within)
+    return content, coding.decode(content), coding.step
+
+
+def _refuse_coarse(name: str, volts: Floats, rounded: Floats, options: WaveformOptions) -> None:
+    """Refuse codes that leave too little of a move (LimitError); a constant drive has none."""
+    move, rounding = float(np.ptp(volts)), float(np.abs(rounded - volts).max())
+    if rounding <= 0.01 * options.max_rounding * move or move == 0.0:
+        return
+    raise LimitError(
+        f"{name}: rounding moves it by up to {rounding:.3g} V, {100.0 * rounding / move:.3g} % of its "
+        f"{move:.3g} V and more than {options.max_rounding:g} % (narrower `volts`, a wider span of `codes`, "
+        "or `max_rounding` PERCENT)"
+    )
+
+
+def _line(name: str, volts: Floats, played: Points, rounding: float, options: WaveformOptions) -> str:
+    """Say what has to be set at the generator, and what rounding did."""
+    low, high = float(volts.min()), float(volts.max())
+    seconds = volts.size / played.rate
+    once = f"repeated at {1.0 / seconds:.9g} Hz" if options.loop else "played once"
+    before = f" before a gain of {options.gain:g}" if options.gain != 1.0 else ""
+    moved = f", another rate {played.moved:.3g} V of the drive" if played.moved else ""
+    held = f"; the last {played.held:,} hold the last value" if played.held else ""
+    return (
+        f"{name}: {volts.size:,} points at {played.rate:.9g} a second, {seconds:.6g} s, {once}{held}; "
+        f"amplitude {high - low:.6g} Vpp, offset {0.5 * (high + low):.6g} V{before}; rounding "
+        f"moves it by at most {rounding:.3g} V{moved}"
+    )
