@@ -457,7 +457,7 @@ def test_compiled_kernel_checks_lengths() -> None:
     none = np.empty(0)
     with pytest.raises(ValueError, match="kernel buffer of the wrong length: words"):
         COMPILED.backlash_engagement(
-            gears, guide, 2, 1, 0.0, True, np.zeros(2, np.uint64), none, none, np.empty(2), 1
+            gears, guide, 2, 1, 0.0, True, np.zeros(0, np.uint64), none, none, np.empty(2), 1
         )
     words = np.zeros(kernel.state_words(2), np.uint64)
     with pytest.raises(ValueError, match="kernel buffer of the wrong length: rows"):

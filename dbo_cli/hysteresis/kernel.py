@@ -277,6 +277,14 @@ def _remember(held: list[float], decay: list[float], drive: float) -> None:
         held[j] = a * held[j] + (1.0 - a) * drive
 
 
+def _recalled(weights: list[float], held: list[float]) -> float:
+    """Return what the terms add up to."""
+    total = 0.0
+    for c, memory in zip(weights, held, strict=True):
+        total += c * memory
+    return total
+
+
 def _known_part(weights: list[float], held: list[float], decay: list[float]) -> tuple[float, float]:
     """Return what the terms keep of the past, and their part kappa of the present output."""
     remembered = kappa = 0.0
@@ -355,8 +363,7 @@ def backlash_run(
         u = value - x0
         if after:
             _remember(held, a, value - reference)
-            for c, term in zip(weights, held, strict=True):
-                remembered += c * term
+            remembered = _recalled(weights, held)
         elif weights:
             remembered, kappa = _known_part(weights, held, a)
             u = (u - remembered) - kappa * (y0 - reference)
