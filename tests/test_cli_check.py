@@ -604,3 +604,14 @@ def test_figures_that_no_amplifier_has(bench: Any) -> None:
     write("close.csv", "time_s,voltage_V", [0.0, 5e-324, 1e-323, 1.5e-323], [0.0, 1.0, 2.0, 3.0])
     done = bench("check", "close.csv", "--format", "json")
     assert done.code == 0 and json.loads(done.out)["fastest"] is None and "Infinity" not in done.out
+
+
+def test_no_escape_character_of_a_file_s_name_reaches_the_terminal(bench: Any) -> None:
+    odd = "a\x1b[31mb\u009bc"
+    with_rows(odd + ".csv", {1: "{time},nan"})
+    write(odd + "d.csv", "time_s,vol\x1b[31mtage_V", TIME, DRIVE)
+    for words in ([odd + ".csv"], [odd + "d.csv"], ["drive.csv", "--against", odd + ".csv"]):
+        for form in ("text", "json"):
+            done = bench("check", *words, "--format", form)
+            assert not {"\x1b", "\u009b"} & set(done.out + done.err), done.out
+            assert words[0] == "drive.csv" or "a [31mb c" in done.out

@@ -404,17 +404,18 @@ def backlash_decay(
     walk = _Walk(gears, n, run, np.zeros_like(words))
     axis = 1 if memory_on_output else 0
     target = drive - (y0 if memory_on_output else x0)
-    bits, low, high = 0, 0.0, walk.begin(n)[axis]
+    low, high = 0.0, walk.begin(n)[axis]
     slack = 1e-9 * high
-    for gear in range(n - 1, -1, -1):
-        if not target > 0.0:
-            break
+    digits = bytearray(b"0") * n  # of B, the highest gear first
+    for place in range(n if target > 0.0 else 0):
+        width = walk.gear(n - 1 - place)[axis]
         if target - low >= (high - target) - slack:
-            bits |= 1 << gear
-            low += walk.gear(gear)[axis]
+            digits[place] = ord("1")
+            low += width
         else:
-            high -= walk.gear(gear)[axis]
-    words[:] = np.frombuffer(bits.to_bytes(8 * len(words), "little"), dtype="<u8")
+            high -= width
+    content = int(digits, 2).to_bytes(8 * len(words), "little")
+    words[:] = np.frombuffer(content, dtype="<u8")
 
 
 def backlash_engagement(

@@ -337,6 +337,11 @@ class DiscreteBacklashOperator:
         self.gears = gear_table(widths, heights, scale_x, scale_y)
         self.equal_run = equal_run(self.gears)
         self._gain = np.array(relaxation.gain if relaxation else (), dtype=np.float64)
+        for key, (low, high) in (("x0", self.x_range), ("y0", self.y_range)):
+            if not low < high:
+                raise ModelError(
+                    f"{key}: rounding leaves nothing of the gears beside {low:.6g}, where they begin"
+                )
 
     def __repr__(self) -> str:
         """Return a short description for debugging."""
@@ -400,7 +405,9 @@ class DiscreteBacklashOperator:
 
     def coordinates(self, state: BacklashState) -> tuple[float, float]:
         """Return X_B and Y_B, (2)-(3)."""
-        chosen = [i for i in range(self.n) if state.bits >> i & 1]
+        stored = state.bits.to_bytes(max(self.n, state.bits.bit_length()) // 8 + 1, "little")
+        bits = np.unpackbits(np.frombuffer(stored, dtype=np.uint8), bitorder="little")
+        chosen = np.flatnonzero(bits[: self.n])
         return (
             self.x0 + math.fsum(self.gears[chosen, 0].tolist()),
             self.y0 + math.fsum(self.gears[chosen, 1].tolist()),
