@@ -31,6 +31,10 @@ def identify(given: Given) -> None:
         dbo identify recorded.csv -o model.json
     Two channels of an oscilloscope; the sensor gives 10 um a volt:
         dbo identify run.csv --voltage CH1 --displacement CH2 --scale displacement=10um/V -o m.json
+
+    Exit code 3
+    -----------
+    The displacement goes the other way with the voltage than --sign says; no model is written.
     """
     reading = given.reading
     refuse_terminal(given.output)
@@ -41,11 +45,18 @@ def identify(given: Given) -> None:
     from dbo_cli.runs.many import identified
 
     fixed = IdentificationOptions(
-        **given.of([*options.IDENTIFICATION, options.ZERO, options.METHOD, options.FORCE]),
+        **given.of([*options.IDENTIFICATION, options.SIGN, options.ZERO, options.METHOD, options.FORCE]),
         skip_seconds=given.skip,
         rated=None if given.v_min is None else (given.v_min, given.v_max),
     )
-    asked = IdentifyRun(given.log, given.validate or [], reading, fixed, **given.of(options.FITTED))
+    asked = IdentifyRun(
+        given.log,
+        given.validate or [],
+        reading,
+        fixed,
+        **given.of(options.FITTED),
+        command=shlex.join(["dbo", *given.typed]),
+    )
     finish(given, identified(asked, given.output, work_of(given), Progress(given.reporter, "read")))
     if not given.output.is_stream and "{" not in given.output.text:
         model = shlex.quote(given.output.text)

@@ -183,6 +183,10 @@ IDENTIFICATION = (
     ),
     Option("--slopes auto|growing|falling|free", "How the gears' slopes may run.", "auto"),
 )
+SIGN = Option(
+    "--sign rising|falling",
+    "Whether displacement rises or falls as voltage rises: exit 3 where the log shows the other.",
+)
 SKIP = Option("--skip SECONDS", "Leave the beginning of every log out of the fit.", "0")
 ZERO = Option(
     "--zero none|mean|first|VALUE",
@@ -206,7 +210,7 @@ COUPLING = Option(
     "--coupling",
     "Channels: find how much each shows in the others, from a log in which all move (excite --channels).",
 )
-FITTED = (VOLTAGE, DISPLACEMENT, PRIOR, SHARED_SHAPE, COUPLING)  # of the fields of ``IdentifyRun``
+FITTED = (VOLTAGE, DISPLACEMENT, PRIOR, SHARED_SHAPE, COUPLING, SUMMARY)  # of the fields of ``IdentifyRun``
 RATED_MIN = Option(
     "--v-min VOLT", "The rating's lower end, with --v-max; logs of another range are warned of."
 )
@@ -367,8 +371,8 @@ DRIVEN = Option(
 # fmt: off
 OPTIONS_OF: dict[str, tuple[Option, ...]] = {
     "identify": (
-        LOGS, *READING, *REPORTING, *IDENTIFICATION, SKIP, ZERO, METHOD, VALIDATE, PRIOR, SHARED_SHAPE,
-        COUPLING, RATED_MIN, RATED_MAX, FORCE, *WORK, VOLTAGE, DISPLACEMENT, OUTPUT,
+        LOGS, *READING, *REPORTING, *IDENTIFICATION, SIGN, SKIP, ZERO, METHOD, VALIDATE, PRIOR, SHARED_SHAPE,
+        COUPLING, RATED_MIN, RATED_MAX, FORCE, *WORK, VOLTAGE, DISPLACEMENT, SUMMARY, OUTPUT,
     ),
     "show": (MODEL, *REPORTING, SHOW_FORMAT, MODEL_FIGURES, SETTLE, OUTPUT),
     "invert": (MODEL, *REPORTING, OUTPUT),

@@ -12,7 +12,7 @@ from dbo_cli import extensions
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.cascade import OtherHysteresis
 from dbo_cli.hysteresis.dynamics import Lag
-from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, PointStage
+from dbo_cli.hysteresis.model import SIGN_VERBS, ActuatorModel, BacklashStage, PointStage
 from dbo_cli.hysteresis.model_file import is_set, read_model, read_set, section_values
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.logs.request import Address, check_document
@@ -67,6 +67,7 @@ def contents(model: ActuatorModel) -> dict[str, Any]:
         "direction": model.direction,
         "input": _quantity(model.input),
         "output": _quantity(model.output),
+        "sign": model.sign,
         "gears": backlash.n if backlash else None,
         "operator": model.size,
         "segments": [stage.m for stage in model.stages if isinstance(stage, PointStage)],
@@ -99,6 +100,7 @@ def as_text(content: Mapping[str, Any]) -> str:
     given, made = content["input"], content["output"]
     lines = [
         f"{content['direction']} model: {_range(given)} to {_range(made)}",
+        f"{made['quantity']} {SIGN_VERBS[content['sign']]} as {given['quantity']} rises",
         content["operator"] + _asymmetry(content) + _lag(content),
     ]
     lines += _moving(content)

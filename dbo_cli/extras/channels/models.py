@@ -28,7 +28,16 @@ from dbo_cli.logs.request import ALL_ROWS, Address, Given, check_document
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.runs import identifying, jobs
-from dbo_cli.runs.identifying import Identified, IdentifyRun, RecordedLog, Recordings
+from dbo_cli.runs.files import write_json
+from dbo_cli.runs.identifying import (
+    Identified,
+    IdentifyRun,
+    RecordedLog,
+    Recordings,
+    sign_line,
+    summary_of_model,
+    with_sign,
+)
 from dbo_cli.runs.jobs import Value
 from dbo_cli.runs.many import CHANNEL, address_of, make_folder_of, say_found
 
@@ -57,16 +66,24 @@ def identify_channels(
             "`coupling` and `keep_going` exclude each other: each channel is needed for the others"
         )
     check_document(output, "a model", "json")
-    if CHANNEL not in output.text:
-        check_outputs([output], inputs)
+    asked.check_outputs([] if CHANNEL in output.text else [output], inputs)
     outcome, work = jobs.Outcome(), dataclasses.replace(work, all_needed=asked.coupling)
     found, coupling = fits_of_channels(asked, work, outcome, listener)
     if found:
         with all_or_none():
-            _write_models(output, {channel: one.model for channel, one in found.items()}, inputs, coupling)
+            models = {channel: one.model for channel, one in found.items()}
+            _write_models(output, models, inputs, coupling)
+            if asked.summary is not None:
+                summaries = []
+                for channel, one in found.items():
+                    summaries.append({"channel": channel, **summary_of_model(one, asked.command)})
+                write_json(asked.summary, summaries)
         shown = ", ".join(f"{option} '{one}'" for option, one in patterns.items())
         read = next(iter(found.values())).remarks.read
-        outcome.remarks.read += [f"{line}; {len(found):,} channels: {shown}" for line in read]
+        read = [f"{line}; {len(found):,} channels: {shown}" for line in read]
+        outcome.remarks.read += with_sign(read, sign_line(models))
+        if len({model.sign for model in models.values()}) > 1:
+            outcome.remarks.warn(f"{sign_line(models)}: are leads exchanged, or does a sensor face away?")
     say_found(found, "channel", outcome.remarks)
     return outcome
 
@@ -231,7 +248,7 @@ def _write_models(
 
 def options_of_channel(options: IdentificationOptions) -> IdentificationOptions:
     """Return what of the options goes with a shape that is kept."""
-    kept = {name: getattr(options, name) for name in ("skip_seconds", "rated", "force")}
+    kept = {name: getattr(options, name) for name in ("skip_seconds", "rated", "force", "sign")}
     return IdentificationOptions(**kept, sensor_delay=options.sensor_delay, sensor_lag=options.sensor_lag)
 
 
