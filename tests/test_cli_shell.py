@@ -65,7 +65,7 @@ WRONG = {
     "identify a.csv --header-lines 3": "--header-lines: '3' is none of 0, 1, 2",
     "identify a.csv --block-rows 0": "--block-rows: must be at least 1, not 0",
     "simulate m.json a.csv --outside wrap": "--outside: 'wrap' is none of extend, hold, error",
-    "compensate m.json a.csv --on-limit stop": "--on-limit: 'stop' is none of clip, error",
+    "compensate m.json a.csv --on-limit stop": "--on-limit: 'stop' is none of auto, clip, error",
     "compensate m.json a.csv --v-min 5 --v-max 5": "--v-min 5 must be below --v-max 5",
     "compensate m.json a.csv --max-slew 0": "--max-slew: must be above 0, not 0",
     "report a.csv --lag soon": "--lag soon: neither a whole number of samples nor 'auto'",
