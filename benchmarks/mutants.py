@@ -62,7 +62,7 @@ class Copy:
         """Return the first test that fails, or None."""
         files = []
         for name in tests:
-            files += [str(path) for path in Path("tests").rglob(f"test_{name}.py")]
+            files += [str(path.relative_to(ROOT)) for path in (ROOT / "tests").rglob(f"test_{name}.py")]
         try:
             done = self.run("-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *files)
         except subprocess.TimeoutExpired:
