@@ -348,12 +348,14 @@ def test_figures_of_channels_are_refused_before_anything_is_written(mirror: Any)
 def test_show_lists_the_models_of_a_set(mirror: Any) -> None:
     said = mirror("show", "set.json")
     assert said.out.splitlines()[0] == "3 models (FILE::CHANNEL names one)"
-    assert [line.split()[0] for line in said.out.splitlines()[2:]] == ["channel", *CHANNELS]
+    rows = [line.split() for line in said.out.splitlines()[2:]]
+    assert [row[0] for row in rows] == ["channel", *CHANNELS]
+    assert [row[rows[0].index("sign") + 6] for row in rows[1:]] == ["rising"] * 3
     assert (
         json.loads(mirror("show", "set.json", "--format", "json").out)["models"]["b"]["output"]["max"] == 10.0
     )
     assert mirror("show", "set.json::b").out.startswith(
-        "forward model: voltage 0 to 10 V to displacement 1 to 10 um\n"
+        "forward model: voltage 0 to 10 V to displacement 1 to 10 um\ndisplacement rises as voltage rises\n"
     )
 
 

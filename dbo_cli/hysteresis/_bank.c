@@ -93,7 +93,7 @@ static double inwards(const bank *self, size_t k) {
 /* Whether a voltage may follow the last one: DriveGate for one row. */
 static int may_pass(const bank *self, size_t k, double volts) {
     const double low = self->low[k], high = self->high[k], last = self->last[k], most = self->most[k];
-    int inside = low <= volts && volts <= high;
+    int inside = low <= volts && volts <= high && volts - volts == 0.0; /* and finite */
     if (last == last && !inside && !(low <= last && last <= high))
         inside = last < low ? last <= volts && volts <= low : high <= volts && volts <= last;
     if (inside && last == last && most == most) {

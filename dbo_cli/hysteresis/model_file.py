@@ -36,6 +36,9 @@ VERSION = 2
 
 MOST_STAGES = 16  # twice what identification makes; 400 of a million segments took minutes to be refused
 MOST_GEARS = 1_000_000  # a file of some bytes must not ask for more memory than a machine has
+LARGEST = 1e60  # of every number: products of five of them are still within float64
+SMALLEST = 1e-60  # of widths and damping; likewise
+SHORTEST = 1e-15  # s; and Hz: what is shorter than a period of light, or takes 30 million years
 SHORTEST_RUN = 3  # equal widths in a row are written once from this many on: two are shorter as they are
 LINE = 100  # characters, after which the next line of a list begins
 _BEGIN_OF_SET = re.compile(rb'(\xef\xbb\xbf)?\s*\{\s*"format":\s*"' + SET_FORMAT.encode() + rb'"')
@@ -110,6 +113,39 @@ class Node(NamedTuple):
             number = math.inf
         if not math.isfinite(number):
             raise self.refuse(key, f"{number!r} is not a finite number")
+        if abs(number) > LARGEST:
+            raise self.refuse(key, f"{number!r} is beyond {LARGEST:g}, which no signal reaches")
+        return number
+
+    def lengths(self, key: str) -> list[float]:
+        """Return widths (``widths``) of which none is too small to be divided by."""
+        numbers = self.widths(key)
+        if small := [number for number in numbers if 0.0 < abs(number) < SMALLEST]:
+            raise self.refuse(f"{key}[{numbers.index(small[0])}]", self._too_small(small[0]))
+        return numbers
+
+    def length(self, key: str) -> float:
+        """Return a number that is not too small to be divided by."""
+        number = self.number(key)
+        if 0.0 < abs(number) < SMALLEST:
+            raise self.refuse(key, self._too_small(number))
+        return number
+
+    def _too_small(self, number: float) -> str:
+        return f"{number!r} is below {SMALLEST:g}, which is nothing"
+
+    def time(self, key: str) -> float:
+        """Return a time in seconds, or a frequency in Hz, 0 included."""
+        return self.as_time(key, self.number(key))
+
+    def times(self, key: str) -> list[float]:
+        """Return a list of times in seconds."""
+        return [self.as_time(f"{key}[{i}]", number) for i, number in enumerate(self.numbers(key))]
+
+    def as_time(self, key: str, number: float) -> float:
+        """Return a number that may be a time (s) or a frequency (Hz)."""
+        if number != 0.0 and not SHORTEST <= abs(number) <= 1.0 / SHORTEST:
+            raise self.refuse(key, f"{number!r} is not from {SHORTEST:g} to {1.0 / SHORTEST:g}")
         return number
 
     def text(self, key: str) -> str:
@@ -206,7 +242,7 @@ def read_relaxation(node: Node, key: str) -> tuple[Relaxation, Axis]:
     axis = terms.text("on")
     if axis not in {"input", "output"}:
         raise terms.refuse("on", f"{axis!r} is neither 'input' nor 'output'")
-    reference, tau, gain = terms.number("reference"), terms.numbers("tau"), terms.numbers("gain")
+    reference, tau, gain = terms.number("reference"), terms.times("tau"), terms.numbers("gain")
     return node.build(lambda: Relaxation(reference, tuple(tau), tuple(gain))), cast(Axis, axis)
 
 
@@ -265,14 +301,14 @@ QUANTITY = (
     Field("min", Node.number, attribute="minimum"),
     Field("max", Node.number, attribute="maximum"),
 )
-MODE = Field("frequency", Node.number), Field("damping", Node.number)
+MODE = Field("frequency", Node.time), Field("damping", Node.length)
 RESONANCE = (*MODE, Field("antiresonance", _antiresonance, _antiresonance_values, optional=True))
-LAG = Field("lag", Node.number, attribute="seconds"), Field("lead", Node.number, optional=True)
+LAG = Field("lag", Node.time, attribute="seconds"), Field("lead", Node.time, optional=True)
 CURVE = (
     Field("x0", Node.number),
     Field("y0", Node.number),
-    Field("dx", Node.widths, lambda stage: _with_runs(stage.dx.tolist())),
-    Field("dy", Node.widths, lambda stage: _with_runs(stage.dy.tolist())),
+    Field("dx", Node.lengths, lambda stage: _with_runs(stage.dx.tolist())),
+    Field("dy", Node.lengths, lambda stage: _with_runs(stage.dy.tolist())),
 )
 GEARS = (*CURVE, Field("relaxation", read_relaxation, _memory_values, optional=True))
 SECTIONS = (Field("sections", _sections, lambda stage: [section_values(one) for one in stage.sections]),)
@@ -291,7 +327,7 @@ STAGES = {
     "point": Kind(PointStage, PointStage, CURVE),
     "scale": Kind(ScaleStage, ScaleStage, (Field("gain", Node.number), Field("offset", Node.number))),
     "dynamics": Kind(DynamicsStage, DynamicsStage, SECTIONS),
-    "delay": Kind(DelayStage, DelayStage, (Field("seconds", Node.number),)),
+    "delay": Kind(DelayStage, DelayStage, (Field("seconds", Node.time),)),
 }
 """Every stage that a model of gears may have; ``docs/model-file.md`` says what they mean."""
 

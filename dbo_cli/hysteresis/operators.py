@@ -320,6 +320,11 @@ class DiscreteBacklashOperator:
         self.equal_run = equal_run(self.gears)
         self._size, self._buffer = kernel.state_words(self.n), kernel.buffer_words(self.n)  # in words
         self._gain = np.array(relaxation.gain if relaxation else (), dtype=np.float64)
+        for key, (low, high) in (("x0", self.x_range), ("y0", self.y_range)):
+            if not low < high:
+                raise ModelError(
+                    f"{key}: rounding leaves nothing of the gears beside {low:.6g}, where they begin"
+                )
 
     def __repr__(self) -> str:
         """Return a short description for debugging."""
@@ -377,19 +382,22 @@ class DiscreteBacklashOperator:
             return self.empty()
         if target >= span:
             return self.full()
-        bits, low, high = 0, 0.0, span
+        low, high = 0.0, span
         widths: list[float] = self.gears[:, axis].tolist()
-        for k in range(self.n - 1, -1, -1):
+        digits = bytearray(b"0") * self.n  # of B, the highest gear first; setting bits of B would copy it
+        for place, width in enumerate(reversed(widths)):
             if target - low >= high - target - CROSSING_TOLERANCE * span:
-                bits |= 1 << k
-                low += widths[k]
+                digits[place] = ord("1")
+                low += width
             else:
-                high -= widths[k]
-        return BacklashState(bits)
+                high -= width
+        return BacklashState(int(digits, 2))
 
     def coordinates(self, state: BacklashState) -> tuple[float, float]:
         """Return X_B and Y_B, (2)-(3)."""
-        chosen = [i for i in range(self.n) if state.bits >> i & 1]
+        stored = state.bits.to_bytes(max(self.n, state.bits.bit_length()) // 8 + 1, "little")
+        bits = np.unpackbits(np.frombuffer(stored, dtype=np.uint8), bitorder="little")
+        chosen = np.flatnonzero(bits[: self.n])
         return (
             self.x0 + math.fsum(self.gears[chosen, 0].tolist()),
             self.y0 + math.fsum(self.gears[chosen, 1].tolist()),

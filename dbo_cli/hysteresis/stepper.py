@@ -37,7 +37,9 @@ def may_follow(volts: float, last: float, low: float, high: float, most: float) 
         inside = last <= volts <= low
     elif not inside and last > high:
         inside = high <= volts <= last
-    return inside and not abs(volts - last) > most + ROUNDING * max(abs(last), abs(volts))
+    if not (inside and math.isfinite(volts)):  # infinity is inside a range without an end
+        return False
+    return not abs(volts - last) > most + ROUNDING * max(abs(last), abs(volts))
 
 
 def inwards(last: float, low: float, high: float, most: float) -> float | None:

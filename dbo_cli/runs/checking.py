@@ -117,7 +117,7 @@ def check_file(
         place=lambda row: f"row {int(rows[row]):,}",
         suffix=suffix,
     )
-    checked.problems[:0] = problems
+    checked.problems[:0] = map(cleaned, problems)
     if against is not None:
         check_played(checked, meant.values, values, (meant.step, read.step), most, options.gain, suffix)
     name = cleaned(drive.name)

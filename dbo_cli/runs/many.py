@@ -109,7 +109,7 @@ def identified(asked: IdentifyRun, output: Address, work: Work, listener: Listen
         if wants_channels(output, asked.voltage, asked.displacement):
             outcome: Outcome = extensions.find("run", "identify channels")(asked, output, work, listener)
             return outcome
-        if not (asked.shared_shape or asked.coupling):
+        if not asked.brought:
             return identify_files(asked, output, work, listener)
     asked.refuse_channels_options()
     found = asked.run(output, listener)
@@ -154,12 +154,15 @@ def wants_channels(output: Address, *selectors: str | None) -> bool:
 def identify_files(asked: IdentifyRun, output: Address, work: Work, listener: Listener) -> Outcome:
     """Identify a model of each log by itself."""
     check_names(output, asked.logs)
+    if asked.summary is not None and FILE not in asked.summary.text:
+        raise UsageError(f"`summary` {asked.summary.text}: each log has its own (put {FILE} into its name)")
     files = [of_file(output, log) for log in asked.logs]
     check_outputs(files, [*asked.logs, *asked.validation])
-    calls = [
-        (log, functools.partial(dataclasses.replace(asked, logs=[log]).run, file))
-        for log, file in zip(asked.logs, files, strict=True)
-    ]
+    calls = []
+    for log, file in zip(asked.logs, files, strict=True):
+        summary = None if asked.summary is None else of_file(asked.summary, log)
+        of_log = dataclasses.replace(asked, logs=[log], summary=summary)
+        calls.append((log, functools.partial(of_log.run, file)))
     found, outcome = each_file(calls, work, listener)
     outcome.remarks.read += summed_up({name: one.remarks.read for name, one in found.items()}, "file")
     if len(asked.logs) == 1 and found:

@@ -6,13 +6,14 @@ import json
 import textwrap
 from collections.abc import Mapping
 from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 from dbo_cli import extensions
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.cascade import OtherHysteresis
 from dbo_cli.hysteresis.dynamics import Lag
-from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, PointStage
+from dbo_cli.hysteresis.model import SIGN_VERBS, ActuatorModel, BacklashStage, PointStage
 from dbo_cli.hysteresis.model_file import is_set, read_model, read_set, section_values
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.logs.request import Address, check_document
@@ -23,13 +24,20 @@ APART = ("notes", "warnings", "logs", "validation", "alternatives", "swings")  #
 
 
 def show_model(
-    model_file: str, output: Address, form: str | None, figures: str | None, settle: str | None = None
+    model_file: str,
+    output: Address,
+    form: str | None,
+    figures: str | None,
+    brought: Mapping[str, Any] = MappingProxyType({}),
 ) -> list[str]:
-    """Write what is in a model or a set of them; returns notes (where figures went)."""
+    """Write what is in a model or a set of them; returns notes (where figures went).
+
+    ``brought``: what the options that extras bring were given; each adds a part to what is shown of a model.
+    """
     chosen = form or ("json" if output.text.lower().endswith(".json") else "text")
     if is_set(model_file):
-        if settle is not None:
-            raise UsageError(f"`settle` is of one model, and {model_file} is a set ({model_file}::CHANNEL)")
+        for name in brought:
+            raise UsageError(f"`{name}` is of one model, and {model_file} is a set ({model_file}::CHANNEL)")
         if figures is not None:
             raise UsageError(
                 f"`figures` draws one model, and {model_file} is a set: name one ({model_file}::CHANNEL)"
@@ -43,7 +51,10 @@ def show_model(
             from dbo_cli.reports.drawing import check_folder, save
 
             folder = check_folder(figures)
-        content = contents(model) | _settling(model, settle)
+        content = contents(model)
+        forward = model if model.direction == "forward" else model.inverse()
+        for name, value in brought.items():
+            content |= extensions.find("run", f"show --{name}")(forward, value)
         text = json.dumps(content, indent=2, ensure_ascii=False) if chosen == "json" else as_text(content)
     write_whole(output, (text + "\n").encode(), protect=[model_file])
     if figures is None:
@@ -67,6 +78,7 @@ def contents(model: ActuatorModel) -> dict[str, Any]:
         "direction": model.direction,
         "input": _quantity(model.input),
         "output": _quantity(model.output),
+        "sign": model.sign,
         "gears": backlash.n if backlash else None,
         "operator": model.size,
         "segments": [stage.m for stage in model.stages if isinstance(stage, PointStage)],
@@ -86,19 +98,12 @@ def contents(model: ActuatorModel) -> dict[str, Any]:
     }
 
 
-def _settling(model: ActuatorModel, settle: str | None) -> dict[str, Any]:
-    """Return how long a step over the whole drive takes to stay within a distance, where it is asked for."""
-    if settle is None:
-        return {}
-    forward = model if model.direction == "forward" else model.inverse()
-    return {"settling": extensions.find("run", "show --settle")(forward, settle)}
-
-
 def as_text(content: Mapping[str, Any]) -> str:
     """Return the contents as lines for a terminal."""
     given, made = content["input"], content["output"]
     lines = [
         f"{content['direction']} model: {_range(given)} to {_range(made)}",
+        f"{made['quantity']} {SIGN_VERBS[content['sign']]} as {given['quantity']} rises",
         content["operator"] + _asymmetry(content) + _lag(content),
     ]
     lines += _moving(content)

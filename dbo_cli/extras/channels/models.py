@@ -28,7 +28,16 @@ from dbo_cli.logs.request import ALL_ROWS, Address, Given, check_document
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.runs import identifying, jobs
-from dbo_cli.runs.identifying import Identified, IdentifyRun, RecordedLog, Recordings
+from dbo_cli.runs.files import write_json
+from dbo_cli.runs.identifying import (
+    Identified,
+    IdentifyRun,
+    RecordedLog,
+    Recordings,
+    sign_line,
+    summary_of_model,
+    with_sign,
+)
 from dbo_cli.runs.jobs import Value
 from dbo_cli.runs.many import CHANNEL, address_of, make_folder_of, say_found
 
@@ -50,23 +59,31 @@ def identify_channels(
 ) -> jobs.Outcome:
     """Identify a model of each channel and write a set of them, or (``{channel}``) a file of each."""
     patterns, inputs = asked_patterns(asked), [*asked.logs, *asked.validation]
-    if asked.coupling and CHANNEL in output.text:
+    if asked.brought.get("coupling", False) and CHANNEL in output.text:
         raise UsageError(f"`coupling` belongs to all channels: write one set, without {CHANNEL} in its name")
-    if asked.coupling and work.keep_going:
+    if asked.brought.get("coupling", False) and work.keep_going:
         raise UsageError(
             "`coupling` and `keep_going` exclude each other: each channel is needed for the others"
         )
     check_document(output, "a model", "json")
-    if CHANNEL not in output.text:
-        check_outputs([output], inputs)
-    outcome, work = jobs.Outcome(), dataclasses.replace(work, all_needed=asked.coupling)
+    asked.check_outputs([] if CHANNEL in output.text else [output], inputs)
+    outcome, work = jobs.Outcome(), dataclasses.replace(work, all_needed=asked.brought.get("coupling", False))
     found, coupling = fits_of_channels(asked, work, outcome, listener)
     if found:
         with all_or_none():
-            _write_models(output, {channel: one.model for channel, one in found.items()}, inputs, coupling)
+            models = {channel: one.model for channel, one in found.items()}
+            _write_models(output, models, inputs, coupling)
+            if asked.summary is not None:
+                summaries = []
+                for channel, one in found.items():
+                    summaries.append({"channel": channel, **summary_of_model(one, asked.command)})
+                write_json(asked.summary, summaries)
         shown = ", ".join(f"{option} '{one}'" for option, one in patterns.items())
         read = next(iter(found.values())).remarks.read
-        outcome.remarks.read += [f"{line}; {len(found):,} channels: {shown}" for line in read]
+        read = [f"{line}; {len(found):,} channels: {shown}" for line in read]
+        outcome.remarks.read += with_sign(read, sign_line(models))
+        if len({model.sign for model in models.values()}) > 1:
+            outcome.remarks.warn(f"{sign_line(models)}: are leads exchanged, or does a sensor face away?")
     say_found(found, "channel", outcome.remarks)
     return outcome
 
@@ -74,7 +91,7 @@ def identify_channels(
 def asked_patterns(asked: IdentifyRun) -> dict[str, str]:
     """Return the patterns of columns; UsageError for a single column, or a shape from two places."""
     patterns = patterns_of(voltage=asked.voltage or "", displacement=asked.displacement or "")
-    if asked.shared_shape and asked.prior is not None:
+    if asked.brought.get("shared_shape", False) and asked.prior is not None:
         raise UsageError("`shared_shape` and `prior` exclude each other: each is where the shape comes from")
     return patterns
 
@@ -107,13 +124,13 @@ def fits_of_channels(
             own |= {"logs": fit, "validation": judged, "prior": None}
             return functools.partial(dataclasses.replace(asked, **own).read, prior=kept(channel))
 
-        if asked.coupling:
+        if asked.brought.get("coupling", False):
             listener.working("how the channels show in each other")
             readings = ((channel, recordings(channel)) for channel in channels)
             coupling, apart = recordings_apart(_all_of(readings, "channel", len(channels)))
             listener.finished()
             outcome.remarks.notes.append(coupling.summary())
-        if asked.shared_shape:
+        if asked.brought.get("shared_shape", False):
             listener.working("the shape that the channels share")
             arguments = asked.arguments(patterns, checked=False)
             words = (channels, lambda one: recordings(one)()[0], options, arguments)
@@ -231,7 +248,7 @@ def _write_models(
 
 def options_of_channel(options: IdentificationOptions) -> IdentificationOptions:
     """Return what of the options goes with a shape that is kept."""
-    kept = {name: getattr(options, name) for name in ("skip_seconds", "rated", "force")}
+    kept = {name: getattr(options, name) for name in ("skip_seconds", "rated", "force", "sign")}
     return IdentificationOptions(**kept, sensor_delay=options.sensor_delay, sensor_lag=options.sensor_lag)
 
 

@@ -28,7 +28,7 @@ def set_text(models_of_set: ModelSet, form: str) -> str:
 def _set_lines(models: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """Return a table of a set: what each channel spans, how good it is, and how many warnings it has."""
     rows: list[tuple[str, ...]] = [
-        ("channel", "drive", "output", "gears", "fit RMSE", "% of range", "expected", "warnings")
+        ("channel", "drive", "output", "sign", "gears", "fit RMSE", "% of range", "expected", "warnings")
     ]
     for channel, one in models.items():
         fit, unit = one["fit"], one["output"]["unit"] or ""
@@ -42,7 +42,8 @@ def _set_lines(models: Mapping[str, Mapping[str, Any]]) -> list[str]:
             else f"{fit[key]:.3g}{'' if key.endswith('percent') else f' {unit}'}".strip()
             for key in ("rmse", "rmse_percent", "expected_rmse")
         ]
-        rows.append((channel, *ends, str(one["gears"] or ""), *errors, str(len(one["warnings"]))))
+        gears, warned = str(one["gears"] or ""), str(len(one["warnings"]))
+        rows.append((channel, *ends, one["sign"], gears, *errors, warned))
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
     return [f"{len(models):,} models (FILE::CHANNEL names one)", "", *lines]

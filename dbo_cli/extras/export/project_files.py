@@ -195,7 +195,7 @@ def check_folder(folder: str, overwrite: bool) -> None:
         known = set(listed["files"]) if listed["format"] == FORMAT else set()
         made = {path.removesuffix(".c") + ".o" for path in known}  # by make
         known |= made | {f"{listed['name']}_test", "example"}
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         known = set()
     found = sorted(p.relative_to(target).as_posix() for p in target.rglob("*") if not p.is_dir())
     if strangers := [path for path in found if path not in known]:
