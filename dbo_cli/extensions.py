@@ -64,6 +64,11 @@ class Extra:
             find_spec("dbo_cli.extras") is not None and find_spec(f"dbo_cli.extras.{self.name}") is not None
         )
 
+    def things(self, kind: Kind) -> Iterator[tuple[str, Any]]:
+        """Give the key of each thing of a kind, and the thing, imported."""
+        for key, place in self.brings.get(kind, {}).items():
+            yield key, _imported(self, place, key)
+
 
 OWN = (
     Extra(
@@ -91,11 +96,17 @@ OWN = (
             "model": {"dbo-model-set": "dbo_cli.extras.channels.model_set:read_set"},
             "run": {
                 "signals of channels": "dbo_cli.extras.channels.signals:signals_of_channels",
+                "excite --channels": "dbo_cli.extras.channels.excitation:drives_of_channels",
                 "identify channels": "dbo_cli.extras.channels.models:identify_channels",
                 "report channels": "dbo_cli.extras.channels.report:report_channels",
                 "show a set": "dbo_cli.extras.channels.show:set_text",
                 "identify a set": "dbo_cli.extras.channels.api:identified_set",
                 "set from Python": "dbo_cli.extras.channels.api:set_of",
+            },
+            "option": {
+                "identify --shared-shape": "dbo_cli.extras.channels.options:SHARED_SHAPE",
+                "identify --coupling": "dbo_cli.extras.channels.options:COUPLING",
+                "excite --channels": "dbo_cli.extras.channels.options:CHANNELS",
             },
             "api": {"ModelSet": "dbo_cli.extras.channels.api:ModelSet"},
         },
@@ -133,6 +144,7 @@ OWN = (
                 "compensate --settle": "dbo_cli.extras.moves.settling:StepTimes",
                 "show --settle": "dbo_cli.extras.moves.settling:settling_shown",
             },
+            "option": {"show --settle": "dbo_cli.extras.moves.options:SHOW_SETTLE"},
             "api": {"trajectory": "dbo_cli.extras.moves.trajectory:trajectory"},
         },
     ),
@@ -177,15 +189,19 @@ def keys(kind: Kind) -> Iterator[str]:
 def every(kind: Kind) -> Iterator[tuple[str, Any]]:
     """Give the key and the thing, imported, of all that the installed extras bring of a kind."""
     for extra in installed():
-        for key, place in extra.brings.get(kind, {}).items():
-            yield key, _imported(extra, place, key)
+        yield from extra.things(kind)
+
+
+def own() -> Iterator[Extra]:
+    """Give this program's own extras that are there."""
+    for extra in OWN:
+        if extra.is_installed:
+            yield extra
 
 
 def installed() -> Iterator[Extra]:
     """Give the extras that are there: this program's own ones, then those of other packages."""
-    for extra in OWN:
-        if extra.is_installed:
-            yield extra
+    yield from own()
     yield from others()
 
 

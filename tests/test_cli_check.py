@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from conftest import SMALL_MODEL
+from scipy.interpolate import CubicSpline
+from scipy.signal import correlate
+
+from dbo_cli.drives import check
 
 
 def write(name: str, header: str, *columns: Any) -> None:
@@ -635,3 +641,26 @@ def test_no_escape_character_of_a_file_s_name_reaches_the_terminal(bench: Any) -
             done = bench("check", *words, "--format", form)
             assert not {"\x1b", "\u009b"} & set(done.out + done.err), done.out
             assert words[0] == "drive.csv" or "a [31mb c" in done.out
+
+
+@pytest.mark.parametrize("rows", [16, 17, 40, 100, 3000])
+def test_the_spline_and_the_correlation_are_those_of_scipy(rows: int) -> None:
+    rng = np.random.default_rng(rows)
+    drive, other = rng.normal(size=rows).cumsum(), rng.normal(size=rows // 2)
+    curve, places = CubicSpline(np.arange(float(rows)), drive), rng.uniform(0.0, rows - 1.0, 200)
+    value, slope = check._Curve(drive).at(places)
+    np.testing.assert_allclose(value, curve(places), atol=1e-13 * np.ptp(drive))
+    np.testing.assert_allclose(slope, curve(places, 1), atol=1e-13 * np.ptp(drive))
+    for a, b in ((drive, other), (other, drive), (drive, drive)):
+        exact = correlate(b, a, method="direct")
+        np.testing.assert_allclose(check._correlated(b, a), exact, atol=1e-12 * np.abs(exact).max())
+
+
+def test_a_comparison_needs_no_scipy(bench: Any) -> None:
+    write("played.csv", "time_s,monitor_V", TIME + 0.0, 50.0 + 40.0 * np.sin(31.4159 * (TIME - 0.0004)))
+    script = (
+        "import sys; from dbo_cli.cli.app import main; "
+        "main(['check', 'played.csv', '--against', 'drive.csv']); assert 'scipy' not in sys.modules"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and "  played: " in done.stdout, done.stderr

@@ -20,6 +20,7 @@ from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.extras.live.converter import Converter
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag
 from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits
+from dbo_cli.hysteresis.stepper import may_follow
 from dbo_cli.runs.api import Model
 
 
@@ -86,6 +87,13 @@ def test_the_gate_lets_no_infinite_row_through_whatever_its_range(row: float, la
             DriveGate(limits, last).admit(np.array([1.0, row, 2.0]))
         assert DriveGate(limits, last).broken(np.array([row])).all()
     assert DriveGate(DriveLimits(-np.inf, np.inf), last).violation(np.array([1e308])) == ""
+
+
+@pytest.mark.parametrize("volts", [np.inf, -np.inf, np.nan])
+@pytest.mark.parametrize("last", [np.nan, 0.0])
+def test_no_infinite_row_follows_another(volts: float, last: float) -> None:
+    assert not may_follow(volts, last, -np.inf, np.inf, np.inf)
+    assert may_follow(1e308, last, -np.inf, np.inf, np.inf)
 
 
 def test_from_outside_its_range_a_drive_may_only_come_inwards() -> None:

@@ -197,7 +197,7 @@ def test_an_empty_actuator_stands_at_its_lower_end_for_codes_too() -> None:
 
 NO_NUMBERS: list[Any] = [
     True, np.True_, "5", b"5", None, [5.0], np.array([5.0]), 5j, np.array("5"), np.ma.masked, {}, 10**400,
-    float("nan"), float("inf"), -float("inf"), np.float32("nan"), 1e300, -1e300, object(),
+    float("nan"), float("inf"), -float("inf"), np.float32("nan"), 1e300, -1e300, object,
 ]  # fmt: skip
 
 

@@ -7,10 +7,12 @@ needs is imported when it runs: a page of help loads nothing heavy.
 from __future__ import annotations
 
 import shlex
+from collections.abc import Iterable, Sequence
 
 from dbo_cli import extensions
 from dbo_cli.cli import options
 from dbo_cli.cli.command import Command, Given, Progress, destination_of, finish, refuse_terminal, work_of
+from dbo_cli.cli.options import Option
 from dbo_cli.errors import UsageError
 
 
@@ -56,6 +58,7 @@ def identify(given: Given) -> None:
         fixed,
         **given.of(options.FITTED),
         command=shlex.join(["dbo", *given.typed]),
+        brought=given.brought,
     )
     finish(given, identified(asked, given.output, work_of(given), Progress(given.reporter, "read")))
     if not given.output.is_stream and "{" not in given.output.text:
@@ -81,7 +84,7 @@ def show(given: Given) -> None:
     """
     from dbo_cli.runs.showing import show_model
 
-    given.reporter.notes(show_model(given.model, given.output, given.format, given.figures, given.settle))
+    given.reporter.notes(show_model(given.model, given.output, given.format, given.figures, given.brought))
 
 
 def invert(given: Given) -> None:
@@ -264,19 +267,16 @@ def excite(given: Given) -> None:
     """
     from dbo_cli.hysteresis.excitation import excitation_of
     from dbo_cli.logs.units import in_unit
-    from dbo_cli.runs.files import write_excitation
+    from dbo_cli.runs.files import excitation_drives, write_excitation
 
-    if given.channels is not None and given.points is not None:
-        raise UsageError(
-            "`points` and `channels` exclude each other: channels that move one by one take more rows"
-        )
     words = given.of(options.EXCITATION)
     volts = {
         key: None if words[key] is None else in_unit(key, words[key], "V", "s" if key == "max_slew" else None)
         for key in ("v_min", "v_max", "max_slew", "sweep_amplitude")
     }
     asked = excitation_of(**words | volts)
-    rows = write_excitation(given.output, asked, given.format, given.channels)
+    drives = excitation_drives(asked, given.points, given.brought)
+    rows = write_excitation(given.output, asked, given.format, drives)
     given.reporter.detail(
         f"{rows:,} rows, {rows / asked.sample_rate:g} s, {asked.v_min:g} to {asked.v_max:g} V"
     )
@@ -298,20 +298,45 @@ def names() -> list[str]:
     return [*CORE, *extensions.keys("command")]
 
 
-def find(name: str) -> Command | None:
+def find(name: str, words: Sequence[str] | None = None) -> Command | None:
     """Return the command of a name, with the options that extras bring; None where there is none.
+
+    Parameters
+    ----------
+    name
+        The command.
+    words
+        The command line. Other packages are looked at only where it has an option that is not known by then;
+        without a command line always.
 
     Raises
     ------
     UsageError
-        It belongs to an extra that is not installed.
+        It, or an option of the command line, belongs to an extra that is not installed.
     """
     command = CORE.get(name)
     if command is None:
-        brought: Command | None = extensions.find("command", name)
-        return brought
-    extra_options = [option for key, option in extensions.every("option") if key.partition(" ")[0] == name]
-    return command._replace(options=(*command.options, *extra_options))
+        from_extra: Command | None = extensions.find("command", name)
+        return from_extra
+    command = command._replace(brought=_brought(name, extensions.own()))
+    if words is not None:
+        typed = {word.partition("=")[0] for word in words if word.startswith("--")}
+        known = {spelling for option in (*command.options, *command.brought) for spelling in option.names}
+        if typed <= known:
+            return command
+        for option in sorted(typed - known):
+            extensions.find("option", f"{name} {option}")  # refuses one of an extra that is missing
+    return command._replace(brought=_brought(name, extensions.installed()))
+
+
+def _brought(name: str, extras: Iterable[extensions.Extra]) -> tuple[Option, ...]:
+    """Return the options that extras bring to a command of the core."""
+    options_of_extras = []
+    for extra in extras:
+        for key, option in extra.things("option"):
+            if key.startswith(f"{name} "):
+                options_of_extras.append(option)
+    return tuple(options_of_extras)
 
 
 def every() -> dict[str, Command]:

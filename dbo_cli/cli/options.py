@@ -202,15 +202,7 @@ VALIDATE = Option(
 PRIOR = Option(
     "--prior MODEL", "Keep the shape of this model, and find its gain, offset and lag again from a short log."
 )
-SHARED_SHAPE = Option(
-    "--shared-shape",
-    "Channels: one loop shape, gain, offset and lag of each; refused where channels left out speak against.",
-)
-COUPLING = Option(
-    "--coupling",
-    "Channels: find how much each shows in the others, from a log in which all move (excite --channels).",
-)
-FITTED = (VOLTAGE, DISPLACEMENT, PRIOR, SHARED_SHAPE, COUPLING, SUMMARY)  # of the fields of ``IdentifyRun``
+FITTED = (VOLTAGE, DISPLACEMENT, PRIOR, SUMMARY)  # of the fields of ``IdentifyRun``
 RATED_MIN = Option(
     "--v-min VOLT", "The rating's lower end, with --v-max; logs of another range are warned of."
 )
@@ -342,9 +334,6 @@ REPORT_FORMAT = Option("--format text|json|csv|html", "Form of the report [defau
 SHOW_FORMAT = Option(
     "--format text|json", "Form of what is shown [default: by the output's name, else text]."
 )
-SETTLE = Option(
-    "--settle DISTANCE", "Say how long a step over the whole drive takes to stay within it (5nm, 0.005)."
-)
 MODEL_FIGURES = Option("--figures DIR", "Draw the model's curves, PNG and SVG, into this folder.")
 
 # --- excite: the parameters of ``write_excitation`` ---
@@ -361,20 +350,14 @@ EXCITATION = (  # of ``excitation_of``
     Option("--sweep-amplitude VOLT", "Of that sweep [default: 1 % of the range].", parse=figure_above_0),
 )
 
-DRIVEN = Option(
-    "--channels N",
-    "Drives of N channels, voltage_1 and so on: together with different turns, then one by one.",
-    parse=whole(2),
-)
-
 # --- which command has which, in the order of the help ---
 # fmt: off
 OPTIONS_OF: dict[str, tuple[Option, ...]] = {
     "identify": (
-        LOGS, *READING, *REPORTING, *IDENTIFICATION, SIGN, SKIP, ZERO, METHOD, VALIDATE, PRIOR, SHARED_SHAPE,
-        COUPLING, RATED_MIN, RATED_MAX, FORCE, *WORK, VOLTAGE, DISPLACEMENT, SUMMARY, OUTPUT,
+        LOGS, *READING, *REPORTING, *IDENTIFICATION, SIGN, SKIP, ZERO, METHOD, VALIDATE, PRIOR,
+        RATED_MIN, RATED_MAX, FORCE, *WORK, VOLTAGE, DISPLACEMENT, SUMMARY, OUTPUT,
     ),
-    "show": (MODEL, *REPORTING, SHOW_FORMAT, MODEL_FIGURES, SETTLE, OUTPUT),
+    "show": (MODEL, *REPORTING, SHOW_FORMAT, MODEL_FIGURES, OUTPUT),
     "invert": (MODEL, *REPORTING, OUTPUT),
     "simulate": (
         MODEL, INPUTS, *READING, *REPORTING, OUTSIDE, *WORK, STATE, SAVE_STATE, INPUT, FLUSH, SUMMARY,
@@ -389,6 +372,6 @@ OPTIONS_OF: dict[str, tuple[Option, ...]] = {
         LOGS, *READING_OF_LOGS, *REPORTING, *TRACKING, *LIMITS, *WORK, FIGURES, REPORT_FORMAT,
         *REPORT_COLUMNS, OUTPUT,
     ),
-    "excite": (*REPORTING, *EXCITATION, DRIVEN, OUTPUT_FORMAT, OUTPUT),
+    "excite": (*REPORTING, *EXCITATION, OUTPUT_FORMAT, OUTPUT),
 }
 # fmt: on

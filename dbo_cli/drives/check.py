@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import field, replace
 from typing import Any, NamedTuple
@@ -294,18 +295,55 @@ def _likeness(drive: Floats, played: Floats, most: float) -> Likeness:
     found = _fitted(drive[begin:end], played[begin + lag : end + lag], lag, 0.0)
     if found.left <= most or end - begin < FEWEST_FOR_PARTS or found.alike < ANOTHER:
         return found
-    from scipy.interpolate import CubicSpline
-
-    curve, part = CubicSpline(np.arange(float(drive.size)), drive), 0.0
+    curve, part = _Curve(drive), 0.0
     rows = np.arange(begin + 1.0, end - 1.0)
     b = played[begin + 1 + lag : end - 1 + lag]
     for _ in range(2):
-        a = curve(rows - part)
-        columns = np.column_stack([a - a.mean(), np.ones(a.size), curve(rows - part, 1)])
+        a, speed = curve.at(rows - part)
+        columns = np.column_stack([a - a.mean(), np.ones(a.size), speed])
         gain, _, slope = np.linalg.lstsq(columns, b, rcond=None)[0].tolist()
         part = min(max(part - slope / gain, -1.0), 1.0) if gain else 0.0
-    again = _fitted(curve(rows - part), b, lag, part)
+    again = _fitted(curve.at(rows - part)[0], b, lag, part)
     return again._replace(rows=found.rows) if again.left < found.left else found
+
+
+class _Curve:
+    """The cubic spline through rows at 0, 1, 2, ...; its first two and last two pieces are one cubic each.
+
+    The second derivatives m solve m[k-1] + 4 m[k] + m[k+1] = 6 (d[k-1] - 2 d[k] + d[k+1]) inside, and
+    m[0] - 2 m[1] + m[2] = 0 at either end. Powers of z = sqrt(3) - 2 solve the equation without its right
+    side: two-sided ones are its answer to a single row, one-sided ones bring the ends about.
+    """
+
+    POLE = math.sqrt(3.0) - 2.0
+    REACH = 40  # rows; POLE to this power is below 1e-22
+
+    def __init__(self, drive: Floats) -> None:
+        self.drive, count = drive, drive.size
+        bend = np.zeros(count)
+        bend[1:-1] = 6.0 * np.diff(drive, 2)
+        powers = self.POLE ** np.arange(count).clip(max=self.REACH)
+        powers[self.REACH :] = 0.0
+        away = np.abs(np.arange(-self.REACH, self.REACH + 1))
+        answer = self.POLE**away / (4.0 + 2.0 * self.POLE)
+        inner = np.convolve(bend, answer)[self.REACH : self.REACH + count]
+        ends = np.array([1.0, -2.0, 1.0])
+        decays = np.stack([powers, powers[::-1]])
+        first, last = decays[:, :3] @ ends, decays[:, -3:] @ ends
+        missed = np.array([inner[:3] @ ends, inner[-3:] @ ends])
+        self.bend: Floats = inner - np.linalg.solve(np.stack([first, last]), missed) @ decays
+
+    def at(self, places: Floats) -> tuple[Floats, Floats]:
+        """Return the curve and its slope (per row) between the first row and the last."""
+        left = np.clip(np.floor(places).astype(np.int64), 0, self.drive.size - 2)
+        after = places - left
+        before = 1.0 - after
+        here, there = self.drive[left], self.drive[left + 1]
+        bend_here, bend_there = self.bend[left] / 6.0, self.bend[left + 1] / 6.0
+        value = here * before + there * after
+        value += (before**3 - before) * bend_here + (after**3 - after) * bend_there
+        slope = there - here - (3.0 * before**2 - 1.0) * bend_here + (3.0 * after**2 - 1.0) * bend_there
+        return value, slope
 
 
 def _fitted(a: Floats, b: Floats, lag: int, part: float) -> Likeness:
@@ -326,8 +364,6 @@ def _lag(drive: Floats, played: Floats) -> int:
     That is the logarithm of the likelihood that one is the other times a gain, n log(1/(1 - r^2)) of n rows
     whose correlation is r: a recording may begin late and end early.
     """
-    from scipy.signal import correlate
-
     a, b = drive - drive.mean(), played - played.mean()
     lags = np.arange(1 - a.size, b.size)
     begin, end = np.maximum(0, -lags), np.minimum(a.size, b.size - lags)
@@ -337,9 +373,16 @@ def _lag(drive: Floats, played: Floats) -> int:
         for values, shift in ((a, 0), (b, lags), (a * a, 0), (b * b, lags))
     ]
     spread = (sums[2] - sums[0] ** 2 / count) * (sums[3] - sums[1] ** 2 / count)
-    shared = correlate(b, a, method="fft") - sums[0] * sums[1] / count
+    shared = _correlated(b, a) - sums[0] * sums[1] / count
     moving = (spread > EXACT * spread.max()) & (count >= FEWEST_SHARED * min(a.size, b.size))
     alike = np.divide(shared**2, spread, out=np.zeros(lags.size), where=moving)
     evidence = -count * np.log(np.maximum(1.0 - alike, EXACT))
     near = lags[evidence >= evidence.max() * (1.0 - 1e-9)]
     return int(near[np.argmin(np.abs(near))])
+
+
+def _correlated(b: Floats, a: Floats) -> Floats:
+    """Return the sums of b[n + lag] a[n] for every lag at which the two overlap."""
+    size = 1 << (a.size + b.size - 2).bit_length()
+    circular = np.fft.irfft(np.fft.rfft(b, size) * np.fft.rfft(a, size).conj(), size)
+    return np.concatenate([circular[size - a.size + 1 :], circular[: b.size]])

@@ -63,21 +63,16 @@ static void fetch_ahead(const bank *self, size_t k) {
     }
     if (k + AHEAD < self->count) {
         const stepper *one = self->channel[k + AHEAD];
-        const size_t words = (one->op.n + 63) / 64, last = one->op.n - 1;
-        const size_t up = one->now.zero < last ? one->now.zero : last, down = one->now.set < last ? one->now.set : last;
-        FETCH(one->now.words);
-        FETCH(one->next.words);
-        FETCH(one->now.words + words);
-        FETCH(one->next.words + words);
+        const size_t up = (size_t)(one->now.zero * one->op.row_factor >> 32);
+        const size_t down = (size_t)(one->now.set * one->op.row_factor >> 32);
+        FETCH(one->now.turns + (one->now.depth > 0 ? one->now.depth - 1 : 0));
         FETCH(one->now.memory);
         FETCH(one->next.memory);
         FETCH(one->decay);
-        if (!one->op.grouped) {
-            FETCH(one->op.gears + up);
-            FETCH(one->op.gears + down);
-            if (one->table) FETCH(one->table + up);
-            if (one->table) FETCH(one->table + down);
-        }
+        FETCH(one->op.gears + up);
+        FETCH(one->op.gears + down);
+        if (one->table) FETCH(one->fixed.gears + up);
+        if (one->table) FETCH(one->fixed.gears + down);
     }
 }
 
@@ -93,7 +88,7 @@ static double inwards(const bank *self, size_t k) {
 /* Whether a voltage may follow the last one: DriveGate for one row. */
 static int may_pass(const bank *self, size_t k, double volts) {
     const double low = self->low[k], high = self->high[k], last = self->last[k], most = self->most[k];
-    int inside = low <= volts && volts <= high;
+    int inside = low <= volts && volts <= high && volts - volts == 0.0; /* and finite */
     if (last == last && !inside && !(low <= last && last <= high))
         inside = last < low ? last <= volts && volts <= low : high <= volts && volts <= last;
     if (inside && last == last && most == most) {

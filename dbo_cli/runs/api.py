@@ -534,8 +534,14 @@ def identify(
     fixed = record_of(IdentificationOptions, options, "is no parameter of identify")
     logs, columns = _given(log, displacement, voltage, time, sample_rate, voltage_unit, displacement_unit)
     reading = ReadingOptions(time=_column(time), sample_rate=sample_rate)
-    words = (logs, _addressed(validate), reading, fixed, *columns, prior, shared_shape, coupling, time)
-    return _identified(IdentifyRun(*words), jobs)
+    switches = _chosen(shared_shape=shared_shape, coupling=coupling)
+    run = IdentifyRun(logs, _addressed(validate), reading, fixed, *columns, prior, switches, time)
+    return _identified(run, jobs)
+
+
+def _chosen(**switches: bool) -> dict[str, bool]:
+    """Return the switches that are on."""
+    return {name: True for name, is_on in switches.items() if is_on}
 
 
 def _given(

@@ -15,6 +15,7 @@ from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from dbo_cli import extensions
 from dbo_cli.drives.gate import DriveFigures, DriveGate, Floats
 from dbo_cli.drives.model_run import ModelRun, reads_ahead
 from dbo_cli.errors import SILENT, InputError, Listener, OutputError, Remarks, UsageError, plain
@@ -232,18 +233,37 @@ def invert_model(model_file: str, output: Address) -> ActuatorModel:
     return inverse
 
 
-def write_excitation(
-    output: Address, excitation: Excitation, form: str | None = None, channels: int | None = None
-) -> int:
-    """Write the drive that identifies well, or those of many channels; returns the rows."""
-    if channels is None:
-        time, one = excitation.drive()
-        drives = {"voltage": one}
-    else:
-        from dbo_cli.hysteresis.excitation import channel_drives
+def excitation_drives(
+    excitation: Excitation, points: int | None, brought: Mapping[str, Any]
+) -> tuple[Floats, Mapping[str, Floats]]:
+    """Return time (s) and the drive by the name of its column; an extra's option may make it many.
 
-        time, voltage = channel_drives(excitation, channels)
-        drives = {f"voltage_{place}": one for place, one in enumerate(voltage.T.copy(), start=1)}
+    Parameters
+    ----------
+    excitation
+        What the drive is made of.
+    points
+        So many rows in all, where a generator's memory asks for that.
+    brought
+        What the options that extras bring were given.
+    """
+    for name, value in brought.items():
+        made: tuple[Floats, Mapping[str, Floats]] = extensions.find("run", f"excite --{name}")(
+            excitation, value, points
+        )
+        return made
+    time, voltage = excitation.drive()
+    return time, {"voltage": voltage}
+
+
+def write_excitation(
+    output: Address,
+    excitation: Excitation,
+    form: str | None,
+    timed_drives: tuple[Floats, Mapping[str, Floats]],
+) -> int:
+    """Write the drives that identify well, as ``excitation_drives`` returns them; returns the rows."""
+    time, drives = timed_drives
     limits = DriveLimits(excitation.v_min, excitation.v_max, excitation.max_slew)
     for one in drives.values():
         DriveGate(limits).admit(one, 1.0 / excitation.sample_rate)

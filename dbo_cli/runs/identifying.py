@@ -194,8 +194,8 @@ class IdentifyRun:
         The columns, guessed where not given; patterns (``V{}``) name those of many channels.
     prior
         The file of a model whose shape is kept; from Python a mapping of models by channel, too.
-    shared_shape, coupling
-        Of channels: one loop shape for all; how much each shows in the others.
+    brought
+        Options that an extra brings, by name: of channels ``shared_shape`` and ``coupling``.
     time
         From Python: the column or the seconds of tables.
     summary, command
@@ -209,24 +209,20 @@ class IdentifyRun:
     voltage: str | None = None
     displacement: str | None = None
     prior: Any = None
-    shared_shape: bool = False
-    coupling: bool = False
+    brought: Mapping[str, Any] = field(default_factory=dict)
     time: Any = None
     summary: Address | None = None
     command: str = ""
 
     def refuse_channels_options(self) -> None:
         """Refuse what is for channels where no pattern names them (UsageError)."""
-        for name in ("shared_shape", "coupling"):
-            if getattr(self, name):
-                raise UsageError(
-                    f"`{name}` is for channels: name their columns by patterns, 'V{{}}' and 'D{{}}'"
-                )
+        for name in self.brought:
+            raise UsageError(f"`{name}` is for channels: name their columns by patterns, 'V{{}}' and 'D{{}}'")
 
     def arguments(self, columns: Mapping[str, str], prior: object = None, checked: bool = True) -> list[str]:
         """Return how the identification of ``columns`` was called, as a shell spells it, without folders."""
         chosen = chosen_of(self.options) | self.reading.chosen()
-        chosen |= {name: True for name in ("shared_shape", "coupling") if getattr(self, name)}
+        chosen |= self.brought
         chosen |= dict(columns) | ({"prior": os.path.basename(prior)} if isinstance(prior, str) else {})
         words = ["identify", *(os.path.basename(_name_of(log)) for log in self.logs)]
         for log in self.validation if checked else ():

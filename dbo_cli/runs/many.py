@@ -109,7 +109,7 @@ def identified(asked: IdentifyRun, output: Address, work: Work, listener: Listen
         if wants_channels(output, asked.voltage, asked.displacement):
             outcome: Outcome = extensions.find("run", "identify channels")(asked, output, work, listener)
             return outcome
-        if not (asked.shared_shape or asked.coupling):
+        if not asked.brought:
             return identify_files(asked, output, work, listener)
     asked.refuse_channels_options()
     found = asked.run(output, listener)

@@ -6,6 +6,7 @@ import json
 import textwrap
 from collections.abc import Mapping
 from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 from dbo_cli import extensions
@@ -23,13 +24,20 @@ APART = ("notes", "warnings", "logs", "validation", "alternatives", "swings")  #
 
 
 def show_model(
-    model_file: str, output: Address, form: str | None, figures: str | None, settle: str | None = None
+    model_file: str,
+    output: Address,
+    form: str | None,
+    figures: str | None,
+    brought: Mapping[str, Any] = MappingProxyType({}),
 ) -> list[str]:
-    """Write what is in a model or a set of them; returns notes (where figures went)."""
+    """Write what is in a model or a set of them; returns notes (where figures went).
+
+    ``brought``: what the options that extras bring were given; each adds a part to what is shown of a model.
+    """
     chosen = form or ("json" if output.text.lower().endswith(".json") else "text")
     if is_set(model_file):
-        if settle is not None:
-            raise UsageError(f"`settle` is of one model, and {model_file} is a set ({model_file}::CHANNEL)")
+        for name in brought:
+            raise UsageError(f"`{name}` is of one model, and {model_file} is a set ({model_file}::CHANNEL)")
         if figures is not None:
             raise UsageError(
                 f"`figures` draws one model, and {model_file} is a set: name one ({model_file}::CHANNEL)"
@@ -43,7 +51,10 @@ def show_model(
             from dbo_cli.reports.drawing import check_folder, save
 
             folder = check_folder(figures)
-        content = contents(model) | _settling(model, settle)
+        content = contents(model)
+        forward = model if model.direction == "forward" else model.inverse()
+        for name, value in brought.items():
+            content |= extensions.find("run", f"show --{name}")(forward, value)
         text = json.dumps(content, indent=2, ensure_ascii=False) if chosen == "json" else as_text(content)
     write_whole(output, (text + "\n").encode(), protect=[model_file])
     if figures is None:
@@ -85,14 +96,6 @@ def contents(model: ActuatorModel) -> dict[str, Any]:
         "arguments": provenance.get("arguments", []),
         "inputs": provenance.get("inputs", []),
     }
-
-
-def _settling(model: ActuatorModel, settle: str | None) -> dict[str, Any]:
-    """Return how long a step over the whole drive takes to stay within a distance, where it is asked for."""
-    if settle is None:
-        return {}
-    forward = model if model.direction == "forward" else model.inverse()
-    return {"settling": extensions.find("run", "show --settle")(forward, settle)}
 
 
 def as_text(content: Mapping[str, Any]) -> str:

@@ -59,15 +59,15 @@ def identify_channels(
 ) -> jobs.Outcome:
     """Identify a model of each channel and write a set of them, or (``{channel}``) a file of each."""
     patterns, inputs = asked_patterns(asked), [*asked.logs, *asked.validation]
-    if asked.coupling and CHANNEL in output.text:
+    if asked.brought.get("coupling", False) and CHANNEL in output.text:
         raise UsageError(f"`coupling` belongs to all channels: write one set, without {CHANNEL} in its name")
-    if asked.coupling and work.keep_going:
+    if asked.brought.get("coupling", False) and work.keep_going:
         raise UsageError(
             "`coupling` and `keep_going` exclude each other: each channel is needed for the others"
         )
     check_document(output, "a model", "json")
     asked.check_outputs([] if CHANNEL in output.text else [output], inputs)
-    outcome, work = jobs.Outcome(), dataclasses.replace(work, all_needed=asked.coupling)
+    outcome, work = jobs.Outcome(), dataclasses.replace(work, all_needed=asked.brought.get("coupling", False))
     found, coupling = fits_of_channels(asked, work, outcome, listener)
     if found:
         with all_or_none():
@@ -91,7 +91,7 @@ def identify_channels(
 def asked_patterns(asked: IdentifyRun) -> dict[str, str]:
     """Return the patterns of columns; UsageError for a single column, or a shape from two places."""
     patterns = patterns_of(voltage=asked.voltage or "", displacement=asked.displacement or "")
-    if asked.shared_shape and asked.prior is not None:
+    if asked.brought.get("shared_shape", False) and asked.prior is not None:
         raise UsageError("`shared_shape` and `prior` exclude each other: each is where the shape comes from")
     return patterns
 
@@ -124,13 +124,13 @@ def fits_of_channels(
             own |= {"logs": fit, "validation": judged, "prior": None}
             return functools.partial(dataclasses.replace(asked, **own).read, prior=kept(channel))
 
-        if asked.coupling:
+        if asked.brought.get("coupling", False):
             listener.working("how the channels show in each other")
             readings = ((channel, recordings(channel)) for channel in channels)
             coupling, apart = recordings_apart(_all_of(readings, "channel", len(channels)))
             listener.finished()
             outcome.remarks.notes.append(coupling.summary())
-        if asked.shared_shape:
+        if asked.brought.get("shared_shape", False):
             listener.working("the shape that the channels share")
             arguments = asked.arguments(patterns, checked=False)
             words = (channels, lambda one: recordings(one)()[0], options, arguments)
