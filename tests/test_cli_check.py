@@ -171,11 +171,16 @@ def test_the_pieces_of_a_drive_from_the_command_line(bench: Any) -> None:
     summary = json.loads(Path("s.json").read_text())
     assert list(summary) == [
         "format", "version", "command", "read", "rows", "clipped", "range", "largest_step", "expected_rmse",
-        "expected_percent", "notes", "warnings",
+        "expected_percent", "before", "notes", "warnings",
     ]  # fmt: skip
     assert (summary["format"], summary["version"], summary["rows"]) == ("dbo-summary", 1, len(table))
     assert summary["range"] == [table[:, 1].min(), table[:, 1].max()] and summary["clipped"] == 0
     assert summary["largest_step"] == pytest.approx(np.abs(np.diff(table[:, 1])).max())
+    before = table[table[:, 0] < -5e-4]
+    rows, reach = len(before), [before[:, 1].min(), before[:, 1].max()]
+    assert summary["before"] == {"rows": rows, "seconds": pytest.approx(rows / 1000.0), "range": reach}
+    said = f"before the first row stand {rows} rows, {rows / 1000.0:.4g} s, from 0 to {reach[1]:.6g} V"
+    assert any(said in note for note in summary["notes"])
     assert summary["read"][0]["file"] == "wish.csv" and summary["read"][0]["rows"] == 400
 
 
@@ -283,6 +288,7 @@ def test_what_the_way_there_leaves_is_not_said_of_the_file(bench: Any) -> None:
     done = bench("compensate", "model.json", "wish.csv", *words.split())
     assert done.code == 0 and float(done.out.splitlines()[1].split(",")[1]) < 1.0  # the model begins there
     assert done.err == (
+        "dbo: wish.csv: before the first row stand 751 rows, 0.751 s, from -2 to 6 V\n"
         "dbo: wish.csv: the drive may go from -3 to 10 V (identified: 0 to 10 V)\n"
         "dbo: warning: wish.csv: the drive goes 2 V below the 0 to 10 V on which the model was identified; "
         "it extrapolates there\n"
@@ -310,8 +316,9 @@ def test_limits_with_units_and_currents_mean_the_same_for_every_model(
         "--v-min 500mV --v-max 0.007kV --max-slew 80V/s --from 0.5V --max-current 1 --capacitance 4e-6",
         "--max-current 0.4mA --capacitance 4uF --from 0V --approach auto",
     ):
-        own = bench("compensate", "model.json", "wish.csv", *limits.split(), "-o", "own.csv")
-        done = bench("compensate", "other.json", "wish.csv", *limits.split(), "-o", "other.csv")
+        words = ["wish.csv", *limits.split(), "--on-limit", "clip"]
+        own = bench("compensate", "model.json", *words, "-o", "own.csv")
+        done = bench("compensate", "other.json", *words, "-o", "other.csv")
         assert (own.code, done.code) == (0, 0), done.err
         drives = [np.loadtxt(name, delimiter=",", skiprows=1, usecols=2) for name in ("own.csv", "other.csv")]
         np.testing.assert_allclose(drives[1] * volts, drives[0], atol=1e-9)

@@ -235,7 +235,12 @@ DRIVING = (  # the fields of ``DriveOptions`` but for the state, which is read w
         "What the amplifier can deliver, with --capacitance: a slew limit of their ratio.",
     ),
     Option("--capacitance FARAD", "Of the actuator, with --max-current."),
-    Option("--on-limit clip|error", "clip and count, or exit 3, where a limit is met.", "clip"),
+    Option(
+        "--on-limit auto|clip|error",
+        "Where a limit is met: auto cuts off what costs up to 1 % of the move (RMS), and exits 3 for more; "
+        "clip cuts off whatever it costs; error exits 3 at once.",
+        "auto",
+    ),
     FROM,
     Option(
         "--approach SECONDS|auto",
