@@ -27,7 +27,7 @@ from dbo_cli.runs.identifying import IdentifyRun
 
 COMMANDS = commands.every()
 ROOT = Path(__file__).resolve().parent.parent
-LIST = "identify, show, invert, simulate, compensate, check, report, excite, export, compare, trajectory, waveform"
+LIST = "identify, show, invert, simulate, compensate, check, report, excite, export, compare, fringes, trajectory, waveform"
 
 
 def test_version(dbo: Any) -> None:
@@ -182,6 +182,8 @@ PROMISED = {
     "compare": "--models --validate --skip --format --figures --save-models --no-timings --voltage --displacement",
     "export": "--name --direction --arithmetic --sample-rate --gears --v-min --v-max --max-slew --lookup "
     "--arduino --fmu --shared --overwrite",
+    "fringes": "--voltage --signal --quadrature --wavelength --per-fringe --sign --scale-uncertainty --figures "
+    "--time --rows --summary --header",
     "trajectory": "--rate --range --slow-range --frequency --lines --pixels --overscan --one-way --turns --cycles --steps "
     "--dwell --rest --loop --bandwidth --model --unit",
     "waveform": "--to --gain --points --rate --codes --volts --loop --v-min --v-max --max-slew --tolerance --voltage",
