@@ -133,6 +133,11 @@ OWN = (
         },
     ),
     Extra(
+        "fringes",
+        "displacement from the fringes of an interferometer",
+        {"command": {"fringes": "dbo_cli.extras.fringes.command:COMMAND"}},
+    ),
+    Extra(
         "moves",
         "trajectories, settling times and generators' files",
         {

@@ -235,7 +235,12 @@ DRIVING = (  # the fields of ``DriveOptions`` but for the state, which is read w
         "What the amplifier can deliver, with --capacitance: a slew limit of their ratio.",
     ),
     Option("--capacitance FARAD", "Of the actuator, with --max-current."),
-    Option("--on-limit clip|error", "clip and count, or exit 3, where a limit is met.", "clip"),
+    Option(
+        "--on-limit auto|clip|error",
+        "Where a limit is met: auto cuts off what costs up to 1 % of the move (RMS), and exits 3 for more; "
+        "clip cuts off whatever it costs; error exits 3 at once.",
+        "auto",
+    ),
     FROM,
     Option(
         "--approach SECONDS|auto",
@@ -287,7 +292,7 @@ CHECKING = (  # the fields of ``CheckOptions``
     Option(
         "--tolerance VOLT",
         "With --against, the largest difference allowed, and by how much a recorded row may miss a "
-        "limit [default: a thousandth of the range].",
+        "limit [default: a thousandth of the range, or six times the recording's noise].",
         parse=figure_above_0,
     ),
 )

@@ -63,21 +63,16 @@ static void fetch_ahead(const bank *self, size_t k) {
     }
     if (k + AHEAD < self->count) {
         const stepper *one = self->channel[k + AHEAD];
-        const size_t words = (one->op.n + 63) / 64, last = one->op.n - 1;
-        const size_t up = one->now.zero < last ? one->now.zero : last, down = one->now.set < last ? one->now.set : last;
-        FETCH(one->now.words);
-        FETCH(one->next.words);
-        FETCH(one->now.words + words);
-        FETCH(one->next.words + words);
+        const size_t up = (size_t)(one->now.zero * one->op.row_factor >> 32);
+        const size_t down = (size_t)(one->now.set * one->op.row_factor >> 32);
+        FETCH(one->now.turns + (one->now.depth > 0 ? one->now.depth - 1 : 0));
         FETCH(one->now.memory);
         FETCH(one->next.memory);
         FETCH(one->decay);
-        if (!one->op.grouped) {
-            FETCH(one->op.gears + up);
-            FETCH(one->op.gears + down);
-            if (one->table) FETCH(one->table + up);
-            if (one->table) FETCH(one->table + down);
-        }
+        FETCH(one->op.gears + up);
+        FETCH(one->op.gears + down);
+        if (one->table) FETCH(one->fixed.gears + up);
+        if (one->table) FETCH(one->fixed.gears + down);
     }
 }
 

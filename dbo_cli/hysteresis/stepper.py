@@ -62,15 +62,15 @@ class PythonStepper:
     """
 
     def __init__(self, *given: Any) -> None:
-        gears, n, run, x0, y0, extend, gain, reference, memory_on_output, self._decay, *limits = given
-        self._table = gears, n, run, x0, y0, extend, gain, reference, memory_on_output
+        gears, guide, n, run, x0, y0, extend, gain, reference, memory_on_output, self._decay, *limits = given
+        self._table = gears, guide, n, run, x0, y0, extend, gain, reference, memory_on_output
         limited, low, high, slack, step = limits
-        exchanged = np.ascontiguousarray(gears[:, [1, 0, 2, 3]])
+        exchanged = np.ascontiguousarray(gears[:, [1, 0, 2, 3, 5, 4]])
         exchanged[:, 2] = gears[:, 0] / gears[:, 1]
-        self._exchanged = exchanged, n, run, y0, x0, extend, gain, reference, not memory_on_output
+        self._exchanged = exchanged, guide, n, run, y0, x0, extend, gain, reference, not memory_on_output
         steps = np.array([] if math.isnan(step) else [step])
         self._limits = limited, low, high, slack, steps
-        self._words = np.zeros(kernel.buffer_words(n), np.uint64)
+        self._words = np.zeros(kernel.state_words(n), np.uint64)
         self._memory, self.last = np.zeros(gain.size), math.nan
         self._planned: tuple[Words, Floats, float] | None = None
         self._cannot_apply = gain.size > 0 and not memory_on_output

@@ -150,6 +150,7 @@ class SignalRun:
         with self._opened(wanted, ahead, listener) as log:
             options = dataclasses.replace(drive, state=start_of(self.state, model))
             run = compensation(model, log, options, recordings, self.reading.rows[1] if ahead else None)
+            run.streamed = self.destination.output.is_stream
             # Not under the name of what will be measured: a drive must not be taken for a recording.
             unit = log.columns[wanted.quantity].unit or wanted.unit
             given = OutColumn("desired", unit, "desired", may_be_blank=True)
@@ -300,6 +301,7 @@ def summary_of(
     if isinstance(run, Compensation):
         if run.settling is not None:
             asked["settling"] = [one._asdict() for one in run.settling.times()]
+        asked["before"] = run.summary_before()
         expected, percent = run.expected_rmse()
         clipped = run.clipped.count
     return {
