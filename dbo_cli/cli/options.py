@@ -270,7 +270,7 @@ CHECKING = (  # the fields of ``CheckOptions``
     Option(
         "--tolerance VOLT",
         "With --against, the largest difference allowed, and by how much a recorded row may miss a "
-        "limit [default: a thousandth of the range].",
+        "limit [default: a thousandth of the range, or six times the recording's noise].",
         parse=figure_above_0,
     ),
 )
