@@ -407,7 +407,8 @@ class Compensation(ModelRun):
                 f"{self.source.name}: the drive starts {abs(self.missed):.3g}{self.input.suffix} off the "
                 "first value, which the actuator does not pass when it settles (`state` empty or `condition`)"
             )
-        if beyond := beyond_range(self.model.input, self.drive.low, self.drive.high):
+        beyond = beyond_range(self.model.input, self.drive.low, self.drive.high)
+        if beyond and self.options.extrapolate:  # else the amplifier stood there, and only came inwards
             remarks.warn(f"{self.source.name}: the drive goes {beyond}")
 
     def remarks(self) -> Remarks:
