@@ -145,11 +145,11 @@ def compensate(given: Given) -> None:
     """Write the drive voltage that makes the actuator follow a desired displacement.
 
     The forward model is inverted exactly and started in the state in which dbo simulate of the drive starts;
-    a delay is made up for by reading the trajectory ahead. No row ever leaves the range on which the model was
-    identified, cut by --v-min and --v-max (beyond it only with --extrapolate). What cannot be reached within
-    the limits is cut off, counted and said, as long as it costs at most 1 % of the move: the RMS of what the
-    move misses, over the difference between its largest and its least value. On standard output, where rows
-    leave before that is known, a stream ends once it has lost more than 1 % of the model's range.
+    a delay is made up for by reading the trajectory ahead. No row ever leaves the range on which the model
+    was identified, cut by --v-min and --v-max (beyond it only with --extrapolate). What cannot be reached
+    within the limits is cut off, counted and said, as long as it costs at most 1 % of the move: the RMS of
+    what the move misses, over the difference between its largest and its least value. On standard output,
+    where rows leave before that is known, a stream ends once it has lost more than 1 % of the model's range.
 
     Writes
     ------
@@ -174,15 +174,19 @@ def compensate(given: Given) -> None:
     from dbo_cli.drives.options import DriveOptions
 
     drive = DriveOptions(**given.of(options.DRIVING))  # the state is read with the model
-    from dbo_cli.runs.files import SignalRun
+    from dbo_cli.runs.files import run_of_signals
     from dbo_cli.runs.many import signals
 
-    tracked = given.tracked or ()
-    destination = destination_of(given, [given.model, *given.trajectory, given.state, *tracked])
-    asked = SignalRun(
-        given.model, given.trajectory[0], destination, reading, given.displacement, given.state, drive=drive,
-        tracked=tracked, **given.of([options.TRACKED_VOLTAGE, options.TRACKED_MEASURED]),
-    )  # fmt: skip
+    asked = run_of_signals(
+        given.brought,
+        model=given.model,
+        log=given.trajectory[0],
+        destination=destination_of(given, [given.model, *given.trajectory, given.state]),
+        reading=reading,
+        column=given.displacement,
+        state=given.state,
+        drive=drive,
+    )
     finish(given, signals(asked, given.trajectory, work_of(given), Progress(given.reporter, "written")))
 
 
