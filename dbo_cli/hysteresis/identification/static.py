@@ -28,6 +28,7 @@ from dbo_cli.hysteresis.identification.evaluation import (
     white_noise,
 )
 from dbo_cli.hysteresis.identification.expectation import Expectation, expect
+from dbo_cli.hysteresis.identification.finalists import best_of
 from dbo_cli.hysteresis.identification.preparation import Prepared, prepare
 from dbo_cli.hysteresis.identification.recordings import (
     Floats,
@@ -106,7 +107,9 @@ def identify_static(
     said += [note for one in logs for note in one.notes]
     prepared = prepare(recordings, options.skip_seconds, [one.bad for one in logs])
     choice = choose(prepared, options, cycle)
-    fitted = fit(prepared.logs, choice.basis, choice.structure)
+    finalist = best_of(prepared, choice, options)
+    choice = dataclasses.replace(choice, basis=finalist.basis, structure=finalist.structure)
+    fitted = fit(prepared.logs, finalist)
     model = model_of(fitted, prepared, recordings[0], options.zero, options.gears)
     pairs = list(zip(recordings, prepared.logs, strict=True))
     residuals = [residual_of(model, log, ready) for log, ready in pairs]
