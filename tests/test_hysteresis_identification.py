@@ -645,7 +645,7 @@ def test_authors_recordings_are_predicted() -> None:
     skip = IdentificationOptions(skip_seconds=2.0)
     one = identify([paper_log("identification.dat")], skip)
     came = prediction_error(one, slice(600, 7000))
-    assert came < 0.135
+    assert came < 0.14
     assert 0.4 < came / one.fit["expected_rmse"] < 1.3  # type: ignore[operator]
     assert one.fit["cross_validated_rmse"] < 0.09  # type: ignore[operator]
     two = identify([paper_log("identification.dat"), paper_log("uncompensated.dat", slice(600, 3500))], skip)

@@ -17,6 +17,7 @@ import numpy as np
 from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.identification.normal_equations import KNOT_SMOOTHNESS, Structure
 from dbo_cli.hysteresis.identification.output_error import (
+    TINY,
     Judged,
     OutputProblem,
     Refined,
@@ -25,7 +26,7 @@ from dbo_cli.hysteresis.identification.output_error import (
 )
 from dbo_cli.hysteresis.identification.preparation import Prepared
 from dbo_cli.hysteresis.identification.recordings import Floats, IdentificationOptions
-from dbo_cli.hysteresis.identification.search import Choice
+from dbo_cli.hysteresis.identification.search import Choice, swings_of_two_kinds
 from dbo_cli.hysteresis.identification.statistics import (
     EARNED,
     INDIFFERENCE,
@@ -88,16 +89,16 @@ class _Finalists:
         # What is left out is predicted no better than what is fitted: most need not be left out at all.
         refined.sort(key=lambda pair: pair[1].squares)
         judged = [chosen]
-        least = chosen.mean_square
+        least = chosen.score
         for basis, candidate in refined:
-            if candidate.squares > least * self._problem(basis).count:
+            if 0.5 * np.log(candidate.squares / self._problem(basis).count + TINY) > least:
                 break
             try:
                 one = self._problem(basis).judged(candidate)
             except FitError:
                 continue
             judged.append(one)
-            least = min(least, one.mean_square)
+            least = min(least, one.score)
         winner = self._winner(judged)
         return Finalist(winner.basis, winner.structure, winner.candidate.vector)
 
@@ -108,12 +109,12 @@ class _Finalists:
         wins, so there another one has to earn its place.
         """
         chosen = judged[0]
-        best = min(judged, key=lambda one: one.mean_square)
+        best = min(judged, key=lambda one: one.score)
         needed = 1.0 / EARNED - 1.0 if self._one_amplitude else INDIFFERENCE
         if not chosen.beaten_by(best, needed):
             return chosen
         as_good = [one for one in judged if not one.beaten_by(best, 0.0)]
-        return min(as_good, key=lambda one: (_complexity(one), one.mean_square))
+        return min(as_good, key=lambda one: (_complexity(one), one.score))
 
     def _judged_choice(self) -> Judged:
         """Return what the search chose, refined and judged; without its delay where that is as good."""
@@ -140,7 +141,9 @@ class _Finalists:
             bases.insert(0, replace(chosen, delay=0.0))
         every = tuple(range(len(chosen.time_constants)))
         memories = [every] if self._options.relaxation is not None or not every else [(), every]
-        rules: tuple[str, ...] = ("growing", "falling", "free")
+        rules: tuple[str, ...] = ("growing", "falling")
+        if swings_of_two_kinds(self._logs, chosen):
+            rules = (*rules, "free")
         if self._options.slopes is not None or self._one_amplitude:
             rules = (self._choice.structure.slopes,)
         for basis in bases:

@@ -45,6 +45,7 @@ from dbo_cli.hysteresis.identification.statistics import (
 )
 from dbo_cli.records import dataclass
 
+TINY = 1e-30  # beside squares of the normalised output: a logarithm of nothing
 STEPS = 6  # of Gauss and Newton, at most
 HALVINGS = 3  # of a step that does not lower the error
 ENOUGH = 1e-3  # of the squared error: a step that gains less is the last one
@@ -415,25 +416,34 @@ class Judged:
         return self.candidate.squares / self.count
 
     @property
-    def mean_square(self) -> float:
-        """Mean over the kinds of the mean square on what was left out; of the fit where nothing could be."""
-        kinds = [one.mean_square for one in self.errors.values()]
-        return float(np.mean(kinds)) if kinds else self.fitted
+    def score(self) -> float:
+        """Logarithm of the RMS error left out, mean over the kinds; of the fit where nothing could be."""
+        kinds = [np.log(one.mean_square + TINY) for one in self.errors.values()]
+        return 0.5 * float(np.mean(kinds)) if kinds else self.least_score
+
+    @property
+    def least_score(self) -> float:
+        """Logarithm of the RMS error on all rows: what is left out is predicted no better."""
+        return 0.5 * float(np.log(self.fitted + TINY))
 
     def beaten_by(self, rival: Judged, least: float) -> bool:
-        """Return whether a rival does better by more than the error bar, and by this share of the error.
-
-        The error bar is one standard error of the difference, from its scatter between the parts.
-        """
-        gain = self.mean_square - rival.mean_square
-        return gain > max(self._error_bar(rival), 2.0 * least * rival.mean_square)
+        """Return whether a rival does better by more than the error bar, and by this share of the error."""
+        return self.score - rival.score > max(self._error_bar(rival), np.log1p(least))
 
     def _error_bar(self, rival: Judged) -> float:
-        """Return the standard error of the difference of the mean squares."""
+        """Return one standard error of the difference of the scores, from its scatter between the parts.
+
+        Of a kind with a single part the scatter is not known: its whole difference may be chance.
+        """
         total = 0.0
         for kind, mine in self.errors.items():
-            apart = (mine.squares - rival.errors[kind].squares) / mine.rows.sum()
-            count = len(apart)
+            other = rival.errors[kind]
+            count = len(mine.rows)
             if count > 1:
-                total += count / (count - 1.0) * float(np.sum((apart - apart.mean()) ** 2))
+                apart = mine.squares / (mine.squares.sum() + TINY) - other.squares / (
+                    other.squares.sum() + TINY
+                )
+                total += 0.25 * count / (count - 1.0) * float(np.sum(apart**2))
+            else:
+                total += 0.25 * float(np.log((mine.mean_square + TINY) / (other.mean_square + TINY))) ** 2
         return float(np.sqrt(total)) / max(len(self.errors), 1)
