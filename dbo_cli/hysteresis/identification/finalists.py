@@ -158,7 +158,7 @@ class _Finalists:
     def _chain(self, basis: Basis, structure: Structure, upto: Structure | None = None) -> Iterator[Refined]:
         """Yield the refined candidates of more and more segments, each begun where the last one ended."""
         problem = self._problem(basis)
-        segments = SEGMENTS
+        segments: tuple[tuple[int, float], ...] = SEGMENTS
         if upto is not None:
             segments = (*(one for one in SEGMENTS if upto.segments % one[0] == 0 and one[0] < upto.segments),
                         (upto.segments, upto.knot_smoothness))  # fmt: skip

@@ -17,6 +17,7 @@ rows. Steps that do not lower the error are halved.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -191,10 +192,9 @@ class OutputProblem:
         rows = self.rows
         shared, drift = rows.drive.shape[1], rows.drift.shape[1]
         origin = len(vector) - drift
-        w = np.einsum("ij,j->i", rows.drive[some], vector[:shared]) + vector[origin]
-        y = w
+        y: Floats = np.einsum("ij,j->i", rows.drive[some], vector[:shared]) + vector[origin]
         if segments > 1:
-            y, _ = asymmetry(w, corners(vector[shared:origin], segments))
+            y, _ = asymmetry(y, corners(vector[shared:origin], segments))
         if drift > 1:
             y = y + np.einsum("ij,j->i", rows.drift[some, 1:], vector[origin + 1 :])
         return y
@@ -428,7 +428,7 @@ class Judged:
 
     def beaten_by(self, rival: Judged, least: float) -> bool:
         """Return whether a rival does better by more than the error bar, and by this share of the error."""
-        return self.score - rival.score > max(self._error_bar(rival), np.log1p(least))
+        return self.score - rival.score > max(self._error_bar(rival), math.log1p(least))
 
     def _error_bar(self, rival: Judged) -> float:
         """Return one standard error of the difference of the scores, from its scatter between the parts.
