@@ -72,7 +72,10 @@ class Identification:
     warnings: list[str] = field(default_factory=list)
 
 
-NO_BETTER_THAN_LINE = "what is expected on new moves ({:.4g}) is no better than a straight line's error on the logs ({:.4g}): {}"
+NO_BETTER_THAN_LINE = (
+    "what is expected on new moves ({:.4g}) is no better than a straight line's error on the logs "
+    "({:.4g}): {}"
+)
 RECORD_MORE = "record more amplitudes and cycles before using the model"
 NO_CLOCK = (
     "no clock, so neither lag nor delay could be looked for: name the time column (`time`) or give "
@@ -181,13 +184,16 @@ def _no_loop(recordings: Sequence[Recording], rmse: float, line: float, force: b
 def _drift_warnings(residuals: Sequence[Residual], span: float, unit: str | None) -> list[str]:
     """Warn of a drift so large that it is more likely the actuator's than the sensor's."""
     of_what = f" {unit}" if unit else ""
-    return [
-        f"{one.name}: {one.drift_span:.3g}{of_what} of the displacement ({100.0 * one.drift_span / span:.0f} % "
-        "of the range) was taken for a drift of the sensor and is not in the model: if the actuator itself "
-        "moved so, its loops do not close and no model of this class follows it"
-        for one in residuals
-        if one.drift_span > LARGE_DRIFT * span
-    ]
+    warnings = []
+    for one in residuals:
+        share = one.drift_span / span
+        if share > LARGE_DRIFT:
+            warnings.append(
+                f"{one.name}: {one.drift_span:.3g}{of_what} of the displacement ({100.0 * share:.0f} % of "
+                "the range) was taken for a drift of the sensor and is not in the model: if the actuator "
+                "itself moved so, its loops do not close and no model of this class follows it"
+            )
+    return warnings
 
 
 def _figures(
