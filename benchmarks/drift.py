@@ -39,7 +39,7 @@ def main() -> None:
     dx, dy = rng.uniform(0.1, 1.0, options.gears), rng.uniform(0.1, 1.0, options.gears)
     operator = DiscreteBacklashOperator(dx, dy)
     low, high = operator.x_range
-    words = np.zeros(kernel.buffer_words(operator.n), np.uint64)
+    words = np.zeros(kernel.state_words(operator.n), np.uint64)
     # One call, in place: the kernel carries its sums from the first sample to the last.
     block = rng.uniform(low, high, 20_000)
     block[::50] = high
@@ -53,7 +53,7 @@ def main() -> None:
     x[-1] = probe[0]
     begin = time.perf_counter()
     kernel.CHOSEN.backlash_run(
-        operator.gears, operator.n, operator.equal_run, 0.0, 0.0, True, nothing, 0.0, False, words, nothing,
+        *operator.table, operator.n, 1, 0.0, 0.0, True, nothing, 0.0, False, words, nothing,
         0.0, x, x, nothing, False, 0.0, 0.0, 0.0, nothing,
     )  # fmt: skip
     seconds = time.perf_counter() - begin

@@ -3,11 +3,11 @@
     python benchmarks/kernel_speed.py [--samples N] [--repeats N] [--against CHECKOUT] [--only WORD]
 
 One run, one machine, ratios. 2,000 samples a cycle; times are the best of the repeats, in ns a sample.
-"dither" is the worst case for finding Z: every low bit is set and one of them toggles, so that each sample
-makes a transition whose next zero bit lies beyond all of the words. Needs g++ (or CXX) for the competitor.
+"dither" turns at every sample: every low bit is set and one of them toggles. Needs g++ (or CXX) for the
+competitor.
 A second table has the inputs that cross many gears in a sample (100 samples a cycle, random, jumps over the
 whole range) and the fastest plays on the same inputs. "identified" has 1,280 gears in 80 runs of equal ones,
-as identification makes them.
+as identification makes them, and with 5,120 gears as many equal ones.
 With --against, the compiled kernel of another checkout of this project runs the same cases instead, turn by
 turn with this one, so that whatever else the machine does meets both; --only runs those whose name has WORD.
 """
@@ -37,7 +37,7 @@ Floats = NDArray[np.float64]
 LAYOUTS = {"plain": 1, "lanes4x1": 4, "lanes4x2": 8, "lanes4x4": 16,
            "lanes8x1": 8, "lanes8x2": 16, "lanes8x4": 32, "lanes8x7": 56}  # fmt: skip
 GEARS = (25, 100, 400, 1000)
-SIZES = (8, 25, 64, 256, 1024)
+SIZES = (8, 25, 64, 256, 1024, 5120)
 BESIDE_PLAYS = (25, 256, 1024)
 NOTHING = np.empty(0)
 
@@ -54,10 +54,9 @@ def best(run: Callable[[], object], repeats: int) -> float:
 
 def backlash(operator: DiscreteBacklashOperator, start: BacklashState, x: Floats) -> Callable[[], object]:
     """Return one run of the compiled kernel over ``x``, buffers ready."""
-    y, words = np.empty_like(x), np.zeros(kernel.buffer_words(operator.n), np.uint64)
-    words[: kernel.state_words(operator.n)] = operator._words(start)[: kernel.state_words(operator.n)]
+    y, words = np.empty_like(x), operator._words(start)
     return lambda: kernel.CHOSEN.backlash_run(
-        operator.gears, operator.n, operator.equal_run, operator.x0, operator.y0, True, NOTHING, 0.0, False,
+        *operator.table, operator.n, 1, operator.x0, operator.y0, True, NOTHING, 0.0, False,
         words.copy(), NOTHING, 0.0, x, y, NOTHING, False, 0.0, 0.0, 0.0, NOTHING,
     )  # fmt: skip
 
@@ -131,6 +130,8 @@ def operators() -> dict[str, DiscreteBacklashOperator]:
         found[f"n = {n}"] = DiscreteBacklashOperator(dx, dx * np.linspace(0.5, 1.5, n))
     slopes = np.repeat(np.linspace(0.5, 1.5, 80), 16)
     found["identified"] = DiscreteBacklashOperator(np.full(1280, 3.6 / 1280), slopes * 3.6 / 1280)
+    slopes = np.repeat(np.linspace(0.5, 1.5, 80), 64)
+    found["identified, 5,120"] = DiscreteBacklashOperator(np.full(5120, 3.6 / 5120), slopes * 3.6 / 5120)
     return found
 
 
@@ -167,10 +168,15 @@ def prepared(
     module: Any, operator: DiscreteBacklashOperator, start: BacklashState, x: Floats, limited: bool
 ) -> tuple[Callable[[], object], Floats]:
     """Return one run of a kernel, of today's or of the older arguments, and where its output goes."""
-    y, words, terms = np.empty_like(x), operator._words(start), operator.relaxation
+    y, terms = np.empty_like(x), operator.relaxation
+    words = np.zeros(operator.n // 8 + 64, np.uint64)  # older kernels need more than the bits
+    words[: kernel.state_words(operator.n)] = operator._words(start)
     gain = np.array(terms.gain if terms else ())
     decay = terms.decay(0.001) if terms else NOTHING
-    tables: list[tuple[Any, ...]] = [(operator.gears, operator.n, operator.equal_run), (operator.gears,)]
+    tables: list[tuple[Any, ...]] = [
+        (*operator.table, operator.n, 1),
+        (operator.gears, operator.n, operator.equal_run),
+    ]
 
     def arguments(table: tuple[Any, ...]) -> tuple[Any, ...]:
         return (

@@ -20,8 +20,9 @@ if TYPE_CHECKING:
         OutputError,
         UsageError,
     )
+    from dbo_cli.extras.channels.api import ModelSet
     from dbo_cli.extras.moves.trajectory import trajectory
-    from dbo_cli.runs.api import Model, ModelSet, compensate, identify, read_log, read_model, report, simulate
+    from dbo_cli.runs.api import Model, compensate, identify, read_log, read_model, report, simulate
 
 __all__ = [
     "DboError",

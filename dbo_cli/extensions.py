@@ -27,7 +27,8 @@ Kind = Literal["command", "option", "api", "run", "model", "reader", "generator"
 - ``option``: a ``cli.options.Option`` of a command of the core; the key is ``COMMAND --OPTION``.
 - ``api``: a public name of ``dbo_cli``, or, as ``Model.NAME``, a method of a class of the Python API.
 - ``run``: what takes part in a use case of the core; the key is the use case and the option that asks for it.
-- ``model``: a ``hysteresis.model_file.StageInFiles``; the key is the ``type`` of its stage.
+- ``model``: a ``hysteresis.model_file.StageInFiles``, the key is the ``type`` of its stage; or what reads a
+  file of another ``format``.
 - ``reader``: what opens a kind of log file, a function of a ``Request`` that returns a ``Table``; the key is
   the ending of its name, with the point. (Makers' headers and what is told by its first bytes have keys of
   their own.)
@@ -63,6 +64,11 @@ class Extra:
             find_spec("dbo_cli.extras") is not None and find_spec(f"dbo_cli.extras.{self.name}") is not None
         )
 
+    def things(self, kind: Kind) -> Iterator[tuple[str, Any]]:
+        """Give the key of each thing of a kind, and the thing, imported."""
+        for key, place in self.brings.get(kind, {}).items():
+            yield key, _imported(self, place, key)
+
 
 OWN = (
     Extra(
@@ -84,6 +90,38 @@ OWN = (
         },
     ),
     Extra(
+        "channels",
+        "many channels: sets of models, patterns of columns, coupling",
+        {
+            "model": {"dbo-model-set": "dbo_cli.extras.channels.model_set:read_set"},
+            "run": {
+                "signals of channels": "dbo_cli.extras.channels.signals:signals_of_channels",
+                "excite --channels": "dbo_cli.extras.channels.excitation:drives_of_channels",
+                "identify channels": "dbo_cli.extras.channels.models:identify_channels",
+                "report channels": "dbo_cli.extras.channels.report:report_channels",
+                "show a set": "dbo_cli.extras.channels.show:set_text",
+                "identify a set": "dbo_cli.extras.channels.api:identified_set",
+                "set from Python": "dbo_cli.extras.channels.api:set_of",
+            },
+            "option": {
+                "identify --shared-shape": "dbo_cli.extras.channels.options:SHARED_SHAPE",
+                "identify --coupling": "dbo_cli.extras.channels.options:COUPLING",
+                "excite --channels": "dbo_cli.extras.channels.options:CHANNELS",
+            },
+            "api": {"ModelSet": "dbo_cli.extras.channels.api:ModelSet"},
+        },
+    ),
+    Extra(
+        "live",
+        "one row at a time, of one actuator or of many",
+        {
+            "run": {
+                "control a model": "dbo_cli.extras.live.controller:Controller",
+                "control a set": "dbo_cli.extras.live.bank:Bank",
+            },
+        },
+    ),
+    Extra(
         "instruments",
         "files of instruments: makers' headers, binary formats, texts that are read as a whole",
         {
@@ -93,6 +131,11 @@ OWN = (
                 "rows of values": "dbo_cli.extras.instruments.whole_texts:rows_of_values",
             },
         },
+    ),
+    Extra(
+        "fringes",
+        "displacement from the fringes of an interferometer",
+        {"command": {"fringes": "dbo_cli.extras.fringes.command:COMMAND"}},
     ),
     Extra(
         "moves",
@@ -106,6 +149,7 @@ OWN = (
                 "compensate --settle": "dbo_cli.extras.moves.settling:StepTimes",
                 "show --settle": "dbo_cli.extras.moves.settling:settling_shown",
             },
+            "option": {"show --settle": "dbo_cli.extras.moves.options:SHOW_SETTLE"},
             "api": {"trajectory": "dbo_cli.extras.moves.trajectory:trajectory"},
         },
     ),
@@ -150,15 +194,19 @@ def keys(kind: Kind) -> Iterator[str]:
 def every(kind: Kind) -> Iterator[tuple[str, Any]]:
     """Give the key and the thing, imported, of all that the installed extras bring of a kind."""
     for extra in installed():
-        for key, place in extra.brings.get(kind, {}).items():
-            yield key, _imported(extra, place, key)
+        yield from extra.things(kind)
+
+
+def own() -> Iterator[Extra]:
+    """Give this program's own extras that are there."""
+    for extra in OWN:
+        if extra.is_installed:
+            yield extra
 
 
 def installed() -> Iterator[Extra]:
     """Give the extras that are there: this program's own ones, then those of other packages."""
-    for extra in OWN:
-        if extra.is_installed:
-            yield extra
+    yield from own()
     yield from others()
 
 

@@ -104,7 +104,13 @@ def record_part(one: type) -> str:
 def class_part(one: type) -> str:
     """Return the part about a class: what it is, its properties, its methods."""
     parts = [record_part(one)]
-    public = {key: value for key, value in vars(one).items() if not key.startswith("_")}
+    public = {
+        key: value
+        for base in reversed(one.__mro__)
+        if base.__module__.startswith("dbo_cli.")
+        for key, value in vars(base).items()
+        if not key.startswith("_")
+    }
     known = [
         f"- `{key}`: {markdown(' '.join((inspect.getdoc(value) or '').split()))}"
         for key, value in public.items()

@@ -51,11 +51,23 @@ void play(const NUMBER *in, NUMBER *out, uint32_t *crossed, size_t count, int re
     for (size_t k = 0; k < count; k++) {
         uint32_t hash = 2166136261u;
         out[k] = NAME_step(&state, in[k]);
-        for (size_t i = 0; i < GEARS; i++)
-            hash = (hash ^ (uint32_t)(state.words[i / BITS] >> (i % BITS) & 1)) * 16777619u;
+        HASH
         crossed[k] = hash;
     }
 }
+"""
+OF_TURNS = """
+        size_t depth = state.gears.depth, end = 0;
+        uint32_t bit = state.gears.set == 0;
+        end = bit ? state.gears.zero : state.gears.set;
+        for (size_t i = 0; i < GEARS; i++) {
+            for (; i == end; bit = !bit) end = state.turns[--depth];
+            hash = (hash ^ bit) * 16777619u;
+        }
+"""
+OF_WORDS = """
+        for (size_t i = 0; i < GEARS; i++)
+            hash = (hash ^ (state.words[i / 32] >> (i % 32) & 1)) * 16777619u;
 """
 
 
@@ -65,8 +77,9 @@ def compiled(
 ) -> Any:  # fmt: skip
     """Return a function (inputs, reset drive or None) -> (outputs, hashes of the crossed gears)."""
     number = {"double": "double", "float": "float", "q31": "int32_t"}[arithmetic]
-    text = HARNESS.replace("NAME", name).replace("NUMBER", number).replace("GEARS", str(gears))
-    (folder / "harness.c").write_text(text.replace("BITS", "64" if arithmetic == "double" else "32"))
+    text = HARNESS.replace("HASH", OF_TURNS if arithmetic == "double" else OF_WORDS)
+    text = text.replace("NAME", name).replace("NUMBER", number).replace("GEARS", str(gears))
+    (folder / "harness.c").write_text(text)
     library = folder / "harness.so"
     sources = ["harness.c", f"{name}.c", "dbo_kernel.c", *others]
     compile_c(folder, *WARNINGS, *flags, "-shared", "-fPIC", *sources, "-o", str(library))

@@ -14,6 +14,9 @@ import numpy as np
 import pytest
 from conftest import folder_content
 
+from dbo_cli.errors import InputError
+from dbo_cli.extras.repeat.learning import read_history
+
 ROOT = str(Path(__file__).resolve().parent.parent)
 DBO = [sys.executable, "-m", "dbo_cli"]
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX streams")
@@ -216,9 +219,9 @@ def test_latin_1_units_in_hdf5(dbo: Any, tmp_path: Path, model_file: Path) -> No
 
 def test_nothing_but_numbers_is_written(dbo: Any, model_file: Path, tmp_path: Path) -> None:
     model = json.loads(model_file.read_text())
-    model["stages"][1]["gain"] = 1e308
+    model["stages"][1]["gain"] = 1e60
     model_file.write_text(json.dumps(model))
-    (tmp_path / "log.csv").write_text(LOG)
+    (tmp_path / "log.csv").write_text(LOG + "1e280\n")
     for words in ((), ("-o", "out.csv"), ("-o", "out.h5")):
         with np.errstate(over="ignore"):
             outcome = dbo("simulate", "model.json", "log.csv", *words)
@@ -235,3 +238,99 @@ def test_a_delay_of_too_many_samples_is_refused(dbo: Any, model_file: Path, tmp_
     outcome = dbo("simulate", "model.json", "log.csv", "--sample-rate", "1e12")
     assert outcome.code == 1
     assert "1e-12 s is 1,000,000,000,000 times in the delay of 1 s" in outcome.err
+
+
+# --- numbers that are none of a model, and JSON without an end ---
+
+
+def with_value(model: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
+    """Return a model with the value at a path such as ``stages[0].dx[1]`` replaced."""
+    changed: Any = json.loads(json.dumps(model))
+    keys = path.replace("[", ".").replace("]", "").split(".")
+    place = changed
+    for key in keys[:-1]:
+        place = place[int(key) if isinstance(place, list) else key]
+    place[int(keys[-1]) if isinstance(place, list) else keys[-1]] = value
+    return dict(changed)
+
+
+RELAXING = {"on": "input", "reference": 0.0, "tau": [0.1], "gain": [0.01]}
+FAR = "is beyond 1e+60, which no signal reaches"
+SMALL = "is below 1e-60, which is nothing"
+NO_TIME = "is not from 1e-15 to 1e+15"
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "reason"),
+    [
+        ("stages[0].dx[1]", 1e307, FAR), ("stages[0].dy[0]", 1e307, FAR), ("stages[0].dx[0]", 1e-300, SMALL),
+        ("stages[0].dy[3]", 5e-324, SMALL), ("stages[0].x0", -1e307, FAR), ("stages[0].y0", 1e61, FAR),
+        ("stages[1].gain", 1e308, FAR), ("stages[1].offset", 1e307, FAR), ("input.max", 1e307, FAR),
+        ("output.min", -1e307, FAR), ("stages[0].relaxation.tau[0]", 5e-324, NO_TIME),
+        ("stages[0].relaxation.tau[0]", 1e16, NO_TIME), ("stages[0].relaxation.gain[0]", 1e307, FAR),
+        ("stages[0].relaxation.reference", 1e307, FAR), ("stages[2].sections[0].frequency", 1e-300, NO_TIME),
+        ("stages[2].sections[0].frequency", 1e300, FAR), ("stages[2].sections[0].damping", 5e-324, SMALL),
+        ("stages[2].sections[1].lag", 1e-300, NO_TIME), ("stages[3].seconds", 1e308, FAR),
+        ("stages[3].seconds", 1e17, NO_TIME),
+    ],
+)  # fmt: skip
+def test_a_number_that_is_none_of_a_model_is_refused_with_its_key(
+    dbo: Any, model_file: Path, path: str, value: float, reason: str
+) -> None:
+    model = json.loads(model_file.read_text())
+    model["stages"][0]["relaxation"] = RELAXING
+    model["stages"].append(
+        {"type": "dynamics", "sections": [{"frequency": 90.0, "damping": 0.1}, {"lag": 0.01}]}
+    )
+    model["stages"].append({"type": "delay", "seconds": 0.01})
+    model_file.write_text(json.dumps(model))
+    assert dbo("show", "model.json").code == 0
+    model_file.write_text(json.dumps(with_value(model, path, value)))
+    done = dbo("show", "model.json")
+    assert (done.code, done.out) == (1, "")
+    assert done.err == f"dbo: error: model.json: {path}: {value!r} {reason}\n"
+
+
+@pytest.mark.parametrize("path", ["stages[0].x0", "stages[0].y0"])
+def test_gears_that_rounding_takes_away_are_refused(dbo: Any, model_file: Path, path: str) -> None:
+    model = json.loads(model_file.read_text())
+    model_file.write_text(json.dumps(with_value(model, path, 1e59)))
+    done = dbo("show", "model.json")
+    message = f"{path}: rounding leaves nothing of the gears beside 1e+59, where they begin"
+    assert (done.code, done.err) == (1, f"dbo: error: model.json: {message}\n")
+
+
+@pytest.mark.parametrize("words", ["show deep.json", "simulate model.json log.csv --state deep.json"])
+def test_json_that_is_nested_without_an_end_is_refused(dbo: Any, model_file: Path, words: str) -> None:
+    Path("log.csv").write_text(LOG)
+    Path("deep.json").write_text("[" * 100_000)
+    done = dbo(*words.split())
+    assert done.code == 1 and "deep.json: is not readable JSON" in done.err, done.err
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("[" * 100_000, "cannot be read as a history: maximum recursion depth exceeded"),
+        ('{"format": "dbo-history", "version": 1, "passes": [{"rmse": 1' + "0" * 400 + "}]}",
+         "a pass has no `rmse`"),
+    ],
+)  # fmt: skip
+def test_a_history_that_cannot_be_one_is_refused(tmp_path: Path, text: str, reason: str) -> None:
+    path = tmp_path / "history.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=f"{path}: {reason}"):
+        read_history(str(path))
+
+
+def test_a_million_gears_stand_in_a_short_file(dbo: Any, model_file: Path) -> None:
+    """Setting bits of B one by one would copy it a million times."""
+    model = json.loads(model_file.read_text())
+    run = [{"repeat": 1_000_000, "value": 1e-5}]
+    model["version"], model["stages"][0] = 2, model["stages"][0] | {"dx": run, "dy": run}
+    model_file.write_text(json.dumps(model))
+    Path("log.csv").write_text("voltage_V\n5\n7\n3\n5\n")
+    done = dbo("simulate", "model.json", "log.csv")
+    assert done.code == 0, done.err
+    measured = [float(line.split(",")[1]) for line in done.out.splitlines()[1:]]
+    assert measured == pytest.approx([1.0 + 1.6 * volts for volts in (5.0, 7.0, 3.0, 5.0)], abs=1e-4)

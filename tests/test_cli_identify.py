@@ -220,3 +220,53 @@ def test_paper_method_takes_its_scale_from_one_cycle(dbo: Any, small_log: Path) 
     assert scale["gain"] == pytest.approx(np.ptp(table[:, 2]) / np.ptp(table[:, 1]), rel=1e-12)
     assert scale["offset"] == pytest.approx(table[:, 2].min() - table[:, 2].mean(), rel=1e-12)
     assert (gears["x0"], len(gears["dx"])) == (table[:, 1].min(), 25)
+
+
+def test_the_sign_is_the_first_thing_said_and_kept(whole_dbo: Any, small_log: Path) -> None:
+    _, voltage, displacement = np.loadtxt(small_log, delimiter=",", skiprows=1).T
+    write_log("turned.csv", voltage, -displacement)
+    for name, sign, verb in (("log", "rising", "rises"), ("turned", "falling", "falls")):
+        done = whole_dbo(
+            "identify", f"{name}.csv", *QUICK, "--sign", sign, "-o", "m.json", "--summary", "s.json"
+        )
+        assert done.code == 0
+        first = done.err.splitlines()[0]
+        assert first.startswith(f"dbo: {name}.csv: 480 rows, ")
+        assert first.endswith(f"; displacement {verb} as voltage rises")
+        model = json.loads(Path("m.json").read_text())
+        assert next(iter(model["fit"].items())) == ("sign", sign)
+        assert model["provenance"]["arguments"][-2:] == ["--sign", sign]
+        summary = json.loads(Path("s.json").read_text())
+        assert (summary["format"], summary["version"], summary["sign"]) == ("dbo-summary", 1, sign)
+        assert summary["command"].startswith(f"dbo identify {name}.csv")
+        assert [one["file"] for one in summary["read"]] == [f"{name}.csv"]
+        assert summary["range"] == [model["input"]["min"], model["input"]["max"]] == [0.0, 100.0]
+        assert summary["expected_rmse"] == model["fit"]["expected_rmse"]
+        shown = whole_dbo("show", "m.json").out.splitlines()
+        assert shown[0].startswith("forward model: voltage 0 to 100 V to displacement ")
+        assert shown[1] == f"displacement {verb} as voltage rises"
+        assert json.loads(whole_dbo("show", "m.json", "--format", "json").out)["sign"] == sign
+
+
+def test_the_other_sign_is_refused_before_anything_is_written(dbo: Any, small_log: Path) -> None:
+    before = folder_content(Path())
+    done = dbo("identify", "log.csv", *QUICK, "--sign", "falling", "-o", "m.json", "--summary", "s.json")
+    assert done.code == 3
+    assert done.err == (
+        "dbo: error: log.csv: displacement rises as voltage rises, and --sign is falling: check the actuator's leads and the sensor's sign (--scale displacement=-1 turns it)\n"
+    )
+    assert folder_content(Path()) == before
+    done = dbo("identify", "log.csv", "--sign", "up", "-o", "m.json")
+    assert done.code == 2 and "--sign" in done.err
+
+
+def test_a_summary_of_each_file_has_its_own_name(dbo: Any, small_log: Path) -> None:
+    Path("other.csv").write_bytes(small_log.read_bytes())
+    words = ("identify", "log.csv", "other.csv", *QUICK, "-o", "{file}.json", "--summary")
+    refused = dbo(*words, "s.json")
+    assert refused.code == 2
+    assert "--summary s.json: each log has its own (put {file} into its name)" in refused.err
+    assert dbo(*words, "s_{file}.json").code == 0
+    for name in ("log", "other"):
+        [read] = json.loads(Path(f"s_{name}.json").read_text())["read"]
+        assert read["file"] == f"{name}.csv"

@@ -13,7 +13,8 @@ import pytest
 from virtual_mirror import VirtualMirror, save_table
 
 import dbo_cli
-from dbo_cli.hysteresis.excitation import Excitation, channel_drives
+from dbo_cli.extras.channels.excitation import channel_drives
+from dbo_cli.hysteresis.excitation import Excitation
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "cluster.md"
 CHANNELS = 4

@@ -17,9 +17,10 @@ from trials import Floats
 from dbo_cli.drives.gate import DriveGate, GateError
 from dbo_cli.drives.limits import require_one_unit
 from dbo_cli.errors import InputError, LimitError, UsageError
-from dbo_cli.extras.live.controller import Converter
+from dbo_cli.extras.live.converter import Converter
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag
 from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits
+from dbo_cli.hysteresis.stepper import may_follow
 from dbo_cli.runs.api import Model
 
 
@@ -44,7 +45,7 @@ def exactly_kept(drive: Floats, limits: DriveLimits, seconds: float, last: float
 
 
 def prompt(**more: Any) -> dict[str, Any]:
-    return {"sample_rate": RATE, "details": True, **more}
+    return {"sample_rate": RATE, "details": True, "on_limit": "clip", **more}
 
 
 @pytest.mark.parametrize("delay", [0.0, 2.5 / RATE])
@@ -88,6 +89,13 @@ def test_the_gate_lets_no_infinite_row_through_whatever_its_range(row: float, la
     assert DriveGate(DriveLimits(-np.inf, np.inf), last).violation(np.array([1e308])) == ""
 
 
+@pytest.mark.parametrize("volts", [np.inf, -np.inf, np.nan])
+@pytest.mark.parametrize("last", [np.nan, 0.0])
+def test_no_infinite_row_follows_another(volts: float, last: float) -> None:
+    assert not may_follow(volts, last, -np.inf, np.inf, np.inf)
+    assert may_follow(1e308, last, -np.inf, np.inf, np.inf)
+
+
 def test_from_outside_its_range_a_drive_may_only_come_inwards() -> None:
     limits = DriveLimits(0.0, 10.0)
     assert DriveGate(limits, last=14.0).violation(np.array([13.0, 12.0, 9.0, 8.0])) == ""
@@ -101,13 +109,13 @@ def test_infinite_limits_switch_nothing_off() -> None:
     times = np.array([0.0, 0.0, 0.01, 0.02])
     model = Model(build(1, False))
     top = model.input.minimum + 0.4 * model.input.span
+    clip: dict[str, Any] = {"details": True, "state": "empty", "on_limit": "clip"}
     for more in ({"max_slew": np.inf}, {"max_slew": np.inf, "v_min": -np.inf}, {}):
         ends = [model.output.maximum, model.output.minimum, model.output.maximum, model.output.maximum]
-        done = model.compensate(ends, time=times, v_max=top, details=True, state="empty", **more)
+        done = model.compensate(ends, **clip, time=times, v_max=top, **more)
         assert done.values.max() == top and done.clipped > 0
-    wide = model.compensate(
-        [model.output.maximum + 0.05] * 3, sample_rate=10.0, v_max=1e12, details=True, state="empty"
-    )
+    far = [model.output.maximum + 0.05] * 3
+    wide = model.compensate(far, **clip, sample_rate=10.0, v_max=1e12)
     assert wide.clipped == 3  # the gain is negative: more displacement than the lower limit gives
 
 

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 import reference
 from exported import COMPILERS, compile_c
+from gear_by_gear import gear_by_gear
 from trials import Floats, random_operator, random_trajectory
 
 import dbo_cli.hysteresis
@@ -109,17 +110,24 @@ def test_many_equal_gears_at_once_are_crossed_as_one_by_one(
 
 
 class Grouped:
-    """A kernel that is given one row a run of equal gears."""
+    """A kernel that is given one row a run of equal gears, and no guide, as small chips are."""
 
-    def __init__(self, inner: Any) -> None:
-        self.inner = inner
+    def __init__(self, inner: Any, run: int) -> None:
+        self.inner, self.run = inner, run
         self.point_run, self.memory_run = inner.point_run, inner.memory_run
 
-    def backlash_run(self, gears: Floats, n: int, run: int, *rest: Any) -> Any:
-        return self.inner.backlash_run(np.ascontiguousarray(gears[::run]), n, run, *rest)
+    def grouped(self, gears: Floats, n: int) -> tuple[Any, ...]:
+        table = np.vstack([gears[: -1 : self.run], gears[-1]])
+        return table, np.empty(0, np.uint32), n, self.run
 
-    def backlash_engagement(self, gears: Floats, n: int, run: int, *rest: Any) -> Any:
-        return self.inner.backlash_engagement(np.ascontiguousarray(gears[::run]), n, run, *rest)
+    def backlash_run(self, gears: Floats, _guide: Any, n: int, _run: int, *rest: Any) -> Any:
+        return self.inner.backlash_run(*self.grouped(gears, n), *rest)
+
+    def backlash_decay(self, gears: Floats, _guide: Any, n: int, _run: int, *rest: Any) -> Any:
+        return self.inner.backlash_decay(*self.grouped(gears, n), *rest)
+
+    def backlash_engagement(self, gears: Floats, _guide: Any, n: int, _run: int, *rest: Any) -> Any:
+        return self.inner.backlash_engagement(*self.grouped(gears, n), *rest)
 
 
 @needs_compiled
@@ -129,27 +137,39 @@ def test_grouped_tables_give_the_same_bits(relaxation: bool, monkeypatch: pytest
     for seed in range(10):
         run = (4, 5, 18, 70, 300)[seed % 5]
         expanded = everything(seed, monkeypatch, COMPILED, relaxation, run)
-        assert expanded == everything(seed, monkeypatch, Grouped(COMPILED), relaxation, run), seed
-        assert expanded == everything(seed, monkeypatch, Grouped(kernel.PythonKernel), relaxation, run), seed
+        for inner in (COMPILED, kernel.PythonKernel):
+            assert expanded == everything(seed, monkeypatch, Grouped(inner, run), relaxation, run), seed
 
 
-@pytest.fixture(scope="module", params=["", "-DDBO_SOFT_DOUBLE"])
-def firmware(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """The extension with the kernel as small chips have it, those with float64 in software among them."""
+@pytest.mark.parametrize("relaxation", [False, True])
+def test_runs_are_crossed_as_gears_are_one_by_one(
+    relaxation: bool, chosen: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Against the procedure that looks nothing up: outputs, states and counts."""
+    slow = gear_by_gear()
+    for seed in range(60):
+        run = (1, 1, 4, 18)[seed % 4]
+        expected = everything(seed, monkeypatch, slow, relaxation, run)
+        assert everything(seed, monkeypatch, chosen, relaxation, run) == expected, seed
+
+
+@pytest.fixture(scope="module")
+def firmware(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """The extension with the kernel as small chips have it."""
     if COMPILED is None or not COMPILERS:
         pytest.skip("no C compiler, or the compiled kernel was not built")
     folder = tmp_path_factory.mktemp("firmware")
     library = folder / "_kernel.so"
     compile_c(
         folder, "-std=c99", "-O1", "-ffp-contract=off", "-shared", "-fPIC", "-DDBO_SMALL",
-        *request.param.split(), f"-I{sysconfig.get_path('include')}",
+        f"-I{sysconfig.get_path('include')}",
         *map(str, sorted((*SOURCE.glob("_[bk]*.c"), *SOURCE.glob("dbo_*.c")))),
         "-o", str(library), compiler=COMPILERS[0],
     )  # fmt: skip
     loader = ExtensionFileLoader("_kernel", str(library))
     module = module_from_spec(ModuleSpec("_kernel", loader, origin=str(library)))
     loader.exec_module(module)
-    return Grouped(module)
+    return module
 
 
 @pytest.mark.parametrize("relaxation", [False, True])
@@ -159,22 +179,24 @@ def test_the_kernel_of_small_chips_gives_the_same_bits(
     for seed in range(60):
         run = (1, 4, 5, 18, 70, 300)[seed % 6]
         expected = everything(seed, monkeypatch, COMPILED, relaxation, run)
-        assert expected == everything(seed, monkeypatch, firmware, relaxation, run), seed
+        assert expected == everything(seed, monkeypatch, Grouped(firmware, run), relaxation, run), seed
 
 
 @pytest.mark.parametrize("n", [64, 65, 128, 1000, 1280])
 def test_small_chips_jump_as_others(n: int, firmware: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert jumps(n, firmware, monkeypatch) == jumps(n, COMPILED, monkeypatch)
+    assert jumps(n, firmware, monkeypatch) == jumps(n, gear_by_gear(), monkeypatch)
 
 
 @needs_compiled
 @pytest.mark.parametrize("n", [64, 65, 128, 1000, 1280])
-def test_jumps_from_any_state_cross_words_as_gears(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert jumps(n, COMPILED, monkeypatch) == jumps(n, kernel.PythonKernel, monkeypatch)
+def test_jumps_from_any_state_cross_runs_as_gears(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    expected = jumps(n, gear_by_gear(), monkeypatch)
+    assert jumps(n, COMPILED, monkeypatch) == expected
+    assert jumps(n, kernel.PythonKernel, monkeypatch) == expected
 
 
 def jumps(n: int, chosen: Any, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """Every word holds ones and zeros at first; full jumps, into words, back, and with limits on the way."""
+    """Ones and zeros are mixed at first; full jumps, into words, back, and with limits on the way."""
     monkeypatch.setattr(kernel, "CHOSEN", chosen)
     found = []
     for seed in range(8):
@@ -193,7 +215,7 @@ def jumps(n: int, chosen: Any, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     return found
 
 
-def test_a_words_last_gear_is_crossed_by_the_tolerance(chosen: Any) -> None:
+def test_a_gear_far_off_is_crossed_by_the_tolerance(chosen: Any) -> None:
     operator = DiscreteBacklashOperator(np.ones(128), np.ones(128))
     for short, bits in ((0.5e-9, (1 << 64) - 1), (2e-9, (1 << 63) - 1)):
         y, state, _ = operator.run([64.0 - short], operator.empty())
@@ -323,8 +345,8 @@ def test_sums_never_drift(chosen: Any) -> None:
 
 
 @pytest.mark.parametrize("n", [2, 63, 64, 65, 4096, 4097, 9000])
-def test_many_words(n: int, chosen: Any) -> None:
-    """Full sweeps and a dither with all low bits set, across words and across words of words."""
+def test_many_gears(n: int, chosen: Any) -> None:
+    """Full sweeps, and a dither with all low bits set."""
     operator = DiscreteBacklashOperator(np.ones(n), np.full(n, 0.5))
     x = np.array([float(n), n - 1.0, float(n), 0.0, float(n - 1), n - 1.5, n - 1.0, float(n), n - 2.0])
     y, state, counts = operator.run(x, operator.empty())
@@ -381,26 +403,27 @@ def test_steps_planned_committed_and_applied_are_those_of_blocks(relaxation: boo
                 state, before = after, float(y[0])
             else:
                 before = float(rng.uniform(low, high))
-                stepper.apply(before)
+                stepper.follow(before)
+                stepper.commit()
                 state = forward.run([before], state, decay=decay)[1]
         with pytest.raises(ValueError, match=r"^nothing was planned to be committed$"):
             BacklashStepper(inverse, state, before, 0.01, limits).commit()
         if relaxation:
             with pytest.raises(ValueError, match=r"^memory on the input: its output does not give the"):
-                BacklashStepper(forward, state, before, 0.01).apply(0.0)
+                BacklashStepper(forward, state, before, 0.01).follow(0.0)
 
 
 @needs_compiled
 def test_compiled_stepper_checks_lengths() -> None:
     assert COMPILED is not None
-    gears, one = np.ones((2, 4)), np.ones(1)
+    gears, guide, one = np.ones((3, 6)), np.empty(0, np.uint32), np.ones(1)
     end = (False, 0.0, 0.0, 0.0, np.nan)
     with pytest.raises(ValueError, match="kernel buffer of the wrong length: gears"):
-        COMPILED.Stepper(gears, 3, 1, 0.0, 0.0, True, one, 0.0, True, one, *end)
+        COMPILED.Stepper(gears, guide, 3, 1, 0.0, 0.0, True, one, 0.0, True, one, *end)
     with pytest.raises(ValueError, match="kernel buffer of the wrong length: decay"):
-        COMPILED.Stepper(gears, 2, 1, 0.0, 0.0, True, one, 0.0, True, np.ones(2), *end)
-    made = COMPILED.Stepper(gears, 2, 1, 0.0, 0.0, True, one, 0.0, True, one, *end)
-    words = np.zeros(kernel.buffer_words(2), np.uint64)
+        COMPILED.Stepper(gears, guide, 2, 1, 0.0, 0.0, True, one, 0.0, True, np.ones(2), *end)
+    made = COMPILED.Stepper(gears, guide, 2, 1, 0.0, 0.0, True, one, 0.0, True, one, *end)
+    words = np.zeros(kernel.state_words(2), np.uint64)
     for call in (made.get, lambda *buffers: made.set(*buffers, 0.0)):
         with pytest.raises(ValueError, match="kernel buffer of the wrong length: words"):
             call(words[1:], one)
@@ -430,17 +453,17 @@ def test_blocks_of_no_samples(chosen: Any) -> None:
 @needs_compiled
 def test_compiled_kernel_checks_lengths() -> None:
     assert COMPILED is not None
-    gears = np.ones((2, 4))
+    gears, guide = np.ones((3, 6)), np.empty(0, np.uint32)
     none = np.empty(0)
     with pytest.raises(ValueError, match="kernel buffer of the wrong length: words"):
         COMPILED.backlash_engagement(
-            gears, 2, 1, 0.0, True, np.zeros(1, np.uint64), none, none, np.empty(2), 1
+            gears, guide, 2, 1, 0.0, True, np.zeros(0, np.uint64), none, none, np.empty(2), 1
         )
-    words = np.zeros(kernel.buffer_words(2), np.uint64)
+    words = np.zeros(kernel.state_words(2), np.uint64)
     with pytest.raises(ValueError, match="kernel buffer of the wrong length: rows"):
-        COMPILED.backlash_engagement(gears, 2, 1, 0.0, True, words, np.ones(3), none, np.empty(2), 1)
+        COMPILED.backlash_engagement(gears, guide, 2, 1, 0.0, True, words, np.ones(3), none, np.empty(2), 1)
     with pytest.raises(ValueError, match="kernel buffer of the wrong length: gears"):
-        COMPILED.backlash_engagement(gears, 7, 3, 0.0, True, words, np.ones(3), none, np.empty(3), 1)
+        COMPILED.backlash_engagement(gears, guide, 7, 3, 0.0, True, words, np.ones(3), none, np.empty(3), 1)
     with pytest.raises(ValueError, match="kernel buffer of the wrong length: y"):
         COMPILED.point_run(np.ones((1, 3)), 0.0, 0.0, np.ones(3), np.empty(2))
 
@@ -466,28 +489,50 @@ def test_environment_selects_the_python_twin() -> None:
     assert done.stdout.strip() == "python"
 
 
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+@pytest.mark.parametrize("flags", [["-O2"], ["-O1", "-DDBO_SMALL", "-DDBO_PLACE=uint16_t"]])
+def test_random_blocks_give_the_bits_of_single_gears(flags: list[str], tmp_path: Path) -> None:
+    """All kinds of widths, inputs, memories, limits and cuts, in short; the benchmark goes on for ever."""
+    program = tmp_path / "kernel_reference"
+    source = Path(__file__).resolve().parent.parent / "benchmarks" / "kernel_reference.c"
+    words = [
+        "cc",
+        "-std=c99",
+        *flags,
+        "-ffp-contract=off",
+        f"-I{SOURCE}",
+        str(source),
+        "-o",
+        str(program),
+        "-lm",
+    ]
+    subprocess.run(words, check=True)
+    for seed in ("11", "12"):
+        done = subprocess.run([str(program), "3e5", seed], capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stdout.split()[1:]) == (0, "steps, every bit as gear by gear".split())
+
+
 HARNESS = """
 #include "dbo_kernel.c"
-unsigned scan(uint64_t word) { return first_one(word); }
-void drive(const dbo_gear *gears, size_t n, uint64_t *words, const double *x, double *y, size_t count) {
-    dbo_backlash op = {gears, n, 1, 1, DBO_ROW_FACTOR(1), 0.0, 0.0, 1, 0, 0, 0.0, 0};
-    dbo_backlash_state state = {words, 0, 0.0, 0, 0, 0.0, 0.0};
+void drive(const dbo_gear *gears, size_t n, dbo_place *turns, const double *x, double *y, size_t count) {
+    dbo_backlash op = {gears, n, 1, DBO_ROW_FACTOR(1), 0, 0, 0.0, 0.0, 0.0, 1, 0, 0, 0.0, 0};
+    dbo_backlash_state state = {turns, 0, 0.0, 0, 0, 0, 0.0, 0.0};
     dbo_counts counts = {0, 0, 0, 0};
-    dbo_backlash_load(&op, &state);
+    dbo_backlash_load(&op, &state, 0);
     for (size_t k = 0; k < count; k++) y[k] = dbo_backlash_step(&op, &state, x[k], 0, 0, &counts);
 }
 """
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
-def test_portable_scan_and_single_steps(tmp_path: Path) -> None:
-    """The file on its own, warnings as errors, with and without the compiler's instruction."""
+def test_single_steps_with_small_places(tmp_path: Path) -> None:
+    """The file on its own, warnings as errors, with places of 16 bits and without the package's guide."""
     (tmp_path / "harness.c").write_text(HARNESS)
     rng = np.random.default_rng(8)
     operator = DiscreteBacklashOperator(rng.uniform(0.1, 1.0, 150), rng.uniform(0.1, 1.0, 150))
     x = random_trajectory(rng, operator, 300)
     expected, _, _ = operator.run(x, operator.empty())
-    for flags in (["-O1"], ["-O1", "-DDBO_PORTABLE_SCAN"], ["-O1", "-DDBO_PORTABLE_SCAN", "-DDBO_SMALL"]):
+    for flags in (["-O1"], ["-O1", "-DDBO_PLACE=uint16_t"], ["-O1", "-DDBO_PLACE=uint16_t", "-DDBO_SMALL"]):
         library = tmp_path / f"kernel{''.join(flags)}.so"
         subprocess.run(
             ["cc", "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror",
@@ -496,16 +541,9 @@ def test_portable_scan_and_single_steps(tmp_path: Path) -> None:
             check=True,
         )  # fmt: skip
         loaded = ctypes.CDLL(str(library))
-        loaded.scan.argtypes, loaded.scan.restype = [ctypes.c_uint64], ctypes.c_uint
-        for i in range(64):
-            low = int(rng.integers(0, 2**63)) << i & 2**64 - 1
-            assert loaded.scan(1 << i) == i
-            assert loaded.scan(1 << i | low << 1 & 2**64 - 1) == i
         y = np.empty_like(x)
-        words = np.zeros(kernel.buffer_words(operator.n), np.uint64)
+        turns, (table, _) = np.zeros(operator.n, np.uint32), operator.table
         pointer = ctypes.c_void_p
         loaded.drive.argtypes = [pointer, ctypes.c_size_t, pointer, pointer, pointer, ctypes.c_size_t]
-        loaded.drive(
-            operator.gears.ctypes.data, operator.n, words.ctypes.data, x.ctypes.data, y.ctypes.data, x.size
-        )
+        loaded.drive(table.ctypes.data, operator.n, turns.ctypes.data, x.ctypes.data, y.ctypes.data, x.size)
         assert bits_of(y) == bits_of(expected)

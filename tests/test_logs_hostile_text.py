@@ -97,3 +97,18 @@ def test_a_skipped_header_counts_empty_lines_too(tmp_path: Path) -> None:
 def test_headers_are_taken_apart_in_linear_time(piece: str) -> None:
     for tail in ("", " b c", "(", ")", " /"):
         split_header("x" + piece * 100_000 + tail)
+
+
+@pytest.mark.parametrize("text", [b"\0" * (1 << 24), (b"\0" * 99 + b"\n") * (1 << 14)])
+def test_nothing_but_nul_bytes_is_no_text_of_any_encoding(text: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "log.csv.gz"
+    path.write_bytes(gzip.compress(text, 1))
+    with pytest.raises(InputError, match="this is a binary file, not a text log: export it as CSV or HDF5"):
+        open_log(str(path), {})
+
+
+def test_a_line_of_millions_of_delimiters_is_none_of_a_log(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv.gz"
+    path.write_bytes(gzip.compress(b"," * (1 << 24), 1))
+    with pytest.raises(InputError, match="no data rows: no line holds numbers"):
+        open_log(str(path), {})

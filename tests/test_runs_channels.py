@@ -14,8 +14,8 @@ from conftest import SMALL_MODEL, folder_content
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.extras.channels.columns import ChannelReader
-from dbo_cli.extras.channels.model_set import read_model, read_set, set_to_bytes
-from dbo_cli.hysteresis.model_file import Node, model_of, model_to_bytes
+from dbo_cli.extras.channels.model_set import set_to_bytes
+from dbo_cli.hysteresis.model_file import Node, model_of, model_to_bytes, read_model, read_set
 from dbo_cli.logs.columns import OutColumn
 from dbo_cli.logs.hdf5.store import matrix_writer
 from dbo_cli.logs.request import ReadingOptions, parse_address
@@ -90,6 +90,29 @@ def columns_of(text: str) -> dict[str, list[str]]:
 
 
 # --- identify ---
+
+
+def test_channels_whose_sign_differs_are_named(mirror: Any, whole_dbo: Any) -> None:
+    time, volts, *others = np.loadtxt("log.csv", delimiter=",", skiprows=1).T
+    first, _, _, second, _, _, third, _ = others
+    names = dict(zip(CHANNELS, (first, -second, third), strict=True))
+    columns = {"time_s": time}
+    for channel, moved in names.items():
+        columns |= {f"V_{channel} (V)": volts, f"D_{channel} (um)": moved}
+    write_table("turned.csv", columns)
+    words = ("identify", "turned.csv", *QUICK, "--voltage", "V_{}", "--displacement", "D_{}", "-o", "m.json")
+    said = whole_dbo(*words, "--summary", "s.json")
+    odd = CHANNELS[1]
+    assert said.code == 0
+    line = f"displacement rises as voltage rises, but falls in channel {odd}"
+    assert said.err.splitlines()[0].endswith(f"; 3 channels: voltage 'V_{{}}', displacement 'D_{{}}'; {line}")
+    assert f"warning: {line}: are leads exchanged, or does a sensor face away?\n" in said.err
+    signs = [(one["channel"], one["sign"]) for one in json.loads(Path("s.json").read_text())]
+    assert signs == [(CHANNELS[0], "rising"), (odd, "falling"), (CHANNELS[2], "rising")]
+    Path("m.json").unlink()
+    said = whole_dbo(*words, "--sign", "rising")
+    assert said.code == 3 and not Path("m.json").exists()
+    assert f"dbo: error: channel {odd}: turned.csv: displacement falls as voltage rises" in said.err
 
 
 def test_identify_makes_the_models_that_the_columns_alone_give(mirror: Any) -> None:
@@ -348,12 +371,14 @@ def test_figures_of_channels_are_refused_before_anything_is_written(mirror: Any)
 def test_show_lists_the_models_of_a_set(mirror: Any) -> None:
     said = mirror("show", "set.json")
     assert said.out.splitlines()[0] == "3 models (FILE::CHANNEL names one)"
-    assert [line.split()[0] for line in said.out.splitlines()[2:]] == ["channel", *CHANNELS]
+    rows = [line.split() for line in said.out.splitlines()[2:]]
+    assert [row[0] for row in rows] == ["channel", *CHANNELS]
+    assert [row[rows[0].index("sign") + 6] for row in rows[1:]] == ["rising"] * 3
     assert (
         json.loads(mirror("show", "set.json", "--format", "json").out)["models"]["b"]["output"]["max"] == 10.0
     )
     assert mirror("show", "set.json::b").out.startswith(
-        "forward model: voltage 0 to 10 V to displacement 1 to 10 um\n"
+        "forward model: voltage 0 to 10 V to displacement 1 to 10 um\ndisplacement rises as voltage rises\n"
     )
 
 

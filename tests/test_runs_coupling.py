@@ -14,8 +14,9 @@ from virtual_mirror import VirtualMirror, save_table
 
 import dbo_cli
 from dbo_cli.errors import ModelError
+from dbo_cli.extras.channels.excitation import channel_drives
 from dbo_cli.extras.channels.model_set import Coupling, read_set, set_to_bytes
-from dbo_cli.hysteresis.excitation import Excitation, channel_drives
+from dbo_cli.hysteresis.excitation import Excitation
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import Node, model_of
 

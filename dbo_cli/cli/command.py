@@ -138,7 +138,11 @@ class Progress(Listener):
 
 
 class Given(SimpleNamespace):
-    """The values of a command's options, each under its ``key``; ``typed`` is the whole command line."""
+    """The values of a command's options, each under its ``key``.
+
+    ``typed`` is the whole command line. ``brought`` has the values of options that extras bring to a command
+    of the core, by key; those that were not typed are not in it.
+    """
 
     def of(self, options: Iterable[Option]) -> dict[str, Any]:
         """Return the values of some options by their keys, as keywords of a call."""
@@ -160,10 +164,14 @@ class Given(SimpleNamespace):
 
 
 class Command(NamedTuple):
-    """A command: its function, whose docstring is its help, and its options in the order of the help."""
+    """A command: its function, whose docstring is its help, and its options in the order of the help.
+
+    ``brought``: the options that extras bring to a command of the core; they come last.
+    """
 
     function: Callable[[Given], None]
     options: tuple[Option, ...]
+    brought: tuple[Option, ...] = ()
 
     def section(self, heading: str = "") -> str:
         """Return what the docstring has under a heading; what it begins with under none."""

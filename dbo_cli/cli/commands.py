@@ -7,10 +7,12 @@ needs is imported when it runs: a page of help loads nothing heavy.
 from __future__ import annotations
 
 import shlex
+from collections.abc import Iterable, Sequence
 
 from dbo_cli import extensions
 from dbo_cli.cli import options
 from dbo_cli.cli.command import Command, Given, Progress, destination_of, finish, refuse_terminal, work_of
+from dbo_cli.cli.options import Option
 from dbo_cli.errors import UsageError
 
 
@@ -31,6 +33,10 @@ def identify(given: Given) -> None:
         dbo identify recorded.csv -o model.json
     Two channels of an oscilloscope; the sensor gives 10 um a volt:
         dbo identify run.csv --voltage CH1 --displacement CH2 --scale displacement=10um/V -o m.json
+
+    Exit code 3
+    -----------
+    The displacement goes the other way with the voltage than --sign says; no model is written.
     """
     reading = given.reading
     refuse_terminal(given.output)
@@ -41,11 +47,19 @@ def identify(given: Given) -> None:
     from dbo_cli.runs.many import identified
 
     fixed = IdentificationOptions(
-        **given.of([*options.IDENTIFICATION, options.ZERO, options.METHOD, options.FORCE]),
+        **given.of([*options.IDENTIFICATION, options.SIGN, options.ZERO, options.METHOD, options.FORCE]),
         skip_seconds=given.skip,
         rated=None if given.v_min is None else (given.v_min, given.v_max),
     )
-    asked = IdentifyRun(given.log, given.validate or [], reading, fixed, **given.of(options.FITTED))
+    asked = IdentifyRun(
+        given.log,
+        given.validate or [],
+        reading,
+        fixed,
+        **given.of(options.FITTED),
+        command=shlex.join(["dbo", *given.typed]),
+        brought=given.brought,
+    )
     finish(given, identified(asked, given.output, work_of(given), Progress(given.reporter, "read")))
     if not given.output.is_stream and "{" not in given.output.text:
         model = shlex.quote(given.output.text)
@@ -70,7 +84,7 @@ def show(given: Given) -> None:
     """
     from dbo_cli.runs.showing import show_model
 
-    given.reporter.notes(show_model(given.model, given.output, given.format, given.figures, given.settle))
+    given.reporter.notes(show_model(given.model, given.output, given.format, given.figures, given.brought))
 
 
 def invert(given: Given) -> None:
@@ -131,8 +145,11 @@ def compensate(given: Given) -> None:
     """Write the drive voltage that makes the actuator follow a desired displacement.
 
     The forward model is inverted exactly and started in the state in which dbo simulate of the drive starts;
-    a delay is made up for by reading the trajectory ahead. What the drive cannot reach within its limits is
-    clipped, counted and said; no row ever breaks a limit.
+    a delay is made up for by reading the trajectory ahead. No row ever leaves the range on which the model
+    was identified, cut by --v-min and --v-max (beyond it only with --extrapolate). What cannot be reached
+    within the limits is cut off, counted and said, as long as it costs at most 1 % of the move: the RMS of
+    what the move misses, over the difference between its largest and its least value. On standard output,
+    where rows leave before that is known, a stream ends once it has lost more than 1 % of the model's range.
 
     Writes
     ------
@@ -148,8 +165,10 @@ def compensate(given: Given) -> None:
 
     Exit code 3
     -----------
-    A limit is met and --on-limit is error, or the drive cannot begin, close or return within its limits; no
-    drive is written.
+    Limits cost more than 1 % of the move, or the delay is longer than it (--on-limit clip writes it all the
+    same); a limit is met and --on-limit is error; the drive cannot begin, close or return within its limits;
+    or what the program chose to put before the move takes more than a minute and ten times the move. No drive
+    is written.
     """
     reading = given.reading
     from dbo_cli.drives.options import DriveOptions
@@ -253,19 +272,16 @@ def excite(given: Given) -> None:
     """
     from dbo_cli.hysteresis.excitation import excitation_of
     from dbo_cli.logs.units import in_unit
-    from dbo_cli.runs.files import write_excitation
+    from dbo_cli.runs.files import excitation_drives, write_excitation
 
-    if given.channels is not None and given.points is not None:
-        raise UsageError(
-            "`points` and `channels` exclude each other: channels that move one by one take more rows"
-        )
     words = given.of(options.EXCITATION)
     volts = {
         key: None if words[key] is None else in_unit(key, words[key], "V", "s" if key == "max_slew" else None)
         for key in ("v_min", "v_max", "max_slew", "sweep_amplitude")
     }
     asked = excitation_of(**words | volts)
-    rows = write_excitation(given.output, asked, given.format, given.channels)
+    drives = excitation_drives(asked, given.points, given.brought)
+    rows = write_excitation(given.output, asked, given.format, drives)
     given.reporter.detail(
         f"{rows:,} rows, {rows / asked.sample_rate:g} s, {asked.v_min:g} to {asked.v_max:g} V"
     )
@@ -287,20 +303,45 @@ def names() -> list[str]:
     return [*CORE, *extensions.keys("command")]
 
 
-def find(name: str) -> Command | None:
+def find(name: str, words: Sequence[str] | None = None) -> Command | None:
     """Return the command of a name, with the options that extras bring; None where there is none.
+
+    Parameters
+    ----------
+    name
+        The command.
+    words
+        The command line. Other packages are looked at only where it has an option that is not known by then;
+        without a command line always.
 
     Raises
     ------
     UsageError
-        It belongs to an extra that is not installed.
+        It, or an option of the command line, belongs to an extra that is not installed.
     """
     command = CORE.get(name)
     if command is None:
-        brought: Command | None = extensions.find("command", name)
-        return brought
-    extra_options = [option for key, option in extensions.every("option") if key.partition(" ")[0] == name]
-    return command._replace(options=(*command.options, *extra_options))
+        from_extra: Command | None = extensions.find("command", name)
+        return from_extra
+    command = command._replace(brought=_brought(name, extensions.own()))
+    if words is not None:
+        typed = {word.partition("=")[0] for word in words if word.startswith("--")}
+        known = {spelling for option in (*command.options, *command.brought) for spelling in option.names}
+        if typed <= known:
+            return command
+        for option in sorted(typed - known):
+            extensions.find("option", f"{name} {option}")  # refuses one of an extra that is missing
+    return command._replace(brought=_brought(name, extensions.installed()))
+
+
+def _brought(name: str, extras: Iterable[extensions.Extra]) -> tuple[Option, ...]:
+    """Return the options that extras bring to a command of the core."""
+    options_of_extras = []
+    for extra in extras:
+        for key, option in extra.things("option"):
+            if key.startswith(f"{name} "):
+                options_of_extras.append(option)
+    return tuple(options_of_extras)
 
 
 def every() -> dict[str, Command]:

@@ -183,6 +183,10 @@ IDENTIFICATION = (
     ),
     Option("--slopes auto|growing|falling|free", "How the gears' slopes may run.", "auto"),
 )
+SIGN = Option(
+    "--sign rising|falling",
+    "Whether displacement rises or falls as voltage rises: exit 3 where the log shows the other.",
+)
 SKIP = Option("--skip SECONDS", "Leave the beginning of every log out of the fit.", "0")
 ZERO = Option(
     "--zero none|mean|first|VALUE",
@@ -198,15 +202,7 @@ VALIDATE = Option(
 PRIOR = Option(
     "--prior MODEL", "Keep the shape of this model, and find its gain, offset and lag again from a short log."
 )
-SHARED_SHAPE = Option(
-    "--shared-shape",
-    "Channels: one loop shape, gain, offset and lag of each; refused where channels left out speak against.",
-)
-COUPLING = Option(
-    "--coupling",
-    "Channels: find how much each shows in the others, from a log in which all move (excite --channels).",
-)
-FITTED = (VOLTAGE, DISPLACEMENT, PRIOR, SHARED_SHAPE, COUPLING)  # of the fields of ``IdentifyRun``
+FITTED = (VOLTAGE, DISPLACEMENT, PRIOR, SUMMARY)  # of the fields of ``IdentifyRun``
 RATED_MIN = Option(
     "--v-min VOLT", "The rating's lower end, with --v-max; logs of another range are warned of."
 )
@@ -239,7 +235,12 @@ DRIVING = (  # the fields of ``DriveOptions`` but for the state, which is read w
         "What the amplifier can deliver, with --capacitance: a slew limit of their ratio.",
     ),
     Option("--capacitance FARAD", "Of the actuator, with --max-current."),
-    Option("--on-limit clip|error", "clip and count, or exit 3, where a limit is met.", "clip"),
+    Option(
+        "--on-limit auto|clip|error",
+        "Where a limit is met: auto cuts off what costs up to 1 % of the move (RMS), and exits 3 for more; "
+        "clip cuts off whatever it costs; error exits 3 at once.",
+        "auto",
+    ),
     FROM,
     Option(
         "--approach SECONDS|auto",
@@ -291,7 +292,7 @@ CHECKING = (  # the fields of ``CheckOptions``
     Option(
         "--tolerance VOLT",
         "With --against, the largest difference allowed, and by how much a recorded row may miss a "
-        "limit [default: a thousandth of the range].",
+        "limit [default: a thousandth of the range, or six times the recording's noise].",
         parse=figure_above_0,
     ),
 )
@@ -338,9 +339,6 @@ REPORT_FORMAT = Option("--format text|json|csv|html", "Form of the report [defau
 SHOW_FORMAT = Option(
     "--format text|json", "Form of what is shown [default: by the output's name, else text]."
 )
-SETTLE = Option(
-    "--settle DISTANCE", "Say how long a step over the whole drive takes to stay within it (5nm, 0.005)."
-)
 MODEL_FIGURES = Option("--figures DIR", "Draw the model's curves, PNG and SVG, into this folder.")
 
 # --- excite: the parameters of ``write_excitation`` ---
@@ -357,20 +355,14 @@ EXCITATION = (  # of ``excitation_of``
     Option("--sweep-amplitude VOLT", "Of that sweep [default: 1 % of the range].", parse=figure_above_0),
 )
 
-DRIVEN = Option(
-    "--channels N",
-    "Drives of N channels, voltage_1 and so on: together with different turns, then one by one.",
-    parse=whole(2),
-)
-
 # --- which command has which, in the order of the help ---
 # fmt: off
 OPTIONS_OF: dict[str, tuple[Option, ...]] = {
     "identify": (
-        LOGS, *READING, *REPORTING, *IDENTIFICATION, SKIP, ZERO, METHOD, VALIDATE, PRIOR, SHARED_SHAPE,
-        COUPLING, RATED_MIN, RATED_MAX, FORCE, *WORK, VOLTAGE, DISPLACEMENT, OUTPUT,
+        LOGS, *READING, *REPORTING, *IDENTIFICATION, SIGN, SKIP, ZERO, METHOD, VALIDATE, PRIOR,
+        RATED_MIN, RATED_MAX, FORCE, *WORK, VOLTAGE, DISPLACEMENT, SUMMARY, OUTPUT,
     ),
-    "show": (MODEL, *REPORTING, SHOW_FORMAT, MODEL_FIGURES, SETTLE, OUTPUT),
+    "show": (MODEL, *REPORTING, SHOW_FORMAT, MODEL_FIGURES, OUTPUT),
     "invert": (MODEL, *REPORTING, OUTPUT),
     "simulate": (
         MODEL, INPUTS, *READING, *REPORTING, OUTSIDE, *WORK, STATE, SAVE_STATE, INPUT, FLUSH, SUMMARY,
@@ -385,6 +377,6 @@ OPTIONS_OF: dict[str, tuple[Option, ...]] = {
         LOGS, *READING_OF_LOGS, *REPORTING, *TRACKING, *LIMITS, *WORK, FIGURES, REPORT_FORMAT,
         *REPORT_COLUMNS, OUTPUT,
     ),
-    "excite": (*REPORTING, *EXCITATION, DRIVEN, OUTPUT_FORMAT, OUTPUT),
+    "excite": (*REPORTING, *EXCITATION, OUTPUT_FORMAT, OUTPUT),
 }
 # fmt: on

@@ -98,7 +98,7 @@ class Commands(ParsedValues, TyperGroup):
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Build the command of a name, or return None."""
-        command = commands.find(cmd_name)
+        command = commands.find(cmd_name, WORDS.get())
         return None if command is None else _build(cmd_name, command)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
@@ -202,10 +202,15 @@ def command_of(name: str) -> Command:
 
 def _build(name: str, made_of: Command) -> Any:
     """Turn a command of the table into one of the command-line library."""
-    function, declared = made_of
+    declared = (*made_of.options, *made_of.brought)
 
     def command(**values: Any) -> None:
-        function(Given(typed=WORDS.get(), **values))
+        brought = {}
+        for option in made_of.brought:
+            value = values.pop(option.key)
+            if value not in (None, False):
+                brought[option.key] = value
+        made_of.function(Given(typed=WORDS.get(), brought=brought, **values))
 
     command.__doc__ = made_of.section()
     parameters = [_parameter(option) for option in declared]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import field, replace
 from typing import Any, NamedTuple
@@ -16,6 +17,7 @@ from dbo_cli.logs.sample_block import GAP_STEPS, SAME_RATE, median_step
 from dbo_cli.records import dataclass
 
 TOLERANCE = 1e-3  # of the drive's range: a converter of 10 bits rounds to half of it
+MOST_BY_NOISE = 6.0  # standard deviations: white noise reaches 5 once in two million rows
 EXACT = 1e-12  # of a variance: what sums and transforms of double precision leave of two equal drives
 FEWEST_SHARED = 0.25  # of the shorter of the two: in a few rows everything is like everything
 ANOTHER = 0.5  # correlation below which a recording is of another drive; chosen, in between
@@ -173,9 +175,22 @@ class Likeness(NamedTuple):
     cut: float
 
 
-def played_tolerance(drive: Floats, tolerance: float | None) -> float:
-    """Return by how much a recording may differ from a drive (its unit), where nothing else was asked for."""
-    return TOLERANCE * float(np.ptp(drive)) if tolerance is None else tolerance
+def noise_of(played: Floats) -> float:
+    """Return the standard deviation of a recording's read-back noise; 0 where none is evident."""
+    from dbo_cli.hysteresis.identification.drive_range import read_back_noise  # with all of identification
+
+    return read_back_noise(played)
+
+
+def played_tolerance(drive: Floats, played: Floats, tolerance: float | None) -> float:
+    """Return by how much a recording may differ from a drive (its unit).
+
+    Where no ``tolerance`` is given, that is a thousandth of the drive's range, or what the noise of the
+    recording makes of it if that is more.
+    """
+    if tolerance is not None:
+        return tolerance
+    return max(TOLERANCE * float(np.ptp(drive)), MOST_BY_NOISE * noise_of(played))
 
 
 def check_played(
@@ -196,13 +211,13 @@ def check_played(
     steps
         Seconds a row of the two, where they are known: at another rate the drive is interpolated.
     tolerance
-        Largest difference allowed; a thousandth of the drive's range where not given.
+        Largest difference allowed; see ``played_tolerance``.
     gain
         Of an amplifier behind the place of the recording: it is compared times that.
     suffix
         The unit, behind a blank, for messages.
     """
-    most = played_tolerance(drive, tolerance)
+    most = played_tolerance(drive, played * gain, tolerance)
     own, other = steps
     count, ratio = drive.size, None
     if own is not None and other is not None and abs(other / own - 1.0) > SAME_RATE:
@@ -214,7 +229,7 @@ def check_played(
         "rows": found.rows, "lag_rows": found.lag, "lag_seconds": None if other is None else late * other,
         "resampled": count != drive.size, "gain": found.gain, "offset": found.offset,
         "largest_difference": found.largest, "difference_after_gain_and_offset": found.left,
-        "tolerance": most, "speed": speed, "amplifier_gain": gain,
+        "tolerance": most, "read_back_noise": noise_of(played * gain), "speed": speed, "amplifier_gain": gain,
     }  # fmt: skip
     if found.alike < ANOTHER:
         checked.problems.append("what was played is another drive: the two have nothing in common")
@@ -280,18 +295,55 @@ def _likeness(drive: Floats, played: Floats, most: float) -> Likeness:
     found = _fitted(drive[begin:end], played[begin + lag : end + lag], lag, 0.0)
     if found.left <= most or end - begin < FEWEST_FOR_PARTS or found.alike < ANOTHER:
         return found
-    from scipy.interpolate import CubicSpline
-
-    curve, part = CubicSpline(np.arange(float(drive.size)), drive), 0.0
+    curve, part = _Curve(drive), 0.0
     rows = np.arange(begin + 1.0, end - 1.0)
     b = played[begin + 1 + lag : end - 1 + lag]
     for _ in range(2):
-        a = curve(rows - part)
-        columns = np.column_stack([a - a.mean(), np.ones(a.size), curve(rows - part, 1)])
+        a, speed = curve.at(rows - part)
+        columns = np.column_stack([a - a.mean(), np.ones(a.size), speed])
         gain, _, slope = np.linalg.lstsq(columns, b, rcond=None)[0].tolist()
         part = min(max(part - slope / gain, -1.0), 1.0) if gain else 0.0
-    again = _fitted(curve(rows - part), b, lag, part)
+    again = _fitted(curve.at(rows - part)[0], b, lag, part)
     return again._replace(rows=found.rows) if again.left < found.left else found
+
+
+class _Curve:
+    """The cubic spline through rows at 0, 1, 2, ...; its first two and last two pieces are one cubic each.
+
+    The second derivatives m solve m[k-1] + 4 m[k] + m[k+1] = 6 (d[k-1] - 2 d[k] + d[k+1]) inside, and
+    m[0] - 2 m[1] + m[2] = 0 at either end. Powers of z = sqrt(3) - 2 solve the equation without its right
+    side: two-sided ones are its answer to a single row, one-sided ones bring the ends about.
+    """
+
+    POLE = math.sqrt(3.0) - 2.0
+    REACH = 40  # rows; POLE to this power is below 1e-22
+
+    def __init__(self, drive: Floats) -> None:
+        self.drive, count = drive, drive.size
+        bend = np.zeros(count)
+        bend[1:-1] = 6.0 * np.diff(drive, 2)
+        powers = self.POLE ** np.arange(count).clip(max=self.REACH)
+        powers[self.REACH :] = 0.0
+        away = np.abs(np.arange(-self.REACH, self.REACH + 1))
+        answer = self.POLE**away / (4.0 + 2.0 * self.POLE)
+        inner = np.convolve(bend, answer)[self.REACH : self.REACH + count]
+        ends = np.array([1.0, -2.0, 1.0])
+        decays = np.stack([powers, powers[::-1]])
+        first, last = decays[:, :3] @ ends, decays[:, -3:] @ ends
+        missed = np.array([inner[:3] @ ends, inner[-3:] @ ends])
+        self.bend: Floats = inner - np.linalg.solve(np.stack([first, last]), missed) @ decays
+
+    def at(self, places: Floats) -> tuple[Floats, Floats]:
+        """Return the curve and its slope (per row) between the first row and the last."""
+        left = np.clip(np.floor(places).astype(np.int64), 0, self.drive.size - 2)
+        after = places - left
+        before = 1.0 - after
+        here, there = self.drive[left], self.drive[left + 1]
+        bend_here, bend_there = self.bend[left] / 6.0, self.bend[left + 1] / 6.0
+        value = here * before + there * after
+        value += (before**3 - before) * bend_here + (after**3 - after) * bend_there
+        slope = there - here - (3.0 * before**2 - 1.0) * bend_here + (3.0 * after**2 - 1.0) * bend_there
+        return value, slope
 
 
 def _fitted(a: Floats, b: Floats, lag: int, part: float) -> Likeness:
@@ -312,8 +364,6 @@ def _lag(drive: Floats, played: Floats) -> int:
     That is the logarithm of the likelihood that one is the other times a gain, n log(1/(1 - r^2)) of n rows
     whose correlation is r: a recording may begin late and end early.
     """
-    from scipy.signal import correlate
-
     a, b = drive - drive.mean(), played - played.mean()
     lags = np.arange(1 - a.size, b.size)
     begin, end = np.maximum(0, -lags), np.minimum(a.size, b.size - lags)
@@ -323,9 +373,16 @@ def _lag(drive: Floats, played: Floats) -> int:
         for values, shift in ((a, 0), (b, lags), (a * a, 0), (b * b, lags))
     ]
     spread = (sums[2] - sums[0] ** 2 / count) * (sums[3] - sums[1] ** 2 / count)
-    shared = correlate(b, a, method="fft") - sums[0] * sums[1] / count
+    shared = _correlated(b, a) - sums[0] * sums[1] / count
     moving = (spread > EXACT * spread.max()) & (count >= FEWEST_SHARED * min(a.size, b.size))
     alike = np.divide(shared**2, spread, out=np.zeros(lags.size), where=moving)
     evidence = -count * np.log(np.maximum(1.0 - alike, EXACT))
     near = lags[evidence >= evidence.max() * (1.0 - 1e-9)]
     return int(near[np.argmin(np.abs(near))])
+
+
+def _correlated(b: Floats, a: Floats) -> Floats:
+    """Return the sums of b[n + lag] a[n] for every lag at which the two overlap."""
+    size = 1 << (a.size + b.size - 2).bit_length()
+    circular = np.fft.irfft(np.fft.rfft(b, size) * np.fft.rfft(a, size).conj(), size)
+    return np.concatenate([circular[size - a.size + 1 :], circular[: b.size]])

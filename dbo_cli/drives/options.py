@@ -40,8 +40,11 @@ class DriveOptions:
     max_current, capacitance : float, optional
         What the amplifier can deliver (A) into which load (F): a slew limit of their ratio, converted from
         volts a second.
-    on_limit : {"clip", "error"}
-        Clip and count where a limit is met, or raise LimitError.
+    on_limit : {"auto", "clip", "error"}
+        Where a limit is met: ``auto`` cuts off and counts what costs at most a hundredth of the move (RMS of
+        what it misses, over the difference between its largest and its least value; where it does not move,
+        over the model's range), and raises LimitError for more; ``clip`` cuts off whatever it costs;
+        ``error`` raises LimitError at the first row.
     state : str or ModelState
         ``auto``, ``empty``, ``full``, ``settled``, or a state to go on from.
     from_ : float, optional
@@ -85,7 +88,7 @@ class DriveOptions:
     max_slew: Figure = None
     max_current: Figure = None
     capacitance: Figure = None
-    on_limit: Literal["clip", "error"] = "clip"
+    on_limit: Literal["auto", "clip", "error"] = "auto"
     state: StartName | ModelState = "auto"
     from_: Figure = None
     approach: Seconds = None
@@ -101,8 +104,8 @@ class DriveOptions:
 
     def __post_init__(self) -> None:
         """Check every value, and what excludes what, before anything is read."""
-        if self.on_limit not in ("clip", "error"):
-            raise UsageError(f"`on_limit`: '{self.on_limit}' is none of clip, error")
+        if self.on_limit not in ("auto", "clip", "error"):
+            raise UsageError(f"`on_limit`: '{self.on_limit}' is none of auto, clip, error")
         self._check_limits()
         for name in ("approach", "lead", "return_"):
             check_seconds(name, getattr(self, name))

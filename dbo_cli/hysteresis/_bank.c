@@ -3,9 +3,11 @@
 #define PY_SSIZE_T_CLEAN
 #include "_stepper.h"
 
+#include <math.h>
 #include <string.h>
 
 #define NUMBERS(view) ((size_t)(view).len / sizeof(double))
+#define LIMITS 8 /* rows of limits: low, high, most, last; the least and the greatest wanted, and played */
 #define ROUNDING 1.7763568394002505e-15 /* as drives/gate.py has it */
 
 /* What stands beside the gears of each channel, one after the other: 0, gain, offset for a scale; 1, m, x0, y0 and
@@ -21,7 +23,9 @@ typedef struct {
     stepper **channel;
     size_t count;
     curves before, after, back;
-    double *low, *high, *most, *last, *volts; /* most and last: NaN where there is none */
+    double *low, *high, *most, *last; /* most and last: NaN where there is none */
+    double *wanted_low, *wanted_high, *played_low, *played_high; /* what is further away is refused */
+    double *volts;
     int planned;
     double *memory;
 } bank;
@@ -59,28 +63,32 @@ static void fetch_ahead(const bank *self, size_t k) {
     }
     if (k + AHEAD < self->count) {
         const stepper *one = self->channel[k + AHEAD];
-        const size_t words = (one->op.n + 63) / 64, last = one->op.n - 1;
-        const size_t up = one->now.zero < last ? one->now.zero : last, down = one->now.set < last ? one->now.set : last;
-        FETCH(one->now.words);
-        FETCH(one->next.words);
-        FETCH(one->now.words + words);
-        FETCH(one->next.words + words);
+        const size_t up = (size_t)(one->now.zero * one->op.row_factor >> 32);
+        const size_t down = (size_t)(one->now.set * one->op.row_factor >> 32);
+        FETCH(one->now.turns + (one->now.depth > 0 ? one->now.depth - 1 : 0));
         FETCH(one->now.memory);
         FETCH(one->next.memory);
         FETCH(one->decay);
-        if (!one->op.grouped) {
-            FETCH(one->op.gears + up);
-            FETCH(one->op.gears + down);
-            if (one->table) FETCH(one->table + up);
-            if (one->table) FETCH(one->table + down);
-        }
+        FETCH(one->op.gears + up);
+        FETCH(one->op.gears + down);
+        if (one->table) FETCH(one->fixed.gears + up);
+        if (one->table) FETCH(one->fixed.gears + down);
     }
+}
+
+/* Where the voltage goes that stands further outside the range than one step: inwards by that step.
+ * NaN where it does not. */
+static double inwards(const bank *self, size_t k) {
+    const double last = self->last[k], most = self->most[k];
+    if (last - self->high[k] > most) return last - most;
+    if (self->low[k] - last > most) return last + most;
+    return NAN;
 }
 
 /* Whether a voltage may follow the last one: DriveGate for one row. */
 static int may_pass(const bank *self, size_t k, double volts) {
     const double low = self->low[k], high = self->high[k], last = self->last[k], most = self->most[k];
-    int inside = low <= volts && volts <= high;
+    int inside = low <= volts && volts <= high && volts - volts == 0.0; /* and finite */
     if (last == last && !inside && !(low <= last && last <= high))
         inside = last < low ? last <= volts && volts <= low : high <= volts && volts <= last;
     if (inside && last == last && most == most) {
@@ -141,14 +149,14 @@ static int bank_fill(bank *self, Py_buffer *view) {
     curves *all[3] = {&self->before, &self->after, &self->back};
     double *free;
     size_t *place;
-    if (NUMBERS(view[6]) != 4 * n) {
+    if (NUMBERS(view[6]) != LIMITS * n) {
         PyErr_SetString(PyExc_ValueError, "bank: limits");
         return 0;
     }
     self->channel = PyMem_Calloc(n ? n : 1, sizeof(stepper *));
     place = PyMem_Calloc(3 * (n + 1), sizeof(size_t));
     self->before.place = place;
-    self->memory = PyMem_Calloc(sizes[0] + sizes[1] + sizes[2] + 5 * n + 1, sizeof(double));
+    self->memory = PyMem_Calloc(sizes[0] + sizes[1] + sizes[2] + (LIMITS + 1) * n + 1, sizeof(double));
     if (!self->channel || !place || !self->memory) {
         PyErr_NoMemory();
         return 0;
@@ -161,8 +169,10 @@ static int bank_fill(bank *self, Py_buffer *view) {
         if (!take_curves(all[k], n, &view[2 * k], &view[2 * k + 1])) return 0;
     }
     self->low = free, self->high = free + n, self->most = free + 2 * n, self->last = free + 3 * n;
-    self->volts = free + 4 * n;
-    memcpy(free, view[6].buf, 4 * n * sizeof(double));
+    self->wanted_low = free + 4 * n, self->wanted_high = free + 5 * n;
+    self->played_low = free + 6 * n, self->played_high = free + 7 * n;
+    self->volts = free + LIMITS * n;
+    memcpy(free, view[6].buf, LIMITS * n * sizeof(double));
     for (size_t k = 0; k < n; k++) {
         PyObject *one = PyTuple_GetItem(self->steppers, (Py_ssize_t)k);
         if (!one || !is_stepper(one)) {
@@ -199,8 +209,27 @@ static PyObject *bank_new(PyTypeObject *type, PyObject *args, PyObject *keywords
     return NULL;
 }
 
-/* The voltages for an input each, the clipped ones marked. -1: done; k: input k is no number; -2 - k: the voltage
- * of channel k breaks its limits. Nothing changes until commit. */
+/* One channel's voltage for an input; what stands far outside its range comes inwards instead. */
+static double planned_volts(const bank *self, size_t k, double wanted, int gate) {
+    stepper *one = self->channel[k];
+    const double way = gate ? inwards(self, k) : NAN;
+    double volts;
+    if (way == way) {
+        stepper_follow(one, through(&self->back, k, way));
+        one->clipped = 1;
+        return way;
+    }
+    volts = stepper_step(one, through(&self->before, k, wanted));
+    if (self->after.place[k] < self->after.place[k + 1]) {
+        volts = through(&self->after, k, volts);
+        volts = volts < self->low[k] ? self->low[k] : volts;
+        volts = volts > self->high[k] ? self->high[k] : volts;
+    }
+    return volts;
+}
+
+/* The voltages for an input each, the clipped ones marked. -1: done; k: input k is no number, or too far away;
+ * -2 - k: the voltage of channel k breaks its limits. Nothing changes until commit. */
 static PyObject *bank_plan(PyObject *object, PyObject *args) {
     bank *self = (bank *)object;
     Py_buffer x, y, clipped;
@@ -211,19 +240,13 @@ static PyObject *bank_plan(PyObject *object, PyObject *args) {
     self->planned = 0;
     for (size_t k = 0; ready && k < self->count && bad == -1; k++) {
         const double wanted = ((const double *)x.buf)[k];
-        if (!(wanted - wanted == 0.0)) bad = (Py_ssize_t)k;
+        if (!(self->wanted_low[k] < wanted && wanted < self->wanted_high[k])) bad = (Py_ssize_t)k;
     }
     for (size_t k = 0; ready && k < self->count && bad == -1; k++) {
-        stepper *one = self->channel[k];
         double volts;
         fetch_ahead(self, k);
-        volts = stepper_step(one, through(&self->before, k, ((const double *)x.buf)[k]));
-        if (self->after.place[k] < self->after.place[k + 1]) {
-            volts = through(&self->after, k, volts);
-            volts = volts < self->low[k] ? self->low[k] : volts;
-            volts = volts > self->high[k] ? self->high[k] : volts;
-        }
-        ((unsigned char *)clipped.buf)[k] = one->clipped != 0;
+        volts = planned_volts(self, k, ((const double *)x.buf)[k], gate);
+        ((unsigned char *)clipped.buf)[k] = self->channel[k]->clipped != 0;
         ((double *)y.buf)[k] = self->volts[k] = volts;
         if (gate && !may_pass(self, k, volts)) bad = -2 - (Py_ssize_t)k;
     }
@@ -271,8 +294,9 @@ static PyObject *bank_commit(PyObject *object, PyObject *nothing) {
     return Py_BuildValue("");
 }
 
-/* Go on from voltages that were applied, whatever was planned. -1: done; k: voltage k is no number. */
-static PyObject *bank_apply(PyObject *object, PyObject *args) {
+/* The states that voltages lead to which were not planned here. -1: done; k: voltage k is no number, or too far
+ * away. Nothing changes until commit. */
+static PyObject *bank_follow(PyObject *object, PyObject *args) {
     bank *self = (bank *)object;
     Py_buffer volts;
     Py_ssize_t bad = -1;
@@ -282,16 +306,15 @@ static PyObject *bank_apply(PyObject *object, PyObject *args) {
     for (size_t k = 0; ready && k < self->count && bad == -1; k++) {
         const double given = ((const double *)volts.buf)[k];
         const dbo_backlash *op = &self->channel[k]->op;
-        if (!(given - given == 0.0)) bad = (Py_ssize_t)k;
+        if (!(self->played_low[k] < given && given < self->played_high[k])) bad = (Py_ssize_t)k;
         if (op->terms && !op->memory_on_output) ready = 0;
     }
     for (size_t k = 0; ready && k < self->count && bad == -1; k++) {
-        stepper *one = self->channel[k];
         const double given = ((const double *)volts.buf)[k];
-        stepper_goes_on(one, through(&self->back, k, given));
-        self->last[k] = given;
+        stepper_follow(self->channel[k], through(&self->back, k, given));
+        self->volts[k] = given;
     }
-    self->planned = 0;
+    if (ready && bad == -1) self->planned = 1;
     PyBuffer_Release(&volts);
     if (ready) return PyLong_FromSsize_t(bad);
     PyErr_SetString(PyExc_ValueError, "bank: arrays of the wrong length, or memory on the input");
@@ -301,8 +324,8 @@ static PyObject *bank_apply(PyObject *object, PyObject *args) {
 static PyMethodDef bank_methods[] = {
     {"plan", bank_plan, METH_VARARGS, "The voltages for an input each; nothing changes yet."},
     {"check", bank_check, METH_VARARGS, "The first voltage that may not follow, or -1."},
-    {"commit", bank_commit, METH_NOARGS, "Go on to the states that the last plan leads to."},
-    {"apply", bank_apply, METH_VARARGS, "Go on to the states that these voltages lead to."},
+    {"commit", bank_commit, METH_NOARGS, "Go on to the states that were worked out last."},
+    {"follow", bank_follow, METH_VARARGS, "Work out the states that these voltages lead to; nothing changes yet."},
     {NULL, NULL, 0, NULL}};
 
 static PyType_Slot bank_slots[] = {{Py_tp_new, (void *)bank_new},

@@ -16,42 +16,62 @@ static int too_short(const char *what) {
     return 1;
 }
 
-/* The operator's table out of a buffer; 0 with an error set where lengths do not match. */
-static int assemble_operator(dbo_backlash *op, const Py_buffer *gears, Py_ssize_t n, Py_ssize_t run) {
-    const Py_ssize_t rows = gears->len / (Py_ssize_t)sizeof(dbo_gear);
-    if (n < 1 || run < 1 || (rows < n && rows * run < n)) return !too_short("gears");
+/* The operator's table and guide out of buffers; 0 with an error set where lengths do not match. */
+static int assemble(dbo_backlash *op, const Py_buffer *gears, const Py_buffer *guide, Py_ssize_t n, Py_ssize_t run) {
+    const Py_ssize_t rows = gears->len / (Py_ssize_t)sizeof(dbo_gear) - 1;
+    if (n < 1 || run < 1 || rows != n / run + (n % run > 0)) return !too_short("gears");
     if ((uint64_t)n * (uint64_t)run >> 32) return !too_short("run");
     op->gears = gears->buf;
     op->n = (size_t)n;
     op->run = (size_t)run;
-    op->grouped = rows < n;
     op->row_factor = DBO_ROW_FACTOR(run);
+    op->parts = (size_t)guide->len / sizeof(dbo_place);
+    op->guide = op->parts > 1 ? guide->buf : NULL;
+    if (op->guide) op->parts--;
+    op->parts_per_x = (double)op->parts / op->gears[rows].x;
     return 1;
 }
 
-/* The same, and the state's words. */
-static int assemble(dbo_backlash *op, dbo_backlash_state *state, const Py_buffer *gears, Py_ssize_t n, Py_ssize_t run,
-                    const Py_buffer *words) {
-    if (!assemble_operator(op, gears, n, run)) return 0;
-    state->words = words->buf;
-    if ((size_t)words->len / sizeof(uint64_t) < dbo_backlash_words(op->n)) return !too_short("words");
+#define STATE_WORDS(n) (((size_t)(n) + 63) / 64)
+
+/* Room for the turns of a state, which the caller frees, and its bits in it; 0 with an error set. */
+static int take_state(const dbo_backlash *op, dbo_backlash_state *state, const Py_buffer *words) {
+    if ((size_t)words->len < STATE_WORDS(op->n) * sizeof(uint64_t)) return !too_short("words");
+    state->turns = PyMem_Malloc(op->n * sizeof(dbo_place));
+    if (!state->turns) {
+        PyErr_NoMemory();
+        return 0;
+    }
+    dbo_backlash_load(op, state, words->buf);
     return 1;
+}
+
+/* What a fixed time step makes constant, in one piece of memory that the caller frees; NULL where there is none. */
+static void *fixed_step(const dbo_backlash *op, const double *decay, dbo_fixed_step *fixed) {
+    const size_t tables = op->n * sizeof(dbo_fixed_gear) + op->terms * sizeof(double);
+    char *memory = PyMem_Malloc(tables + (op->parts + 1) * sizeof(dbo_place));
+    dbo_fixed_gear *gears = (dbo_fixed_gear *)(void *)memory;
+    if (memory)
+        *fixed = dbo_prepare_fixed_step(op, decay, (double *)(gears + op->n), gears,
+                                        op->guide ? (dbo_place *)(void *)(memory + tables) : NULL);
+    return memory;
 }
 
 static PyObject *backlash_run(PyObject *module, PyObject *args) {
-    Py_buffer gears, words, gain, memory, x, y, decay, step;
+    Py_buffer gears, guide, words, gain, memory, x, y, decay, step;
     dbo_backlash op;
     dbo_backlash_state state;
     dbo_limits limits;
     dbo_counts counts = {0, 0, 0, 0};
     dbo_fixed_step fixed;
-    dbo_fixed_gear *table = NULL;
+    void *table = NULL;
     Py_ssize_t n, run;
     int limited, ready = 0;
     size_t count, rows;
     (void)module;
-    if (!PyArg_ParseTuple(args, "y*nnddpy*dpw*w*dy*w*y*pdddy*", &gears, &n, &run, &op.x0, &op.y0, &op.extend, &gain,
-                          &op.reference, &op.memory_on_output, &words, &memory, &state.last, &x, &y,
+    state.turns = NULL;
+    if (!PyArg_ParseTuple(args, "y*y*nnddpy*dpw*w*dy*w*y*pdddy*", &gears, &guide, &n, &run, &op.x0, &op.y0, &op.extend,
+                          &gain, &op.reference, &op.memory_on_output, &words, &memory, &state.last, &x, &y,
                           &decay, &limited, &limits.low, &limits.high, &limits.slack, &step))
         return NULL;
     count = NUMBERS(x);
@@ -61,29 +81,29 @@ static PyObject *backlash_run(PyObject *module, PyObject *args) {
     rows = op.terms ? NUMBERS(decay) / op.terms : 1;
     limits.step = NUMBERS(step) ? step.buf : NULL;
     limits.step_stride = NUMBERS(step) > 1;
-    if (!assemble(&op, &state, &gears, n, run, &words)) goto done;
+    if (!assemble(&op, &gears, &guide, n, run)) goto done;
     if (NUMBERS(y) != count && too_short("y")) goto done;
     if (NUMBERS(memory) != op.terms && too_short("memory")) goto done;
     if (rows != 1 && rows != count && too_short("decay")) goto done;
     if (NUMBERS(step) > 1 && NUMBERS(step) != count && too_short("step")) goto done;
+    if (!take_state(&op, &state, &words)) goto done;
     ready = 1;
-    if (rows == 1 && count > op.n && (limited || (op.terms && op.memory_on_output))) {
+    if (rows == 1 && count > op.n && (limited || (op.terms && op.memory_on_output)))
         /* An even clock: divide once a gear instead of once a sample, where that is less work. */
-        table = PyMem_Malloc(op.n * sizeof(dbo_fixed_gear) + op.terms * sizeof(double));
-        if (table)
-            fixed = dbo_prepare_fixed_step(&op, decay.buf, (double *)(table + op.n), table);
-    }
+        table = fixed_step(&op, decay.buf, &fixed);
     Py_BEGIN_ALLOW_THREADS
-    dbo_backlash_load(&op, &state);
     if (table)
         dbo_backlash_run_fixed(&op, &fixed, &state, x.buf, y.buf, count, limited ? &limits : NULL, &counts);
     else
         dbo_backlash_run(&op, &state, x.buf, y.buf, count, decay.buf, rows == 1 ? 0 : op.terms,
                          limited ? &limits : NULL, &counts);
+    dbo_backlash_bits(&op, &state, words.buf);
     Py_END_ALLOW_THREADS
     PyMem_Free(table);
 done:
+    PyMem_Free(state.turns);
     PyBuffer_Release(&gears);
+    PyBuffer_Release(&guide);
     PyBuffer_Release(&words);
     PyBuffer_Release(&gain);
     PyBuffer_Release(&memory);
@@ -96,29 +116,59 @@ done:
                          (Py_ssize_t)counts.clipped, (Py_ssize_t)counts.first_clipped);
 }
 
+static PyObject *backlash_decay(PyObject *module, PyObject *args) {
+    Py_buffer gears, guide, words, gain;
+    dbo_backlash op;
+    dbo_backlash_state state;
+    double drive;
+    Py_ssize_t n, run;
+    int ready = 0;
+    (void)module;
+    state.turns = NULL;
+    state.memory = NULL;
+    if (!PyArg_ParseTuple(args, "y*y*nnddpy*dpw*d", &gears, &guide, &n, &run, &op.x0, &op.y0, &op.extend, &gain,
+                          &op.reference, &op.memory_on_output, &words, &drive))
+        return NULL;
+    op.terms = 0;
+    op.gain = NULL;
+    if (!assemble(&op, &gears, &guide, n, run)) goto done;
+    if (!take_state(&op, &state, &words)) goto done;
+    dbo_backlash_decay(&op, &state, op.n, NULL, drive);
+    dbo_backlash_bits(&op, &state, words.buf);
+    ready = 1;
+done:
+    PyMem_Free(state.turns);
+    PyBuffer_Release(&gears);
+    PyBuffer_Release(&guide);
+    PyBuffer_Release(&gain);
+    PyBuffer_Release(&words);
+    if (!ready) return NULL;
+    return Py_BuildValue("");
+}
+
 static void stepper_dealloc(PyObject *object) {
     stepper *self = (stepper *)object;
     PyTypeObject *type = Py_TYPE(object);
     PyBuffer_Release(&self->gears);
+    PyBuffer_Release(&self->guide);
+    PyMem_Free(self->turns);
     PyMem_Free(self->memory);
     PyMem_Free(self->table);
     PyObject_Free(object);
     Py_DECREF((PyObject *)type);
 }
 
-/* Room for two states, the terms' gains and decay; 0 with an error set where there is none. */
+/* Room for the turns that two states share, their memories, the terms' gains and decay; 0 with an error set. */
 static int stepper_room(stepper *self, const Py_buffer *gain, const Py_buffer *decay) {
-    const size_t words = dbo_backlash_words(self->op.n), terms = NUMBERS(*gain);
-    double *numbers;
-    self->memory = PyMem_Calloc(2 * words + 4 * terms, sizeof(uint64_t));
-    if (!self->memory) {
+    const size_t terms = NUMBERS(*gain);
+    double *numbers = PyMem_Calloc(4 * terms + 1, sizeof(double));
+    self->memory = numbers;
+    self->turns = PyMem_Malloc(self->op.n * sizeof(dbo_place));
+    if (!numbers || !self->turns) {
         PyErr_NoMemory();
         return 0;
     }
-    numbers = (double *)(self->memory + 2 * words);
-    self->words = words;
-    self->now.words = self->memory;
-    self->next.words = self->memory + words;
+    self->now.turns = self->next.turns = self->turns;
     self->now.memory = numbers;
     self->next.memory = numbers + terms;
     memcpy(numbers + 2 * terms, gain->buf, terms * sizeof(double));
@@ -126,13 +176,8 @@ static int stepper_room(stepper *self, const Py_buffer *gain, const Py_buffer *d
     self->op.terms = terms;
     self->op.gain = numbers + 2 * terms;
     self->decay = numbers + 3 * terms;
-    if (self->limited || (terms && self->op.memory_on_output)) {
-        const size_t rows = (size_t)self->gears.len / sizeof(dbo_gear);
-        self->table = PyMem_Malloc(rows * sizeof(dbo_fixed_gear) + terms * sizeof(double));
-        if (self->table) /* else the way without it, slower */
-            self->fixed =
-                dbo_prepare_fixed_step(&self->op, self->decay, (double *)(self->table + rows), self->table);
-    }
+    if (self->limited || (terms && self->op.memory_on_output)) /* else, or without memory, a slower way */
+        self->table = fixed_step(&self->op, self->decay, &self->fixed);
     return 1;
 }
 
@@ -144,19 +189,18 @@ static PyObject *stepper_new(PyTypeObject *type, PyObject *args, PyObject *keywo
     (void)keywords;
     self = (stepper *)PyType_GenericAlloc(type, 0);
     if (!self) return NULL;
-    if (!PyArg_ParseTuple(args, "y*nnddpy*dpy*pdddd", &self->gears, &n, &run, &self->op.x0, &self->op.y0,
-                          &self->op.extend, &gain, &self->op.reference, &self->op.memory_on_output, &decay,
+    if (!PyArg_ParseTuple(args, "y*y*nnddpy*dpy*pdddd", &self->gears, &self->guide, &n, &run, &self->op.x0,
+                          &self->op.y0, &self->op.extend, &gain, &self->op.reference, &self->op.memory_on_output, &decay,
                           &self->limited, &self->limits.low, &self->limits.high, &self->limits.slack,
                           &self->largest_change)) {
         Py_DECREF((PyObject *)self);
         return NULL;
     }
     self->limits.step = self->largest_change == self->largest_change ? &self->largest_change : NULL;
-    if (!assemble_operator(&self->op, &self->gears, n, run)) goto done;
+    if (!assemble(&self->op, &self->gears, &self->guide, n, run)) goto done;
     if (NUMBERS(decay) != NUMBERS(gain) && too_short("decay")) goto done;
     if (!stepper_room(self, &gain, &decay)) goto done;
-    dbo_backlash_load(&self->op, &self->now);
-    self->touched = (self->op.n + 63) / 64;
+    dbo_backlash_load(&self->op, &self->now, NULL);
     ready = 1;
 done:
     PyBuffer_Release(&gain);
@@ -172,13 +216,11 @@ static PyObject *stepper_set(PyObject *object, PyObject *args) {
     double last;
     int ready = 0;
     if (!PyArg_ParseTuple(args, "y*y*d", &words, &memory, &last)) return NULL;
-    if ((size_t)words.len < self->words * sizeof(uint64_t) && too_short("words")) goto done;
+    if ((size_t)words.len < STATE_WORDS(self->op.n) * sizeof(uint64_t) && too_short("words")) goto done;
     if (NUMBERS(memory) != self->op.terms && too_short("memory")) goto done;
-    memcpy(self->now.words, words.buf, self->words * sizeof(uint64_t));
     memcpy(self->now.memory, memory.buf, self->op.terms * sizeof(double));
     self->now.last = last;
-    dbo_backlash_load(&self->op, &self->now);
-    self->touched = (self->op.n + 63) / 64;
+    dbo_backlash_load(&self->op, &self->now, words.buf);
     self->planned = 0;
     ready = 1;
 done:
@@ -193,9 +235,9 @@ static PyObject *stepper_get(PyObject *object, PyObject *args) {
     Py_buffer words, memory;
     int ready = 0;
     if (!PyArg_ParseTuple(args, "w*w*", &words, &memory)) return NULL;
-    if ((size_t)words.len < self->words * sizeof(uint64_t) && too_short("words")) goto done;
+    if ((size_t)words.len < STATE_WORDS(self->op.n) * sizeof(uint64_t) && too_short("words")) goto done;
     if (NUMBERS(memory) != self->op.terms && too_short("memory")) goto done;
-    memcpy(words.buf, self->now.words, self->words * sizeof(uint64_t));
+    dbo_backlash_bits(&self->op, &self->now, words.buf);
     memcpy(memory.buf, self->now.memory, self->op.terms * sizeof(double));
     ready = 1;
 done:
@@ -205,14 +247,18 @@ done:
     return PyFloat_FromDouble(self->now.last);
 }
 
-dbo_backlash_state *stepper_copy(stepper *self) {
-    dbo_backlash_copy(&self->op, &self->next, &self->now, self->touched);
+/* The state to go to, for now that of the present, with the same turns: a step writes to none that `now` has. */
+static dbo_backlash_state *from_now(stepper *self) {
+    double *memory = self->next.memory;
+    for (size_t j = 0; j < self->op.terms; j++) memory[j] = self->now.memory[j];
+    self->next = self->now;
+    self->next.memory = memory;
     return &self->next;
 }
 
 double stepper_step(stepper *self, double x) {
     const dbo_limits *limits = self->limited ? &self->limits : NULL;
-    dbo_backlash_state *next = stepper_copy(self);
+    dbo_backlash_state *next = from_now(self);
     dbo_counts counts = {0, 0, 0, 0};
     double y;
     if (self->table)
@@ -220,16 +266,14 @@ double stepper_step(stepper *self, double x) {
     else
         y = dbo_backlash_step(&self->op, next, x, self->decay, limits, &counts);
     self->clipped = counts.clipped;
-    self->touched = dbo_backlash_touched(&self->op, next);
     self->planned = 1;
     return y;
 }
 
-void stepper_goes_on(stepper *self, double y) {
-    dbo_backlash_apply(&self->op, &self->now, y, self->decay);
-    const size_t touched = dbo_backlash_touched(&self->op, &self->now);
-    if (touched > self->touched) self->touched = touched;
-    self->planned = 0;
+void stepper_follow(stepper *self, double y) {
+    dbo_backlash_apply(&self->op, from_now(self), y, self->decay);
+    self->clipped = 0;
+    self->planned = 1;
 }
 
 static PyObject *stepper_plan(PyObject *object, PyObject *value) {
@@ -252,7 +296,7 @@ static PyObject *stepper_commit(PyObject *object, PyObject *nothing) {
     return Py_BuildValue("");
 }
 
-static PyObject *stepper_apply(PyObject *object, PyObject *value) {
+static PyObject *stepper_follow_output(PyObject *object, PyObject *value) {
     stepper *self = (stepper *)object;
     const double y = PyFloat_AsDouble(value);
     if (PyErr_Occurred()) return NULL;
@@ -260,7 +304,7 @@ static PyObject *stepper_apply(PyObject *object, PyObject *value) {
         PyErr_SetString(PyExc_ValueError, "memory on the input: its output does not give the state");
         return NULL;
     }
-    stepper_goes_on(self, y);
+    stepper_follow(self, y);
     return Py_BuildValue("");
 }
 
@@ -276,8 +320,8 @@ static PyObject *stepper_last(PyObject *object, void *nothing) {
 
 static PyMethodDef stepper_methods[] = {
     {"plan", stepper_plan, METH_O, "The output for an input; nothing changes yet."},
-    {"commit", stepper_commit, METH_NOARGS, "Go on to the state that the last plan leads to."},
-    {"apply", stepper_apply, METH_O, "Go on to the state that this output leads to, whatever was planned."},
+    {"commit", stepper_commit, METH_NOARGS, "Go on to the state that was worked out last."},
+    {"follow", stepper_follow_output, METH_O, "Work out the state that this output leads to; nothing changes yet."},
     {"set", stepper_set, METH_VARARGS, "Take over words, memory and the output before."},
     {"get", stepper_get, METH_VARARGS, "Fill words and memory; return the output before."},
     {NULL, NULL, 0, NULL}};
@@ -296,29 +340,33 @@ static PyType_Spec stepper_spec = {"dbo_cli.hysteresis._kernel.Stepper", sizeof(
                                    stepper_slots};
 
 static PyObject *backlash_engagement(PyObject *module, PyObject *args) {
-    Py_buffer gears, words, x, rows, crossed;
+    Py_buffer gears, guide, words, x, rows, crossed;
     dbo_backlash op = {0};
     dbo_backlash_state state;
     Py_ssize_t n, run, group_size;
     size_t columns;
     int ready = 0;
     (void)module;
-    if (!PyArg_ParseTuple(args, "y*nndpw*y*w*w*n", &gears, &n, &run, &op.x0, &op.extend, &words, &x,
+    state.turns = NULL;
+    if (!PyArg_ParseTuple(args, "y*y*nndpw*y*w*w*n", &gears, &guide, &n, &run, &op.x0, &op.extend, &words, &x,
                           &rows, &crossed, &group_size))
         return NULL;
-    if (!assemble(&op, &state, &gears, n, run, &words)) goto done;
+    if (!assemble(&op, &gears, &guide, n, run)) goto done;
     if (group_size < 1 && too_short("group_size")) goto done;
     columns = (op.n + (size_t)group_size - 1) / (size_t)group_size;
     if (NUMBERS(rows) != NUMBERS(x) * columns && too_short("rows")) goto done;
     if (NUMBERS(crossed) != columns && too_short("crossed")) goto done;
+    if (!take_state(&op, &state, &words)) goto done;
     ready = 1;
     Py_BEGIN_ALLOW_THREADS
-    dbo_backlash_load(&op, &state);
     dbo_backlash_engagement(&op, &state, x.buf, rows.buf, crossed.buf, NUMBERS(x),
                             (size_t)group_size);
+    dbo_backlash_bits(&op, &state, words.buf);
     Py_END_ALLOW_THREADS
 done:
+    PyMem_Free(state.turns);
     PyBuffer_Release(&gears);
+    PyBuffer_Release(&guide);
     PyBuffer_Release(&words);
     PyBuffer_Release(&x);
     PyBuffer_Release(&rows);
@@ -586,6 +634,7 @@ done:
 
 static PyMethodDef methods[] = {
     {"backlash_run", backlash_run, METH_VARARGS, "Equations (1)-(12) over a block of samples."},
+    {"backlash_decay", backlash_decay, METH_VARARGS, "The state after an oscillation that decays to a drive."},
     {"backlash_engagement", backlash_engagement, METH_VARARGS, "Part of every gear in every sample."},
     {"memory_run", memory_run, METH_VARARGS, "Relaxation terms over a block of samples."},
     {"point_run", point_run, METH_VARARGS, "Equations (13)-(16) over a block of samples."},

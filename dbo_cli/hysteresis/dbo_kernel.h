@@ -7,8 +7,9 @@
  * The caller keeps every array. Widths of one axis must be whole multiples of one power of two small
  * enough for their sum to be exact (the package rounds them so, by at most 2^-53 of the sum), and none
  * less than 2^-42 of that sum; then
- * X_B and Y_B, kept up to date by adding and subtracting, equal (2)-(3) exactly and for ever, and sums
- * over any gears are the same in any order: a jump crosses 64 gears at a time, of any widths.
+ * X_B and Y_B, kept up to date by adding and subtracting, equal (2)-(3) exactly and for ever, and a sum
+ * over gears side by side is a difference of two numbers of the table: how many gears are crossed in one step
+ * is looked up, not counted, whatever their widths.
  * Compile without floating-point contraction and without fast-math; IEEE 754 float64 is assumed.
  */
 #ifndef DBO_KERNEL_H
@@ -17,27 +18,39 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* One gear: a column of (10), its slope dy/dx, and the fraction of it that counts as crossed. */
+/* The index of a gear. DBO_PLACE: a smaller type, where there is little memory and n is below 2^16. */
+#if !defined(DBO_PLACE)
+#define DBO_PLACE uint32_t
+#endif
+typedef DBO_PLACE dbo_place;
+
+/* A row of the table stands for `run` equal gears side by side: a column of (10), its slope dy/dx, the fraction
+ * of it that counts as crossed, and where the first of them begins, with all gears below it crossed and no
+ * others: (X_B - X_0, Y_B - Y_0). */
 typedef struct {
     double dx;
     double dy;
     double slope;
     double crossing_fraction;
+    double x;
+    double y;
 } dbo_gear;
 
 #define DBO_ROW_FACTOR(run) ((((uint64_t)1 << 32) + (uint64_t)(run) - 1) / (uint64_t)(run))
 
 /* A backlash operator: never written to. Without relaxation terms = 0 and gain may be NULL.
- * Gears side by side are often equal: `run` promises that those from each multiple of it up to the next are
- * (1 promises nothing), so that those of one word are counted, not walked; the last run may be shorter.
- * Where memory is short the table is `grouped`: one row a run instead of one a gear. n * run must be less
- * than 2^32, `row_factor` is needed always. */
+ * The last run may be shorter, and one more row stands behind it, which begins where the last gear ends and is
+ * else like the last. n * run must be less than 2^32.
+ * `guide`, if not NULL, cuts the range of the input into equal parts, and says in which row each begins and the last
+ * one ends: parts + 1 numbers. Nothing but time depends on it. */
 typedef struct {
     const dbo_gear *gears;
     size_t n;
     size_t run;
-    int grouped;
     uint64_t row_factor; /* DBO_ROW_FACTOR(run), to divide by `run` by multiplying */
+    const dbo_place *guide;
+    size_t parts;
+    double parts_per_x;
     double x0;
     double y0;
     int extend;           /* outside the range: 1 goes on with the slope of gear n-1, 0 holds Y_B */
@@ -47,16 +60,17 @@ typedef struct {
     int memory_on_output; /* 0: L_j follows the input (forward); 1: it follows the output (inverse) */
 } dbo_backlash;
 
-/* The state. Fill `words` (bit i of the state is bit i%64 of word i/64) and `memory`, then call
- * dbo_backlash_load; the other members follow from the bits. `words` has dbo_backlash_words(n) entries, of
- * which the first (n+63)/64 are the state. The rest the kernel keeps: for each word of 64 gears four sums
- * (float64), the dx and dy of all gears below it and of its own that are crossed, and of all up to its end; and
- * an index of the words that are full, and of those that hold a one. So 64 gears take 40 bytes, and the index 16
- * for 4,096. */
+/* The state. Its bits are runs of ones and zeros, since a move changes the lowest first, and the ends of the runs
+ * are a stack: going on changes the lowest end, turning adds one, and a run that is crossed melts into the next.
+ * The lowest run ends at S or Z, the greater of the two, and those above it at turns[depth - 1], turns[depth - 2]
+ * and so on, the highest at n. A step writes to `turns` at `depth` alone: a copy of the structure, with memory of
+ * its own, may share them and be dropped.
+ * Point `turns` to n places and `memory` to its own, fill the memory, and call dbo_backlash_load. */
 typedef struct {
-    uint64_t *words;
+    dbo_place *turns;
     double *memory; /* L_j, one per term */
     double last;    /* the output before, for the slew limit; NaN where there is none */
+    size_t depth;
     size_t set;     /* S (4) */
     size_t zero;    /* Z (5) */
     double x;       /* X_B - X_0 (2) */
@@ -87,6 +101,8 @@ typedef struct {
     const double *decay; /* a_j = exp(-dt/tau_j), one per term */
     const double *rest;  /* 1 - a_j */
     const dbo_fixed_gear *gears;
+    const dbo_place *guide; /* as that of the operator, along dx + kappa dy; NULL: that of the operator serves */
+    double parts_per_u;
 } dbo_fixed_step;
 
 /* What was unusual; add to it over as many runs as you like. Indices are relative to the run. */
@@ -104,23 +120,22 @@ typedef struct {
     double slope;
 } dbo_segment;
 
-size_t dbo_backlash_words(size_t n);
+/* The state B (1) from its (n + 63) / 64 words of bits, bit i % 64 of word i / 64 being b_i; NULL: B = 0. */
+void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state, const uint64_t *words);
 
-void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state);
-
-/* What lies beyond the words that a step can have changed need not be copied: `to` becomes `from`, where the two
- * differ in the first `touched` words alone. A step goes one way, and leaves S or Z above every gear it crossed. */
-size_t dbo_backlash_touched(const dbo_backlash *op, const dbo_backlash_state *state);
-
-void dbo_backlash_copy(const dbo_backlash *op, dbo_backlash_state *to, const dbo_backlash_state *from,
-                       size_t touched);
+/* The other way. */
+void dbo_backlash_bits(const dbo_backlash *op, const dbo_backlash_state *state, uint64_t *words);
 
 /* The state of an actuator that has been switched on and trimmed to `drive` and rests there: after an
  * oscillation of the drive that decays to it from the whole range of gears 0 to `covered` - 1, while others
  * stay as `spare` has them (words of bits; NULL: open). The drive is the input of a forward operator and the
- * output of an inverse (memory_on_output). Fills all of the state; `words` and `memory` must be in place. */
+ * output of an inverse (memory_on_output). Fills all of the state; `turns` and `memory` must be in place. */
 void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, size_t covered,
                          const uint64_t *spare, double drive);
+
+/* Its gears alone, and nothing of a drive that goes on to `drive`: they leave some of the way to it. */
+void dbo_backlash_decay(const dbo_backlash *op, dbo_backlash_state *state, size_t covered, const uint64_t *spare,
+                        double drive);
 
 /* One input, one output. `decay` has one factor exp(-dt/tau_j) per term (all zero: at rest at this
  * sample); `limits` and `counts` may be NULL. */
@@ -137,9 +152,10 @@ void dbo_backlash_run(const dbo_backlash *op, dbo_backlash_state *state, const d
                       size_t count, const double *decay, size_t decay_stride,
                       const dbo_limits *limits, dbo_counts *counts);
 
-/* Fill `rest` (one per term) and `gears` (one per row of the table) and return them with `decay`. */
+/* Fill `rest` (one per term), `gears` (one per row of the table) and `guide` (parts + 1, or NULL) and return them with
+ * `decay`. */
 dbo_fixed_step dbo_prepare_fixed_step(const dbo_backlash *op, const double *decay, double *rest,
-                                      dbo_fixed_gear *gears);
+                                      dbo_fixed_gear *gears, dbo_place *guide);
 
 /* As dbo_backlash_run and dbo_backlash_step at a fixed time step, the same bits with less work: for
  * operators with limits or with memory on the output. */

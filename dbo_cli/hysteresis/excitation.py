@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -215,37 +214,6 @@ class Excitation:
             return np.empty(0)
         ends = (self.v_min, self.v_max)
         return sweep(*ends, self.sample_rate, self.sweep_to, self.sweep_amplitude, self.max_slew)
-
-
-def channel_drives(asked: Excitation, channels: int) -> tuple[Floats, Floats]:
-    """Return time (s) and the voltages of many channels, (samples, channels): all at once, then one by one.
-
-    Together they turn at levels of their own (seeds from ``asked.seed`` on). Then each in turn sweeps once
-    over the range and rests for half a period, and all others rest: what those show then is coupling. A small
-    sweep (``sweep_to``) is in each channel's own turn.
-
-    Raises
-    ------
-    UsageError
-        The rows of all channels are too many.
-    """
-    half = swing_samples(asked.span, 1.0 / asked.sample_rate, 0.5 / asked.frequency, asked.max_slew)
-    ends = [asked.v_min, asked.v_max, asked.v_min, asked.v_min]
-    turn = np.concatenate([swings(ends, [half, half, half])[1:], asked.small_sweep()])
-    alike = replace(asked, sweep_to=None, sweep_amplitude=None)
-    drives = [replace(alike, seed=asked.seed + place).drive()[1] for place in range(channels)]
-    rows = drives[0].size + channels * turn.size
-    if rows * channels > MOST_SAMPLES:
-        raise UsageError(
-            f"`channels` {channels:,}: {rows:,} rows of them are more than the {MOST_SAMPLES:,} values that "
-            "are written at most (lower `sample_rate`, raise `frequency`)"
-        )
-    voltage = np.full((rows, channels), asked.v_min)
-    for place, drive in enumerate(drives):
-        begin = drive.size + place * turn.size
-        voltage[: drive.size, place] = drive
-        voltage[begin : begin + turn.size, place] = turn
-    return np.arange(rows) / asked.sample_rate, voltage
 
 
 SAMPLE_RATE = 1000.0  # rows a second where nothing is said: 50 in a swing of the fastest, at 1 Hz

@@ -5,16 +5,18 @@ arguments and give the same bits: every floating-point operation is written in t
 compiled kernel is taken where it was built; ``DBO_KERNEL=python`` in the environment chooses the Python twin,
 ``DBO_KERNEL=compiled`` insists on the other.
 
-Equation numbers are those of Aye and Ang (2018). Gears are rows ``(dx, dy, slope, crossing_fraction)``: the
-two widths of (10), dy/dx, and the fraction of the gear at which it counts as crossed. Every
-``run`` gears are equal; where there are fewer rows than gears, one row stands for a whole run of them. The
-compiled kernel crosses 64 gears at once by sums over them, which are exact in any order; what is left to
-travel falls with every gear crossed, rounding or not, so that it ends in the same state as this one, which
-goes one by one. Its sums stand behind the state's bits in ``words``; nothing here uses them.
+Equation numbers are those of Aye and Ang (2018). The state's bits are runs of ones and zeros, since a move
+changes the lowest first: it is kept as the ends of the runs (``dbo_kernel.h`` says how), and how many gears
+of a run are crossed is looked up. The kernel's table has a row for each ``run`` of equal gears,
+``(dx, dy, slope, crossing_fraction, x, y)``: the two widths of (10), dy/dx, the fraction of a gear at which
+it counts as crossed, and where the first of them begins; one more row begins where the last gear ends.
+``guide`` tells the compiled kernel where to look first; nothing here uses it.
 """
 
 from __future__ import annotations
 
+import bisect
+import itertools
 import math
 import os
 import sys
@@ -101,11 +103,6 @@ def state_words(n: int) -> int:
     return (n + WORD - 1) // WORD
 
 
-def buffer_words(n: int) -> int:
-    """Return how many 64-bit words the kernel needs for n gears: the bits, its index and sums of them."""
-    return 5 * state_words(n) + 2 * state_words(state_words(n))
-
-
 def find_first_one(bits: int, n: int) -> int:
     """Return S, the index of the least significant one bit (4), or n where all bits are zero."""
     return (bits & -bits).bit_length() - 1 if bits else n
@@ -117,32 +114,70 @@ def find_first_zero(bits: int) -> int:
 
 
 class _Walk:
-    """The state on its way through a block: bits, S, Z, and X_B, Y_B relative to X_0, Y_0 (1)-(5)."""
+    """The state on its way through a block: the ends of its runs, and X_B, Y_B relative to X_0, Y_0 (1)-(5).
+
+    ``ends`` begins with n, the end of the highest run; its last is the end of the lowest, which is of
+    ``ones`` or of zeros.
+    """
 
     def __init__(self, gears: Floats, n: int, run: int, words: Words) -> None:
-        rows: list[tuple[float, float, float, float]] = [tuple(row) for row in gears.tolist()]
-        self.gears = rows if len(rows) >= n else [rows[i // run] for i in range(n)]
-        self.n, self.words = n, words
-        self.bits = int.from_bytes(words[: state_words(n)].tobytes(), "little")
+        self.rows: list[list[float]] = gears.tolist()
+        self.n, self.run, self.words = n, run, words
+        bits = int.from_bytes(words.tobytes(), "little")
+        self.ones = bool(bits & 1)
+        changes = bits ^ bits >> 1
+        self.ends = [n, *(i for i in range(n - 1, 0, -1) if changes >> i - 1 & 1)]
         self.x = self.y = 0.0
-        for i in range(n):
-            if self.bits >> i & 1:
-                self.x += self.gears[i][0]
-                self.y += self.gears[i][1]
-        self.set, self.zero = find_first_one(self.bits, n), find_first_zero(self.bits)
+        ones = self.ones
+        for begin, end in itertools.pairwise([0, *reversed(self.ends)]):
+            if ones:
+                self.x += self.begin(end)[0] - self.begin(begin)[0]
+                self.y += self.begin(end)[1] - self.begin(begin)[1]
+            ones = not ones
 
-    def cross(self, rising: bool) -> None:
-        """Go to the neighbour on the way: set b_Z (6)-(7), or clear b_S (8)-(9)."""
-        gear, sign = (self.zero, 1.0) if rising else (self.set, -1.0)
-        self.x += sign * self.gears[gear][0]
-        self.y += sign * self.gears[gear][1]
-        self.bits ^= 1 << gear
-        self.set, self.zero = find_first_one(self.bits, self.n), find_first_zero(self.bits)
+    def gear(self, gear: int) -> list[float]:
+        """Return the row of a gear; that of the last one, where there is none."""
+        return self.rows[min(gear, self.n - 1) // self.run]
+
+    def begin(self, gear: int) -> tuple[float, float]:
+        """Return where a gear begins with all gears below it crossed and no others."""
+        row, before = divmod(gear, self.run)
+        dx, dy, _, _, x, y = self.rows[row]
+        return (x + before * dx, y + before * dy) if before else (x, y)
+
+    def open(self, rising: bool) -> tuple[int, int]:
+        """Return the next gear to be crossed, Z or S, n where there is none, and the end of its run."""
+        if self.ones != rising:
+            return 0, self.ends[-1]
+        return self.ends[-1], self.ends[-2] if len(self.ends) > 1 else self.n
+
+    def cross(self, rising: bool, gear: int) -> None:
+        """Go on from the next gear to another one of its run, or the run's end: (6)-(7), or (8)-(9)."""
+        next_gear, end = self.open(rising)
+        before, after = self.begin(next_gear), self.begin(gear)
+        sign = 1.0 if rising else -1.0
+        self.x += sign * (after[0] - before[0])
+        self.y += sign * (after[1] - before[1])
+        if self.ones == rising:
+            self.ends.pop()
+        if gear < end:
+            self.ends.append(gear)
+        elif self.ones == rising or len(self.ends) > 1:  # the run melts into the one above
+            self.ends.pop()
+            self.ends = self.ends or [self.n]
+        self.ones = rising
+
+    def state(self) -> int:
+        """Return B (1)."""
+        bits = 0
+        for end in self.ends:
+            bits ^= (1 << end) - 1
+        return bits if self.ones == bool(bits & 1) else bits ^ ((1 << self.n) - 1)
 
     def finish(self) -> None:
         """Write the bits back into the caller's words."""
-        size = 8 * state_words(self.n)
-        self.words[: size // 8] = np.frombuffer(self.bits.to_bytes(size, "little"), dtype="<u8")
+        content = self.state().to_bytes(8 * len(self.words), "little")
+        self.words[:] = np.frombuffer(content, dtype="<u8")
 
 
 def _travel(
@@ -151,7 +186,7 @@ def _travel(
     kappa: float,
     low: float,
     high: float,
-    tell: Callable[[int, float], None] | None = None,
+    tell: Callable[[int, int, float], None] | None = None,
 ) -> tuple[int, float, bool]:
     """Carry out steps 1 to 4 for the relative input u: the engaged gear, u - X_B, and whether it went up.
 
@@ -159,28 +194,39 @@ def _travel(
     [low, high] on the output. Only one direction is taken for one sample, so that it always ends. A
     sample that crosses a gear by the tolerance falls short of the new X_B and keeps that gear's own
     slope: an operator and its inverse then see the same fraction of the same gear, and decide alike.
-    ``tell`` hears of each gear crossed, and 1 or -1.
+    ``tell`` hears of the gears crossed, from one up to another, and 1 or -1.
     """
-    d = u - (walk.x + kappa * walk.y)
-    rising = d >= 0.0
-    last = walk.n
-    while (gear := walk.zero if rising else walk.set) < walk.n:
-        dx, dy, _, fraction = walk.gears[gear]
-        travelled, room = (d, high - walk.y) if rising else (-d, walk.y - low)
-        if not (travelled >= (dx + kappa * dy) * fraction and room >= dy * fraction):
+    rising = u - (walk.x + kappa * walk.y) >= 0.0
+    sign, last = 1.0 if rising else -1.0, walk.n
+
+    def crossed(gear: int) -> bool:
+        """Whether a gear of the run is crossed, all those before it being crossed."""
+        begin = walk.begin(gear)
+        x = walk.x + sign * (begin[0] - first[0])
+        y = walk.y + sign * (begin[1] - first[1])
+        d = u - (x + kappa * y)
+        travelled, room = (d, high - y) if rising else (-d, y - low)
+        dx, dy, _, fraction, _, _ = walk.gear(gear)
+        return travelled >= (dx + kappa * dy) * fraction and room >= dy * fraction
+
+    while True:
+        gear, end = walk.open(rising)
+        first = walk.begin(gear)
+        reached = bisect.bisect_left(range(gear, end), True, key=lambda i: not crossed(i)) + gear
+        if reached == gear:
             break
-        last = gear
-        walk.cross(rising)
         if tell is not None:
-            tell(gear, 1.0 if rising else -1.0)
-        d = u - (walk.x + kappa * walk.y)
+            tell(gear, reached, sign)
+        walk.cross(rising, reached)
+        last = reached - 1
+    d = u - (walk.x + kappa * walk.y)
     return (last if last < walk.n and (d < 0.0 if rising else d > 0.0) else gear), d, rising
 
 
 def _solve(walk: _Walk, u: float, kappa: float, low: float, high: float, extend: bool) -> tuple[float, bool]:
     """Return the relative output for the relative input u, and "outside"; see ``_travel``."""
     gear, d, rising = _travel(walk, u, kappa, low, high)
-    dx, dy, _, fraction = walk.gears[min(gear, walk.n - 1)]
+    dx, dy, _, fraction, _, _ = walk.gear(gear)
     width = dx + kappa * dy
     if gear < walk.n:
         return walk.y + d * (dy / width), False
@@ -231,6 +277,14 @@ def _remember(held: list[float], decay: list[float], drive: float) -> None:
         held[j] = a * held[j] + (1.0 - a) * drive
 
 
+def _recalled(weights: list[float], held: list[float]) -> float:
+    """Return what the terms add up to."""
+    total = 0.0
+    for c, memory in zip(weights, held, strict=True):
+        total += c * memory
+    return total
+
+
 def _known_part(weights: list[float], held: list[float], decay: list[float]) -> tuple[float, float]:
     """Return what the terms keep of the past, and their part kappa of the present output."""
     remembered = kappa = 0.0
@@ -269,6 +323,7 @@ def _counted(flags: list[bool]) -> tuple[int, int]:
 
 def backlash_run(
     gears: Floats,
+    guide: Words,
     n: int,
     run: int,
     x0: float,
@@ -308,8 +363,7 @@ def backlash_run(
         u = value - x0
         if after:
             _remember(held, a, value - reference)
-            for c, term in zip(weights, held, strict=True):
-                remembered += c * term
+            remembered = _recalled(weights, held)
         elif weights:
             remembered, kappa = _known_part(weights, held, a)
             u = (u - remembered) - kappa * (y0 - reference)
@@ -329,8 +383,44 @@ def backlash_run(
     return (*_counted([flag[0] for flag in flags]), *_counted([flag[1] for flag in flags]))
 
 
+def backlash_decay(
+    gears: Floats,
+    guide: Words,
+    n: int,
+    run: int,
+    x0: float,
+    y0: float,
+    extend: bool,
+    gain: Floats,
+    reference: float,
+    memory_on_output: bool,
+    words: Words,
+    drive: float,
+) -> None:
+    """Fill ``words`` with the state after an oscillation of the drive that decays to ``drive``.
+
+    The gears stop flipping from the highest to the lowest: see ``DiscreteBacklashOperator.settled``.
+    """
+    walk = _Walk(gears, n, run, np.zeros_like(words))
+    axis = 1 if memory_on_output else 0
+    target = drive - (y0 if memory_on_output else x0)
+    low, high = 0.0, walk.begin(n)[axis]
+    slack = 1e-9 * high
+    digits = bytearray(b"0") * n  # of B, the highest gear first
+    for place in range(n if target > 0.0 else 0):
+        width = walk.gear(n - 1 - place)[axis]
+        if target - low >= (high - target) - slack:
+            digits[place] = ord("1")
+            low += width
+        else:
+            high -= width
+    content = int(digits, 2).to_bytes(8 * len(words), "little")
+    words[:] = np.frombuffer(content, dtype="<u8")
+
+
 def backlash_engagement(
     gears: Floats,
+    guide: Words,
     n: int,
     run: int,
     x0: float,
@@ -349,20 +439,22 @@ def backlash_engagement(
     walk = _Walk(gears, n, run, words)
     columns, part = len(crossed), 1.0 / group_size
 
-    def shift(gear: int, sign: float) -> None:
-        crossed[gear // group_size] += sign
+    def shift(begin: int, end: int, sign: float) -> None:
+        for gear in range(begin, end):
+            crossed[gear // group_size] += sign
 
     crossed[:] = 0.0
+    state = walk.state()
     for i in range(n):
-        if walk.bits >> i & 1:
-            shift(i, 1.0)
+        if state >> i & 1:
+            shift(i, i + 1, 1.0)
     for row, value in zip(rows.reshape(-1, columns), x.tolist(), strict=True):
         gear, d, _ = _travel(walk, value - x0, 0.0, -math.inf, math.inf, shift)
         row[:] = crossed * part
         if gear == n and not extend:
             continue
         gear = min(gear, n - 1)
-        row[gear // group_size] += d / walk.gears[gear][0] * part
+        row[gear // group_size] += d / walk.gear(gear)[0] * part
     walk.finish()
 
 

@@ -29,6 +29,7 @@ from dbo_cli.records import dataclass
 
 __all__ = [
     "NEGLIGIBLE",
+    "SIGN_VERBS",
     "ActuatorModel",
     "BacklashStage",
     "DelayStage",
@@ -39,6 +40,7 @@ __all__ = [
     "Quantity",
     "Relaxation",
     "ScaleStage",
+    "Sign",
     "Simulated",
     "Stage",
     "slow_output_range",
@@ -47,6 +49,8 @@ __all__ = [
 Floats = NDArray[np.float64]
 Steps = float | Floats  # seconds since the sample before: one number, or one for each
 Direction = Literal["forward", "inverse"]
+Sign = Literal["rising", "falling"]
+SIGN_VERBS: Mapping[Sign, str] = {"rising": "rises", "falling": "falls"}
 BacklashStage = DiscreteBacklashOperator
 PointStage = operators.DiscretePointOperator
 
@@ -241,6 +245,12 @@ class ActuatorModel:
         held = dataclasses.replace(state, dynamics=None, drive_lag=None, history=None, undoing=None)
         voltage = self.inverted.outer_drive(state.drive)
         return float(slow.simulate([voltage], held, time_step=0.0).y[0])
+
+    @property
+    def sign(self) -> Sign:
+        """Whether the displacement rises or falls as the voltage rises."""
+        gains = [stage.gain for stage in self.stages if isinstance(stage, ScaleStage)]
+        return "falling" if math.prod(gains) < 0.0 else "rising"
 
     @property
     def delay_seconds(self) -> float:

@@ -11,6 +11,8 @@ import functools
 import itertools
 import json
 import math
+import os
+import re
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -34,8 +36,12 @@ VERSION = 2
 
 MOST_STAGES = 16  # twice what identification makes; 400 of a million segments took minutes to be refused
 MOST_GEARS = 1_000_000  # a file of some bytes must not ask for more memory than a machine has
+LARGEST = 1e60  # of every number: products of five of them are still within float64
+SMALLEST = 1e-60  # of widths and damping; likewise
+SHORTEST = 1e-15  # s; and Hz: what is shorter than a period of light, or takes 30 million years
 SHORTEST_RUN = 3  # equal widths in a row are written once from this many on: two are shorter as they are
 LINE = 100  # characters, after which the next line of a list begins
+_BEGIN_OF_SET = re.compile(rb'(\xef\xbb\xbf)?\s*\{\s*"format":\s*"' + SET_FORMAT.encode() + rb'"')
 _NOTE_DEPTH = 20  # objects within one another in what is carried along: a bound for recursion
 
 Json = dict[str, Any]
@@ -107,6 +113,39 @@ class Node(NamedTuple):
             number = math.inf
         if not math.isfinite(number):
             raise self.refuse(key, f"{number!r} is not a finite number")
+        if abs(number) > LARGEST:
+            raise self.refuse(key, f"{number!r} is beyond {LARGEST:g}, which no signal reaches")
+        return number
+
+    def lengths(self, key: str) -> list[float]:
+        """Return widths (``widths``) of which none is too small to be divided by."""
+        numbers = self.widths(key)
+        if small := [number for number in numbers if 0.0 < abs(number) < SMALLEST]:
+            raise self.refuse(f"{key}[{numbers.index(small[0])}]", self._too_small(small[0]))
+        return numbers
+
+    def length(self, key: str) -> float:
+        """Return a number that is not too small to be divided by."""
+        number = self.number(key)
+        if 0.0 < abs(number) < SMALLEST:
+            raise self.refuse(key, self._too_small(number))
+        return number
+
+    def _too_small(self, number: float) -> str:
+        return f"{number!r} is below {SMALLEST:g}, which is nothing"
+
+    def time(self, key: str) -> float:
+        """Return a time in seconds, or a frequency in Hz, 0 included."""
+        return self.as_time(key, self.number(key))
+
+    def times(self, key: str) -> list[float]:
+        """Return a list of times in seconds."""
+        return [self.as_time(f"{key}[{i}]", number) for i, number in enumerate(self.numbers(key))]
+
+    def as_time(self, key: str, number: float) -> float:
+        """Return a number that may be a time (s) or a frequency (Hz)."""
+        if number != 0.0 and not SHORTEST <= abs(number) <= 1.0 / SHORTEST:
+            raise self.refuse(key, f"{number!r} is not from {SHORTEST:g} to {1.0 / SHORTEST:g}")
         return number
 
     def text(self, key: str) -> str:
@@ -203,7 +242,7 @@ def read_relaxation(node: Node, key: str) -> tuple[Relaxation, Axis]:
     axis = terms.text("on")
     if axis not in {"input", "output"}:
         raise terms.refuse("on", f"{axis!r} is neither 'input' nor 'output'")
-    reference, tau, gain = terms.number("reference"), terms.numbers("tau"), terms.numbers("gain")
+    reference, tau, gain = terms.number("reference"), terms.times("tau"), terms.numbers("gain")
     return node.build(lambda: Relaxation(reference, tuple(tau), tuple(gain))), cast(Axis, axis)
 
 
@@ -262,14 +301,14 @@ QUANTITY = (
     Field("min", Node.number, attribute="minimum"),
     Field("max", Node.number, attribute="maximum"),
 )
-MODE = Field("frequency", Node.number), Field("damping", Node.number)
+MODE = Field("frequency", Node.time), Field("damping", Node.length)
 RESONANCE = (*MODE, Field("antiresonance", _antiresonance, _antiresonance_values, optional=True))
-LAG = Field("lag", Node.number, attribute="seconds"), Field("lead", Node.number, optional=True)
+LAG = Field("lag", Node.time, attribute="seconds"), Field("lead", Node.time, optional=True)
 CURVE = (
     Field("x0", Node.number),
     Field("y0", Node.number),
-    Field("dx", Node.widths, lambda stage: _with_runs(stage.dx.tolist())),
-    Field("dy", Node.widths, lambda stage: _with_runs(stage.dy.tolist())),
+    Field("dx", Node.lengths, lambda stage: _with_runs(stage.dx.tolist())),
+    Field("dy", Node.lengths, lambda stage: _with_runs(stage.dy.tolist())),
 )
 GEARS = (*CURVE, Field("relaxation", read_relaxation, _memory_values, optional=True))
 SECTIONS = (Field("sections", _sections, lambda stage: [section_values(one) for one in stage.sections]),)
@@ -288,7 +327,7 @@ STAGES = {
     "point": Kind(PointStage, PointStage, CURVE),
     "scale": Kind(ScaleStage, ScaleStage, (Field("gain", Node.number), Field("offset", Node.number))),
     "dynamics": Kind(DynamicsStage, DynamicsStage, SECTIONS),
-    "delay": Kind(DelayStage, DelayStage, (Field("seconds", Node.number),)),
+    "delay": Kind(DelayStage, DelayStage, (Field("seconds", Node.time),)),
 }
 """Every stage that a model of gears may have; ``docs/model-file.md`` says what they mean."""
 
@@ -321,6 +360,57 @@ def _brought(stages: Iterable[Stage]) -> StageInFiles | None:
 
 
 def read_model(path: str) -> ActuatorModel:
+    """Read a model file, or one model of a set (``FILE::CHANNEL``); ``-`` is standard input.
+
+    A file that has not changed is not read again: a thousand logs are run through one model.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or the set has no such channel.
+    ModelError
+        It is not a model, of a newer version, or contradicts itself; the message names file and key.
+    """
+    file, separator, channel = path.partition("::")
+    if separator and not os.path.exists(path):
+        model: ActuatorModel = read_set(file)[channel]
+        return model
+    if not os.path.isfile(path):
+        return _read_single(path)
+    status = os.stat(path)
+    return _unchanged(path, status.st_mtime_ns, status.st_size)
+
+
+@functools.lru_cache(maxsize=1)
+def _unchanged(path: str, changed: int, size: int) -> ActuatorModel:
+    return _read_single(path)
+
+
+def read_set(path: str) -> Any:
+    """Read a set of models: a mapping of channels to models, with their ``coupling``.
+
+    Raises
+    ------
+    UsageError
+        The extra that reads sets is not installed.
+    InputError, ModelError
+        As for ``read_model``.
+    """
+    return extensions.find("model", SET_FORMAT)(path)
+
+
+def is_set(path: str) -> bool:
+    """Tell whether a file begins as a model set does; a pipe is not read."""
+    if not os.path.isfile(path):
+        return False
+    try:
+        with open(path, "rb") as file:
+            return _BEGIN_OF_SET.match(file.read(200)) is not None
+    except OSError:
+        return False
+
+
+def _read_single(path: str) -> ActuatorModel:
     """Read a model file; ``-`` is standard input.
 
     Raises

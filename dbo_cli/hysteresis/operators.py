@@ -10,6 +10,7 @@ Hysteresis and Non-linearity for Piezoelectric Actuator"; equation numbers are t
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from itertools import pairwise
@@ -87,7 +88,7 @@ def on_binary_grid(key: str, widths: Floats) -> Floats:
 
 
 def gear_table(dx: Floats, dy: Floats, scale_x: float, scale_y: float) -> Floats:
-    """Return the kernel's rows (dx, dy, slope, crossing_fraction) for widths on the binary grid.
+    """Return a row (dx, dy, slope, crossing_fraction) for each gear, of widths on the binary grid.
 
     ``crossing_fraction`` is where a gear counts as crossed: all but 1e-9 of it, since a drive
     that turns on a breakpoint is the usual case and one unit in the last place must not decide which gear
@@ -122,6 +123,23 @@ def equal_run(gears: Floats) -> int:
     starts = np.flatnonzero(np.any(gears[1:] != gears[:-1], axis=1)) + 1
     run = math.gcd(*starts.tolist()) or len(gears)
     return run if run * len(gears) < 2**32 else 1  # the kernel divides by a 32-bit multiplication
+
+
+def kernel_table(gears: Floats, run: int) -> tuple[Floats, NDArray[np.uint32]]:
+    """Return the kernel's table, a row for each ``run`` of equal gears, and its guide.
+
+    To the row of its gears, each row adds where the first of them begins; one more stands behind the last and
+    begins where the last gear ends. The guide cuts the range of the input into as many equal parts as there
+    are rows, and says in which row each begins.
+    """
+    ends = np.cumsum(gears[:, :2], axis=0)  # exact: the widths lie on one binary grid
+    begins = np.vstack([[0.0, 0.0], ends[run - 1 : -1 : run], ends[-1]])
+    rows = np.vstack([gears[::run], gears[-1]])
+    table: Floats = np.ascontiguousarray(np.hstack([rows, begins]))
+    parts = np.linspace(0.0, ends[-1, 0], 2 * len(table) - 1)
+    guide = np.searchsorted(begins[:-1, 0], parts, side="right") - 1
+    table.flags.writeable = False
+    return table, guide.astype(np.uint32)
 
 
 def checked_steps(time_step: float | ArrayLike) -> Floats:
@@ -318,8 +336,12 @@ class DiscreteBacklashOperator:
             scale_y += remembered * (memory_on == "input")
         self.gears = gear_table(widths, heights, scale_x, scale_y)
         self.equal_run = equal_run(self.gears)
-        self._size, self._buffer = kernel.state_words(self.n), kernel.buffer_words(self.n)  # in words
         self._gain = np.array(relaxation.gain if relaxation else (), dtype=np.float64)
+        for key, (low, high) in (("x0", self.x_range), ("y0", self.y_range)):
+            if not low < high:
+                raise ModelError(
+                    f"{key}: rounding leaves nothing of the gears beside {low:.6g}, where they begin"
+                )
 
     def __repr__(self) -> str:
         """Return a short description for debugging."""
@@ -377,19 +399,15 @@ class DiscreteBacklashOperator:
             return self.empty()
         if target >= span:
             return self.full()
-        bits, low, high = 0, 0.0, span
-        widths: list[float] = self.gears[:, axis].tolist()
-        for k in range(self.n - 1, -1, -1):
-            if target - low >= high - target - CROSSING_TOLERANCE * span:
-                bits |= 1 << k
-                low += widths[k]
-            else:
-                high -= widths[k]
-        return BacklashState(bits)
+        words = np.zeros(kernel.state_words(self.n), dtype=np.uint64)
+        kernel.CHOSEN.backlash_decay(*self.constants(True), words, float(voltage))
+        return BacklashState(self._bits(words))
 
     def coordinates(self, state: BacklashState) -> tuple[float, float]:
         """Return X_B and Y_B, (2)-(3)."""
-        chosen = [i for i in range(self.n) if state.bits >> i & 1]
+        stored = state.bits.to_bytes(max(self.n, state.bits.bit_length()) // 8 + 1, "little")
+        bits = np.unpackbits(np.frombuffer(stored, dtype=np.uint8), bitorder="little")
+        chosen = np.flatnonzero(bits[: self.n])
         return (
             self.x0 + math.fsum(self.gears[chosen, 0].tolist()),
             self.y0 + math.fsum(self.gears[chosen, 1].tolist()),
@@ -399,13 +417,12 @@ class DiscreteBacklashOperator:
         """Return the kernel's buffer with the state's bits in it."""
         if state.bits < 0 or state.bits >> self.n:
             raise ModelError(f"state: has bits beyond the {self.n} gears of this operator")
-        words, size = np.zeros(self._buffer, dtype=np.uint64), self._size
-        words[:size] = np.frombuffer(state.bits.to_bytes(8 * size, "little"), dtype="<u8")
-        return words
+        content = state.bits.to_bytes(8 * kernel.state_words(self.n), "little")
+        return np.frombuffer(content, dtype="<u8").astype(np.uint64)
 
     def _bits(self, words: NDArray[np.uint64]) -> int:
         """Return B out of the kernel's buffer."""
-        return int.from_bytes(words[: self._size].astype("<u8").tobytes(), "little")
+        return int.from_bytes(words.astype("<u8").tobytes(), "little")
 
     def run(
         self,
@@ -461,10 +478,15 @@ class DiscreteBacklashOperator:
         held = tuple(memory.tolist()) if terms else state.memory
         return y, BacklashState(self._bits(words), held), counts
 
+    @functools.cached_property
+    def table(self) -> tuple[Floats, NDArray[np.uint32]]:
+        """The kernel's table and its guide."""
+        return kernel_table(self.gears, 1)
+
     def constants(self, extend: bool) -> tuple[Any, ...]:
         """Return the kernel's first arguments, the same for all blocks."""
         reference = self.relaxation.reference if self.relaxation else 0.0
-        table = self.gears, self.n, self.equal_run, self.x0, self.y0
+        table = *self.table, self.n, 1, self.x0, self.y0
         return *table, extend, self._gain, reference, self.memory_on == "output"
 
     def _spans(
@@ -503,7 +525,7 @@ class DiscreteBacklashOperator:
         words = self._words(state)
         crossed = np.empty(-(-self.n // group_size))
         rows = np.empty((x.size, crossed.size))
-        table = self.gears, self.n, self.equal_run, self.x0, outside != "hold"
+        table = *self.table, self.n, 1, self.x0, outside != "hold"
         kernel.CHOSEN.backlash_engagement(*table, words, x, rows, crossed, group_size)
         return rows, BacklashState(self._bits(words), state.memory)
 

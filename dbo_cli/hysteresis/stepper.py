@@ -26,6 +26,34 @@ ROUNDING = 8.0 * 2.0**-52
 through points and scales. A slew limit is kept to that, a range exactly."""
 
 
+def may_follow(volts: float, last: float, low: float, high: float, most: float) -> bool:
+    """Return whether a voltage may follow ``last``: ``DriveGate`` for one row.
+
+    It is within ``low`` to ``high``, or on the way there where ``last`` is outside; and no further away
+    than ``most``. NaN: there is no last one, any change is allowed.
+    """
+    inside = low <= volts <= high
+    if not inside and last < low:
+        inside = last <= volts <= low
+    elif not inside and last > high:
+        inside = high <= volts <= last
+    if not (inside and math.isfinite(volts)):  # infinity is inside a range without an end
+        return False
+    return not abs(volts - last) > most + ROUNDING * max(abs(last), abs(volts))
+
+
+def inwards(last: float, low: float, high: float, most: float) -> float | None:
+    """Return where a drive goes from further outside its range than one step: inwards by that step.
+
+    None where it is nearer, or inside; NaN as in ``may_follow``.
+    """
+    if last - high > most:
+        return last - most
+    if low - last > most:
+        return last + most
+    return None
+
+
 class PythonStepper:
     """The extension's ``Stepper`` in Python: the operator's ``constants``, then what each step needs.
 
@@ -34,15 +62,15 @@ class PythonStepper:
     """
 
     def __init__(self, *given: Any) -> None:
-        gears, n, run, x0, y0, extend, gain, reference, memory_on_output, self._decay, *limits = given
-        self._table = gears, n, run, x0, y0, extend, gain, reference, memory_on_output
+        gears, guide, n, run, x0, y0, extend, gain, reference, memory_on_output, self._decay, *limits = given
+        self._table = gears, guide, n, run, x0, y0, extend, gain, reference, memory_on_output
         limited, low, high, slack, step = limits
-        exchanged = np.ascontiguousarray(gears[:, [1, 0, 2, 3]])
+        exchanged = np.ascontiguousarray(gears[:, [1, 0, 2, 3, 5, 4]])
         exchanged[:, 2] = gears[:, 0] / gears[:, 1]
-        self._exchanged = exchanged, n, run, y0, x0, extend, gain, reference, not memory_on_output
+        self._exchanged = exchanged, guide, n, run, y0, x0, extend, gain, reference, not memory_on_output
         steps = np.array([] if math.isnan(step) else [step])
         self._limits = limited, low, high, slack, steps
-        self._words = np.zeros(kernel.buffer_words(n), np.uint64)
+        self._words = np.zeros(kernel.state_words(n), np.uint64)
         self._memory, self.last = np.zeros(gain.size), math.nan
         self._planned: tuple[Words, Floats, float] | None = None
         self._cannot_apply = gain.size > 0 and not memory_on_output
@@ -59,21 +87,23 @@ class PythonStepper:
         return self._planned[2]
 
     def commit(self) -> None:
-        """Go on to the state that the last plan leads to."""
+        """Go on to the state that was worked out last."""
         if self._planned is None:
             raise ValueError("nothing was planned to be committed")
         self._words, self._memory, self.last = self._planned
         self._planned = None
 
-    def apply(self, y: float) -> None:
-        """Go on to the state that this output leads to, whatever was planned."""
+    def follow(self, y: float) -> None:
+        """Work out the state that this output leads to, without going on to it."""
         if self._cannot_apply:
             raise ValueError("memory on the input: its output does not give the state")
+        words, memory = self._words.copy(), self._memory.copy()
         kernel.backlash_run(
-            *self._exchanged, self._words, self._memory, math.nan, np.array([y], np.float64), np.empty(1),
+            *self._exchanged, words, memory, math.nan, np.array([y], np.float64), np.empty(1),
             self._decay, False, 0.0, 0.0, 0.0, np.array([]),
         )  # fmt: skip
-        self.last, self._planned = float(y), None
+        self.clipped = 0
+        self._planned = words, memory, float(y)
 
     def set(self, words: Words, memory: Floats, last: float) -> None:
         """Take over the bits, the memory and the output before."""
@@ -106,10 +136,10 @@ class BacklashStepper:
     plan : callable
         ``plan(x) -> y``: the output for an input; nothing changes yet.
     commit : callable
-        ``commit()``: go on to the state that the last plan leads to. ValueError where nothing was planned.
-    apply : callable
-        ``apply(y)``: go on to the state that this output leads to, whatever was planned: that of the operator
-        with exchanged axes driven by it. ValueError where memory follows the input.
+        ``commit()``: go on to the state that was worked out last. ValueError where none was.
+    follow : callable
+        ``follow(y)``: work out the state that this output leads to, that of the operator with exchanged axes
+        driven by it; nothing changes yet. ValueError where memory follows the input.
     """
 
     def __init__(
@@ -129,7 +159,7 @@ class BacklashStepper:
             *operator.constants(True), decay, limits is not None, bound.low, bound.high, bound.slack, step
         )
         self._words, self._memory = operator._words(state), np.zeros(len(terms.gain) if terms else 0)
-        self.plan, self.commit, self.apply = self.inner.plan, self.inner.commit, self.inner.apply
+        self.plan, self.commit, self.follow = self.inner.plan, self.inner.commit, self.inner.follow
         self.set(state, last)
 
     def __reduce__(self) -> Any:
@@ -170,7 +200,8 @@ class PythonBank:
         The curves of every channel (``packed``): before the gears, behind them, and what undoes those behind.
     limits
         Rows low, high, most, last, a column of each channel: the range, the largest change (or NaN), and the
-        voltage that stands (or NaN).
+        voltage that stands (or NaN); then the least and the greatest input, and the least and the greatest
+        voltage played: what is not between them is refused.
     """
 
     def __init__(self, steppers: tuple[Any, ...], *curves_and_limits: Any) -> None:
@@ -180,57 +211,74 @@ class PythonBank:
             [numbers[a:b].tolist() for a, b in itertools.pairwise(places.tolist())]
             for numbers, places in zip(curves[::2], curves[1::2], strict=True)
         ]
-        self._low, self._high, self._most, self._last = limits.reshape(4, -1).copy()
+        rows = limits.reshape(8, -1).copy()
+        self._low, self._high, self._most, self._last = rows[:4]
+        self._wanted, self._played = rows[4:6], rows[6:]
         self._volts = np.zeros(len(steppers))
         self._planned = False
 
     def plan(self, x: Floats, y: Floats, clipped: NDArray[np.uint8], gate: bool) -> int:
-        """Fill ``y`` and ``clipped``; -1, or k where input k is no number, or -2 - k where limits break."""
+        """Fill ``y`` and ``clipped``; -1, or k where input k is refused, or -2 - k where limits break."""
         self._planned = False
-        bad = np.flatnonzero(~np.isfinite(x))
-        if bad.size:
-            return int(bad[0])
-        for k, stepper in enumerate(self._steppers):
-            volts = stepper.plan(_run(self._curves[0][k], float(x[k])))
-            clipped[k] = stepper.clipped != 0
-            if self._curves[1][k]:
-                volts = min(max(_run(self._curves[1][k], volts), self._low[k]), self._high[k])
+        bad = _first_outside(x, self._wanted)
+        if bad >= 0:
+            return bad
+        for k, wanted in enumerate(x.tolist()):
+            volts, held_back = self._planned_volts(k, wanted, gate)
+            clipped[k] = held_back
             y[k] = self._volts[k] = volts
-            if gate and not self._may_pass(k, float(volts)):
+            if gate and not may_follow(volts, *self._limits(k)):
                 return -2 - k
         self._planned = True
         return -1
 
     def check(self, volts: Floats) -> int:
         """Return the first channel whose voltage may not follow the last one, or -1."""
-        return next((k for k, one in enumerate(volts.tolist()) if not self._may_pass(k, one)), -1)
+        for k, value in enumerate(volts.tolist()):
+            if not may_follow(value, *self._limits(k)):
+                return k
+        return -1
 
     def commit(self) -> None:
-        """Go on to the states that the last plan leads to."""
+        """Go on to the states that were worked out last."""
         if not self._planned:
             raise ValueError("nothing was planned to be committed")
         for stepper in self._steppers:
             stepper.commit()
         self._last[:], self._planned = self._volts, False
 
-    def apply(self, volts: Floats) -> int:
-        """Go on to the states that these voltages lead to; -1, or k where voltage k is no number."""
-        bad = np.flatnonzero(~np.isfinite(volts))
-        if bad.size:
-            return int(bad[0])
+    def follow(self, volts: Floats) -> int:
+        """Work out the states that these voltages lead to; -1, or k where voltage k is refused."""
+        bad = _first_outside(volts, self._played)
+        if bad >= 0:
+            return bad
         for k, stepper in enumerate(self._steppers):
-            stepper.apply(_run(self._curves[2][k], float(volts[k])))
-        self._last[:], self._planned = volts, False
+            stepper.follow(_run(self._curves[2][k], float(volts[k])))
+        self._volts[:], self._planned = volts, True
         return -1
 
-    def _may_pass(self, k: int, volts: float) -> bool:
-        low, high, most, last = (float(one[k]) for one in (self._low, self._high, self._most, self._last))
-        inside = low <= volts <= high
-        if last == last and not inside and not low <= last <= high:
-            inside = last <= volts <= low if last < low else high <= volts <= last
-        if inside and last == last and most == most:
-            inside = abs(volts - last) <= most + ROUNDING * max(abs(last), abs(volts))
-        return inside
+    def _limits(self, k: int) -> tuple[float, float, float, float]:
+        """Return last, low, high and most of a channel, as ``may_follow`` takes them."""
+        return float(self._last[k]), float(self._low[k]), float(self._high[k]), float(self._most[k])
+
+    def _planned_volts(self, k: int, wanted: float, gate: bool) -> tuple[float, bool]:
+        """Return the voltage of one channel, and whether its limits hold it back."""
+        stepper = self._steppers[k]
+        volts = inwards(*self._limits(k)) if gate else None
+        if volts is not None:
+            stepper.follow(_run(self._curves[2][k], volts))
+            return volts, True
+        volts = float(stepper.plan(_run(self._curves[0][k], wanted)))
+        if self._curves[1][k]:
+            low, high = float(self._low[k]), float(self._high[k])
+            volts = min(max(_run(self._curves[1][k], volts), low), high)
+        return volts, stepper.clipped != 0
+
+
+def _first_outside(values: Floats, ends: Floats) -> int:
+    """Return the first place where a value is not between its ends, or -1."""
+    bad = ~((ends[0] < values) & (values < ends[1]))
+    return int(np.argmax(bad)) if bad.any() else -1
 
 
 def _run(numbers: list[float], x: float) -> float:

@@ -227,8 +227,9 @@ class ByteSource:
         if encoding is None:
             encoding = next((name for mark, name in _UTF16.items() if start.startswith(mark)), None)
         if encoding is None and b"\0" in start:
-            halves = (("utf-16-le", start[1:40:2]), ("utf-16-be", start[0:40:2]))
-            encoding = next((name for name, half in halves if len(start) >= 4 and not any(half)), None)
+            even, odd = start[0:40:2], start[1:40:2]
+            if len(start) >= 4 and any(even) != any(odd):  # all NUL is no text of 16 bits either
+                encoding = "utf-16-le" if any(even) else "utf-16-be"
             if encoding is None:
                 problem = "this is a binary file, not a text log: export it as CSV or HDF5"
                 raise InputError(f"{self.name}: {problem}")

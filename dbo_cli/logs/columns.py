@@ -637,3 +637,12 @@ def require_finite(columns: Sequence[OutColumn], headers: Sequence[str], arrays:
                 f"column '{header}' would hold a number that is not finite: the model or the signal is "
                 "beyond the range of the arithmetic"
             )
+
+
+PLACE = pattern(r"\{(?:channel)?\}")
+"""Stands in the name of a column for the name of each of many channels."""
+
+
+def is_pattern(selector: str | None) -> bool:
+    """Tell whether the name of a column stands for many."""
+    return selector is not None and PLACE.search(selector) is not None

@@ -5,38 +5,35 @@ from __future__ import annotations
 import dataclasses
 import os
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from dbo_cli import extensions
 from dbo_cli.drives.compensation import Compensation
 from dbo_cli.drives.model_run import ModelRun
-from dbo_cli.errors import DboError, DboWarning, InputError, Remarks, UsageError
-from dbo_cli.extras.channels.columns import is_pattern
-from dbo_cli.extras.channels.model_set import Coupling, is_set, read_set, set_to_bytes
-from dbo_cli.extras.channels.model_set import read_model as read_model_file
+from dbo_cli.errors import DboWarning, InputError, Remarks, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import model_to_bytes, read_state, state_to_bytes
+from dbo_cli.hysteresis.model_file import is_set, model_to_bytes, read_set, read_state, state_to_bytes
+from dbo_cli.hysteresis.model_file import read_model as read_model_file
 from dbo_cli.hysteresis.model_state import ModelState, Quantity, StartName
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs import request
-from dbo_cli.logs.columns import wish
+from dbo_cli.logs.columns import is_pattern, wish
 from dbo_cli.logs.request import ALL_ROWS, Address, ReadingOptions, Rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.sources import ArraySource, is_file, is_log
 from dbo_cli.logs.whole_output import write_whole
 from dbo_cli.records import dataclass
 from dbo_cli.runs import files
-from dbo_cli.runs.jobs import Outcome, Work, summed_up
 
 if TYPE_CHECKING:
     import pandas
     from _typeshed import DataclassInstance
 
-    from dbo_cli.extras.live.bank import Bank
     from dbo_cli.extras.live.controller import Controller
     from dbo_cli.extras.repeat.learning import Tracked
     from dbo_cli.runs.identifying import IdentifyRun
@@ -339,10 +336,11 @@ class Model:
             The rate is missing, the limits or the converter's curve are not in order, or ``lookahead`` is
             shorter than the model needs.
         """
-        from dbo_cli.extras.live.controller import Controller
-
         options["state"] = files.start_of(options.get("state", "auto"), self.actuator)
-        return Controller(self.actuator, sample_rate, **options)
+        controller: Controller = extensions.find("run", "control a model")(
+            self.actuator, sample_rate, **options
+        )
+        return controller
 
 
 OUTSIDE = ("extend", "hold", "error")
@@ -404,179 +402,6 @@ def _finished(run: ModelRun, return_state: bool, details: bool) -> Any:
     for text in remarks.warnings:
         warnings.warn(text, DboWarning, stacklevel=3)
     return (values, run.state) if return_state else values
-
-
-# --- sets: a model of each channel, used together ---
-
-
-class ModelSet(Mapping[str, Model]):
-    """The models of many channels, by the channels' names and in their order.
-
-    Parameters
-    ----------
-    models : mapping of str to Model
-        The models.
-    coupling : Coupling, optional
-        How the channels show in each other (``identify`` with ``coupling``, or a set's file): ``simulate``,
-        ``compensate`` and the controller take it into account, a single model does not.
-    """
-
-    def __init__(self, models: Mapping[str, Model], coupling: Coupling | None = None) -> None:
-        self._models = dict(models)
-        self.coupling = None if coupling is None else coupling.of(list(self._models))
-
-    def __getitem__(self, channel: str) -> Model:
-        """Return the model of a channel."""
-        return self._models[channel]
-
-    def __iter__(self) -> Iterator[str]:
-        """Return the channels in their order."""
-        return iter(self._models)
-
-    def __len__(self) -> int:
-        """Count the channels."""
-        return len(self._models)
-
-    def __repr__(self) -> str:
-        """Return how many models there are."""
-        return f"<dbo ModelSet of {len(self)} channels>"
-
-    def to_json(self) -> bytes:
-        """Return the file of the set (docs/model-file.md): the same models give the same bytes."""
-        return set_to_bytes({channel: one.actuator for channel, one in self.items()}, self.coupling)
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the file of the set, whole or not at all.
-
-        Parameters
-        ----------
-        path
-            Where to, ``mirror.json``.
-
-        Raises
-        ------
-        UsageError
-            The name says another format.
-        OutputError
-            It cannot be written.
-        """
-        request.check_document(os.fspath(path), "a model", "json")
-        write_whole(os.fspath(path), self.to_json())
-
-    def simulate(self, x: ArrayLike, **options: Any) -> Floats:
-        """Run each model over its column: ``Model.simulate`` of each.
-
-        Parameters
-        ----------
-        x : array_like of shape (samples, channels)
-            The inputs, in the order of the channels.
-        **options
-            As ``Model.simulate`` has them, the same for all.
-
-        Returns
-        -------
-        array of shape (samples, channels)
-        """
-        found = self._over("simulate", "x", x, options)
-        return found if self.coupling is None else self.coupling.together(found)
-
-    def compensate(self, wanted: ArrayLike, **options: Any) -> Floats:
-        """Return the drives that make every actuator follow its column: ``Model.compensate`` of each.
-
-        Parameters
-        ----------
-        wanted : array_like of shape (samples, channels)
-            The desired displacements, in the order of the channels.
-        **options
-            As ``Model.compensate`` has them, the same for all.
-
-        Returns
-        -------
-        array of shape (rows, channels)
-            With as many rows as samples, and those that ``approach``, ``lead`` and the like add.
-        """
-        self._require_one_unit(options)
-        if self.coupling is not None:
-            wanted = self.coupling.apart(self._matrix("wanted", wanted))
-        return self._over("compensate", "wanted", wanted, options)
-
-    def _require_one_unit(self, limits: Mapping[str, Any]) -> None:
-        """Refuse plain limits for all channels where their drives have different units (UsageError)."""
-        from dbo_cli.drives.limits import require_one_unit
-
-        names = ("v_min", "v_max", "max_slew", "from_")
-        typed = {name: limits.get(name) for name in names}
-        for_all = {name: limit for name, limit in typed.items() if isinstance(limit, str | float | int)}
-        units = {channel: model.actuator.drive.unit for channel, model in self.items()}
-        require_one_unit(units, **for_all)
-
-    def controller(
-        self,
-        sample_rate: float | None = None,
-        *,
-        v_min: Any = None,
-        v_max: Any = None,
-        max_slew: Any = None,
-        extrapolate: bool = False,
-        from_: Any = None,
-        states: Mapping[str, ModelState] | None = None,
-        dac: ArrayLike | None = None,
-    ) -> Bank:
-        """Return a bank that plans and commits a frame at a time, one call of the kernel for all channels.
-
-        Parameters
-        ----------
-        sample_rate : float, optional
-            Frames a second (Hz); needed by models with lag or creep and by ``max_slew``.
-        v_min, v_max, max_slew, from_ : float, sequence or mapping, optional
-            As in ``Model.compensate``: one for all, one a channel, or by channel.
-        extrapolate : bool
-            Go beyond the range on which a model was identified, as far as the limits say.
-        states : mapping of str to ModelState, optional
-            The state of each channel to go on from.
-        dac : array_like, optional
-            The voltage of every code of the converter that all channels have, from code 0 on.
-
-        Raises
-        ------
-        ModelError, UsageError
-            As for ``Model.controller``, with the channel's name.
-        """
-        from dbo_cli.extras.live.bank import Bank
-
-        models = {channel: one.actuator for channel, one in self.items()}
-        limits = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew, "from_": from_}
-        self._require_one_unit(limits)
-        limits["extrapolate"] = extrapolate
-        return Bank(models, sample_rate, states=states, dac=dac, coupling=self.coupling, **limits)
-
-    def _over(self, verb: str, name: str, signals: ArrayLike, options: Mapping[str, Any]) -> Floats:
-        from dbo_cli.extras.channels.signals import common_rows
-
-        matrix = self._matrix(name, signals)
-        columns, times, said = [], [], {}
-        for place, (channel, model) in enumerate(self.items()):
-            try:
-                found = getattr(model, verb)(matrix[:, place], details=True, **options)
-            except DboError as problem:
-                raise type(problem)(f"channel {channel}: {problem}") from None
-            columns.append(found.values)
-            times.append(found.time)
-            said[channel] = found.warnings
-        for text in summed_up(said, "channel"):
-            warnings.warn(text, DboWarning, stacklevel=3)
-        if len({column.size for column in columns}) > 1:
-            places = common_rows(times)
-            if places is None or "state" in options:
-                raise InputError("the channels' drives have different rows: compensate them one by one")
-            columns = [np.pad(one, place, "edge") for one, place in zip(columns, places[1], strict=True)]
-        return np.column_stack(columns)
-
-    def _matrix(self, name: str, signals: ArrayLike) -> NDArray[Any]:
-        matrix = np.asarray(signals)
-        if matrix.ndim != 2 or matrix.shape[1] != len(self):
-            raise InputError(f"`{name}`: has the shape {matrix.shape}; give (samples, {len(self)} channels)")
-        return matrix
 
 
 # --- functions ---
@@ -709,8 +534,14 @@ def identify(
     fixed = record_of(IdentificationOptions, options, "is no parameter of identify")
     logs, columns = _given(log, displacement, voltage, time, sample_rate, voltage_unit, displacement_unit)
     reading = ReadingOptions(time=_column(time), sample_rate=sample_rate)
-    words = (logs, _addressed(validate), reading, fixed, *columns, prior, shared_shape, coupling, time)
-    return _identified(IdentifyRun(*words), jobs)
+    switches = _chosen(shared_shape=shared_shape, coupling=coupling)
+    run = IdentifyRun(logs, _addressed(validate), reading, fixed, *columns, prior, switches, time)
+    return _identified(run, jobs)
+
+
+def _chosen(**switches: bool) -> dict[str, bool]:
+    """Return the switches that are on."""
+    return {name: True for name, is_on in switches.items() if is_on}
 
 
 def _given(
@@ -730,13 +561,7 @@ def _identified(asked: IdentifyRun, jobs: int) -> Any:
     from dbo_cli.runs.identifying import identify_recordings
 
     if is_pattern(asked.voltage) or is_pattern(asked.displacement):
-        from dbo_cli.extras.channels.models import fits_of_channels
-
-        each, coupling = fits_of_channels(asked, Work(jobs, all_needed=True), Outcome())
-        models = {name: Model(one.model, one.summary, one.remarks) for name, one in each.items()}
-        for text in summed_up({name: model.warnings for name, model in models.items()}, "channel"):
-            warnings.warn(text, DboWarning, stacklevel=3)
-        return ModelSet(models, coupling)
+        return extensions.find("run", "identify a set")(asked, jobs)
     asked.refuse_channels_options()
     kept = None if asked.prior is None else _model(asked.prior).actuator
     fitted, checks = asked.read(prior=kept)
@@ -766,8 +591,7 @@ def read_model(path: str | os.PathLike[str]) -> Any:
         The file cannot be read, is no model, or contradicts itself; the message names file and key.
     """
     if is_set(os.fspath(path)):
-        found = read_set(os.fspath(path))
-        return ModelSet({channel: Model(found[channel]) for channel in found}, found.coupling)
+        return extensions.find("run", "set from Python")(read_set(os.fspath(path)))
     return _model(path)
 
 

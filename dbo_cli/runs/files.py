@@ -15,12 +15,12 @@ from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from dbo_cli import extensions
 from dbo_cli.drives.gate import DriveFigures, DriveGate, Floats
 from dbo_cli.drives.model_run import ModelRun, reads_ahead
 from dbo_cli.errors import SILENT, InputError, Listener, OutputError, Remarks, UsageError, plain
-from dbo_cli.extras.channels.model_set import read_model
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import model_to_bytes, read_state, state_to_bytes
+from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, read_state, state_to_bytes
 from dbo_cli.hysteresis.model_state import START_NAMES, DriveLimits, ModelState, Quantity, StartName
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs import request
@@ -150,6 +150,7 @@ class SignalRun:
         with self._opened(wanted, ahead, listener) as log:
             options = dataclasses.replace(drive, state=start_of(self.state, model))
             run = compensation(model, log, options, recordings, self.reading.rows[1] if ahead else None)
+            run.streamed = self.destination.output.is_stream
             # Not under the name of what will be measured: a drive must not be taken for a recording.
             unit = log.columns[wanted.quantity].unit or wanted.unit
             given = OutColumn("desired", unit, "desired", may_be_blank=True)
@@ -233,18 +234,37 @@ def invert_model(model_file: str, output: Address) -> ActuatorModel:
     return inverse
 
 
-def write_excitation(
-    output: Address, excitation: Excitation, form: str | None = None, channels: int | None = None
-) -> int:
-    """Write the drive that identifies well, or those of many channels; returns the rows."""
-    if channels is None:
-        time, one = excitation.drive()
-        drives = {"voltage": one}
-    else:
-        from dbo_cli.hysteresis.excitation import channel_drives
+def excitation_drives(
+    excitation: Excitation, points: int | None, brought: Mapping[str, Any]
+) -> tuple[Floats, Mapping[str, Floats]]:
+    """Return time (s) and the drive by the name of its column; an extra's option may make it many.
 
-        time, voltage = channel_drives(excitation, channels)
-        drives = {f"voltage_{place}": one for place, one in enumerate(voltage.T.copy(), start=1)}
+    Parameters
+    ----------
+    excitation
+        What the drive is made of.
+    points
+        So many rows in all, where a generator's memory asks for that.
+    brought
+        What the options that extras bring were given.
+    """
+    for name, value in brought.items():
+        made: tuple[Floats, Mapping[str, Floats]] = extensions.find("run", f"excite --{name}")(
+            excitation, value, points
+        )
+        return made
+    time, voltage = excitation.drive()
+    return time, {"voltage": voltage}
+
+
+def write_excitation(
+    output: Address,
+    excitation: Excitation,
+    form: str | None,
+    timed_drives: tuple[Floats, Mapping[str, Floats]],
+) -> int:
+    """Write the drives that identify well, as ``excitation_drives`` returns them; returns the rows."""
+    time, drives = timed_drives
     limits = DriveLimits(excitation.v_min, excitation.v_max, excitation.max_slew)
     for one in drives.values():
         DriveGate(limits).admit(one, 1.0 / excitation.sample_rate)
@@ -281,6 +301,7 @@ def summary_of(
     if isinstance(run, Compensation):
         if run.settling is not None:
             asked["settling"] = [one._asdict() for one in run.settling.times()]
+        asked["before"] = run.summary_before()
         expected, percent = run.expected_rmse()
         clipped = run.clipped.count
     return {

@@ -10,12 +10,11 @@ from contextlib import closing
 from dataclasses import field
 from typing import Any
 
-from dbo_cli.errors import SILENT, Listener, Remarks, UsageError
-from dbo_cli.extras.channels.model_set import read_model
+from dbo_cli.errors import SILENT, Listener, Remarks, UsageError, plain
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording
 from dbo_cli.hysteresis.identification import identify as identify_model
-from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import model_to_bytes
+from dbo_cli.hysteresis.model import SIGN_VERBS, ActuatorModel, Sign
+from dbo_cli.hysteresis.model_file import model_to_bytes, read_model
 from dbo_cli.logs import request
 from dbo_cli.logs.columns import is_order
 from dbo_cli.logs.plain_text import cleaned
@@ -24,9 +23,10 @@ from dbo_cli.logs.sample_block import joined
 from dbo_cli.logs.signal_log import SignalLog
 from dbo_cli.logs.sources import ArraySource, Source, is_table, remarks_of
 from dbo_cli.logs.units import in_unit
-from dbo_cli.logs.whole_output import check_output, write_whole
+from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.records import dataclass
-from dbo_cli.runs.files import bring_to, opened, recording_wishes, short_names
+from dbo_cli.runs.files import bring_to, opened, read_record, recording_wishes, short_names, write_summary
+from dbo_cli.runs.jobs import named
 from dbo_cli.version import program_version_string
 
 
@@ -117,6 +117,44 @@ def identify_recordings(
     return Identified(dataclasses.replace(found.model, provenance=provenance), found.summary, remarks)
 
 
+def sign_line(models: Mapping[str, ActuatorModel]) -> str:
+    """Return in words whether displacement rises or falls as voltage rises, of the models of channels."""
+    names: dict[Sign, list[str]] = {}
+    for name, model in models.items():
+        names.setdefault(model.sign, []).append(name)
+    ways = sorted(names, key=lambda sign: -len(names[sign]))
+    line = f"displacement {SIGN_VERBS[ways[0]]} as voltage rises"
+    if len(ways) > 1:
+        others = names[ways[1]]
+        plural = "s" if len(others) > 1 else ""
+        line += f", but {SIGN_VERBS[ways[1]]} in channel{plural} {named(others)}"
+    return line
+
+
+def with_sign(read: Sequence[str], line: str) -> list[str]:
+    """Return the lines that say what was read, with the sign in the first."""
+    return [f"{read[0]}; {line}", *read[1:]] if read else [line]
+
+
+def summary_of_model(found: Identified, command: str) -> dict[str, Any]:
+    """Return what was identified as plain values (``dbo-summary``); errors in the displacement's unit."""
+    model, fit = found.model, found.model.fit
+    inputs: Any = model.provenance["inputs"]
+    figures = ("rmse", "rmse_percent", "expected_rmse", "expected_percent")
+    return {
+        "format": "dbo-summary",
+        "version": 1,
+        "command": command,
+        "read": [read_record(one["name"], one.get("read", one)) for one in inputs],
+        "rows": fit.get("samples"),
+        "sign": model.sign,
+        "range": [model.input.minimum, model.input.maximum],
+        **{key: fit.get(key) for key in figures},
+        "notes": [plain(text) for text in [*found.remarks.notes, *found.summary]],
+        "warnings": [plain(text) for text in found.remarks.warnings],
+    }
+
+
 def chosen_of(options: IdentificationOptions) -> dict[str, Any]:
     """Return the parameters that are not at their default, under the command line's names."""
     changed: dict[str, Any] = {}
@@ -156,10 +194,12 @@ class IdentifyRun:
         The columns, guessed where not given; patterns (``V{}``) name those of many channels.
     prior
         The file of a model whose shape is kept; from Python a mapping of models by channel, too.
-    shared_shape, coupling
-        Of channels: one loop shape for all; how much each shows in the others.
+    brought
+        Options that an extra brings, by name: of channels ``shared_shape`` and ``coupling``.
     time
         From Python: the column or the seconds of tables.
+    summary, command
+        A file for what was found, as JSON, and the command line that it names.
     """
 
     logs: Sequence[Any]
@@ -169,22 +209,20 @@ class IdentifyRun:
     voltage: str | None = None
     displacement: str | None = None
     prior: Any = None
-    shared_shape: bool = False
-    coupling: bool = False
+    brought: Mapping[str, Any] = field(default_factory=dict)
     time: Any = None
+    summary: Address | None = None
+    command: str = ""
 
     def refuse_channels_options(self) -> None:
         """Refuse what is for channels where no pattern names them (UsageError)."""
-        for name in ("shared_shape", "coupling"):
-            if getattr(self, name):
-                raise UsageError(
-                    f"`{name}` is for channels: name their columns by patterns, 'V{{}}' and 'D{{}}'"
-                )
+        for name in self.brought:
+            raise UsageError(f"`{name}` is for channels: name their columns by patterns, 'V{{}}' and 'D{{}}'")
 
     def arguments(self, columns: Mapping[str, str], prior: object = None, checked: bool = True) -> list[str]:
         """Return how the identification of ``columns`` was called, as a shell spells it, without folders."""
         chosen = chosen_of(self.options) | self.reading.chosen()
-        chosen |= {name: True for name in ("shared_shape", "coupling") if getattr(self, name)}
+        chosen |= self.brought
         chosen |= dict(columns) | ({"prior": os.path.basename(prior)} if isinstance(prior, str) else {})
         words = ["identify", *(os.path.basename(_name_of(log)) for log in self.logs)]
         for log in self.validation if checked else ():
@@ -235,7 +273,7 @@ class IdentifyRun:
         beside = request.selected_files(self.voltage, self.displacement, self.reading.time)
         known = [] if self.prior is None else [self.prior]
         inputs = [*self.logs, *self.validation]
-        check_output(output, [*inputs, *beside, *known])
+        self.check_outputs([output], [*inputs, *beside, *known])
         request.check_format(self.reading.format, inputs)
         kept = None if self.prior is None else read_model(self.prior)
         fitted, checks = self.read(listener, kept)
@@ -247,8 +285,19 @@ class IdentifyRun:
             found = identify_recordings(fitted, self.options, checks, arguments, kept)
         finally:
             listener.finished()
-        write_whole(output, model_to_bytes(found.model))
+        with all_or_none():
+            write_whole(output, model_to_bytes(found.model))
+            if self.summary is not None:
+                write_summary(self.summary, [summary_of_model(found, self.command)])
+        found.remarks.read = with_sign(found.remarks.read, sign_line({"": found.model}))
         return found
+
+    def check_outputs(self, outputs: Sequence[Address], inputs: Sequence[Any]) -> None:
+        """Refuse a model's or a summary's file that cannot be written, before any work starts."""
+        if self.summary is not None:
+            request.check_document(self.summary, "a summary", "json")
+            outputs = [*outputs, self.summary]
+        check_outputs(outputs, inputs)
 
 
 def _name_of(log: Any) -> str:

@@ -4,20 +4,35 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from dbo_cli.errors import Listener, Remarks, UsageError
-from dbo_cli.logs.request import Address
-from dbo_cli.logs.whole_output import check_outputs
+from dbo_cli import extensions
+from dbo_cli.errors import InputError, Listener, Remarks, UsageError
+from dbo_cli.logs.columns import is_pattern
+from dbo_cli.logs.request import Address, parse_address
+from dbo_cli.logs.whole_output import check_outputs, make_folder
 from dbo_cli.runs.files import Destination, SignalRun
-from dbo_cli.runs.jobs import FILE, Outcome, Work, check_names, each_file, of_file, sum_up, summed_up
+from dbo_cli.runs.jobs import (
+    FILE,
+    Outcome,
+    Work,
+    check_names,
+    each_file,
+    of_file,
+    spread_line,
+    sum_up,
+    summed_up,
+)
 
 if TYPE_CHECKING:
-    from dbo_cli.runs.identifying import IdentifyRun
+    from dbo_cli.runs.identifying import Identified, IdentifyRun
     from dbo_cli.runs.reporting import ReportRun
 
-_PLACES = ("{}", "{channel}", FILE)
+CHANNEL = "{channel}"
+"""In the name of an output: the channel's name."""
+
+_PLACES = ("{}", CHANNEL, FILE)
 _WORTH_POLARS = 32  # files of 1,000 rows: importing polars (0.1 s) costs less than formatting them in Python
 
 
@@ -34,12 +49,11 @@ def signals(asked: SignalRun, logs: Sequence[Address], work: Work, listener: Lis
         return Outcome(asked.run(listener))
     if asked.tracked:
         raise UsageError("`tracked` learns one trajectory at a time: one log, one column and one output")
-    from dbo_cli.extras.channels.signals import signals_of_channels, wants_channels
-
     if wants_channels(output, asked.column):
         if len(logs) > 1:
             raise UsageError(f"{len(logs)} logs, and a pattern of columns of one: give one log")
-        return signals_of_channels(asked, work, listener)
+        outcome: Outcome = extensions.find("run", "signals of channels")(asked, work, listener)
+        return outcome
     return _signals_of_files(asked, logs, work, listener)
 
 
@@ -92,12 +106,10 @@ def _of_files(destination: Destination, logs: Sequence[Address]) -> list[Destina
 def identified(asked: IdentifyRun, output: Address, work: Work, listener: Listener) -> Outcome:
     """Identify one model of all logs, one of each channel, or one of each log (``{file}``)."""
     if _are_many(asked.logs[:1], output, asked.voltage, asked.displacement):
-        from dbo_cli.extras.channels.models import identify_channels, identify_files
-        from dbo_cli.extras.channels.signals import wants_channels
-
         if wants_channels(output, asked.voltage, asked.displacement):
-            return identify_channels(asked, output, work, listener)
-        if not (asked.shared_shape or asked.coupling):
+            outcome: Outcome = extensions.find("run", "identify channels")(asked, output, work, listener)
+            return outcome
+        if not asked.brought:
             return identify_files(asked, output, work, listener)
     asked.refuse_channels_options()
     found = asked.run(output, listener)
@@ -107,11 +119,12 @@ def identified(asked: IdentifyRun, output: Address, work: Work, listener: Listen
 
 def reported(asked: ReportRun, work: Work, listener: Listener) -> Outcome:
     """Report on logs side by side, or on the channels that a pattern names."""
-    from dbo_cli.runs.reporting import report_channels, report_logs
+    from dbo_cli.runs.reporting import report_logs
 
     columns = (asked.options.desired, asked.options.measured, asked.options.voltage)
     if _are_many([], asked.output, *columns):
-        return report_channels(asked, work, listener)
+        outcome: Outcome = extensions.find("run", "report channels")(asked, work, listener)
+        return outcome
     return report_logs(asked, listener)
 
 
@@ -119,3 +132,70 @@ def _are_many(logs: Sequence[Address], output: Address, *selectors: str | None) 
     """Tell whether there is more than one run, or a name that asks for more."""
     texts = [one for one in (output.text, *selectors) if one is not None]
     return len(logs) > 1 or any(place in one for one in texts for place in _PLACES)
+
+
+def wants_channels(output: Address, *selectors: str | None) -> bool:
+    """Tell whether columns are named by a pattern.
+
+    Raises
+    ------
+    UsageError
+        An output is to be written for each channel, and there is no pattern.
+    """
+    if any(map(is_pattern, selectors)):
+        return True
+    if CHANNEL in output.text:
+        raise UsageError(
+            f"{output.text}: {CHANNEL} stands for a channel's name: name the columns by a pattern, 'V{{}}'"
+        )
+    return False
+
+
+def identify_files(asked: IdentifyRun, output: Address, work: Work, listener: Listener) -> Outcome:
+    """Identify a model of each log by itself."""
+    check_names(output, asked.logs)
+    if asked.summary is not None and FILE not in asked.summary.text:
+        raise UsageError(f"`summary` {asked.summary.text}: each log has its own (put {FILE} into its name)")
+    files = [of_file(output, log) for log in asked.logs]
+    check_outputs(files, [*asked.logs, *asked.validation])
+    calls = []
+    for log, file in zip(asked.logs, files, strict=True):
+        summary = None if asked.summary is None else of_file(asked.summary, log)
+        of_log = dataclasses.replace(asked, logs=[log], summary=summary)
+        calls.append((log, functools.partial(of_log.run, file)))
+    found, outcome = each_file(calls, work, listener)
+    outcome.remarks.read += summed_up({name: one.remarks.read for name, one in found.items()}, "file")
+    if len(asked.logs) == 1 and found:
+        outcome.remarks.notes += next(iter(found.values())).summary
+    say_found(found, "file", outcome.remarks)
+    return outcome
+
+
+def say_found(found: Mapping[str, Identified], noun: str, remarks: Remarks) -> None:
+    """Sum up what was found over all channels or files."""
+    why = {channel: next(iter(one.remarks.warnings), "") for channel, one in found.items()}
+    for key, what in (("rmse_percent", "fit, RMSE of range"), ("expected_percent", "expected on new moves")):
+        percents = {c: one.model.fit.get(key) for c, one in found.items()}
+        known = {c: value for c, value in percents.items() if isinstance(value, float)}
+        if known:
+            remarks.notes.append(spread_line(known, noun, what, why))
+    sum_up(remarks, {channel: one.remarks for channel, one in found.items()}, noun)
+
+
+def in_name(name: str, channel: str) -> str:
+    """Put a channel into the name of a file; a name that would lead to another folder is refused."""
+    if CHANNEL in name and (channel in (".", "..") or any(sign in channel for sign in "/\\\0")):
+        raise InputError(f"channel '{channel}' cannot be part of a file's name ('{name}')")
+    return name.replace(CHANNEL, channel)
+
+
+def address_of(address: Address, channel: str) -> Address:
+    """Put a channel into the address of a file; see ``in_name``."""
+    return parse_address(in_name(address.text, channel), address.format)
+
+
+def make_folder_of(output: Address) -> None:
+    """Make the folder that files of channels go to; it goes again where they are given up."""
+    folder = output.path.rpartition("/")[0]
+    if folder and CHANNEL not in folder:
+        make_folder(folder)

@@ -7,23 +7,15 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import functools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from dbo_cli.drives.model_run import ModelRun
 from dbo_cli.errors import SILENT, LimitError, Listener, Remarks, UsageError
-from dbo_cli.extras.channels.model_set import is_set, read_model, read_set
-from dbo_cli.extras.channels.signals import (
-    columns_of,
-    models_by_channel,
-    opened_readers,
-    patterns_of,
-    sum_up_remarks,
-)
 from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.hysteresis.model_file import read_model
 from dbo_cli.logs import request
 from dbo_cli.logs.columns import ColumnWish, wish
 from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, Rows, selected_files
@@ -38,7 +30,7 @@ from dbo_cli.reports.drawing import Plot, check_folder, file_stems, save
 from dbo_cli.reports.report import LogReport, Report, ReportOptions, check_limits, common_unit, evaluate
 from dbo_cli.reports.sample_pairs import TrajectoryMatch, rows_to_read, with_values
 from dbo_cli.runs.files import bring_to, opened, short_names
-from dbo_cli.runs.jobs import Outcome, Work, spread_line
+from dbo_cli.runs.jobs import Outcome
 from dbo_cli.version import program_version_string
 
 if TYPE_CHECKING:
@@ -471,94 +463,3 @@ def open_trajectory(address: Address, desired: str | None, reading: ReadingOptio
     log.close()
     timed = dataclasses.replace(own, sample_rate=reading.sample_rate)
     return open_log(address, trajectory_wishes(desired), timed)
-
-
-# --- channels: a line each, and how their errors are spread, as a line and as figures ---
-
-
-@all_or_none()
-def report_channels(asked: ReportRun, work: Work, listener: Listener) -> Outcome:
-    """Report on each channel of logs, a line each, and say how the channels' errors are spread."""
-    logs, options = asked.logs, asked.options
-    if options.trajectory is not None:
-        raise UsageError(
-            "`trajectory` holds one desired signal: a pattern takes `desired` from the log itself"
-        )
-    wanted = None if options.model is not None else options.desired or ""
-    drive = (options.voltage or "") if options.model is not None else options.voltage
-    patterns = patterns_of(desired=wanted, measured=options.measured or "", voltage=drive)
-    chosen, inputs = asked.prepared()
-    outcome = Outcome()
-    merits: list[LogReport] = []
-    units: list[tuple[str, str | None]] = []
-    texts: dict[str, Remarks] = {}
-    short = short_names(logs)
-    with opened_readers(logs, asked.reading, patterns) as readers:
-        channels = list(readers[0].channels)
-        models = None if options.model is None else models_by_channel(options.model, channels)
-        if options.model is not None and is_set(options.model) and read_set(options.model).coupling:
-            outcome.remarks.warn(
-                f"the models of {options.model} are coupled, and each is compared by itself: what the others "
-                "show is in the error (simulate takes the coupling into account)"
-            )
-
-        def jobs() -> Iterator[tuple[str, Callable[[], tuple[Report, Remarks]]]]:
-            for reader, address in zip(readers, logs, strict=True):
-                for channel in channels:
-                    name = channel if len(logs) == 1 else f"{short.get(address, address.text)} {channel}"
-                    own: dict[str, Any] = columns_of(patterns, channel)
-                    own |= {"model": models(channel) if models else None}
-                    one = dataclasses.replace(options, **own)
-                    yield name, functools.partial(_reported, reader.log(channel), name, asked.reading, one)
-
-        count = len(channels) * len(logs)
-        for one in outcome.good(jobs(), work, "channel", count, listener):
-            found, texts[one.name] = one.value
-            merits += found.logs
-            units.append((one.name, found.unit))
-    report = Report.of(merits, options.scoring(options.model is not None), common_unit(units))
-    if merits:
-        _write(asked, report, chosen, inputs)
-    sum_up_remarks(texts, patterns["measured"], outcome.remarks)
-    drawn = asked.figures is not None or chosen == "html"
-    outcome.remarks.notes += _summary(merits, patterns if drawn and len(logs) == 1 else None)
-    return asked.judged(report, chosen, outcome)
-
-
-def _summary(merits: Sequence[LogReport], drawn: Mapping[str, str] | None) -> Iterator[str]:
-    """Return how the errors are spread, and how the figures of the worst are made where all were drawn."""
-    percents = {log.name: x for log in merits if (x := log.figures.nrmse_percent) is not None}
-    if percents:
-        yield spread_line(percents, "channel", "RMSE of range", {})
-    if percents and drawn is not None:
-        worst = max(percents, key=percents.__getitem__)
-        own = ", ".join(f"`{option}` '{name}'" for option, name in columns_of(drawn, worst).items())
-        yield f"the figures are of all channels; for those of one name its columns: {own}"
-
-
-def _write(asked: ReportRun, report: Report, form: str, inputs: Sequence[Given]) -> None:
-    """Write the report; a page and figures show all channels together."""
-    plots: list[Plot] = []
-    if asked.figures is not None or form == "html":
-        from dbo_cli.reports.figures import plots_of_channels
-
-        plots = plots_of_channels(report)
-    if asked.figures is not None:
-        save(plots, Path(asked.figures), "channels")
-    if form == "html":
-        none, program = [()] * len(report.logs), program_version_string()
-        page = renderers.to_html(report, none, comparison_plots=plots, program=program).encode()
-    else:
-        page = TrackingReport(report, (), None, Remarks()).rendered(form)
-    asked.write(page, inputs)
-
-
-def _reported(
-    log: Address, name: str, reading: ReadingOptions, options: TrackingOptions
-) -> tuple[Report, Remarks]:
-    """Compare one channel, in whichever process."""
-    model = None if options.model is None else read_model(options.model)
-    tracking = TrackingRun(options.scoring(model is not None), model, str(options.model))
-    tracking.add(log, reading, options, name)
-    result = tracking.result()
-    return result.report, result.remarks

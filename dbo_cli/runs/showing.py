@@ -6,15 +6,15 @@ import json
 import textwrap
 from collections.abc import Mapping
 from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 from dbo_cli import extensions
 from dbo_cli.errors import UsageError
-from dbo_cli.extras.channels.model_set import ModelSet, is_set, read_model, read_set
 from dbo_cli.hysteresis.cascade import OtherHysteresis
 from dbo_cli.hysteresis.dynamics import Lag
-from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, PointStage
-from dbo_cli.hysteresis.model_file import section_values
+from dbo_cli.hysteresis.model import SIGN_VERBS, ActuatorModel, BacklashStage, PointStage
+from dbo_cli.hysteresis.model_file import is_set, read_model, read_set, section_values
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.logs.request import Address, check_document
 from dbo_cli.logs.whole_output import write_whole
@@ -24,19 +24,26 @@ APART = ("notes", "warnings", "logs", "validation", "alternatives", "swings")  #
 
 
 def show_model(
-    model_file: str, output: Address, form: str | None, figures: str | None, settle: str | None = None
+    model_file: str,
+    output: Address,
+    form: str | None,
+    figures: str | None,
+    brought: Mapping[str, Any] = MappingProxyType({}),
 ) -> list[str]:
-    """Write what is in a model or a set of them; returns notes (where figures went)."""
+    """Write what is in a model or a set of them; returns notes (where figures went).
+
+    ``brought``: what the options that extras bring were given; each adds a part to what is shown of a model.
+    """
     chosen = form or ("json" if output.text.lower().endswith(".json") else "text")
     if is_set(model_file):
-        if settle is not None:
-            raise UsageError(f"`settle` is of one model, and {model_file} is a set ({model_file}::CHANNEL)")
+        for name in brought:
+            raise UsageError(f"`{name}` is of one model, and {model_file} is a set ({model_file}::CHANNEL)")
         if figures is not None:
             raise UsageError(
                 f"`figures` draws one model, and {model_file} is a set: name one ({model_file}::CHANNEL)"
             )
         check_document(output, "what is shown", chosen)
-        text = _set_text(read_set(model_file), chosen)
+        text = extensions.find("run", "show a set")(read_set(model_file), chosen)
     else:
         model = read_model(model_file)
         check_document(output, "what is shown", chosen)
@@ -44,7 +51,10 @@ def show_model(
             from dbo_cli.reports.drawing import check_folder, save
 
             folder = check_folder(figures)
-        content = contents(model) | _settling(model, settle)
+        content = contents(model)
+        forward = model if model.direction == "forward" else model.inverse()
+        for name, value in brought.items():
+            content |= extensions.find("run", f"show --{name}")(forward, value)
         text = json.dumps(content, indent=2, ensure_ascii=False) if chosen == "json" else as_text(content)
     write_whole(output, (text + "\n").encode(), protect=[model_file])
     if figures is None:
@@ -53,41 +63,6 @@ def show_model(
 
     save(plots_of_model(model), folder, "model")
     return [f"figures are in {figures}"]
-
-
-def _set_text(there: ModelSet, form: str) -> str:
-    """Return what is in a set of models: a line a channel, or the same as JSON."""
-    models, coupling = {channel: contents(model) for channel, model in there.items()}, there.coupling
-    if form == "json":
-        whole = {"format": "dbo-show-set", "version": 1, "models": models}
-        if coupling is not None:
-            whole["coupling"] = {"condition": coupling.condition, **coupling.values()}
-        return json.dumps(whole, indent=2, ensure_ascii=False)
-    lines = _set_lines(models)
-    return "\n".join(lines if coupling is None else [*lines, "", coupling.summary()])
-
-
-def _set_lines(models: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Return a table of a set: what each channel spans, how good it is, and how many warnings it has."""
-    rows: list[tuple[str, ...]] = [
-        ("channel", "drive", "output", "gears", "fit RMSE", "% of range", "expected", "warnings")
-    ]
-    for channel, one in models.items():
-        fit, unit = one["fit"], one["output"]["unit"] or ""
-        ends = [
-            f"{q['min']:.4g} to {q['max']:.4g} {q['unit'] or ''}".strip()
-            for q in (one["input"], one["output"])
-        ]
-        errors = [
-            ""
-            if fit.get(key) is None
-            else f"{fit[key]:.3g}{'' if key.endswith('percent') else f' {unit}'}".strip()
-            for key in ("rmse", "rmse_percent", "expected_rmse")
-        ]
-        rows.append((channel, *ends, str(one["gears"] or ""), *errors, str(len(one["warnings"]))))
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
-    return [f"{len(models):,} models (FILE::CHANNEL names one)", "", *lines]
 
 
 def contents(model: ActuatorModel) -> dict[str, Any]:
@@ -103,6 +78,7 @@ def contents(model: ActuatorModel) -> dict[str, Any]:
         "direction": model.direction,
         "input": _quantity(model.input),
         "output": _quantity(model.output),
+        "sign": model.sign,
         "gears": backlash.n if backlash else None,
         "operator": model.size,
         "segments": [stage.m for stage in model.stages if isinstance(stage, PointStage)],
@@ -122,19 +98,12 @@ def contents(model: ActuatorModel) -> dict[str, Any]:
     }
 
 
-def _settling(model: ActuatorModel, settle: str | None) -> dict[str, Any]:
-    """Return how long a step over the whole drive takes to stay within a distance, where it is asked for."""
-    if settle is None:
-        return {}
-    forward = model if model.direction == "forward" else model.inverse()
-    return {"settling": extensions.find("run", "show --settle")(forward, settle)}
-
-
 def as_text(content: Mapping[str, Any]) -> str:
     """Return the contents as lines for a terminal."""
     given, made = content["input"], content["output"]
     lines = [
         f"{content['direction']} model: {_range(given)} to {_range(made)}",
+        f"{made['quantity']} {SIGN_VERBS[content['sign']]} as {given['quantity']} rises",
         content["operator"] + _asymmetry(content) + _lag(content),
     ]
     lines += _moving(content)

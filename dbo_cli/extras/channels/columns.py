@@ -14,20 +14,14 @@ from dataclasses import field, replace
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.byte_source import file_sha256
 from dbo_cli.logs.clock import FoundTime, find_time_column
-from dbo_cli.logs.columns import MORE_TIME_NAMES, TIME_NAMES, column_label, list_columns
+from dbo_cli.logs.columns import MORE_TIME_NAMES, PLACE, TIME_NAMES, column_label, list_columns
 from dbo_cli.logs.request import ALL_ROWS, Address, ReadingOptions, Request, Rows
 from dbo_cli.logs.sample_block import ColumnInfo, DroppedRows, SampleBlock, Table, joined
 from dbo_cli.logs.signal_log import open_table
 from dbo_cli.logs.text.text_table import TextTable
 from dbo_cli.records import dataclass
 
-PLACE = re.compile(r"\{(?:channel)?\}")
 _LISTED = 5  # channels that a message names at most
-
-
-def is_pattern(selector: str | None) -> bool:
-    """Tell whether the name of a column stands for many."""
-    return selector is not None and PLACE.search(selector) is not None
 
 
 def column_of(pattern: str, channel: str) -> str:

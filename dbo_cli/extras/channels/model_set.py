@@ -14,7 +14,6 @@ from __future__ import annotations
 import functools
 import json
 import os
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any
@@ -177,7 +176,6 @@ def read_coupling(root: Any, strokes: Mapping[str, float]) -> Coupling:
 
 SET_VERSION = 2  # of a set with a coupling; 1 of one without, which older programs read, too
 _LISTED = 10  # channels that a message names at most
-_HEAD = re.compile(rb'(\xef\xbb\xbf)?\s*\{\s*"format":\s*"' + SET_FORMAT.encode() + rb'"')
 
 
 class ModelSet(Mapping[str, ActuatorModel]):
@@ -224,30 +222,6 @@ class ModelSet(Mapping[str, ActuatorModel]):
         return len(self._models.values)
 
 
-def read_model(path: str) -> ActuatorModel:
-    """Read a model file, or one model of a set (``FILE::CHANNEL``); ``-`` is standard input.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or the set has no such channel.
-    ModelError
-        It is not a model, of a newer version, or contradicts itself; the message names file and key.
-    """
-    file, separator, channel = path.partition("::")
-    if separator and not os.path.exists(path):
-        return read_set(file)[channel]
-    if not os.path.isfile(path):
-        return model_file.read_model(path)
-    found = os.stat(path)
-    return _single(path, found.st_mtime_ns, found.st_size)
-
-
-@functools.lru_cache(maxsize=1)  # a thousand files are run over one model
-def _single(path: str, changed: int, size: int) -> ActuatorModel:
-    return model_file.read_model(path)
-
-
 def read_set(path: str) -> ModelSet:
     """Read a model set; a file that has not changed is not read again.
 
@@ -270,17 +244,6 @@ def _parsed(path: str, changed: int, size: int) -> ModelSet:
     if not root.node("models").values:
         raise root.refuse("models", "holds no model")
     return ModelSet(root)
-
-
-def is_set(path: str) -> bool:
-    """Tell whether a file begins as a model set does; a pipe is not read."""
-    if not os.path.isfile(path):
-        return False
-    try:
-        with open(path, "rb") as file:
-            return _HEAD.match(file.read(200)) is not None
-    except OSError:
-        return False
 
 
 def set_to_bytes(models: Mapping[str, ActuatorModel], coupling: Coupling | None = None) -> bytes:

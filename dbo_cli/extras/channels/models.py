@@ -11,14 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from dbo_cli.errors import SILENT, FitError, Listener, Remarks, UsageError
+from dbo_cli.errors import SILENT, FitError, Listener, UsageError
 from dbo_cli.extras.channels.coupling_fit import Frames, find_coupling
-from dbo_cli.extras.channels.model_set import Coupling, read_model, set_to_bytes
+from dbo_cli.extras.channels.model_set import Coupling, set_to_bytes
 from dbo_cli.extras.channels.signals import (
-    CHANNEL,
-    address_of,
     columns_of,
-    make_folder_of,
     matrix_of,
     models_by_channel,
     opened_readers,
@@ -26,13 +23,23 @@ from dbo_cli.extras.channels.signals import (
 )
 from dbo_cli.hysteresis.identification import IdentificationOptions
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import model_to_bytes
+from dbo_cli.hysteresis.model_file import model_to_bytes, read_model
 from dbo_cli.logs.request import ALL_ROWS, Address, Given, check_document
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.runs import identifying, jobs
-from dbo_cli.runs.identifying import Identified, IdentifyRun, RecordedLog, Recordings
+from dbo_cli.runs.files import write_json
+from dbo_cli.runs.identifying import (
+    Identified,
+    IdentifyRun,
+    RecordedLog,
+    Recordings,
+    sign_line,
+    summary_of_model,
+    with_sign,
+)
 from dbo_cli.runs.jobs import Value
+from dbo_cli.runs.many import CHANNEL, address_of, make_folder_of, say_found
 
 MOST_POOLED = 64  # channels in the mean: with more, noise no longer matters beside the shape
 MOST_UNLIKE = 8  # channels, each a log of one fit, where they are driven differently: it takes as long
@@ -52,48 +59,39 @@ def identify_channels(
 ) -> jobs.Outcome:
     """Identify a model of each channel and write a set of them, or (``{channel}``) a file of each."""
     patterns, inputs = asked_patterns(asked), [*asked.logs, *asked.validation]
-    if asked.coupling and CHANNEL in output.text:
+    if asked.brought.get("coupling", False) and CHANNEL in output.text:
         raise UsageError(f"`coupling` belongs to all channels: write one set, without {CHANNEL} in its name")
-    if asked.coupling and work.keep_going:
+    if asked.brought.get("coupling", False) and work.keep_going:
         raise UsageError(
             "`coupling` and `keep_going` exclude each other: each channel is needed for the others"
         )
     check_document(output, "a model", "json")
-    if CHANNEL not in output.text:
-        check_outputs([output], inputs)
-    outcome, work = jobs.Outcome(), dataclasses.replace(work, all_needed=asked.coupling)
+    asked.check_outputs([] if CHANNEL in output.text else [output], inputs)
+    outcome, work = jobs.Outcome(), dataclasses.replace(work, all_needed=asked.brought.get("coupling", False))
     found, coupling = fits_of_channels(asked, work, outcome, listener)
     if found:
         with all_or_none():
-            _write_models(output, {channel: one.model for channel, one in found.items()}, inputs, coupling)
+            models = {channel: one.model for channel, one in found.items()}
+            _write_models(output, models, inputs, coupling)
+            if asked.summary is not None:
+                summaries = []
+                for channel, one in found.items():
+                    summaries.append({"channel": channel, **summary_of_model(one, asked.command)})
+                write_json(asked.summary, summaries)
         shown = ", ".join(f"{option} '{one}'" for option, one in patterns.items())
         read = next(iter(found.values())).remarks.read
-        outcome.remarks.read += [f"{line}; {len(found):,} channels: {shown}" for line in read]
-    _say_found(found, "channel", outcome.remarks)
-    return outcome
-
-
-def identify_files(asked: IdentifyRun, output: Address, work: jobs.Work, listener: Listener) -> jobs.Outcome:
-    """Identify a model of each log by itself."""
-    jobs.check_names(output, asked.logs)
-    files = [jobs.of_file(output, log) for log in asked.logs]
-    check_outputs(files, [*asked.logs, *asked.validation])
-    calls = [
-        (log, functools.partial(dataclasses.replace(asked, logs=[log]).run, file))
-        for log, file in zip(asked.logs, files, strict=True)
-    ]
-    found, outcome = jobs.each_file(calls, work, listener)
-    outcome.remarks.read += jobs.summed_up({name: one.remarks.read for name, one in found.items()}, "file")
-    if len(asked.logs) == 1 and found:
-        outcome.remarks.notes += next(iter(found.values())).summary
-    _say_found(found, "file", outcome.remarks)
+        read = [f"{line}; {len(found):,} channels: {shown}" for line in read]
+        outcome.remarks.read += with_sign(read, sign_line(models))
+        if len({model.sign for model in models.values()}) > 1:
+            outcome.remarks.warn(f"{sign_line(models)}: are leads exchanged, or does a sensor face away?")
+    say_found(found, "channel", outcome.remarks)
     return outcome
 
 
 def asked_patterns(asked: IdentifyRun) -> dict[str, str]:
     """Return the patterns of columns; UsageError for a single column, or a shape from two places."""
     patterns = patterns_of(voltage=asked.voltage or "", displacement=asked.displacement or "")
-    if asked.shared_shape and asked.prior is not None:
+    if asked.brought.get("shared_shape", False) and asked.prior is not None:
         raise UsageError("`shared_shape` and `prior` exclude each other: each is where the shape comes from")
     return patterns
 
@@ -126,13 +124,13 @@ def fits_of_channels(
             own |= {"logs": fit, "validation": judged, "prior": None}
             return functools.partial(dataclasses.replace(asked, **own).read, prior=kept(channel))
 
-        if asked.coupling:
+        if asked.brought.get("coupling", False):
             listener.working("how the channels show in each other")
             readings = ((channel, recordings(channel)) for channel in channels)
             coupling, apart = recordings_apart(_all_of(readings, "channel", len(channels)))
             listener.finished()
             outcome.remarks.notes.append(coupling.summary())
-        if asked.shared_shape:
+        if asked.brought.get("shared_shape", False):
             listener.working("the shape that the channels share")
             arguments = asked.arguments(patterns, checked=False)
             words = (channels, lambda one: recordings(one)()[0], options, arguments)
@@ -240,17 +238,6 @@ def _write_models(
         write_whole(files[channel], model_to_bytes(model), protect=inputs)
 
 
-def _say_found(found: Mapping[str, Identified], noun: str, remarks: Remarks) -> None:
-    """Sum up what was found over all channels or files."""
-    why = {channel: next(iter(one.remarks.warnings), "") for channel, one in found.items()}
-    for key, what in (("rmse_percent", "fit, RMSE of range"), ("expected_percent", "expected on new moves")):
-        percents = {c: one.model.fit.get(key) for c, one in found.items()}
-        known = {c: value for c, value in percents.items() if isinstance(value, float)}
-        if known:
-            remarks.notes.append(jobs.spread_line(known, noun, what, why))
-    jobs.sum_up(remarks, {channel: one.remarks for channel, one in found.items()}, noun)
-
-
 # --- one loop shape for all channels: the mean of what they do, then gain, offset and lag of each ---
 #
 # The actuators of a mirror come from one batch: their loops differ in gain and offset, and hardly in shape.
@@ -261,7 +248,7 @@ def _say_found(found: Mapping[str, Identified], noun: str, remarks: Remarks) -> 
 
 def options_of_channel(options: IdentificationOptions) -> IdentificationOptions:
     """Return what of the options goes with a shape that is kept."""
-    kept = {name: getattr(options, name) for name in ("skip_seconds", "rated", "force")}
+    kept = {name: getattr(options, name) for name in ("skip_seconds", "rated", "force", "sign")}
     return IdentificationOptions(**kept, sensor_delay=options.sensor_delay, sensor_lag=options.sensor_lag)
 
 

@@ -18,17 +18,16 @@ import numpy as np
 
 from dbo_cli.errors import InputError, Listener, Remarks, UsageError
 from dbo_cli.extras.channels.columns import (
-    PLACE,
     ChannelReader,
     channels_of,
     column_of,
     is_matrix,
-    is_pattern,
 )
-from dbo_cli.extras.channels.model_set import Coupling, is_set, read_model, read_set
+from dbo_cli.extras.channels.model_set import Coupling
+from dbo_cli.hysteresis.model_file import is_set, read_model, read_set
 from dbo_cli.hysteresis.model_state import START_NAMES
 from dbo_cli.logs import whole_output
-from dbo_cli.logs.columns import TIME_NAMES, OutColumn, column_info
+from dbo_cli.logs.columns import PLACE, TIME_NAMES, OutColumn, column_info, is_pattern
 from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, parse_address, parse_output
 from dbo_cli.logs.sample_block import FloatArray, joined
 from dbo_cli.logs.signal_log import open_log
@@ -38,9 +37,9 @@ from dbo_cli.logs.whole_output import KeptOutputs, KeptSignal
 from dbo_cli.records import dataclass
 from dbo_cli.runs.files import Destination, SignalRun, bring_to, check_order, quantity_wish, write_json
 from dbo_cli.runs.jobs import Done, Outcome, Work, named, sum_up
+from dbo_cli.runs.many import CHANNEL, address_of, in_name, make_folder_of
 
 _ROWS = 1 << 12  # of a table of channels, written at a time; chosen, bounds the memory
-CHANNEL = "{channel}"
 
 
 def patterns_of(**selectors: str | None) -> dict[str, str]:
@@ -60,35 +59,6 @@ def patterns_of(**selectors: str | None) -> dict[str, str]:
 def columns_of(patterns: Mapping[str, str], channel: str) -> dict[str, str]:
     """Return one channel's columns by parameter."""
     return {option: column_of(one, channel) for option, one in patterns.items()}
-
-
-def wants_channels(output: Address, *selectors: str | None) -> bool:
-    """Tell whether columns are named by a pattern.
-
-    Raises
-    ------
-    UsageError
-        An output is to be written for each channel, and there is no pattern.
-    """
-    if any(map(is_pattern, selectors)):
-        return True
-    if CHANNEL in output.text:
-        raise UsageError(
-            f"{output.text}: {CHANNEL} stands for a channel's name: name the columns by a pattern, 'V{{}}'"
-        )
-    return False
-
-
-def in_name(name: str, channel: str) -> str:
-    """Put a channel into the name of a file; a name that would lead to another folder is refused."""
-    if CHANNEL in name and (channel in (".", "..") or any(sign in channel for sign in "/\\\0")):
-        raise InputError(f"channel '{channel}' cannot be part of a file's name ('{name}')")
-    return name.replace(CHANNEL, channel)
-
-
-def address_of(address: Address, channel: str) -> Address:
-    """Put a channel into the address of a file; see ``in_name``."""
-    return parse_address(in_name(address.text, channel), address.format)
 
 
 class TableReader:
@@ -157,13 +127,6 @@ def models_by_channel(model_file: str, channels: Sequence[str], matrix: bool = F
             f"{model_file}: there is no model of channel {named(missing)} (it has {named(list(there))})"
         )
     return lambda channel: f"{model_file}::{channel}"
-
-
-def make_folder_of(output: Address) -> None:
-    """Make the folder that files of channels go to; it goes again where they are given up."""
-    folder = output.path.rpartition("/")[0]
-    if folder and CHANNEL not in folder:
-        whole_output.make_folder(folder)
 
 
 def common_rows(times: Sequence[FloatArray | None]) -> tuple[FloatArray, list[tuple[int, int]]] | None:

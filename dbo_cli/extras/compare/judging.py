@@ -16,6 +16,7 @@ from dbo_cli.extras.compare.play_model import RelativeModel, with_plays
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, identify
 from dbo_cli.hysteresis.identification.cleaning import cleaned
+from dbo_cli.hysteresis.identification.drive_range import drive_range, within
 from dbo_cli.hysteresis.identification.evaluation import Residual, residual_of, validation_of
 from dbo_cli.hysteresis.identification.preparation import Prepared, prepare
 from dbo_cli.hysteresis.identification.recordings import (
@@ -122,11 +123,13 @@ def compare(
     recordings = widest_first(recordings)
     clean, _ = without_voltage_glitches(recordings)
     logs = [cleaned(log) for log in clean]
-    ready = prepare([one.recording for one in logs], skip_seconds, [one.bad for one in logs])
+    ends = drive_range(clean)
+    mended = within([one.recording for one in logs], ends)
+    ready = prepare(mended, skip_seconds, [one.bad for one in logs], ends)
     clocked = all(log.seconds() is not None for log in recordings)
     cycle = median_cycle_seconds(recordings) if clocked else None
     judged = skip_seconds if judged_from is None else judged_from
-    judge = _Judge([one.recording for one in logs], ready, validation, judged, timed)
+    judge = _Judge(mended, ready, validation, judged, timed)
     fits: dict[str, tuple[str, Callable[[], ActuatorModel]]] = {
         one.name: (one.words, partial(fit, one, ready, judge.recordings, cycle)) for one in RELATIVES
     }

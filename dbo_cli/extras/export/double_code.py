@@ -21,8 +21,9 @@ from dbo_cli.extras.export import source_text as c
 from dbo_cli.extras.export.cascade_plan import CascadePlan, ignored_beyond, self_test_moves
 from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage
 from dbo_cli.hysteresis.drive_lag import coefficients, undoing_rows
-from dbo_cli.hysteresis.kernel import Floats, buffer_words
+from dbo_cli.hysteresis.kernel import Floats
 from dbo_cli.hysteresis.model import NEGLIGIBLE
+from dbo_cli.hysteresis.operators import kernel_table
 from dbo_cli.records import dataclass
 
 MOST_LOOKUP_GEARS = 12
@@ -62,7 +63,8 @@ def double_code(plan: CascadePlan, lookup: bool) -> c.ModelCode:
     _gears(plan, parts, lookup)
     _memory_free(plan, parts)
     memory = [f"double memory[{plan.terms}];"] if plan.terms else []
-    kept = [*parts.members, *memory]  # what a step of the gears changes
+    # What a step of the gears changes; it writes to no turn that the state before it has.
+    kept = [member for member in (*parts.members, *memory) if not member.startswith("dbo_place ")]
     _dynamics(plan, parts)
     lag = plan.model.drive_lag is not None
     step = _lag_step(plan, parts, kept) if lag else parts.once
@@ -80,7 +82,6 @@ def double_code(plan: CascadePlan, lookup: bool) -> c.ModelCode:
         "moving": dynamics, "terms": plan.terms > 0, "points": parts.segments > 0, "spare": bool(spare),
         "delay": bool(delay),
         "TERMS": str(plan.terms), "SEGMENTS": str(parts.segments), "COVERED": str(covered.operator.n),
-        "WORDS": str(buffer_words(plan.model.backlash.n)), "SPARE_WORDS": str(len(spare)),
         "MEMORY": "state->memory" if plan.terms else "0", "SPARE": "spare" if spare else "0",
         "SPARE_STATE": str(covered.spare_bits),
         "LOWEST_DRIVE": c.hex_double(covered.operator.x0),
@@ -107,8 +108,9 @@ def _gears(plan: CascadePlan, parts: _Parts, lookup: bool) -> None:
     fixed = lookup or limits is not None
     if plan.terms:
         terms = _doubles("gain", plan.gain) + _doubles("decay", plan.decay)
-    rows = gears.gears[::run]
-    parts.size = 32 * len(rows) + 16 * plan.terms + fixed * (24 * len(rows) + 8 * plan.terms)
+    table, _ = kernel_table(gears.gears, run)
+    rows = table[:-1]
+    parts.size = 48 * len(table) + 16 * plan.terms + fixed * (24 * len(rows) + 8 * plan.terms)
     # As dbo_prepare_fixed_step computes it.
     wide = rows[:, 0] + kappa * rows[:, 1]
     steps = np.column_stack([wide * rows[:, 3], rows[:, 1] / wide, rows[:, 1] * rows[:, 3]])
@@ -117,14 +119,14 @@ def _gears(plan: CascadePlan, parts: _Parts, lookup: bool) -> None:
         parts.size += 17 * 2**gears.n
         parts.members = ["dbo_lookup_state gears;"]
     else:
-        parts.members = [f"uint64_t words[{buffer_words(gears.n)}];", "dbo_backlash_state gears;"]
+        parts.members = [f"dbo_place turns[{gears.n}];", "dbo_backlash_state gears;"]
     spare = [] if lookup else plan.spare_words(64)
     lagging = plan.model.drive_lag is not None  # then the limits are made anew for each sample
     values: dict[str, str | bool] = {
         "terms": plan.terms > 0, "fixed": fixed, "lookup": lookup, "limits": limits is not None,
         "constant_limits": limits is not None and not lagging,
         "slew": plan.slew_step is not None,
-        "gear_rows": c.array("dbo_gear", "gears", c.double_rows(rows)), "term_tables": terms,
+        "gear_rows": c.array("dbo_gear", "gears", c.double_rows(table)), "term_tables": terms,
         "fixed_rows": c.array("dbo_fixed_gear", "fixed_gears", c.double_rows(steps)),
         "rest_table": _doubles("rest", rest) if plan.terms else "", "corner_tables": corners,
         "spare_table": c.array("uint64_t", "spare", spare) if spare else "",

@@ -163,11 +163,13 @@ def _limits(
 def worst_pass(gears: int, run: int, arithmetic: str) -> tuple[int, int]:
     """Return the most blocks that crossing gears one way looks at, and the most gears it takes one by one.
 
-    In double those are the kernel's SINGLE and the last block. Else they are in the first and the last block:
-    all gears below the kernel's LEAP, else SINGLE in each word, and runs of equal gears instead of gears.
+    In double there are no blocks; runs of gears between turns of the drive count, at most as many as there
+    are gears. Else the gears are in the first and the last block: all gears below the kernel's LEAP, else
+    SINGLE in each word, and runs of equal gears instead of gears.
     """
-    one_by_one = 4 + 64 if arithmetic == "double" else 2 * (64 if run < 3 else 8 + 63 // run + 2)
-    return -(-gears // 64), min(gears, one_by_one)
+    if arithmetic == "double":
+        return 0, gears
+    return -(-gears // 64), min(gears, 2 * (64 if run < 3 else 8 + 63 // run + 2))
 
 
 def _words(plan: CascadePlan, name: str, arithmetic: str) -> c.Values:
@@ -182,6 +184,7 @@ def _words(plan: CascadePlan, name: str, arithmetic: str) -> c.Values:
         f" the {'drive' if inverse else 'displacement'} out",
         "timed": plan.time_step is not None, "ahead": plan.read_ahead > 0.0, "inverse": inverse,
         "alone": True, "counts": arithmetic == "q31", "AHEAD": repr(plan.read_ahead),
+        "PLACE": "uint16_t" if model.backlash.n < 2**16 else "uint32_t",
         "RATE": repr(0.0 if plan.time_step is None else 1.0 / plan.time_step),
     }  # fmt: skip
 
@@ -240,7 +243,8 @@ def kernel_files(words: c.Values, arithmetic: str, headers: tuple[str, ...]) -> 
         files[file] = c.fill("kernel_header.h", {"NAME": name, **guards, "text": files[file]})
     defined = "".join(f"#undef {word}\n#define {word} {name}_{word}\n" for word in names)
     chosen = {key: arithmetic == key for key in ("float", "q31")}
-    return {**files, f"{name}_names.h": c.fill("NAME_names.h", {**chosen, "names": defined})}
+    known = {**chosen, "names": defined, "PLACE": words["PLACE"]}
+    return {**files, f"{name}_names.h": c.fill("NAME_names.h", known)}
 
 
 def export_set(
@@ -313,6 +317,7 @@ def _set_files(made: Mapping[str, Translated], name: str) -> dict[str, str]:
     arithmetic = one.summary.arithmetic
     words: dict[str, str | bool] = {
         **one.words, "NAME": name, "GUARD": name.upper(), "alone": False, "FIRST": one.summary.name,
+        "PLACE": max(str(each.words["PLACE"]) for each in made.values()),
         "TITLE": f"The {one.plan.model.direction} hysteresis models of {len(made)} actuators",
         "ORIGIN": "Written by dbo export from a model set.", "COUNT": str(len(made)),
         "VECTORS": str(sum(each.summary.vectors for each in made.values())), "ARITHMETIC": arithmetic,

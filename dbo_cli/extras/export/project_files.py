@@ -50,8 +50,8 @@ class ExportSummary:
     table_bytes, state_bytes : int
         Constant tables (flash), and the state (RAM) on a 32-bit target.
     worst_blocks, worst_gears : int
-        A bound on the work of one step: the most blocks of 64 gears it looks at, and the most gears, or runs
-        of equal gears, it crosses one by one.
+        A bound on the work of one step: the most blocks of 64 gears it looks at (none in double), and the
+        most gears, or runs of gears, it crosses one by one.
     bounds : mapping
         Derived bounds on the error against the float64 model, in the output's unit and in % of its range;
         empty for double, which gives the same bits.
@@ -195,7 +195,7 @@ def check_folder(folder: str, overwrite: bool) -> None:
         known = set(listed["files"]) if listed["format"] == FORMAT else set()
         made = {path.removesuffix(".c") + ".o" for path in known}  # by make
         known |= made | {f"{listed['name']}_test", "example"}
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         known = set()
     found = sorted(p.relative_to(target).as_posix() for p in target.rglob("*") if not p.is_dir())
     if strangers := [path for path in found if path not in known]:

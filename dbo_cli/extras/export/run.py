@@ -6,12 +6,12 @@ from typing import Any
 
 from dbo_cli.drives.limits import require_one_unit
 from dbo_cli.errors import Remarks
-from dbo_cli.extras.channels.model_set import is_set, read_model, read_set
-from dbo_cli.extras.channels.signals import CHANNEL, in_name, make_folder_of
 from dbo_cli.extras.export.export import export_model, export_set
 from dbo_cli.extras.export.project_files import ExportSummary
+from dbo_cli.hysteresis.model_file import is_set, read_model, read_set
 from dbo_cli.logs import whole_output
 from dbo_cli.logs.request import parse_address
+from dbo_cli.runs.many import CHANNEL, in_name, make_folder_of
 
 
 def export_models(

@@ -165,10 +165,12 @@ class ModelCode:
     @property
     def state_bytes(self) -> int:
         """The size of the state on a 32-bit chip, its members at their natural alignment."""
+        place = 2 if max(count for *_, count in map(declared, self.members)) < 2**16 else 4
+        gears = 48 if self.number == "double" else 40
         sizes = {
-            "uint64_t": (8, 8), "double": (8, 8), "float": (4, 4), "int32_t": (4, 4), "uint32_t": (4, 4),
-            "size_t": (4, 4), "int": (4, 4), "dbo_backlash_state": (40, 8), "dbo_lookup_state": (16, 8),
-            "dbo_section_state": (24, 8), "dbo_inverse_state": (24, 8),
+            "double": (8, 8), "float": (4, 4), "int32_t": (4, 4), "uint32_t": (4, 4), "size_t": (4, 4),
+            "int": (4, 4), "dbo_place": (place, place), "dbo_backlash_state": (gears, 8),
+            "dbo_lookup_state": (16, 8), "dbo_section_state": (24, 8), "dbo_inverse_state": (24, 8),
             "dbo_memory": (8, 8),
         }  # fmt: skip
         total = 0

@@ -444,7 +444,7 @@ def _pandas_attributes(metadata: dict[str, str]) -> dict[str, Any]:
     """Give ``DataFrame.attrs`` as pandas stores them: ``units`` by column, a rate."""
     try:
         found = json.loads(metadata.get("PANDAS_ATTRS", "{}"))
-    except ValueError:
+    except (ValueError, RecursionError):
         return {}
     return found if isinstance(found, dict) else {}
 

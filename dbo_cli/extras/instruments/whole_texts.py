@@ -54,7 +54,7 @@ def open_json(request: Request) -> ColumnTable:
         if len(lines) > 1 and isinstance(document, dict | list):
             numbered = enumerate(lines, start=1)
             document = [_parsed(f"{request.place}:{n}", line) for n, line in numbered if line.strip()]
-    except ValueError:
+    except (ValueError, RecursionError):
         document = _parsed(request.place, text)
     with request.reading("JSON", (OverflowError, RecursionError)):
         columns, single = _columns(document)

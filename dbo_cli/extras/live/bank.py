@@ -11,17 +11,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dbo_cli.drives.gate import Floats, GateError
+from dbo_cli.drives.gate import Bools, Floats, GateError
 from dbo_cli.errors import DboError, InputError, UsageError
 from dbo_cli.extras.channels.model_set import Coupling
 from dbo_cli.extras.live.controller import Controller
+from dbo_cli.extras.live.converter import Codes, codes_may_follow
+from dbo_cli.extras.live.rows import LiveDrive, Pending, number, refused
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import ModelState
-from dbo_cli.hysteresis.stepper import ROUNDING, make_bank
+from dbo_cli.hysteresis.stepper import make_bank
 
 
-class Bank:
+class Bank(LiveDrive[ArrayLike, Any]):
     """The drives of the forward models of a set, frame by frame; made by ``ModelSet.controller``.
+
+    A frame is taken whole, or refused whole.
 
     Attributes
     ----------
@@ -29,8 +33,6 @@ class Bank:
         The order of the arrays.
     clipped : array of int
         Committed samples of each channel in which the limits of its drive were met.
-    planned : array or None
-        What was planned and is not committed yet.
     """
 
     def __init__(
@@ -44,101 +46,34 @@ class Bank:
         **limits: Any,
     ) -> None:
         self.channels = tuple(models)
-        own = {name: _by_channel(name, value, self.channels) for name, value in limits.items()}
-        self._controllers = []
+        if states is not None:
+            _require_channels("states", states, self.channels)
+        by_channel = {name: _by_channel(name, value, self.channels) for name, value in limits.items()}
+        self._controllers: list[Controller] = []
         for place, (channel, model) in enumerate(models.items()):
-            options = {name: values[place] for name, values in own.items()}
-            options |= {"state": states[channel]} if states else {}
+            options = {name: values[place] for name, values in by_channel.items()}
+            state = None if states is None else states.get(channel)
+            if state is not None:
+                options["state"] = state
             try:
                 self._controllers.append(Controller(model, sample_rate, dac=dac, **options))
             except DboError as problem:
                 raise type(problem)(f"channel {channel}: {problem}") from None
         self._coupling = coupling
-        self._codes = None if dac is None else Codes(dac, self._controllers)
-        count = len(self.channels)
+        converters = [one.converter for one in self._controllers if one.converter is not None]
+        self._codes = Codes(converters) if converters else None
+        self._saved = np.zeros(len(self.channels))
         self._live: Any = None
-        self._volts, self._stand = np.zeros(count), np.zeros(count)
-        self._clipped_now = np.zeros(count, np.uint8)
-        self.clipped = np.zeros(count, np.int64)
-        self.planned: NDArray[Any] | None = None
+        self._stand = np.zeros(len(self.channels))
+        self._low, self._high = self._stand, self._stand
+        self.clipped = np.zeros(len(self.channels), np.int64)
 
-    def plan(self, displacements: ArrayLike) -> NDArray[Any]:
-        """Return the voltage (the code, with a converter) of each channel; nothing changes yet.
-
-        Parameters
-        ----------
-        displacements : array_like of shape (channels,)
-            What is wanted at this sample, in the unit of each model's output.
-
-        Raises
-        ------
-        InputError
-            There are more or fewer than channels, or one is not a finite number.
-        LimitError
-            A drive cannot begin within its limits.
-        """
-        wanted = self._frame(displacements, "what is wanted")
-        if self._coupling is not None and np.isfinite(wanted).all():
-            wanted = self._coupling.apart(wanted)
-        if self._live is None:
-            planned = []
-            for channel, one, value in zip(self.channels, self._controllers, wanted.tolist(), strict=True):
-                try:
-                    planned.append(one.plan(value))
-                except DboError as problem:
-                    raise type(problem)(f"channel {channel}: {problem}") from None
-            self.planned = np.array(planned)
-            return self.planned
-        bad = self._live.plan(wanted, self._volts, self._clipped_now, self._codes is None)
-        if bad >= 0:
-            raise InputError(
-                f"channel {self.channels[bad]}: what is wanted is not a finite number: {wanted[bad]!r}"
-            )
-        if self._codes is not None and bad == -1:
-            self.planned = self._codes.plan(self._volts)
-            self._volts, bad = self._codes.volts, self._codes.broken()
-        elif bad == -1:
-            self.planned = self._volts.copy()
-        if bad < -1:
-            place = -2 - bad
-            raise GateError(
-                f"channel {self.channels[place]}: this program planned {self._volts[place]!r}, which breaks "
-                "its limits; nothing is to be played (please report it)"
-            )
-        assert self.planned is not None
-        return self.planned
-
-    def commit(self, applied: ArrayLike | None = None) -> None:
-        """Go on from what was planned, or from what was ``applied`` instead (volts, or codes), a value each.
-
-        Raises
-        ------
-        UsageError
-            Nothing was planned, and nothing applied is given.
-        InputError
-            What was applied is not a finite number for each channel.
-        """
-        if applied is None and self.planned is None:
-            raise UsageError("nothing was planned to be committed: call plan first")
-        if self._live is None:
-            given: Sequence[Any] = [None] * len(self.channels)
-            if applied is not None:
-                given = self._frame(applied, "what was applied").tolist()
-            for controller, value in zip(self._controllers, given, strict=True):
-                controller.commit(value)
-            self.clipped[:] = [one.clipped for one in self._controllers]
-            self._begin()
-        else:
-            self._go_on(applied)
-            self.clipped += self._clipped_now
-        self._clipped_now[:] = 0
-        self.planned = None
-
-    def step(self, displacements: ArrayLike) -> NDArray[Any]:
-        """Plan and commit at once, where the hardware takes what it is given."""
-        planned = self.plan(displacements)
-        self.commit()
-        return planned
+    @property
+    def held_back(self) -> Bools:
+        """Whether the limits hold back what was planned and is not committed yet, of each channel."""
+        if self._pending is None:
+            return np.zeros(len(self.channels), np.bool_)
+        return np.asarray(self._pending[2], np.bool_)
 
     @property
     def states(self) -> dict[str, ModelState | None]:
@@ -147,7 +82,7 @@ class Bank:
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle the committed states; what was planned stays behind."""
-        return self.__dict__ | {"planned": None, "_live": self._live is not None}
+        return super().__getstate__() | {"_live": self._live is not None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Go on from committed states."""
@@ -156,22 +91,86 @@ class Bank:
         if live:
             self._begin(self._stand)
 
-    def _go_on(self, applied: ArrayLike | None) -> None:
-        """Go on in the kernel: from the plan, or from other voltages (of codes)."""
-        volts = self._volts
-        if applied is None and self._codes is None:
-            self._live.commit()
-            self._stand[:] = volts
-            return
-        if applied is not None:
-            volts = self._frame(applied, "what was applied")
-            volts = volts if self._codes is None else self._codes.volts_of(volts, self.channels)
-        bad = self._live.apply(volts)
+    def _worked_out(self, wanted: ArrayLike) -> Pending:
+        """Return what a plan comes to: voltages or codes, volts, which are clipped, and what is saved up."""
+        if self._live is None:
+            self._drop_all()
+        frame = self._frame(wanted, "what is wanted")
+        if self._coupling is not None and np.isfinite(frame).all():
+            with np.errstate(over="ignore", invalid="ignore"):
+                frame = self._coupling.apart(frame)
+        if self._live is None:
+            return self._each_worked_out(frame)
+        volts, clipped = np.empty(len(frame)), np.empty(len(frame), np.uint8)
+        bad = self._live.plan(frame, volts, clipped, self._codes is None)
         if bad >= 0:
-            raise InputError(f"channel {self.channels[bad]}: what was applied is not a finite number")
+            raise self._refused(bad, "what is wanted", float(frame[bad]), wanted=True)
+        if self._codes is not None and bad == -1:
+            return self._coded(volts, clipped, self._codes)
+        if bad < -1:
+            raise self._broken(-2 - bad, float(volts[-2 - bad]))
+        return volts.copy(), volts, clipped, None, None
+
+    def _coded(self, volts: Floats, clipped: NDArray[np.uint8], codes: Codes) -> Pending:
+        """Return what a plan of codes comes to; the kernel has the states that their volts lead to."""
+        planned, volts, most, saved, held_back = codes.next(volts, self._stand, self._saved)
+        good = codes_may_follow(volts, self._stand, self._low, self._high, most)
+        if not good.all():
+            place = int(np.argmin(good))
+            raise self._broken(place, float(volts[place]))
+        self._live.follow(volts)
+        return planned, volts, clipped | held_back, saved, None
+
+    def _each_worked_out(self, frame: Floats) -> Pending:
+        """Return what a plan comes to, of one controller after the other."""
+        planned = []
+        for channel, controller, value in zip(self.channels, self._controllers, frame.tolist(), strict=True):
+            try:
+                planned.append(controller.plan(value))
+            except DboError as problem:
+                self._drop_all()
+                raise type(problem)(f"channel {channel}: {problem}") from None
+        held_back = np.array([one.held_back for one in self._controllers])
+        return np.array(planned), None, held_back, None, None
+
+    def _drop_all(self) -> None:
+        """Leave nothing to commit in any channel."""
+        for controller in self._controllers:
+            controller.drop()
+
+    def _followed(self, applied: ArrayLike, pending: Pending | None) -> Pending:
+        """Return what applied volts, or codes, come to, after all of them were checked."""
+        frame = self._frame(applied, "what was applied")
+        volts = frame
         if self._codes is not None:
-            self._codes.commit(volts)
-        self._stand[:] = volts
+            volts = self._codes.volts_of(frame, self.channels)
+        clipped = np.zeros(len(frame), np.bool_) if pending is None else pending[2]
+        if self._live is None:
+            self._require_played(volts)
+            return frame, frame, clipped, None, None
+        bad = self._live.follow(volts)
+        if bad >= 0:
+            raise self._refused(bad, "what was applied", float(volts[bad]), wanted=False)
+        saved = None
+        if self._codes is not None:
+            saved = self._codes.left(volts, self._stand, self._saved)
+        return frame, volts.copy(), clipped, saved, None
+
+    def _take(self, pending: Pending) -> None:
+        """Go on from what was worked out last."""
+        _, volts, clipped, saved, _ = pending
+        if self._live is None:
+            applied = [None] * len(self.channels) if volts is None else volts.tolist()
+            for controller, value in zip(self._controllers, applied, strict=True):
+                controller.commit(value)
+            self.clipped[:] = [one.clipped for one in self._controllers]
+            self._begin()
+            return
+        self._live.commit()
+        self._stand = volts
+        if saved is not None:
+            self._saved = saved
+        self.clipped += clipped
 
     def _begin(self, stand: Floats | None = None) -> None:
         """Put channels that have begun into one bank of the kernel; what looks ahead, or lags, goes on alone.
@@ -182,19 +181,42 @@ class Bank:
         begun = [one for one in parts if one is not None]
         if len(begun) < len(parts):
             return
-        limits = np.array([one.bounds for one in self._controllers]).T.copy()  # low, high, most and last
-        if stand is not None:
-            limits[3] = stand
-        elif self._codes is not None:
-            self._codes.begin(limits)
+        bounds = np.array([one.bounds for one in self._controllers]).T.copy()
+        if stand is None:
+            self._saved = np.array([one.saved for one in self._controllers])
+        else:
+            bounds[3] = stand
+        self._low, self._high, self._stand = bounds[0], bounds[1], bounds[3]
         steppers, before, after = zip(*begun, strict=True)
-        self._live, self._stand = make_bank(steppers, before, after, limits), limits[3].copy()
+        self._live = make_bank(steppers, before, after, bounds)
+
+    def _require_played(self, volts: Floats) -> None:
+        """Refuse a frame with a voltage that no channel takes (InputError)."""
+        for place, (value, controller) in enumerate(zip(volts.tolist(), self._controllers, strict=True)):
+            if not controller.played_reach.low < value < controller.played_reach.high:
+                raise self._refused(place, "what was applied", value, wanted=False)
+
+    def _refused(self, place: int, what: str, value: float, wanted: bool) -> InputError:
+        """Return why a value of a channel was refused."""
+        controller = self._controllers[place]
+        reach, unit = controller.played_reach, controller.units[0]
+        if wanted:
+            reach, unit = controller.wanted_reach, controller.units[1]
+        return InputError(f"channel {self.channels[place]}: {refused(what, value, reach, unit)}")
+
+    def _broken(self, place: int, volts: float) -> GateError:
+        """Return what the gate says about a frame that breaks a limit: a fault of this program."""
+        return GateError(
+            f"channel {self.channels[place]}: this program planned {volts!r}, which breaks its limits;"
+            " nothing is to be played (please report it)"
+        )
 
     def _frame(self, values: ArrayLike, what: str) -> Floats:
-        try:
+        """Return a number of each channel (InputError where they are none, or more, or fewer)."""
+        if values.__class__ is np.ndarray and values.dtype.kind in "iuf":
             frame = np.ascontiguousarray(values, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise InputError(f"{what} is no array of numbers") from None
+        else:
+            frame = _checked(values, what)
         if frame.shape != (len(self.channels),):
             raise InputError(
                 f"{what} has the shape {frame.shape}; give {len(self.channels)} values, one a channel"
@@ -202,89 +224,34 @@ class Bank:
         return frame
 
 
-class Codes:
-    """One converter's curve for all channels; the rules of ``converter.Converter``, on arrays.
+def _checked(values: ArrayLike, what: str) -> Floats:
+    """Return anything but an array of numbers as one (InputError where something in it is none)."""
+    try:
+        if np.ma.is_masked(values):
+            raise TypeError
+        given = np.asarray(values, dtype=None if isinstance(values, np.ndarray) else object)
+        frame = np.empty(given.shape)
+        for place, value in enumerate(given.reshape(-1).tolist()):
+            frame.flat[place] = value if value.__class__ is float else number(what, value)
+    except (TypeError, ValueError, InputError):
+        raise InputError(f"{what} is no array of numbers") from None
+    return frame
 
-    Parameters
-    ----------
-    dac
-        The voltage of every code from 0 on, rising.
-    controllers
-        Of the channels; each has checked the curve against its own limits.
-    """
 
-    def __init__(self, dac: ArrayLike, controllers: Sequence[Controller]) -> None:
-        self._curve = np.ascontiguousarray(dac, dtype=np.float64)
-        gaps = np.diff(self._curve)
-        self._widest = float(gaps.max())
-        self._gaps = np.maximum(np.concatenate([gaps[:1], gaps]), np.concatenate([gaps, gaps[-1:]]))
-        self._controllers = controllers
-
-    def begin(self, limits: Floats) -> None:
-        """Take over from the controllers: rows low, high, most, last, a column of each channel."""
-        self._low, self._high, _, self.last = limits.copy()
-        own = [(one.converter.step, one.converter.saved) for one in self._controllers if one.converter]
-        self._step = np.array([np.nan if step is None else step for step, _ in own])
-        self._saved = np.array([saved for _, saved in own])
-        self._first = np.searchsorted(self._curve, self._low, "left")
-        self._final = np.searchsorted(self._curve, self._high, "right") - 1
-
-    def plan(self, volts: Floats) -> NDArray[np.int64]:
-        """Return the code nearest to each voltage, of those within range and slew."""
-        curve, last, end = self._curve, self.last, len(self._curve) - 1
-        place = np.searchsorted(curve, last, "left")
-        fine = np.maximum(self._step, self._gaps[np.minimum(place, end)])
-        self._most = np.where(
-            self._step < self._widest, np.minimum(self._saved + self._step, fine), self._step
-        )
-        after = np.searchsorted(curve, volts, "left")
-        between = (after > 0) & (after <= end)
-        above, below = curve[np.minimum(after, end)], curve[np.maximum(after - 1, 0)]
-        near = after - (between & (above - volts >= volts - below))
-        near = np.clip(near, self._first, self._final)
-        change = curve[near] - last
-        far = ~((-self._most <= change) & (change <= self._most)) & ~np.isnan(self._most)
-        low = np.maximum(self._first, np.searchsorted(curve, last - self._most, "left"))
-        high = np.minimum(self._final, np.searchsorted(curve, last + self._most, "right") - 1)
-        none = np.clip(place, self._first, self._final)
-        codes = np.where(far, np.where(low > high, none, np.clip(near, low, high)), near)
-        self.volts = curve[codes]
-        return codes
-
-    def broken(self) -> int:
-        """Return -1, or -2 - k where the voltage of channel k breaks its limits: the gate on arrays."""
-        volts, last, low, high = self.volts, self.last, self._low, self._high
-        inside = (low <= volts) & (volts <= high)
-        inside |= (last < low) & (last <= volts) & (volts <= low)
-        inside |= (last > high) & (high <= volts) & (volts <= last)
-        digits = ROUNDING * np.maximum(np.abs(last), np.abs(volts))
-        inside &= np.isnan(self._most) | (np.abs(volts - last) <= self._most + digits)
-        return -1 if inside.all() else -2 - int(np.argmin(inside))
-
-    def volts_of(self, codes: Floats, channels: Sequence[str]) -> Floats:
-        """Return the voltages of codes (InputError where one is none)."""
-        good = (codes == np.floor(codes)) & (codes >= 0) & (codes < len(self._curve))
-        if not good.all():
-            place = int(np.argmin(good))
-            raise InputError(
-                f"channel {channels[place]}: code {codes[place]:g} is not one of the converter's, 0 to"
-                f" {len(self._curve) - 1}"
-            )
-        return self._curve[codes.astype(np.int64)]
-
-    def commit(self, volts: Floats) -> None:
-        """Take what a change used off what was saved up."""
-        saved = np.maximum(self._most - np.abs(volts - self.last), 0.0)
-        self._saved = np.where(np.isnan(self._most), self._saved, saved)
-        self.last = volts.copy()
+def _require_channels(name: str, given: Mapping[str, Any], channels: Sequence[str]) -> None:
+    """Refuse values of channels that are not there (UsageError)."""
+    for channel in given:
+        if channel not in channels:
+            raise UsageError(f"`{name}`: there is no channel {channel!r}")
 
 
 def _by_channel(name: str, value: Any, channels: Sequence[str]) -> list[Any]:
     """Return a limit of each channel: one for all, a list, or by name (UsageError where they do not fit)."""
     if isinstance(value, Mapping):
-        value = [value.get(channel) for channel in channels]
+        _require_channels(name, value, channels)
+        return [value.get(channel) for channel in channels]
     if value is None or np.ndim(value) == 0:
         return [value] * len(channels)
     if len(value) != len(channels):
         raise UsageError(f"`{name}`: {len(value)} values for {len(channels)} channels")
-    return [None if one is None else float(one) for one in value]
+    return list(value)

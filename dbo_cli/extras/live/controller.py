@@ -8,11 +8,9 @@ is undone sample by sample (``DriveLag``); all with the bits of ``compensate``.
 
 from __future__ import annotations
 
-import bisect
 import dataclasses
-import itertools
 import math
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,92 +19,27 @@ from dbo_cli.drives.gate import DriveGate, GateError
 from dbo_cli.drives.limits import voltage_in
 from dbo_cli.drives.options import DriveOptions, Figure, check_seconds
 from dbo_cli.drives.pieces import ramp
-from dbo_cli.errors import InputError, ModelError, UsageError
+from dbo_cli.errors import ModelError, UsageError
+from dbo_cli.extras.live.converter import Converter
+from dbo_cli.extras.live.rows import (
+    PLAYED_SPANS,
+    WANTED_SPANS,
+    LiveDrive,
+    Pending,
+    number,
+    reach_of,
+    refused,
+)
 from dbo_cli.hysteresis.cascade import WHOLE, MemoryFree, ScaleStage, through
 from dbo_cli.hysteresis.drive_lag import coefficients, undoing_rows
 from dbo_cli.hysteresis.dynamics import InverseMemory
 from dbo_cli.hysteresis.kernel import Floats
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, StartName
-from dbo_cli.hysteresis.stepper import ROUNDING, BacklashStepper
+from dbo_cli.hysteresis.stepper import BacklashStepper, inwards, may_follow
 from dbo_cli.logs.request import checked_rate
-from dbo_cli.logs.sources import samples
 
 Window = tuple[list[float], Floats, InverseMemory | None]
-
-
-class Converter:
-    """A digital-to-analogue converter within the limits of a drive.
-
-    One step between codes may be larger than the slew limit allows in a sample. Then the allowance of several
-    samples is saved up for it: over any time the drive changes by no more than the slew limit allows in that
-    time and one code, and in one sample by no more than the larger of the two.
-
-    Parameters
-    ----------
-    volts : array_like
-        The voltage of every code from 0 on, rising.
-    limits : DriveLimits
-        Of the drive; codes outside the range are never planned.
-    most : float, optional
-        Largest change in one sample, V.
-
-    Raises
-    ------
-    UsageError
-        The curve does not rise, or no code lies within the limits.
-    """
-
-    def __init__(self, volts: ArrayLike, limits: DriveLimits, most: float | None) -> None:
-        curve = samples("dac", volts)
-        if curve.size < 2 or not (np.diff(curve) > 0.0).all():
-            raise UsageError("`dac`: give the voltage of every code from 0 on, rising from code to code")
-        self.curve: list[float] = curve.tolist()
-        self._low = bisect.bisect_left(self.curve, limits.v_min)
-        self._high = bisect.bisect_right(self.curve, limits.v_max) - 1
-        if self._low > self._high:
-            raise UsageError(
-                f"`dac`: no code lies within the limits of the drive, {limits.v_min:g} to {limits.v_max:g}"
-            )
-        self.step, self.saved = most, 0.0
-        gaps: list[float] = [b - a for a, b in itertools.pairwise(self.curve)]
-        self._widest = max(gaps)
-        self._gaps: list[float] = [max(pair) for pair in itertools.pairwise([gaps[0], *gaps, gaps[-1]])]
-
-    def volts(self, code: int | float) -> float:
-        """Return the voltage of a code (InputError where there is none)."""
-        if code != int(code) or not 0 <= code < len(self.curve):
-            raise InputError(f"code {code} is not one of the converter's, 0 to {len(self.curve) - 1}")
-        return self.curve[int(code)]
-
-    def most(self, last: float | None) -> float | None:
-        """Return the largest change that is allowed now, V; None where any is."""
-        step = self.step
-        if step is None or last is None:
-            return None
-        if step < self._widest:
-            gap = self._gaps[min(bisect.bisect_left(self.curve, last), len(self._gaps) - 1)]
-            return min(self.saved + step, max(step, gap))
-        return step
-
-    def code(self, volts: float, last: float | None, most: float | None) -> int:
-        """Return the code nearest to a voltage, of those within range and slew; the last one, if none is."""
-        curve, low, high = self.curve, self._low, self._high
-        after = bisect.bisect_left(curve, volts)
-        near = after - (0 < after < len(curve) and curve[after] - volts >= volts - curve[after - 1])
-        near = low if near < low else high if near > high else near
-        if most is None or last is None or -most <= curve[near] - last <= most:
-            return near
-        low = max(low, bisect.bisect_left(curve, last - most))
-        high = min(high, bisect.bisect_right(curve, last + most) - 1)
-        if low > high:  # from outside the range, or between two codes
-            return min(max(bisect.bisect_left(curve, last), self._low), self._high)
-        return low if near < low else high
-
-    def commit(self, change: float, most: float | None) -> None:
-        """Take what a change used off what was saved up."""
-        if most is not None:
-            self.saved = max(most - change, 0.0)
 
 
 class LookAhead:
@@ -155,10 +88,12 @@ class LookAhead:
             )
         self._count = 0  # values committed
         self.held: Window | None = None
-        self._planned: Window | None = None
 
-    def plan(self, wanted: float, state: ModelState | None) -> float:
-        """Return what the gears are to follow now; ``state`` is that before the first value."""
+    def plan(self, wanted: float, state: ModelState | None) -> tuple[float, Window]:
+        """Return what the gears are to follow now, and what is held after it.
+
+        ``state`` is that before the first value.
+        """
         memory: InverseMemory | None = None
         if self.held is None:
             raw, shifted = (
@@ -175,19 +110,20 @@ class LookAhead:
         if self._inverter is not None and memory is not None:
             undone, memory = self._inverter.run(shifted, memory)
             u = float(undone[0])
-        self._planned = raw, shifted, memory
-        return u
+        return u, (raw, shifted, memory)
 
-    def commit(self) -> None:
-        """Go on to the next sample; without a plan what is wanted stays as it is."""
-        if self._planned is None and self.held is not None:
-            self.plan(self.held[0][-1], None)
-        if self._planned is not None:
-            self.held, self._planned, self._count = self._planned, None, self._count + 1
+    def commit(self, window: Window | None) -> None:
+        """Go on to the next sample."""
+        if window is not None:
+            self.held, self._count = window, self._count + 1
+
+    def hold(self) -> Window | None:
+        """Return what is held after a sample for which nothing was planned: what is wanted stays."""
+        return None if self.held is None else self.plan(self.held[0][-1], None)[1]
 
     def forget(self) -> None:
         """Begin anew with the next value."""
-        self.held, self._planned, self._count = None, None, 0
+        self.held, self._count = None, 0
 
     def _shifted(self, raw: list[float]) -> float:
         """Return what is wanted the delay after the oldest value; as ``cascade.interpolated`` does."""
@@ -226,72 +162,106 @@ class DriveLag:
         self._most = math.inf if limits.max_slew is None else limits.largest_change(step) or math.inf
         row = undoing_rows(coefficients(self._lag, step))[0]
         self._by_lead, self._by_change = float(row[1]), float(row[2])
-        self.held = self._planned = (0.0, 0.0)  # what the lag passes on, and the drive before it
-        self._instead: ModelState | None = None
+        self.held = (0.0, 0.0)  # what the lag passes on, and the drive before it
 
-    def plan(self, behind: float, wanted: float, stepper: BacklashStepper) -> tuple[float, bool]:
-        """Return the drive that the lag makes ``behind`` of, or the nearest allowed, and if it is clipped.
+    def plan(self, behind: float, wanted: float, stepper: BacklashStepper) -> LagStep:
+        """Return the drive that the lag makes ``behind`` of, or the nearest allowed.
 
         What the limits of the drive allow behind the lag changes from sample to sample; only a sample that
         they hold back is worked out by the whole model from what is ``wanted``.
         """
         late, last = self.held
         volts = last + (self._by_lead * (late - last) + self._by_change * (behind - late))
-        self._planned, self._instead = (behind, volts), None
         if self._limits.v_min <= volts <= self._limits.v_max and abs(volts - last) <= self._most:
-            return volts, bool(stepper.clipped)
+            return LagStep(volts, stepper.clipped, (behind, volts))
         before = ModelState(stepper.state, stepper.last, drive_lag=((late, 0.0, last),))
         done = self._model.inverted.simulate([wanted], before, time_step=self._step, limits=self._limits)
-        self._instead = done.state
-        self._take(done.state)
-        return float(done.y[0]), bool(done.clipped_count)
+        return LagStep(float(done.y[0]), min(done.clipped_count, 1), _lag_of(done.state), done.state)
 
-    def commit(self, stepper: BacklashStepper) -> None:
-        """Go on to the state, the gears' too, that the last plan leads to."""
-        self.held = self._planned
-        if self._instead is None:
-            stepper.commit()
-        else:
-            assert self._instead.drive is not None
-            stepper.set(self._instead.backlash, self._instead.drive)
-
-    def apply(self, volts: float) -> float:
-        """Go on with this voltage, whatever was planned; return what the lag passes on of it."""
+    def follow(self, volts: float) -> LagStep:
+        """Return what the lag passes on of a voltage that was not planned here."""
         late, last = self.held
         behind = float(self._lag.run(np.array([volts]), self._step, ((late, 0.0, last),))[0][0])
-        self.held = behind, volts
-        return behind
+        return LagStep(volts, 0, (behind, volts))
 
     def begin(self, state: ModelState) -> None:
         """Take a state over."""
-        self._take(state)
-        self.held = self._planned
+        self.held = _lag_of(state)
 
-    def _take(self, state: ModelState) -> None:
-        assert state.drive_lag is not None
-        late, _, last = state.drive_lag[0]
-        self._planned = late, last
+
+class LagStep(NamedTuple):
+    """One sample through a lag before the gears.
+
+    Attributes
+    ----------
+    volts : float
+        The drive before the lag.
+    clipped : int
+        1 where the limits hold it back.
+    held : tuple
+        What the lag then passes on, and the drive.
+    state : ModelState, or None
+        That of the gears, where the stepper does not have it.
+    """
+
+    volts: float
+    clipped: int
+    held: tuple[float, float]
+    state: ModelState | None = None
+
+
+def _lag_of(state: ModelState) -> tuple[float, float]:
+    """Return what the lag before the gears passes on in a state, and the drive before it."""
+    assert state.drive_lag is not None
+    late, _, last = state.drive_lag[0]
+    return late, last
+
+
+class Beside(NamedTuple):
+    """What goes on with a row beside the gears.
+
+    Attributes
+    ----------
+    begun : ModelState, or None
+        After the first row.
+    window : Window, or None
+        What a look-ahead holds.
+    lag : LagStep, or None
+        Through the lag before the gears.
+    """
+
+    begun: ModelState | None = None
+    window: Window | None = None
+    lag: LagStep | None = None
 
 
 UPDATE = 128
 """Samples after which dynamics follow the drive: so many take hardly longer than one of them alone."""
 
 
-class Controller:
+class Controller(LiveDrive[float, float | int]):
     """The drive of a forward model, sample by sample; made by ``Model.controller``.
 
-    The same bits as ``compensate`` over the same samples.
+    The same bits as ``compensate`` over the same samples. Where the drive stands outside its limits, because
+    of ``from_``, a state or what was applied, the next plans bring it inwards as fast as the slew limit
+    allows, whatever is wanted.
 
     Attributes
     ----------
     clipped : int
         Committed samples in which the limits of the drive were met.
-    planned : float, int or None
-        What was planned and is not committed yet.
+    limits : DriveLimits
+        What the drive may do: its range, and its change a second.
     lookahead : int
         How many samples later is wanted what is passed; 0 without ``lookahead``.
     converter : Converter, or None
         What ``dac`` describes.
+    saved : float
+        What the converter has saved up of the slew limit, V.
+    wanted_reach, played_reach : Reach
+        The displacements and the voltages that are taken at all.
+    units : tuple of str
+        Those of voltage and displacement, as messages write them.
     """
 
     def __init__(
@@ -315,21 +285,28 @@ class Controller:
         _require_rate(sample_rate, model.needs_time or max_slew is not None or lookahead is not None)
         self._model = model
         self._step_seconds = None if sample_rate is None else 1.0 / sample_rate
-        self._limits = DriveOptions(v_min, v_max, extrapolate, max_slew, from_=from_).limits(model)
-        self._most = self._limits.largest_change(self._step_seconds)
+        v_min, v_max = _figure("v_min", v_min), _figure("v_max", v_max)
+        max_slew, from_ = _figure("max_slew", max_slew), _figure("from_", from_)
+        self.limits = DriveOptions(v_min, v_max, extrapolate, max_slew, from_=from_).limits(model)
+        self._low = self.limits.v_min
+        self._high = self.limits.v_max
+        most = self.limits.largest_change(self._step_seconds)
+        self._most = math.inf if most is None else most
         # A converter's code keeps the slew limit itself, since it may have to save up for it.
-        self._planning = self._limits if dac is None else DriveLimits(self._limits.v_min, self._limits.v_max)
+        self._planning = self.limits if dac is None else DriveLimits(self._low, self._high)
+        self.wanted_reach = reach_of(model.output.minimum, model.output.maximum, WANTED_SPANS)
+        self.played_reach = reach_of(model.input.minimum, model.input.maximum, PLAYED_SPANS)
+        self.units = model.input.suffix, model.output.suffix
         self._inverse = model.inverse()
         self._gears = self._inverse.backlash  # a model that has none is refused here
         self._start: StartName | ModelState = state
-        self._last = None if from_ is None else voltage_in("from_", from_, model.input)
-        if isinstance(state, ModelState):
-            self._last = model.drive_of(state)
-        elif self._last is not None:
-            begun = model.start(self._last, state)
-            self._start = model.simulate([self._last], begun, time_step=self._step_seconds).state
-        self._gate = DriveGate(self._limits, self._last, model.input.suffix)
-        self.converter = None if dac is None else Converter(dac, self._limits, self._most)
+        self._last = math.nan  # the voltage that stands; NaN: not known
+        self._stand_at(from_)
+        self._gate = DriveGate(self.limits, None, model.input.suffix)
+        self.converter = None if dac is None else Converter(dac, self.limits, most)
+        self.saved = 0.0
+        if self.converter is not None and not math.isnan(self._last):
+            self.converter.require_within("from_" if from_ is not None else "state", self._last)
         self._ahead: LookAhead | None = None
         if lookahead is not None and sample_rate is not None:
             self._ahead = LookAhead(model, sample_rate, lookahead)
@@ -342,120 +319,10 @@ class Controller:
         self._past: ModelState | None = None
         self._since: list[float] = []
         self._stepper: BacklashStepper | None = None
-        self._begun: ModelState | None = None
-        # Scales before the gears, where nothing else stands there, are worked out without an array.
-        self._head, self._after, self._drive_side = (
-            self._inverse.head, self._inverse.tail, self._inverse.tail_inverse
-        )  # fmt: skip
-        self._scales = [(s.gain, s.offset) for s in self._head if isinstance(s, ScaleStage)]
-        self._bent_before = len(self._scales) < len(self._head)
-        self._clipped_now = False
-        self._planned_volts = math.nan
+        self._gears_alone = self._ahead is None and self._lag is None
+        self._inner: Any = None  # the stepper's kernel, once it has begun and nothing else goes with it
+        self._set_stages()
         self.clipped = 0
-        self.planned: float | int | None = None
-
-    def plan(self, displacement: float) -> float | int:
-        """Return the voltage (the code, with a converter) for what is wanted next; nothing changes yet.
-
-        Parameters
-        ----------
-        displacement : float
-            What is wanted at this sample, in the unit of the model's output; with ``ahead`` what is wanted
-            the model's delay later, with ``lookahead`` so much later.
-
-        Raises
-        ------
-        InputError
-            It is not a finite number.
-        LimitError
-            The drive cannot begin within its limits.
-        """
-        if not -math.inf < displacement < math.inf:
-            raise InputError(f"what is wanted is not a finite number: {displacement!r}")
-        stepper = self._stepper
-        if self._ahead is not None:
-            displacement = self._ahead.plan(displacement, None if self._ahead.held else self.state)
-        if stepper is None:
-            # The start is found as ``compensate`` does; the fast way begins after the first sample.
-            self._gate.require_start(self._step_seconds)
-            begin = self._model.start_compensation(displacement, self._start, self._planning)
-            done = self._model.compensate(
-                [displacement], begin, limits=self._planning, time_step=self._step_seconds
-            )
-            self._begun, volts = done.state, float(done.y[0])
-            self._clipped_now = bool(done.clipped_count)
-        else:
-            x = displacement
-            for gain, offset in self._scales:
-                x = gain * x + offset
-            if self._bent_before:
-                x = float(through(self._head, np.array([displacement]))[0])
-            volts = stepper.plan(x)
-            self._clipped_now = bool(stepper.clipped)
-            if self._after:
-                bent = float(through(self._after, np.array([volts]))[0])
-                volts = min(max(bent, self._limits.v_min), self._limits.v_max)
-            if self._lag is not None:
-                volts, self._clipped_now = self._lag.plan(volts, displacement, stepper)
-        self.planned = volts
-        if self.converter is not None:
-            self.planned, volts = self._coded(volts, self.converter)
-        self._pass(volts)
-        self._planned_volts = volts
-        return self.planned
-
-    def commit(self, applied: float | int | None = None) -> None:
-        """Go on from what was planned, or from what was applied instead.
-
-        Parameters
-        ----------
-        applied : float or int, optional
-            Volts, or with a converter a code, where that is not what was planned.
-
-        Raises
-        ------
-        UsageError
-            Nothing was planned, and nothing applied is given.
-        """
-        if applied is None and self.planned is None:
-            raise UsageError("nothing was planned to be committed: call plan first")
-        volts, first = self._planned_volts, self._stepper is None
-        if applied is None and self.converter is None:
-            if self._stepper is None:
-                assert self._begun is not None
-                self._begin(self._begun)
-            elif self._lag is not None:
-                self._lag.commit(self._stepper)
-            else:
-                self._stepper.commit()
-        else:
-            if applied is not None:
-                volts = self.converter.volts(applied) if self.converter is not None else float(applied)
-            self._apply(volts)
-        if self._ahead is not None:
-            self._ahead.commit()
-        if self._behind and not first:
-            self._since.append(volts)
-            if len(self._since) >= UPDATE:
-                self._update()
-        if self.converter is not None and self._last is not None:
-            self.converter.commit(abs(volts - self._last), self._most)
-        self._last = volts
-        self.clipped += self._clipped_now
-        self._clipped_now = False
-        self.planned = None
-
-    def step(self, displacement: float) -> float | int:
-        """Plan and commit at once, where the hardware takes what it is given.
-
-        Parameters
-        ----------
-        displacement : float
-            As in ``plan``.
-        """
-        volts = self.plan(displacement)
-        self.commit()
-        return volts
 
     def close(
         self, to: float | None = None, seconds: float | Literal["auto"] = "auto"
@@ -473,25 +340,32 @@ class Controller:
         ------
         UsageError
             Nothing was committed yet, or no sample rate is known.
+        InputError
+            ``to`` is not a finite number.
         """
-        if self._last is None or self._step_seconds is None:
+        if math.isnan(self._last) or self._step_seconds is None:
             raise UsageError("a ramp to rest needs a committed sample and a `sample_rate`")
-        rest = min(max(0.0 if to is None else to, self._limits.v_min), self._limits.v_max)
-        way: list[Any] = []
-        for volts in ramp("seconds", self._last, rest, self._step_seconds, seconds, self._limits).tolist():
-            code, played = (volts, volts) if self.converter is None else self._coded(volts, self.converter)
-            self._pass(played)
-            way.append(code)
-            self.commit(code)
+        check_seconds("seconds", seconds)
+        rest = 0.0 if to is None else self._voltage("`to`", to)
+        rest = min(max(rest, self._low), self._high)
+        way = ramp("seconds", self._last, rest, self._step_seconds, seconds, self.limits).tolist()
+        if self.converter is not None:
+            codes = self._codes_along(way, self.converter)
+            for code in codes:
+                self.commit(code)
+        else:
+            self._check_row_by_row(way)
+            for volts in way:
+                self.commit(volts)
+        self._pending = None
         if self._ahead is not None:
             self._ahead.forget()
-        return way
+        return way if self.converter is None else codes
 
-    def _coded(self, volts: float, dac: Converter) -> tuple[int, float]:
-        """Return the converter's code for a voltage, and the voltage that it means."""
-        self._most = dac.most(self._last)
-        code = dac.code(volts, self._last, self._most)
-        return code, dac.curve[code]
+    @property
+    def held_back(self) -> bool:
+        """Whether the limits hold back what was planned and is not committed yet."""
+        return self._pending is not None and bool(self._pending[2])
 
     @property
     def state(self) -> ModelState | None:
@@ -500,6 +374,242 @@ class Controller:
             return self._start if isinstance(self._start, ModelState) else None
         held = None if self._ahead is None else self._ahead.held
         return dataclasses.replace(self._update(), undoing=held and held[2], model=self._model.digest)
+
+    @property
+    def begun(self) -> tuple[BacklashStepper, MemoryFree, MemoryFree] | None:
+        """The gears' stepper and what stands beside it, for a bank; None before a commit, or with a lag."""
+        if self._stepper is None or self._ahead is not None or self._lag is not None:
+            return None
+        return self._stepper, self._head, self._after
+
+    @property
+    def bounds(self) -> tuple[float, ...]:
+        """Range, largest change, the voltage that stands (NaN: none), and what may come in, for a bank."""
+        limits = self._low, self._high, self._most, self._last
+        return *limits, *self.wanted_reach, *self.played_reach
+
+    def _stand_at(self, from_: Figure) -> None:
+        """Find the voltage that stands, and the state there."""
+        model = self._model
+        if isinstance(self._start, ModelState):
+            if self._start.model not in (None, model.digest):
+                raise UsageError("`state`: is of another model (go on with the model that returned it)")
+            drive = model.drive_of(self._start)
+            self._last = math.nan if drive is None else drive
+        elif from_ is not None:
+            self._last = self._voltage("`from_`", voltage_in("from_", from_, model.input))
+            begun = model.start(self._last, self._start)
+            self._start = model.simulate([self._last], begun, time_step=self._step_seconds).state
+
+    def _set_stages(self) -> None:
+        """Keep what stands before and behind the inverse's gears."""
+        # Scales before the gears, where nothing else stands there, are worked out without an array.
+        self._head, self._after = self._inverse.head, self._inverse.tail
+        self._drive_side = self._inverse.tail_inverse
+        self._scales = [(s.gain, s.offset) for s in self._head if isinstance(s, ScaleStage)]
+        self._bent_before = len(self._scales) < len(self._head)
+        self._bent = self._bent_before or bool(self._after)
+
+    def _worked_out(self, wanted: float) -> Pending:
+        """Return what a plan comes to: voltage or code, its volts, whether it is clipped, and the rest."""
+        if wanted.__class__ is not float:
+            wanted = number("what is wanted", wanted)
+        low, high = self.wanted_reach
+        if not low < wanted < high:
+            raise refused("what is wanted", wanted, self.wanted_reach, self.units[1])
+        inner = self._inner
+        if inner is None:
+            return self._worked_out_with_more(wanted)
+        last, limit_low, limit_high = self._last, self._low, self._high
+        if self.converter is not None:
+            return self._coded(self._stepped(wanted, inner), inner, self.converter)
+        if not limit_low <= last <= limit_high:
+            way = inwards(last, limit_low, limit_high, self._most)
+            if way is not None:
+                self._follow(way, inner)
+                return way, way, 1, 0.0, None
+        if self._bent:
+            volts = self._stepped(wanted, inner)
+        else:
+            for gain, offset in self._scales:
+                wanted = gain * wanted + offset
+            volts = inner.plan(wanted)
+        if not (limit_low <= volts <= limit_high and abs(volts - last) <= self._most):
+            self._require_may_follow(volts, last, self._most)
+        return volts, volts, inner.clipped, 0.0, None
+
+    def _coded(self, volts: float, inner: Any, dac: Converter) -> Pending:
+        """Return what a plan comes to with a converter; the kernel has the state of the code's voltage."""
+        clipped, last = inner.clipped, self._last
+        code, volts, most, saved, held_back = dac.next(volts, last, self.saved)
+        if not (self._low <= volts <= self._high and abs(volts - last) <= most):
+            self._require_may_follow(volts, last, most)
+        if self._drive_side:
+            self._follow(volts, inner)
+        else:
+            inner.follow(volts)
+        return code, volts, clipped or int(held_back), saved, None
+
+    def _stepped(self, wanted: float, stepper: Any) -> float:
+        """Return the voltage within the limits that the gears lead to; the stepper has their state."""
+        if self._bent_before:
+            wanted = float(through(self._head, np.array([wanted]))[0])
+        else:
+            for gain, offset in self._scales:
+                wanted = gain * wanted + offset
+        volts: float = stepper.plan(wanted)
+        if self._after:
+            bent = float(through(self._after, np.array([volts]))[0])
+            volts = min(max(bent, self._low), self._high)
+        return volts
+
+    def _worked_out_with_more(self, wanted: float) -> Pending:
+        """Return what a plan comes to, where it is the first one, or more than the gears go on with it."""
+        begun, window, lag = None, None, None
+        if self._ahead is not None:
+            wanted, window = self._ahead.plan(wanted, None if self._ahead.held else self.state)
+        stepper = self._stepper
+        most, saved, last = self._most, self.saved, self._last
+        way = inwards(last, self._low, self._high, most) if self.converter is None else None
+        if stepper is None:
+            volts, clipped, begun = self._first(wanted, way)
+        elif way is not None:
+            volts, clipped, lag = way, 1, self._follow(way, stepper)
+        else:
+            volts, clipped = self._stepped(wanted, stepper), stepper.clipped
+            if self._lag is not None:
+                lag = self._lag.plan(volts, wanted, stepper)
+                volts, clipped = lag.volts, lag.clipped
+        planned: float | int = volts
+        if self.converter is not None:
+            planned, volts, most, saved, held_back = self.converter.next(volts, self._before(), saved)
+            clipped = clipped or int(held_back)
+            if stepper is None:
+                begun = self._state_after(volts)
+            else:
+                lag = self._follow(volts, stepper)
+        self._require_may_follow(volts, last, most)
+        return planned, volts, clipped, saved, Beside(begun, window, lag)
+
+    def _first(self, wanted: float, way: float | None) -> tuple[float, int, ModelState]:
+        """Return the first voltage, whether it is clipped, and the state after it.
+
+        The start is found as ``compensate`` does; the stepper begins after it. ``way`` is the voltage of a
+        drive that has to come inwards first.
+        """
+        if way is not None:
+            return way, 1, self._state_after(way)
+        begin = self._model.start_compensation(wanted, self._start, self._planning)
+        done = self._model.compensate([wanted], begin, limits=self._planning, time_step=self._step_seconds)
+        return float(done.y[0]), min(done.clipped_count, 1), done.state
+
+    def _before(self) -> float:
+        """Return the voltage that stands, NaN where it is not known, for a converter.
+
+        An actuator that starts ``empty`` or ``full`` stands at that end, as in ``start_compensation``.
+        """
+        if not math.isnan(self._last) or self._start not in ("empty", "full"):
+            return self._last
+        end = 0 if self._start == "empty" else 1
+        inner = self._model.covered_gears.operator.x_range[end]
+        return min(max(self._inverse.outer_drive(inner), self._low), self._high)
+
+    def _voltage(self, what: str, value: object) -> float:
+        """Return volts that were handed in, checked (InputError)."""
+        volts: float = value if value.__class__ is float else number(what, value)
+        low, high = self.played_reach
+        if not low < volts < high:
+            raise refused(what, volts, self.played_reach, self.units[0])
+        return volts
+
+    def _followed(self, applied: float | int, pending: Pending | None) -> Pending:
+        """Return what applied volts, or a code, come to."""
+        what, saved, inner = "what was applied", self.saved, self._inner
+        if self.converter is None:
+            volts = self._voltage(what, applied)
+        else:
+            volts = self._voltage(what, self.converter.curve[self.converter.code_of(applied)])
+            if not math.isnan(self._last):
+                most = self.converter.most(self._last, saved)
+                saved = self.converter.left(abs(volts - self._last), most)
+        clipped = 0 if pending is None else pending[2]
+        if inner is not None:
+            if self._drive_side:
+                self._follow(volts, inner)
+            else:
+                inner.follow(volts)
+            return applied, volts, clipped, saved, None
+        window = self._window_after(pending)
+        if self._stepper is None:
+            beside = Beside(self._state_after(volts), window)
+        else:
+            beside = Beside(None, window, self._follow(volts, self._stepper))
+        return applied, volts, clipped, saved, beside
+
+    def _window_after(self, pending: Pending | None) -> Window | None:
+        """Return what a look-ahead holds after a row: that of the plan, or what it held."""
+        if self._ahead is None:
+            return None
+        if pending is None:
+            return self._ahead.hold()
+        window: Window | None = pending[4].window
+        return window
+
+    def _follow(self, volts: float, stepper: Any) -> LagStep | None:
+        """Work out the state of the gears that a voltage leads to: the forward model's, driven by it."""
+        lag = None if self._lag is None else self._lag.follow(volts)
+        inner = volts if lag is None else lag.held[0]
+        for stage in self._drive_side:
+            inner = float(stage.run(np.array([inner]))[0])
+        stepper.follow(inner)
+        return lag
+
+    def _state_after(self, volts: float) -> ModelState:
+        """Return the state after a first voltage."""
+        begun = self._model.start(volts, self._start)
+        return self._model.simulate([volts], begun, time_step=self._step_seconds).state
+
+    def _take(self, pending: Pending) -> None:
+        """Go on from what was worked out last."""
+        _, volts, clipped, saved, beside = pending
+        if beside is None:
+            self._inner.commit()
+        else:
+            self._take_more(volts, beside)
+        self._last, self.saved = volts, saved
+        self.clipped += clipped
+
+    def _take_more(self, volts: float, beside: Beside) -> None:
+        """Go on with what is beside the gears, and with these."""
+        if beside.begun is not None:
+            self._begin(beside.begun)
+        elif self._stepper is not None:
+            lag = beside.lag
+            if lag is None or lag.state is None:
+                self._stepper.commit()
+            else:
+                assert lag.state.drive is not None
+                self._stepper.set(lag.state.backlash, lag.state.drive)
+            if lag is not None and self._lag is not None:
+                self._lag.held = lag.held
+            if self._behind:
+                self._since.append(volts)
+                if len(self._since) >= UPDATE:
+                    self._update()
+        if self._ahead is not None:
+            self._ahead.commit(beside.window)
+
+    def _begin(self, state: ModelState) -> None:
+        """Go on from the state after the first row."""
+        self._past, self._since = state if self._behind else None, []
+        inverse, limits = self._inverse, self._planning
+        if self._lag is not None:  # the slew is limited before the lag
+            self._lag.begin(state)
+            limits = DriveLimits(limits.v_min, limits.v_max)
+        bound = inverse.output_limits(inverse.inner_limits(limits), self._step_seconds)
+        last = math.nan if state.drive is None else state.drive
+        self._stepper = BacklashStepper(self._gears, state.backlash, last, self._step_seconds, bound)
+        self._inner = self._stepper.inner if self._gears_alone else None
 
     def _update(self) -> ModelState:
         """Return the committed state; let what is behind the gears follow the drive up to now."""
@@ -516,54 +626,47 @@ class Controller:
             self._past, self._since = held, []
         return held
 
-    @property
-    def begun(self) -> tuple[BacklashStepper, MemoryFree, MemoryFree] | None:
-        """The gears' stepper and what stands beside it, for a bank; None before a commit, or with a lag."""
-        alone = self._stepper is not None and self._ahead is None and self._lag is None
-        return None if self._stepper is None or not alone else (self._stepper, self._head, self._after)
+    def _codes_along(self, way: list[float], dac: Converter) -> list[int]:
+        """Return the codes of a way, and those it takes until the last one is reached."""
+        last, saved = self._last, self.saved
+        codes: list[int] = []
+        held_back, row = True, 0
+        while way and (row < len(way) or held_back):
+            aim = way[min(row, len(way) - 1)]
+            code, volts, most, saved, held_back = dac.next(aim, last, saved)
+            self._require_may_follow(volts, last, most)
+            codes.append(code)
+            last, row = volts, row + 1
+        return codes
 
-    @property
-    def bounds(self) -> tuple[float, float, float, float]:
-        """Range, largest change and the voltage that stands (NaN: none), for a bank."""
-        most, last = (math.nan if one is None else one for one in (self._most, self._last))
-        return self._limits.v_min, self._limits.v_max, most, last
+    def _check_row_by_row(self, way: list[float]) -> None:
+        """Let a way pass the gate before any of it is taken."""
+        last = self._last
+        for volts in way:
+            self._require_may_follow(volts, last, self._most)
+            last = volts
 
-    def _pass(self, volts: float) -> None:
-        """Let one sample pass the gate; that of ``DriveGate`` for blocks, worked out here for speed."""
-        low, high, last, most = self._limits.v_min, self._limits.v_max, self._last, self._most
-        inside = low <= volts <= high
-        if last is not None and not inside and not low <= last <= high:
-            inside = last <= volts <= low if last < low else high <= volts <= last
-        if most is not None and last is not None:
-            inside = inside and abs(volts - last) <= most + ROUNDING * max(abs(last), abs(volts))
-        if not inside:
-            self._gate.last = last
+    def _require_may_follow(self, volts: float, last: float, most: float) -> None:
+        """Let a row pass the gate, or raise GateError: what breaks a limit is a fault of this program."""
+        if not may_follow(volts, last, self._low, self._high, most):
+            self._gate.last = None if math.isnan(last) else last
             self._gate.admit(np.array([volts]), self._step_seconds)
             raise GateError(f"this program planned {volts!r} after {last!r}, which breaks its limits")
 
-    def _begin(self, state: ModelState) -> None:
-        self._past, self._since = state if self._behind else None, []
-        inverse, limits = self._inverse, self._planning
-        if self._lag is not None:  # the slew is limited before the lag
-            self._lag.begin(state)
-            limits = DriveLimits(limits.v_min, limits.v_max)
-        bound = inverse.output_limits(inverse.inner_limits(limits), self._step_seconds)
-        last = math.nan if state.drive is None else state.drive
-        self._stepper = BacklashStepper(self._gears, state.backlash, last, self._step_seconds, bound)
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickle what is committed; the kernel's stepper is made again."""
+        return super().__getstate__() | {"_inner": None}
 
-    def _apply(self, volts: float) -> None:
-        """Drive the forward model's gears by what was applied; the inverse goes on from their state."""
-        if not -math.inf < volts < math.inf:
-            raise InputError(f"what was applied is not a finite number: {volts!r}")
-        if self._stepper is None:
-            begun = self._model.start(volts, self._start)
-            begun = dataclasses.replace(begun, history=None)
-            self._begin(self._model.simulate([volts], begun, time_step=self._step_seconds).state)
-            return
-        inner = volts if self._lag is None else self._lag.apply(volts)
-        for stage in self._drive_side:
-            inner = float(stage.run(np.array([inner]))[0])
-        self._stepper.apply(inner)
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Go on from what was committed."""
+        self.__dict__.update(state)
+        if self._stepper is not None and self._gears_alone:
+            self._inner = self._stepper.inner
+
+
+def _figure(name: str, value: Figure) -> Figure:
+    """Return a limit as a text, a float or None (InputError where it is none of these)."""
+    return value if value is None or isinstance(value, str) else number(f"`{name}`", value)
 
 
 def _require_rate(sample_rate: float | None, needed: bool) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dbo_cli import extensions
 from dbo_cli.cli.command import Command, Given, destination_of
 from dbo_cli.cli.options import (
     DRIVE_COLUMN,
@@ -23,6 +24,19 @@ GENERATOR_FILES = (
     "npy", "wav", "int16", "uint16", "tdms", "pi-gcs", "keysight-arb", "tektronix-tfw", "rigol-raf",
     "picoscope",
 )  # fmt: skip
+
+
+class GeneratorFile(choice):
+    """A parser of the names of formats: of those in ``choices``, which a shell offers, or of extras."""
+
+    def __call__(self, option: str, text: str) -> str:
+        """Return the name; raise ``UsageError`` for any other."""
+        if text not in self.choices and extensions.find("generator", text) is not None:
+            return text
+        return super().__call__(option, text)
+
+
+generator_file = GeneratorFile(GENERATOR_FILES)
 SHAPES = choice(("raster", "spiral", "staircase", "sine", "triangle"))
 SHAPE = Option("SHAPE", "raster, spiral, staircase, sine or triangle.", parse=SHAPES)
 MOVE = (  # the fields of ``TrajectoryOptions``
@@ -54,7 +68,7 @@ DRIVE_COLUMNS = DRIVE_COLUMN._replace(
     meaning="The drive, guessed by name; several times: columns of one file, or one a file.", repeated=True
 )
 GENERATOR = (  # the fields of ``WaveformOptions``
-    Option("--to FORMAT", ", ".join(GENERATOR_FILES) + ".", REQUIRED, parse=choice(GENERATOR_FILES)),
+    Option("--to FORMAT", ", ".join(GENERATOR_FILES) + ".", REQUIRED, parse=generator_file),
     Option("--gain FACTOR", "Of the amplifier behind the generator: divided out.", "1"),
     Option(
         "--points N",

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli import extensions
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.logs.libraries import import_extra
 from dbo_cli.records import dataclass
@@ -249,9 +250,26 @@ FORMATS = {
 }
 
 
+def format_named(name: str) -> GeneratorFormat:
+    """Return a kind of file of this program, or one that an extra brings.
+
+    Raises
+    ------
+    UsageError
+        There is none of this name.
+    """
+    if name in FORMATS:
+        return FORMATS[name]
+    brought: GeneratorFormat | None = extensions.find("generator", name)
+    if brought is None:
+        names = [*FORMATS, *extensions.keys("generator")]
+        raise UsageError(f"`to`: '{name}' is none of {', '.join(names)}")
+    return brought
+
+
 def check_name(output: str, form: str) -> None:
     """Refuse a file name that says another format (UsageError)."""
-    endings = FORMATS[form].endings
+    endings = format_named(form).endings
     if output != "-" and not output.lower().endswith(endings):
         raise UsageError(f"{output}: a {form} file is called {' or '.join('*' + one for one in endings)}")
 
@@ -264,7 +282,7 @@ def written(form: str, signals: Signals) -> bytes:
     OutputError
         They read back as something else: a fault of this program.
     """
-    chosen = FORMATS[form]
+    chosen = format_named(form)
     data = chosen.write(signals)
     if not np.array_equal(chosen.read(data), signals.values):
         raise OutputError(f"the {form} file would not read back as it was written (please report it)")

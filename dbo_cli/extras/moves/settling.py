@@ -210,7 +210,7 @@ def settling_shown(model: ActuatorModel, settle: str) -> dict[str, Any]:
     hint = below_error(model, distance)
     if hint:
         shown["hint"] = hint.strip(" ()")
-    return shown
+    return {"settling": shown}
 
 
 def _fades(sections: Sequence[Section]) -> list[tuple[float, float]]:

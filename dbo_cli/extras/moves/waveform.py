@@ -13,7 +13,7 @@ from dbo_cli.drives.gate import DriveGate, Floats
 from dbo_cli.drives.options import Figure, check_gain, limits_in
 from dbo_cli.errors import InputError, LimitError, Remarks, UsageError
 from dbo_cli.extras.moves import generators as waveforms
-from dbo_cli.extras.moves.generators import FORMATS, Points, Values
+from dbo_cli.extras.moves.generators import Points, Values, format_named
 from dbo_cli.hysteresis.model_state import DriveLimits
 from dbo_cli.logs.columns import wish
 from dbo_cli.logs.request import Address, ReadingOptions, check_document
@@ -79,7 +79,7 @@ class WaveformOptions:
     def __post_init__(self) -> None:
         """Refuse what cannot be meant."""
         limits_in("V", self.v_min, self.v_max, self.max_slew)
-        form = FORMATS[self.to]
+        form = format_named(self.to)
         check_gain(self.gain)
         if self.volts is not None and math.isinf(self.volts[1] - self.volts[0]):
             low, high = self.volts
@@ -121,7 +121,7 @@ def write_waveform(
     if summary is not None:
         check_document(summary, "a summary", "json")
     signals = _signals(drives, options.voltage)
-    if len(signals) > 1 and not FORMATS[options.to].channels:
+    if len(signals) > 1 and not format_named(options.to).channels:
         raise UsageError(f"a {options.to} file holds one drive, not {len(signals)} (one file each)")
     names = [one.name if len(drives) == len(signals) else f"{one.name}, {column}" for one, column in signals]
     remarks, found = Remarks(), [_read(*one, reading, options) for one in signals]
@@ -201,7 +201,7 @@ def _encoded(
     played: Points, names: Sequence[str], options: WaveformOptions
 ) -> tuple[bytes, Floats, list[str]]:
     """Return the bytes, the volts that passed the gate when read back, and a line on each drive."""
-    form, rate = FORMATS[options.to], played.rate
+    form, rate = format_named(options.to), played.rate
     with np.errstate(over="ignore"):
         volts = played.volts / options.gain
     if not np.isfinite(volts).all():
@@ -246,7 +246,7 @@ def _rounded(
     volts: Floats, ends: tuple[float, float], within: tuple[float, float], options: WaveformOptions
 ) -> tuple[Values, Floats, float]:
     """Return what is written for volts, the volts that it means, and how coarse it is (V)."""
-    form = FORMATS[options.to]
+    form = format_named(options.to)
     if form.codes is None and not form.normal:
         return volts, volts, 0.0
     if ends[0] == ends[1]:

@@ -14,6 +14,7 @@ import hashlib
 import json
 import math
 import os
+import sys
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -54,7 +55,7 @@ def read_history(path: str) -> list[PassRecord]:
     try:
         with open(path, encoding="utf-8") as file:
             content = json.load(file)
-    except (OSError, ValueError) as problem:
+    except (OSError, ValueError, RecursionError) as problem:  # nested too deeply
         raise InputError(f"{path}: cannot be read as a history: {problem}") from None
     if not isinstance(content, dict) or (content.get("format"), content.get("version")) != (FORMAT, VERSION):
         raise InputError(f'{path}: is no history ("format": "{FORMAT}", "version": {VERSION})')
@@ -64,7 +65,7 @@ def read_history(path: str) -> list[PassRecord]:
 
 def _record(path: str, one: Any) -> PassRecord:
     rmse = one.get("rmse") if isinstance(one, dict) else None
-    if isinstance(rmse, bool) or not isinstance(rmse, int | float) or not 0.0 <= rmse < math.inf:
+    if isinstance(rmse, bool) or not isinstance(rmse, int | float) or not 0.0 <= rmse <= sys.float_info.max:
         raise InputError(f"{path}: a pass has no `rmse`, a number of at least 0")
     return PassRecord(str(one.get("drive_sha256", "")), float(rmse))
 

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dbo_cli.errors import FitError, UsageError
+from dbo_cli.errors import FitError, LimitError, UsageError
 from dbo_cli.hysteresis.identification.evaluation import (
     loop_width_percent,
     residual_of,
@@ -26,6 +26,7 @@ from dbo_cli.hysteresis.identification.evaluation import (
 )
 from dbo_cli.hysteresis.identification.normal_equations import Structure
 from dbo_cli.hysteresis.identification.output_error import corners
+from dbo_cli.hysteresis.identification.preparation import gain_sign
 from dbo_cli.hysteresis.identification.recordings import (
     Floats,
     IdentificationOptions,
@@ -38,11 +39,13 @@ from dbo_cli.hysteresis.identification.refinement import zero_shift
 from dbo_cli.hysteresis.identification.static import Identification, identify_static
 from dbo_cli.hysteresis.identification.statistics import Basis, PreparedLog, gather, usual_basis
 from dbo_cli.hysteresis.model import (
+    SIGN_VERBS,
     ActuatorModel,
     BacklashStage,
     PointStage,
     Quantity,
     ScaleStage,
+    Sign,
     Stage,
     slow_output_range,
 )
@@ -83,10 +86,37 @@ def identify(
         Nothing trustworthy can be identified.
     UsageError
         Options that contradict the recordings.
+    LimitError
+        The displacement goes the other way than ``options.sign`` says.
     """
     options = options or IdentificationOptions()
     check_recordings(recordings)
-    recordings = widest_first(recordings)
+    if options.sign is not None:
+        _refuse_other_sign(recordings, options.sign)
+    found = _identified(widest_first(recordings), options, validation, prior)
+    sign: dict[str, object] = {"sign": found.model.sign}
+    model = dataclasses.replace(found.model, fit=sign | dict(found.model.fit))
+    return dataclasses.replace(found, model=model, fit=sign | found.fit)
+
+
+def _refuse_other_sign(recordings: Sequence[Recording], sign: str) -> None:
+    """Refuse logs (LimitError) whose displacement does not go the way with the voltage that it should."""
+    for log in recordings:
+        measured: Sign = "rising" if gain_sign([log]) > 0.0 else "falling"
+        if measured != sign:
+            raise LimitError(
+                f"{log.name}: displacement {SIGN_VERBS[measured]} as voltage rises, and `sign` is {sign}: "
+                "check the actuator's leads and the sensor's sign (`scale` displacement=-1 turns it)"
+            )
+
+
+def _identified(
+    recordings: Sequence[Recording],
+    options: IdentificationOptions,
+    validation: Sequence[Recording],
+    prior: ActuatorModel | None,
+) -> Identification:
+    """Identify a model by the method, or with the prior, that was asked for."""
     if prior is not None:
         from dbo_cli.hysteresis.identification.prior import refresh
 

@@ -21,6 +21,7 @@ from dbo_cli.hysteresis.identification.cleaning import (
     SPIKE_WINDOW,
     spiked_rows,
 )
+from dbo_cli.hysteresis.identification.drive_range import drive_range
 from dbo_cli.hysteresis.identification.normal_equations import Structure, solve, squared_error
 from dbo_cli.hysteresis.identification.recordings import (
     FEWEST_ROWS,
@@ -393,6 +394,13 @@ def gain_sign(recordings: Sequence[Recording]) -> float:
     return -1.0 if together < 0.0 else 1.0
 
 
+def signed_range(recordings: Sequence[Recording]) -> float:
+    """Return the largest range of a displacement, outliers aside, with the sign of the gain."""
+    return gain_sign(recordings) * max(
+        float(np.ptp(without_outliers(log.displacement))) for log in recordings
+    )
+
+
 def _stretches(rows: Booleans, count: int) -> Integers:
     """Return the number of each row's stretch where these rows are cut into ``count`` of equal length."""
     stretch: Integers = (np.cumsum(rows) - 1) * count // max(int(rows.sum()), 1)
@@ -422,20 +430,23 @@ def folds_of(shape: DriveShape, usable: Booleans, first_fold: int, wanted: int) 
 
 
 def prepare(
-    recordings: Sequence[Recording], skip_seconds: float, bad: Sequence[Booleans] | None = None
+    recordings: Sequence[Recording],
+    skip_seconds: float,
+    bad: Sequence[Booleans] | None = None,
+    ends: tuple[float, float] | None = None,
 ) -> Prepared:
     """Make logs ready: sign, rows to leave out, start states, drift taken out, output scaled to 0..1.
+
+    ``ends`` are the least and the greatest voltage of the drive, where they are known from before cleaning.
 
     Raises
     ------
     FitError
         Where too few rows are left.
     """
-    sign = gain_sign(recordings)
-    low = min(float(log.voltage.min()) for log in recordings)
-    high = max(float(log.voltage.max()) for log in recordings)
+    low, high = drive_range(recordings) if ends is None else ends
     shapes = tuple(drive_shape(log.voltage) for log in recordings)
-    scale = sign * max(float(np.ptp(without_outliers(log.displacement))) for log in recordings)
+    scale = signed_range(recordings)
     notes: list[str] = []
     faults = bad or [np.zeros(len(log.voltage), bool) for log in recordings]
     counted = [

@@ -67,6 +67,7 @@ class Recording:
 
 METHODS = ("least-squares", "paper")
 SLOPES = ("growing", "falling", "free")
+SIGNS = ("rising", "falling")
 ZEROS = ("none", "mean", "first")
 NOT_FOR_PAPER = ("relaxation", "delay", "slopes", "skip_seconds", "rated", "sensor_delay", "sensor_lag",
                  "dynamics")  # fmt: skip
@@ -101,6 +102,8 @@ class IdentificationOptions:
         Keep a model that would be refused.
     dynamics : int, optional
         Number of resonances: 0, 1 or 2.
+    sign : {"rising", "falling"}, optional
+        Whether the displacement rises or falls as the voltage rises; logs of the other sign are refused.
     sensor_delay, sensor_lag : float
         What the sensor adds, in seconds: taken off the logs, kept in the model's ``fit``, not compensated.
 
@@ -123,6 +126,7 @@ class IdentificationOptions:
     sensor_delay: float = 0.0
     sensor_lag: float = 0.0
     dynamics: int | None = None
+    sign: str | None = None
 
     def __post_init__(self) -> None:
         """Refuse what is not of its kind or contradicts the rest."""
@@ -137,15 +141,19 @@ class IdentificationOptions:
                 _seconds(name.removesuffix("_seconds"), getattr(self, name))
         if self.relaxation is not None:
             self._check_relaxation(self.relaxation)
-        if self.slopes is not None:
-            _choice("slopes", self.slopes, SLOPES)
-        _choice("method", self.method, METHODS)
-        if not (_is_number(self.zero) and math.isfinite(float(self.zero))):
-            _choice("zero", self.zero, ZEROS, " or a displacement")
+        self._check_choices()
         self._check_rated()
-        _choice("force", self.force, (False, True))
         if self.method == "paper":
             self._check_paper()
+
+    def _check_choices(self) -> None:
+        for name, choices in (("slopes", SLOPES), ("sign", SIGNS)):
+            if getattr(self, name) is not None:
+                _choice(name, getattr(self, name), choices)
+        _choice("method", self.method, METHODS)
+        _choice("force", self.force, (False, True))
+        if not (_is_number(self.zero) and math.isfinite(float(self.zero))):
+            _choice("zero", self.zero, ZEROS, " or a displacement")
 
     def _check_relaxation(self, taus: object) -> None:
         if isinstance(taus, str) or not isinstance(taus, Sequence):

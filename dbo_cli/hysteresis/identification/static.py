@@ -10,6 +10,7 @@ import numpy as np
 
 from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.identification.cleaning import Sensor, cleaned
+from dbo_cli.hysteresis.identification.drive_range import drive_range, within
 from dbo_cli.hysteresis.identification.evaluation import (
     TINY,
     WHOSE_LAG,
@@ -105,10 +106,11 @@ def identify_static(
     sensor, given = Sensor.of(options), recordings
     sensor.check(cycle)
     recordings, said = without_voltage_glitches([sensor.taken_off(log) for log in recordings])
+    ends = drive_range(recordings)
     logs = [cleaned(log) for log in recordings]
-    recordings = [one.recording for one in logs]
+    recordings = within([one.recording for one in logs], ends)
     said += [note for one in logs for note in one.notes]
-    prepared = prepare(recordings, options.skip_seconds, [one.bad for one in logs])
+    prepared = prepare(recordings, options.skip_seconds, [one.bad for one in logs], ends)
     choice = choose(prepared, options, cycle)
     finalist = best_of(prepared, choice, options)
     choice = dataclasses.replace(choice, basis=finalist.basis, structure=finalist.structure)

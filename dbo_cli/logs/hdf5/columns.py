@@ -290,7 +290,7 @@ def _stated(node: Any, name: str) -> str:
     text = attribute_text(node, name)
     try:
         return str(json.loads(text)["data"]).strip("'\"")
-    except (ValueError, TypeError, KeyError):
+    except (ValueError, TypeError, KeyError, RecursionError):
         return text
 
 

@@ -43,6 +43,7 @@ _NUMBER_WITH_UNIT = pattern(
     r"(?<![\w.:-])(?:[-+]?\d+(?:[.,]\d+)? ?[^\W\d_]{1,4}\b|[^\W\d_]\w{0,20} ?[:=] ?[-+]?\d[\d.]*)"
 )
 _PLAIN_NUMBERS = "write them without units and labels; Grafana: without Formatted data"
+_MOST_COLUMNS = 1 << 20  # a line of more delimiters is none of a log
 _MOST_ACROSS = 64  # columns of a log whose names are lost; more, fewer lines, and names in front: it lies
 _THOUSAND = pattern(r"(?<![\d.,])[1-9]\d{0,2},\d{3}(?![\d,eEdD])")  # 1,234, to some 1234
 _UNIT_OF_ONE = pattern(
@@ -276,6 +277,8 @@ def _shapes(lines: list[str], candidates: list[int], options: ReadingOptions) ->
 
 
 def _shape(sample: list[str], delimiter: str, decimal: str) -> _Shape | None:
+    if any(line.count(delimiter) > _MOST_COLUMNS for line in sample):
+        return None
     rows = [split_cells(line, delimiter) for line in sample]
     verdicts = [[is_number(cell, decimal) for cell in row] for row in rows]
     numbered = [number for number, verdict in enumerate(verdicts) if any(verdict)]

@@ -70,6 +70,8 @@ def _ungrouped(cell: str, decimal: str) -> str:
 
 def is_number(cell: str, decimal: str) -> bool:
     """Return whether a cell is written as a number (NaN and inf count: they are numbers that went wrong)."""
+    if not cell:
+        return False
     pattern = _POINT if decimal == "." else _COMMA
     if pattern.fullmatch(cell) is not None:
         return cell.isascii()

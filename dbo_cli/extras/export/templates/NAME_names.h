@@ -2,6 +2,8 @@
  * Each of the kernel's headers reads this again, since another export may have been included between. */
 #undef DBO_FLOAT
 #undef DBO_Q31
+#undef DBO_PLACE
+#define DBO_PLACE PLACE
 /*? float */
 #define DBO_FLOAT
 /*: float */

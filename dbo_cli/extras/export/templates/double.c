@@ -24,13 +24,9 @@ void NAME_init(NAME_state *state) {
     state->gears.last = LOWEST_DRIVE;
 /*: lookup */
 /*? !lookup */
-    state->gears.words = state->words;
+    state->gears.turns = state->turns;
     state->gears.memory = MEMORY;
-    for (size_t k = 0; k < WORDS; k++) state->words[k] = 0;
-/*? spare */
-    for (size_t k = 0; k < SPARE_WORDS; k++) state->words[k] = spare[k];
-/*: spare */
-    dbo_backlash_load(&op, &state->gears);
+    dbo_backlash_load(&op, &state->gears, SPARE);
     state->gears.last = LOWEST_DRIVE;
 /*: lookup */
 /*? delay */
@@ -65,7 +61,7 @@ double NAME_step(NAME_state *state, double input) {
     double x = input;
     if (!(x >= -REACH && x <= REACH)) return state->output;
 /*? !lookup */
-    state->gears.words = state->words;
+    state->gears.turns = state->turns;
 /*: lookup */
     state->gears.memory = MEMORY;
 /*+ step */

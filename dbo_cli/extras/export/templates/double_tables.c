@@ -1,21 +1,21 @@
 /*+ gear_rows */
 /*+ term_tables */
 /*? terms */
-static const dbo_backlash op = {gears, GEARS, RUN, 1, DBO_ROW_FACTOR(RUN),
+static const dbo_backlash op = {gears, GEARS, RUN, DBO_ROW_FACTOR(RUN), 0, 0, 0.0,
     X_START, Y_START, 1, TERMS, gain, REFERENCE, ON_OUTPUT};
 /*: terms */
 /*? !terms */
-static const dbo_backlash op = {gears, GEARS, RUN, 1, DBO_ROW_FACTOR(RUN),
+static const dbo_backlash op = {gears, GEARS, RUN, DBO_ROW_FACTOR(RUN), 0, 0, 0.0,
     X_START, Y_START, 1, TERMS, 0, REFERENCE, ON_OUTPUT};
 /*: terms */
 /*? fixed */
 /*+ fixed_rows */
 /*+ rest_table */
 /*? terms */
-static const dbo_fixed_step fixed = {KAPPA, decay, rest, fixed_gears};
+static const dbo_fixed_step fixed = {KAPPA, decay, rest, fixed_gears, 0, 0.0};
 /*: terms */
 /*? !terms */
-static const dbo_fixed_step fixed = {KAPPA, 0, 0, fixed_gears};
+static const dbo_fixed_step fixed = {KAPPA, 0, 0, fixed_gears, 0, 0.0};
 /*: terms */
 /*: fixed */
 /*? lookup */

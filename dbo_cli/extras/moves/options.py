@@ -1,0 +1,7 @@
+"""The options of the core's commands that moves bring."""
+
+from dbo_cli.cli.options import Option
+
+SHOW_SETTLE = Option(
+    "--settle DISTANCE", "Say how long a step over the whole drive takes to stay within it (5nm, 0.005)."
+)
