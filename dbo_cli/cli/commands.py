@@ -174,15 +174,19 @@ def compensate(given: Given) -> None:
     from dbo_cli.drives.options import DriveOptions
 
     drive = DriveOptions(**given.of(options.DRIVING))  # the state is read with the model
-    from dbo_cli.runs.files import SignalRun
+    from dbo_cli.runs.files import run_of_signals
     from dbo_cli.runs.many import signals
 
-    tracked = given.tracked or ()
-    destination = destination_of(given, [given.model, *given.trajectory, given.state, *tracked])
-    asked = SignalRun(
-        given.model, given.trajectory[0], destination, reading, given.displacement, given.state, drive=drive,
-        tracked=tracked, **given.of([options.TRACKED_VOLTAGE, options.TRACKED_MEASURED]),
-    )  # fmt: skip
+    asked = run_of_signals(
+        given.brought,
+        model=given.model,
+        log=given.trajectory[0],
+        destination=destination_of(given, [given.model, *given.trajectory, given.state]),
+        reading=reading,
+        column=given.displacement,
+        state=given.state,
+        drive=drive,
+    )
     finish(given, signals(asked, given.trajectory, work_of(given), Progress(given.reporter, "written")))
 
 
