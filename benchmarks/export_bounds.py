@@ -26,7 +26,8 @@ import numpy as np
 ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "tests" / "extras"), str(ROOT / "benchmarks")]
 
-from exported import COMPILERS, SANITIZERS, as_given, compiled, in_units, random_moves  # noqa: E402
+from compiling import COMPILERS, SANITIZERS  # noqa: E402
+from exported import as_given, compiled, in_units, random_moves  # noqa: E402
 from invented_actuators import cases  # noqa: E402
 
 from dbo_cli.errors import ModelError  # noqa: E402

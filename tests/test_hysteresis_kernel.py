@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 import reference
-from exported import COMPILERS, compile_c
+from compiling import COMPILERS, compile_c
 from gear_by_gear import gear_by_gear
 from trials import Floats, random_operator, random_trajectory
 

@@ -4,33 +4,19 @@ from __future__ import annotations
 
 import ctypes
 import os
-import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
 
-import cached_cc
 import numpy as np
+from compiling import WARNINGS, compile_c
 from numpy.typing import NDArray
 
 from dbo_cli.extras.export.single_code import counts_of_range
 from dbo_cli.hysteresis.model import ActuatorModel, PointStage, Quantity, Relaxation, ScaleStage
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator
 
-WARNINGS = ["-std=c99", *cached_cc.STRICT, "-ffp-contract=off"]
-# Not optimised: nothing is left out before it is watched, and the kernel takes half as long to compile.
-SANITIZERS = ["-g", "-O0", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
-CACHED = os.environ["CC"] if "DBO_TEST_OBJECTS" in os.environ else cached_cc.__file__
-COMPILERS = [CACHED] * bool(shutil.which("gcc")) + ["clang"] * bool(shutil.which("clang"))
 TYPES: dict[str, Any] = {"double": np.float64, "float": np.float32, "q31": np.int32}
-
-
-def compile_c(folder: Path, *words: str, compiler: str = CACHED) -> None:
-    """Compile in a folder; the cached compiler in this process, where Python need not start for it."""
-    if compiler == CACHED:
-        cached_cc.run(list(words), folder)
-    else:
-        subprocess.run([compiler, *words], cwd=folder, check=True)
 
 
 def cmake(folder: Path, *words: str) -> None:

@@ -11,18 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from exported import (
-    COMPILERS,
-    SANITIZERS,
-    WARNINGS,
-    as_given,
-    cmake,
-    compile_c,
-    compiled,
-    in_units,
-    made_model,
-    random_moves,
-)
+from compiling import COMPILERS, SANITIZERS, WARNINGS, compile_c
+from exported import as_given, cmake, compiled, in_units, made_model, random_moves
 
 from dbo_cli.errors import DboError, ModelError, OutputError, UsageError
 from dbo_cli.extras.export.cascade_plan import plan_cascade

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from exported import COMPILERS, SANITIZERS, WARNINGS, compile_c, made_model, random_moves
+from compiling import COMPILERS, SANITIZERS, WARNINGS, compile_c
+from exported import made_model, random_moves
 
 from dbo_cli.errors import ModelError, OutputError, UsageError
 from dbo_cli.extras.export.export import export_model

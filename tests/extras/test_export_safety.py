@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from exported import COMPILERS, SANITIZERS, TYPES, WARNINGS, cmake, compile_c, made_model, random_moves
+from compiling import COMPILERS, SANITIZERS, WARNINGS, compile_c
+from exported import TYPES, cmake, made_model, random_moves
 
 from dbo_cli.errors import ModelError
 from dbo_cli.extras.export.cascade_plan import plan_cascade

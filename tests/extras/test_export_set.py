@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from exported import COMPILERS, TYPES, WARNINGS, as_given, compile_c, compiled, made_model, random_moves
+from compiling import COMPILERS, WARNINGS, compile_c
+from exported import TYPES, as_given, compiled, made_model, random_moves
 from test_export import delayed
 
 from dbo_cli.errors import DboError
