@@ -122,6 +122,8 @@ def displacement_of(signals: Signals, options: FringeOptions, name: str, remarks
     track = _with_sign(track, signals, options, remarks)
     assessment.refuse_rate(signals.time, track, name)
     assessment.refuse_noise(track, name)
+    if signals.quadrature is None:
+        assessment.refuse_miscounted(signals.time, track, name)
     scale = options.fringe() / TURN
     values = scale * (track.phase - track.phase[0])
     deviation = np.abs(scale) * track.deviation
