@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -110,6 +111,25 @@ def test_a_recording_that_begins_late_and_ends_early_is_found(bench: Any, rows: 
     played = json.loads(done.out)["played"]
     assert (played["lag_rows"], played["rows"]) == (137, rows)
     assert played["largest_difference"] < 1e-9
+
+
+def test_the_noise_of_a_recording_is_no_difference(bench: Any) -> None:
+    noise = np.random.default_rng(4).normal(0.0, 0.5, 400)
+    write("played.csv", "time_s,monitor_V", TIME, DRIVE + noise)
+    limits = ["--v-min", "10", "--v-max", "90"]
+    done = bench("check", "played.csv", *limits, "--against", "drive.csv")
+    assert done.code == 0
+    told = re.search(r"; read back with noise of (\S+) V \(up to (\S+) V\)", done.out)
+    assert told is not None
+    assert float(told[1]) == pytest.approx(0.5, rel=0.15)
+    assert float(told[2]) == pytest.approx(6.0 * float(told[1]), rel=0.05)
+    # What the user typed holds, and what noise does not explain is a difference.
+    assert bench("check", "played.csv", "--against", "drive.csv", "--tolerance", "0.5").code == 3
+    write("played.csv", "time_s,monitor_V", TIME, np.minimum(DRIVE, 84.0) + noise)
+    done = bench("check", "played.csv", "--against", "drive.csv", "--format", "json")
+    assert done.code == 3
+    played = json.loads(done.out)["played"]
+    assert played["tolerance"] == 6.0 * played["read_back_noise"]
 
 
 def test_an_amplifier_that_cuts_a_drive_off_is_recognised(bench: Any) -> None:

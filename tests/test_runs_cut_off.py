@@ -228,3 +228,58 @@ def test_beside_a_long_move_a_long_sweep_is_in_order(bench: Any) -> None:
     write("long.csv", 5.0 + np.sin(2.0 * np.pi * np.arange(400) / 400.0), rate=40.0)  # 10 s
     words = ["--condition", "--max-slew", "0.5", "--on-limit", "clip", "-o", "drive.csv"]
     assert bench("compensate", "model.json", "long.csv", *words).code == 0
+
+
+# --- limits in sets, live and in moves ---
+
+
+def test_a_plain_limit_of_channels_in_different_units_is_refused(bench: Any) -> None:
+    kilo = SMALL_MODEL | {
+        "input": {"quantity": "voltage", "unit": "kV", "min": 0.0, "max": 0.01},
+        "stages": [SMALL_MODEL["stages"][0] | {"dx": [0.001, 0.002, 0.003, 0.004]}, SMALL_MODEL["stages"][1]],
+    }
+    models = {"a": SMALL_MODEL, "b": kilo}
+    Path("set.json").write_text(json.dumps({"format": "dbo-model-set", "version": 1, "models": models}))
+    rows = [f"{k / 100},{v},{v}" for k, v in enumerate((3.0, 4.0, 5.0, 4.0))]
+    Path("both.csv").write_text("\n".join(["time_s,R_a (um),R_b (um)", *rows]) + "\n")
+    words = ["compensate", "set.json", "both.csv", "--displacement", "R_{}", "-o", "drive.csv"]
+    done = bench(*words, "--v-max", "15")
+    assert (done.code, done.err) == (
+        2,
+        "dbo: error: --v-max 15: channel a is driven in V and channel b in kV: give the limit's unit\n",
+    )
+    assert not Path("drive.csv").exists()
+    done = bench(*words, "--v-max", "15V")
+    assert done.code == 0, done.err
+    drives = np.loadtxt("drive.csv", delimiter=",", skiprows=1)
+    assert drives[:, 2].max() <= 10.0 and drives[:, 4].max() <= 0.01
+
+
+def test_a_limit_never_widens_a_channel(bench: Any) -> None:
+    small = SMALL_MODEL | {"input": SMALL_MODEL["input"] | {"max": 8.0}}
+    models = {"a": SMALL_MODEL, "b": small}
+    Path("set.json").write_text(json.dumps({"format": "dbo-model-set", "version": 1, "models": models}))
+    rows = [f"{k / 100},{v},{v}" for k, v in enumerate((3.0, 9.0, 5.0, 4.0))]
+    Path("both.csv").write_text("\n".join(["time_s,R_a (um),R_b (um)", *rows]) + "\n")
+    words = ["compensate", "set.json", "both.csv", "--displacement", "R_{}", "--on-limit", "clip"]
+    done = bench(*words, "--v-max", "50", "-o", "drive.csv")
+    assert done.code == 0, done.err
+    drives = np.loadtxt("drive.csv", delimiter=",", skiprows=1)
+    assert (drives[:, 2].max(), drives[:, 4].max()) == (10.0, 8.0)
+
+
+def test_a_controller_stays_in_the_range_unless_asked_to_extrapolate() -> None:
+    model = Model(read_model_of(SMALL_MODEL))
+    narrow = model.controller(v_max=50.0, state="empty")
+    assert [narrow.step(x) for x in (5.0, 11.0)][1] == 10.0
+    wide = model.controller(v_max=50.0, extrapolate=True, state="empty")
+    assert 10.0 < [wide.step(x) for x in (5.0, 11.0)][1] < 50.0
+
+
+def test_a_move_is_held_to_what_the_limits_leave(bench: Any) -> None:
+    words = ["trajectory", "sine", "--rate", "100", "--range", "2:8", "--frequency", "1", "-o", "move.csv"]
+    assert bench(*words, "--model", "model.json").code == 0
+    done = bench(*words, "--model", "model.json", "--v-max", "5")
+    assert done.code == 2 and "model.json reaches 1 to 4.2 (another --range" in done.err
+    done = bench(*words, "--unit", "um", "--v-max", "5")
+    assert done.code == 2 and "are limits of a drive: give its --model\n" in done.err

@@ -10,10 +10,11 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import field
 from itertools import chain
-from typing import TYPE_CHECKING, Any
+from types import MappingProxyType
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -26,19 +27,30 @@ from dbo_cli.drives.model_run import ModelRun, Response, Tally, first_blocks
 from dbo_cli.drives.options import DriveOptions, plain_in, volts_a_unit
 from dbo_cli.drives.pieces import Before, ramp, sweep_range
 from dbo_cli.errors import InputError, LimitError, Remarks, UsageError
-from dbo_cli.extras.repeat.learning import write_history
-from dbo_cli.extras.repeat.settled_loops import slow_model
+from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
 from dbo_cli.hysteresis.move_error import MOST_ROWS, MoveError, move_error
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock, even_step, median_step
+from dbo_cli.logs.sources import Source
 from dbo_cli.records import dataclass
 
-if TYPE_CHECKING:
-    from dbo_cli.extras.repeat.learning import Lesson
-
+NOTHING_BROUGHT: Mapping[str, Any] = MappingProxyType({})
 REACH_SLACK = 0.01  # of the range: a trajectory this little outside is clipped and counted like any other
 SLACK = 1e-9  # of the range: what rounding may add to a drive that ends at its limit
 SAME_DRIVE = 1e-9  # of the range: two drives that agree to this are one; chosen, far above rounding
+
+
+class Watcher(Protocol):
+    """Sees the rows of a move as they are played, and has something to say in the end."""
+
+    def add(self, desired: FloatArray, drive: FloatArray) -> None:
+        """See consecutive rows of the move."""
+
+    def notes(self, name: str, figures: DriveFigures) -> str | list[str]:
+        """Return what is to be said of the move called ``name``, whose drive has these figures."""
+
+    def summary(self) -> dict[str, Any]:
+        """Return what it adds to the summary of the run."""
 
 
 @dataclass
@@ -49,17 +61,15 @@ class Compensation(ModelRun):
     ----------
     options : DriveOptions
         What is asked of the drive.
-    lesson : Lesson, optional
-        What recordings of the last pass have taught; the source then holds what is asked of the model instead
-        of the trajectory.
     remarks_before : Remarks
         What was said before the run.
+    watchers : list of Watcher
+        What extras have to say of the rows of the move.
     gate : DriveGate
         What every row passes.
     """
 
     options: DriveOptions = field(default_factory=DriveOptions)
-    lesson: Lesson | None = None
     remarks_before: Remarks = field(default_factory=Remarks)
     clipped: Tally = field(default_factory=Tally)
     missed: float = 0.0
@@ -77,9 +87,11 @@ class Compensation(ModelRun):
     came_from: float | None = field(init=False)
     limits: DriveLimits = field(init=False)
     gate: DriveGate = field(init=False)
-    settling: Any = None
+    watchers: list[Watcher] = field(default_factory=list)
 
     compensates = True
+    repeats = False  # whether the trajectory goes on from its last row to its first
+    states_error = True  # whether the error that the model states is to be expected of this drive
     first_what = "row"
     among_them = ""
     remedies = "`condition` sweeps it there, "
@@ -87,13 +99,8 @@ class Compensation(ModelRun):
     def __post_init__(self) -> None:
         """Take the options apart."""
         options = self.options
-        if options.settle is not None:
-            self.settling = extensions.find("run", "compensate --settle")(self.model, options.settle)
         self.limits, self.start = options.limits(self.model), options.state
-        self.why_time, self.bandwidth = options.why_time, options.bandwidth
-        if self.lesson is not None:
-            self.why_time, self.bandwidth = "`tracked` depends on it", None
-            self.remarks_before.add(self.lesson.remarks)
+        self.why_time, self.bandwidth = options.why_time, options.rounding
         super().__post_init__()
         self._run = functools.partial(self.model.compensate, limits=self.limits)
         self.cut_off = CutOff(self.model)
@@ -130,9 +137,7 @@ class Compensation(ModelRun):
         for block, x in self.inputs.blocks(self._watched(blocks), self.state):
             desired, drive = block.values[role], self.feed(block, x).y
             if block.rows[0] >= 1:
-                if self.lesson is not None:
-                    end = self.rows - self.rows_before
-                    desired = self.lesson.desired[end - drive.size : end]
+                desired = self.desired_rows(desired)
                 self._see(desired, drive)
             if self.stream_ends is not None:
                 if self.stream_ends > 0:
@@ -211,7 +216,7 @@ class Compensation(ModelRun):
     def _require_delay(self) -> None:
         """Refuse a delay that is longer than all that was read (LimitError)."""
         delay = self.model.delay_seconds
-        if self.read_from is None or not self.rows or self.options.periodic:
+        if self.read_from is None or not self.rows or self.repeats:
             return
         if delay > self.read_to - self.read_from:
             raise LimitError(
@@ -251,8 +256,8 @@ class Compensation(ModelRun):
 
     def _see(self, desired: FloatArray, drive: FloatArray) -> None:
         self.move.see(desired, None)
-        if self.settling is not None:
-            self.settling.add(desired, drive)
+        for watcher in self.watchers:
+            watcher.add(desired, drive)
 
     def _played(self, before: Before, times: FloatArray, step: float) -> Iterator[Response]:
         """Play the voltages before a move, and go on from the state that they leave."""
@@ -344,7 +349,7 @@ class Compensation(ModelRun):
             self.unreachable += int(np.count_nonzero(outside))
             self._clip(done, block)
             if self.clipped.count:
-                self._miss(x - slow_model(self.model).follow(done.y, before, steps).y, steps)
+                self._miss(x - self.model.slow.follow(done.y, before, steps).y, steps)
                 if self.stream_ends is not None:
                     self._count_part(done, self.stream_ends + 1, x, before, steps)
         else:
@@ -386,10 +391,12 @@ class Compensation(ModelRun):
     def _lost_rms(self) -> float:
         return self.cut_off.rms(self.rows - self.rows_before)
 
-    def keep_history(self) -> None:
-        """Write the history, where one is asked for."""
-        if self.options.history is not None and self.lesson is not None:
-            write_history(self.options.history, self.lesson.passes)
+    def desired_rows(self, asked: FloatArray) -> FloatArray:
+        """Return what is desired in the last rows of the move that were run, of what the model was asked."""
+        return asked
+
+    def finish(self) -> None:
+        """Write what belongs beside the drive, once that is written; a plain move needs nothing."""
 
     # --- what is said ---
 
@@ -407,7 +414,8 @@ class Compensation(ModelRun):
                 f"{self.source.name}: the drive starts {abs(self.missed):.3g}{self.input.suffix} off the "
                 "first value, which the actuator does not pass when it settles (`state` empty or `condition`)"
             )
-        if beyond := beyond_range(self.model.input, self.drive.low, self.drive.high):
+        beyond = beyond_range(self.model.input, self.drive.low, self.drive.high)
+        if beyond and self.options.extrapolate:  # else the amplifier stood there, and only came inwards
             remarks.warn(f"{self.source.name}: the drive goes {beyond}")
 
     def remarks(self) -> Remarks:
@@ -417,8 +425,8 @@ class Compensation(ModelRun):
         remarks.add(super().remarks())
         name = self.source.name
         remarks.note(f"{name}: {text}" for text in self._notes())
-        if self.settling is not None:
-            remarks.note(self.settling.notes(name, self.drive))
+        for watcher in self.watchers:
+            remarks.note(watcher.notes(name, self.drive))
         farad, drive = self.options.farad, self.drive
         if farad is not None and drive.seconds:
             volts = float(volts_a_unit(self.model))
@@ -464,7 +472,7 @@ class Compensation(ModelRun):
                 f"the drive is in the voltages of the model's logs {scale} (`gain` of waveform takes it back "
                 "to the converter's)"
             )
-        if self.lesson is None and self.rows:
+        if self.states_error and self.rows:
             yield from self._expected_error()
 
     def _lead_in_said(self) -> str:
@@ -503,7 +511,7 @@ class Compensation(ModelRun):
         rmse, covered = self.model.fit.get("expected_rmse"), self.model.input
         slack = SLACK * covered.span
         beyond = self.drive.low < covered.minimum - slack or self.drive.high > covered.maximum + slack
-        if self.lesson is not None or not isinstance(rmse, float) or beyond:
+        if not self.states_error or not isinstance(rmse, float) or beyond:
             return None, None
         found = self._move_error()
         rmse = math.hypot(rmse if found is None else found.rmse, self._lost_rms())
@@ -532,3 +540,53 @@ def _first_rows(response: Response, count: int) -> Response:
     """Return the first rows of a response."""
     time = None if response.time is None else response.time[:count]
     return Response(time, response.x[:count], response.y[:count])
+
+
+def compensation(
+    model: ActuatorModel,
+    source: Source,
+    options: DriveOptions,
+    brought: Mapping[str, Any] = NOTHING_BROUGHT,
+    last_row: int | None = None,
+) -> Compensation:
+    """Return the run of a forward model's inverse over a trajectory.
+
+    Parameters
+    ----------
+    model
+        A forward model.
+    source
+        The trajectory, under the name of the model's output.
+    options
+        What is asked of the drive.
+    brought
+        What the options that extras bring were given, by name. An extra either watches the run, or makes
+        another one in its place.
+    last_row
+        The last row that is answered; rows after it are only read ahead.
+
+    Raises
+    ------
+    UsageError
+        The limits are not in order, options exclude each other, or nothing brings one of them.
+    ModelError
+        The model is an inverse one.
+    """
+    model.require("forward")
+    watchers: list[Watcher] = []
+    make: Callable[..., Compensation] | None = None
+    of_make = {}
+    for name, value in brought.items():
+        watch = extensions.find("run", f"watch {name}")
+        if watch is not None:
+            watchers.append(watch(model, value))
+            continue
+        make = extensions.find("run", f"compensate {name}")
+        if make is None:
+            raise UsageError(f"`{name}` is no parameter of compensate")
+        of_make[name] = value
+    if make is None:
+        return Compensation(model, source, last_row=last_row, options=options, watchers=watchers)
+    run = make(model, source, options, of_make, last_row)
+    run.watchers = watchers
+    return run

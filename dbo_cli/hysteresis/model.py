@@ -225,6 +225,11 @@ class ActuatorModel:
         """The same model without dynamics, drive lag and delay: gears, memories and curves."""
         return self.without(self.drive_lag, self.dynamics, self.delay)
 
+    @property
+    def slow(self) -> Self:
+        """The model without what lies behind its gears and points in time: dynamics and delay."""
+        return self.without(self.dynamics, self.delay)
+
     def without(self, *dropped: Stage | None) -> Self:
         """Return the same model without some of its stages."""
         kept = tuple(stage for stage in self.stages if not any(stage is one for one in dropped))

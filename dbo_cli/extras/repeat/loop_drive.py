@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import field
 
 import numpy as np
 
 from dbo_cli.drives.before import longest_chosen, require_short
-from dbo_cli.drives.compensation import SAME_DRIVE, Compensation
+from dbo_cli.drives.compensation import SAME_DRIVE
 from dbo_cli.drives.cut_off import ALLOWED_PART
 from dbo_cli.drives.model_run import Response, Tally
-from dbo_cli.drives.options import DriveOptions
 from dbo_cli.drives.pieces import (
     NOTHING,
     SHORTEST_WAY,
@@ -29,16 +28,15 @@ from dbo_cli.drives.pieces import (
     rest_samples,
     soft_rise,
 )
-from dbo_cli.errors import InputError, LimitError, UsageError
+from dbo_cli.errors import InputError, LimitError
 from dbo_cli.extras.repeat import settled_loops as loops
-from dbo_cli.extras.repeat.learning import Tracked, learned_source
+from dbo_cli.extras.repeat.learned_drive import LearnedCompensation
 from dbo_cli.extras.repeat.settled_loops import Settled
 from dbo_cli.hysteresis.dynamics import ZeroPhaseLowPass, undone
 from dbo_cli.hysteresis.kernel import towards
-from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import ModelState
 from dbo_cli.logs.sample_block import FloatArray
-from dbo_cli.logs.sources import Source, WholeSource
+from dbo_cli.logs.sources import WholeSource
 from dbo_cli.records import dataclass
 
 FEWEST_ROWS = 4  # of a period: fewer have no shape
@@ -66,7 +64,7 @@ Led = tuple[Before, FloatArray, FloatArray, Settled, ModelState | None]
 
 
 @dataclass
-class LoopCompensation(Compensation):
+class LoopCompensation(LearnedCompensation):
     """The drive of a settled loop, with ``options.passes`` passes of run-in before it, in negative time.
 
     Attributes
@@ -83,6 +81,7 @@ class LoopCompensation(Compensation):
     step: float = field(init=False)
     period: FloatArray = field(init=False)
 
+    repeats = True
     first_what = "period"
     remedies = ""  # a loop is run in instead of swept
 
@@ -500,46 +499,3 @@ def _require_closed(name: str, period: FloatArray) -> None:
             f"{period[0]:.6g}, is a step of {seam:.3g} where the largest inside is {inside:.3g} (give one "
             "whole period, without its first row again at the end)"
         )
-
-
-def compensation(
-    model: ActuatorModel,
-    source: Source,
-    options: DriveOptions,
-    tracked: Sequence[Tracked] = (),
-    last_row: int | None = None,
-) -> Compensation:
-    """Return the run of a forward model's inverse over a trajectory.
-
-    Parameters
-    ----------
-    model
-        A forward model.
-    source
-        The trajectory, under the name of the model's output.
-    options
-        What is asked of the drive.
-    tracked
-        Recordings of the last pass of this trajectory, to learn from.
-    last_row
-        The last row that is answered; rows after it are only read ahead.
-
-    Raises
-    ------
-    UsageError
-        The limits are not in order, or options exclude each other.
-    ModelError
-        The model is an inverse one.
-    InputError
-        A recording is not of this trajectory, or the error grew.
-    """
-    model.require("forward")
-    if options.history is not None and not tracked:
-        raise UsageError("`history` keeps the error of the passes that `tracked` recorded: give both")
-    lesson = None
-    if tracked:
-        source, lesson = learned_source(model, source, tracked, options)
-    if options.periodic and options.lead is not None:
-        options = dataclasses.replace(options, passes=max(options.passes, LED_IN))
-    make = LoopCompensation if options.periodic else Compensation
-    return make(model, source, last_row=last_row, options=options, lesson=lesson)

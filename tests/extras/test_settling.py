@@ -223,7 +223,7 @@ def test_dwells_alone_are_scored(dbo: Any) -> None:
 
 
 def test_the_page_on_stepping_runs_as_it_stands_there(dbo: Any) -> None:
-    root = Path(__file__).resolve().parent.parent
+    root = Path(__file__).resolve().parents[2]
     page = (root / "docs" / "stepping.md").read_text(encoding="utf-8")
     shutil.copy(root / "sample_data" / "identification.csv", ".")
     written = ""

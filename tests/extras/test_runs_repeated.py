@@ -479,7 +479,7 @@ def test_compensate_says_how_long_to_hold_a_step() -> None:
     done = Model(actuator()).compensate(move(), settle=0.05, **WIDE)
     (text,) = (text for text in done.notes if "creep and ringing" in text)
     assert re.search(r"that is held, creep and ringing stay within 0.05 um after [\d.]+ s$", text)
-    with pytest.raises(UsageError, match="`settle` -1: give a number above 0"):
+    with pytest.raises(UsageError, match=r"`settle` -1\.0: give a distance above 0"):
         Model(actuator()).compensate(move(), settle=-1.0, **WIDE)
 
 
