@@ -232,7 +232,7 @@ def one_way(folder: Path, way: str) -> Signals:
     time = np.maximum.accumulate(even + rest) + 1e-9 * rows
     drive = np.interp(time, np.arange(volts.size), volts)
     moving = np.flatnonzero(np.abs(np.diff(volts)) > 0.1)
-    inside = (time > moving[0] + 12.0) & (time < moving[-1])
+    inside = (time > moving[0] + 2.0) & (time < moving[-1] + 2.0)
     middle = np.full(rows.size, 0.5 * (light[:, 1].min() + light[:, 1].max()))
     count = crossings(light[:, 1], middle, np.full(rows.size, 0.5 * np.ptp(light[:, 1])))[0].size
     print(f"{way}: the middle is crossed {count} times in the whole file")
@@ -254,16 +254,9 @@ def recording(folder: Path, picture: str | None) -> None:
               f"{100.0 * made.track.noise:.2g} %")  # fmt: skip
         ways[way] = made
     up, down = ways["up"], ways["down"]
-    low = max(up.signals.drive[0], down.signals.drive[-1])
-    high = min(up.signals.drive[-1], down.signals.drive[0])
-    sizes = []
-    for made in (up, down):
-        order = np.argsort(made.signals.drive, kind="stable")
-        drive, values = made.signals.drive[order], made.values[order]
-        sizes.append(float(np.diff(np.interp([low, high], drive, values))[0]))
-    left = (sizes[0] - sizes[1]) / FRINGE
-    print(f"from {low:.2f} to {high:.2f} V: up {sizes[0]:.3f} um, down {sizes[1]:.3f} um; the loop is "
-          f"open by {left:+.2f} fringes where both begin at the same displacement")  # fmt: skip
+    left = float(np.ptp(down.values) - np.ptp(up.values))
+    print(f"down goes {left:+.3f} um ({left / FRINGE:+.2f} fringes) further than up: the supply stood for "
+          "minutes at the top, unrecorded, where the actuator creeps upwards")  # fmt: skip
     down_values = down.values + up.values[-1]
     time = np.concatenate(
         [up.signals.time, down.signals.time - down.signals.time[0] + up.signals.time[-1] + 1.0]
