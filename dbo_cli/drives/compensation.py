@@ -71,6 +71,8 @@ class Compensation(ModelRun):
     limits: DriveLimits = field(init=False)
     gate: DriveGate = field(init=False)
     settling: Any = None
+    expecting: bool = True
+    _error_of: tuple[tuple[int, int], MoveError | None] | None = None
 
     compensates = True
     remedies = "`condition` sweeps it there, "
@@ -333,7 +335,7 @@ class Compensation(ModelRun):
                 f"{coulombs / drive.seconds:.3g} A and {joules / drive.seconds:.3g} W (voltage times "
                 "current) on average"
             )
-        found = None if self.expected_rmse()[0] is None else self._move_error()
+        found = self._move_error() if self.expecting and self.expected_rmse()[0] is not None else None
         # Where clipping is the error, what is left of the move tells nothing of the logs.
         if found is not None and not found.rmse < max(found.straight_line, self._lost_rms()):
             unit = self.model.output.suffix
@@ -367,7 +369,7 @@ class Compensation(ModelRun):
                 f"the drive is in the voltages of the model's logs {scale} (`gain` of waveform takes it back "
                 "to the converter's)"
             )
-        if self.lesson is None and self.rows:
+        if self.lesson is None and self.rows and self.expecting:
             yield from self._expected_error()
 
     def _expected_error(self) -> Iterator[str]:
@@ -400,9 +402,15 @@ class Compensation(ModelRun):
         return rmse, 100.0 * rmse / span if span > 0.0 else None
 
     def _move_error(self) -> MoveError | None:
-        """Return what to expect of the rows that were kept."""
+        """Return what to expect of the rows that were kept, worked out once for them."""
         if not self.kept:
             return None
+        rows = self.rows, len(self.kept)
+        if self._error_of is None or self._error_of[0] != rows:
+            self._error_of = rows, self._worked_out()
+        return self._error_of[1]
+
+    def _worked_out(self) -> MoveError | None:
         drive = np.concatenate([drive for drive, _ in self.kept])
         steps = [one for _, one in self.kept if one is not None]
         begin = min(self.rows_before, drive.size - 1)

@@ -31,6 +31,18 @@ INLINE uint64_t bits_of(double value) {
     return u.bits;
 }
 
+/* a >= b, of which one is not zero. Where float64 is software, whole numbers compare for a fifth of its instructions;
+ * the bits of numbers below zero fall as the numbers rise. */
+INLINE int at_least(double a, double b) {
+#if defined(DBO_SOFT_DOUBLE) || (defined(__arm__) && !(defined(__ARM_FP) && (__ARM_FP & 8))) || \
+    (defined(__riscv) && !(defined(__riscv_flen) && __riscv_flen >= 64)) || defined(__XTENSA__)
+    const int64_t first = (int64_t)bits_of(a), second = (int64_t)bits_of(b);
+    return (first < 0 ? first ^ INT64_MAX : first) >= (second < 0 ? second ^ INT64_MAX : second);
+#else
+    return a >= b;
+#endif
+}
+
 /* ---- the table and the state ------------------------------------------------------------------------ */
 
 /* The state on its way through a block, in registers; `grouped`, a constant where this is inlined, is 0 where each
@@ -144,8 +156,15 @@ void dbo_backlash_bits(const dbo_backlash *op, const dbo_backlash_state *state, 
 #define SINGLE 8
 #define FAR 8.0
 
-/* So many gears about the place where the way ends by the guide are asked, all at once: no branch to foretell. */
+/* So many gears about the place where the way ends by the guide are asked whether they are crossed: where that is
+ * cheap all at once, with no branch to foretell, else one by one. */
+#if defined(DBO_SMALL)
+#define ASKED 2
+#define ONE_BY_ONE 1
+#else
 #define ASKED 4
+#define ONE_BY_ONE 0
+#endif
 
 /* What gears are crossed towards: the input `u`, as long as the output has room up to `bound`; both count from
  * (X_0, Y_0). kappa of the output is the memory's immediate part. What plays no part is infinite. */
@@ -170,29 +189,53 @@ INLINE int crosses(const walk *w, const goal *to, size_t gear, double x, double 
     const size_t row = row_of(w->op, gear, w->grouped);
     const dbo_gear *at = w->op->gears + row;
     const double left = left_at(to, x, y, rising, plain);
-    if (plain) return left >= at->dx * at->crossing_fraction;
-    if (to->fixed) return left >= to->fixed->gears[row].reach && room_at(to, y, rising) >= to->fixed->gears[row].room;
-    return left >= (at->dx + to->kappa * at->dy) * at->crossing_fraction &&
-           room_at(to, y, rising) >= at->dy * at->crossing_fraction;
+    if (plain) return at_least(left, at->dx * at->crossing_fraction);
+    if (to->fixed)
+        return at_least(left, to->fixed->gears[row].reach) &&
+               at_least(room_at(to, y, rising), to->fixed->gears[row].room);
+    return at_least(left, (at->dx + to->kappa * at->dy) * at->crossing_fraction) &&
+           at_least(room_at(to, y, rising), at->dy * at->crossing_fraction);
+}
+
+/* Where a row begins along dx + kappa dy. */
+INLINE double row_begin(const dbo_backlash *op, const goal *to, size_t row, int plain) {
+    if (plain) return op->gears[row].x;
+    return to->fixed ? to->fixed->gears[row].begin : op->gears[row].x + to->kappa * op->gears[row].y;
+}
+
+/* The row in which a way ends that is shorter than all gears: by halves. */
+INLINE size_t row_by_halves(const dbo_backlash *op, const goal *to, double way, size_t rows, int plain) {
+    size_t row = 0;
+    while (rows - row > 1) {
+        const size_t middle = row + (rows - row) / 2;
+        if (at_least(way, row_begin(op, to, middle, plain)))
+            row = middle;
+        else
+            rows = middle;
+    }
+    return row;
 }
 
 /* In which gear the way to the input ends, about: (x, y) is where gear 0 would begin. */
 INLINE size_t guess(const walk *w, const goal *to, double x, double y, int rising, int plain) {
     const dbo_backlash *op = w->op;
-    const dbo_gear *row = op->gears + row_of(op, op->n - 1, w->grouped) + 1;
+    const size_t rows = row_of(op, op->n - 1, w->grouped) + 1;
+    const dbo_gear *end = op->gears + rows;
     const double kappa = plain ? 0.0 : to->kappa;
-    const double way = left_at(to, x, y, rising, plain), whole = row->x + kappa * row->y;
+    const double way = left_at(to, x, y, rising, plain), whole = end->x + kappa * end->y;
     double beyond;
+    size_t row;
     if (!(way < whole)) return op->n;
     if (!(way > 0.0)) return 0;
-    if (!op->guide) return (size_t)(way / whole * (double)op->n);
-    if (!plain && to->fixed && to->fixed->guide)
-        row = op->gears + to->fixed->guide[(size_t)(way * to->fixed->parts_per_u)];
+    if (!op->guide)
+        row = row_by_halves(op, to, way, rows, plain);
+    else if (!plain && to->fixed && to->fixed->guide)
+        row = to->fixed->guide[(size_t)(way * to->fixed->parts_per_u)];
     else
-        row = op->gears + op->guide[(size_t)(plain ? way * op->parts_per_x : way / whole * (double)op->parts)];
-    if (!w->grouped) return (size_t)(row - op->gears);
-    beyond = (way - (row->x + kappa * row->y)) / (row->dx + kappa * row->dy);
-    return (size_t)(row - op->gears) * op->run + (beyond > 0.0 ? (size_t)beyond : 0);
+        row = op->guide[(size_t)(plain ? way * op->parts_per_x : way / whole * (double)op->parts)];
+    if (!w->grouped) return row;
+    beyond = (way - row_begin(op, to, row, plain)) / (op->gears[row].dx + kappa * op->gears[row].dy);
+    return row * op->run + (beyond > 0.0 ? (size_t)beyond : 0);
 }
 
 /* A gear, and the point where it begins on this way. */
@@ -209,25 +252,29 @@ INLINE landing first_open(const walk *w, const goal *to, size_t from, size_t end
     const dbo_backlash *op = w->op;
     const point begin = begin_of(op, from, w->grouped);
     const double x0 = rising ? w->x - begin.x : w->x + begin.x, y0 = rising ? w->y - begin.y : w->y + begin.y;
-    size_t crossed = from, open = end, gear = end - 1, asked = 1;
+    size_t crossed = from, open = end, gear = from, asked = ASKED;
     landing found;
     point at;
-    for (unsigned tries = 0; open - crossed > 1; tries++) {
+    if (end - from > 1) gear = guess(w, to, x0, y0, rising, plain);
+    for (unsigned tries = 1; open - crossed > 1; tries++) {
         size_t count = 0;
+        gear = gear > crossed + 1 && asked > 1 ? gear - 1 : gear;
+        if (asked > open - crossed - 1) asked = open - crossed - 1;
+        if (gear <= crossed) gear = crossed + 1;
+        if (gear + asked > open) gear = open - asked;
         for (size_t k = 0; k < asked; k++) {
             at = begin_of(op, gear + k, w->grouped);
-            count += (size_t)crosses(w, to, gear + k, rising ? x0 + at.x : x0 - at.x, rising ? y0 + at.y : y0 - at.y,
-                                     rising, plain);
+            if (crosses(w, to, gear + k, rising ? x0 + at.x : x0 - at.x, rising ? y0 + at.y : y0 - at.y, rising, plain))
+                count++;
+            else if (ONE_BY_ONE)
+                break;
         }
         if (count > 0) crossed = gear + count - 1;
         if (count < asked) open = gear + count;
-        if (tries == 0) {
-            gear = guess(w, to, x0, y0, rising, plain);
-            asked = ASKED;
-        } else if (tries % 2 == 0) {
+        if (open - crossed > 1 && tries % 2 == 0) {
             gear = crossed + (open - crossed) / 2;
             asked = 1;
-        } else {
+        } else if (open - crossed > 1) {
             double left, room, gears;
             const dbo_gear *row;
             at = begin_of(op, gear, w->grouped);
@@ -242,10 +289,6 @@ INLINE landing first_open(const walk *w, const goal *to, size_t from, size_t end
                 gear = -gears < (double)(int32_t)(gear - crossed) ? gear - (size_t)-gears : crossed;
             asked = ASKED;
         }
-        if (gear > crossed + 1 && asked > 1) gear--;
-        if (asked > open - crossed - 1) asked = open - crossed - 1;
-        if (gear <= crossed) gear = crossed + 1;
-        if (gear + asked > open) gear = open - asked;
     }
     at = begin_of(op, open, w->grouped);
     found.gear = open;
@@ -261,7 +304,7 @@ INLINE size_t pass_gears(walk *w, const goal *to, const int rising, const int pl
                          size_t group_size) {
     const size_t n = w->op->n;
     size_t next = rising ? w->zero : w->set, end, last, single = SINGLE;
-    int turned = next == 0;
+    int turned = next == 0, landed = 0;
     if (next == n || !crosses(w, to, next, w->x, w->y, rising, plain)) return n;
     end = turned ? (rising ? w->set : w->zero) : w->turns[w->depth - 1];
     if (left_at(to, w->x, w->y, rising, plain) > FAR * w->op->gears[row_of(w->op, next, w->grouped)].dx) single = 0;
@@ -278,6 +321,7 @@ INLINE size_t pass_gears(walk *w, const goal *to, const int rising, const int pl
             w->x = found.x;
             w->y = found.y;
             next = found.gear;
+            landed = next < end;
         }
         last = next - 1;
         if (next == end) {
@@ -286,7 +330,7 @@ INLINE size_t pass_gears(walk *w, const goal *to, const int rising, const int pl
             next = w->depth > 0 ? w->turns[--w->depth] : n;
             end = w->depth > 0 ? w->turns[w->depth - 1] : n;
         }
-    } while (next < n && crosses(w, to, next, w->x, w->y, rising, plain));
+    } while (!landed && next < n && crosses(w, to, next, w->x, w->y, rising, plain));
     if (turned) w->turns[w->depth++] = (dbo_place)end;
     w->set = rising ? 0 : next;
     w->zero = rising ? next : 0;
@@ -524,12 +568,13 @@ dbo_fixed_step dbo_prepare_fixed_step(const dbo_backlash *op, const double *deca
         gears[row].reach = width * gear->crossing_fraction;
         gears[row].slope = gear->dy / width;
         gears[row].room = gear->dy * gear->crossing_fraction;
+        gears[row].begin = gear->x + fixed.kappa * gear->y;
     }
     fixed.guide = guide;
     fixed.parts_per_u = (double)op->parts / (op->gears[rows].x + fixed.kappa * op->gears[rows].y);
     for (size_t part = 0, row = 0; guide && part <= op->parts; part++) {
         const double begin = (double)part / fixed.parts_per_u;
-        while (row + 1 < rows && op->gears[row + 1].x + fixed.kappa * op->gears[row + 1].y <= begin) row++;
+        while (row + 1 < rows && gears[row + 1].begin <= begin) row++;
         guide[part] = (dbo_place)row;
     }
     return fixed;

@@ -384,7 +384,8 @@ def _finished(run: ModelRun, return_state: bool, details: bool) -> Any:
         responses = list(run.responses())
     if isinstance(run, Compensation):
         run.keep_history()
-    values = np.concatenate([response.y for response in responses])
+        run.expecting = details  # playing other models over the move takes longer than the drive itself
+    values = responses[0].y if len(responses) == 1 else np.concatenate([response.y for response in responses])
     remarks = run.remarks()
     assert run.state is not None
     run.state = dataclasses.replace(run.state, model=run.model.digest)
