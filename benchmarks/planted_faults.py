@@ -63,7 +63,7 @@ FAULTS: list[Fault] = [
         ("begin.x += before * first->dx;", "begin.x += first->dx;", "equal gears share a row of the table"),
         ("if (count < asked) open = gear + count;", "if (count < asked) open = gear + count + 1;",
          "no gear is crossed that is looked up and is not"),
-        ("at_least(room_at(to, y, rising), to->fixed->gears[row].room);", "1;", "at a fixed step no gear is crossed that limits leave no room for"),
+        ("&& at_least(room, to->fixed->gears[row].room);", ";", "at a fixed step no gear is crossed that limits leave no room for"),
         ("const int stays = target - low >= (high - target) - slack;",
          "const int stays = target - low >= (high - target) + slack;",
          "a tie of the settled state is decided by a tolerance"),
