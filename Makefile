@@ -4,7 +4,7 @@
 # make compare DATA=FOLDER   the DBO beside its relatives on all recordings: the tables of docs/comparison.md
 # make figures   every picture in docs/, the one in README.md, the man pages and docs/api.md
 # make fuzz    100,000 malformed inputs, 20,000 changed headers;  make clean
-# make attack  killed runs, full disks, mutated models, random command lines and drives (ATTACK=10: ten times as many)
+# make attack  killed runs, full disks, mutated models, random command lines, drives and live control (ATTACK=10: ten times as many)
 # make mutants plants faults in the mathematics and says which no test finds (an hour on one core)
 # make bench   the figures of speed, memory and exactness
 #
@@ -122,6 +122,7 @@ attack: $(VENV)/installed-test
 	$(BIN)/python benchmarks/attack/mutants.py $$((10000 * $(ATTACK)))
 	$(BIN)/python benchmarks/attack/command_lines.py $$((10000 * $(ATTACK)))
 	$(BIN)/python benchmarks/attack/drives.py $$((20000 * $(ATTACK)))
+	$(BIN)/python benchmarks/attack/live.py $$((180 * $(ATTACK)))
 
 mutants: $(VENV)/installed-test
 	$(BIN)/python benchmarks/mutants.py

@@ -24,7 +24,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "benchmarks")]
+sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "tests" / "extras"), str(ROOT / "benchmarks")]
 
 from exported import COMPILERS, SANITIZERS, as_given, compiled, in_units, random_moves  # noqa: E402
 from invented_actuators import cases  # noqa: E402

@@ -40,7 +40,13 @@ GEARS = [1024]
 MIDDLE = slice(700, -700)
 SHOWN = (0, 5, 10, 20, 40)
 GROWN, ABOVE_FLOOR = 1.1, 1.2
-WIDE: dict[str, Any] = {"sample_rate": RATE, "v_min": -40.0, "v_max": 140.0, "state": "empty"}
+WIDE: dict[str, Any] = {
+    "sample_rate": RATE,
+    "v_min": -40.0,
+    "v_max": 140.0,
+    "extrapolate": True,
+    "state": "empty",
+}
 
 
 def actuator(

@@ -133,6 +133,7 @@ def random_loops(count: int, passes: int, seed: int) -> int:
                 "sample_rate": rate,
                 "v_min": -60.0,
                 "v_max": 180.0,
+                "extrapolate": True,
                 "periodic": True,
                 "on_limit": "error",
             }
@@ -180,7 +181,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
     seconds = options.seconds
-    wide = {"sample_rate": RATE, "v_min": -40.0, "v_max": 140.0}
+    wide = {"sample_rate": RATE, "v_min": -40.0, "v_max": 140.0, "extrapolate": True}
     warnings.simplefilter("ignore")
     if options.random:
         return random_loops(options.random, options.passes, options.seed)

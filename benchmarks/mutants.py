@@ -60,7 +60,9 @@ class Copy:
 
     def failing(self, tests: Sequence[str]) -> str | None:
         """Return the first test that fails, or None."""
-        files = [f"tests/test_{name}.py" for name in tests]
+        files = []
+        for name in tests:
+            files += [str(path.relative_to(ROOT)) for path in (ROOT / "tests").rglob(f"test_{name}.py")]
         try:
             done = self.run("-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *files)
         except subprocess.TimeoutExpired:

@@ -26,7 +26,10 @@ Kind = Literal["command", "option", "api", "run", "model", "reader", "generator"
 - ``command``: a ``cli.command.Command``; the key is its name.
 - ``option``: a ``cli.options.Option`` of a command of the core; the key is ``COMMAND --OPTION``.
 - ``api``: a public name of ``dbo_cli``, or, as ``Model.NAME``, a method of a class of the Python API.
-- ``run``: what takes part in a use case of the core; the key is the use case and the option that asks for it.
+- ``run``: what takes part in a use case of the core. ``compensate NAME`` makes the run where the option NAME
+  is given, ``files of compensate NAME`` is a ``SignalRun`` for it, ``watch NAME`` makes a ``Watcher`` of the
+  rows; ``show --NAME`` and ``excite --NAME`` do the same for these commands. Other keys are named where the
+  core asks for them.
 - ``model``: a ``hysteresis.model_file.StageInFiles``, the key is the ``type`` of its stage; or what reads a
   file of another ``format``.
 - ``reader``: what opens a kind of log file, a function of a ``Request`` that returns a ``Table``; the key is
@@ -112,6 +115,37 @@ OWN = (
         },
     ),
     Extra(
+        "repeat",
+        "moves that are repeated: loops, and learning from recordings of the last pass",
+        {
+            "option": {
+                "compensate --periodic": "dbo_cli.extras.repeat.command_options:PERIODIC",
+                "compensate --passes": "dbo_cli.extras.repeat.command_options:PASSES",
+                "compensate --tracked": "dbo_cli.extras.repeat.command_options:TRACKED",
+                "compensate --absolute": "dbo_cli.extras.repeat.command_options:ABSOLUTE",
+                "compensate --history": "dbo_cli.extras.repeat.command_options:HISTORY",
+                "compensate --voltage": "dbo_cli.extras.repeat.command_options:VOLTAGE",
+                "compensate --measured": "dbo_cli.extras.repeat.command_options:MEASURED",
+            },
+            "run": {
+                "compensate periodic": "dbo_cli.extras.repeat.run:repeated",
+                "files of compensate periodic": "dbo_cli.extras.repeat.run:RepeatedRun",
+                "compensate passes": "dbo_cli.extras.repeat.run:repeated",
+                "files of compensate passes": "dbo_cli.extras.repeat.run:RepeatedRun",
+                "compensate tracked": "dbo_cli.extras.repeat.run:repeated",
+                "files of compensate tracked": "dbo_cli.extras.repeat.run:RepeatedRun",
+                "compensate absolute": "dbo_cli.extras.repeat.run:repeated",
+                "files of compensate absolute": "dbo_cli.extras.repeat.run:RepeatedRun",
+                "compensate history": "dbo_cli.extras.repeat.run:repeated",
+                "files of compensate history": "dbo_cli.extras.repeat.run:RepeatedRun",
+                "compensate voltage": "dbo_cli.extras.repeat.run:repeated",
+                "files of compensate voltage": "dbo_cli.extras.repeat.run:RepeatedRun",
+                "compensate measured": "dbo_cli.extras.repeat.run:repeated",
+                "files of compensate measured": "dbo_cli.extras.repeat.run:RepeatedRun",
+            },
+        },
+    ),
+    Extra(
         "live",
         "one row at a time, of one actuator or of many",
         {
@@ -133,6 +167,11 @@ OWN = (
         },
     ),
     Extra(
+        "fringes",
+        "displacement from the fringes of an interferometer",
+        {"command": {"fringes": "dbo_cli.extras.fringes.command:COMMAND"}},
+    ),
+    Extra(
         "moves",
         "trajectories, settling times and generators' files",
         {
@@ -141,10 +180,13 @@ OWN = (
                 "waveform": "dbo_cli.extras.moves.command:WAVEFORM",
             },
             "run": {
-                "compensate --settle": "dbo_cli.extras.moves.settling:StepTimes",
+                "watch settle": "dbo_cli.extras.moves.settling:StepTimes",
                 "show --settle": "dbo_cli.extras.moves.settling:settling_shown",
             },
-            "option": {"show --settle": "dbo_cli.extras.moves.options:SHOW_SETTLE"},
+            "option": {
+                "compensate --settle": "dbo_cli.extras.moves.options:COMPENSATE_SETTLE",
+                "show --settle": "dbo_cli.extras.moves.options:SHOW_SETTLE",
+            },
             "api": {"trajectory": "dbo_cli.extras.moves.trajectory:trajectory"},
         },
     ),

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from make_figures import write
 
-from dbo_cli.extras.repeat.learning import ORDER, RESONANCE_PART
+from dbo_cli.extras.repeat.learning import ORDER
 from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, Relaxation, ScaleStage, Stage
 from dbo_cli.hysteresis.model_state import StartName
+from dbo_cli.hysteresis.move_error import RESONANCE_PART
 from dbo_cli.reports import drawing as style
 from dbo_cli.reports.drawing import Plot
 from dbo_cli.reports.figures import label_decades, mark_curves

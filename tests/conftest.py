@@ -20,6 +20,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 ROOT = Path(__file__).resolve().parent.parent
 CACHED_CC = Path(__file__).with_name("cached_cc.py")
 sys.path.insert(0, str(ROOT / "sample_data"))
+sys.path.insert(0, str(ROOT / "tests" / "extras"))  # their tests share fixtures with those of the core
 
 SMALL_MODEL: dict[str, Any] = {
     "format": "dbo-model",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -112,6 +113,25 @@ def test_a_recording_that_begins_late_and_ends_early_is_found(bench: Any, rows: 
     assert played["largest_difference"] < 1e-9
 
 
+def test_the_noise_of_a_recording_is_no_difference(bench: Any) -> None:
+    noise = np.random.default_rng(4).normal(0.0, 0.5, 400)
+    write("played.csv", "time_s,monitor_V", TIME, DRIVE + noise)
+    limits = ["--v-min", "10", "--v-max", "90"]
+    done = bench("check", "played.csv", *limits, "--against", "drive.csv")
+    assert done.code == 0
+    told = re.search(r"; read back with noise of (\S+) V \(up to (\S+) V\)", done.out)
+    assert told is not None
+    assert float(told[1]) == pytest.approx(0.5, rel=0.15)
+    assert float(told[2]) == pytest.approx(6.0 * float(told[1]), rel=0.05)
+    # What the user typed holds, and what noise does not explain is a difference.
+    assert bench("check", "played.csv", "--against", "drive.csv", "--tolerance", "0.5").code == 3
+    write("played.csv", "time_s,monitor_V", TIME, np.minimum(DRIVE, 84.0) + noise)
+    done = bench("check", "played.csv", "--against", "drive.csv", "--format", "json")
+    assert done.code == 3
+    played = json.loads(done.out)["played"]
+    assert played["tolerance"] == 6.0 * played["read_back_noise"]
+
+
 def test_an_amplifier_that_cuts_a_drive_off_is_recognised(bench: Any) -> None:
     noise = np.random.default_rng(3).normal(0.0, 0.005, 400)
     write("cut.csv", "time_s,monitor_V", TIME, np.minimum(DRIVE, 80.0) + noise)
@@ -151,11 +171,16 @@ def test_the_pieces_of_a_drive_from_the_command_line(bench: Any) -> None:
     summary = json.loads(Path("s.json").read_text())
     assert list(summary) == [
         "format", "version", "command", "read", "rows", "clipped", "range", "largest_step", "expected_rmse",
-        "expected_percent", "notes", "warnings",
+        "expected_percent", "before", "notes", "warnings",
     ]  # fmt: skip
     assert (summary["format"], summary["version"], summary["rows"]) == ("dbo-summary", 1, len(table))
     assert summary["range"] == [table[:, 1].min(), table[:, 1].max()] and summary["clipped"] == 0
     assert summary["largest_step"] == pytest.approx(np.abs(np.diff(table[:, 1])).max())
+    before = table[table[:, 0] < -5e-4]
+    rows, reach = len(before), [before[:, 1].min(), before[:, 1].max()]
+    assert summary["before"] == {"rows": rows, "seconds": pytest.approx(rows / 1000.0), "range": reach}
+    said = f"before the first row stand {rows} rows, {rows / 1000.0:.4g} s, from 0 to {reach[1]:.6g} V"
+    assert any(said in note for note in summary["notes"])
     assert summary["read"][0]["file"] == "wish.csv" and summary["read"][0]["rows"] == 400
 
 
@@ -263,6 +288,7 @@ def test_what_the_way_there_leaves_is_not_said_of_the_file(bench: Any) -> None:
     done = bench("compensate", "model.json", "wish.csv", *words.split())
     assert done.code == 0 and float(done.out.splitlines()[1].split(",")[1]) < 1.0  # the model begins there
     assert done.err == (
+        "dbo: wish.csv: before the first row stand 751 rows, 0.751 s, from -2 to 6 V\n"
         "dbo: wish.csv: the drive may go from -3 to 10 V (identified: 0 to 10 V)\n"
         "dbo: warning: wish.csv: the drive goes 2 V below the 0 to 10 V on which the model was identified; "
         "it extrapolates there\n"
@@ -290,8 +316,9 @@ def test_limits_with_units_and_currents_mean_the_same_for_every_model(
         "--v-min 500mV --v-max 0.007kV --max-slew 80V/s --from 0.5V --max-current 1 --capacitance 4e-6",
         "--max-current 0.4mA --capacitance 4uF --from 0V --approach auto",
     ):
-        own = bench("compensate", "model.json", "wish.csv", *limits.split(), "-o", "own.csv")
-        done = bench("compensate", "other.json", "wish.csv", *limits.split(), "-o", "other.csv")
+        words = ["wish.csv", *limits.split(), "--on-limit", "clip"]
+        own = bench("compensate", "model.json", *words, "-o", "own.csv")
+        done = bench("compensate", "other.json", *words, "-o", "other.csv")
         assert (own.code, done.code) == (0, 0), done.err
         drives = [np.loadtxt(name, delimiter=",", skiprows=1, usecols=2) for name in ("own.csv", "other.csv")]
         np.testing.assert_allclose(drives[1] * volts, drives[0], atol=1e-9)

@@ -27,7 +27,7 @@ from dbo_cli.runs.identifying import IdentifyRun
 
 COMMANDS = commands.every()
 ROOT = Path(__file__).resolve().parent.parent
-LIST = "identify, show, invert, simulate, compensate, check, report, excite, export, compare, trajectory, waveform"
+LIST = "identify, show, invert, simulate, compensate, check, report, excite, export, compare, fringes, trajectory, waveform"
 
 
 def test_version(dbo: Any) -> None:
@@ -65,7 +65,7 @@ WRONG = {
     "identify a.csv --header-lines 3": "--header-lines: '3' is none of 0, 1, 2",
     "identify a.csv --block-rows 0": "--block-rows: must be at least 1, not 0",
     "simulate m.json a.csv --outside wrap": "--outside: 'wrap' is none of extend, hold, error",
-    "compensate m.json a.csv --on-limit stop": "--on-limit: 'stop' is none of clip, error",
+    "compensate m.json a.csv --on-limit stop": "--on-limit: 'stop' is none of auto, clip, error",
     "compensate m.json a.csv --v-min 5 --v-max 5": "--v-min 5 must be below --v-max 5",
     "compensate m.json a.csv --max-slew 0": "--max-slew: must be above 0, not 0",
     "report a.csv --lag soon": "--lag soon: neither a whole number of samples nor 'auto'",
@@ -182,6 +182,8 @@ PROMISED = {
     "compare": "--models --validate --skip --format --figures --save-models --no-timings --voltage --displacement",
     "export": "--name --direction --arithmetic --sample-rate --gears --v-min --v-max --max-slew --lookup "
     "--arduino --fmu --shared --overwrite",
+    "fringes": "--voltage --signal --quadrature --wavelength --per-fringe --sign --scale-uncertainty --figures "
+    "--time --rows --summary --header",
     "trajectory": "--rate --range --slow-range --frequency --lines --pixels --overscan --one-way --turns --cycles --steps "
     "--dwell --rest --loop --bandwidth --model --unit",
     "waveform": "--to --gain --points --rate --codes --volts --loop --v-min --v-max --max-slew --tolerance --voltage",

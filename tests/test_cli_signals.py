@@ -60,16 +60,18 @@ def test_a_comment_says_where_a_text_comes_from_and_is_read_over(
     dbo: Any, model_file: Path, command: str
 ) -> None:
     write("drive.csv", DRIVE if command == "simulate" else DRIVE.replace("voltage_V", "displacement_um"))
-    plain = dbo(command, "model.json", "drive.csv", "-q").out
-    assert dbo(command, "model.json", "drive.csv", "--header", "comment", "-q", "-o", "out.csv").code == 0
+    clip = ["--on-limit", "clip"] * (command == "compensate")
+    plain = dbo(command, "model.json", "drive.csv", "-q", *clip).out
+    words = [command, "model.json", "drive.csv", *clip, "--header", "comment", "-q", "-o", "out.csv"]
+    assert dbo(*words).code == 0
     comment, _, rest = Path("out.csv").read_text().partition("\n")
     assert rest == plain
     assert comment == (
         f"# dbo 0.2.0; model_sha256: {read_model('model.json').actuator.digest}; "
-        f"command: dbo {command} model.json drive.csv --header comment -q -o out.csv"
+        f"command: dbo {' '.join(words)}"
     )
     column = ("--input", "2") if command == "simulate" else ("--displacement", "2")
-    again = dbo(command, "model.json", "out.csv", *column, "-q").out.splitlines()
+    again = dbo(command, "model.json", "out.csv", *column, "-q", *clip).out.splitlines()
     assert [line.split(",")[-1] for line in again[1:]] == [
         line.split(",")[-1] for line in rest.splitlines()[1:]
     ]
@@ -313,7 +315,7 @@ def test_compensate_reads_the_trajectory_ahead_by_the_delay(dbo: Any, model_file
 
 def test_compensate_clips_counts_and_says(bench: Any) -> None:
     write("far.csv", "time_s,displacement_um\n0,2\n0.1,5\n0.2,10\n0.3,3\n")
-    done = bench("compensate", "model.json", "far.csv", "-o", "drive.csv")
+    done = bench("compensate", "model.json", "far.csv", "-o", "drive.csv", "--on-limit", "clip")
     place = "far.csv: 1 of 4 samples (row 3) beyond what the limits of the drive allow (voltage 0 to 10 V)"
     told = f"dbo: far.csv: {depends('0.867')}\n{begins('far.csv', '1.66667')}dbo: warning: {place}: clipped"
     told += (
@@ -330,7 +332,8 @@ def test_compensate_clips_counts_and_says(bench: Any) -> None:
 
 def test_compensate_keeps_tighter_limits_and_slew(bench: Any) -> None:
     write("far.csv", "time_s,displacement_um\n0,2\n0.1,5\n0.2,8\n0.3,3\n")
-    done = bench("compensate", "model.json", "far.csv", "--v-min", "2", "--v-max", "7", "--max-slew", "20")
+    done = bench("compensate", "model.json", "far.csv", "--v-min", "2", "--v-max", "7", "--max-slew", "20",
+                 "--on-limit", "clip")  # fmt: skip
     voltage = np.array([float(line.split(",")[2]) for line in done.out.splitlines()[1:]])
     assert voltage.min() >= 2.0 and voltage.max() <= 7.0
     assert np.abs(np.diff(voltage)).max() <= 2.0 * (1 + 1e-12)
@@ -379,7 +382,8 @@ def test_limits_that_leave_nothing_are_refused(bench: Any, words: str, message: 
 def test_condition_prepends_a_sweep_in_negative_time(bench: Any) -> None:
     plain = bench("compensate", "model.json", "wanted.csv", "--state", "empty").out.splitlines()
     done = bench("compensate", "model.json", "wanted.csv", "--condition", "-o", "drive.csv")
-    assert (done.code, done.err) == (0, begins("wanted.csv", "0"))
+    before = "dbo: wanted.csv: before the first row stand 23 rows, 2.3 s, from 0 to 10 V\n"
+    assert (done.code, done.err) == (0, before + begins("wanted.csv", "0"))
     rows = np.loadtxt("drive.csv", delimiter=",", skiprows=1)
     sweep = rows[rows[:, 0] < -1e-9]
     assert sweep[:, 2].min() == 0.0 and sweep[:, 2].max() == 10.0

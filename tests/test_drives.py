@@ -45,7 +45,7 @@ def exactly_kept(drive: Floats, limits: DriveLimits, seconds: float, last: float
 
 
 def prompt(**more: Any) -> dict[str, Any]:
-    return {"sample_rate": RATE, "details": True, **more}
+    return {"sample_rate": RATE, "details": True, "on_limit": "clip", **more}
 
 
 @pytest.mark.parametrize("delay", [0.0, 2.5 / RATE])
@@ -109,13 +109,13 @@ def test_infinite_limits_switch_nothing_off() -> None:
     times = np.array([0.0, 0.0, 0.01, 0.02])
     model = Model(build(1, False))
     top = model.input.minimum + 0.4 * model.input.span
+    clip: dict[str, Any] = {"details": True, "state": "empty", "on_limit": "clip"}
     for more in ({"max_slew": np.inf}, {"max_slew": np.inf, "v_min": -np.inf}, {}):
         ends = [model.output.maximum, model.output.minimum, model.output.maximum, model.output.maximum]
-        done = model.compensate(ends, time=times, v_max=top, details=True, state="empty", **more)
+        done = model.compensate(ends, **clip, time=times, v_max=top, **more)
         assert done.values.max() == top and done.clipped > 0
-    wide = model.compensate(
-        [model.output.maximum + 0.05] * 3, sample_rate=10.0, v_max=1e12, details=True, state="empty"
-    )
+    far = [model.output.maximum + 0.05] * 3
+    wide = model.compensate(far, **clip, sample_rate=10.0, v_max=1e12)
     assert wide.clipped == 3  # the gain is negative: more displacement than the lower limit gives
 
 

@@ -217,3 +217,32 @@ def test_a_repeated_time_asks_no_infinite_drive_of_a_move_above_the_limits() -> 
     wanted = np.full(3, float(above.y[-1]))
     done = model.compensate(wanted, rest.state, limits=DriveLimits(55.0, np.inf), time_step=np.zeros(3))
     assert done.y.tolist() == [55.0] * 3
+
+
+@pytest.mark.parametrize("behind", [False, True])
+def test_a_rest_beyond_the_range_is_worked_out_at_once_and_counted(
+    behind: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Once the lag has come to the end of the range, its output is the bound to the last digit."""
+    bare = dataclasses.replace(actuator(1, behind=behind), stages=(LAG, *actuator(1).stages[2:]))
+    low, span = bare.input.minimum, bare.input.span
+    limits = DriveLimits(low, low + 0.6 * span)
+    ends = slow_output_range(bare.stages[1:], low, low + span)
+    way = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 3_000))
+    wanted = np.concatenate([ends[1] + (ends[0] - ends[1]) * way, np.full(500, ends[0] + 0.01)])
+    alone = compensated(bare, wanted, limits, "full", list(range(1, wanted.size)))
+    held_back = drive_lag._held_back
+    calls = []
+
+    def counted(*words: Any) -> Any:
+        calls.append(words)
+        return held_back(*words)
+
+    monkeypatch.setattr(drive_lag, "_held_back", counted)
+    drive, state, clipped = compensated(bare, wanted, limits, "full", [])
+    assert drive.tolist() == alone[0].tolist()
+    assert (clipped, state.backlash) == (alone[2], alone[1].backlash)
+    held = np.count_nonzero(drive == limits.v_max)
+    assert held > 1_000
+    assert clipped >= held - 20
+    assert len(calls) < 40

@@ -21,7 +21,7 @@ ORDER = [
 SIBLINGS = [
     {"hysteresis", "logs"}, {"drives", "reports"},
 ]  # fmt: skip
-TO_BE_CUT = {"runs/files.py", "runs/api.py", "drives/compensation.py"}
+TO_BE_CUT = {"runs/api.py"}
 """Modules of the core that still import an extra."""
 MODULES = sorted(PACKAGE.rglob("*.py"))
 HEAVY = {"numpy", "scipy", "pandas", "matplotlib", "h5py", "pyarrow", "polars", "pydantic", "rich"}
@@ -148,7 +148,7 @@ def test_the_picture_of_the_imports_has_no_arrow_up_and_is_up_to_date() -> None:
     arrows, places = draw_imports.arrows(), draw_imports.PLACES
     assert {name for pair in arrows for name in pair} <= places.keys()
     up = [pair for pair in arrows if places[pair[0]][0] <= places[pair[1]][0]]
-    assert set(up) <= {("runs", "extras"), ("drives", "extras")}  # see TO_BE_CUT
+    assert set(up) <= {("runs", "extras")}  # see TO_BE_CUT
     drawn = draw_imports.FIGURE.read_text(encoding="utf-8")
     shown = {name for name in draw_imports.ids(drawn) if name.startswith("arrow-")}
     assert shown == {draw_imports.arrow_id(*pair) for pair in arrows}, "run docs/draw_imports.py"

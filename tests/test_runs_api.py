@@ -141,8 +141,8 @@ def test_states_go_on(lagging: dbo_api.Model, tmp_path: Path) -> None:
 
 def test_what_must_be_said_is_data_or_a_warning(small: dbo_api.Model) -> None:
     with pytest.warns(dbo_api.DboWarning, match=r"1 of 2 samples \(row 2\) beyond what the limits"):
-        small.compensate([2.0, 20.0])
-    result = small.compensate([2.0, 20.0], details=True)
+        small.compensate([2.0, 20.0], on_limit="clip")
+    result = small.compensate([2.0, 20.0], on_limit="clip", details=True)
     assert (result.clipped, result.values[-1], len(result.warnings)) == (1, 10.0, 1)
     with pytest.warns(dbo_api.DboWarning, match="outside the range of the model"):
         small.simulate([0.0, 12.0])
@@ -174,7 +174,8 @@ def test_compensate_says_what_error_to_expect_of_the_move(dbo: Any, sample_model
         [6.0, far, 6.0], sample_rate=10.0, v_max=2.0 * drive, extrapolate=True, details=True
     )
     assert any("cannot be told: the drive goes from" in note for note in beyond.notes)
-    clipped = model.compensate([*table["displacement"][:200], far], sample_rate=500.0, details=True)
+    cut = [*table["displacement"][:200], far]
+    clipped = model.compensate(cut, sample_rate=500.0, on_limit="clip", details=True)
     assert any(note.endswith("of the move), clipped samples included") for note in clipped.notes)
 
 
@@ -233,7 +234,8 @@ def test_no_error_is_expected_of_a_model_that_does_not_know(small: dbo_api.Model
 
 
 def test_a_slew_limit_holds_from_the_first_sample_on(small: dbo_api.Model) -> None:
-    drive = small.compensate([6.0] * 40, sample_rate=10.0, max_slew=5.0, state="empty", details=True)
+    limits: dict[str, Any] = {"max_slew": 5.0, "state": "empty", "on_limit": "clip"}
+    drive = small.compensate([6.0] * 40, sample_rate=10.0, details=True, **limits)
     assert np.diff(drive.values, prepend=0.0).max() <= 0.5 * (1 + 1e-12)
     assert drive.values[0] == pytest.approx(0.5)
 

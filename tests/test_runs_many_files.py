@@ -63,6 +63,8 @@ def test_processes_change_no_byte(folder: Any) -> None:
         "voltage_V",
         "--scale",
         "displacement=0.5um/V",
+        "--on-limit",
+        "clip",
         "-q",
         "-o",
     )

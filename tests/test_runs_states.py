@@ -44,7 +44,7 @@ def test_a_run_cut_anywhere_gives_the_bytes_of_one_run(dbo: Any, command: str, k
     write_signal("voltage_V" if command == "simulate" else "displacement_um", kind, rng)
     more = ["--sample-rate", "50"] if kind == "rate" else []
     if command == "compensate":
-        more += ["--max-slew", "60", "--v-max", "9"]
+        more += ["--max-slew", "60", "--v-max", "9", "--on-limit", "clip"]
     whole = dbo(command, "model.json", "in.csv", "-q", *more)
     assert whole.code == 0
     for _ in range(4):
@@ -93,7 +93,7 @@ def test_a_model_with_dynamics_goes_on_as_one_run(dbo: Any, command: str, kind: 
     write_signal("voltage_V" if command == "simulate" else "displacement_um", kind, rng)
     more = ["--sample-rate", "50"] if kind == "rate" else []
     if command == "compensate":
-        more += ["--max-slew", "60", "--v-max", "9"]
+        more += ["--max-slew", "60", "--v-max", "9", "--on-limit", "clip"]
     whole = dbo(command, "model.json", "in.csv", "-q", *more)
     assert whole.code == 0, whole.err
     for cut in (2, 101, 130, SAMPLES - 1):

@@ -119,6 +119,17 @@ def random_limits(pick: Random, model: ActuatorModel, rate: float) -> DriveLimit
     return DriveLimits(v_min, v_max, float("inf") if pick.random() < 0.05 else slew)
 
 
+def what_holds(limits: DriveLimits, model: ActuatorModel, options: dict[str, Any]) -> DriveLimits:
+    """Return the limits that have to hold: the identified range cut by those that were typed."""
+    if options.get("extrapolate"):
+        return limits
+    low = max(limits.v_min, model.input.minimum)
+    high = min(limits.v_max, model.input.maximum)
+    if low >= high:  # refused
+        return limits
+    return DriveLimits(low, high, limits.max_slew)
+
+
 def broken(drive: Floats, steps: Floats | float, limits: DriveLimits, last: float | None) -> str:
     """Return what is broken, in rational arithmetic; the last digits of a step aside. Empty where nothing."""
     if not np.isfinite(drive).all():
@@ -181,6 +192,8 @@ def planned(pick: Random, model: ActuatorModel, rate: float, tally: Counter[str]
 def asked(pick: Random, model: ActuatorModel, limits: DriveLimits, rate: float) -> dict[str, Any]:
     """Return random options of a compensation."""
     options: dict[str, Any] = {"v_min": limits.v_min, "v_max": limits.v_max, "max_slew": limits.max_slew}
+    options["on_limit"] = str(pick.choice(["auto", "clip", "clip"]))
+    options["extrapolate"] = bool(pick.random() < 0.5)
     kind = pick.random()
     if kind < 0.3:
         options |= {"periodic": True, "passes": int(pick.integers(0, 4))}
@@ -205,6 +218,7 @@ def through_the_api(pick: Random, model: ActuatorModel, rate: float, tally: Coun
     """Ask the API for one drive, and look at its rows, joins and seam."""
     limits = random_limits(pick, model, rate)
     options = asked(pick, model, limits, rate)
+    limits = what_holds(limits, model, options)
     loop = "periodic" in options
     count = int(pick.choice([5, 50, 300]))
     wanted = trajectory(pick, model, count, loop)
@@ -256,7 +270,9 @@ def through_the_api(pick: Random, model: ActuatorModel, rate: float, tally: Coun
         # Limits hide how fast the move itself is: 7 times what is left of its steps, once in 9,000. Its first
         # step stands in the lead where a delay asks for one (2.3 times, once in 30,000).
         free = {key: options[key] for key in ("bandwidth", "lead") if key in options} | clock
-        own = Model(model).compensate(wanted, v_min=-WIDE, v_max=WIDE, state="empty", **free)
+        own = Model(model).compensate(
+            wanted, v_min=-WIDE, v_max=WIDE, extrapolate=True, state="empty", **free
+        )
         allowed = KICK * float(np.abs(np.diff(own)).max())
         found = [text for join in joins if (text := unasked_step(done.values, join, allowed, kick))]
     return found[0] if found else ""
@@ -282,7 +298,9 @@ def converters(pick: Random, model: ActuatorModel, rate: float, tally: Counter[s
         return ""
     low, span = model.input.minimum, model.input.span
     curve = np.linspace(low - 0.3 * span, low + 1.3 * span, 2**bits)
-    more = {"v_min": limits.v_min, "v_max": limits.v_max, "max_slew": limits.max_slew}
+    more: dict[str, Any] = {"v_min": limits.v_min, "v_max": limits.v_max, "max_slew": limits.max_slew}
+    more["extrapolate"] = bool(pick.random() < 0.5)
+    limits = what_holds(limits, model, more)
     try:
         live = Model(model).controller(rate, dac=curve, **more)
     except UsageError:
@@ -323,6 +341,7 @@ def as_a_process(pick: Random, folder: Path, model: ActuatorModel, rate: float, 
     if not np.isfinite(limits.v_max):
         return ""
     options = asked(pick, model, limits, rate)
+    limits = what_holds(limits, model, options)
     wanted = trajectory(pick, model, 60, "periodic" in options)
     Model(model).save(folder / "model.json")
     lines = "".join(f"{k / rate!r},{x!r}\n" for k, x in enumerate(wanted.tolist()))

@@ -145,8 +145,11 @@ def compensate(given: Given) -> None:
     """Write the drive voltage that makes the actuator follow a desired displacement.
 
     The forward model is inverted exactly and started in the state in which dbo simulate of the drive starts;
-    a delay is made up for by reading the trajectory ahead. What the drive cannot reach within its limits is
-    clipped, counted and said; no row ever breaks a limit.
+    a delay is made up for by reading the trajectory ahead. No row ever leaves the range on which the model
+    was identified, cut by --v-min and --v-max (beyond it only with --extrapolate). What cannot be reached
+    within the limits is cut off, counted and said, as long as it costs at most 1 % of the move: the RMS of
+    what the move misses, over the difference between its largest and its least value. On standard output,
+    where rows leave before that is known, a stream ends once it has lost more than 1 % of the model's range.
 
     Writes
     ------
@@ -162,22 +165,28 @@ def compensate(given: Given) -> None:
 
     Exit code 3
     -----------
-    A limit is met and --on-limit is error, or the drive cannot begin, close or return within its limits; no
-    drive is written.
+    Limits cost more than 1 % of the move, or the delay is longer than it (--on-limit clip writes it all the
+    same); a limit is met and --on-limit is error; the drive cannot begin, close or return within its limits;
+    or what the program chose to put before the move takes more than a minute and ten times the move. No drive
+    is written.
     """
     reading = given.reading
     from dbo_cli.drives.options import DriveOptions
 
     drive = DriveOptions(**given.of(options.DRIVING))  # the state is read with the model
-    from dbo_cli.runs.files import SignalRun
+    from dbo_cli.runs.files import run_of_signals
     from dbo_cli.runs.many import signals
 
-    tracked = given.tracked or ()
-    destination = destination_of(given, [given.model, *given.trajectory, given.state, *tracked])
-    asked = SignalRun(
-        given.model, given.trajectory[0], destination, reading, given.displacement, given.state, drive=drive,
-        tracked=tracked, **given.of([options.TRACKED_VOLTAGE, options.TRACKED_MEASURED]),
-    )  # fmt: skip
+    asked = run_of_signals(
+        given.brought,
+        model=given.model,
+        log=given.trajectory[0],
+        destination=destination_of(given, [given.model, *given.trajectory, given.state]),
+        reading=reading,
+        column=given.displacement,
+        state=given.state,
+        drive=drive,
+    )
     finish(given, signals(asked, given.trajectory, work_of(given), Progress(given.reporter, "written")))
 
 

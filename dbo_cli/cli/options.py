@@ -117,8 +117,6 @@ REPORTING = (
 # --- columns: a header name, a dataset path, or a number counted from 1 ---
 VOLTAGE = _reading("--voltage COLUMN", "The drive voltage; guessed by name.")
 DRIVE_COLUMN = _reading("--voltage COLUMN", "The drive; guessed by name.")
-TRACKED_VOLTAGE = _reading("--voltage COLUMN", "The drive in a --tracked log; guessed by name.")
-TRACKED_MEASURED = _reading("--measured COLUMN", "What was measured in a --tracked log; guessed by name.")
 DISPLACEMENT = _reading("--displacement COLUMN", "Displacement; guessed by name.")
 INPUT = _reading("--input COLUMN", "The model's input; guessed by name.")
 REPORT_COLUMNS = (
@@ -235,7 +233,12 @@ DRIVING = (  # the fields of ``DriveOptions`` but for the state, which is read w
         "What the amplifier can deliver, with --capacitance: a slew limit of their ratio.",
     ),
     Option("--capacitance FARAD", "Of the actuator, with --max-current."),
-    Option("--on-limit clip|error", "clip and count, or exit 3, where a limit is met.", "clip"),
+    Option(
+        "--on-limit auto|clip|error",
+        "Where a limit is met: auto cuts off what costs up to 1 % of the move (RMS), and exits 3 for more; "
+        "clip cuts off whatever it costs; error exits 3 at once.",
+        "auto",
+    ),
     FROM,
     Option(
         "--approach SECONDS|auto",
@@ -255,26 +258,6 @@ DRIVING = (  # the fields of ``DriveOptions`` but for the state, which is read w
         "--bandwidth HZ",
         "Round the trajectory's corners with a zero-phase low-pass first; with --tracked, learn so far up.",
     ),
-    Option(
-        "--absolute",
-        "With --tracked, learn the mean of the error, too (else it is taken for the sensor's zero).",
-    ),
-    Option(
-        "--history FILE",
-        "With --tracked, keep the error of each pass there (JSON), so that growth is seen.",
-        parse=text,
-    ),
-    Option(
-        "--settle DISTANCE",
-        "Say how long creep and ringing take to stay within it after a step (5nm; plain: the model's unit).",
-    ),
-    Option("--periodic", "The trajectory is one period of a loop: write the settled loop's drive."),
-    Option("-n, --passes N", "With --periodic, passes of run-in before it (time < 0).", "0", parse=whole(0)),
-)
-TRACKED = Option(
-    "--tracked LOG",
-    "The last pass of this trajectory, recorded: write the next, better drive; repeatable.",
-    repeated=True,
 )
 CHECKING = (  # the fields of ``CheckOptions``
     Option("--v-min VOLT", "Lowest voltage allowed."),
@@ -287,7 +270,7 @@ CHECKING = (  # the fields of ``CheckOptions``
     Option(
         "--tolerance VOLT",
         "With --against, the largest difference allowed, and by how much a recorded row may miss a "
-        "limit [default: a thousandth of the range].",
+        "limit [default: a thousandth of the range, or six times the recording's noise].",
         parse=figure_above_0,
     ),
 )
@@ -364,8 +347,8 @@ OPTIONS_OF: dict[str, tuple[Option, ...]] = {
         HEADER, OUTPUT,
     ),
     "compensate": (
-        MODEL, TRAJECTORIES, *READING, *DRIVING, *WORK, *REPORTING, TRACKED, TRACKED_VOLTAGE,
-        TRACKED_MEASURED, STATE, SAVE_STATE, DISPLACEMENT, FLUSH, SUMMARY, HEADER, OUTPUT,
+        MODEL, TRAJECTORIES, *READING, *DRIVING, *WORK, *REPORTING, STATE, SAVE_STATE, DISPLACEMENT,
+        FLUSH, SUMMARY, HEADER, OUTPUT,
     ),
     "check": (DRIVE, *READING_OF_LOGS, *REPORTING, *CHECKING, SHOW_FORMAT, DRIVE_COLUMN, OUTPUT),
     "report": (

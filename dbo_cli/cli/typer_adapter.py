@@ -208,7 +208,7 @@ def _build(name: str, made_of: Command) -> Any:
         brought = {}
         for option in made_of.brought:
             value = values.pop(option.key)
-            if value not in (None, False):
+            if value:
                 brought[option.key] = value
         made_of.function(Given(typed=WORDS.get(), brought=brought, **values))
 

@@ -17,6 +17,7 @@ from dbo_cli.logs.sample_block import GAP_STEPS, SAME_RATE, median_step
 from dbo_cli.records import dataclass
 
 TOLERANCE = 1e-3  # of the drive's range: a converter of 10 bits rounds to half of it
+MOST_BY_NOISE = 6.0  # standard deviations: white noise reaches 5 once in two million rows
 EXACT = 1e-12  # of a variance: what sums and transforms of double precision leave of two equal drives
 FEWEST_SHARED = 0.25  # of the shorter of the two: in a few rows everything is like everything
 ANOTHER = 0.5  # correlation below which a recording is of another drive; chosen, in between
@@ -174,9 +175,22 @@ class Likeness(NamedTuple):
     cut: float
 
 
-def played_tolerance(drive: Floats, tolerance: float | None) -> float:
-    """Return by how much a recording may differ from a drive (its unit), where nothing else was asked for."""
-    return TOLERANCE * float(np.ptp(drive)) if tolerance is None else tolerance
+def noise_of(played: Floats) -> float:
+    """Return the standard deviation of a recording's read-back noise; 0 where none is evident."""
+    from dbo_cli.hysteresis.identification.drive_range import read_back_noise  # with all of identification
+
+    return read_back_noise(played)
+
+
+def played_tolerance(drive: Floats, played: Floats, tolerance: float | None) -> float:
+    """Return by how much a recording may differ from a drive (its unit).
+
+    Where no ``tolerance`` is given, that is a thousandth of the drive's range, or what the noise of the
+    recording makes of it if that is more.
+    """
+    if tolerance is not None:
+        return tolerance
+    return max(TOLERANCE * float(np.ptp(drive)), MOST_BY_NOISE * noise_of(played))
 
 
 def check_played(
@@ -197,13 +211,13 @@ def check_played(
     steps
         Seconds a row of the two, where they are known: at another rate the drive is interpolated.
     tolerance
-        Largest difference allowed; a thousandth of the drive's range where not given.
+        Largest difference allowed; see ``played_tolerance``.
     gain
         Of an amplifier behind the place of the recording: it is compared times that.
     suffix
         The unit, behind a blank, for messages.
     """
-    most = played_tolerance(drive, tolerance)
+    most = played_tolerance(drive, played * gain, tolerance)
     own, other = steps
     count, ratio = drive.size, None
     if own is not None and other is not None and abs(other / own - 1.0) > SAME_RATE:
@@ -215,7 +229,7 @@ def check_played(
         "rows": found.rows, "lag_rows": found.lag, "lag_seconds": None if other is None else late * other,
         "resampled": count != drive.size, "gain": found.gain, "offset": found.offset,
         "largest_difference": found.largest, "difference_after_gain_and_offset": found.left,
-        "tolerance": most, "speed": speed, "amplifier_gain": gain,
+        "tolerance": most, "read_back_noise": noise_of(played * gain), "speed": speed, "amplifier_gain": gain,
     }  # fmt: skip
     if found.alike < ANOTHER:
         checked.problems.append("what was played is another drive: the two have nothing in common")

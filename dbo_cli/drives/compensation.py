@@ -10,33 +10,47 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import field
 from itertools import chain
-from typing import TYPE_CHECKING, Any
+from types import MappingProxyType
+from typing import Any, Protocol
 
 import numpy as np
 
 from dbo_cli import extensions
+from dbo_cli.drives.before import BeforeMove, longest_chosen, require_short
+from dbo_cli.drives.cut_off import ALLOWED_PART, CutOff, first_beyond
 from dbo_cli.drives.gate import DriveFigures, DriveGate
 from dbo_cli.drives.limits import beyond_range, limits_note, voltage_in
 from dbo_cli.drives.model_run import ModelRun, Response, Tally, first_blocks
 from dbo_cli.drives.options import DriveOptions, plain_in, volts_a_unit
-from dbo_cli.drives.pieces import NOTHING, Before, ramp, require_rows, rest_samples, sweep, sweep_range, way
+from dbo_cli.drives.pieces import Before, ramp, sweep_range
 from dbo_cli.errors import InputError, LimitError, Remarks, UsageError
-from dbo_cli.extras.repeat.learning import write_history
-from dbo_cli.extras.repeat.settled_loops import slow_model
+from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
 from dbo_cli.hysteresis.move_error import MOST_ROWS, MoveError, move_error
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock, even_step, median_step
+from dbo_cli.logs.sources import Source
 from dbo_cli.records import dataclass
 
-if TYPE_CHECKING:
-    from dbo_cli.extras.repeat.learning import Lesson
-
+NOTHING_BROUGHT: Mapping[str, Any] = MappingProxyType({})
 REACH_SLACK = 0.01  # of the range: a trajectory this little outside is clipped and counted like any other
 SLACK = 1e-9  # of the range: what rounding may add to a drive that ends at its limit
 SAME_DRIVE = 1e-9  # of the range: two drives that agree to this are one; chosen, far above rounding
+
+
+class Watcher(Protocol):
+    """Sees the rows of a move as they are played, and has something to say in the end."""
+
+    def add(self, desired: FloatArray, drive: FloatArray) -> None:
+        """See consecutive rows of the move."""
+
+    def notes(self, name: str, figures: DriveFigures) -> str | list[str]:
+        """Return what is to be said of the move called ``name``, whose drive has these figures."""
+
+    def summary(self) -> dict[str, Any]:
+        """Return what it adds to the summary of the run."""
 
 
 @dataclass
@@ -47,48 +61,53 @@ class Compensation(ModelRun):
     ----------
     options : DriveOptions
         What is asked of the drive.
-    lesson : Lesson, optional
-        What recordings of the last pass have taught; the source then holds what is asked of the model instead
-        of the trajectory.
     remarks_before : Remarks
         What was said before the run.
+    watchers : list of Watcher
+        What extras have to say of the rows of the move.
     gate : DriveGate
         What every row passes.
+    expecting : bool
+        Whether the error to expect of the move is worked out for the remarks.
     """
 
     options: DriveOptions = field(default_factory=DriveOptions)
-    lesson: Lesson | None = None
     remarks_before: Remarks = field(default_factory=Remarks)
     clipped: Tally = field(default_factory=Tally)
     missed: float = 0.0
     unreachable: int = 0
-    lost: float = 0.0  # of clipped samples: the sum of squares of what the move misses, and the most
-    most_lost: float = 0.0
+    streamed: bool = False
+    cut_off: CutOff = field(init=False)
+    stream_ends: int | None = None
+    read_from: float | None = None
+    read_to: float = 0.0
+    lead_in: DriveFigures = field(default_factory=DriveFigures)
+    lead_in_seconds: float = 0.0
     move: DriveFigures = field(default_factory=DriveFigures)
     drive: DriveFigures = field(default_factory=DriveFigures)
     kept: list[tuple[FloatArray, FloatArray | None]] = field(default_factory=list)
     came_from: float | None = field(init=False)
     limits: DriveLimits = field(init=False)
     gate: DriveGate = field(init=False)
-    settling: Any = None
+    watchers: list[Watcher] = field(default_factory=list)
     expecting: bool = True
     _error_of: tuple[tuple[int, int], MoveError | None] | None = None
 
     compensates = True
+    repeats = False  # whether the trajectory goes on from its last row to its first
+    states_error = True  # whether the error that the model states is to be expected of this drive
+    first_what = "row"
+    among_them = ""
     remedies = "`condition` sweeps it there, "
 
     def __post_init__(self) -> None:
         """Take the options apart."""
         options = self.options
-        if options.settle is not None:
-            self.settling = extensions.find("run", "compensate --settle")(self.model, options.settle)
         self.limits, self.start = options.limits(self.model), options.state
-        self.why_time, self.bandwidth = options.why_time, options.bandwidth
-        if self.lesson is not None:
-            self.why_time, self.bandwidth = "`tracked` depends on it", None
-            self.remarks_before.add(self.lesson.remarks)
+        self.why_time, self.bandwidth = options.why_time, options.rounding
         super().__post_init__()
         self._run = functools.partial(self.model.compensate, limits=self.limits)
+        self.cut_off = CutOff(self.model)
         self.came_from = self._comes_from()
         self.gate = DriveGate(self.limits, self.came_from, self.model.input.suffix)
 
@@ -106,43 +125,148 @@ class Compensation(ModelRun):
         """
         blocks, role, step = self.source.blocks(), self.input.quantity, 0.0
         if self.options.has_pieces:
-            held, stamps = first_blocks(blocks)
-            blocks = chain(held, blocks)
+            read, stamps = first_blocks(blocks)
+            blocks = chain(read, blocks)
             if self.steps.needed:
                 step = self._usual_step(stamps)
-            if held:
-                before = self._before(float(held[0].values[role][0]), step)
-                played, count = before.voltage.size, before.voltage.size + before.desired.size
+            if read:
+                before = self.before_move(float(read[0].values[role][0]), step)
+                blocks = self._read_enough(before, step, blocks)
+                count = before.voltage.size + before.desired.size
                 # From one step before the first row on.
                 times = step * np.arange(-count - 1, 0.0) + (stamps[0] if stamps.size else 0.0)
-                yield from self._played(before, times[: played + 1], step)
-                if count > played:
-                    rows, values = range(1 + played - count, 1), {role: before.desired}
-                    blocks = chain([SampleBlock(rows, None, times[played + 1 :], values)], blocks)
-        for block, x in self.inputs.blocks(blocks, self.state):
+                self.lead_in_seconds = count * step
+                yield from self._played(before, times[: before.voltage.size + 1], step)
+                blocks = chain(self._way_in(before, times), blocks)
+        for block, x in self.inputs.blocks(self._watched(blocks), self.state):
             desired, drive = block.values[role], self.feed(block, x).y
             if block.rows[0] >= 1:
-                if self.lesson is not None:
-                    end = self.rows - self.rows_before
-                    desired = self.lesson.desired[end - drive.size : end]
+                desired = self.desired_rows(desired)
                 self._see(desired, drive)
+            if self.stream_ends is not None:
+                if self.stream_ends > 0:
+                    yield _first_rows(Response(block.time, desired, drive), self.stream_ends)
+                raise LimitError(self._stream_ended())
             yield Response(block.time, desired, drive)
-        if self.rows and self.unreachable >= self.rows - self.rows_before > 0:
+        self._require_reached()
+        if self.options.return_ is not None and self.state is not None and self.state.time is not None:
+            yield self._return(self.state, self.state.time, step)
+
+    def _way_in(self, before: Before, times: FloatArray) -> Iterator[SampleBlock]:
+        """Give the displacements before the first row as a block of rows that end with row 0."""
+        count = before.desired.size
+        if count:
+            values = {self.input.quantity: before.desired}
+            yield SampleBlock(range(1 - count, 1), None, times[times.size - count :], values)
+
+    def _read_enough(
+        self, before: Before, step: float, blocks: Iterator[SampleBlock]
+    ) -> Iterator[SampleBlock]:
+        """Read so much of the move that it is known not to be short beside what was chosen before it.
+
+        Raises
+        ------
+        LimitError
+            It is.
+        """
+        chosen = step * sum(piece.rows for piece in before.chosen)
+        if chosen <= longest_chosen(0.0):
+            return blocks
+        read: list[SampleBlock] = []
+        seconds = 0.0
+        for block in blocks:
+            read.append(block)
+            if read[0].time is not None and block.time is not None:
+                seconds = float(block.time[-1] - read[0].time[0]) + step
+            if chosen <= longest_chosen(seconds):
+                return chain(read, blocks)
+        require_short(self.source.name, before.chosen, step, seconds)
+        return iter(read)
+
+    def _watched(self, blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
+        """Give the same blocks; note the first and the last time stamp that were read."""
+        for block in blocks:
+            if block.time is not None and len(block):
+                if self.read_from is None:
+                    self.read_from = float(block.time[0])
+                self.read_to = float(block.time[-1])
+            yield block
+
+    def _require_reached(self) -> None:
+        """Refuse what the drive cannot do at all, or not without losing much of the move.
+
+        Raises
+        ------
+        InputError
+            Nothing of the trajectory can be reached, which is no drive's fault.
+        LimitError
+            The limits, or the delay, cost too much of the move, and that was not asked for.
+        """
+        rows = self.rows - self.rows_before
+        goes_on = isinstance(self.start, ModelState)
+        if self.rows and self.unreachable >= rows > 0 and not goes_on:
             raise InputError(
                 f"{self.source.name}: every row is outside what the model reaches ({self._range()}): check "
                 "unit, column and zero of the trajectory"
             )
-        if self.options.return_ is not None and self.state is not None and self.state.time is not None:
-            yield self._return(self.state, self.state.time, step)
+        if self.options.on_limit != "auto":
+            return
+        self._require_delay()
+        if not self.streamed:
+            self._require_little_cut_off()
+        elif self._lost_rms() > ALLOWED_PART * self.model.output.span:
+            raise LimitError(self._stream_ended())
+
+    def _require_delay(self) -> None:
+        """Refuse a delay that is longer than all that was read (LimitError)."""
+        delay = self.model.delay_seconds
+        if self.read_from is None or not self.rows or self.repeats:
+            return
+        if delay > self.read_to - self.read_from:
+            raise LimitError(
+                f"{self.source.name}: the model's delay, {delay:.4g} s, is longer than the move, "
+                f"{self.read_to - self.read_from:.4g} s, so that the drive would hold its last value "
+                "(`lead` auto lets it begin before; `on_limit` clip writes it all the same)"
+            )
+
+    def _require_little_cut_off(self) -> None:
+        """Refuse limits that cost more than a hundredth of the move (LimitError)."""
+        size, of_what = self.move_size()
+        lost = self._lost_rms()
+        if not self.clipped.count or lost <= ALLOWED_PART * size:
+            return
+        unit = self.model.output.suffix
+        raise LimitError(
+            f"{self._clipping()}: the move would miss {lost:.3g}{unit} RMS ({100.0 * lost / size:.2g} % of "
+            f"{of_what}), {self.cut_off.most:.3g}{unit} at worst; more than {100.0 * ALLOWED_PART:g} % is "
+            "not written (`on_limit` clip writes it)"
+        )
+
+    def move_size(self) -> tuple[float, str]:
+        """Return what a loss is compared with, and its name: how far the move goes, or the model's range."""
+        span = self.move.high - self.move.low
+        if span > 0.0:
+            return span, "the move"
+        return self.model.output.span, "the model's range"
+
+    def _stream_ended(self) -> str:
+        """Say why a stream ends: its rows so far miss too much."""
+        unit, size = self.model.output.suffix, self.model.output.span
+        return (
+            f"{self._clipping()}: the move misses more than {ALLOWED_PART * size:.3g}{unit} "
+            f"RMS, {100.0 * ALLOWED_PART:g} % of the model's range; the stream ends (`on_limit` clip goes "
+            "on)"
+        )
 
     def _see(self, desired: FloatArray, drive: FloatArray) -> None:
         self.move.see(desired, None)
-        if self.settling is not None:
-            self.settling.add(desired, drive)
+        for watcher in self.watchers:
+            watcher.add(desired, drive)
 
     def _played(self, before: Before, times: FloatArray, step: float) -> Iterator[Response]:
         """Play the voltages before a move, and go on from the state that they leave."""
         if before.voltage.size:
+            self.lead_in.see(before.voltage, None)
             yield self._response(times[1:], before.expected, before.voltage, step)
         if before.state is not None:
             self.state = before.state
@@ -178,55 +302,16 @@ class Compensation(ModelRun):
             )
         return median_step(forward)
 
-    def _before(self, first: float, step: float) -> Before:
+    def before_move(self, first: float, step: float) -> Before:
         """Return the pieces before the trajectory's first value."""
-        options, last, limits = self.options, self.gate.last, self.limits
-        lead = np.full(self._lead_rows(step), first)
-        state = self.start if isinstance(self.start, ModelState) else None
-        known = state is not None or options.from_ is not None
-        if not known and not options.condition and options.approach is None:
-            return Before(NOTHING, NOTHING, lead, None)
-        if last is None and not options.condition:
-            raise UsageError("`approach` needs `from_` VOLT (what the amplifier stands at) or a `state`")
-        rows: list[FloatArray] = []
-        if last is not None and options.approach is not None:
-            inside = min(max(last, limits.v_min), limits.v_max)
-            if options.condition:
-                inside = sweep_range(self.model, limits)[0]
-            seconds = options.approach if options.condition else "auto"
-            here = np.array([last] if state is None else [])  # a state's own row was played before
-            rows = [here, ramp("approach", last, inside, step, seconds, limits)]
-        if options.condition:
-            self.gate.require_start(step, None if rows else sweep_range(self.model, limits)[0])
-            rows.append(sweep(self.model, limits, step)[int(bool(rows)) :])
-        elif last is not None and options.approach is not None:
-            at_rest = state is None and rows[1].size == 0
-            rows.append(np.full(0 if at_rest else rest_samples(self.model, step), inside))
-        voltage = np.concatenate(rows) if rows else NOTHING
-        expected, there, creep = NOTHING, 0.0, 0.0
-        if voltage.size or state is None:
-            played = voltage if voltage.size or last is None else np.array([last])
-            begun = state or self.model.start(float(played[0]), self.start)
-            done = self.model.simulate(played, begun, time_step=step if self.steps.needed else None)
-            state, expected, there = done.state, done.y[: voltage.size], float(done.y[-1])
-            creep = float(done.y[-1] - done.y[-2]) if done.y.size > 1 else 0.0
-        elif options.approach is not None:
-            there = self.model.displacement_of(state)
-        desired = NOTHING
-        if options.approach is not None or options.condition:
-            seconds = "auto" if options.condition or options.approach is None else options.approach
-            desired = way(self.model, state, (there, first), creep, step, seconds, limits)
-        return Before(voltage, expected, np.concatenate([desired, lead]), state)
-
-    def _lead_rows(self, step: float) -> int:
-        """Return how many rows at the first value stand before a move."""
-        asked, options = self.options.lead, self.options
-        if asked is None and not options.condition and options.approach is None:
-            return 0
-        if asked is not None and asked != "auto":
-            return require_rows("`lead`", math.ceil(float(asked) / step - SLACK), step)
-        ahead = 0 if self.model.dynamics is None else self.model.dynamics.inverter(step).ahead
-        return ahead + math.ceil(self.model.delay_seconds / step - SLACK)
+        asked, last = self.options, self.gate.last
+        plan = BeforeMove(self.model, asked, self.limits, self.start, last, step)
+        before = plan.plan(first)
+        if asked.condition:
+            ramped = last is not None and asked.approach is not None
+            begin = None if ramped else sweep_range(self.model, self.limits)[0]
+            self.gate.require_start(step, begin)
+        return before
 
     def _return(self, state: ModelState, last_time: float, step: float) -> Response:
         """Return the ramp after the move; nothing is desired there."""
@@ -267,8 +352,12 @@ class Compensation(ModelRun):
             outside = (desired < reach.minimum - slack) | (desired > reach.maximum + slack)
             self.unreachable += int(np.count_nonzero(outside))
             self._clip(done, block)
-            if done.clipped_count:
-                self._miss(x - slow_model(self.model).follow(done.y, before, steps).y)
+            if self.clipped.count:
+                self._miss(x - self.model.slow.follow(done.y, before, steps).y, steps)
+                if self.stream_ends is not None:
+                    self._count_part(done, self.stream_ends + 1, x, before, steps)
+        else:
+            self.lead_in.see(done.y, None)
         self.missed = self.missed or done.first_missed
         self.gate.admit(done.y, steps)
         self.drive.see(done.y, steps)
@@ -285,18 +374,33 @@ class Compensation(ModelRun):
         if self.options.on_limit == "error" and self.clipped.count:
             raise LimitError(f"{self._clipping()} (`on_limit` clip goes on)")
 
-    def _miss(self, missed: FloatArray) -> None:
-        """Add up by how much rows of the move miss what is wanted, where samples of them were clipped."""
-        self.lost += float(missed @ missed)
-        self.most_lost = max(self.most_lost, float(np.abs(missed).max()))
+    def _miss(self, missed: FloatArray, steps: float | FloatArray | None) -> None:
+        """Add up by how much rows of the move miss what is wanted, from the first clipped one on."""
+        rows = self.rows - self.rows_before - missed.size
+        squares = self.cut_off.squares
+        off = self.cut_off.add(missed, steps)
+        if self.streamed and self.options.on_limit == "auto":
+            allowed = ALLOWED_PART * self.model.output.span
+            self.stream_ends = first_beyond(squares, rows, off, allowed)
+
+    def _count_part(
+        self, done: Simulated, count: int, x: FloatArray, before: ModelState, steps: float | FloatArray | None
+    ) -> None:
+        """Count the first rows of a block alone, with which a stream ends, as it was cut there."""
+        part = steps[:count] if isinstance(steps, np.ndarray) else steps
+        begun = self._run(x[:count], before, time_step=part)
+        self.clipped.count += begun.clipped_count - done.clipped_count
+        self.rows += count - x.size
 
     def _lost_rms(self) -> float:
-        return math.sqrt(self.lost / max(self.rows - self.rows_before, 1))
+        return self.cut_off.rms(self.rows - self.rows_before)
 
-    def keep_history(self) -> None:
-        """Write the history, where one is asked for."""
-        if self.options.history is not None and self.lesson is not None:
-            write_history(self.options.history, self.lesson.passes)
+    def desired_rows(self, asked: FloatArray) -> FloatArray:
+        """Return what is desired in the last rows of the move that were run, of what the model was asked."""
+        return asked
+
+    def finish(self) -> None:
+        """Write what belongs beside the drive, once that is written; a plain move needs nothing."""
 
     # --- what is said ---
 
@@ -305,7 +409,7 @@ class Compensation(ModelRun):
             unit = self.model.output.suffix
             remarks.warn(
                 f"{self._clipping()}: clipped, by which the move misses {self._lost_rms():.3g}{unit} RMS, "
-                f"{self.most_lost:.3g}{unit} at worst (`on_limit` error refuses this)"
+                f"{self.cut_off.most:.3g}{unit} at worst (`on_limit` error refuses this)"
             )
         elif self.beyond.count:
             super()._add_limits(remarks)
@@ -314,7 +418,8 @@ class Compensation(ModelRun):
                 f"{self.source.name}: the drive starts {abs(self.missed):.3g}{self.input.suffix} off the "
                 "first value, which the actuator does not pass when it settles (`state` empty or `condition`)"
             )
-        if beyond := beyond_range(self.model.input, self.drive.low, self.drive.high):
+        beyond = beyond_range(self.model.input, self.drive.low, self.drive.high)
+        if beyond and self.options.extrapolate:  # else the amplifier stood there, and only came inwards
             remarks.warn(f"{self.source.name}: the drive goes {beyond}")
 
     def remarks(self) -> Remarks:
@@ -324,8 +429,8 @@ class Compensation(ModelRun):
         remarks.add(super().remarks())
         name = self.source.name
         remarks.note(f"{name}: {text}" for text in self._notes())
-        if self.settling is not None:
-            remarks.note(self.settling.notes(name, self.drive))
+        for watcher in self.watchers:
+            remarks.note(watcher.notes(name, self.drive))
         farad, drive = self.options.farad, self.drive
         if farad is not None and drive.seconds:
             volts = float(volts_a_unit(self.model))
@@ -351,6 +456,8 @@ class Compensation(ModelRun):
         asked = self.options
         if read := plain_in(self.model.input.unit, asked.v_min, asked.v_max, asked.max_slew, asked.from_):
             yield read
+        if self.lead_in.rows:
+            yield self._lead_in_said()
         if held := limits_note(self.model.input, self.limits, asked.v_min, asked.v_max):
             yield held
         if first is not None and self.came_from is None:
@@ -369,8 +476,22 @@ class Compensation(ModelRun):
                 f"the drive is in the voltages of the model's logs {scale} (`gain` of waveform takes it back "
                 "to the converter's)"
             )
-        if self.lesson is None and self.rows and self.expecting:
+        if self.states_error and self.rows and self.expecting:
             yield from self._expected_error()
+
+    def _lead_in_said(self) -> str:
+        """Say what stands before the first row."""
+        figures, unit = self.lead_in, self.output.suffix
+        return (
+            f"before the first {self.first_what} stand {figures.rows:,} rows, {self.lead_in_seconds:.4g} s, "
+            f"from {figures.low:.6g} to {figures.high:.6g}{unit}{self.among_them}"
+        )
+
+    def summary_before(self) -> dict[str, Any]:
+        """Return what stands before the first row as plain values."""
+        figures = self.lead_in
+        reach = [figures.low, figures.high] if figures.rows else None
+        return {"rows": figures.rows, "seconds": self.lead_in_seconds, "range": reach}
 
     def _expected_error(self) -> Iterator[str]:
         """Say what error to expect of the move, unless the model does not know."""
@@ -394,7 +515,7 @@ class Compensation(ModelRun):
         rmse, covered = self.model.fit.get("expected_rmse"), self.model.input
         slack = SLACK * covered.span
         beyond = self.drive.low < covered.minimum - slack or self.drive.high > covered.maximum + slack
-        if self.lesson is not None or not isinstance(rmse, float) or beyond:
+        if not self.states_error or not isinstance(rmse, float) or beyond:
             return None, None
         found = self._move_error()
         rmse = math.hypot(rmse if found is None else found.rmse, self._lost_rms())
@@ -423,3 +544,59 @@ class Compensation(ModelRun):
         if limits.max_slew is not None:
             said += f", {limits.max_slew:.6g}{drive.suffix}/s"
         return f"{self._counted(self.clipped)} beyond what the limits of the drive allow ({said})"
+
+
+def _first_rows(response: Response, count: int) -> Response:
+    """Return the first rows of a response."""
+    time = None if response.time is None else response.time[:count]
+    return Response(time, response.x[:count], response.y[:count])
+
+
+def compensation(
+    model: ActuatorModel,
+    source: Source,
+    options: DriveOptions,
+    brought: Mapping[str, Any] = NOTHING_BROUGHT,
+    last_row: int | None = None,
+) -> Compensation:
+    """Return the run of a forward model's inverse over a trajectory.
+
+    Parameters
+    ----------
+    model
+        A forward model.
+    source
+        The trajectory, under the name of the model's output.
+    options
+        What is asked of the drive.
+    brought
+        What the options that extras bring were given, by name. An extra either watches the run, or makes
+        another one in its place.
+    last_row
+        The last row that is answered; rows after it are only read ahead.
+
+    Raises
+    ------
+    UsageError
+        The limits are not in order, options exclude each other, or nothing brings one of them.
+    ModelError
+        The model is an inverse one.
+    """
+    model.require("forward")
+    watchers: list[Watcher] = []
+    make: Callable[..., Compensation] | None = None
+    of_make = {}
+    for name, value in brought.items():
+        watch = extensions.find("run", f"watch {name}")
+        if watch is not None:
+            watchers.append(watch(model, value))
+            continue
+        make = extensions.find("run", f"compensate {name}")
+        if make is None:
+            raise UsageError(f"`{name}` is no parameter of compensate")
+        of_make[name] = value
+    if make is None:
+        return Compensation(model, source, last_row=last_row, options=options, watchers=watchers)
+    run = make(model, source, options, of_make, last_row)
+    run.watchers = watchers
+    return run

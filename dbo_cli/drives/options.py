@@ -19,7 +19,7 @@ from dbo_cli.records import dataclass
 
 Seconds = float | Literal["auto"] | None
 NEED_TIME = (
-    "max_slew", "max_current", "condition", "approach", "lead", "return_", "periodic", "bandwidth"
+    "max_slew", "max_current", "condition", "approach", "lead", "return_", "bandwidth"
 )  # fmt: skip
 
 
@@ -40,8 +40,11 @@ class DriveOptions:
     max_current, capacitance : float, optional
         What the amplifier can deliver (A) into which load (F): a slew limit of their ratio, converted from
         volts a second.
-    on_limit : {"clip", "error"}
-        Clip and count where a limit is met, or raise LimitError.
+    on_limit : {"auto", "clip", "error"}
+        Where a limit is met: ``auto`` cuts off and counts what costs at most a hundredth of the move (RMS of
+        what it misses, over the difference between its largest and its least value; where it does not move,
+        over the model's range), and raises LimitError for more; ``clip`` cuts off whatever it costs;
+        ``error`` raises LimitError at the first row.
     state : str or ModelState
         ``auto``, ``empty``, ``full``, ``settled``, or a state to go on from.
     from_ : float, optional
@@ -53,25 +56,10 @@ class DriveOptions:
         Sweep the actuator into a known state first.
     lead : float or "auto", optional
         Seconds at the first value before a move that begins in motion; auto: what dynamics and delay need.
-        Of a loop: seconds of rest before its run-in (two passes at least), at the voltage that brings
-        the creep where the loop needs it; auto: as few as that takes.
     return_ : float or "auto", optional
         Seconds of a ramp at the end, back to where the drive came from (to 0, where that is not known).
     bandwidth : float, optional
-        Cut-off (Hz) of a zero-phase low-pass that rounds the trajectory's corners first; with recordings of
-        the last pass that of what is learned.
-    absolute : bool
-        With recordings of the last pass, learn the mean of the error, too; it is taken for the sensor's zero
-        otherwise.
-    history : str, optional
-        A file that keeps the error of each pass, so that growth is seen.
-    settle : float, optional
-        Say how long the drive has to be held, after a step over the whole move, until creep and ringing stay
-        within this distance (in the displacement's unit, or with its own: ``5nm``).
-    periodic : bool
-        The trajectory is one period of a loop; the drive is that of the settled loop.
-    passes : int
-        With ``periodic``, so many passes of run-in before it.
+        Cut-off (Hz) of a zero-phase low-pass that rounds the trajectory's corners first.
 
     Raises
     ------
@@ -85,7 +73,7 @@ class DriveOptions:
     max_slew: Figure = None
     max_current: Figure = None
     capacitance: Figure = None
-    on_limit: Literal["clip", "error"] = "clip"
+    on_limit: Literal["auto", "clip", "error"] = "auto"
     state: StartName | ModelState = "auto"
     from_: Figure = None
     approach: Seconds = None
@@ -93,16 +81,11 @@ class DriveOptions:
     lead: Seconds = None
     return_: Seconds = None
     bandwidth: float | None = None
-    absolute: bool = False
-    history: str | None = None
-    settle: float | str | None = None
-    periodic: bool = False
-    passes: int = 0
 
     def __post_init__(self) -> None:
         """Check every value, and what excludes what, before anything is read."""
-        if self.on_limit not in ("clip", "error"):
-            raise UsageError(f"`on_limit`: '{self.on_limit}' is none of clip, error")
+        if self.on_limit not in ("auto", "clip", "error"):
+            raise UsageError(f"`on_limit`: '{self.on_limit}' is none of auto, clip, error")
         self._check_limits()
         for name in ("approach", "lead", "return_"):
             check_seconds(name, getattr(self, name))
@@ -111,7 +94,7 @@ class DriveOptions:
     def _check_limits(self) -> None:
         if self.bandwidth is not None and not 0.0 < self.bandwidth < math.inf:
             raise UsageError(f"`bandwidth` {self.bandwidth:g}: give a positive number of Hz")
-        for name in ("max_slew", "max_current", "capacitance", "settle"):
+        for name in ("max_slew", "max_current", "capacitance"):
             value = getattr(self, name)
             if value is not None and not isinstance(value, str) and not value > 0.0:
                 raise UsageError(f"`{name}` {value:g}: give a number above 0")
@@ -127,21 +110,11 @@ class DriveOptions:
             check_range(self.v_min, self.v_max)
 
     def _check_pieces(self) -> None:
-        if self.passes and not self.periodic:
-            raise UsageError("`passes` is the run-in of a loop (`periodic`)")
-        if self.passes < 0:
-            raise UsageError(f"`passes` {self.passes}: give a whole number of passes")
         if self.condition and self.state != "auto":
             named = self.state if isinstance(self.state, str) else "a state"
             raise UsageError(
                 f"`condition` and `state` {named} exclude each other: the sweep makes its own state"
             )
-        if not self.periodic:
-            return
-        if self.condition:
-            raise UsageError("`periodic` and `condition` exclude each other (`passes` N runs a loop in)")
-        if self.return_ is not None:
-            raise UsageError("`periodic` and `return_` exclude each other: a loop goes on")
 
     def limits(self, model: ActuatorModel) -> DriveLimits:
         """Return the limits of the drive of a forward model."""
@@ -177,6 +150,11 @@ class DriveOptions:
         if self.max_slew == math.inf:
             needing.remove("max_slew")
         return f"`{needing[0]}` depends on it" if needing else None
+
+    @property
+    def rounding(self) -> float | None:
+        """Cut-off (Hz) with which the corners of the trajectory are rounded, where they are."""
+        return self.bandwidth
 
     @property
     def has_pieces(self) -> bool:

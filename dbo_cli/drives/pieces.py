@@ -27,10 +27,21 @@ SLEW_SPARE = 0.9
 """Of the slew limit: what lag and resonance add to a swing planned without them, and what the digits of time
 stamps take away (since 1970, 0.2 us each)."""
 SHORTEST_WAY = 0.1  # of the sweep's seconds: however short a way, what it excites stays small
+MUCH_LONGER = 2.0
+"""Times the rows of a swing of the drive: a way in displacement that takes more becomes that swing. Chosen;
+up to there the way in displacement is the gentler one for dynamics."""
 PLANS = 6  # tries to find how long a swing takes; the second is right where no memory matters
 
 
 NOTHING = np.zeros(0)
+
+
+class Chosen(NamedTuple):
+    """A piece of which the program chose how long it takes: its name, its rows, and what shortens it."""
+
+    what: str
+    rows: int
+    remedy: str
 
 
 class Before(NamedTuple):
@@ -44,12 +55,15 @@ class Before(NamedTuple):
         Displacements that the inverse follows, up to the trajectory's first value.
     state : ModelState, or None
         After the voltages; None where the run finds its start itself.
+    chosen : tuple of Chosen
+        The pieces of which nobody typed how long they take.
     """
 
     voltage: Floats
     expected: Floats
     desired: Floats
     state: ModelState | None
+    chosen: tuple[Chosen, ...] = ()
 
 
 def ramp(name: str, begin: float, end: float, step: float, seconds: Seconds, limits: DriveLimits) -> Floats:
@@ -143,22 +157,90 @@ def way(
     free = SWEEP_SECONDS * part if limits.max_slew is None else 0.0
     asked = float(seconds) if isinstance(seconds, float | int) else max(free, SHORTEST_WAY * SWEEP_SECONDS)
     count = swing_samples(end - begin, step, asked)
-    allowed = limits.largest_change(step)
-    if allowed is not None:
-        slow = model.without_lag
-        begun = dataclasses.replace(state, dynamics=None, undoing=None, history=None, drive_lag=None)
-        first = slow.drive_of(begun)
+    if limits.max_slew is None:
+        path = _way(begin, end, creep, count, step)
+    else:
+        path = _Slowed(model, state, ends, creep, step, limits).path(count)
+    _require_seconds("approach", seconds, path.size, step)
+    return path
+
+
+class _Slowed:
+    """Finds a way to a displacement that the drive can go within its slew limit.
+
+    A smooth way in displacement asks for a fast drive where the curve is flat. Slowed down everywhere, it may
+    take far longer than the drive needs for its own way; then the way is that of a smooth swing of the drive.
+    """
+
+    def __init__(
+        self,
+        model: ActuatorModel,
+        state: ModelState,
+        ends: tuple[float, float],
+        creep: float,
+        step: float,
+        limits: DriveLimits,
+    ) -> None:
+        self._model = model.without_lag
+        self._state = dataclasses.replace(state, dynamics=None, undoing=None, history=None, drive_lag=None)
+        self._ends, self._creep, self._step = ends, creep, step
+        self._limits = DriveLimits(limits.v_min, limits.v_max)
+        self._first = self._model.drive_of(self._state)
+        largest = limits.largest_change(step)
+        assert largest is not None and limits.max_slew is not None
+        self._allowed = SLEW_SPARE * largest
+        self._slew = SLEW_SPARE * limits.max_slew
+
+    def path(self, count: int) -> Floats:
+        """Return the displacements of a way of ``count`` rows, or of as many more as it needs."""
+        path = self._plain(count)
+        drive = self._drive_of(path)
+        fewest = max(count, self._swing_rows(drive))
         for _ in range(PLANS):
-            drive = slow.compensate(
-                _way(begin, end, creep, count, step), begun,
-                limits=DriveLimits(limits.v_min, limits.v_max), time_step=step,
-            ).y  # fmt: skip
-            largest = float(np.abs(np.diff(drive, prepend=drive[0] if first is None else first)).max())
-            if largest <= SLEW_SPARE * allowed:
+            largest = self._largest_step(drive)
+            if largest <= self._allowed:
+                return path
+            count = max(math.ceil(count * min(largest / self._allowed, 1e6)), count + 1)
+            if count > MUCH_LONGER * fewest:
+                return self._path_of_swing(fewest, drive)
+            path = self._plain(count)
+            drive = self._drive_of(path)
+        return path
+
+    def _plain(self, count: int) -> Floats:
+        return _way(*self._ends, self._creep, count, self._step)
+
+    def _drive_of(self, path: Floats) -> Floats:
+        done = self._model.compensate(path, self._state, limits=self._limits, time_step=self._step)
+        return done.y
+
+    def _largest_step(self, drive: Floats) -> float:
+        before = drive[0] if self._first is None else self._first
+        return float(np.abs(np.diff(drive, prepend=before)).max())
+
+    def _swing_rows(self, drive: Floats) -> int:
+        """Return how many rows a swing of the drive takes to where it has to be in the end."""
+        begin = drive[0] if self._first is None else self._first
+        return swing_samples(float(drive[-1] - begin), self._step, 0.0, self._slew)
+
+    def _path_of_swing(self, count: int, drive: Floats) -> Floats:
+        """Return the displacements that a swing of the drive to its end leads through."""
+        end = self._ends[1]
+        path = self._plain(count)
+        for _ in range(PLANS):
+            first = float(drive[0] if self._first is None else self._first)
+            voltage = swings([first, float(drive[-1])], [count])[1:]
+            path = self._model.simulate(voltage, self._state, time_step=self._step).y
+            # What creeps meanwhile makes it end a little off.
+            part = (np.arange(1.0, path.size + 1.0)) / path.size
+            path = path + soft_rise(part) * (end - path[-1])
+            path[-1] = end
+            drive = self._drive_of(path)
+            largest = self._largest_step(drive)
+            if largest <= self._allowed:
                 break
-            count = max(math.ceil(count * min(largest / (SLEW_SPARE * allowed), 1e6)), count + 1)
-    _require_seconds("approach", seconds, count, step)
-    return _way(begin, end, creep, count, step)
+            count = max(math.ceil(count * largest / self._allowed), count + 1)
+        return path
 
 
 def _way(begin: float, end: float, creep: float, count: int, step: float) -> Floats:

@@ -195,7 +195,8 @@ def _unbounded(rest: Prompt, block: Block, state: ModelState) -> tuple[Simulated
 
 def _held_back(rest: Prompt, block: Block, state: ModelState) -> tuple[Simulated, int]:
     """Return one sample whose drive is the bound that holds it back, and which one that is."""
-    wanted = float(_unbounded(rest, block, state)[1][0])
+    unbounded, drives = _unbounded(rest, block, state)
+    wanted = float(drives[0])
     part, rise = block.numbers[0].tolist()
     most = block.limits.largest_step(block.steps)
     step = None if most is None else float(np.ravel(most)[0])
@@ -217,7 +218,10 @@ def _held_back(rest: Prompt, block: Block, state: ModelState) -> tuple[Simulated
         drive = w if state.drive_lag is None else u + ((w - p) - part * (u - p)) / rise
         drive = min(max(drive, bounds[0]), bounds[1])
     drive = min(max(drive, block.limits.v_min), block.limits.v_max)
-    clipped = max(wanted - bounds[1], bounds[0] - wanted) > block.limits.slack(rest.drive.span)
+    # Where the lag has come to an end of the range, what is asked of the drive is hardly beyond it: the
+    # range holds back what the lag is to pass on.
+    beyond = max(wanted - bounds[1], bounds[0] - wanted) > block.limits.slack(rest.drive.span)
+    clipped = beyond or unbounded.clipped_count > 0
     held = replace(done.state, drive_lag=((w, 0.0, drive),))
     return Simulated(np.array([drive]), held, done.outside_count, 0, int(clipped), 0, done.first_missed), side
 
@@ -230,7 +234,7 @@ def _held_run(rest: Prompt, block: Block, state: ModelState, side: int) -> Simul
     """
     drive, lagged, inner = _ramp(rest, block, state, side)
     y, after = _followed(rest, block, state, inner)
-    held = _clearly_held(rest, block.of(slice(0, drive.size)), side, lagged, inner, y)
+    held = _clearly_held(rest, block.of(slice(0, drive.size)), side, inner, y)
     count = drive.size if held.all() else int(np.argmin(held))
     if count == 0:
         return Simulated(drive[:0], state)
@@ -286,21 +290,19 @@ def _followed(rest: Prompt, block: Block, state: ModelState, inner: Floats) -> t
     return y, after
 
 
-def _clearly_held(
-    rest: Prompt, block: Block, side: int, lagged: Floats, inner: Floats, y: Floats
-) -> NDArray[np.bool_]:
+def _clearly_held(rest: Prompt, block: Block, side: int, inner: Floats, y: Floats) -> NDArray[np.bool_]:
     """Return which samples ask for so much beyond what is reached that they are clipped, and counted so.
 
-    Near the ends of the gears a sample counts as outside by how far the demand goes beyond them, which only
-    the inverse knows, unless the model does not cover the demand anyhow.
+    A demand that much beyond what is reached is clipped however near the lag is to the end of the range: by
+    the lag's bound, or by the drive's. Near the ends of the gears a sample counts as outside by how far the
+    demand goes beyond them, which only the inverse knows, unless the model does not cover it anyhow.
     """
     gears, unclear = rest.forward_backlash, UNCLEAR * rest.drive.span
     missing = (through(rest.head, block.x) - y) * (side * _sense(rest))
     slope = float(gears.gears[:, 2].max()) + (sum(gears.relaxation.gain) if gears.relaxation else 0.0)
     outer = math.prod(least_slope(stage) for stage in rest.tail)
-    room = block.limits.v_max - lagged if side > 0 else lagged - block.limits.v_min
     tolerance = 2.0 * float((gears.gears[:, 0] * (1.0 - gears.gears[:, 3])).max())
     low, high = gears.x_range
     inside = (inner > low + tolerance) & (inner < high - tolerance)
-    beyond = (missing * outer / slope > unclear) & (room > unclear)
+    beyond = missing * outer / slope > unclear
     return beyond & (inside | rest.uncovered(block.x))

@@ -225,6 +225,11 @@ class ActuatorModel:
         """The same model without dynamics, drive lag and delay: gears, memories and curves."""
         return self.without(self.drive_lag, self.dynamics, self.delay)
 
+    @property
+    def slow(self) -> Self:
+        """The model without what lies behind its gears and points in time: dynamics and delay."""
+        return self.without(self.dynamics, self.delay)
+
     def without(self, *dropped: Stage | None) -> Self:
         """Return the same model without some of its stages."""
         kept = tuple(stage for stage in self.stages if not any(stage is one for one in dropped))
@@ -478,7 +483,7 @@ class ActuatorModel:
         return max(self.input.minimum, float(ends.min())), min(self.input.maximum, float(ends.max()))
 
     def _beyond(self, x: Floats) -> NDArray[np.intp]:
-        """Return the samples that lie beyond the model's input range: usually none, which ends tell soonest."""
+        """Return the samples beyond the model's input range; usually there are none, which the ends tell."""
         low, high = self._covered
         if x.size and x.min() >= low and x.max() <= high:
             return np.empty(0, np.intp)

@@ -508,7 +508,8 @@ def _stage(node: Node) -> Stage:
     if kind not in STAGES:
         brought: StageInFiles | None = extensions.find("model", kind)
         if brought is None:
-            known = ", ".join([*STAGES, *extensions.keys("model")])
+            of_extras = [key for key in extensions.keys("model") if key != SET_FORMAT]
+            known = ", ".join([*STAGES, *of_extras])
             raise node.refuse("type", f"{kind!r} is not a known stage; there are: {known}")
         return brought.read_stage(node)
     stage: Stage = _read(node, STAGES[kind].make, STAGES[kind].fields, ("type",))

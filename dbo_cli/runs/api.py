@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli import extensions
-from dbo_cli.drives.compensation import Compensation
+from dbo_cli.drives.compensation import Compensation, compensation
 from dbo_cli.drives.model_run import ModelRun
 from dbo_cli.errors import DboWarning, InputError, Remarks, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
     from dbo_cli.extras.live.controller import Controller
-    from dbo_cli.extras.repeat.learning import Tracked
     from dbo_cli.runs.identifying import IdentifyRun
     from dbo_cli.runs.reporting import TrackingOptions, TrackingReport
 
@@ -297,16 +296,18 @@ class Model:
             A limit was met and ``on_limit`` is ``error``, or the drive cannot begin within its limits.
         """
         from dbo_cli.drives.options import DriveOptions
-        from dbo_cli.extras.repeat.loop_drive import compensation
 
         state = files.start_of(options.get("state", "auto"), self.actuator)
+        brought = {name: options.pop(name) for name in brought_keywords("compensate") if name in options}
+        if np.size(tracked):
+            brought["tracked"] = tracked
         asked = record_of(DriveOptions, options | {"state": state}, "is no parameter of compensate")
         self.actuator.require("forward")
-        read, last = _rows_of(rows, not (asked.periodic or np.size(tracked)))
+        read, last = _rows_of(rows, not (brought.get("periodic") or "tracked" in brought))
         want = {self.output.quantity: files.quantity_wish(self.output, option="wanted", trajectory=True)}
         source = files.source_of(want, wanted, time=time, sample_rate=sample_rate, rows=read)
         files.bring_to(source, self.output.quantity, self.output, "the model")
-        run = compensation(self.actuator, source, asked, _tracked(tracked, self.actuator), last)
+        run = compensation(self.actuator, source, asked, brought, last)
         return _finished(run, return_state, details)
 
     def controller(self, sample_rate: float | None = None, **options: Any) -> Controller:
@@ -352,6 +353,12 @@ def record_of(record: type[Record], given: Mapping[str, Any], what: str) -> Reco
     return record(**given)
 
 
+def brought_keywords(command: str) -> list[str]:
+    """Return the keywords that the options of extras for a command are from Python (``history``)."""
+    keys = (key.partition(" --") for key in extensions.keys("option"))
+    return [option.replace("-", "_") for name, _, option in keys if name == command]
+
+
 def require_known(record: type[DataclassInstance], given: Mapping[str, Any], what: str) -> None:
     """Refuse keywords that are no fields of a record of options (UsageError, which lists the fields)."""
     known = {field.name for field in dataclasses.fields(record)}
@@ -366,25 +373,13 @@ def _rows_of(rows: str | None, ahead: bool) -> tuple[Rows, int | None]:
     return ((taken[0], None), taken[1]) if ahead else (taken, None)
 
 
-def _tracked(given: Any, model: ActuatorModel) -> list[Tracked]:
-    """Return recordings of a pass, whatever form they have."""
-    pair = isinstance(given, tuple) and len(given) == 2 and not any(map(is_log, given))
-    found = []
-    for number, one in enumerate([given] if pair or is_log(given) else given, start=1):
-        signals = [one] if is_log(one) else one
-        source = files.source_of(files.tracked_wishes(model), *signals, name=f"`tracked` {number}")
-        with closing(source):
-            found.append(files.tracked_of(source, model))
-    return found
-
-
 def _finished(run: ModelRun, return_state: bool, details: bool) -> Any:
     """Run to the end and return what was asked for."""
     with closing(run.source):
         responses = list(run.responses())
     if isinstance(run, Compensation):
-        run.keep_history()
         run.expecting = details  # playing other models over the move takes longer than the drive itself
+        run.finish()
     values = responses[0].y if len(responses) == 1 else np.concatenate([response.y for response in responses])
     remarks = run.remarks()
     assert run.state is not None

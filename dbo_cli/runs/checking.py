@@ -103,7 +103,7 @@ def check_file(
         remarks.add(meant.remarks)
         problems = read.dropped + [f"{against.name}: {problem}" for problem in meant.problems]
         most = None if options.tolerance is None else in_unit("tolerance", options.tolerance, unit)
-        slack = played_tolerance(meant.values, most) / abs(options.gain)
+        slack = played_tolerance(meant.values, values * options.gain, most) / abs(options.gain)
         meant_rows = meant.block.rows
         require_voltages(meant.values, lambda row: f"{against.name}: row {meant_rows[row]:,}")
     suffix = f" {unit}" if unit else ""
@@ -232,6 +232,10 @@ def _lines(name: str, checked: CheckedDrive, unit: str | None) -> list[str]:
         late = f" ({one['lag_seconds'] * 1e3:.4g} ms)" if one["lag_seconds"] else ""
         gain, after = one["amplifier_gain"], ", at another rate" if one["resampled"] else ""
         after += f", times the amplifier's {gain:g}" if gain != 1.0 else ""
+        if one["read_back_noise"]:
+            after += (
+                f"; read back with noise of {one['read_back_noise']:.2g}{u} (up to {one['tolerance']:.2g}{u})"
+            )
         lines.append(
             f"  played: {one['rows']:,} rows, {one['lag_rows']} later{late}, gain {one['gain']:.6g}, offset "
             f"{one['offset']:.3g}{u}, largest difference {one['largest_difference']:.3g}{u}{after}"

@@ -11,6 +11,7 @@ import dataclasses
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import field
 from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -27,7 +28,6 @@ from dbo_cli.logs import request
 from dbo_cli.logs.columns import ColumnWish, OutColumn, split_header, wish
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, Rows
-from dbo_cli.logs.sample_block import joined
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.sources import ArraySource, Source, is_file, is_log, is_table, table_source
@@ -36,7 +36,6 @@ from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
     from dbo_cli.drives.options import DriveOptions
-    from dbo_cli.extras.repeat.learning import Tracked
     from dbo_cli.hysteresis.excitation import Excitation
 
 
@@ -96,8 +95,8 @@ class SignalRun:
         Where it starts, and what happens outside the model's range.
     drive
         What is asked of the drive, but for the state.
-    tracked, voltage, measured
-        Recordings of the last pass, and their columns.
+    brought
+        What the options that extras bring to ``compensate`` were given, by name.
     """
 
     model: str
@@ -108,9 +107,7 @@ class SignalRun:
     state: str = "auto"
     outside: Outside = "extend"
     drive: DriveOptions | None = None
-    tracked: Sequence[Address] = ()
-    voltage: str | None = None
-    measured: str | None = None
+    brought: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def option(self) -> str:
@@ -119,12 +116,8 @@ class SignalRun:
 
     def run(self, listener: Listener = SILENT) -> Remarks:
         """Write time (when known), the input column and the result: the model's output, or the drive."""
-        destination, model_file = self.destination, self.model
-        destination = destination.beside(self.column, self.voltage, self.measured, self.reading.time)
+        destination, model_file = self.protected(), self.model
         destination.check()
-        if self.drive is not None and self.drive.history is not None:
-            request.check_document(self.drive.history, "a history", "json")
-            check_outputs([destination.output, self.drive.history], destination.protect)
         check_order(model_file, self.log.text)
         request.check_format(self.reading.format, [self.log, destination.output])
         asked, model = dataclasses.replace(self, destination=destination), read_model(model_file)
@@ -132,6 +125,22 @@ class SignalRun:
             return asked._simulated(model, listener)
         model.require("forward", shown_name(model_file))
         return asked._compensated(model, self.drive, listener)
+
+    @property
+    def may_read_ahead(self) -> bool:
+        """Whether rows after the last one asked for may serve to undo delay and dynamics."""
+        return True
+
+    def refuse_many(self) -> None:
+        """Refuse what is not for many channels or files (UsageError); a plain run is."""
+
+    def protected(self) -> Destination:
+        """Return where the result goes, with all that it must not overwrite."""
+        return self.destination.beside(self.column, self.reading.time)
+
+    def brought_to(self, model: ActuatorModel, listener: Listener) -> Mapping[str, Any]:
+        """Return what was brought, as ``compensation`` takes it: files are read."""
+        return self.brought
 
     def _simulated(self, model: ActuatorModel, listener: Listener) -> Remarks:
         ahead = model.direction == "inverse" and reads_ahead(model)
@@ -141,21 +150,21 @@ class SignalRun:
             return self._written(run, log, _column_of(log, model.input), listener)
 
     def _compensated(self, model: ActuatorModel, drive: DriveOptions, listener: Listener) -> Remarks:
-        from dbo_cli.extras.repeat.loop_drive import compensation
+        from dbo_cli.drives.compensation import compensation
 
         wanted = model.output
-        ahead = reads_ahead(model) or drive.bandwidth is not None
-        ahead = ahead and not (self.tracked or drive.periodic)
-        recordings = [self._recorded(one, model, listener) for one in self.tracked]
+        ahead = self.may_read_ahead and (reads_ahead(model) or drive.bandwidth is not None)
+        brought = self.brought_to(model, listener)
         with self._opened(wanted, ahead, listener) as log:
             options = dataclasses.replace(drive, state=start_of(self.state, model))
-            run = compensation(model, log, options, recordings, self.reading.rows[1] if ahead else None)
+            run = compensation(model, log, options, brought, self.reading.rows[1] if ahead else None)
+            run.streamed = self.destination.output.is_stream
             # Not under the name of what will be measured: a drive must not be taken for a recording.
             unit = log.columns[wanted.quantity].unit or wanted.unit
             given = OutColumn("desired", unit, "desired", may_be_blank=True)
             with all_or_none():
                 remarks = self._written(run, log, given, listener)
-                run.keep_history()
+                run.finish()
             return remarks
 
     @contextlib.contextmanager
@@ -172,13 +181,6 @@ class SignalRun:
                 listener.reading(log.opening_line())
             bring_to(log, taken.quantity, taken, shown_name(self.model))
             yield log
-
-    def _recorded(self, address: Address, model: ActuatorModel, listener: Listener) -> Tracked:
-        """Read the recording of a pass; ``rows`` are the trajectory's."""
-        want = tracked_wishes(model, self.voltage, self.measured)
-        with open_log(address, want, dataclasses.replace(self.reading, rows=ALL_ROWS)) as log:
-            listener.opened(log.describe())
-            return tracked_of(log, model)
 
     def _written(self, run: ModelRun, log: SignalLog, given: OutColumn, listener: Listener) -> Remarks:
         """Run to the end of the log and write what comes out, then the state."""
@@ -223,6 +225,22 @@ class SignalRun:
         if destination.live:
             remarks.read.clear()  # printed when the stream began
         return remarks
+
+
+def run_of_signals(brought: Mapping[str, Any], **asked: Any) -> SignalRun:
+    """Return the run of ``compensate``, as the extra makes it whose options were given.
+
+    Parameters
+    ----------
+    brought
+        What the options that extras bring were given, by name.
+    **asked
+        The fields of ``SignalRun``.
+    """
+    make: type[SignalRun] = SignalRun
+    for name in brought:
+        make = extensions.find("run", f"files of compensate {name}") or make
+    return make(**asked, brought=brought)
 
 
 def invert_model(model_file: str, output: Address) -> ActuatorModel:
@@ -298,8 +316,9 @@ def summary_of(
 
     expected, percent, clipped, asked = None, None, 0, dict[str, Any]()
     if isinstance(run, Compensation):
-        if run.settling is not None:
-            asked["settling"] = [one._asdict() for one in run.settling.times()]
+        for watcher in run.watchers:
+            asked |= watcher.summary()
+        asked["before"] = run.summary_before()
         expected, percent = run.expected_rmse()
         clipped = run.clipped.count
     return {
@@ -474,26 +493,6 @@ def source_of(
     arrays.values = dict(zip(want, arrays.values.values(), strict=True))
     arrays.columns = dict(zip(want, arrays.columns.values(), strict=True))
     return arrays
-
-
-def tracked_wishes(
-    model: ActuatorModel, voltage: str | None = None, measured: str | None = None
-) -> dict[str, ColumnWish]:
-    """Return the columns of a recording of a pass."""
-    return {
-        "voltage": quantity_wish(model.input, voltage, option="voltage"),
-        "measured": quantity_wish(model.output, measured, option="measured"),
-    }
-
-
-def tracked_of(source: Source, model: ActuatorModel) -> Tracked:
-    """Read a recording whole, in the units of the model."""
-    from dbo_cli.extras.repeat.learning import Tracked
-
-    bring_to(source, "voltage", model.input, "the model")
-    bring_to(source, "measured", model.output, "the model")
-    block = joined(list(source.blocks()))
-    return Tracked(source.name, block.values["voltage"], block.values["measured"], block.time)
 
 
 def start_of(

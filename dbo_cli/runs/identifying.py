@@ -117,15 +117,17 @@ def identify_recordings(
     return Identified(dataclasses.replace(found.model, provenance=provenance), found.summary, remarks)
 
 
-def sign_line(models: Mapping[str, ActuatorModel], noun: str = "channel") -> str:
-    """Return in words whether the displacement rises or falls with the voltage, of one model or of many."""
+def sign_line(models: Mapping[str, ActuatorModel]) -> str:
+    """Return in words whether displacement rises or falls as voltage rises, of the models of channels."""
     names: dict[Sign, list[str]] = {}
     for name, model in models.items():
         names.setdefault(model.sign, []).append(name)
     ways = sorted(names, key=lambda sign: -len(names[sign]))
     line = f"displacement {SIGN_VERBS[ways[0]]} as voltage rises"
     if len(ways) > 1:
-        line += f", but {SIGN_VERBS[ways[1]]} in {noun}s {named(names[ways[1]])}"
+        others = names[ways[1]]
+        plural = "s" if len(others) > 1 else ""
+        line += f", but {SIGN_VERBS[ways[1]]} in channel{plural} {named(others)}"
     return line
 
 

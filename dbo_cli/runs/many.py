@@ -47,8 +47,7 @@ def signals(asked: SignalRun, logs: Sequence[Address], work: Work, listener: Lis
     output = asked.destination.output
     if not _are_many(logs, output, asked.column):
         return Outcome(asked.run(listener))
-    if asked.tracked:
-        raise UsageError("`tracked` learns one trajectory at a time: one log, one column and one output")
+    asked.refuse_many()
     if wants_channels(output, asked.column):
         if len(logs) > 1:
             raise UsageError(f"{len(logs)} logs, and a pattern of columns of one: give one log")

@@ -93,6 +93,8 @@ class Bank(LiveDrive[ArrayLike, Any]):
 
     def _worked_out(self, wanted: ArrayLike) -> Pending:
         """Return what a plan comes to: voltages or codes, volts, which are clipped, and what is saved up."""
+        if self._live is None:
+            self._drop_all()
         frame = self._frame(wanted, "what is wanted")
         if self._coupling is not None and np.isfinite(frame).all():
             with np.errstate(over="ignore", invalid="ignore"):
@@ -126,11 +128,15 @@ class Bank(LiveDrive[ArrayLike, Any]):
             try:
                 planned.append(controller.plan(value))
             except DboError as problem:
-                for begun in self._controllers:
-                    begun.drop()
+                self._drop_all()
                 raise type(problem)(f"channel {channel}: {problem}") from None
         held_back = np.array([one.held_back for one in self._controllers])
         return np.array(planned), None, held_back, None, None
+
+    def _drop_all(self) -> None:
+        """Leave nothing to commit in any channel."""
+        for controller in self._controllers:
+            controller.drop()
 
     def _followed(self, applied: ArrayLike, pending: Pending | None) -> Pending:
         """Return what applied volts, or codes, come to, after all of them were checked."""

@@ -566,7 +566,7 @@ class Controller(LiveDrive[float, float | int]):
 
     def _state_after(self, volts: float) -> ModelState:
         """Return the state after a first voltage."""
-        begun = dataclasses.replace(self._model.start(volts, self._start), history=None)
+        begun = self._model.start(volts, self._start)
         return self._model.simulate([volts], begun, time_step=self._step_seconds).state
 
     def _take(self, pending: Pending) -> None:

@@ -110,6 +110,10 @@ class StepTimes:
             self._timed = [StepTime(*step, found[step]) for step in steps]
         return self._timed
 
+    def summary(self) -> dict[str, Any]:
+        """Return the steps as plain values for the summary of a run."""
+        return {"settling": [step._asdict() for step in self.times()]}
+
     def notes(self, name: str, drive: DriveFigures) -> list[str]:
         """Say how long a step over the whole drive, and each between levels, has to be held."""
         if not drive.rows:

@@ -14,10 +14,10 @@ from dbo_cli.drives.model_run import FAST_PART, FASTER
 from dbo_cli.drives.options import DriveOptions, Figure
 from dbo_cli.errors import Remarks, UsageError
 from dbo_cli.extras.moves.shapes import TrajectoryOptions, move
-from dbo_cli.extras.repeat.learning import trusted_frequency
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import read_model
 from dbo_cli.hysteresis.model_state import DriveLimits
+from dbo_cli.hysteresis.move_error import trusted_frequency
 from dbo_cli.logs.columns import OutColumn
 from dbo_cli.logs.request import check_format
 from dbo_cli.logs.signal_writer import signal_writer

@@ -20,13 +20,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dbo_cli.drives.options import DriveOptions
 from dbo_cli.drives.pieces import soft_rise
 from dbo_cli.errors import InputError, Remarks
+from dbo_cli.extras.repeat.options import RepeatOptions
 from dbo_cli.extras.repeat.settled_loops import settled_run
 from dbo_cli.hysteresis.dynamics import Resonance, ZeroPhaseLowPass
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.move_error import rms
+from dbo_cli.hysteresis.move_error import rms, trusted_frequency
 from dbo_cli.logs.sample_block import SAME_RATE, FloatArray, even_step
 from dbo_cli.logs.sources import Source, WholeSource
 from dbo_cli.logs.whole_output import write_whole
@@ -76,11 +76,6 @@ def write_history(path: str, passes: Sequence[PassRecord]) -> None:
     write_whole(path, (json.dumps(content, indent=2) + "\n").encode())
 
 
-RESONANCE_PART = 3.0
-"""A model is trusted to its lowest resonance over this, where its identification says nothing else.
-
-There an error of 10 % in the frequency leaves a relative error of 3 %; at the resonance one above 1.
-"""
 TRUSTED_ERROR = 1.0 / 3.0  # of what was asked for, in a third of an octave: a pass takes two thirds off
 ENERGY = 1e-3
 """Of the strongest third of an octave (amplitude): with less in it, a band says nothing of the model."""
@@ -162,7 +157,7 @@ class RepeatedMove:
     desired: FloatArray
     time: FloatArray
     step: float
-    options: DriveOptions
+    options: RepeatOptions
 
     @property
     def unit(self) -> str:
@@ -340,7 +335,7 @@ class RepeatedMove:
 
 
 def learned_source(
-    model: ActuatorModel, source: Source, recordings: Sequence[Tracked], options: DriveOptions
+    model: ActuatorModel, source: Source, recordings: Sequence[Tracked], options: RepeatOptions
 ) -> tuple[WholeSource, Lesson]:
     """Return a source of what to ask for next, and the lesson."""
     history = [] if options.history is None else read_history(options.history)
@@ -365,16 +360,6 @@ def _resting_ends(learned: FloatArray, per_sample: float) -> FloatArray:
     begun = learned[0] + weight * (learned - learned[0])
     rested: FloatArray = begun[-1] + weight[::-1] * (begun - begun[-1])
     return rested
-
-
-def trusted_frequency(model: ActuatorModel) -> float | None:
-    """Return the frequency (Hz) to which a model can be trusted, or None where it does not know."""
-    known = model.fit.get("trusted_hz")
-    if isinstance(known, int | float) and not isinstance(known, bool) and known > 0.0:
-        return float(known)
-    if model.dynamics is not None and model.dynamics.resonances:
-        return model.dynamics.resonances[0].frequency / RESONANCE_PART
-    return None
 
 
 def _safe(model: ActuatorModel) -> float:

@@ -9,25 +9,34 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import field
 
 import numpy as np
 
-from dbo_cli.drives.compensation import SAME_DRIVE, Compensation
+from dbo_cli.drives.before import longest_chosen, require_short
+from dbo_cli.drives.compensation import SAME_DRIVE
+from dbo_cli.drives.cut_off import ALLOWED_PART
 from dbo_cli.drives.model_run import Response, Tally
-from dbo_cli.drives.options import DriveOptions
-from dbo_cli.drives.pieces import NOTHING, SHORTEST_WAY, Before, ramp, require_rows, rest_samples, soft_rise
-from dbo_cli.errors import InputError, LimitError, UsageError
+from dbo_cli.drives.pieces import (
+    NOTHING,
+    SHORTEST_WAY,
+    Before,
+    Chosen,
+    ramp,
+    require_rows,
+    rest_samples,
+    soft_rise,
+)
+from dbo_cli.errors import InputError, LimitError
 from dbo_cli.extras.repeat import settled_loops as loops
-from dbo_cli.extras.repeat.learning import Tracked, learned_source
+from dbo_cli.extras.repeat.learned_drive import LearnedCompensation
 from dbo_cli.extras.repeat.settled_loops import Settled
 from dbo_cli.hysteresis.dynamics import ZeroPhaseLowPass, undone
 from dbo_cli.hysteresis.kernel import towards
-from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import ModelState
 from dbo_cli.logs.sample_block import FloatArray
-from dbo_cli.logs.sources import Source, WholeSource
+from dbo_cli.logs.sources import WholeSource
 from dbo_cli.records import dataclass
 
 FEWEST_ROWS = 4  # of a period: fewer have no shape
@@ -41,6 +50,7 @@ MOST_STARTS = 60  # tries for a loop that its own start leads to; halving brings
 MOST_RUN_INS = 10  # tries for a run-in or a ramp that leads to the loop it ends on; two or three are usual
 REST_PLANS = 4  # the way to a rest and the loop's own start depend on its level, each time by a few percent
 LED_IN = 2  # passes after a rest, at least: one to fade over, one of the loop for its gears and its ringing
+REACHED = 0.999  # of the longest rest: it was cut there
 LOOP_ERROR = 1e-6  # of the move: a loop that the model repeats further off than this is none
 FADES = ((0.5, 0.1), (0.7, 0.4), (0.8, 0.2), (0.9, 0.6))
 """Where a run-in fades over to the settled drive, in parts of it before its end, the gentlest first: where
@@ -54,7 +64,7 @@ Led = tuple[Before, FloatArray, FloatArray, Settled, ModelState | None]
 
 
 @dataclass
-class LoopCompensation(Compensation):
+class LoopCompensation(LearnedCompensation):
     """The drive of a settled loop, with ``options.passes`` passes of run-in before it, in negative time.
 
     Attributes
@@ -71,6 +81,8 @@ class LoopCompensation(Compensation):
     step: float = field(init=False)
     period: FloatArray = field(init=False)
 
+    repeats = True
+    first_what = "period"
     remedies = ""  # a loop is run in instead of swept
 
     def responses(self) -> Iterator[Response]:
@@ -85,6 +97,7 @@ class LoopCompensation(Compensation):
         GateError
             A row breaks a limit: this program's fault.
         """
+        self.streamed = False  # a period is known whole before its first row leaves
         self.whole = self.source if isinstance(self.source, WholeSource) else WholeSource(self.source)
         self.step = step = self.whole.even_step("`periodic` needs an even clock")
         block, passes = self.whole.block, self.options.passes
@@ -104,20 +117,22 @@ class LoopCompensation(Compensation):
         times = np.asarray(zero - step * np.arange(count, 0, -1.0), dtype=np.float64)
         firsts = before.voltage if played else NOTHING if run_in.size else settled.done.y
         self.gate.require_start(step, float(firsts[0]) if firsts.size else None)
-        if played:
-            yield self._response(times[:played], before.expected, before.voltage, step)
+        self.lead_in_seconds = step * count
+        self.lead_in.see(np.concatenate([before.voltage, run_in]), None)
         if run_in.size:
-            yield self._response(times[played:], followed, run_in, step)
-            self.remarks_before.notes.append(
-                f"{self.source.name}: before the first period stand {count:,} rows, {step * count:.3g} s, "
-                f"{passes} pass{'es' if passes > 1 else ''} of run-in among them"
-            )
+            self.among_them = f", {passes} pass{'es' if passes > 1 else ''} of run-in among them"
+        require_short(self.source.name, before.chosen, step, step * asked.size)
         drive = self._closed(settled.done.y)
         self._count(settled)
         if begun is None:
             begun = self.model.start(float(drive[0]), self.start)
         self._require_loop(settled, begun)
         self.move.see(desired, None)
+        self._require_reached()
+        if played:
+            yield self._response(times[:played], before.expected, before.voltage, step)
+        if run_in.size:
+            yield self._response(times[played:], followed, run_in, step)
         end = loops.settled_run(self.model, drive, step, settled.before).state.dynamics
         time = None if block.time is None else float(block.time[-1])
         self.state = dataclasses.replace(settled.done.state, dynamics=end, time=time)
@@ -131,7 +146,10 @@ class LoopCompensation(Compensation):
         self.beyond.add(done.outside_count, done.first_outside, block)
         self._clip(done, block)
         if done.clipped_count:
-            self._miss(self.period - loops.slow_output(self.model, done.y, self.step, settled.before))
+            missed = self.period - loops.slow_output(self.model, done.y, self.step, settled.before)
+            if self.model.dynamics is not None:
+                missed = self.model.dynamics.loop(missed, self.step)[0]
+            self.cut_off.add_displacement(missed)
         seam, inside = abs(float(done.y[0] - done.y[-1])), float(np.abs(np.diff(done.y)).max())
         self.remarks_before.notes.append(
             f"{self.source.name}: the drive's step at the loop's seam is {seam:.3g}{unit}, the largest "
@@ -153,7 +171,8 @@ class LoopCompensation(Compensation):
             self._note_settling(settled, begun)
             return
         text = f"{self.source.name}: the loop does not settle: {why}"
-        if self.options.on_limit == "error":
+        much = away > ALLOWED_PART * move
+        if self.options.on_limit == "error" or (self.options.on_limit == "auto" and much):
             raise LimitError(f"{text} (`on_limit` clip writes it all the same)")
         self.remarks_before.warn(text)
 
@@ -180,7 +199,7 @@ class LoopCompensation(Compensation):
         passes = self.options.passes
         if self.options.lead is not None:
             return self._run_in_from_rest(asked)
-        before = self._before(float(asked[0]), self.step) if passes else self._ramp_before()
+        before = self.before_move(float(asked[0]), self.step) if passes else self._ramp_before()
         settled = self._settled(before.state or self._begun(float(self.period[0])))
         if passes:
             desired = np.concatenate([before.desired, self._approached(asked, float(asked[0]))])
@@ -195,7 +214,9 @@ class LoopCompensation(Compensation):
         What the plan of the rest leaves out, gears that the run-in reaches, is measured and taken off.
         """
         bias, within, start = 0.0, self._stated()[0], self.came_from
-        seconds = (0.0, math.inf) if self.options.lead == "auto" else (float(self.options.lead or 0.0),) * 2
+        longest = longest_chosen(self.step * self.period.size)
+        automatic = self.options.lead == "auto"
+        seconds = (0.0, longest) if automatic else (float(self.options.lead or 0.0),) * 2
         for _ in range(REST_PLANS):
             self.rows, self.rows_before, self.clipped = 0, 0, Tally()  # of the last try alone
             before = self._rest_before(start, seconds, bias)
@@ -215,6 +236,12 @@ class LoopCompensation(Compensation):
             f"{self.source.name}: for the creep the drive rests {self.step * rows:.3g} s at "
             f"{before.voltage[-1]:.6g}{self.output.suffix} before the run-in"
         )
+        if automatic and self.step * rows >= REACHED * longest and abs(off) > within:
+            self.remarks_before.warn(
+                f"{self.source.name}: `lead` auto rests {longest:.4g} s at most, after which the creep "
+                f"still moves the mean of the first period by {abs(off):.3g}{self.input.suffix} (`lead` "
+                "SECONDS rests as long as it says)"
+            )
         return before, desired, run_in, settled, begun
 
     def _approached(self, asked: FloatArray, first: float) -> FloatArray:
@@ -229,7 +256,7 @@ class LoopCompensation(Compensation):
         settled, memory = self._settled(known or self._begun(float(self.period[0]))), None
         within, swing = self._stated()[0], self.options.approach
         if come and between[1] > between[0]:  # what the ramp made ring dies away
-            between = step * rest_samples(model, step), math.inf
+            between = step * rest_samples(model, step), between[1]
         if swing is None:
             swing = "auto" if come or self.limits.max_slew is not None else SHORTEST_WAY
         passes, count = self.options.passes, self.period.size
@@ -248,7 +275,14 @@ class LoopCompensation(Compensation):
         rest = np.full(require_rows("`lead`", math.ceil(seconds / step), step), level)
         rested = model.simulate(rest, done.state, time_step=step)
         expected = np.concatenate([done.y, rested.y])
-        return Before(np.concatenate([voltage, rest]), expected, NOTHING, rested.state)
+        chosen = self._chosen_ramp(voltage)
+        return Before(np.concatenate([voltage, rest]), expected, NOTHING, rested.state, chosen)
+
+    def _chosen_ramp(self, voltage: FloatArray) -> tuple[Chosen, ...]:
+        """Return the ramp to a loop as a piece that was chosen, where nobody typed its seconds."""
+        if isinstance(self.options.approach, float | int):
+            return ()
+        return (Chosen("the ramp", voltage.size, "`approach` SECONDS or a larger `max_slew`"),)
 
     def _ramp_before(self) -> Before:
         """Return the ramp to a loop without a run-in; it ends on the first row of the settled drive."""
@@ -256,7 +290,7 @@ class LoopCompensation(Compensation):
         known = self.start if isinstance(self.start, ModelState) else None
         if approach is None or last is None:
             if approach is not None:
-                self._before(float(self.period[0]), self.step)  # says what is missing
+                self.before_move(float(self.period[0]), self.step)  # says what is missing
             return Before(NOTHING, NOTHING, NOTHING, known)
 
         def to(target: float) -> FloatArray:
@@ -268,7 +302,7 @@ class LoopCompensation(Compensation):
             raise LimitError(
                 f"{self.source.name}: no ramp was found that ends where the loop begins (`passes` runs it in)"
             )
-        return before
+        return before._replace(chosen=self._chosen_ramp(before.voltage))
 
     def _leading(self, begun: ModelState, to: Callable[[float], FloatArray]) -> Before | None:
         """Return the rows ``to`` the first row of the loop that they lead to, or None."""
@@ -465,46 +499,3 @@ def _require_closed(name: str, period: FloatArray) -> None:
             f"{period[0]:.6g}, is a step of {seam:.3g} where the largest inside is {inside:.3g} (give one "
             "whole period, without its first row again at the end)"
         )
-
-
-def compensation(
-    model: ActuatorModel,
-    source: Source,
-    options: DriveOptions,
-    tracked: Sequence[Tracked] = (),
-    last_row: int | None = None,
-) -> Compensation:
-    """Return the run of a forward model's inverse over a trajectory.
-
-    Parameters
-    ----------
-    model
-        A forward model.
-    source
-        The trajectory, under the name of the model's output.
-    options
-        What is asked of the drive.
-    tracked
-        Recordings of the last pass of this trajectory, to learn from.
-    last_row
-        The last row that is answered; rows after it are only read ahead.
-
-    Raises
-    ------
-    UsageError
-        The limits are not in order, or options exclude each other.
-    ModelError
-        The model is an inverse one.
-    InputError
-        A recording is not of this trajectory, or the error grew.
-    """
-    model.require("forward")
-    if options.history is not None and not tracked:
-        raise UsageError("`history` keeps the error of the passes that `tracked` recorded: give both")
-    lesson = None
-    if tracked:
-        source, lesson = learned_source(model, source, tracked, options)
-    if options.periodic and options.lead is not None:
-        options = dataclasses.replace(options, passes=max(options.passes, LED_IN))
-    make = LoopCompensation if options.periodic else Compensation
-    return make(model, source, last_row=last_row, options=options, lesson=lesson)

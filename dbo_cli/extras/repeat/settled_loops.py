@@ -101,7 +101,7 @@ def settled_drive(
 
 def looped_state(model: ActuatorModel, drive: Floats, step: float, state: ModelState) -> ModelState:
     """Return the state before a pass, of gears, memory and drive lag, when a drive was repeated for ever."""
-    inner, seconds = slow_model(model), drive.size * step
+    inner, seconds = model.slow, drive.size * step
     begun = dataclasses.replace(state, dynamics=None, undoing=None, history=None)
     for lagging in (None, model.drive_lag):  # a pass for what reaches further at first, one for the loop
         if lagging is not None:
@@ -119,13 +119,8 @@ def looped_state(model: ActuatorModel, drive: Floats, step: float, state: ModelS
 
 def slow_output(model: ActuatorModel, drive: Floats, step: float, before: ModelState) -> Floats:
     """Return what gears, points and creep make of one period, without dynamics and delay behind them."""
-    inner = slow_model(model)
+    inner = model.slow
     return inner.simulate(drive, before, time_step=step).y
-
-
-def slow_model(model: ActuatorModel) -> ActuatorModel:
-    """Return a model without what lies behind its gears and points in time."""
-    return model.without(model.dynamics, model.delay)
 
 
 def settled_run(model: ActuatorModel, drive: Floats, step: float, state: ModelState) -> Simulated:
@@ -163,7 +158,7 @@ def settling(
     rest = begun.backlash.memory
     if rest is None and model.needs_time:  # at rest at the sample to come: what it has after that
         still = dataclasses.replace(begun, dynamics=None, undoing=None, history=None)
-        after = slow_model(model).simulate(drive[:1], still, time_step=step).state
+        after = model.slow.simulate(drive[:1], still, time_step=step).state
         rest = after.backlash.memory
     if terms is None or memory is None or rest is None:
         return first, int(abs(first) > within)

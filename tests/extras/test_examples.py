@@ -14,7 +14,7 @@ from conftest import SMALL_MODEL
 
 import dbo_cli as dbo
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "examples"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples"))
 import nidaqmx_live
 from piezo_axis import PiezoAxis
 

@@ -16,7 +16,7 @@ import dbo_cli
 from dbo_cli.extras.channels.excitation import channel_drives
 from dbo_cli.hysteresis.excitation import Excitation
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "cluster.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "cluster.md"
 CHANNELS = 4
 
 

@@ -92,6 +92,29 @@ def columns_of(text: str) -> dict[str, list[str]]:
 # --- identify ---
 
 
+def test_channels_whose_sign_differs_are_named(mirror: Any, whole_dbo: Any) -> None:
+    time, volts, *others = np.loadtxt("log.csv", delimiter=",", skiprows=1).T
+    first, _, _, second, _, _, third, _ = others
+    names = dict(zip(CHANNELS, (first, -second, third), strict=True))
+    columns = {"time_s": time}
+    for channel, moved in names.items():
+        columns |= {f"V_{channel} (V)": volts, f"D_{channel} (um)": moved}
+    write_table("turned.csv", columns)
+    words = ("identify", "turned.csv", *QUICK, "--voltage", "V_{}", "--displacement", "D_{}", "-o", "m.json")
+    said = whole_dbo(*words, "--summary", "s.json")
+    odd = CHANNELS[1]
+    assert said.code == 0
+    line = f"displacement rises as voltage rises, but falls in channel {odd}"
+    assert said.err.splitlines()[0].endswith(f"; 3 channels: voltage 'V_{{}}', displacement 'D_{{}}'; {line}")
+    assert f"warning: {line}: are leads exchanged, or does a sensor face away?\n" in said.err
+    signs = [(one["channel"], one["sign"]) for one in json.loads(Path("s.json").read_text())]
+    assert signs == [(CHANNELS[0], "rising"), (odd, "falling"), (CHANNELS[2], "rising")]
+    Path("m.json").unlink()
+    said = whole_dbo(*words, "--sign", "rising")
+    assert said.code == 3 and not Path("m.json").exists()
+    assert f"dbo: error: channel {odd}: turned.csv: displacement falls as voltage rises" in said.err
+
+
 def test_identify_makes_the_models_that_the_columns_alone_give(mirror: Any) -> None:
     said = mirror(
         "identify", "log.csv", *QUICK, "--voltage", "V_{}", "--displacement", "D_{channel}", "-o", "made.json"

@@ -100,11 +100,12 @@ def test_a_model_with_dynamics_is_followed_to_rounding(delay: float) -> None:
 
 def test_clipping_by_corners_is_told_from_clipping_by_place() -> None:
     corner = np.interp(TIME, [0.0, 0.1, 0.15, 0.2, 0.3], [1.0, 1.0, 12.0, 1.0, 1.0])
-    done = Model(actuator()).compensate(corner, sample_rate=RATE, details=True)
+    done = Model(actuator()).compensate(corner, sample_rate=RATE, on_limit="clip", details=True)
     assert done.clipped > 0
     assert any("corners and the speed of the trajectory" in note and "`bandwidth` 267" in note
                for note in done.notes)  # fmt: skip
-    rounded = Model(actuator()).compensate(corner, sample_rate=RATE, bandwidth=100.0, details=True)
+    clip: dict[str, Any] = {"sample_rate": RATE, "on_limit": "clip", "details": True}
+    rounded = Model(actuator()).compensate(corner, bandwidth=100.0, **clip)
     assert rounded.clipped < done.clipped
     (note,) = (note for note in rounded.notes if "takes off" in note)
     assert note == "`wanted`: `bandwidth` 100 takes off 0.0186 um (RMS), 0.248 um at most"
@@ -132,7 +133,7 @@ def test_a_move_that_ends_on_the_move_is_warned_of() -> None:
 
 def test_a_move_that_begins_on_the_move_is_warned_of() -> None:
     wanted = 6.0 + 3.0 * np.sin(2.0 * np.pi * 80.0 * TIME)
-    done = Model(actuator()).compensate(wanted, **WIDE)
+    done = Model(actuator()).compensate(wanted, on_limit="clip", **WIDE)
     assert any("begins on the move" in text for text in done.warnings)
     assert not any(
         "begins on the move" in text for text in Model(actuator()).compensate(move(), **WIDE).warnings
@@ -385,7 +386,7 @@ def test_a_loop_that_no_start_leads_to_has_a_row_before_it() -> None:
 def test_a_loop_of_which_the_limits_leave_one_voltage_is_written(slew: float | None) -> None:
     wanted = 5.0 + 0.5 * np.cos(2.0 * np.pi * np.arange(60) / 60)
     asked: dict[str, Any] = {"sample_rate": 1000.0, "periodic": True, "details": True, "max_slew": slew}
-    done = Model(gears_alone(2)).compensate(wanted, v_min=49.0, v_max=50.0, **asked)
+    done = Model(gears_alone(2)).compensate(wanted, v_min=49.0, v_max=50.0, on_limit="clip", **asked)
     before, drive = done.values[:-60], done.values[-60:]
     assert drive.tolist() == [49.0] * 60 and before.size == (1 if slew is None else 4)
     assert 49.0 <= done.values.min() and done.values.max() <= 50.0
@@ -478,7 +479,7 @@ def test_compensate_says_how_long_to_hold_a_step() -> None:
     done = Model(actuator()).compensate(move(), settle=0.05, **WIDE)
     (text,) = (text for text in done.notes if "creep and ringing" in text)
     assert re.search(r"that is held, creep and ringing stay within 0.05 um after [\d.]+ s$", text)
-    with pytest.raises(UsageError, match="`settle` -1: give a number above 0"):
+    with pytest.raises(UsageError, match=r"`settle` -1\.0: give a distance above 0"):
         Model(actuator()).compensate(move(), settle=-1.0, **WIDE)
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-WORKFLOW = Path(__file__).resolve().parent.parent / "workflow"
+WORKFLOW = Path(__file__).resolve().parents[2] / "workflow"
 MAKE, SNAKEMAKE = shutil.which("make"), shutil.which("snakemake")
 DBO = f"{sys.executable} -m dbo_cli"
 NAMES = ("left", "right", "spare")

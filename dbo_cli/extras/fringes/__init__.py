@@ -1,0 +1,1 @@
+"""An extra: the displacement of an actuator from the fringes of an interferometer."""

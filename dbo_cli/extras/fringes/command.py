@@ -1,0 +1,62 @@
+"""The command ``fringes``: its options, one call, its messages."""
+
+from __future__ import annotations
+
+from dbo_cli.cli.command import Command, Given, Progress, destination_of
+from dbo_cli.cli.options import HEADER, OUTPUT, READING, REPORTING, SUMMARY, VOLTAGE, Option
+from dbo_cli.cli.values import choice, figure_above_0, not_negative
+
+LOG = Option("LOG", "The recording; FILE::/group in HDF5; - is stdin.")
+FRINGES = (  # the fields of ``FringeOptions``
+    VOLTAGE,
+    Option("--signal COLUMN", "The photodiode; guessed by name."),
+    Option("--quadrature COLUMN", "A second photodiode, a quarter of a fringe behind the first."),
+    Option(
+        "--wavelength LENGTH",
+        "Of the light: 632.8nm; a fringe is half of it (to the mirror and back).",
+        parse=figure_above_0,
+    ),
+    Option(
+        "--per-fringe LENGTH", "Displacement of a fringe instead: 316.4nm; plain: um.", parse=figure_above_0
+    ),
+    Option(
+        "--sign rising|falling",
+        "How the displacement runs with the voltage [default: rising; --quadrature: as it is seen].",
+        parse=choice(("rising", "falling")),
+    ),
+    Option(
+        "--scale-uncertainty PERCENT", "Of the wavelength; said beside the result.", "0", parse=not_negative
+    ),
+    Option("--figures DIR", "Draw the figures, PNG and SVG, into this folder."),
+)
+
+
+def fringes(given: Given) -> None:
+    """Turn the fringes of an interferometer into the displacement that identify reads.
+
+    One photodiode: the intensity gives the phase but for its direction; that is the drive's, and behind each
+    turn of the drive a model of the actuator says which fringe follows. The model chooses fringes only:
+    values and standard deviations come from the light. Where the odds of a turn are below 100:1 it is said;
+    a log in which that happens often is refused. Two photodiodes in quadrature (--quadrature) need no model.
+
+    Writes
+    ------
+    Time, voltage, displacement (um, 0 at the first row) and its standard deviation (um). Where the beam was
+    interrupted, -o 'recorded-{part}.csv' writes a log of each part.
+
+    Examples
+    --------
+    One photodiode and a helium-neon laser:
+        dbo fringes run.csv --voltage HV --signal PD1 --wavelength 632.8nm -o rec.csv
+    Two in quadrature:
+        dbo fringes run.csv --signal PD1 --quadrature PD2 --per-fringe 316.4nm -o rec.csv
+    """
+    from dbo_cli.extras.fringes.run import FringeOptions, write_displacement
+
+    asked = FringeOptions(**given.of(FRINGES))
+    destination = destination_of(given, [given.log])
+    progress = Progress(given.reporter, "read")
+    given.reporter.remarks(write_displacement(given.log, destination, given.reading, asked, progress))
+
+
+COMMAND = Command(fringes, (LOG, *READING, *REPORTING, *FRINGES, HEADER, SUMMARY, OUTPUT))

@@ -1,0 +1,327 @@
+"""The use case ``fringes``: a log of intensities becomes a log of displacements with standard deviations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dbo_cli.errors import SILENT, InputError, Listener, Remarks, UsageError
+from dbo_cli.extras.fringes import assessment
+from dbo_cli.extras.fringes.branches import TURN
+from dbo_cli.extras.fringes.figures import plots_of_track
+from dbo_cli.extras.fringes.light import dark_parts
+from dbo_cli.extras.fringes.one_signal import track_one_signal
+from dbo_cli.extras.fringes.quadrature import track_quadrature
+from dbo_cli.extras.fringes.swings import Floats
+from dbo_cli.extras.fringes.track import Track
+from dbo_cli.logs.columns import ColumnWish, OutColumn, wish
+from dbo_cli.logs.request import Address, ReadingOptions, check_format, parse_address
+from dbo_cli.logs.signal_log import SignalLog, open_log
+from dbo_cli.logs.signal_writer import signal_writer
+from dbo_cli.logs.units import in_unit
+from dbo_cli.logs.whole_output import all_or_none
+from dbo_cli.records import dataclass
+from dbo_cli.reports.drawing import check_folder, file_stems, save
+from dbo_cli.runs.files import Destination, read_record, summary_of_values, write_summary
+
+PART = "{part}"
+"""What an output's name has where each part of an interrupted log gets a file."""
+SIGNAL_NAMES = ("signal", "photodiode", "intensity", "fringes", "detector", "pd", "pd1")
+
+
+@dataclass(frozen=True)
+class FringeOptions:
+    """What is asked of ``fringes``.
+
+    Attributes
+    ----------
+    voltage, signal, quadrature
+        Columns: the drive, the photodiode, a second one in quadrature.
+    wavelength, per_fringe
+        One of them, in um or as a text with a unit. A fringe is half a wavelength of displacement where the
+        light goes to the mirror and back.
+    sign
+        ``rising`` or ``falling``: how the displacement runs with the voltage. None: rising for one
+        photodiode, the interferometer's for two.
+    scale_uncertainty
+        Of the wavelength, in %: common to all rows, so that it is said and no row's deviation has it.
+    figures
+        A folder for figures.
+    """
+
+    voltage: str | None = None
+    signal: str | None = None
+    quadrature: str | None = None
+    wavelength: float | str | None = None
+    per_fringe: float | str | None = None
+    sign: str | None = None
+    scale_uncertainty: float = 0.0
+    figures: str | None = None
+
+    def fringe(self) -> float:
+        """Return the displacement of a fringe, um (UsageError where neither or both are there)."""
+        if (self.wavelength is None) == (self.per_fringe is None):
+            raise UsageError(
+                "give the light's `wavelength` (632.8nm; a fringe is half of it) or the displacement "
+                "`per_fringe` (316.4nm)"
+            )
+        if self.wavelength is not None:
+            return 0.5 * in_unit("wavelength", self.wavelength, "um")
+        assert self.per_fringe is not None
+        return in_unit("per_fringe", self.per_fringe, "um")
+
+
+@dataclass(frozen=True)
+class Signals:
+    """A log's columns: seconds, drive, photodiode and perhaps a second one; ``first_row`` counts from 1."""
+
+    time: Floats
+    drive: Floats
+    signal: Floats
+    quadrature: Floats | None
+    first_row: int
+
+    def part(self, begin: int, end: int) -> Signals:
+        """Return some rows."""
+        second = None if self.quadrature is None else self.quadrature[begin:end]
+        rows = slice(begin, end)
+        return Signals(self.time[rows], self.drive[rows], self.signal[rows], second, self.first_row + begin)
+
+
+@dataclass(frozen=True)
+class Displacement:
+    """What comes out: um and their standard deviation, um; and the phase that it was made of."""
+
+    signals: Signals
+    values: Floats
+    deviation: Floats
+    track: Track
+
+
+def displacement_of(signals: Signals, options: FringeOptions, name: str, remarks: Remarks) -> Displacement:
+    """Return the displacement of one uninterrupted log.
+
+    Raises
+    ------
+    InputError
+        There are too few fringes, or too few rows in one, or too many turns are in doubt.
+    """
+    assessment.refuse_swapped(signals.drive, signals.signal, name)
+    assessment.refuse_fast(signals.time, signals.signal, name)
+    try:
+        if signals.quadrature is None:
+            track = track_one_signal(signals.time, signals.drive, signals.signal)
+        else:
+            track = track_quadrature(signals.time, signals.drive, signals.signal, signals.quadrature)
+    except InputError as problem:
+        raise InputError(f"{name}: {problem}") from None
+    track = _with_sign(track, signals, options, remarks)
+    assessment.refuse_rate(signals.time, track, name)
+    assessment.refuse_noise(track, name)
+    scale = options.fringe() / TURN
+    values = scale * (track.phase - track.phase[0])
+    deviation = np.abs(scale) * track.deviation
+    made = Displacement(signals, values, deviation, track)
+    assessment.refuse_doubtful(signals.time, track, name)
+    for text in assessment.doubtful_turns(signals.time, signals.drive, track, options.fringe()):
+        remarks.warn(f"{name}: {text}")
+    remarks.note([f"{name}: {text}" for text in assessment.headline(made.values, deviation, track)])
+    return made
+
+
+def _with_sign(track: Track, signals: Signals, options: FringeOptions, remarks: Remarks) -> Track:
+    """Return the track in the direction that was asked for."""
+    drive = signals.drive - float(np.mean(signals.drive))
+    rises = float(drive @ (track.phase - float(np.mean(track.phase)))) > 0.0
+    if options.sign is None:
+        if not rises:
+            remarks.note(["the displacement falls as the voltage rises: the interferometer's sign"])
+        return track
+    if rises == (options.sign == "rising"):
+        return track
+    return replace(track, phase=-track.phase)
+
+
+def parts_of(signals: Signals) -> list[Signals]:
+    """Return the parts of a log between interruptions of the beam."""
+    dark = dark_parts(signals.signal)
+    if signals.quadrature is not None:
+        dark = sorted([*dark, *dark_parts(signals.quadrature)])
+    parts = []
+    begin = 0
+    for first, behind in dark:
+        if first > begin:
+            parts.append(signals.part(begin, first))
+        begin = max(begin, behind)
+    if begin < signals.time.size:
+        parts.append(signals.part(begin, signals.time.size))
+    return parts
+
+
+def read_signals(log: SignalLog) -> Signals:
+    """Read a log whole (InputError where its clock does not rise)."""
+    block = log.read()
+    count = len(block)
+    if count < assessment.FEWEST_ROWS:
+        raise InputError(f"{log.name}: {count} rows are too few for fringes")
+    if block.time is not None:
+        time = np.asarray(block.time, dtype=np.float64)
+    else:
+        time = np.arange(count) / (log.even_rate or 1.0)
+    backwards = np.flatnonzero(np.diff(time) < 0.0)
+    if backwards.size:
+        place = block.place(log.name, int(backwards[0]) + 1)
+        raise InputError(f"{place}: time runs backwards (one log of one clock; `rows` takes a part)")
+    values = block.values
+    return Signals(time, values["voltage"], values["signal"], values.get("quadrature"), int(block.rows[0]))
+
+
+def wishes(options: FringeOptions) -> dict[str, ColumnWish]:
+    """Return the columns that are read."""
+    want = {
+        "voltage": wish("voltage", options.voltage, option="voltage"),
+        "signal": ColumnWish(options.signal, SIGNAL_NAMES, option="signal"),
+    }
+    if options.quadrature is not None:
+        want["quadrature"] = ColumnWish(options.quadrature, option="quadrature")
+    return want
+
+
+@all_or_none()
+def write_displacement(
+    address: Address,
+    destination: Destination,
+    reading: ReadingOptions,
+    options: FringeOptions,
+    listener: Listener = SILENT,
+) -> Remarks:
+    """Read a log of fringes and write time, voltage, displacement and its standard deviation.
+
+    Raises
+    ------
+    InputError
+        The log cannot be counted, or its beam was interrupted and the output's name has no ``{part}``.
+    UsageError
+        The options contradict each other.
+    """
+    fringe = options.fringe()
+    if not fringe > 0.0:
+        raise UsageError("`wavelength` and `per_fringe` must be above 0")
+    destination = destination.beside(options.voltage, options.signal, options.quadrature, reading.time)
+    check_format(reading.format, [address, destination.output])
+    first = _output_of(destination, 1)
+    destination._replace(output=first).check()
+    if options.figures is not None:
+        check_folder(options.figures)
+    remarks = Remarks()
+    with open_log(address, wishes(options), reading) as log:
+        listener.opened(log.describe())
+        signals = read_signals(log)
+        unit = log.columns["voltage"].unit
+        read = read_record(log.name, log.reading_record())
+        name = log.name
+        remarks.read.append(log.reading_line())
+        remarks.note(log.notes)
+        for text in log.warnings:
+            remarks.warn(text)
+    parts = parts_of(signals)
+    listener.working(f"counting the fringes of {signals.time.size:,} rows")
+    try:
+        made = _displacements(parts, destination, options, name, remarks)
+    finally:
+        listener.finished()
+    for number, part in enumerate(made, start=1):
+        _write(_output_of(destination, number), part, unit, destination, reading)
+    if destination.summary is not None:
+        write_summary(destination.summary, [_summary(part, destination, read, remarks) for part in made])
+    if options.figures is not None:
+        stem = file_stems([name])[0]
+        for number, part in enumerate(made, start=1):
+            plots = plots_of_track(part.signals, part.values, part.deviation, part.track)
+            save(plots, Path(options.figures), stem if len(made) == 1 else f"{stem}-{number}")
+    if options.scale_uncertainty > 0.0:
+        known = f"a fringe of {1000.0 * fringe:.6g} nm is known to {options.scale_uncertainty:g} %"
+        remarks.note([f"{known}: so is the gain of every model from this log, beside what its fit says"])
+    return remarks
+
+
+def _displacements(
+    parts: Sequence[Signals], destination: Destination, options: FringeOptions, name: str, remarks: Remarks
+) -> list[Displacement]:
+    """Return the displacement of each part, each with a zero of its own."""
+    if len(parts) == 1:
+        return [displacement_of(parts[0], options, name, remarks)]
+    rows = [f"{part.first_row}:{part.first_row + part.time.size - 1}" for part in parts]
+    long_enough = [part for part in parts if part.time.size >= assessment.FEWEST_ROWS]
+    dark = ", ".join(f"{one.time[-1]:.6g} s" for one in parts[:-1])
+    if not long_enough:
+        raise InputError(f"{name}: the beam was interrupted at {dark}, and no part is long enough")
+    if PART not in destination.output.text:
+        raise InputError(
+            f"{name}: the beam was interrupted at {dark}, and nobody counted the fringes meanwhile: each "
+            f"part has a zero of its own (-o 'recorded-{PART}.csv' writes a log of each, or `rows` "
+            f"{' or '.join(rows)})"
+        )
+    remarks.warn(
+        f"{name}: the beam was interrupted at {dark}: each of the {len(long_enough)} parts has its own zero"
+    )
+    made = []
+    for part in long_enough:
+        last = part.first_row + part.time.size - 1
+        made.append(displacement_of(part, options, f"{name} (rows {part.first_row}:{last})", remarks))
+    return made
+
+
+def _output_of(destination: Destination, number: int) -> Address:
+    """Return the output of a part."""
+    output = destination.output
+    if PART not in output.text:
+        return output
+    return parse_address(output.text.replace(PART, str(number)), output.format)
+
+
+def _write(
+    output: Address, made: Displacement, unit: str | None, destination: Destination, reading: ReadingOptions
+) -> None:
+    """Write the rows of one part."""
+    columns = [
+        OutColumn("time", "s"),
+        OutColumn("voltage", unit),
+        OutColumn("displacement", "um"),
+        OutColumn("standard_deviation", "um"),
+    ]
+    with signal_writer(
+        output.or_format(reading.format),
+        columns,
+        attributes=lambda: {"command": destination.command},
+        protect=destination.protect,
+        commented=destination.commented,
+    ) as writer:
+        writer.write(made.signals.time, made.signals.drive, made.values, made.deviation)
+
+
+def _summary(
+    made: Displacement, destination: Destination, read: dict[str, Any], remarks: Remarks
+) -> dict[str, Any]:
+    """Return what was done as plain values."""
+    signals = made.signals
+    turns = [
+        {
+            "time": float(signals.time[turn.row]),
+            "voltage": float(signals.drive[turn.row]),
+            "odds": turn.odds,
+            "other_fringes": turn.other,
+        }
+        for turn in made.track.turns
+    ]
+    summary = summary_of_values(signals.drive, destination.command, read, remarks)
+    return summary | {
+        "fringes": float(np.ptp(made.track.phase)) / TURN,
+        "noise": made.track.noise,
+        "largest_deviation": float(made.deviation.max()),
+        "turns": turns,
+    }
