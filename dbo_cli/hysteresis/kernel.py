@@ -94,6 +94,8 @@ def smooth(weight: Floats, x: Floats, y: Floats) -> None:
 
 
 Words = NDArray[np.uint64]
+Constants = tuple[Floats, Words, int, int, float, float, bool, Floats, float, bool]
+"""The first arguments of ``backlash_run``, the same for all blocks."""
 
 MOST_HALVINGS = 2000  # of a range: more than float64 has
 
@@ -421,7 +423,7 @@ def backlash_decay(
 
 
 def backlash_start(
-    forward: tuple[Any, ...], inverse: tuple[Any, ...], output: float, below: float, above: float
+    forward: Constants, inverse: Constants, output: float, below: float, above: float
 ) -> tuple[float, float]:
     """Return the drive whose own settled state leads to ``output``, twice, by halving a range of drives.
 
@@ -435,7 +437,7 @@ def backlash_start(
         backlash_decay(*forward, words, drive)
         return words
 
-    def at_rest(operator: tuple[Any, ...], words: Words, x: float) -> float:
+    def at_rest(operator: Constants, words: Words, x: float) -> float:
         y, memory, decay = np.empty(1), np.zeros(gain.size), np.zeros((1, gain.size))
         backlash_run(
             *operator,
