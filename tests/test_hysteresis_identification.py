@@ -291,15 +291,16 @@ def test_no_better_than_a_line_is_refused_unless_forced() -> None:
     line = Recording("line", voltage, 3.0 * voltage + rng.normal(size=len(voltage)), sample_period=PERIOD)
     with pytest.raises(
         FitError,
-        match=r"than a straight line .*; check the columns and the sensor \(`force` keeps the model\)$",
+        match=r"straight line .*, nor do gears alone; check the columns and the sensor \(`force` keeps .*\)$",
     ):
         identify([line])
     log = record(actuator(), voltage)
     tenfold = replace(log, name="tenfold", voltage=10.0 * log.voltage)
-    with pytest.raises(
-        FitError, match=r"the gain of tenfold is 0\.1 of that of .*: bring the logs to one scale"
-    ):
-        identify([log, tenfold])
+    two_scales = identify([log, tenfold]).warnings
+    assert any(
+        "the gain of tenfold is 0.1 of that of log: bring the logs to one scale" in one for one in two_scales
+    )
+    assert any("was taken for a drift of the sensor" in one for one in two_scales)
     kept = identify([line], IdentificationOptions(force=True))
     assert any("no better than a straight line" in warning for warning in kept.warnings)
 
@@ -645,7 +646,7 @@ def test_authors_recordings_are_predicted() -> None:
     skip = IdentificationOptions(skip_seconds=2.0)
     one = identify([paper_log("identification.dat")], skip)
     came = prediction_error(one, slice(600, 7000))
-    assert came < 0.135
+    assert came < 0.14
     assert 0.4 < came / one.fit["expected_rmse"] < 1.3  # type: ignore[operator]
     assert one.fit["cross_validated_rmse"] < 0.09  # type: ignore[operator]
     two = identify([paper_log("identification.dat"), paper_log("uncompensated.dat", slice(600, 3500))], skip)

@@ -17,6 +17,7 @@ from dbo_cli.hysteresis.identification.normal_equations import (
     squared_error,
     squared_error_free_of,
 )
+from dbo_cli.hysteresis.identification.output_error import asymmetry
 from dbo_cli.hysteresis.identification.preparation import clipped_sensor, folds_of, prepare
 from dbo_cli.hysteresis.identification.recordings import (
     Recording,
@@ -28,7 +29,6 @@ from dbo_cli.hysteresis.identification.recordings import (
     pieces_behind_gaps,
     without_voltage_glitches,
 )
-from dbo_cli.hysteresis.identification.refinement import asymmetry
 from dbo_cli.hysteresis.identification.search import Score, no_worse, simplest_of, time_constant_grid
 from dbo_cli.hysteresis.identification.statistics import (
     BLOCK_ROWS,

@@ -31,16 +31,19 @@ from dbo_cli.hysteresis.identification.normal_equations import (
     quadratic,
     solve,
 )
-from dbo_cli.hysteresis.identification.preparation import Prepared, gain_sign, prepare, without_outliers
-from dbo_cli.hysteresis.identification.recordings import IdentificationOptions, Recording, first_wiped_row
-from dbo_cli.hysteresis.identification.refinement import (
-    MARGIN,
-    Fitted,
-    _rows_about,
+from dbo_cli.hysteresis.identification.output_error import (
+    Errors,
+    Judged,
+    JudgedRows,
+    OutputProblem,
+    Refined,
     asymmetry,
     corners,
-    stages_of,
+    finer,
 )
+from dbo_cli.hysteresis.identification.preparation import Prepared, gain_sign, prepare, without_outliers
+from dbo_cli.hysteresis.identification.recordings import IdentificationOptions, Recording, first_wiped_row
+from dbo_cli.hysteresis.identification.refinement import MARGIN, Fitted, stages_of
 from dbo_cli.hysteresis.identification.search import choose
 from dbo_cli.hysteresis.identification.statistics import Basis, Score, Statistics, gather, no_worse
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, ScaleStage
@@ -180,15 +183,52 @@ def test_rows_of_the_output_error_leave_the_output_error_over() -> None:
     basis = Basis(6, 0.0, 10.0, 2, (0.1,))
     knots = np.array([0.0, 0.2, 0.55, 0.7, 1.0])
     heights, gains = np.linspace(0.1, 0.2, 6), np.array([0.03])
-    fitted = Fitted(basis, heights, gains, 0.02, knots, np.array([0.0]))
+    moved = knots[1:-1] - np.array([0.25, 0.5, 0.75])
     rng = np.random.default_rng(3)
     drive = rng.uniform(0.0, 1.0, (50, 7))
     output = rng.uniform(0.0, 1.0, 50)
-    known, target = _rows_about(fitted)(drive, output)
-    moved = knots[1:-1] - np.array([0.25, 0.5, 0.75])
+    rows = JudgedRows(basis, drive, output, np.ones((50, 1)), (slice(0, 50),), {})
+    vector = np.concatenate((heights, gains, moved, [0.02]))
+    table = OutputProblem(rows).table(vector, 4)
     predicted = asymmetry(drive @ np.concatenate((heights, gains)) + 0.02, knots)[0]
-    left = target - known @ np.concatenate((heights, gains, moved))
+    left = table[:, -1] - table[:, :-1] @ vector
     assert left == pytest.approx(output - predicted, abs=1e-12)
+
+
+def test_finer_segments_are_the_same_curve() -> None:
+    columns = Columns(3, 1, 2, 1)
+    vector = np.array([0.3, 0.3, 0.3, 0.1, -0.2, 0.05])
+    fine = finer(vector, columns, 2, 8)
+    at = np.linspace(-0.1, 1.1, 50)
+    coarse_curve = asymmetry(at, corners(vector[4:5], 2))[0]
+    fine_curve = asymmetry(at, corners(fine[4:11], 8))[0]
+    assert fine_curve == pytest.approx(coarse_curve, abs=1e-12)
+    assert fine[-1] == 0.05
+
+
+def judged(*kinds: tuple[str, list[float]]) -> Judged:
+    """Return a candidate with these mean squares on the parts of each kind, of ten rows each."""
+    errors = {name: Errors(10.0 * np.array(squares), np.full(len(squares), 10)) for name, squares in kinds}
+    structure = Structure("growing", (), 1, 1e-8)
+    return Judged(Basis(6, 0.0, 10.0), Refined(structure, np.zeros(7), 1.0, 1.0), errors, 100)
+
+
+def test_each_kind_of_parts_counts_once_and_by_its_ratio() -> None:
+    one = judged(("cycles", [4.0, 4.0]), ("levels", [1.0, 1.0, 1.0]))
+    assert one.score == pytest.approx(np.log(2.0) / 2.0)
+    none = judged()
+    assert none.score == pytest.approx(np.log(0.1))
+
+
+def test_a_candidate_is_beaten_beyond_its_error_bar_alone() -> None:
+    worse = judged(("cycles", [2.0, 2.0, 2.0, 2.0]))
+    steady = judged(("cycles", [1.0, 1.0, 1.0, 1.0]))
+    lucky = judged(("cycles", [2.3, 2.3, 2.3, 0.1]))
+    assert worse.beaten_by(steady, 0.02)
+    assert not worse.beaten_by(lucky, 0.02)  # one part alone makes the difference
+    assert not worse.beaten_by(steady, 0.5)
+    single = judged(("levels", [1.0]))
+    assert not judged(("levels", [2.0])).beaten_by(single, 0.0)  # one part has no scatter
 
 
 def test_few_gears_are_not_flat_either() -> None:

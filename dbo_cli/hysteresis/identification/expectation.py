@@ -27,9 +27,10 @@ from dbo_cli.hysteresis.identification.normal_equations import (
     Solution,
     Structure,
 )
+from dbo_cli.hysteresis.identification.output_error import corners
 from dbo_cli.hysteresis.identification.preparation import Prepared
 from dbo_cli.hysteresis.identification.recordings import MOST, Floats, Recording
-from dbo_cli.hysteresis.identification.refinement import Fitted, corners, stages_of
+from dbo_cli.hysteresis.identification.refinement import Fitted, stages_of
 from dbo_cli.hysteresis.identification.search import BEND_STEP, Choice, sample_period
 from dbo_cli.hysteresis.identification.statistics import (
     LENGTHS,

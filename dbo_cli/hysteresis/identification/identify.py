@@ -25,6 +25,7 @@ from dbo_cli.hysteresis.identification.evaluation import (
     validation_of,
 )
 from dbo_cli.hysteresis.identification.normal_equations import Structure
+from dbo_cli.hysteresis.identification.output_error import corners
 from dbo_cli.hysteresis.identification.preparation import gain_sign
 from dbo_cli.hysteresis.identification.recordings import (
     Floats,
@@ -34,7 +35,7 @@ from dbo_cli.hysteresis.identification.recordings import (
     split,
     widest_first,
 )
-from dbo_cli.hysteresis.identification.refinement import corners, zero_shift
+from dbo_cli.hysteresis.identification.refinement import zero_shift
 from dbo_cli.hysteresis.identification.static import Identification, identify_static
 from dbo_cli.hysteresis.identification.statistics import Basis, PreparedLog, gather, usual_basis
 from dbo_cli.hysteresis.model import (

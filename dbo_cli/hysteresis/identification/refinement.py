@@ -1,14 +1,4 @@
-"""From equation error to output error: Gauss-Newton steps on what the model will be judged by.
-
-The equation error asks S^-1 of the *measured* output, so the sensor's noise stands among the regressors and
-counts differently where the asymmetry is steep. Here the asymmetry is a function of the *predicted* output.
-For y = S(w), w = Gamma(v) + sum c L + w0, with S piecewise linear and given by where its knots X_k stand,
-
-    dy = S'(w) (dw - sum_k hat_k(y) dX_k),
-
-exactly on each segment, so that a step is the same bounded least-squares problem with other rows.
-What was fitted becomes stages in the actuator's own units last.
-"""
+"""The last refinement of what was chosen, and stages in the actuator's own units."""
 
 from __future__ import annotations
 
@@ -18,28 +8,18 @@ from dataclasses import replace
 import numpy as np
 
 from dbo_cli.errors import FitError
-from dbo_cli.hysteresis.identification.normal_equations import (
-    SLOPE_FLOOR,
-    Columns,
-    Solution,
-    Structure,
-    least_squares,
-    penalties,
-    quadratic,
-    solve,
-    squared_error_free_of,
-)
+from dbo_cli.hysteresis.identification.finalists import Finalist
+from dbo_cli.hysteresis.identification.normal_equations import SLOPE_FLOOR, Structure
+from dbo_cli.hysteresis.identification.output_error import OutputProblem, Refined, corners, judged_rows
 from dbo_cli.hysteresis.identification.preparation import Prepared
 from dbo_cli.hysteresis.identification.recordings import Floats, Recording
 from dbo_cli.hysteresis.identification.statistics import (
     FIT_ROWS,
     INDIFFERENCE,
     Basis,
-    Linearise,
     PreparedLog,
     fewer_rows,
     gather,
-    hat_functions,
 )
 from dbo_cli.hysteresis.model import (
     ActuatorModel,
@@ -53,8 +33,6 @@ from dbo_cli.hysteresis.model import (
     slow_output_range,
 )
 from dbo_cli.records import dataclass
-
-STEPS = 4  # of Gauss and Newton: 2 left one of eight invented logs 5 % worse, 8 changed nothing
 
 
 @dataclass(frozen=True)
@@ -74,126 +52,59 @@ class Fitted:
     drift: Floats
 
 
-def corners(deviation: Floats, segments: int) -> Floats:
-    """Corners of the asymmetry on its input axis from the inner knots' deviation from the diagonal."""
-    at = np.arange(segments + 1) / segments
-    at[1:-1] += deviation
-    return at
-
-
-def asymmetry(w: Floats, knots: Floats) -> tuple[Floats, Floats]:
-    """Output and slope of the piecewise-linear asymmetry at ``w``; the end segments go straight on."""
-    segments = len(knots) - 1
-    place = np.clip(np.searchsorted(knots, w, side="right") - 1, 0, segments - 1)
-    slope = 1.0 / (segments * np.diff(knots))
-    return place / segments + slope[place] * (w - knots[place]), slope[place]
-
-
-def fit(logs: Sequence[PreparedLog], basis: Basis, structure: Structure) -> Fitted:
-    """Solve the equation-error problem, prune memories, refine on the output error where that helps.
-
-    What to prune and whether refining helps is found out on at most ``SELECTION_ROWS`` rows; the model itself
-    is fitted to ``FIT_ROWS``.
+def fit(logs: Sequence[PreparedLog], finalist: Finalist) -> Fitted:
+    """Refine a finalist on ``FIT_ROWS`` rows, without the memories that do nothing.
 
     Raises
     ------
     FitError
         The solver failed.
     """
-    some, logs = fewer_rows(logs), fewer_rows(logs, FIT_ROWS)
-    fitted = _equation_error(some, basis, structure)
-    kept = tuple(k for k in structure.memories if fitted.gains[k] > SLOPE_FLOOR * fitted.heights.sum())
-    if kept != tuple(range(len(basis.time_constants))):
+    basis, structure, vector = finalist.basis, finalist.structure, finalist.vector
+    heights = vector[: basis.gears]
+    count = len(basis.time_constants)
+    gains = vector[basis.gears : basis.gears + count]
+    kept = tuple(k for k in structure.memories if gains[k] > SLOPE_FLOOR * heights.sum())
+    if kept != tuple(range(count)):
         basis = replace(basis, time_constants=tuple(basis.time_constants[k] for k in kept))
         structure = replace(structure, memories=tuple(range(len(kept))))
-        fitted = _equation_error(some, basis, structure)
-    helps = _refined(some, fitted, structure) is not None
-    fitted = _equation_error(logs, basis, structure)
-    refined = _refined(logs, fitted, structure) if helps else None
-    return refined or _levelled(logs, fitted)
+        vector = np.concatenate((heights, gains[list(kept)], vector[basis.gears + count :]))
+    some = fewer_rows(logs, FIT_ROWS)
+    problem = OutputProblem(judged_rows(some, basis))
+    best = problem.refined(structure, vector)
+    convex = _convex(some, problem, structure)
+    if convex is not None and convex.penalised * (1.0 - INDIFFERENCE) <= best.penalised:
+        best = convex
+    return fitted_of(basis, structure, best.vector)
 
 
-def _equation_error(logs: Sequence[PreparedLog], basis: Basis, structure: Structure) -> Fitted:
-    """Solve the convex problem."""
-    solution, _ = gather(logs, basis, structure.segments).solved(structure)
-    knots = corners(solution.knots, structure.segments)
-    return Fitted(basis, solution.heights, solution.gains, float(solution.drift[0]), knots, solution.drift)
-
-
-def _rows_about(fitted: Fitted) -> Linearise:
-    """Rows of the output-error problem, linearised about ``fitted``."""
-    segments = len(fitted.knots) - 1
-    known = np.concatenate((fitted.heights, fitted.gains))
-    moved = fitted.knots[1:-1] - np.arange(1, segments) / segments
-
-    def rows(drive: Floats, output: Floats) -> tuple[Floats, Floats]:
-        from_drive = drive @ known
-        predicted, slope = asymmetry(from_drive + fitted.origin, fitted.knots)
-        hats = hat_functions(predicted, segments) * slope[:, None]
-        target = output - predicted + slope * from_drive - hats @ moved
-        return np.hstack((drive * slope[:, None], -hats)), target
-
-    return rows
-
-
-def _refined(logs: Sequence[PreparedLog], start: Fitted, structure: Structure) -> Fitted | None:
-    """Gauss-Newton steps while they lower the penalised output error; None where they gain too little.
+def _convex(logs: Sequence[PreparedLog], problem: OutputProblem, structure: Structure) -> Refined | None:
+    """Return the solution of the equation error, which holds where the output's own gains too little.
 
     Where noise is small beside what no model of this class can follow, the two errors differ by their
-    weights alone and the convex problem's solution predicts as well or better; so a refined model must earn
-    its place.
+    weights alone, and the convex problem's solution predicts as well or better.
     """
-    segments = len(start.knots) - 1
-    if segments == 1:
-        return None  # without an asymmetry the two errors are one
-    first = best = np.inf
-    found: Fitted | None = None
-    current = start
-    for _ in range(STEPS):
-        statistics = gather(logs, current.basis, segments, _rows_about(current))
-        gram, rows = statistics.total()
-        vector, drift = _vector_of(current, statistics.columns)
-        full = np.append(vector, -1.0)
-        slopes, kinks = penalties(statistics.columns)
-        form = rows * (structure.smoothness * slopes + structure.knot_smoothness * kinks)
-        error = squared_error_free_of(gram, vector, drift) + quadratic(form, full)
-        if error > best * (1.0 - 1e-4):  # chosen: what INDIFFERENCE would never notice
-            break
-        first = error if found is None else first
-        best, found = error, _with_drift(current, gram, vector, drift)
-        try:
-            solution: Solution = solve(gram, statistics.columns, structure, rows)
-        except FitError:
-            break
-        current = replace(
-            current,
-            heights=solution.heights,
-            gains=solution.gains,
-            knots=corners(solution.knots, segments),
-            drift=solution.drift,
-        )
-    return found if best < (1.0 - INDIFFERENCE) * first else None
+    try:
+        solution, _ = gather(logs, problem.rows.basis, structure.segments).solved(structure)
+    except FitError:
+        return None
+    return problem.levelled(solution.vector, structure)
 
 
-def _levelled(logs: Sequence[PreparedLog], fitted: Fitted) -> Fitted:
-    """Return the same model with offset and drift taken from the output error."""
-    statistics = gather(logs, fitted.basis, len(fitted.knots) - 1, _rows_about(fitted))
-    gram, _ = statistics.total()
-    return _with_drift(fitted, gram, *_vector_of(fitted, statistics.columns))
-
-
-def _vector_of(fitted: Fitted, columns: Columns) -> tuple[Floats, slice]:
-    """Return the unknowns as they are in ``fitted``, drift left at zero, and where the drift stands."""
-    segments = len(fitted.knots) - 1
-    deviation = fitted.knots[1:-1] - np.arange(1, segments) / segments
-    vector = np.concatenate((fitted.heights, fitted.gains, deviation, np.zeros(columns.drift)))
-    return vector, slice(columns.total - columns.drift, columns.total)
-
-
-def _with_drift(fitted: Fitted, gram: Floats, vector: Floats, drift: slice) -> Fitted:
-    """Return the same model with offset and drift fitted to what it leaves over."""
-    full = np.append(vector, -1.0)
-    return replace(fitted, drift=-least_squares(gram[drift, drift], gram[drift, :] @ full))
+def fitted_of(basis: Basis, structure: Structure, vector: Floats) -> Fitted:
+    """Return the unknowns of a candidate as what they are."""
+    after_gears = basis.gears + len(basis.time_constants)
+    origin = after_gears + structure.segments - 1
+    drift = vector[origin:].copy()
+    drift[0] = 0.0  # the level is that of the gears
+    return Fitted(
+        basis,
+        vector[: basis.gears],
+        vector[basis.gears : after_gears],
+        float(vector[origin]),
+        corners(vector[after_gears:origin], structure.segments),
+        drift,
+    )
 
 
 MARGIN = 0.125  # of the range, in gears beyond its top; half and double: the same errors

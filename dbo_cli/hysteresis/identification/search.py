@@ -186,6 +186,15 @@ def choose(prepared: Prepared, options: IdentificationOptions, cycle: float | No
     return Choice(basis, structure, score, interval, clockwise)
 
 
+def swings_of_two_kinds(logs: Sequence[PreparedLog], basis: Basis) -> bool:
+    """Return whether the smaller swings are of two amplitudes or two levels, so that one can be left out."""
+    for name, grouped in groupings(logs, basis):
+        labels = np.unique(np.concatenate([log.fold for log in grouped]))
+        if name != "speeds" and np.count_nonzero(labels > 0) > 1:
+            return True
+    return False
+
+
 class _Search:
     """The candidates of one identification, and what is known of them.
 
@@ -279,9 +288,7 @@ class _Search:
         """
         if self._options.slopes is not None or self._one:
             return structure.slopes
-        groups_of = [grouped for name, grouped in groupings(self._logs, basis) if name != "speeds"]
-        kinds = [np.unique(np.concatenate([log.fold for log in grouped])) for grouped in groups_of]
-        if all(np.count_nonzero(found > 0) < 2 for found in kinds):
+        if not swings_of_two_kinds(self._logs, basis):
             return structure.slopes
         ruled, score = self._best(basis, self._listed(structure.slopes, [structure.memories]))
         free, other = self._best(basis, self._listed("free", [structure.memories]))

@@ -29,6 +29,7 @@ from dbo_cli.hysteresis.identification.evaluation import (
     white_noise,
 )
 from dbo_cli.hysteresis.identification.expectation import Expectation, expect
+from dbo_cli.hysteresis.identification.finalists import best_of
 from dbo_cli.hysteresis.identification.preparation import Prepared, prepare
 from dbo_cli.hysteresis.identification.recordings import (
     Floats,
@@ -57,6 +58,8 @@ LATE = 2.0
 """Sample periods: a shorter delay is no evidence of one, since a first-order lag looks alike. A sensor late
 by 2 samples and 4 ms was found 2.5 to 3.25 late after six kinds of logs, lags without a delay 0.5 to 2.5."""
 
+LARGE_DRIFT = 0.05  # of the range: a sensor that drifts more is broken, or it is no sensor's drift
+
 FASTEST = 98.0  # percentile of a log's rates: its few fastest steps are jumps and noise
 
 
@@ -71,9 +74,10 @@ class Identification:
 
 
 NO_BETTER_THAN_LINE = (
-    "what is expected on new moves ({:.4g}) is no better than a straight line's error on the logs ({:.4g}): "
-    "record more amplitudes and cycles before using the model"
+    "what is expected on new moves ({:.4g}) is no better than a straight line's error on the logs "
+    "({:.4g}): {}"
 )
+RECORD_MORE = "record more amplitudes and cycles before using the model"
 NO_CLOCK = (
     "no clock, so neither lag nor delay could be looked for: name the time column (`time`) or give "
     "`sample_rate`"
@@ -108,7 +112,9 @@ def identify_static(
     said += [note for one in logs for note in one.notes]
     prepared = prepare(recordings, options.skip_seconds, [one.bad for one in logs], ends)
     choice = choose(prepared, options, cycle)
-    fitted = fit(prepared.logs, choice.basis, choice.structure)
+    finalist = best_of(prepared, choice, options)
+    choice = dataclasses.replace(choice, basis=finalist.basis, structure=finalist.structure)
+    fitted = fit(prepared.logs, finalist)
     model = model_of(fitted, prepared, recordings[0], options.zero, options.gears)
     pairs = list(zip(recordings, prepared.logs, strict=True))
     residuals = [residual_of(model, log, ready) for log, ready in pairs]
@@ -130,8 +136,10 @@ def identify_static(
     noise = white_noise([one.values for one in residuals]) / max(rmse, TINY) ** 2
     expected = expect(prepared, choice, model, rmse, noise)
     figures = _figures(prepared, choice, fitted, model, residuals, checks, rmse, line, cycle, expected, given)
+    warnings += _drift_warnings(residuals, abs(prepared.scale), model.output.unit)
     if expected.rmse is not None and expected.rmse >= line:
-        warnings.append(NO_BETTER_THAN_LINE.format(expected.rmse, line))
+        remedy = _scales_apart(recordings) or RECORD_MORE
+        warnings.append(NO_BETTER_THAN_LINE.format(expected.rmse, line, remedy))
     if not sensor and options.delay is None:
         warnings += _late_warnings(choice, prepared, expected)
     notes = fit_notes(model.output.unit, prepared, choice.clockwise, expected.gain_trend, expected.forgets)
@@ -151,20 +159,43 @@ def _for_use(expected: Expectation, sensor: Sensor) -> dict[str, object]:
 SCALES_APART = 2.0  # between the gains of logs; a piezo's own at small and at full swings differs by less
 
 
-def _no_loop(recordings: Sequence[Recording], rmse: float, line: float, force: bool) -> str:
-    """Refuse a model that is no better than a straight line (FitError), or say so where it is kept."""
+def _scales_apart(recordings: Sequence[Recording]) -> str | None:
+    """Return what to do where the gains of logs are so far apart that their scales must be."""
     gains = [abs(float(np.polyfit(log.voltage, log.displacement, 1)[0])) for log in recordings]
     least, most = int(np.argmin(gains)), int(np.argmax(gains))
-    cause = "the log shows no loop that this class of models can follow; check the columns and the sensor"
-    if gains[most] > SCALES_APART * gains[least]:
-        cause = (
-            f"the gain of {recordings[least].name} is {gains[least] / gains[most]:.3g} of that of "
-            f"{recordings[most].name}: bring the logs to one scale (`scale`)"
-        )
+    if gains[most] <= SCALES_APART * gains[least]:
+        return None
+    return (
+        f"the gain of {recordings[least].name} is {gains[least] / gains[most]:.3g} of that of "
+        f"{recordings[most].name}: bring the logs to one scale (`scale`)"
+    )
+
+
+def _no_loop(recordings: Sequence[Recording], rmse: float, line: float, force: bool) -> str:
+    """Refuse a model that is no better than a straight line (FitError), or say so where it is kept."""
+    cause = _scales_apart(recordings) or (
+        "the log shows no loop that this class of models can follow, nor do gears alone; check the columns "
+        "and the sensor"
+    )
     message = f"the model (RMSE {rmse:.4g}) is no better than a straight line (RMSE {line:.4g}): {cause}"
     if not force:
         raise FitError(f"{message} (`force` keeps the model)")
     return message
+
+
+def _drift_warnings(residuals: Sequence[Residual], span: float, unit: str | None) -> list[str]:
+    """Warn of a drift so large that it is more likely the actuator's than the sensor's."""
+    of_what = f" {unit}" if unit else ""
+    warnings = []
+    for one in residuals:
+        share = one.drift_span / span
+        if share > LARGE_DRIFT:
+            warnings.append(
+                f"{one.name}: {one.drift_span:.3g}{of_what} of the displacement ({100.0 * share:.0f} % of "
+                "the range) was taken for a drift of the sensor and is not in the model: if the actuator "
+                "itself moved so, its loops do not close and no model of this class follows it"
+            )
+    return warnings
 
 
 def _figures(

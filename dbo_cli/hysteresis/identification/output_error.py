@@ -1,0 +1,449 @@
+"""Candidates refined and judged by the error of the output, on rows that are held in memory.
+
+The equation error asks S^-1 of the *measured* output: sound to search with, but it counts an error where the
+asymmetry is flat many times over, and the model that it prefers may be worse than a straight line. Here
+every candidate is brought to the least error of its *output*, y = S(Gamma(v) + sum c L + w0) + drift, and is
+judged by that error on parts of the logs that are left out: cycles, blocks of time, and swings of one
+amplitude, level or speed, where the logs have them.
+
+With S piecewise linear and given by where its knots X_k stand,
+
+    dy = S'(w) (dw - sum_k hat_k(y) dX_k),
+
+exactly on each segment: a Gauss-Newton step is the bounded least-squares problem of the search with other
+rows. Steps that do not lower the error are halved.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dbo_cli.errors import FitError
+from dbo_cli.hysteresis.identification.normal_equations import (
+    CHOSEN,
+    Columns,
+    SignedUnknowns,
+    States,
+    Structure,
+    least_squares,
+    minimum,
+    penalties,
+    quadratic,
+    squared_error_free_of,
+)
+from dbo_cli.hysteresis.identification.recordings import FEWEST_ROWS, Floats, Integers
+from dbo_cli.hysteresis.identification.statistics import (
+    Basis,
+    PreparedLog,
+    drive_rows,
+    groupings,
+    hat_functions,
+)
+from dbo_cli.records import dataclass
+
+TINY = 1e-30  # beside squares of the normalised output: a logarithm of nothing
+STEPS = 6  # of Gauss and Newton, at most
+HALVINGS = 3  # of a step that does not lower the error
+ENOUGH = 1e-3  # of the squared error: a step that gains less is the last one
+BLOCKS = 4  # of time of every log, left out in turn
+
+
+def corners(deviation: Floats, segments: int) -> Floats:
+    """Corners of the asymmetry on its input axis from the inner knots' deviation from the diagonal."""
+    at = np.arange(segments + 1) / segments
+    at[1:-1] += deviation
+    return at
+
+
+def asymmetry(w: Floats, knots: Floats) -> tuple[Floats, Floats]:
+    """Output and slope of the piecewise-linear asymmetry at ``w``; the end segments go straight on."""
+    segments = len(knots) - 1
+    place = np.clip(np.searchsorted(knots, w, side="right") - 1, 0, segments - 1)
+    slope = 1.0 / (segments * np.diff(knots))
+    return place / segments + slope[place] * (w - knots[place]), slope[place]
+
+
+@dataclass(frozen=True)
+class Part:
+    """Rows that are left out together: the cells they are, and the drift columns that are theirs alone."""
+
+    cells: Integers
+    rows: Integers
+    nuisance: slice
+
+
+@dataclass(frozen=True)
+class JudgedRows:
+    """The used rows of all logs for one basis, sorted by cells: what is left out together lies together.
+
+    ``drive`` has shape (rows, gears + memories), ``drift`` (rows, terms of all logs); ``kinds`` maps each way
+    to leave parts out to its parts.
+    """
+
+    basis: Basis
+    drive: Floats
+    output: Floats
+    drift: Floats
+    cells: tuple[slice, ...]
+    kinds: dict[str, tuple[Part, ...]]
+
+    def columns(self, segments: int) -> Columns:
+        """Return where the unknowns of a candidate with so many segments stand."""
+        memories = self.drive.shape[1] - self.basis.gears
+        return Columns(self.basis.gears, memories, segments, self.drift.shape[1])
+
+
+def judged_rows(logs: Sequence[PreparedLog], basis: Basis) -> JudgedRows:
+    """Return the used rows of the logs with what the gears and memories make of the drive."""
+    terms = [log.drift.shape[1] for log in logs]
+    begins = np.concatenate(([0], np.cumsum(terms)))
+    drives, outputs, drifts, owner = [], [], [], []
+    for place, log in enumerate(logs):
+        used = log.used
+        for first, last, drive in drive_rows(
+            basis, log.voltage, log.seconds, log.start, used, log.lags(basis)
+        ):
+            drives.append(drive[used[first:last]])
+        outputs.append(log.output[used])
+        table = np.zeros((int(used.sum()), int(begins[-1])))
+        table[:, begins[place] : begins[place + 1]] = log.drift[used]
+        drifts.append(table)
+        owner.append(np.full(len(table), place))
+    labels = _labels(logs, basis)
+    owners = np.concatenate(owner)
+    code = np.unique(np.column_stack([*labels.values(), owners]), axis=0, return_inverse=True)[1].ravel()
+    order = np.argsort(code, kind="stable")
+    edges = np.concatenate(([0], np.cumsum(np.bincount(code))))
+    cells = tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(edges))
+    kinds: dict[str, tuple[Part, ...]] = {}
+    owners = owners[order]
+    for name, label in labels.items():
+        parts = [
+            _part(label[order], k, cells, owners, begins, logs)
+            for k in range(1, int(label.max(initial=0)) + 1)
+        ]
+        kept = tuple(part for part in parts if part is not None)
+        if kept and (len(kept) > 1 or name not in ("cycles", "blocks")):
+            kinds[name] = kept
+    drive, output, drift = np.vstack(drives)[order], np.concatenate(outputs)[order], np.vstack(drifts)[order]
+    return JudgedRows(basis, drive, output, drift, cells, kinds)
+
+
+def _labels(logs: Sequence[PreparedLog], basis: Basis) -> dict[str, Integers]:
+    """Return for each way to leave parts out the part of each used row, 0 where it is always kept."""
+    labels = {"cycles": np.concatenate([log.fold[log.used] + 1 for log in logs])}
+    sizes = [int(log.used.sum()) for log in logs]
+    labels["blocks"] = np.concatenate([1 + np.arange(size) * BLOCKS // max(size, 1) for size in sizes])
+    for name, grouped in groupings(logs, basis):
+        labels[name] = np.concatenate([log.fold[log.used] for log in grouped])
+    return labels
+
+
+def _part(
+    label: Integers,
+    k: int,
+    cells: tuple[slice, ...],
+    owners: Integers,
+    begins: Integers,
+    logs: Sequence[PreparedLog],
+) -> Part | None:
+    """Return one part, or None where it is too small, or most of the logs."""
+    here = np.array([label[cell.start] == k for cell in cells])
+    rows = np.flatnonzero(label == k)
+    if len(rows) < min(FEWEST_ROWS, len(label) // 20) or len(rows) > 0.85 * len(label):
+        return None
+    mine = np.unique(owners[rows])
+    nuisance = slice(0, 0)
+    if len(mine) == 1:
+        place = int(mine[0])
+        only = bool((owners == place).sum() == len(rows))
+        end = int(begins[place + 1])
+        nuisance = slice(int(begins[place]) if only else end - logs[place].stretches, end)
+    return Part(np.flatnonzero(here), rows, nuisance)
+
+
+@dataclass(frozen=True)
+class Refined:
+    """A candidate at its least penalised error of the output; ``vector`` holds all unknowns by columns.
+
+    The first of its drift terms is w0, the gears' output with all bits cleared.
+    """
+
+    structure: Structure
+    vector: Floats
+    squares: float
+    penalised: float
+
+
+class OutputProblem:
+    """The output-error problem of one basis: candidates are refined on its rows, and judged there."""
+
+    def __init__(self, rows: JudgedRows) -> None:
+        self.rows = rows
+        self.count = len(rows.output)
+
+    def predicted(self, vector: Floats, segments: int, some: Integers | slice = slice(None)) -> Floats:
+        """Return what the unknowns predict of the rows, drift and all."""
+        rows = self.rows
+        shared, drift = rows.drive.shape[1], rows.drift.shape[1]
+        origin = len(vector) - drift
+        y: Floats = np.einsum("ij,j->i", rows.drive[some], vector[:shared]) + vector[origin]
+        if segments > 1:
+            y, _ = asymmetry(y, corners(vector[shared:origin], segments))
+        if drift > 1:
+            y = y + np.einsum("ij,j->i", rows.drift[some, 1:], vector[origin + 1 :])
+        return y
+
+    def squares(self, vector: Floats, segments: int, some: Integers | slice = slice(None)) -> float:
+        """Return the sum of the squared errors of the output."""
+        left = self.rows.output[some] - self.predicted(vector, segments, some)
+        return float(np.sum(left * left))
+
+    def table(self, vector: Floats, segments: int) -> Floats:
+        """Return the rows of the problem linearised about a vector; the target is the last column."""
+        rows = self.rows
+        shared, drift = rows.drive.shape[1], rows.drift.shape[1]
+        origin = len(vector) - drift
+        table = np.empty((self.count, len(vector) + 1))
+        table[:, origin + 1 : -1] = rows.drift[:, 1:]
+        if segments == 1:
+            table[:, :shared] = rows.drive
+            table[:, origin] = 1.0
+            table[:, -1] = rows.output
+            return table
+        moved = vector[shared:origin]
+        w = np.einsum("ij,j->i", rows.drive, vector[:shared]) + vector[origin]
+        y, slope = asymmetry(w, corners(moved, segments))
+        hats = hat_functions(y, segments) * slope[:, None]
+        table[:, :shared] = rows.drive * slope[:, None]
+        table[:, shared:origin] = -hats
+        table[:, origin] = slope
+        table[:, -1] = rows.output - y + slope * w - np.einsum("ij,j->i", hats, moved)
+        return table
+
+    def products(self, table: Floats, rows: slice = slice(None)) -> Floats:
+        """Return the products of the columns over some rows."""
+        size = table.shape[1]
+        gram = np.zeros((size, size))
+        CHOSEN.add_products(table[rows], size, gram)
+        return np.triu(gram) + np.triu(gram, 1).T
+
+    def solved(
+        self, gram: Floats, structure: Structure, count: int, states: States | None = None
+    ) -> tuple[Floats, States]:
+        """Return the unknowns of least penalised error of linearised rows, and which of them are zero."""
+        unknowns = SignedUnknowns(self.rows.columns(structure.segments), structure.slopes, structure.segments)
+        guess = unknowns.states(structure.memories) if states is None else states.copy()
+        found = minimum(unknowns.products(gram), unknowns, structure, count, guess)
+        return unknowns.solution(found).vector, guess
+
+    def penalty(self, vector: Floats, structure: Structure) -> float:
+        """Return what the smoothness of slopes and asymmetry adds to the squares."""
+        slopes, kinks = penalties(self.rows.columns(structure.segments))
+        form = structure.smoothness * slopes + structure.knot_smoothness * kinks
+        return self.count * quadratic(form, np.append(vector, -1.0))
+
+    def refined(self, structure: Structure, start: Floats, steps: int = STEPS) -> Refined:
+        """Return the candidate at the least error that Gauss-Newton steps from ``start`` reach."""
+        segments = structure.segments
+        vector = start
+        squares = self.squares(vector, segments)
+        error = squares + self.penalty(vector, structure)
+        for _ in range(steps):
+            gram = self.products(self.table(vector, segments))
+            try:
+                goal, _ = self.solved(gram, structure, self.count)
+            except FitError:
+                break
+            before = error
+            for halving in range(HALVINGS + 1):
+                trial = vector + 0.5**halving * (goal - vector)
+                left = self.squares(trial, segments)
+                total = left + self.penalty(trial, structure)
+                if total < error:
+                    vector, squares, error = trial, left, total
+                    break
+            if error > before * (1.0 - ENOUGH):
+                break
+        return Refined(structure, vector, squares, error)
+
+    def levelled(self, vector: Floats, structure: Structure) -> Refined:
+        """Return other unknowns with w0 and drift fitted to the output."""
+        segments = structure.segments
+        gram = self.products(self.table(vector, segments))
+        first = len(vector) - self.rows.drift.shape[1]
+        own = slice(first, len(vector))
+        rest = np.append(vector, -1.0)
+        rest[own] = 0.0
+        products = np.einsum("ij,j->i", gram[own], rest)
+        vector = vector.copy()
+        vector[own] = -least_squares(gram[own, own], products)
+        squares = self.squares(vector, segments)
+        return Refined(structure, vector, squares, squares + self.penalty(vector, structure))
+
+    def judged(self, candidate: Refined) -> Judged:
+        """Return the candidate with its errors on parts left out; raises FitError where it cannot be solved.
+
+        The fit without a part is one step from the fit to all rows.
+        """
+        structure, segments = candidate.structure, candidate.structure.segments
+        table = self.table(candidate.vector, segments)
+        grams = [self.products(table, cell) for cell in self.rows.cells]
+        total = np.add.reduce(grams)
+        _, states = self.solved(total, structure, self.count)
+        parts = {}
+        for kind, some in self.rows.kinds.items():
+            squares = [self._left_out(candidate, part, total, grams, states) for part in some]
+            parts[kind] = Errors(np.array(squares), np.array([len(part.rows) for part in some]))
+        return Judged(self.rows.basis, candidate, parts, self.count)
+
+    def _left_out(
+        self, candidate: Refined, part: Part, total: Floats, grams: Sequence[Floats], states: States
+    ) -> float:
+        """Return the sum of squared errors on a part of the fit without it."""
+        segments = candidate.structure.segments
+        kept = total - np.add.reduce([grams[k] for k in part.cells])
+        try:
+            vector, _ = self.solved(kept, candidate.structure, self.count - len(part.rows), states)
+        except FitError:
+            vector = candidate.vector
+        if segments > 1:
+            vector = self._shortened(vector, candidate, part)
+        left = self.rows.output[part.rows] - self.predicted(vector, segments, part.rows)
+        return _free_of(left, self.rows.drift[part.rows, part.nuisance])
+
+    def smoothest(self, structure: Structure, tried: Sequence[float]) -> Structure:
+        """Return gears without an asymmetry with the smoothness that does best on parts left out."""
+        table = self.table(np.zeros(self.rows.columns(1).total), 1)
+        grams = [self.products(table, cell) for cell in self.rows.cells]
+        total = np.add.reduce(grams)
+        unknowns = SignedUnknowns(self.rows.columns(1), structure.slopes, 1)
+        parts = [part for some in self.rows.kinds.values() for part in some]
+        own = [np.add.reduce([grams[k] for k in part.cells]) for part in parts]
+        kept = [unknowns.products(total - gram) for gram in own]
+        shares = np.array([len(part.rows) / len(some) for some in self.rows.kinds.values() for part in some])
+        errors = []
+        for smoothness in tried:
+            trial = replace(structure, smoothness=smoothness)
+            error = 0.0
+            for part, gram, products, share in zip(parts, own, kept, shares, strict=True):
+                states = unknowns.states(structure.memories)
+                rows = self.count - len(part.rows)
+                found = minimum(products, unknowns, trial, rows, states)
+                vector = unknowns.solution(found).vector
+                left = squared_error_free_of(gram, vector, self._own_columns(part))
+                error += share * left / len(part.rows)
+            errors.append(error)
+        return replace(structure, smoothness=tried[int(np.argmin(errors))])
+
+    def _own_columns(self, part: Part) -> slice:
+        """Return where the drift that a part has to itself stands among the columns of gears alone."""
+        first = self.rows.drive.shape[1]
+        return slice(first + part.nuisance.start, first + part.nuisance.stop)
+
+    def _shortened(self, vector: Floats, candidate: Refined, part: Part) -> Floats:
+        """Return the step without a part, shortened where it raises the error on what is kept."""
+        segments = candidate.structure.segments
+        kept = np.ones(self.count, bool)
+        kept[part.rows] = False
+        some = np.flatnonzero(kept)
+
+        def error(trial: Floats) -> float:
+            return self.squares(trial, segments, some) + self.penalty(trial, candidate.structure)
+
+        least = error(candidate.vector)
+        for halving in range(HALVINGS + 1):
+            trial = candidate.vector + 0.5**halving * (vector - candidate.vector)
+            if error(trial) < least:
+                return trial
+        return candidate.vector
+
+
+def _free_of(left: Floats, columns: Floats) -> float:
+    """Return the sum of squares that these columns leave."""
+    if not columns.shape[1]:
+        return float(np.sum(left * left))
+    gram = np.einsum("ij,ik->jk", columns, columns)
+    products = np.einsum("ij,i->j", columns, left)
+    rest = left - np.einsum("ij,j->i", columns, least_squares(gram, products))
+    return float(np.sum(rest * rest))
+
+
+def finer(vector: Floats, columns: Columns, segments: int, to: int) -> Floats:
+    """Return the same unknowns with the asymmetry on ``to`` segments, a multiple."""
+    at = columns.gears + columns.memories
+    coarse = corners(vector[at : at + segments - 1], segments)
+    inner = np.arange(1, to) / to
+    moved = np.interp(inner, np.arange(segments + 1) / segments, coarse) - inner
+    return np.concatenate((vector[:at], moved, vector[at + segments - 1 :]))
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Squared errors on the parts of one kind, each part left out in turn, and the parts' rows."""
+
+    squares: Floats
+    rows: Integers
+
+    @property
+    def mean_square(self) -> float:
+        """Mean over all rows of the kind."""
+        return float(self.squares.sum() / self.rows.sum())
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A refined candidate and its errors on parts left out, of every kind that the logs have."""
+
+    basis: Basis
+    candidate: Refined
+    errors: dict[str, Errors]
+    count: int
+
+    @property
+    def structure(self) -> Structure:
+        """Which unknowns take part."""
+        return self.candidate.structure
+
+    @property
+    def fitted(self) -> float:
+        """Mean square of the error on all rows."""
+        return self.candidate.squares / self.count
+
+    @property
+    def score(self) -> float:
+        """Logarithm of the RMS error left out, mean over the kinds; of the fit where nothing could be."""
+        kinds = [np.log(one.mean_square + TINY) for one in self.errors.values()]
+        return 0.5 * float(np.mean(kinds)) if kinds else self.least_score
+
+    @property
+    def least_score(self) -> float:
+        """Logarithm of the RMS error on all rows: what is left out is predicted no better."""
+        return 0.5 * float(np.log(self.fitted + TINY))
+
+    def beaten_by(self, rival: Judged, least: float) -> bool:
+        """Return whether a rival does better by more than the error bar, and by this share of the error."""
+        return self.score - rival.score > max(self._error_bar(rival), math.log1p(least))
+
+    def _error_bar(self, rival: Judged) -> float:
+        """Return one standard error of the difference of the scores, from its scatter between the parts.
+
+        Of a kind with a single part the scatter is not known: its whole difference may be chance.
+        """
+        total = 0.0
+        for kind, mine in self.errors.items():
+            other = rival.errors[kind]
+            count = len(mine.rows)
+            if count > 1:
+                apart = mine.squares / (mine.squares.sum() + TINY) - other.squares / (
+                    other.squares.sum() + TINY
+                )
+                total += 0.25 * count / (count - 1.0) * float(np.sum(apart**2))
+            else:
+                total += 0.25 * float(np.log((mine.mean_square + TINY) / (other.mean_square + TINY))) ** 2
+        return float(np.sqrt(total)) / max(len(self.errors), 1)
