@@ -194,7 +194,7 @@ static int same_turns(const dbo_backlash_state *a, const dbo_backlash_state *b) 
            memcmp(a->turns, b->turns, a->depth * sizeof(dbo_place)) == 0;
 }
 
-#define MOST_HALVINGS 2000
+#define MOST_HALVINGS 2000 /* of a range: more than float64 has */
 
 /* See kernel.py: the drive whose own settled state leads to an output, or the two between which that steps over it. */
 static PyObject *backlash_start(PyObject *module, PyObject *args) {

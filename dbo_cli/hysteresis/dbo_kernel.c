@@ -162,9 +162,9 @@ void dbo_backlash_bits(const dbo_backlash *op, const dbo_backlash_state *state, 
 /* So many gears about the place where the way ends by the guide are asked whether they are crossed: where that is
  * cheap all at once, with no branch to foretell, else one. */
 #if defined(DBO_SMALL)
-#define ASKED 1
+#define ASKED 1 /* a gear */
 #else
-#define ASKED 4
+#define ASKED 4 /* gears; chosen: the guide is off by two at most where widths are alike */
 #endif
 
 /* What gears are crossed towards: the input `u`, as long as the output has room up to `bound`; both count from
