@@ -2,7 +2,7 @@
 
     python docs/make_api_page.py
 
-tests/test_api_page.py holds that it is up to date, and that every parameter is explained.
+tests/extras/test_api_page.py holds that it is up to date, and that every parameter is explained.
 """
 
 from __future__ import annotations

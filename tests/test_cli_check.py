@@ -184,6 +184,7 @@ def test_the_pieces_of_a_drive_from_the_command_line(bench: Any) -> None:
     assert summary["read"][0]["file"] == "wish.csv" and summary["read"][0]["rows"] == 400
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
@@ -396,6 +397,7 @@ def test_limits_in_units_that_are_none_are_refused(bench: Any, words: str, probl
     assert (done.code, done.err) == (2, f"dbo: error: {problem}\n")
 
 
+@pytest.mark.whole
 def test_waveform_and_excite_take_limits_in_units(bench: Any) -> None:
     done = bench("waveform", "drive.csv", "--to", "npy", "--max-slew", "1kV/s", "-o", "o.npy")
     assert done.code == 3
@@ -426,6 +428,7 @@ def test_identify_takes_the_rating_in_units(bench: Any) -> None:
     )
 
 
+@pytest.mark.whole
 def test_export_takes_limits_in_units_and_warns_beyond_the_model(bench: Any) -> None:
     done = bench("export", "model.json", "-o", "out", "--v-max", "0.015kV", "--v-min", "0",
                  "--max-slew", "20V/s", "--sample-rate", "1000")  # fmt: skip
@@ -472,6 +475,7 @@ def with_rows(name: str, rows: dict[int, str], end: str = "\n") -> None:
     Path(name).write_text("time_s,voltage_V\n" + "\n".join(lines) + end)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("row", [1, 2, 200, 399, 400])
 @pytest.mark.parametrize("cell", BAD_CELLS)
 def test_a_row_without_a_number_is_a_problem_wherever_it_stands(bench: Any, cell: str, row: int) -> None:
@@ -492,6 +496,7 @@ def test_a_row_of_another_width_is_a_problem(bench: Any, row: int, text: str, ce
     assert done.code == 3 and done.err.startswith(f"dbo: error: bad.csv: {problem}"), done.err
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("last", ["0.399,48.7", "0.399,", "0.399", "0.39", "0"])
 def test_a_file_that_is_cut_in_its_last_line_does_not_pass(bench: Any, last: str) -> None:
     with_rows("cut.csv", {400: last}, end="")
@@ -536,6 +541,7 @@ def test_many_bad_rows_are_named_up_to_twenty_and_counted(bench: Any) -> None:
     assert problems[20] == "20 more rows hold no number"
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", ["bad.npy", "bad.h5"])
 def test_binary_files_are_as_strict(bench: Any, name: str) -> None:
     drive = DRIVE.copy()
@@ -623,6 +629,7 @@ def test_limits_of_a_column_without_a_unit_are_said_to_be_plain(bench: Any) -> N
     )
 
 
+@pytest.mark.whole
 def test_figures_that_no_amplifier_has(bench: Any) -> None:
     write("huge.csv", "time_s,voltage_V", TIME[:4], [0.0, 1e99, 1e101, 1.0])
     message = "row 3: 1e+101 V is no voltage: it is beyond 1e+100"

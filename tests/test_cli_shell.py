@@ -77,6 +77,7 @@ WRONG = {
 }
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("line", WRONG)
 def test_wrong_command_lines(dbo: Any, line: str, tmp_path: Path) -> None:
     """Refused with exit code 2 and one line, before any file is looked for."""
@@ -150,6 +151,7 @@ def test_root_help_names_every_command(dbo: Any) -> None:
     )
 
 
+@pytest.mark.whole
 def test_readme_points_to_the_help_of_every_command() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     place = " ".join(text[text.index("`dbo help COMMAND`") :].split())
@@ -157,6 +159,7 @@ def test_readme_points_to_the_help_of_every_command() -> None:
     assert named == [*COMMANDS]
 
 
+@pytest.mark.whole
 def test_every_option_that_the_readme_uses_exists(dbo: Any) -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8").replace("\\", "/")
     used = re.findall(r"\bdbo ({})\b([^\n`|]*)".format("|".join(COMMANDS)), text)
@@ -190,6 +193,7 @@ PROMISED = {
 }
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", COMMANDS)
 def test_promised_options_are_there_and_explained(dbo: Any, name: str) -> None:
     page = help_of(dbo, name)
@@ -222,6 +226,7 @@ def test_completion_scripts_are_printed(shell: str) -> None:
     assert f"_DBO_COMPLETE=complete_{shell}" in done.stdout
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("typed", "offered"),
     [
@@ -282,6 +287,7 @@ def test_show_tells_on_which_side_of_the_gears_the_points_stand(dbo: Any, tmp_pa
         assert "2 gears, 3 segments of asymmetry on the drive's side and 2 on the displacement's" in told
 
 
+@pytest.mark.whole
 def test_show_tells_what_is_in_a_model(dbo: Any) -> None:
     old = Path(__file__).parent / "old_files" / "model-v1.json"
     done = dbo("show", old)
@@ -337,6 +343,7 @@ def test_identify_tells_a_listener_of_its_rows_and_its_fit(tmp_path: Path) -> No
     ]  # fmt: skip
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_help_says_what_is_written_and_has_two_examples_that_parse(dbo: Any, command: str) -> None:
     page = help_of(dbo, command)
@@ -354,6 +361,7 @@ def test_every_help_says_what_is_written_and_has_two_examples_that_parse(dbo: An
         root_command().get_command(root, command).make_context(command, words[2:], parent=root)
 
 
+@pytest.mark.whole
 def test_help_is_a_word_too(dbo: Any) -> None:
     assert dbo("help") == dbo("--help")
     assert dbo("help", "check") == dbo("check", "--help")

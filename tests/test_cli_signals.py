@@ -234,6 +234,7 @@ def bench(dbo: Any, model_file: Path) -> Any:
     return dbo
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("line", [*BAD_INPUT, *BAD_USE])
 def test_bad_input_is_one_line_and_leaves_nothing(bench: Any, line: str) -> None:
     before = folder_content(Path())
@@ -490,6 +491,7 @@ def test_the_first_line_says_what_was_read(whole_dbo: Any, model_file: Path) -> 
     assert whole_dbo("simulate", "model.json", "drive.csv", "-q").err == ""
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("more", "rows"),
     [([], 16384), (["--sweep-to", "200"], 65536), (["--duration", "8", "--frequency", "2"], 4096)],

@@ -53,6 +53,7 @@ def differs(shown: str, printed: str) -> bool:
     return False
 
 
+@pytest.mark.whole
 def test_the_python_page_runs_as_it_stands_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("identification.csv", "trajectory.csv"):
         shutil.copy(ROOT / "sample_data" / name, tmp_path)
@@ -74,6 +75,7 @@ def test_what_is_shown_may_differ_in_its_last_digit_alone() -> None:
     assert differs("64 gears\n", "64 wheels\n")
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_links_lead_somewhere(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
@@ -108,6 +110,7 @@ def test_the_conda_recipe_asks_for_what_the_package_needs() -> None:
     assert asked == needs
 
 
+@pytest.mark.whole
 def test_files_that_the_architecture_names_are_there() -> None:
     text = (DOCS / "architecture.md").read_text(encoding="utf-8")
     named = set(re.findall(r"`((?:\w+/)*\w+(?:\.\w+)*\.(?:py|md|json|toml))`", text))

@@ -148,6 +148,7 @@ REFUSED: list[tuple[dict[str, Any] | str, str]] = [
 ]  # fmt: skip
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("values", "message"), REFUSED, ids=[message[:50] for _, message in REFUSED])
 def test_what_is_refused(tmp_path: Path, values: Any, message: str) -> None:
     path = write(tmp_path, values)

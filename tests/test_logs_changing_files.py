@@ -106,6 +106,7 @@ def read_on(path: Path, change: Callable[[Path], None]) -> None:
             pass
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("change", [cut, cut_to_nothing, overwrite, grow, replace])
 @pytest.mark.parametrize("name", ["log.h5", "log.npy", "log.parquet", "log.mat"])
 def test_a_binary_log_that_changes(tmp_path: Path, name: str, change: Callable[[Path], None]) -> None:
@@ -170,6 +171,7 @@ def test_a_file_behind_a_link_is_watched_too(tmp_path: Path, link: bool) -> None
     assert str(raised.value) == said(tmp_path / "log.h5")
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", ["log.h5", "log.npy", "log.csv"])
 def test_nothing_is_written(
     tmp_path: Path, name: str, dbo: Any, model_file: Path, monkeypatch: pytest.MonkeyPatch

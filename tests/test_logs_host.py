@@ -40,6 +40,7 @@ def test_no_module_below_the_shell_touches_the_process() -> None:
     assert found == []
 
 
+@pytest.mark.whole
 @posix
 def test_four_threads_that_read_parquet_leave_standard_error_where_it_was(tmp_path: Path) -> None:
     values = [0.001 * k for k in range(3000)]
@@ -97,6 +98,7 @@ def test_a_process_hears_interrupts_after_polars_and_ends_in_order(tmp_path: Pat
     assert (done.returncode, done.stdout, done.stderr) == (0, "143\n", "")
 
 
+@pytest.mark.whole
 def test_a_damaged_file_is_one_exception_in_a_host(tmp_path: Path) -> None:
     (tmp_path / "bad.parquet").write_bytes(b"PAR1" + bytes(40) + b"PAR1")
     with pytest.raises(InputError, match=r"bad\.parquet: damaged Parquet: "):

@@ -70,6 +70,7 @@ def test_clocks_that_disagree_are_refused_at_the_row(tmp_path: Path) -> None:
     assert block.time is not None and block.time.tolist() == list(T)
 
 
+@pytest.mark.whole
 def test_rates_that_disagree_are_refused(tmp_path: Path) -> None:
     first, other = tmp_path / "sensor.csv", tmp_path / "drive.csv"
     first.write_text("\n".join(["Sample rate: 1 kHz", "displacement_um,error_um", *rows(",", (D, D))]) + "\n")
@@ -196,6 +197,7 @@ def test_a_file_that_is_not_there(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.whole
 def test_two_channels_of_a_tektronix_oscilloscope(tmp_path: Path) -> None:
     first, other = tmp_path / "F0001CH2.CSV", tmp_path / "F0001CH1.CSV"
     second = [line.replace("Source,CH1", "Source,CH2") for line in _TEK]

@@ -225,6 +225,7 @@ def test_a_segment_that_begins_after_midnight_goes_on_by_its_date(tmp_path: Path
     )
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("lines", ["fs: 1000.0004\ndt: 1 ms\n", "dt: 1 ms\nfs: 1000.0004\n"])
 def test_a_stated_unit_of_a_rate_goes_before_an_assumed_one(lines: str, tmp_path: Path) -> None:
     path = tmp_path / "log.txt"

@@ -36,6 +36,7 @@ def told(refusal: Refusal, folder: Path, **more: Any) -> DboError:
     return raised.value
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("parser", ["plain", "fast"])
 @pytest.mark.parametrize("refusal", REFUSABLE, ids=lambda refusal: refusal.name)
 def test_refusal_is_told_exactly(

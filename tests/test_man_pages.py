@@ -18,6 +18,7 @@ make_man_pages = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(make_man_pages)
 
 
+@pytest.mark.whole
 def test_the_pages_are_up_to_date() -> None:
     kept = {path.name: path.read_text(encoding="utf-8") for path in (DOCS / "man").iterdir()}
     assert kept.keys() == {"dbo.1", *(f"dbo-{name}.1" for name in commands.names())}

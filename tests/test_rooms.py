@@ -144,6 +144,7 @@ def test_no_module_is_in_a_circle_of_imports() -> None:
     assert set(circle(edges)) >= {"dbo_cli.errors", "dbo_cli.hysteresis.model"}
 
 
+@pytest.mark.whole
 def test_the_picture_of_the_imports_has_no_arrow_up_and_is_up_to_date() -> None:
     arrows, places = draw_imports.arrows(), draw_imports.PLACES
     assert {name for pair in arrows for name in pair} <= places.keys()
@@ -154,6 +155,7 @@ def test_the_picture_of_the_imports_has_no_arrow_up_and_is_up_to_date() -> None:
     assert shown == {draw_imports.arrow_id(*pair) for pair in arrows}, "run docs/draw_imports.py"
 
 
+@pytest.mark.whole
 def test_asking_for_help_loads_nothing_heavy() -> None:
     """One command after the other in one process: what the first loads, all show."""
     lines = ["--version", "--help", "help show", *(f"{name} --help" for name in COMMANDS)]

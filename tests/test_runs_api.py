@@ -150,6 +150,7 @@ def test_what_must_be_said_is_data_or_a_warning(small: dbo_api.Model) -> None:
         small.compensate([2.0, 20.0], on_limit="error")
 
 
+@pytest.mark.whole
 def test_compensate_says_what_error_to_expect_of_the_move(dbo: Any, sample_model: Path) -> None:
     expected = json.loads(sample_model.read_text())["fit"]["expected_rmse"]
     model = dbo_api.read_model(sample_model)
@@ -329,6 +330,7 @@ def test_importing_the_package_loads_nothing() -> None:
     assert done.stdout == "['dbo_cli', 'dbo_cli.version']\n"
 
 
+@pytest.mark.whole
 def test_every_public_name_is_there() -> None:
     for name in dbo_api.__all__:
         assert getattr(dbo_api, name).__doc__

@@ -233,6 +233,7 @@ def test_beside_a_long_move_a_long_sweep_is_in_order(bench: Any) -> None:
 # --- limits in sets, live and in moves ---
 
 
+@pytest.mark.whole
 def test_a_plain_limit_of_channels_in_different_units_is_refused(bench: Any) -> None:
     kilo = SMALL_MODEL | {
         "input": {"quantity": "voltage", "unit": "kV", "min": 0.0, "max": 0.01},
@@ -255,6 +256,7 @@ def test_a_plain_limit_of_channels_in_different_units_is_refused(bench: Any) -> 
     assert drives[:, 2].max() <= 10.0 and drives[:, 4].max() <= 0.01
 
 
+@pytest.mark.whole
 def test_a_limit_never_widens_a_channel(bench: Any) -> None:
     small = SMALL_MODEL | {"input": SMALL_MODEL["input"] | {"max": 8.0}}
     models = {"a": SMALL_MODEL, "b": small}
@@ -268,6 +270,7 @@ def test_a_limit_never_widens_a_channel(bench: Any) -> None:
     assert (drives[:, 2].max(), drives[:, 4].max()) == (10.0, 8.0)
 
 
+@pytest.mark.whole
 def test_a_controller_stays_in_the_range_unless_asked_to_extrapolate() -> None:
     model = Model(read_model_of(SMALL_MODEL))
     narrow = model.controller(v_max=50.0, state="empty")
@@ -276,6 +279,7 @@ def test_a_controller_stays_in_the_range_unless_asked_to_extrapolate() -> None:
     assert 10.0 < [wide.step(x) for x in (5.0, 11.0)][1] < 50.0
 
 
+@pytest.mark.whole
 def test_a_move_is_held_to_what_the_limits_leave(bench: Any) -> None:
     words = ["trajectory", "sine", "--rate", "100", "--range", "2:8", "--frequency", "1", "-o", "move.csv"]
     assert bench(*words, "--model", "model.json").code == 0

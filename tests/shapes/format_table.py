@@ -10,10 +10,10 @@ from tests.shapes.laboratory_files import LABORATORY_FILES
 
 HEAD = """# Formats: what is read, how, and what is refused
 
-Each line is a file that the tests write and read (`tests/test_logs_formats.py`); this page is made from the same
+Each line is a file that the tests write and read (`tests/extras/test_logs_formats.py`); this page is made from the same
 list (`python -m tests.shapes.format_table > docs/instruments-formats.md`), so it cannot say anything else: what is read
 right comes out bit for bit, what is refused is refused in these words, and the remedy that is named is followed by
-`tests/test_logs_remedies.py`. "By hand" means after public descriptions, "after" a library: as a file that it wrote. A file says by its first bytes what it is, whatever its name. Where a command
+`tests/extras/test_logs_remedies.py`. "By hand" means after public descriptions, "after" a library: as a file that it wrote. A file says by its first bytes what it is, whatever its name. Where a command
 stands, time, voltage, displacement and their units come out right with it; what is said on the way stands behind it. In messages a parameter stands in backticks: `sample_rate` is
 `--sample-rate` on the command line.
 

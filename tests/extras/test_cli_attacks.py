@@ -17,7 +17,7 @@ from conftest import folder_content
 from dbo_cli.errors import InputError
 from dbo_cli.extras.repeat.learning import read_history
 
-ROOT = str(Path(__file__).resolve().parent.parent)
+ROOT = str(Path(__file__).resolve().parents[2])
 DBO = [sys.executable, "-m", "dbo_cli"]
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX streams")
 LOG = "voltage_V\n0\n5\n10\n3\n"

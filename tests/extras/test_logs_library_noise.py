@@ -17,7 +17,7 @@ from dbo_cli.cli.app import CommandProcess
 from dbo_cli.errors import InputError
 from dbo_cli.logs.libraries import GAVE_UP
 
-PATH = {"PYTHONPATH": str(Path(__file__).parent.parent)}
+PATH = {"PYTHONPATH": str(Path(__file__).parents[2])}
 
 
 def frame() -> polars.DataFrame:

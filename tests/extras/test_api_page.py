@@ -12,7 +12,7 @@ import pytest
 
 import dbo_cli
 
-DOCS = Path(__file__).resolve().parent.parent / "docs"
+DOCS = Path(__file__).resolve().parents[2] / "docs"
 spec = importlib.util.spec_from_file_location("make_api_page", DOCS / "make_api_page.py")
 assert spec is not None and spec.loader is not None
 make_api_page = importlib.util.module_from_spec(spec)

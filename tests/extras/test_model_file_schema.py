@@ -34,7 +34,7 @@ from dbo_cli.hysteresis.model import ModelState
 from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, read_state, state_to_bytes
 from dbo_cli.hysteresis.operators import BacklashState
 
-DOCS = Path(__file__).resolve().parent.parent / "docs"
+DOCS = Path(__file__).resolve().parents[2] / "docs"
 SCHEMA = json.loads((DOCS / "model-file.schema.json").read_text(encoding="utf-8"))
 CHECK = Draft202012Validator(SCHEMA)
 BEYOND = re.compile(

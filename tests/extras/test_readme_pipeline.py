@@ -16,7 +16,7 @@ from virtual_actuator import PRESETS, VirtualActuator, measure, read_drive, writ
 
 from dbo_cli.hysteresis.model_file import model_to_bytes
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 
 pytestmark = pytest.mark.skipif(
     os.name != "posix" or shutil.which("make") is None, reason="needs make and a POSIX shell"

@@ -73,7 +73,7 @@ def test_format(case: FormatFile, tmp_path: Path) -> None:
 
 
 def test_the_page_says_what_the_tests_hold() -> None:
-    kept = Path(__file__).parent.parent / "docs" / "instruments-formats.md"
+    kept = Path(__file__).parents[2] / "docs" / "instruments-formats.md"
     remedy = "python -m tests.shapes.format_table > docs/instruments-formats.md"
     assert kept.read_text(encoding="utf-8") == page(), remedy
 

@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.test_logs_formats import FILES, written
 
 from dbo_cli.errors import DboError
 from dbo_cli.logs.columns import wish
 from dbo_cli.logs.request import ReadingOptions, parse_rows
 from dbo_cli.logs.signal_log import open_log
 from tests.shapes.refusable import REFUSABLE
-from tests.test_logs_formats import FILES, written
 
 Way = dict[str, Any]
 ROLES = ("voltage", "displacement")
