@@ -55,14 +55,14 @@ def test_ends_are_those_of_the_drive_within_its_noise(
     assert found[0] >= measured.min() and found[1] <= measured.max()
 
 
-@pytest.mark.parametrize("share", [0.0005, 0.001, 0.005])
+@pytest.mark.parametrize("share", [0.0002, 0.001, 0.005])
 def test_zero_and_the_rating_stay_after_excite(share: float) -> None:
     for seed in range(10):
         measured = read_back(100.0 * EXCITED, 100.0 * share, seed)
         assert measured.min() < -250.0 * share
         low, high = drive_range([log_of(measured)])
         assert low == 0.0
-        assert high == pytest.approx(100.0, abs=100.0 * share)
+        assert high == pytest.approx(100.0, abs=200.0 * share)
 
 
 def test_ends_that_are_no_round_number_are_not_made_one() -> None:

@@ -4,7 +4,7 @@
 
 Plans, refused plans, commits, applied voltages and codes, knobs turned, states saved and gone on from: of a
 controller, and of banks of 1, 2 and 55 channels, with and without converter, slew limit, dynamics and
-look-ahead (``tests/live_machine.py``). Each round has a seed of its own. Counts are printed at the end; exit 1
+look-ahead (``tests/extras/live_machine.py``). Each round has a seed of its own. Counts are printed at the end; exit 1
 where the two differ, with the steps that lead there.
 """
 
@@ -16,6 +16,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT / "tests"))
+sys.path.insert(0, str(ROOT / "tests" / "extras"))
 sys.path.insert(0, str(ROOT))
 
 import hypothesis  # noqa: E402

@@ -67,6 +67,8 @@ class Compensation(ModelRun):
         What extras have to say of the rows of the move.
     gate : DriveGate
         What every row passes.
+    expecting : bool
+        Whether the error to expect of the move is worked out for the remarks.
     """
 
     options: DriveOptions = field(default_factory=DriveOptions)
@@ -88,6 +90,8 @@ class Compensation(ModelRun):
     limits: DriveLimits = field(init=False)
     gate: DriveGate = field(init=False)
     watchers: list[Watcher] = field(default_factory=list)
+    expecting: bool = True
+    _error_of: tuple[tuple[int, int], MoveError | None] | None = None
 
     compensates = True
     repeats = False  # whether the trajectory goes on from its last row to its first
@@ -436,7 +440,7 @@ class Compensation(ModelRun):
                 f"{coulombs / drive.seconds:.3g} A and {joules / drive.seconds:.3g} W (voltage times "
                 "current) on average"
             )
-        found = None if self.expected_rmse()[0] is None else self._move_error()
+        found = self._move_error() if self.expecting and self.expected_rmse()[0] is not None else None
         # Where clipping is the error, what is left of the move tells nothing of the logs.
         if found is not None and not found.rmse < max(found.straight_line, self._lost_rms()):
             unit = self.model.output.suffix
@@ -472,7 +476,7 @@ class Compensation(ModelRun):
                 f"the drive is in the voltages of the model's logs {scale} (`gain` of waveform takes it back "
                 "to the converter's)"
             )
-        if self.states_error and self.rows:
+        if self.states_error and self.rows and self.expecting:
             yield from self._expected_error()
 
     def _lead_in_said(self) -> str:
@@ -519,9 +523,15 @@ class Compensation(ModelRun):
         return rmse, 100.0 * rmse / span if span > 0.0 else None
 
     def _move_error(self) -> MoveError | None:
-        """Return what to expect of the rows that were kept."""
+        """Return what to expect of the rows that were kept, worked out once for them."""
         if not self.kept:
             return None
+        rows = self.rows, len(self.kept)
+        if self._error_of is None or self._error_of[0] != rows:
+            self._error_of = rows, self._worked_out()
+        return self._error_of[1]
+
+    def _worked_out(self) -> MoveError | None:
         drive = np.concatenate([drive for drive, _ in self.kept])
         steps = [one for _, one in self.kept if one is not None]
         begin = min(self.rows_before, drive.size - 1)

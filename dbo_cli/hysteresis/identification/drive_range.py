@@ -181,8 +181,13 @@ def _weights_of_the_end(rows: int) -> Floats:
 
 
 def _rounded(level: float, noise: float) -> float:
-    """Return a level with the digits that noise leaves of it; the last is a multiple of 1, 2 or 5."""
+    """Return a level with the digits that noise leaves of it; the last is a multiple of 1, 2 or 5.
+
+    None is left of a level that noise does not tell from 0.
+    """
     largest = LAST_DIGIT * noise
+    if abs(level) < largest:
+        return 0.0
     exponent = math.floor(math.log10(largest))
     factor = max(factor for factor in (1, 2, 5) if factor == 1 or factor * 10.0**exponent <= largest)
     steps = round(level / (factor * 10.0**exponent))
