@@ -234,7 +234,7 @@ def _held_run(rest: Prompt, block: Block, state: ModelState, side: int) -> Simul
     """
     drive, lagged, inner = _ramp(rest, block, state, side)
     y, after = _followed(rest, block, state, inner)
-    held = _clearly_held(rest, block.of(slice(0, drive.size)), side, inner, y)
+    held = _clearly_held(rest, block.of(slice(0, drive.size)), side, lagged, inner, y)
     count = drive.size if held.all() else int(np.argmin(held))
     if count == 0:
         return Simulated(drive[:0], state)
@@ -290,19 +290,25 @@ def _followed(rest: Prompt, block: Block, state: ModelState, inner: Floats) -> t
     return y, after
 
 
-def _clearly_held(rest: Prompt, block: Block, side: int, inner: Floats, y: Floats) -> NDArray[np.bool_]:
+def _clearly_held(
+    rest: Prompt, block: Block, side: int, lagged: Floats, inner: Floats, y: Floats
+) -> NDArray[np.bool_]:
     """Return which samples ask for so much beyond what is reached that they are clipped, and counted so.
 
-    A demand that much beyond what is reached is clipped however near the lag is to the end of the range: by
-    the lag's bound, or by the drive's. Near the ends of the gears a sample counts as outside by how far the
-    demand goes beyond them, which only the inverse knows, unless the model does not cover it anyhow.
+    Where the lag has come to the end of the range and the drive is bent behind it, rounding on the way there
+    and back decides by which bound a sample is held: only sample by sample gives the same bits at any cut. Near the ends of the gears a sample counts as outside by
+    how far the demand goes beyond them, which only the inverse knows, unless the model does not cover it
+    anyhow.
     """
     gears, unclear = rest.forward_backlash, UNCLEAR * rest.drive.span
     missing = (through(rest.head, block.x) - y) * (side * _sense(rest))
     slope = float(gears.gears[:, 2].max()) + (sum(gears.relaxation.gain) if gears.relaxation else 0.0)
     outer = math.prod(least_slope(stage) for stage in rest.tail)
+    room = block.limits.v_max - lagged if side > 0 else lagged - block.limits.v_min
     tolerance = 2.0 * float((gears.gears[:, 0] * (1.0 - gears.gears[:, 3])).max())
     low, high = gears.x_range
     inside = (inner > low + tolerance) & (inner < high - tolerance)
     beyond = missing * outer / slope > unclear
+    if rest.tail:
+        beyond &= room > unclear
     return beyond & (inside | rest.uncovered(block.x))

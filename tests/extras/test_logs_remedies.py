@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.test_logs_formats import FILES, written
+from test_logs_formats import FILES, written
 
 from dbo_cli.errors import DboError
 from dbo_cli.logs.columns import wish
