@@ -296,9 +296,9 @@ def _clearly_held(
     """Return which samples ask for so much beyond what is reached that they are clipped, and counted so.
 
     Where the lag has come to the end of the range and the drive is bent behind it, rounding on the way there
-    and back decides by which bound a sample is held: only sample by sample gives the same bits at any cut. Near the ends of the gears a sample counts as outside by
-    how far the demand goes beyond them, which only the inverse knows, unless the model does not cover it
-    anyhow.
+    and back decides by which bound a sample is held: only sample by sample gives the same bits at any cut.
+    Near the ends of the gears a sample counts as outside by how far the demand goes beyond them, which only
+    the inverse knows, unless the model does not cover it anyhow.
     """
     gears, unclear = rest.forward_backlash, UNCLEAR * rest.drive.span
     missing = (through(rest.head, block.x) - y) * (side * _sense(rest))
