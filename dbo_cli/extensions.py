@@ -169,7 +169,17 @@ OWN = (
     Extra(
         "fringes",
         "displacement from the fringes of an interferometer",
-        {"command": {"fringes": "dbo_cli.extras.fringes.command:COMMAND"}},
+        {
+            "command": {"fringes": "dbo_cli.extras.fringes.command:COMMAND"},
+            "run": {
+                "excite --fringes": "dbo_cli.extras.fringes.excitation:drive_for_fringes",
+                "excite --stroke": "dbo_cli.extras.fringes.excitation:drive_for_fringes",
+            },
+            "option": {
+                "excite --fringes": "dbo_cli.extras.fringes.command:EXCITE_FRINGES",
+                "excite --stroke": "dbo_cli.extras.fringes.command:EXCITE_STROKE",
+            },
+        },
     ),
     Extra(
         "moves",

@@ -187,7 +187,7 @@ def test_rows_of_the_output_error_leave_the_output_error_over() -> None:
     rng = np.random.default_rng(3)
     drive = rng.uniform(0.0, 1.0, (50, 7))
     output = rng.uniform(0.0, 1.0, 50)
-    rows = JudgedRows(basis, drive, output, np.ones((50, 1)), (slice(0, 50),), {})
+    rows = JudgedRows(basis, drive, output, np.ones((50, 1)), (slice(0, 50),), {}, np.arange(50))
     vector = np.concatenate((heights, gains, moved, [0.02]))
     table = OutputProblem(rows).table(vector, 4)
     predicted = asymmetry(drive @ np.concatenate((heights, gains)) + 0.02, knots)[0]

@@ -24,6 +24,7 @@ from trials import Floats, random_operator, random_trajectory
 import dbo_cli.hysteresis
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis import kernel
+from dbo_cli.hysteresis.model_state import start_drive
 from dbo_cli.hysteresis.operators import (
     BacklashState,
     Counts,
@@ -411,6 +412,26 @@ def test_steps_planned_committed_and_applied_are_those_of_blocks(relaxation: boo
         if relaxation:
             with pytest.raises(ValueError, match=r"^memory on the input: its output does not give the"):
                 BacklashStepper(forward, state, before, 0.01).follow(0.0)
+
+
+@pytest.mark.parametrize("relaxation", [False, True])
+def test_the_drive_whose_own_start_leads_to_an_output(
+    relaxation: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both kernels give the same bits; at rest there the output is the one wanted, or just beside a step."""
+    reached = 0
+    for seed in range(20):
+        rng = np.random.default_rng([seed, 12])
+        operator = random_operator(rng, (3, 25, 100)[seed % 3], relaxation, (1, 16)[seed % 2])
+        low, high = operator.y_range
+        output = float(rng.uniform(low, high))
+        starts = []
+        for each in (COMPILED or kernel.PythonKernel, kernel.PythonKernel):
+            monkeypatch.setattr(kernel, "CHOSEN", each)
+            starts.append(start_drive(operator, output))
+        assert starts[0] == starts[1]
+        reached += abs(starts[0].reached - output) < 1e-9 * (high - low)
+    assert reached == (11 if relaxation else 13)
 
 
 @needs_compiled

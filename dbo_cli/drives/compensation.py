@@ -97,6 +97,8 @@ class Compensation(ModelRun):
         What every row passes.
     watchers : list of Watcher
         What extras have to say of the rows of the move.
+    expecting : bool
+        Whether the error to expect of the move is worked out for the remarks.
     """
 
     options: DriveOptions = field(default_factory=DriveOptions)
@@ -118,6 +120,8 @@ class Compensation(ModelRun):
     limits: DriveLimits = field(init=False)
     gate: DriveGate = field(init=False)
     watchers: list[Watcher] = field(default_factory=list)
+    expecting: bool = True
+    _error_of: tuple[tuple[int, int], MoveError | None] | None = None
 
     compensates = True
     repeats = False  # whether the trajectory goes on from its last row to its first
@@ -476,7 +480,7 @@ class Compensation(ModelRun):
                 "current) on average"
             )
         error = None
-        if self.expected_rmse()[0] is not None:
+        if self.expecting and self.expected_rmse()[0] is not None:
             error = self._move_error()
         # Where clipping is the error, what is left of the move tells nothing of the logs.
         if error is not None and not error.rmse < max(error.straight_line, self._lost_rms()):
@@ -507,7 +511,7 @@ class Compensation(ModelRun):
                 f"the drive is in the voltages of the model's logs {scale} (`gain` of waveform takes it back "
                 "to the converter's)"
             )
-        if self.states_error and self.rows:
+        if self.states_error and self.rows and self.expecting:
             yield from self._expected_error()
 
     def _begin_notes(self, first: float) -> Iterator[str]:
@@ -584,9 +588,15 @@ class Compensation(ModelRun):
         return rmse, None
 
     def _move_error(self) -> MoveError | None:
-        """Return what error to expect of the first rows of the drive."""
+        """Return what error to expect of the first rows of the drive, worked out once for them."""
         if not self.first_drives:
             return None
+        rows = self.rows, len(self.first_drives)
+        if self._error_of is None or self._error_of[0] != rows:
+            self._error_of = rows, self._worked_out()
+        return self._error_of[1]
+
+    def _worked_out(self) -> MoveError | None:
         drive = np.concatenate([drive for drive, _ in self.first_drives])
         parts = [steps for _, steps in self.first_drives if steps is not None]
         steps = np.concatenate(parts) if parts else None

@@ -190,6 +190,6 @@ class DriveFigures:
             self.fastest = max(self.fastest, float(rates.max(initial=0.0)))
         self.largest_step = max(self.largest_step, float(change.max()))
         self.travel += float(change.sum())
-        self.work += float(np.dot(np.abs(drive), change))
+        self.work += float((np.abs(drive) * change).sum())
         self.first = float(drive[0]) if self.first is None else self.first
         self.last, self.rows = float(drive[-1]), self.rows + drive.size

@@ -146,6 +146,97 @@ done:
     return Py_BuildValue("");
 }
 
+/* An operator, room for a state of it, and a decay at rest. */
+typedef struct {
+    Py_buffer gears, guide, gain;
+    Py_ssize_t n, run;
+    dbo_backlash op;
+    dbo_backlash_state state;
+    double *memory; /* and as many zeros */
+} rested;
+
+static int take_rested(rested *r) {
+    const size_t terms = NUMBERS(r->gain);
+    if (!assemble(&r->op, &r->gears, &r->guide, r->n, r->run)) return 0;
+    r->op.terms = terms;
+    r->op.gain = r->gain.buf;
+    r->memory = PyMem_Calloc(2 * terms + 1, sizeof(double));
+    r->state.turns = PyMem_Malloc(r->op.n * sizeof(dbo_place));
+    if (r->memory && r->state.turns) return 1;
+    PyErr_NoMemory();
+    return 0;
+}
+
+static void release_rested(rested *r) {
+    PyMem_Free(r->memory);
+    PyMem_Free(r->state.turns);
+    PyBuffer_Release(&r->gears);
+    PyBuffer_Release(&r->guide);
+    PyBuffer_Release(&r->gain);
+}
+
+/* The output at rest for an input, from a state of this operator or the `exchanged` one, which stays as it is. */
+static double output_at_rest(const rested *r, const dbo_backlash_state *from, int exchanged, double x) {
+    dbo_backlash_state state = *from;
+    state.x = exchanged ? from->y : from->x;
+    state.y = exchanged ? from->x : from->y;
+    state.memory = r->memory;
+    return dbo_backlash_step(&r->op, &state, x, r->memory + r->op.terms, NULL, NULL);
+}
+
+static void settle_at(rested *r, double drive) {
+    r->state.memory = r->memory;
+    dbo_backlash_decay(&r->op, &r->state, r->op.n, NULL, drive);
+}
+
+static int same_turns(const dbo_backlash_state *a, const dbo_backlash_state *b) {
+    return a->depth == b->depth && a->set == b->set && a->zero == b->zero &&
+           memcmp(a->turns, b->turns, a->depth * sizeof(dbo_place)) == 0;
+}
+
+#define MOST_HALVINGS 2000 /* of a range: more than float64 has */
+
+/* See kernel.py: the drive whose own settled state leads to an output, or the two between which that steps over it. */
+static PyObject *backlash_start(PyObject *module, PyObject *args) {
+    rested forward, inverse, again;
+    double output, below, above, drive = 0.0;
+    int found = 0, ready = 0;
+    (void)module;
+    forward.memory = inverse.memory = NULL;
+    forward.state.turns = inverse.state.turns = again.state.turns = NULL;
+    if (!PyArg_ParseTuple(args, "(y*y*nnddpy*dp)(y*y*nnddpy*dp)ddd", &forward.gears, &forward.guide, &forward.n,
+                          &forward.run, &forward.op.x0, &forward.op.y0, &forward.op.extend, &forward.gain,
+                          &forward.op.reference, &forward.op.memory_on_output, &inverse.gears, &inverse.guide, &inverse.n,
+                          &inverse.run, &inverse.op.x0, &inverse.op.y0, &inverse.op.extend, &inverse.gain,
+                          &inverse.op.reference, &inverse.op.memory_on_output, &output, &below, &above))
+        return NULL;
+    if (!take_rested(&forward) || !take_rested(&inverse)) goto done;
+    if (inverse.op.n != forward.op.n && too_short("gears")) goto done;
+    again = forward;
+    again.state.turns = inverse.state.turns; /* which the steps of the inverse do without */
+    ready = 1;
+    Py_BEGIN_ALLOW_THREADS
+    for (int tries = 0; tries < MOST_HALVINGS && !found; tries++) {
+        const double middle = below + 0.5 * (above - below);
+        if (!(below < middle && middle < above)) break;
+        settle_at(&forward, middle);
+        drive = output_at_rest(&inverse, &forward.state, 1, output);
+        settle_at(&again, drive);
+        found = same_turns(&forward.state, &again.state);
+        if (found) break;
+        if (output_at_rest(&forward, &forward.state, 0, middle) < output)
+            below = middle;
+        else
+            above = middle;
+    }
+    Py_END_ALLOW_THREADS
+done:
+    release_rested(&forward);
+    release_rested(&inverse);
+    if (!ready) return NULL;
+    return Py_BuildValue("(dd)", found ? drive : below, found ? drive : above);
+}
+
 static void stepper_dealloc(PyObject *object) {
     stepper *self = (stepper *)object;
     PyTypeObject *type = Py_TYPE(object);
@@ -635,6 +726,7 @@ done:
 static PyMethodDef methods[] = {
     {"backlash_run", backlash_run, METH_VARARGS, "Equations (1)-(12) over a block of samples."},
     {"backlash_decay", backlash_decay, METH_VARARGS, "The state after an oscillation that decays to a drive."},
+    {"backlash_start", backlash_start, METH_VARARGS, "The drive whose own settled state leads to an output."},
     {"backlash_engagement", backlash_engagement, METH_VARARGS, "Part of every gear in every sample."},
     {"memory_run", memory_run, METH_VARARGS, "Relaxation terms over a block of samples."},
     {"point_run", point_run, METH_VARARGS, "Equations (13)-(16) over a block of samples."},

@@ -47,7 +47,9 @@ class ScaleStage:
 
     def run(self, x: Floats) -> Floats:
         """Return the output for one block."""
-        return self.gain * x + self.offset
+        y: Floats = self.gain * x
+        y += self.offset
+        return y
 
     def inverse(self) -> ScaleStage:
         """Return the stage that undoes this one, to rounding."""

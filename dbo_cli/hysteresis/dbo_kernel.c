@@ -31,6 +31,21 @@ INLINE uint64_t bits_of(double value) {
     return u.bits;
 }
 
+/* The exponent, whatever the sign, with its offset. */
+INLINE unsigned exponent_of(double value) { return (unsigned)(bits_of(value) << 1 >> 53); }
+
+/* a >= b, of which one is not zero. Where float64 is software, whole numbers compare for a fifth of its instructions;
+ * the bits of numbers below zero fall as the numbers rise. */
+INLINE int at_least(double a, double b) {
+#if defined(DBO_SOFT_DOUBLE) || (defined(__arm__) && !(defined(__ARM_FP) && (__ARM_FP & 8))) || \
+    (defined(__riscv) && !(defined(__riscv_flen) && __riscv_flen >= 64)) || defined(__XTENSA__)
+    const int64_t first = (int64_t)bits_of(a), second = (int64_t)bits_of(b);
+    return (first < 0 ? first ^ INT64_MAX : first) >= (second < 0 ? second ^ INT64_MAX : second);
+#else
+    return a >= b;
+#endif
+}
+
 /* ---- the table and the state ------------------------------------------------------------------------ */
 
 /* The state on its way through a block, in registers; `grouped`, a constant where this is inlined, is 0 where each
@@ -84,7 +99,7 @@ INLINE point begin_of(const dbo_backlash *op, size_t gear, int grouped) {
     point begin;
     begin.x = first->x;
     begin.y = first->y;
-    if (grouped) {
+    if (grouped && gear != row * op->run) {
         const double before = (double)(int32_t)(gear - row * op->run);
         begin.x += before * first->dx;
         begin.y += before * first->dy;
@@ -140,12 +155,17 @@ void dbo_backlash_bits(const dbo_backlash *op, const dbo_backlash_state *state, 
 /* ---- gears crossed one way, (6)-(9) ------------------------------------------------------------------ */
 
 /* So many gears are crossed one by one before they are looked up, and a smooth drive seldom crosses more in a
- * sample; where FAR times the next gear are left to travel, they are looked up at once. */
+ * sample; where 2^FAR times the next gear are left to travel, they are looked up at once. */
 #define SINGLE 8
-#define FAR 8.0
+#define FAR 3
 
-/* So many gears about the place where the way ends by the guide are asked, all at once: no branch to foretell. */
-#define ASKED 4
+/* So many gears about the place where the way ends by the guide are asked whether they are crossed: where that is
+ * cheap all at once, with no branch to foretell, else one. */
+#if defined(DBO_SMALL)
+#define ASKED 1 /* a gear */
+#else
+#define ASKED 4 /* gears; chosen: the guide is off by two at most where widths are alike */
+#endif
 
 /* What gears are crossed towards: the input `u`, as long as the output has room up to `bound`; both count from
  * (X_0, Y_0). kappa of the output is the memory's immediate part. What plays no part is infinite. */
@@ -156,43 +176,71 @@ typedef struct {
     const dbo_fixed_step *fixed;
 } goal;
 
-/* How much of the way is left at a point, and of the room. `plain` here and below: kappa is 0, and there is no
+/* How much of the way is left at a point (without memory chips add nothing, where adding costs), and of the room. `plain` here and below: kappa is 0, and there is no
  * bound. */
 INLINE double left_at(const goal *to, double x, double y, int rising, int plain) {
-    const double d = to->u - (plain ? x : x + to->kappa * y);
+    const double d = to->u - (plain || (ASKED == 1 && to->kappa == 0.0) ? x : x + to->kappa * y);
     return rising ? d : -d;
 }
 
 INLINE double room_at(const goal *to, double y, int rising) { return rising ? to->bound - y : y - to->bound; }
 
-/* Whether a gear is crossed from (x, y). */
-INLINE int crosses(const walk *w, const goal *to, size_t gear, double x, double y, int rising, int plain) {
+/* Whether a gear is crossed from where so much is left of the way and of the room. */
+INLINE int crosses(const walk *w, const goal *to, size_t gear, double left, double room, int plain) {
     const size_t row = row_of(w->op, gear, w->grouped);
     const dbo_gear *at = w->op->gears + row;
-    const double left = left_at(to, x, y, rising, plain);
-    if (plain) return left >= at->dx * at->crossing_fraction;
-    if (to->fixed) return left >= to->fixed->gears[row].reach && room_at(to, y, rising) >= to->fixed->gears[row].room;
-    return left >= (at->dx + to->kappa * at->dy) * at->crossing_fraction &&
-           room_at(to, y, rising) >= at->dy * at->crossing_fraction;
+    if (plain) return at_least(left, at->dx * at->crossing_fraction);
+    if (to->fixed) return at_least(left, to->fixed->gears[row].reach) && at_least(room, to->fixed->gears[row].room);
+    return at_least(left, (at->dx + to->kappa * at->dy) * at->crossing_fraction) &&
+           at_least(room, at->dy * at->crossing_fraction);
+}
+
+INLINE int crosses_next(const walk *w, const goal *to, size_t next, int rising, int plain) {
+    return crosses(w, to, next, left_at(to, w->x, w->y, rising, plain), room_at(to, w->y, rising), plain);
+}
+
+/* Where a row begins along dx + kappa dy. */
+INLINE double row_begin(const dbo_backlash *op, const goal *to, size_t row, int plain) {
+    if (plain) return op->gears[row].x;
+    return to->fixed ? to->fixed->gears[row].begin : op->gears[row].x + to->kappa * op->gears[row].y;
+}
+
+/* The row in which a way ends that is shorter than all gears: by halves. */
+INLINE size_t row_by_halves(const dbo_backlash *op, const goal *to, double way, size_t rows, int plain) {
+    size_t row = 0;
+    while (rows - row > 1) {
+        const size_t middle = row + (rows - row) / 2;
+        if (at_least(way, row_begin(op, to, middle, plain)))
+            row = middle;
+        else
+            rows = middle;
+    }
+    return row;
 }
 
 /* In which gear the way to the input ends, about: (x, y) is where gear 0 would begin. */
 INLINE size_t guess(const walk *w, const goal *to, double x, double y, int rising, int plain) {
     const dbo_backlash *op = w->op;
-    const dbo_gear *row = op->gears + row_of(op, op->n - 1, w->grouped) + 1;
-    const double kappa = plain ? 0.0 : to->kappa;
-    const double way = left_at(to, x, y, rising, plain), whole = row->x + kappa * row->y;
-    double beyond;
-    if (!(way < whole)) return op->n;
-    if (!(way > 0.0)) return 0;
-    if (!op->guide) return (size_t)(way / whole * (double)op->n);
-    if (!plain && to->fixed && to->fixed->guide)
-        row = op->gears + to->fixed->guide[(size_t)(way * to->fixed->parts_per_u)];
-    else
-        row = op->gears + op->guide[(size_t)(plain ? way * op->parts_per_x : way / whole * (double)op->parts)];
-    if (!w->grouped) return (size_t)(row - op->gears);
-    beyond = (way - (row->x + kappa * row->y)) / (row->dx + kappa * row->dy);
-    return (size_t)(row - op->gears) * op->run + (beyond > 0.0 ? (size_t)beyond : 0);
+    const size_t rows = row_of(op, op->n - 1, w->grouped) + 1;
+    const double kappa = plain ? 0.0 : to->kappa, way = left_at(to, x, y, rising, plain);
+    size_t row, before = 0;
+    if (!op->guide) {
+        row = row_by_halves(op, to, way, rows, plain);
+    } else {
+        const double whole = op->gears[rows].x + kappa * op->gears[rows].y;
+        if (!(way < whole)) return op->n;
+        if (!(way > 0.0)) return 0;
+        if (!plain && to->fixed && to->fixed->guide)
+            row = to->fixed->guide[(size_t)(way * to->fixed->parts_per_u)];
+        else
+            row = op->guide[(size_t)(plain ? way * op->parts_per_x : way / whole * (double)op->parts)];
+    }
+    if (w->grouped && op->run > 1) {
+        const double gears =
+            (way - row_begin(op, to, row, plain)) / (op->gears[row].dx + kappa * op->gears[row].dy);
+        if (gears > 0.0) before = gears < (double)(int32_t)op->run ? (size_t)gears : op->run;
+    }
+    return row * op->run + before;
 }
 
 /* A gear, and the point where it begins on this way. */
@@ -204,54 +252,57 @@ typedef struct {
 
 /* The first of gears from ... end - 1 that is not crossed, or `end`. Gear `from` begins at (x, y) and is crossed. What
  * is left to travel, and the room, fall with every gear, rounding or not: so the gears crossed are those up to one, and
- * any way to find it is right that asks that gear itself and the next. */
+ * any way to find it is right that asks that gear itself and the next. Where neither is below zero behind a gear, it
+ * was crossed. */
 INLINE landing first_open(const walk *w, const goal *to, size_t from, size_t end, const int rising, const int plain) {
     const dbo_backlash *op = w->op;
     const point begin = begin_of(op, from, w->grouped);
     const double x0 = rising ? w->x - begin.x : w->x + begin.x, y0 = rising ? w->y - begin.y : w->y + begin.y;
-    size_t crossed = from, open = end, gear = end - 1, asked = 1;
-    landing found;
-    point at;
-    for (unsigned tries = 0; open - crossed > 1; tries++) {
+    size_t crossed = from, open = end, gear = from, asked = ASKED;
+    landing at = {from, w->x, w->y};
+    if (end - from > 1) gear = guess(w, to, x0, y0, rising, plain);
+    if (gear > 0 && asked > 1) gear--;
+    for (unsigned tries = 1; open - crossed > 1; tries++) {
         size_t count = 0;
-        for (size_t k = 0; k < asked; k++) {
-            at = begin_of(op, gear + k, w->grouped);
-            count += (size_t)crosses(w, to, gear + k, rising ? x0 + at.x : x0 - at.x, rising ? y0 + at.y : y0 - at.y,
-                                     rising, plain);
-        }
-        if (count > 0) crossed = gear + count - 1;
-        if (count < asked) open = gear + count;
-        if (tries == 0) {
-            gear = guess(w, to, x0, y0, rising, plain);
-            asked = ASKED;
-        } else if (tries % 2 == 0) {
-            gear = crossed + (open - crossed) / 2;
-            asked = 1;
-        } else {
-            double left, room, gears;
-            const dbo_gear *row;
-            at = begin_of(op, gear, w->grouped);
-            row = op->gears + row_of(op, gear, w->grouped);
-            left = left_at(to, rising ? x0 + at.x : x0 - at.x, rising ? y0 + at.y : y0 - at.y, rising, plain);
-            room = plain ? ENDLESS : room_at(to, rising ? y0 + at.y : y0 - at.y, rising);
-            gears = left / (plain ? row->dx : row->dx + to->kappa * row->dy);
-            if (!plain && room / row->dy < gears) gears = room / row->dy;
-            if (gears > 0.0)
-                gear = gears < (double)(int32_t)(open - gear) ? gear + (size_t)gears : open;
-            else
-                gear = -gears < (double)(int32_t)(gear - crossed) ? gear - (size_t)-gears : crossed;
-            asked = ASKED;
-        }
-        if (gear > crossed + 1 && asked > 1) gear--;
+        double left = 0.0, room = 0.0, gears;
         if (asked > open - crossed - 1) asked = open - crossed - 1;
         if (gear <= crossed) gear = crossed + 1;
         if (gear + asked > open) gear = open - asked;
+        for (size_t k = 0; k < asked; k++) {
+            const point place = begin_of(op, gear + k, w->grouped);
+            at.x = rising ? x0 + place.x : x0 - place.x;
+            at.y = rising ? y0 + place.y : y0 - place.y;
+            left = left_at(to, at.x, at.y, rising, plain);
+            room = room_at(to, at.y, rising);
+            count += (size_t)crosses(w, to, gear + k, left, room, plain);
+        }
+        at.gear = gear + asked - 1;
+        if (count > 0) crossed = gear + count - 1;
+        if (count < asked) open = gear + count;
+        if (ASKED == 1 && count == 0 && left >= 0.0 && (plain || room >= 0.0)) crossed = gear - 1;
+        if (open - crossed <= 1) break;
+        gear = crossed + (open - crossed) / 2; /* by halves where widths mislead */
+        asked = 1;
+        if (tries % 2 == 0) continue;
+        {
+            const dbo_gear *row = op->gears + row_of(op, at.gear, w->grouped);
+            gears = left / (plain ? row->dx : row->dx + to->kappa * row->dy);
+            if (!plain && room / row->dy < gears) gears = room / row->dy;
+        }
+        if (gears > 0.0)
+            gear = gears < (double)(int32_t)(end - from) ? at.gear + (size_t)gears : open;
+        else
+            gear = -gears < (double)(int32_t)(at.gear - from) ? at.gear - (size_t)-gears - (ASKED == 1) : crossed;
+        if (ASKED > 1 && gear > 0) gear--;
+        asked = ASKED;
     }
-    at = begin_of(op, open, w->grouped);
-    found.gear = open;
-    found.x = rising ? x0 + at.x : x0 - at.x;
-    found.y = rising ? y0 + at.y : y0 - at.y;
-    return found;
+    if (at.gear != open) {
+        const point place = begin_of(op, open, w->grouped);
+        at.gear = open;
+        at.x = rising ? x0 + place.x : x0 - place.x;
+        at.y = rising ? y0 + place.y : y0 - place.y;
+    }
+    return at;
 }
 
 /* Cross gears one way as long as the next one is crossed; returns the last, n where there was none. The next one is
@@ -261,10 +312,12 @@ INLINE size_t pass_gears(walk *w, const goal *to, const int rising, const int pl
                          size_t group_size) {
     const size_t n = w->op->n;
     size_t next = rising ? w->zero : w->set, end, last, single = SINGLE;
-    int turned = next == 0;
-    if (next == n || !crosses(w, to, next, w->x, w->y, rising, plain)) return n;
+    int turned = next == 0, landed = 0;
+    if (next == n || !crosses_next(w, to, next, rising, plain)) return n;
     end = turned ? (rising ? w->set : w->zero) : w->turns[w->depth - 1];
-    if (left_at(to, w->x, w->y, rising, plain) > FAR * w->op->gears[row_of(w->op, next, w->grouped)].dx) single = 0;
+    if (exponent_of(left_at(to, w->x, w->y, rising, plain)) >
+        exponent_of(w->op->gears[row_of(w->op, next, w->grouped)].dx) + FAR)
+        single = 0;
     do {
         if (single > 0 || column) {
             const dbo_gear *gear = w->op->gears + row_of(w->op, next, w->grouped);
@@ -278,6 +331,7 @@ INLINE size_t pass_gears(walk *w, const goal *to, const int rising, const int pl
             w->x = found.x;
             w->y = found.y;
             next = found.gear;
+            landed = next < end;
         }
         last = next - 1;
         if (next == end) {
@@ -286,7 +340,7 @@ INLINE size_t pass_gears(walk *w, const goal *to, const int rising, const int pl
             next = w->depth > 0 ? w->turns[--w->depth] : n;
             end = w->depth > 0 ? w->turns[w->depth - 1] : n;
         }
-    } while (next < n && crosses(w, to, next, w->x, w->y, rising, plain));
+    } while (!landed && next < n && crosses_next(w, to, next, rising, plain));
     if (turned) w->turns[w->depth++] = (dbo_place)end;
     w->set = rising ? 0 : next;
     w->zero = rising ? next : 0;
@@ -524,12 +578,13 @@ dbo_fixed_step dbo_prepare_fixed_step(const dbo_backlash *op, const double *deca
         gears[row].reach = width * gear->crossing_fraction;
         gears[row].slope = gear->dy / width;
         gears[row].room = gear->dy * gear->crossing_fraction;
+        gears[row].begin = gear->x + fixed.kappa * gear->y;
     }
     fixed.guide = guide;
     fixed.parts_per_u = (double)op->parts / (op->gears[rows].x + fixed.kappa * op->gears[rows].y);
     for (size_t part = 0, row = 0; guide && part <= op->parts; part++) {
         const double begin = (double)part / fixed.parts_per_u;
-        while (row + 1 < rows && op->gears[row + 1].x + fixed.kappa * op->gears[row + 1].y <= begin) row++;
+        while (row + 1 < rows && gears[row + 1].begin <= begin) row++;
         guide[part] = (dbo_place)row;
     }
     return fixed;

@@ -89,11 +89,12 @@ typedef struct {
 
 /* What a fixed time between samples makes constant for memory or limits on the output: per row of the
  * table the input width dx + kappa dy, with kappa = sum c_j (1 - a_j), that counts as crossed; the slope
- * dy / (dx + kappa dy); and the output's part that counts as crossed. */
+ * dy / (dx + kappa dy); the output's part that counts as crossed; and where the row begins along dx + kappa dy. */
 typedef struct {
     double reach;
     double slope;
     double room;
+    double begin;
 } dbo_fixed_gear;
 
 typedef struct {

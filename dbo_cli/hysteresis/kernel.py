@@ -94,6 +94,10 @@ def smooth(weight: Floats, x: Floats, y: Floats) -> None:
 
 
 Words = NDArray[np.uint64]
+Constants = tuple[Floats, Words, int, int, float, float, bool, Floats, float, bool]
+"""The first arguments of ``backlash_run``, the same for all blocks."""
+
+MOST_HALVINGS = 2000  # of a range: more than float64 has
 
 WORD = 64  # bits of a uint64, in which the kernel keeps the states of gears
 
@@ -417,6 +421,54 @@ def backlash_decay(
             high -= width
     content = int(digits, 2).to_bytes(8 * len(words), "little")
     words[:] = np.frombuffer(content, dtype="<u8")
+
+
+def backlash_start(
+    forward: Constants, inverse: Constants, output: float, below: float, above: float
+) -> tuple[float, float]:
+    """Return the drive whose own settled state leads to ``output``, twice, by halving a range of drives.
+
+    Where the output steps over it, these are the drives next to the step. ``forward`` and ``inverse`` are the
+    first arguments of ``backlash_run``; they rest at every sample.
+    """
+    size, gain = state_words(forward[2]), forward[7]
+
+    def settled(drive: float) -> Words:
+        words = np.zeros(size, np.uint64)
+        backlash_decay(*forward, words, drive)
+        return words
+
+    def at_rest(operator: Constants, words: Words, x: float) -> float:
+        y, memory, decay = np.empty(1), np.zeros(gain.size), np.zeros((1, gain.size))
+        backlash_run(
+            *operator,
+            words.copy(),
+            memory,
+            math.nan,
+            np.array([x]),
+            y,
+            decay,
+            False,
+            0.0,
+            0.0,
+            0.0,
+            np.empty(0),
+        )
+        return float(y[0])
+
+    for _ in range(MOST_HALVINGS):
+        middle = below + 0.5 * (above - below)
+        if not below < middle < above:
+            break
+        words = settled(middle)
+        drive = at_rest(inverse, words, output)
+        if np.array_equal(settled(drive), words):
+            return drive, drive
+        if at_rest(forward, words, middle) < output:
+            below = middle
+        else:
+            above = middle
+    return below, above
 
 
 def backlash_engagement(

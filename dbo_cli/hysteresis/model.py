@@ -380,7 +380,7 @@ class ActuatorModel:
             done = drive_lag.simulate(self.drive_lag, behind, x, state, steps, outside, limits)
             if self.direction == "inverse":
                 return done
-        beyond = np.flatnonzero(self.uncovered(x))  # of the model's input range, too
+        beyond = self._beyond(x)  # of the model's input range, too
         count, first = max(beyond.size, done.outside_count), done.first_outside
         if beyond.size:
             first = min(int(beyond[0]), first) if done.outside_count else int(beyond[0])
@@ -481,6 +481,13 @@ class ActuatorModel:
         if self.direction == "inverse":
             return self.input.minimum, self.input.maximum
         return max(self.input.minimum, float(ends.min())), min(self.input.maximum, float(ends.max()))
+
+    def _beyond(self, x: Floats) -> NDArray[np.intp]:
+        """Return the samples beyond the model's input range; usually there are none, which the ends tell."""
+        low, high = self._covered
+        if x.size and x.min() >= low and x.max() <= high:
+            return np.empty(0, np.intp)
+        return np.flatnonzero(self.uncovered(x))
 
     def uncovered(self, x: Floats) -> NDArray[np.bool_]:
         """Return which samples lie beyond the model's input range; gears may go on a little further."""

@@ -13,6 +13,7 @@ import math
 from typing import Literal, NamedTuple
 
 from dbo_cli.errors import InputError, ModelError
+from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.cascade import DelayHistory
 from dbo_cli.hysteresis.dynamics import DynamicsInverter, InverseMemory, SectionStates
 from dbo_cli.hysteresis.operators import CROSSING_TOLERANCE, BacklashState, DiscreteBacklashOperator, Floats
@@ -68,19 +69,10 @@ def start_drive(
         voltage = float(inverse.run([displacement], end)[0][0])
         if voltage <= operator.x_range[0] if end.bits == 0 else voltage >= operator.x_range[1]:
             return _within(operator, voltage, low, high)
-    below, above = operator.x_range
-    for _ in range(2000):
-        middle = below + 0.5 * (above - below)
-        if not below < middle < above:
-            break
-        state = start_state(operator, middle, "auto")
-        voltage = float(inverse.run([displacement], state)[0][0])
-        if start_state(operator, voltage, "auto") == state:
-            return _within(operator, voltage, low, high)
-        if float(operator.run([middle], state)[0][0]) < displacement:
-            below = middle
-        else:
-            above = middle
+    constants = operator.constants(True), inverse.constants(True)
+    below, above = kernel.CHOSEN.backlash_start(*constants, displacement, *operator.x_range)
+    if below == above:
+        return _within(operator, below, low, high)
     # A little off the step, so that a voltage that was rounded on its way still starts on the same side.
     off = CROSSING_TOLERANCE * (operator.x_range[1] - operator.x_range[0])
     ends = (_within(operator, below - off, low, high), _within(operator, above + off, low, high))

@@ -179,6 +179,17 @@ def alternatives_of(model: ActuatorModel) -> list[Alternative]:
     ModelError
         They are malformed.
     """
+    known: list[Alternative] | None = vars(model).get(_READ)
+    if known is None:
+        vars(model)[_READ] = known = _read_alternatives(model)  # kept with it, as its cached properties are
+    return known
+
+
+_READ = "alternatives that were read"
+
+
+def _read_alternatives(model: ActuatorModel) -> list[Alternative]:
+    """Return the other models out of the values that ``fit`` has of them."""
     kept = model.fit.get("alternatives")
     found = []
     for place, one in enumerate(kept[:MOST] if isinstance(kept, list) else []):

@@ -266,6 +266,10 @@ class OutputLimits:
     slack: float = 0.0
 
 
+NO_LIMITS = OutputLimits()
+NO_FACTORS = np.empty(0)
+
+
 class Counts(NamedTuple):
     """How many samples lay outside the range or were clipped, and the index of the first of each."""
 
@@ -371,6 +375,10 @@ class DiscreteBacklashOperator:
 
     def inverse(self) -> DiscreteBacklashOperator:
         """Return the inverse (17)-(18): ΔX and ΔY exchanged in every gear, and the origins."""
+        return self._inverse
+
+    @functools.cached_property
+    def _inverse(self) -> DiscreteBacklashOperator:
         other: Axis = "output" if self.memory_on == "input" else "input"
         return DiscreteBacklashOperator(self.dy, self.dx, self.y0, self.x0, self.relaxation, other)
 
@@ -461,7 +469,7 @@ class DiscreteBacklashOperator:
         y, words, terms = np.empty_like(x), self._words(state), self._gain.size
         if limits is not None and self.relaxation is not None and self.memory_on == "input":
             raise ModelError("limits on the output of an operator whose memory follows its input")
-        bound = limits or OutputLimits()
+        bound = limits or NO_LIMITS
         memory = np.array(state.memory or [0.0] * terms, dtype=np.float64)
         if memory.size != terms:
             raise ModelError(f"state: remembers {memory.size} relaxation terms, this model has {terms}")
@@ -493,9 +501,9 @@ class DiscreteBacklashOperator:
         self, count: int, state: BacklashState, decay: Floats | None, step: float | Floats | None
     ) -> list[tuple[int, int, Floats, Floats]]:
         """Return (begin, end, decay, step) of the kernel's calls: a sample at rest is one of its own."""
-        steps = np.array([] if step is None else step, dtype=np.float64).reshape(-1)
+        steps = NO_FACTORS if step is None else np.array(step, dtype=np.float64).reshape(-1)
         if self.relaxation is None or not count:
-            return [(0, count, np.empty(0), steps)] if count else []
+            return [(0, count, NO_FACTORS, steps)] if count else []
         at_rest = state.memory is None
         spans = []
         for begin, end in pairwise([0, 1, count] if at_rest and count > 1 else [0, count]):

@@ -6,6 +6,7 @@ clock. ``SignalLog`` is one for files; arrays and tables become one here.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import field, replace
@@ -152,9 +153,8 @@ def samples(name: str, values: ArrayLike) -> FloatArray:
         raise InputError(f"`{name}`: holds no samples")
     if signal.ndim > 1:
         raise InputError(f"`{name}`: has the shape {signal.shape}; give one dimension")
-    good = np.isfinite(signal)
-    if not good.all():
-        row = int(np.argmin(good))
+    if not (math.isfinite(signal.min()) and math.isfinite(signal.max())):
+        row = int(np.argmin(np.isfinite(signal)))
         raise InputError(f"`{name}`: sample {row + 1} is not finite: {float(signal[row])!r} (leave it out)")
     return signal
 
@@ -197,7 +197,7 @@ def is_log(data: object) -> bool:
 
 
 class ArraySource(Source):
-    """Arrays as a source: one block.
+    """Arrays as a source.
 
     Parameters
     ----------
@@ -251,7 +251,7 @@ class ArraySource(Source):
         super().__init__(name, dict(columns), has_time, self.sample_rate, self.sample_rate)
 
     def blocks(self) -> Iterator[SampleBlock]:
-        """Return all samples as one block."""
+        """Return all samples, in blocks that caches hold."""
         count = next(iter(self.values.values())).size
         time = self.time
         if time is None and self.sample_rate is not None:
@@ -270,7 +270,9 @@ class ArraySource(Source):
         if first > count:
             raise InputError(f"{self.name}: there is no row {first}: {count} samples")
         values = self.in_units(self.values)
-        yield SampleBlock(rows, None, time, values).part(first - 1, min(last or count, count))
+        whole = SampleBlock(rows, None, time, values).part(first - 1, min(last or count, count))
+        for begin in range(0, len(whole), BLOCK_ROWS):
+            yield whole.part(begin, min(begin + BLOCK_ROWS, len(whole)))
 
 
 class WholeSource(Source):

@@ -378,8 +378,9 @@ def _finished(run: ModelRun, return_state: bool, details: bool) -> Any:
     with closing(run.source):
         responses = list(run.responses())
     if isinstance(run, Compensation):
+        run.expecting = details  # playing other models over the move takes longer than the drive itself
         run.finish()
-    values = np.concatenate([response.y for response in responses])
+    values = responses[0].y if len(responses) == 1 else np.concatenate([response.y for response in responses])
     remarks = run.remarks()
     assert run.state is not None
     run.state = dataclasses.replace(run.state, model=run.model.digest)

@@ -265,9 +265,9 @@ def excitation_drives(
     brought
         What the options that extras bring were given.
     """
-    for name, value in brought.items():
+    for name in brought:
         made: tuple[Floats, Mapping[str, Floats]] = extensions.find("run", f"excite --{name}")(
-            excitation, value, points
+            excitation, brought, points
         )
         return made
     time, voltage = excitation.drive()

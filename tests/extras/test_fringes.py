@@ -191,7 +191,7 @@ def test_the_command_writes_what_identify_reads(whole_dbo: Any) -> None:
     with open("sum.json", encoding="utf-8") as file:
         summary = json.load(file)
     assert len(summary["turns"]) == 9
-    assert summary["fringes"] == pytest.approx(np.ptp(log.displacement) / FRINGE, abs=0.02)
+    assert summary["fringes"] == pytest.approx(np.ptp(log.displacement) / FRINGE, abs=0.05)
     assert whole_dbo("identify", "out.csv", "-o", "model.json").code == 0
 
 
@@ -277,3 +277,41 @@ def test_figures_are_drawn(dbo: Any, blank_figures: None, tmp_path: Any) -> None
     names = {path.name for path in (tmp_path / "f").iterdir()}
     kinds = ("intensity", "displacement", "loop", "deviation", "odds")
     assert names == {f"run-{kind}.{form}" for kind in kinds for form in ("png", "svg")}
+
+
+# --- the drive ---
+
+
+def test_excite_makes_a_drive_whose_fringes_can_be_counted(dbo: Any) -> None:
+    done = dbo("excite", "--v-max", "100", "--sample-rate", "4000", "--frequency", "2", "--duration", "4",
+               "--fringes", "632.8nm", "--stroke", "2um", "-o", "drive.csv")  # fmt: skip
+    assert (done.code, done.err) == (0, "")
+    drive = np.loadtxt("drive.csv", delimiter=",", skiprows=1)[:, 1]
+    assert drive.min() == drive[0] == drive[-1] == 0.0
+    assert drive.max() == 100.0
+    fringes = 2.0 / FRINGE
+    assert np.max(np.abs(np.diff(drive))) / 100.0 * fringes < 1.0 / 30.0
+    turns = drive[turning_points(drive, 0.5)][3:-1] / 100.0 * fringes
+    assert len(turns) >= 6
+    assert len({int(4.0 * (turn % 1.0)) for turn in turns}) == 4  # every quarter of a fringe has one
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (
+            "--sample-rate 1000 --fringes 632.8nm --stroke 12um",
+            "--sample-rate 1000: a sweep of 37.9 fringes at 1 Hz needs 3575 rows a second for 20 in the "
+            "fastest fringe (that, or --frequency 0.28)",
+        ),
+        ("--fringes 632.8nm", "--fringes WAVELENGTH and --stroke LENGTH belong together"),
+        (
+            "--fringes 632.8nm --stroke 2um --channels 2",
+            "--fringes excludes --points, --channels and --sweep-to",
+        ),
+    ],
+)
+def test_a_drive_that_cannot_be_counted_is_refused(dbo: Any, words: str, message: str) -> None:
+    done = dbo("excite", "--v-max", "100", *words.split(), "-o", "drive.csv")
+    assert done.code == 2
+    assert message in done.err or "--channels and --fringes exclude each other" in done.err

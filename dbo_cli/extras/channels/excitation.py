@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +13,7 @@ from dbo_cli.hysteresis.excitation import MOST_SAMPLES, Excitation, Floats, swin
 
 
 def drives_of_channels(
-    excitation: Excitation, channels: int, points: int | None
+    excitation: Excitation, brought: Mapping[str, Any], points: int | None
 ) -> tuple[Floats, dict[str, Floats]]:
     """Return time (s) and the voltage of each channel by the name of its column.
 
@@ -24,7 +26,9 @@ def drives_of_channels(
         raise UsageError(
             "`points` and `channels` exclude each other: channels that move one by one take more rows"
         )
-    time, voltage = channel_drives(excitation, channels)
+    if brought.keys() != {"channels"}:
+        raise UsageError("`channels` and `fringes` exclude each other: count the fringes of one at a time")
+    time, voltage = channel_drives(excitation, brought["channels"])
     columns = voltage.T.copy()
     return time, {f"voltage_{place}": column for place, column in enumerate(columns, start=1)}
 

@@ -110,10 +110,11 @@ def _gears(plan: CascadePlan, parts: _Parts, lookup: bool) -> None:
         terms = _doubles("gain", plan.gain) + _doubles("decay", plan.decay)
     table, _ = kernel_table(gears.gears, run)
     rows = table[:-1]
-    parts.size = 48 * len(table) + 16 * plan.terms + fixed * (24 * len(rows) + 8 * plan.terms)
+    parts.size = 48 * len(table) + 16 * plan.terms + fixed * (32 * len(rows) + 8 * plan.terms)
     # As dbo_prepare_fixed_step computes it.
     wide = rows[:, 0] + kappa * rows[:, 1]
-    steps = np.column_stack([wide * rows[:, 3], rows[:, 1] / wide, rows[:, 1] * rows[:, 3]])
+    begins = rows[:, 4] + kappa * rows[:, 5]
+    steps = np.column_stack([wide * rows[:, 3], rows[:, 1] / wide, rows[:, 1] * rows[:, 3], begins])
     if lookup:
         corners = _corners(plan)
         parts.size += 17 * 2**gears.n

@@ -7,7 +7,7 @@ import numpy as np
 from dbo_cli.errors import InputError
 from dbo_cli.extras.fringes.branches import TURN
 from dbo_cli.extras.fringes.light import percentile_ends
-from dbo_cli.extras.fringes.swings import Floats, turning_points
+from dbo_cli.extras.fringes.swings import Floats, crossings, turning_points
 from dbo_cli.extras.fringes.track import Track, TurnOdds
 
 FEWEST_ROWS = 50
@@ -20,6 +20,10 @@ LARGEST_STEP = 0.25
 """Fringes from row to row."""
 WINDOW = 32
 """Rows over which the speed of a signal is looked at."""
+NEAR_TURN = 1.0
+"""Fringes on the way to or from a turn within which crossings are not compared."""
+COUNTED_WITHIN = 0.3
+"""Fringes; by how much the way from crossing to crossing may differ from half a fringe."""
 MOST_NOISE = 0.2
 """Of the fringes' amplitude."""
 LISTED = 5
@@ -94,6 +98,32 @@ def refuse_noise(track: Track, name: str) -> None:
             f"{name}: {100.0 * track.noise:.3g} % of the fringes' amplitude is left unexplained, and "
             f"{100.0 * MOST_NOISE:g} % is the most: the signal does not follow the drive as fringes do "
             f"({REMEDY})"
+        )
+
+
+def refuse_miscounted(time: Floats, track: Track, name: str) -> None:
+    """Refuse a phase that does not go half a fringe from crossing to crossing of the signal (InputError).
+
+    The crossings are counted without any model; those around a turn of the drive take no part.
+    """
+    channel = track.channels[0]
+    amplitude = np.hypot(channel.cosine, channel.sine)
+    places, _ = crossings(channel.signal, channel.offset, amplitude)
+    rows = np.arange(time.size)
+    fringes = np.abs(np.diff(np.interp(places, rows, track.phase))) / TURN
+    gone = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(track.phase)))]) / TURN
+    at_crossings = np.interp(places, rows, gone)
+    near_turn = np.zeros(places.size, dtype=bool)
+    for turn in track.turns:
+        near_turn |= np.abs(at_crossings - gone[turn.row]) < NEAR_TURN
+    wrong = np.abs(fringes - 0.5) > COUNTED_WITHIN
+    wrong &= ~(near_turn[:-1] | near_turn[1:])
+    if wrong.any():
+        first = int(np.flatnonzero(wrong)[0])
+        raise InputError(
+            f"{name}: at {time[int(places[first])]:.6g} s the light shows half a fringe and the phase "
+            f"found has {fringes[first]:.2g}: there the displacement does not follow the drive that was "
+            "recorded (`rows` leaves out what moved by itself; else: " + REMEDY + ")"
         )
 
 

@@ -46,12 +46,22 @@ STEP_COUNT = 3.0
 """Turns that ``STEP_BEFORE`` counts as."""
 WANDER_BEFORE = 0.15
 """Fringes in the first fringe; how far the model wanders inside a swing, before it was looked at."""
+WANDER_LENGTHS = (0.25, 1.0)
+"""Fringes over which the wandering is looked at: a drive that was recorded coarsely wanders quickly."""
+FEWEST_CHANGES = 5
+"""Of the wandering, to say how large it is."""
 LEAST_WANDER = 0.03
 """Fringes in the first fringe."""
 FREE_TRAVEL = 1.0
 """Fringes behind a turn within which the phase may still run the old way."""
 NODE_NOISE = 0.01
 """rad; what the chain may wander from block to block where the drive rests."""
+LEAST_REACH = 5
+"""Steps of the grid from block to block that are always possible, but where the drive rests."""
+BACKWARDS = 1e-3
+"""How probable a step of the grid against the drive's direction is inside a swing: a shake, no turn."""
+TAIL = 1e-5
+"""Of the most probable step: what any step within reach has at least."""
 GRID_NOISE = 0.03
 """Of the amplitude; what a block's phase being one number costs."""
 MOST_ODDS = 1e12
@@ -254,20 +264,21 @@ def _kernel(variance: float, spacing: float, direction: int, most_back: int) -> 
         steps = np.array([-1.0, 0.0, 1.0])
         weights = np.array([0.5 * ratio, 1.0 - ratio, 0.5 * ratio])
     else:
-        reach = int(np.ceil(4.5 * np.sqrt(ratio))) + 1
+        reach = max(int(np.ceil(4.5 * np.sqrt(ratio))) + 1, LEAST_REACH)
         steps = np.arange(-reach, reach + 1.0)
-        weights = np.exp(-0.5 * steps**2 / ratio)
+        weights = np.exp(-0.5 * steps**2 / ratio) + TAIL
     if direction != 0:
-        weights = np.where(direction * steps >= -most_back, weights, 0.0)
+        against = np.maximum(-direction * steps - most_back, 0.0)
+        weights = weights * BACKWARDS**against
     return np.asarray(weights / weights.sum())
 
 
 def one_way(nodes: Nodes, fit: Fit) -> tuple[Indices, Indices]:
     """Return for the step into each block but the first where the phase runs, and the steps it may lose.
 
-    Inside a swing the displacement is monotone: the phase's distance from the model may fall by no more
-    than the model has gone. Within ``FREE_TRAVEL`` fringes behind a turn it may still run the old way. The
-    first swing has no turn before it.
+    Inside a swing the displacement is monotone, but for shakes: the phase's distance from the model may
+    fall by no more than the model has gone. Within ``FREE_TRAVEL`` fringes behind a turn it may still run
+    the old way. The first swing has no turn before it.
     """
     count = fit.phase.size - 1
     direction = np.zeros(count, dtype=np.intp)
@@ -421,17 +432,19 @@ def refit(columns: Columns, nodes: Nodes, phase: Floats, half_stroke: float) -> 
 def _wander_of(nodes: Nodes, distance: Floats, model: Floats) -> float:
     """Return by how much the distance from the model changes in a fringe inside a swing, rad (RMS)."""
     travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(model)))]) / TURN
-    changes = []
-    for begin, end in zip(nodes.turns[:-1], nodes.turns[1:], strict=True):
-        inside = travel[begin : end + 1]
-        marks = np.arange(inside[0] + 1.0, inside[-1], 1.0)
-        values = np.interp(marks, inside, distance[begin : end + 1])
-        changes.append(np.diff(values))
-    every = np.concatenate(changes) if changes else np.empty(0)
-    least = LEAST_WANDER * TURN
-    if every.size < 5:
-        return WANDER_BEFORE * TURN
-    return max(float(np.sqrt(np.mean(every**2))), least)
+    largest = LEAST_WANDER * TURN
+    for length in WANDER_LENGTHS:
+        changes = []
+        for begin, end in pairwise(nodes.turns):
+            inside = travel[begin : end + 1]
+            marks = np.arange(inside[0] + length, inside[-1], length)
+            values = np.interp(marks, inside, distance[begin : end + 1])
+            changes.append(np.diff(values))
+        every = np.concatenate(changes)
+        if every.size < FEWEST_CHANGES:
+            return WANDER_BEFORE * TURN
+        largest = max(largest, float(np.sqrt(np.mean(every**2) / length)))
+    return largest
 
 
 def doubt(chain: Chain, distance: Floats) -> Floats:

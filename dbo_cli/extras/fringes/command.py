@@ -60,3 +60,13 @@ def fringes(given: Given) -> None:
 
 
 COMMAND = Command(fringes, (LOG, *READING, *REPORTING, *FRINGES, HEADER, SUMMARY, OUTPUT))
+EXCITE_FRINGES = Option(
+    "--fringes WAVELENGTH",
+    "A drive whose fringes can be counted (dbo fringes): 632.8nm, with --stroke.",
+    parse=figure_above_0,
+)
+EXCITE_STROKE = Option(
+    "--stroke LENGTH",
+    "With --fringes, displacement of the whole range: 12um; plain: um.",
+    parse=figure_above_0,
+)

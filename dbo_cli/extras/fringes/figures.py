@@ -12,7 +12,7 @@ from dbo_cli.extras.fringes.swings import Floats
 from dbo_cli.extras.fringes.track import Track
 from dbo_cli.reports import drawing as style
 from dbo_cli.reports.drawing import Plot
-from dbo_cli.reports.figures import finish
+from dbo_cli.reports.figures import finish, label_decades
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -117,6 +117,7 @@ class _View:
         rows = [turn.row for turn in self.track.turns]
         axes.semilogy(self.recorded.time[rows], [turn.odds for turn in self.track.turns], **style.POINTS)
         axes.axhline(ENOUGH_ODDS, **style.DOTTED)
+        label_decades(axes.yaxis)
         finish(axes, "Time (s)", "Odds of the branch taken")
 
 

@@ -41,7 +41,8 @@ VALUE_ROUNDS = 3
 FIRST_ROUNDS = 4
 """Rounds of the first fit whose bends act on the phase of the round before."""
 INSIDE = (0.12, 0.97)
-"""Of a swing's voltage: crossings between these are counted in the first fit; a lag is over there."""
+"""Of a swing's voltage: crossings between these are counted in the first fit; a lag is over there. The first
+swing has no turn before it, and counts from its beginning."""
 FEWEST_CROSSINGS = 8
 """Crossings of the middle: four fringes on the whole way."""
 
@@ -212,7 +213,8 @@ def _phases_inside(
     for number, (begin, end) in enumerate(pairwise(turns)):
         travel = drive[end] - drive[begin]
         part = (volts - drive[begin]) / travel
-        inside = (places > begin) & (places < end) & (part > INSIDE[0]) & (part < INSIDE[1])
+        least = INSIDE[0] if number > 0 else 0.0
+        inside = (places > begin) & (places < end) & (part > least) & (part < INSIDE[1])
         rows = np.flatnonzero(inside)
         if rows.size == 0:
             continue

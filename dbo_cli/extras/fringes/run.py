@@ -30,6 +30,8 @@ from dbo_cli.runs.files import Destination, read_record, summary_of_values, writ
 
 PART = "{part}"
 """What an output's name has where each part of an interrupted log gets a file."""
+LIGHT_DEVIATION = 0.02
+"""rad, 1 nm of 632.8 nm: what drifting offset and contrast add to the noise (benchmarks/fringes.py)."""
 SIGNAL_NAMES = ("signal", "photodiode", "intensity", "fringes", "detector", "pd", "pd1")
 
 
@@ -122,9 +124,11 @@ def displacement_of(signals: Signals, options: FringeOptions, name: str, remarks
     track = _with_sign(track, signals, options, remarks)
     assessment.refuse_rate(signals.time, track, name)
     assessment.refuse_noise(track, name)
+    if signals.quadrature is None:
+        assessment.refuse_miscounted(signals.time, track, name)
     scale = options.fringe() / TURN
     values = scale * (track.phase - track.phase[0])
-    deviation = np.abs(scale) * track.deviation
+    deviation = np.abs(scale) * np.hypot(track.deviation, LIGHT_DEVIATION)
     made = Displacement(signals, values, deviation, track)
     assessment.refuse_doubtful(signals.time, track, name)
     for text in assessment.doubtful_turns(signals.time, signals.drive, track, options.fringe()):

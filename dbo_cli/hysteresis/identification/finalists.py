@@ -80,17 +80,20 @@ class _Finalists:
     def best(self) -> Finalist:
         """Return the winner."""
         chosen = self._judged_choice()
-        refined = []
-        for basis, structure in self._starts():
+        if self._at_noise(chosen):
+            return Finalist(chosen.basis, chosen.structure, chosen.candidate.vector)
+        refined: list[Refined] = []
+        basis = chosen.basis  # the delay has been judged
+        for structure in self._starts(basis):
             try:
-                refined += [(basis, one) for one in self._chain(basis, structure)]
+                refined += self._chain(basis, structure)
             except FitError:  # a candidate that cannot be solved is no reason to refuse the log
                 continue
         # What is left out is predicted no better than what is fitted: most need not be left out at all.
-        refined.sort(key=lambda pair: pair[1].squares)
+        refined.sort(key=lambda one: one.squares)
         judged = [chosen]
         least = chosen.score
-        for basis, candidate in refined:
+        for candidate in refined:
             if 0.5 * np.log(candidate.squares / self._problem(basis).count + TINY) > least:
                 break
             try:
@@ -102,6 +105,15 @@ class _Finalists:
         winner = self._winner(judged)
         return Finalist(winner.basis, winner.structure, winner.candidate.vector)
 
+    def _needed(self) -> float:
+        """Return the share of the error by which another candidate has to do better."""
+        return 1.0 / EARNED - 1.0 if self._one_amplitude else INDIFFERENCE
+
+    def _at_noise(self, chosen: Judged) -> bool:
+        """Return whether the choice leaves so little beyond white noise that none could do so much better."""
+        noise = self._problem(chosen.basis).noise(chosen.candidate)
+        return chosen.score - 0.5 * math.log(noise + TINY) <= math.log1p(self._needed())
+
     def _winner(self, judged: Sequence[Judged]) -> Judged:
         """Return the simplest candidate within the error bar of the best; the choice where it is as good.
 
@@ -110,8 +122,7 @@ class _Finalists:
         """
         chosen = judged[0]
         best = min(judged, key=lambda one: one.score)
-        needed = 1.0 / EARNED - 1.0 if self._one_amplitude else INDIFFERENCE
-        if not chosen.beaten_by(best, needed):
+        if not chosen.beaten_by(best, self._needed()):
             return chosen
         as_good = [one for one in judged if not one.beaten_by(best, 0.0)]
         return min(as_good, key=lambda one: (_complexity(one), one.score))
@@ -133,27 +144,22 @@ class _Finalists:
         *_, last = self._chain(basis, structure, upto=structure)
         return self._problem(basis).judged(last)
 
-    def _starts(self) -> Iterator[tuple[Basis, Structure]]:
-        """Yield basis and gears alone of every chain of candidates."""
-        chosen = self._choice.basis
-        bases = [chosen]
-        if chosen.delay and self._options.delay is None:
-            bases.insert(0, replace(chosen, delay=0.0))
-        every = tuple(range(len(chosen.time_constants)))
+    def _starts(self, basis: Basis) -> Iterator[Structure]:
+        """Yield gears alone of every chain of candidates."""
+        every = tuple(range(len(basis.time_constants)))
         memories = [every] if self._options.relaxation is not None or not every else [(), every]
         rules: tuple[str, ...] = ("growing", "falling")
-        if swings_of_two_kinds(self._logs, chosen):
+        if swings_of_two_kinds(self._logs, basis):
             rules = (*rules, "free")
         if self._options.slopes is not None or self._one_amplitude:
             rules = (self._choice.structure.slopes,)
-        for basis in bases:
-            for slopes in rules:
-                for some in memories:
-                    alone = Structure(slopes, some, 1, self._choice.structure.smoothness)
-                    try:
-                        yield basis, self._problem(basis).smoothest(alone, SMOOTHNESS)
-                    except FitError:
-                        continue
+        for slopes in rules:
+            for some in memories:
+                alone = Structure(slopes, some, 1, self._choice.structure.smoothness)
+                try:
+                    yield self._problem(basis).smoothest(alone, SMOOTHNESS)
+                except FitError:
+                    continue
 
     def _chain(self, basis: Basis, structure: Structure, upto: Structure | None = None) -> Iterator[Refined]:
         """Yield the refined candidates of more and more segments, each begun where the last one ended."""

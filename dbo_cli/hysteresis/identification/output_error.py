@@ -82,7 +82,7 @@ class JudgedRows:
     """The used rows of all logs for one basis, sorted by cells: what is left out together lies together.
 
     ``drive`` has shape (rows, gears + memories), ``drift`` (rows, terms of all logs); ``kinds`` maps each way
-    to leave parts out to its parts.
+    to leave parts out to its parts; ``in_time`` puts the rows into the order in which they were recorded.
     """
 
     basis: Basis
@@ -91,6 +91,7 @@ class JudgedRows:
     drift: Floats
     cells: tuple[slice, ...]
     kinds: dict[str, tuple[Part, ...]]
+    in_time: Integers
 
     def columns(self, segments: int) -> Columns:
         """Return where the unknowns of a candidate with so many segments stand."""
@@ -131,7 +132,7 @@ def judged_rows(logs: Sequence[PreparedLog], basis: Basis) -> JudgedRows:
         if kept and (len(kept) > 1 or name not in ("cycles", "blocks")):
             kinds[name] = kept
     drive, output, drift = np.vstack(drives)[order], np.concatenate(outputs)[order], np.vstack(drifts)[order]
-    return JudgedRows(basis, drive, output, drift, cells, kinds)
+    return JudgedRows(basis, drive, output, drift, cells, kinds, np.argsort(order, kind="stable"))
 
 
 def _labels(logs: Sequence[PreparedLog], basis: Basis) -> dict[str, Integers]:
@@ -203,6 +204,12 @@ class OutputProblem:
         """Return the sum of the squared errors of the output."""
         left = self.rows.output[some] - self.predicted(vector, segments, some)
         return float(np.sum(left * left))
+
+    def noise(self, candidate: Refined) -> float:
+        """Return the mean square of what is white in what a candidate leaves, by its second differences."""
+        left = self.rows.output - self.predicted(candidate.vector, candidate.structure.segments)
+        bends = np.diff(left[self.rows.in_time], 2)
+        return float(np.sum(bends * bends)) / (6.0 * max(len(bends), 1))
 
     def table(self, vector: Floats, segments: int) -> Floats:
         """Return the rows of the problem linearised about a vector; the target is the last column."""
