@@ -42,7 +42,7 @@ def test_a_controller_gives_the_bits_of_compensate(number: int, state: str) -> N
     wanted = moves(model, number)
     live = model.controller(RATE, state=state, **limits)
     got = [live.step(x) for x in wanted]
-    result = model.compensate(wanted, sample_rate=RATE, state=state, details=True, **limits)
+    result = model.compensate(wanted, sample_rate=RATE, state=state, on_limit="clip", details=True, **limits)
     assert got == result.values.tolist()
     assert live.clipped == result.clipped
     assert live.state is not None
@@ -180,7 +180,7 @@ def test_a_controller_with_dynamics_gives_the_bits_of_compensate(
     got = [live.step(x) for x in wanted]
     lead = {"lead": "auto"} if live.lookahead else {}
     done = model.compensate(
-        wanted, sample_rate=LIVE, state="empty", rows=f":{wanted.size - live.lookahead}", details=True,
+        wanted, sample_rate=LIVE, state="empty", rows=f":{wanted.size - live.lookahead}", details=True, on_limit="clip",
         **lead, **limits,
     )  # fmt: skip
     assert got == done.values.tolist()
@@ -210,7 +210,7 @@ def test_a_plan_with_dynamics_leaves_no_trace_and_more_lookahead_is_later() -> N
     shifted = [later.step(x) for x in wanted]
     assert np.allclose(shifted[62:], first[:-62], rtol=0.0, atol=1e-2)  # creep began earlier
     done = model.compensate(
-        wanted, sample_rate=LIVE, state="empty", lead=100 / LIVE, rows=":50", details=True
+        wanted, sample_rate=LIVE, state="empty", lead=100 / LIVE, rows=":50", details=True, on_limit="clip"
     )
     assert shifted == done.values.tolist()
 
@@ -222,7 +222,10 @@ def test_a_live_positioner_errs_as_compensate_does() -> None:
     live = model.controller(LIVE, lookahead="auto", state="empty")
     late = live.lookahead
     sent = np.array([live.step(x) for x in np.append(wanted, np.full(late, wanted[-1]))], dtype=np.float64)
-    drives = model.compensate(wanted, sample_rate=LIVE, state="empty", details=True).values, sent
+    drives = (
+        model.compensate(wanted, sample_rate=LIVE, state="empty", on_limit="clip", details=True).values,
+        sent,
+    )
     reached = [Model(plant).simulate(drive, sample_rate=LIVE, state="empty") for drive in drives]
     error, error_live = rms(reached[0] - wanted), rms(reached[1][late:] - wanted)
     assert 0.005 < error < 0.1
@@ -250,7 +253,9 @@ def test_with_dynamics_what_was_applied_counts_and_a_state_goes_on(kind: str) ->
         rest = np.full(400, wanted[-1])
         again = model.controller(LIVE, lookahead="auto", state=one.state)
         drive = np.array([again.step(x) for x in rest])
-        expected = model.compensate(rest, sample_rate=LIVE, state=one.state, lead="auto", details=True)
+        expected = model.compensate(
+            rest, sample_rate=LIVE, state=one.state, lead="auto", on_limit="clip", details=True
+        )
         assert drive.tolist() == expected.values[: rest.size].tolist()
         assert played.size == wanted.size
     way = live.close(seconds=0.01)
@@ -258,7 +263,9 @@ def test_with_dynamics_what_was_applied_counts_and_a_state_goes_on(kind: str) ->
     assert live.state is not None and live.state.undoing is None
     begun = live.state
     anew = [live.step(x) for x in rest]
-    expected = model.compensate(rest, sample_rate=LIVE, state=begun, lead="auto", details=True)
+    expected = model.compensate(
+        rest, sample_rate=LIVE, state=begun, lead="auto", on_limit="clip", details=True
+    )
     assert anew == expected.values[: rest.size].tolist()
 
 
