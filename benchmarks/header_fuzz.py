@@ -28,7 +28,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 from dbo_cli.errors import DboError  # noqa: E402
-from dbo_cli.logs.columns import wish  # noqa: E402
+from dbo_cli.logs.columns import column_wish  # noqa: E402
 from dbo_cli.logs.request import ReadingOptions  # noqa: E402
 from dbo_cli.logs.signal_log import SignalLog, open_log  # noqa: E402
 
@@ -225,7 +225,7 @@ class HeaderFuzz:
 
     def outcome(self, case: Case) -> str:
         """Read a log and say what came of it."""
-        want = {role: wish(role, option=role) for role in ("voltage", "displacement")}
+        want = {role: column_wish(role, option=role) for role in ("voltage", "displacement")}
         try:
             with open_log(str(self.path), want, ReadingOptions(**case.options)) as log:
                 block = log.read()

@@ -170,7 +170,7 @@ FAULTS: list[Fault] = [
         ("y = np.clip(y, limits.v_min, limits.v_max)", "pass", "the range holds to the last bit behind points"),
         ("0 if state == \"empty\" else 1", "1 if state == \"empty\" else 0",
          "the slew limit holds from the first sample on"),
-        ("clipped = short and limits is not None and first.voltage in (limits.v_min, limits.v_max)",
+        ("clipped = short and limits is not None and first.at_limit",
          "clipped = False", "a first sample beyond the limits counts as clipped"),
         ("miss * (self.input.span / (high - low))", "miss", "what the start misses is told in the user's unit"),
         ("            steps[0] = 0.0\n", "            pass\n", "the step before the very first sample does not matter"),

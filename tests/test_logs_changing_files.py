@@ -15,12 +15,12 @@ import pytest
 import scipy.io
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.columns import wish
+from dbo_cli.logs.columns import column_wish
 from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.signal_log import open_log
 
 ROWS = 300_000  # more than text that is read ahead, and several blocks
-WANT = {"voltage": wish("voltage"), "displacement": wish("displacement")}
+WANT = {"voltage": column_wish("voltage"), "displacement": column_wish("displacement")}
 VALUES = {
     "time_s": np.arange(ROWS) / 1000,
     "voltage_V": np.sin(np.arange(ROWS)),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.columns import wish
+from dbo_cli.logs.columns import column_wish
 from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log
@@ -31,7 +31,7 @@ def read(
     path = folder / "log.csv"
     rows = "".join(f"{cell(k)},{k % 7},{k % 5}\n" for k in range(ROWS))
     path.write_text(f"{header},voltage_V,displacement_um\n{rows}")
-    want = {role: wish(role, option=role) for role in ("voltage", "displacement")}
+    want = {role: column_wish(role, option=role) for role in ("voltage", "displacement")}
     with open_log(str(path), want, ReadingOptions(**options)) as log:  # type: ignore[arg-type]
         return log, log.read()
 
@@ -99,7 +99,7 @@ def test_the_time_unit_goes_before_the_header(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is in s by its name and in ms by its unit"):
         path = tmp_path / "two.csv"
         path.write_text("time_s,voltage\nms,V\n0,1\n1,2\n")
-        open_log(str(path), {"voltage": wish("voltage")})
+        open_log(str(path), {"voltage": column_wish("voltage")})
 
 
 @pytest.mark.parametrize(

@@ -15,10 +15,10 @@ from dbo_cli.logs.columns import (
     choose_columns,
     column_info,
     column_label,
+    column_wish,
     list_columns,
     matching_columns,
     split_header,
-    wish,
 )
 from dbo_cli.logs.request import ReadingOptions, parse_address
 from dbo_cli.logs.signal_log import open_log
@@ -80,7 +80,7 @@ def test_guesses() -> None:
         "displacement": 3,
     }
     assert choose_columns("log", columns, {"x": ColumnWish(None, ("nothing",), required=False)}) == {}
-    only = choose_columns("log", columns[:2], {"input": ColumnWish(None, ("nothing",))}, taken=columns[:1])
+    only = choose_columns("log", columns[:2], {"input": ColumnWish(None, ("nothing",))}, reserved=columns[:1])
     assert only["input"].number == 2  # the only column left is what is meant
 
 
@@ -151,7 +151,7 @@ def calls_to_match(columns: int) -> int:
 
     sys.setprofile(count)
     try:
-        found = matching_columns(given, wish("displacement"))
+        found = matching_columns(given, column_wish("displacement"))
     finally:
         sys.setprofile(None)
     assert found == given
@@ -165,14 +165,16 @@ def test_the_work_grows_with_the_number_of_columns_not_with_its_square() -> None
 def test_a_message_names_twenty_columns_at_most(tmp_path: Path) -> None:
     columns = [column_info("position (um)", n + 1) for n in range(30)]
     with pytest.raises(InputError) as raised:
-        choose_columns("log.csv", columns, {"displacement": wish("displacement", option="displacement")})
+        choose_columns(
+            "log.csv", columns, {"displacement": column_wish("displacement", option="displacement")}
+        )
     assert str(raised.value) == (
         "log.csv: which column is the displacement, "
         + "'position (um)' or " * 20
         + "… (30 in all)? (choose with `displacement` NAME or NUMBER)"
     )
     with pytest.raises(InputError) as raised:
-        choose_columns("log.csv", columns, {"displacement": wish("displacement", "position")})
+        choose_columns("log.csv", columns, {"displacement": column_wish("displacement", "position")})
     assert str(raised.value) == (
         "log.csv: column 'position' occurs more than once: give its number (`column` "
         + " or ".join(str(n + 1) for n in range(20))
@@ -207,7 +209,10 @@ def test_an_address_is_taken_apart_once(
 def taken(header: str, role: str = "displacement", **more: object) -> tuple[dict[str, str], list[str]]:
     """Return what the columns of a header are taken for, and what is said of it."""
     columns = [column_info(name, number) for number, name in enumerate(header.split(","), start=1)]
-    want = {"voltage": wish("voltage", option="voltage"), "displacement": wish(role, option="displacement")}
+    want = {
+        "voltage": column_wish("voltage", option="voltage"),
+        "displacement": column_wish(role, option="displacement"),
+    }
     if role == "trajectory":
         del want["voltage"]
     notes: list[str] = []
@@ -271,8 +276,35 @@ def test_what_may_be_something_else_is_not_taken(header: str) -> None:
         taken(header)
 
 
+@pytest.mark.parametrize(
+    ("header", "role"),
+    [
+        ("time_s,drive temperature,displacement_um", "voltage"),
+        ("time_s,Temp drive,displacement_um", "voltage"),
+        ("time_s,voltage_V,sensor temperature", "displacement"),
+        ("time_s,voltage_V,Temperatur Sensor", "displacement"),
+        ("time_s,voltage_V,thermistor y", "displacement"),
+    ],
+)
+def test_a_temperature_is_neither_voltage_nor_displacement(header: str, role: str) -> None:
+    names = ", ".join(f"{number} {name}" for number, name in enumerate(header.split(","), start=1))
+    with pytest.raises(InputError) as raised:
+        taken(header)
+    assert str(raised.value) == (
+        f"log: no column is recognised as the {role}: it has {names} (choose with `{role}` NAME or NUMBER)"
+    )
+
+
+def test_a_temperature_beside_the_signals_needs_no_question() -> None:
+    signals = {"voltage": "voltage_V", "displacement": "displacement_um"}
+    header = "time_s,drive temperature,voltage_V,sensor temperature,displacement_um"
+    assert taken(header) == (signals, [])
+    header = "time_s,target temperature,displacement_um"
+    assert taken(header, "trajectory") == ({"displacement": "displacement_um"}, [])
+
+
 def test_a_name_of_which_only_brackets_are_left_may_be_meant() -> None:
     """It stood beside 'Sensor voltage', which was taken for the displacement without a word."""
     headers = (") (mm)", "time (hours)", "Voltage (V)", "Sensor voltage (V)")
     columns = [column_info(name, number) for number, name in enumerate(headers, start=1)]
-    assert [one.number for one in matching_columns(columns, wish("displacement"))] == [1, 4]
+    assert [one.number for one in matching_columns(columns, column_wish("displacement"))] == [1, 4]

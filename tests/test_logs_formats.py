@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.columns import wish
+from dbo_cli.logs.columns import column_wish
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from tests.shapes.format_files import LIBRARY_FILES, D, FormatFile, T, V
 from tests.shapes.format_table import page
@@ -46,7 +46,7 @@ def written(case: FormatFile, folder: Path) -> str:
 def opened(case: FormatFile, address: str) -> SignalLog:
     roles = ("voltage", "displacement")
     return open_log(
-        address, {role: wish(role, case.ask.get(role), option=role) for role in roles}, case.options
+        address, {role: column_wish(role, case.ask.get(role), option=role) for role in roles}, case.options
     )
 
 
@@ -206,5 +206,5 @@ def test_a_struct_whose_label_is_no_text_is_no_channel(tmp_path: Path) -> None:
     calibration = {"Data": np.arange(3.0), "label": np.arange(3.0)}
     signals = {"t": np.array(T), "voltage": np.array(V), "displacement": np.array(D)}
     scipy.io.savemat(path, signals | {"calibration": calibration})
-    with open_log(str(path), {role: wish(role) for role in ("voltage", "displacement")}) as log:
+    with open_log(str(path), {role: column_wish(role) for role in ("voltage", "displacement")}) as log:
         assert log.read().values["voltage"].tolist() == list(V)

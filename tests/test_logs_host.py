@@ -14,14 +14,14 @@ import polars
 import pytest
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.columns import OutColumn, wish
+from dbo_cli.logs.columns import OutColumn, column_wish
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.whole_output import all_or_none, write_whole
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX files and signals")
 ROOT = Path(__file__).resolve().parent.parent
-WANT = {"voltage": wish("voltage"), "displacement": wish("displacement")}
+WANT = {"voltage": column_wish("voltage"), "displacement": column_wish("displacement")}
 # Calls that change what belongs to the whole process, for whoever else runs in it.
 PROCESS_WIDE = {
     "os.dup2", "os.putenv", "os.environ.setdefault", "os.environ.update", "os.environ.pop", "os.chdir",

@@ -32,11 +32,11 @@ def test_no_byte_of_a_parquet_file_brings_the_library_to_the_terminal(tmp_path: 
         "import sys\n"
         "from pathlib import Path\n"
         "from dbo_cli.errors import InputError\n"
-        "from dbo_cli.logs.columns import wish\n"
+        "from dbo_cli.logs.columns import column_wish\n"
         "from dbo_cli.logs.signal_log import open_log\n"
         "from dbo_cli.cli.app import prepare_process\n"
         "prepare_process()\n"
-        "want = {'voltage': wish('voltage'), 'displacement': wish('displacement')}\n"
+        "want = {'voltage': column_wish('voltage'), 'displacement': column_wish('displacement')}\n"
         "good = Path('good.parquet').read_bytes()\n"
         "for at in range(len(good) - 700, len(good) - 8, 3):\n"  # the footer: a byte leads furthest astray
         "    Path('bad.parquet').write_bytes(good[:at] + b'\\xff' + good[at + 1:])\n"

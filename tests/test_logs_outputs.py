@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import InputError, OutputError, UsageError
-from dbo_cli.logs.columns import OutColumn, wish
+from dbo_cli.logs.columns import OutColumn, column_wish
 from dbo_cli.logs.libraries import import_polars
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.signal_writer import _plain_rows, signal_writer, write_rows
@@ -356,12 +356,12 @@ def test_a_column_that_may_be_blank(tmp_path: Path) -> None:
         path = str(tmp_path / name)
         with signal_writer(path, columns) as writer:
             writer.write(*values)
-        want = {"voltage": wish("voltage"), "desired": wish("desired", may_be_blank=True)}
+        want = {"voltage": column_wish("voltage"), "desired": column_wish("desired", may_be_blank=True)}
         with open_log(path, want) as log:
             block = log.read()
         assert (list(block.rows), block.values["desired"], block.values["voltage"]) == ([1], [0.5], [2.0])
         assert log.notes == log.warnings == []
-        with open_log(path, {"desired": wish("desired")}) as log, pytest.raises(InputError) as refused:
+        with open_log(path, {"desired": column_wish("desired")}) as log, pytest.raises(InputError) as refused:
             log.read()
         assert str(refused.value).startswith(path + refusal)
         for wrong, bad in ((1, np.inf), (0, np.nan), (2, np.nan)):

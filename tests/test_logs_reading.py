@@ -13,7 +13,7 @@ import pytest
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs import clock, columns, units
-from dbo_cli.logs.columns import wish
+from dbo_cli.logs.columns import column_wish
 from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
 
@@ -29,7 +29,7 @@ REPORT = ("measured", "desired", "voltage")
 def opened(folder: Path, text: str, roles: tuple[str, ...] = IDENTIFY, **options: object) -> SignalLog:
     path = folder / "log.csv"
     path.write_text(text)
-    want = {role: wish(role, option=role) for role in roles}
+    want = {role: column_wish(role, option=role) for role in roles}
     with open_log(str(path), want, ReadingOptions(**options)) as log:  # type: ignore[arg-type]
         log.read()
     return log
@@ -116,13 +116,13 @@ def test_a_first_column_in_a_unit_of_time_is_the_clock(tmp_path: Path) -> None:
     """As oscilloscopes write it: "Source,CH1,CH2" above "Second,Volt,Volt"."""
     path = tmp_path / "log.csv"
     path.write_text("Source,CH1\nSecond,Volt\n" + "".join(f"{0.25 * k},{k % 5}\n" for k in range(9)))
-    with open_log(str(path), {"voltage": wish("voltage", "CH1", option="voltage")}) as log:
+    with open_log(str(path), {"voltage": column_wish("voltage", "CH1", option="voltage")}) as log:
         block = log.read()
     assert block.time is not None
     assert block.time.tolist() == [0.25 * k for k in range(9)]
     path.write_text("a (s),b (ms),voltage\n" + "".join(f"{0.25 * k},{k},{k % 5}\n" for k in range(9)))
     with pytest.raises(InputError, match="which column is the time, 'a \\(s\\)' or 'b \\(ms\\)'"):
-        open_log(str(path), {"voltage": wish("voltage", option="voltage")})
+        open_log(str(path), {"voltage": column_wish("voltage", option="voltage")})
 
 
 def test_a_number_that_is_a_name_is_asked_about(tmp_path: Path) -> None:
@@ -131,7 +131,7 @@ def test_a_number_that_is_a_name_is_asked_about(tmp_path: Path) -> None:
     how = ReadingOptions(header_lines=1)
 
     def column(selector: str) -> int:
-        with open_log(str(path), {"voltage": wish("voltage", selector, option="voltage")}, how) as log:
+        with open_log(str(path), {"voltage": column_wish("voltage", selector, option="voltage")}, how) as log:
             return log.columns["voltage"].number
 
     with pytest.raises(InputError) as raised:
@@ -145,7 +145,7 @@ def test_a_number_that_is_a_name_is_asked_about(tmp_path: Path) -> None:
 def test_an_index_is_no_unit(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("data[1],data[2]\n1,2\n3,4\n")
-    with open_log(str(path), {"voltage": wish("voltage", "data[2]")}) as log:
+    with open_log(str(path), {"voltage": column_wish("voltage", "data[2]")}) as log:
         assert log.columns["voltage"].unit is None
 
 
@@ -199,7 +199,7 @@ def test_header_blocks_among_the_data(
 ) -> None:
     path = tmp_path / "log.lvm"
     path.write_text(lvm(dated, restarts))
-    want = {role: wish(role, option=role) for role in IDENTIFY}
+    want = {role: column_wish(role, option=role) for role in IDENTIFY}
     with open_log(str(path), want, ReadingOptions(block_rows=block_rows)) as log:
         block = log.read()
     assert block.time is not None
@@ -216,7 +216,7 @@ def test_a_segment_that_begins_after_midnight_goes_on_by_its_date(tmp_path: Path
     second = second.replace("10:15:00.100000", "00:00:00.100000").replace("2024/03/09", "2024/03/10")
     path = tmp_path / "log.lvm"
     path.write_text(lvm(dated=True, restarts=True).split("Channels")[0] + f"Channels{first}Channels{second}")
-    with open_log(str(path), {role: wish(role, option=role) for role in IDENTIFY}) as log:
+    with open_log(str(path), {role: column_wish(role, option=role) for role in IDENTIFY}) as log:
         time = log.read().time
     assert time is not None
     assert time[40:42].tolist() == pytest.approx([0.2, 0.202], abs=1e-9)
@@ -229,7 +229,7 @@ def test_a_segment_that_begins_after_midnight_goes_on_by_its_date(tmp_path: Path
 def test_a_stated_unit_of_a_rate_goes_before_an_assumed_one(lines: str, tmp_path: Path) -> None:
     path = tmp_path / "log.txt"
     path.write_text(f"{lines}\nvoltage_V,displacement_um\n0,1\n1,2\n2,4\n")
-    with open_log(str(path), {role: wish(role, option=role) for role in IDENTIFY}) as log:
+    with open_log(str(path), {role: column_wish(role, option=role) for role in IDENTIFY}) as log:
         assert log.sample_rate == 1000.0
     assert log.notes == []
 
@@ -246,7 +246,7 @@ def test_what_was_read_is_said(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     rows = "".join(f"{k / 500},{k % 90},{k % 7}\n" for k in range(5786))
     path.write_text(f"time_s,CH1 (V),CH2 (um)\n{rows}")
-    want = {role: wish(role, option=role) for role in IDENTIFY}
+    want = {role: column_wish(role, option=role) for role in IDENTIFY}
     with open_log(str(path), want) as log:
         assert log.opening_line() == (
             f"{path}: time 'time_s' (s), voltage 'CH1 (V)' (V), displacement 'CH2 (um)' (um)"
@@ -271,7 +271,7 @@ def test_what_was_read_is_said(tmp_path: Path) -> None:
 def test_what_was_read_without_a_clock_or_names(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text("1,2\n3,4\n5,6\n")
-    want = {"voltage": wish("voltage", "1"), "displacement": wish("displacement", "2")}
+    want = {"voltage": column_wish("voltage", "1"), "displacement": column_wish("displacement", "2")}
     for options, told in (
         (ReadingOptions(), "3 rows, no time; voltage column 1 (no unit), displacement column 2 (no unit)"),
         (
@@ -304,6 +304,7 @@ def test_the_page_on_instruments_lists_what_the_program_knows() -> None:
     assert row("desired", 1) == set(columns.DESIRED.by_unit)
     assert row("displacement, measured", 3) == columns.DISPLACEMENT.contrary
     assert row("voltage", 2) == columns.VOLTAGE.contrary
+    assert row("desired", 2) == columns.DESIRED.contrary
     for unit, spellings in units.SPELLINGS.items():
         assert row(unit) == set(spellings)
     for calendar in (*clock._CALENDARS, *clock._DAY_CALENDARS):
@@ -324,7 +325,7 @@ def test_a_header_with_one_name_too_few_is_not_taken_apart_at_its_words(tmp_path
     rows = "".join(f"{k}.5\t{k}.25\t{k}.75\t{k}.125\n" for k in range(9))
     path.write_text(f"Desired (um)\ty/micron\tu/volts\n{rows}")
     with pytest.raises(InputError, match=r":2: 4 cells where the header names 3 columns"):
-        open_log(str(path), {"voltage": wish("voltage")})
+        open_log(str(path), {"voltage": column_wish("voltage")})
 
 
 @pytest.mark.parametrize(
@@ -342,7 +343,7 @@ def test_a_header_with_one_name_too_few_is_not_taken_apart_at_its_words(tmp_path
 def test_a_row_that_counts_the_columns(first: str, row: str, asked: bool, tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text(first + "\n" + "".join(row.format(k=k) + "\n" for k in range(9)))
-    want = {"voltage": wish("voltage", "number=2", option="voltage")}
+    want = {"voltage": column_wish("voltage", "number=2", option="voltage")}
     if asked:
         with pytest.raises(InputError, match=r"counts the columns: are these names or a sample\?"):
             open_log(str(path), want)
@@ -370,7 +371,7 @@ def test_dropping_is_no_remedy_where_most_of_a_log_would_go(tmp_path: Path, bad:
     with h5py.File(tmp_path / "log.h5", "w") as file:
         file["time"], file["voltage"] = np.arange(100) / 100, np.arange(100.0)
         file["displacement"] = np.where(np.isin(np.arange(100), bad), np.nan, np.arange(100.0))
-    want = {role: wish(role, option=role) for role in IDENTIFY}
+    want = {role: column_wish(role, option=role) for role in IDENTIFY}
     for name in ("log.csv", "log.h5"):
         with pytest.raises(InputError) as raised, open_log(str(tmp_path / name), want) as log:
             log.read()

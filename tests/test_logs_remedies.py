@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from dbo_cli.errors import DboError
-from dbo_cli.logs.columns import wish
+from dbo_cli.logs.columns import column_wish
 from dbo_cli.logs.request import ReadingOptions, parse_rows
 from dbo_cli.logs.signal_log import open_log
 from tests.shapes.refusable import REFUSABLE
@@ -25,7 +25,7 @@ ROLES = ("voltage", "displacement")
 
 def read(address: str, way: Way) -> None:
     """Open and read a log; ``way`` holds selectors of roles and reading options."""
-    wishes = {role: wish(role, way.get(role), option=role) for role in ROLES}
+    wishes = {role: column_wish(role, way.get(role), option=role) for role in ROLES}
     options = {name: value for name, value in way.items() if name not in (*ROLES, "suffix")}
     if isinstance(options.get("rows"), str):
         options["rows"] = parse_rows(options["rows"])

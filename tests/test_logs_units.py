@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.columns import column_info, wish
+from dbo_cli.logs.columns import column_info, column_wish
 from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.sources import Source
@@ -155,7 +155,7 @@ def test_a_time_unit_beyond_the_arithmetic_is_refused(text: str) -> None:
 def read(folder: Path, header: str, *scale: str) -> tuple[list[float], list[float], str]:
     path = folder / "log.csv"
     path.write_text(f"time_s,{header}\n0,1,3\n0.001,2,5\n")
-    want = {role: wish(role, option=role) for role in ("voltage", "displacement")}
+    want = {role: column_wish(role, option=role) for role in ("voltage", "displacement")}
     with open_log(str(path), want, ReadingOptions(scale=scale)) as log:
         block = log.read()
     units = f"{log.columns['voltage'].unit} {log.columns['displacement'].unit}"
@@ -178,7 +178,7 @@ def test_scales_are_applied_to_their_role(tmp_path: Path) -> None:
 def test_doubtful_units_are_warned_of(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("voltage_mV,displacement\nV,furlong\n1,2\n3,4\n")
-    want = {role: wish(role, option=role) for role in ("voltage", "displacement")}
+    want = {role: column_wish(role, option=role) for role in ("voltage", "displacement")}
     with open_log(str(path), want, ReadingOptions(header_lines=2)) as log:
         assert log.warnings == [
             f"{path}: column 'voltage_mV' is in mV by its name and in V by its unit: "

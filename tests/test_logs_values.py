@@ -9,11 +9,11 @@ import pandas as pd
 import pytest
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.columns import wish
+from dbo_cli.logs.columns import column_wish
 from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.signal_log import open_log
 
-WANT = {"voltage": wish("voltage"), "displacement": wish("displacement")}
+WANT = {"voltage": column_wish("voltage"), "displacement": column_wish("displacement")}
 FORMATS = ["NETCDF3_CLASSIC", "NETCDF3_64BIT_OFFSET", "NETCDF4"]
 
 
@@ -74,7 +74,7 @@ def test_row_numbers_of_pandas_are_no_column(tmp_path: Path) -> None:
     with open_log(str(tmp_path / "log.parquet"), WANT) as log:
         assert (log.time, log.read().time) == (None, None)
         with pytest.raises(InputError, match=r"it has 1 voltage_V, 2 displacement_um$"):
-            open_log(str(tmp_path / "log.parquet"), {"voltage": wish("voltage", "nothing")})
+            open_log(str(tmp_path / "log.parquet"), {"voltage": column_wish("voltage", "nothing")})
 
 
 def test_stamps_of_pandas_are_the_time(tmp_path: Path) -> None:

@@ -20,10 +20,10 @@ import numpy as np
 
 from dbo_cli import extensions
 from dbo_cli.drives.before import BeforeMove, longest_chosen, require_short
-from dbo_cli.drives.cut_off import ALLOWED_PART, CutOff, first_beyond
 from dbo_cli.drives.gate import DriveFigures, DriveGate
 from dbo_cli.drives.limits import beyond_range, limits_note, voltage_in
 from dbo_cli.drives.model_run import ModelRun, Response, Tally, first_blocks
+from dbo_cli.drives.move_loss import ALLOWED_PART, MoveLoss, first_beyond
 from dbo_cli.drives.options import DriveOptions, plain_in, volts_a_unit
 from dbo_cli.drives.pieces import Before, ramp, sweep_range
 from dbo_cli.errors import InputError, LimitError, Remarks, UsageError
@@ -63,10 +63,40 @@ class Compensation(ModelRun):
         What is asked of the drive.
     remarks_before : Remarks
         What was said before the run.
-    watchers : list of Watcher
-        What extras have to say of the rows of the move.
+    clipped : Tally
+        The rows whose drive a limit clipped.
+    first_value_missed : float
+        How far the drive's first row is off the first value of the trajectory, because the settled curve
+        steps over that; 0 where it does not. In the displacement's unit.
+    unreachable : int
+        The rows of the move outside the range of the model's displacement.
+    streamed : bool
+        Whether rows are written before all are read, so that too large a loss ends the run at once.
+    loss : MoveLoss
+        What the move loses by clipping.
+    stream_ends : int, or None
+        The first row of the block, from 0, at which a stream has lost too much.
+    read_from, read_to : float
+        The first (None before any) and the last time stamp read, in seconds.
+    lead_in_figures : DriveFigures
+        Figures of the drive before the first row.
+    lead_in_seconds : float
+        How long that takes.
+    move_figures : DriveFigures
+        The same figures of what is desired: displacements, in place of voltages.
+    drive_figures : DriveFigures
+        Figures of the whole drive, the rows before and after the move included.
+    first_drives : list of tuples
+        The first rows' drive and their time steps (None without time), block by block; the expected error of
+        the move is computed from them.
+    came_from : float, or None
+        The voltage at which the amplifier stands before the first row, where that is known.
+    limits : DriveLimits
+        What the drive may do.
     gate : DriveGate
         What every row passes.
+    watchers : list of Watcher
+        What extras have to say of the rows of the move.
     expecting : bool
         Whether the error to expect of the move is worked out for the remarks.
     """
@@ -74,18 +104,18 @@ class Compensation(ModelRun):
     options: DriveOptions = field(default_factory=DriveOptions)
     remarks_before: Remarks = field(default_factory=Remarks)
     clipped: Tally = field(default_factory=Tally)
-    missed: float = 0.0
+    first_value_missed: float = 0.0
     unreachable: int = 0
     streamed: bool = False
-    cut_off: CutOff = field(init=False)
+    loss: MoveLoss = field(init=False)
     stream_ends: int | None = None
     read_from: float | None = None
     read_to: float = 0.0
-    lead_in: DriveFigures = field(default_factory=DriveFigures)
+    lead_in_figures: DriveFigures = field(default_factory=DriveFigures)
     lead_in_seconds: float = 0.0
-    move: DriveFigures = field(default_factory=DriveFigures)
-    drive: DriveFigures = field(default_factory=DriveFigures)
-    kept: list[tuple[FloatArray, FloatArray | None]] = field(default_factory=list)
+    move_figures: DriveFigures = field(default_factory=DriveFigures)
+    drive_figures: DriveFigures = field(default_factory=DriveFigures)
+    first_drives: list[tuple[FloatArray, FloatArray | None]] = field(default_factory=list)
     came_from: float | None = field(init=False)
     limits: DriveLimits = field(init=False)
     gate: DriveGate = field(init=False)
@@ -107,7 +137,7 @@ class Compensation(ModelRun):
         self.why_time, self.bandwidth = options.why_time, options.rounding
         super().__post_init__()
         self._run = functools.partial(self.model.compensate, limits=self.limits)
-        self.cut_off = CutOff(self.model)
+        self.loss = MoveLoss(self.model)
         self.came_from = self._comes_from()
         self.gate = DriveGate(self.limits, self.came_from, self.model.input.suffix)
 
@@ -140,7 +170,7 @@ class Compensation(ModelRun):
                 blocks = chain(self._way_in(before, times), blocks)
         for block, x in self.inputs.blocks(self._watched(blocks), self.state):
             desired, drive = block.values[role], self.feed(block, x).y
-            if block.rows[0] >= 1:
+            if not block.before_move:
                 desired = self.desired_rows(desired)
                 self._see(desired, drive)
             if self.stream_ends is not None:
@@ -213,7 +243,7 @@ class Compensation(ModelRun):
             return
         self._require_delay()
         if not self.streamed:
-            self._require_little_cut_off()
+            self._require_little_loss()
         elif self._lost_rms() > ALLOWED_PART * self.model.output.span:
             raise LimitError(self._stream_ended())
 
@@ -229,7 +259,7 @@ class Compensation(ModelRun):
                 "(`lead` auto lets it begin before; `on_limit` clip writes it all the same)"
             )
 
-    def _require_little_cut_off(self) -> None:
+    def _require_little_loss(self) -> None:
         """Refuse limits that cost more than a hundredth of the move (LimitError)."""
         size, of_what = self.move_size()
         lost = self._lost_rms()
@@ -238,13 +268,13 @@ class Compensation(ModelRun):
         unit = self.model.output.suffix
         raise LimitError(
             f"{self._clipping()}: the move would miss {lost:.3g}{unit} RMS ({100.0 * lost / size:.2g} % of "
-            f"{of_what}), {self.cut_off.most:.3g}{unit} at worst; more than {100.0 * ALLOWED_PART:g} % is "
+            f"{of_what}), {self.loss.most:.3g}{unit} at worst; more than {100.0 * ALLOWED_PART:g} % is "
             "not written (`on_limit` clip writes it)"
         )
 
     def move_size(self) -> tuple[float, str]:
         """Return what a loss is compared with, and its name: how far the move goes, or the model's range."""
-        span = self.move.high - self.move.low
+        span = self.move_figures.high - self.move_figures.low
         if span > 0.0:
             return span, "the move"
         return self.model.output.span, "the model's range"
@@ -259,14 +289,14 @@ class Compensation(ModelRun):
         )
 
     def _see(self, desired: FloatArray, drive: FloatArray) -> None:
-        self.move.see(desired, None)
+        self.move_figures.see(desired, None)
         for watcher in self.watchers:
             watcher.add(desired, drive)
 
     def _played(self, before: Before, times: FloatArray, step: float) -> Iterator[Response]:
         """Play the voltages before a move, and go on from the state that they leave."""
         if before.voltage.size:
-            self.lead_in.see(before.voltage, None)
+            self.lead_in_figures.see(before.voltage, None)
             yield self._response(times[1:], before.expected, before.voltage, step)
         if before.state is not None:
             self.state = before.state
@@ -278,15 +308,22 @@ class Compensation(ModelRun):
 
     def _comes_from(self) -> float | None:
         """Return where the drive stands before the first row: a saved state, or what was said, knows it."""
-        given, state = self.options.from_, self.start
-        asked = None if given is None else voltage_in("from_", given, self.model.input)
-        known = self.model.drive_of(state) if isinstance(state, ModelState) else None
-        if asked is not None and known is not None and abs(asked - known) > SAME_DRIVE * self.output.span:
-            raise UsageError(f"`from_` {asked:g} contradicts `state`, which was left at {known:g}")
-        if asked is None and known is None and self.start in ("empty", "full"):
-            end = self.model.covered_gears.operator.x_range[0 if self.start == "empty" else 1]
-            known = min(max(self.model.inverted.outer_drive(end), self.limits.v_min), self.limits.v_max)
-        return asked if known is None else known
+        typed = None
+        if self.options.from_ is not None:
+            typed = voltage_in("from_", self.options.from_, self.model.input)
+        if isinstance(self.start, ModelState):
+            left_at = self.model.drive_of(self.start)
+            if left_at is None:
+                return typed
+            if typed is not None and abs(typed - left_at) > SAME_DRIVE * self.output.span:
+                raise UsageError(f"`from_` {typed:g} contradicts `state`, which was left at {left_at:g}")
+            return left_at
+        if typed is None and self.start in ("empty", "full"):
+            low_end, high_end = self.model.covered_gears.operator.x_range
+            end = low_end if self.start == "empty" else high_end
+            voltage = self.model.inverted.outer_drive(end)
+            return min(max(voltage, self.limits.v_min), self.limits.v_max)
+        return typed
 
     def _usual_step(self, stamps: FloatArray) -> float:
         """Return seconds a row for the pieces (InputError where the clock stands still)."""
@@ -328,7 +365,7 @@ class Compensation(ModelRun):
     def _response(self, time: FloatArray, desired: FloatArray, drive: FloatArray, step: float) -> Response:
         """Let voltages that are played as they are pass the gate."""
         self.gate.admit(drive, step)
-        self.drive.see(drive, step)
+        self.drive_figures.see(drive, step)
         return Response(time, desired, drive)
 
     # --- one block ---
@@ -339,49 +376,50 @@ class Compensation(ModelRun):
         return begun
 
     def feed(self, block: SampleBlock, x: FloatArray) -> Simulated:
-        """Run one block; count what the limits held back, and let the rows pass the gate."""
+        """Run one block; count its clipped rows, and let all rows pass the gate."""
         if self.state is None:
             self.state = self._begun(float(x[0]))
         before = self.state
         done, steps = super().feed(block, x), self.time_step
-        if not self.drive.rows:
+        if not self.drive_figures.rows:
             self.gate.require_start(None if steps is None else float(np.ravel(steps)[0]))
-        if block.rows[0] >= 1:  # what cannot be reached before a move is none of it
+        if not block.before_move:  # what cannot be reached before a move is none of it
             reach, slack = self.model.output, REACH_SLACK * self.model.output.span
             desired = x if self.model.dynamics is None else block.values[self.input.quantity]
             outside = (desired < reach.minimum - slack) | (desired > reach.maximum + slack)
             self.unreachable += int(np.count_nonzero(outside))
-            self._clip(done, block)
+            self._count_clipped(done, block)
             if self.clipped.count:
-                self._miss(x - self.model.slow.follow(done.y, before, steps).y, steps)
+                reached = self.model.without_dynamics_and_delay.follow(done.y, before, steps).y
+                self._add_lost(x - reached, steps)
                 if self.stream_ends is not None:
                     self._count_part(done, self.stream_ends + 1, x, before, steps)
         else:
-            self.lead_in.see(done.y, None)
-        self.missed = self.missed or done.first_missed
+            self.lead_in_figures.see(done.y, None)
+        self.first_value_missed = self.first_value_missed or done.first_missed
         self.gate.admit(done.y, steps)
-        self.drive.see(done.y, steps)
-        room = MOST_ROWS - sum(drive.size for drive, _ in self.kept)
+        self.drive_figures.see(done.y, steps)
+        room = MOST_ROWS - sum(drive.size for drive, _ in self.first_drives)
         if room > 0:  # on its first rows the error to expect is looked at in the end
             every = None if steps is None else np.broadcast_to(steps, done.y.shape)[:room]
-            self.kept.append((done.y[:room], every))
+            self.first_drives.append((done.y[:room], every))
         return done
 
-    def _clip(self, done: Simulated, block: SampleBlock | None) -> None:
-        """Count what the limits held back, or refuse it (LimitError); rows before a loop are in no block."""
+    def _count_clipped(self, done: Simulated, block: SampleBlock | None) -> None:
+        """Count the clipped rows, or refuse them (LimitError); rows before a loop are in no block."""
         if done.clipped_count:
             self.clipped.add(done.clipped_count, done.first_clipped, block)
         if self.options.on_limit == "error" and self.clipped.count:
             raise LimitError(f"{self._clipping()} (`on_limit` clip goes on)")
 
-    def _miss(self, missed: FloatArray, steps: float | FloatArray | None) -> None:
-        """Add up by how much rows of the move miss what is wanted, from the first clipped one on."""
-        rows = self.rows - self.rows_before - missed.size
-        squares = self.cut_off.squares
-        off = self.cut_off.add(missed, steps)
+    def _add_lost(self, lost: FloatArray, steps: float | FloatArray | None) -> None:
+        """Add up what rows of the move lose, from the block of the first clipped row on."""
+        rows = self.rows - self.rows_before - lost.size
+        squares = self.loss.squares
+        lost = self.loss.add(lost, steps)
         if self.streamed and self.options.on_limit == "auto":
             allowed = ALLOWED_PART * self.model.output.span
-            self.stream_ends = first_beyond(squares, rows, off, allowed)
+            self.stream_ends = first_beyond(squares, rows, lost, allowed)
 
     def _count_part(
         self, done: Simulated, count: int, x: FloatArray, before: ModelState, steps: float | FloatArray | None
@@ -393,7 +431,7 @@ class Compensation(ModelRun):
         self.rows += count - x.size
 
     def _lost_rms(self) -> float:
-        return self.cut_off.rms(self.rows - self.rows_before)
+        return self.loss.rms(self.rows - self.rows_before)
 
     def desired_rows(self, asked: FloatArray) -> FloatArray:
         """Return what is desired in the last rows of the move that were run, of what the model was asked."""
@@ -409,16 +447,17 @@ class Compensation(ModelRun):
             unit = self.model.output.suffix
             remarks.warn(
                 f"{self._clipping()}: clipped, by which the move misses {self._lost_rms():.3g}{unit} RMS, "
-                f"{self.cut_off.most:.3g}{unit} at worst (`on_limit` error refuses this)"
+                f"{self.loss.most:.3g}{unit} at worst (`on_limit` error refuses this)"
             )
         elif self.beyond.count:
             super()._add_limits(remarks)
-        if self.missed:
+        if self.first_value_missed:
+            missed = f"{abs(self.first_value_missed):.3g}{self.input.suffix}"
             remarks.warn(
-                f"{self.source.name}: the drive starts {abs(self.missed):.3g}{self.input.suffix} off the "
+                f"{self.source.name}: the drive starts {missed} off the "
                 "first value, which the actuator does not pass when it settles (`state` empty or `condition`)"
             )
-        beyond = beyond_range(self.model.input, self.drive.low, self.drive.high)
+        beyond = beyond_range(self.model.input, self.drive_figures.low, self.drive_figures.high)
         if beyond and self.options.extrapolate:  # else the amplifier stood there, and only came inwards
             remarks.warn(f"{self.source.name}: the drive goes {beyond}")
 
@@ -430,8 +469,8 @@ class Compensation(ModelRun):
         name = self.source.name
         remarks.note(f"{name}: {text}" for text in self._notes())
         for watcher in self.watchers:
-            remarks.note(watcher.notes(name, self.drive))
-        farad, drive = self.options.farad, self.drive
+            remarks.note(watcher.notes(name, self.drive_figures))
+        farad, drive = self.options.farad, self.drive_figures
         if farad is not None and drive.seconds:
             volts = float(volts_a_unit(self.model))
             coulombs, joules = farad * volts * drive.travel, farad * volts**2 * drive.work
@@ -440,37 +479,33 @@ class Compensation(ModelRun):
                 f"{coulombs / drive.seconds:.3g} A and {joules / drive.seconds:.3g} W (voltage times "
                 "current) on average"
             )
-        found = self._move_error() if self.expecting and self.expected_rmse()[0] is not None else None
+        error = None
+        if self.expecting and self.expected_rmse()[0] is not None:
+            error = self._move_error()
         # Where clipping is the error, what is left of the move tells nothing of the logs.
-        if found is not None and not found.rmse < max(found.straight_line, self._lost_rms()):
+        if error is not None and not error.rmse < max(error.straight_line, self._lost_rms()):
             unit = self.model.output.suffix
             remarks.warn(
-                f"{name}: the expected error of the move, {found.rmse:.3g}{unit}, is no better than that of "
-                f"a straight line, {found.straight_line:.3g}{unit}: the logs do not tell what it asks"
+                f"{name}: the expected error of the move, {error.rmse:.3g}{unit}, is no better than that of "
+                f"a straight line, {error.straight_line:.3g}{unit}: the logs do not tell what it asks"
             )
         return remarks
 
     def _notes(self) -> Iterator[str]:
         """Say in which units limits are read, how the drive begins, where it may step, and what to expect."""
-        unit, first, scale = self.output.suffix, self.drive.first, self.voltage_scale
-        asked = self.options
-        if read := plain_in(self.model.input.unit, asked.v_min, asked.v_max, asked.max_slew, asked.from_):
-            yield read
-        if self.lead_in.rows:
-            yield self._lead_in_said()
-        if held := limits_note(self.model.input, self.limits, asked.v_min, asked.v_max):
-            yield held
-        if first is not None and self.came_from is None:
-            yield (
-                f"the drive begins at {first:.6g}{unit}; from where the amplifier comes is not known "
-                "(`from_` VOLT says it, `approach` ramps there)"
-            )
-        elif first is not None and self.came_from is not None and self.limits.max_slew is None:
-            if abs(first - self.came_from) > self.drive.largest_step:
-                yield (
-                    f"the first row steps from {self.came_from:.6g} to {first:.6g}{unit} (`approach` SECONDS "
-                    "ramps there)"
-                )
+        options = self.options
+        drive = self.model.input
+        units_read = plain_in(drive.unit, options.v_min, options.v_max, options.max_slew, options.from_)
+        if units_read:
+            yield units_read
+        if self.lead_in_figures.rows:
+            yield self._lead_in_note()
+        range_note = limits_note(drive, self.limits, options.v_min, options.v_max)
+        if range_note:
+            yield range_note
+        if self.drive_figures.first is not None:
+            yield from self._begin_notes(self.drive_figures.first)
+        scale = self.voltage_scale
         if scale is not None:
             yield (
                 f"the drive is in the voltages of the model's logs {scale} (`gain` of waveform takes it back "
@@ -479,9 +514,26 @@ class Compensation(ModelRun):
         if self.states_error and self.rows and self.expecting:
             yield from self._expected_error()
 
-    def _lead_in_said(self) -> str:
+    def _begin_notes(self, first: float) -> Iterator[str]:
+        """Say where the drive begins, if that may be a step from where the amplifier stands."""
+        unit = self.output.suffix
+        if self.came_from is None:
+            yield (
+                f"the drive begins at {first:.6g}{unit}; from where the amplifier comes is not known "
+                "(`from_` VOLT says it, `approach` ramps there)"
+            )
+            return
+        if self.limits.max_slew is not None:
+            return
+        if abs(first - self.came_from) > self.drive_figures.largest_step:
+            yield (
+                f"the first row steps from {self.came_from:.6g} to {first:.6g}{unit} (`approach` SECONDS "
+                "ramps there)"
+            )
+
+    def _lead_in_note(self) -> str:
         """Say what stands before the first row."""
-        figures, unit = self.lead_in, self.output.suffix
+        figures, unit = self.lead_in_figures, self.output.suffix
         return (
             f"before the first {self.first_what} stand {figures.rows:,} rows, {self.lead_in_seconds:.4g} s, "
             f"from {figures.low:.6g} to {figures.high:.6g}{unit}{self.among_them}"
@@ -489,61 +541,75 @@ class Compensation(ModelRun):
 
     def summary_before(self) -> dict[str, Any]:
         """Return what stands before the first row as plain values."""
-        figures = self.lead_in
+        figures = self.lead_in_figures
         reach = [figures.low, figures.high] if figures.rows else None
         return {"rows": figures.rows, "seconds": self.lead_in_seconds, "range": reach}
 
     def _expected_error(self) -> Iterator[str]:
         """Say what error to expect of the move, unless the model does not know."""
-        stated, unknown = self.model.fit.get("expected_rmse", ""), "what error to expect cannot be told: "
+        stated = self.model.fit.get("expected_rmse", "")
+        unknown = "what error to expect cannot be told: "
         rmse, percent = self.expected_rmse()
         if stated is None:
             yield f"{unknown}{self.model.fit.get('expected_from')}"
         elif rmse is not None:
-            part = "" if percent is None else f" ({percent:.2g} % of the move)"
-            held = ", clipped samples included" if self.clipped.count else ""
-            held += ", besides what `bandwidth` takes off" if self.bandwidth is not None else ""
-            yield f"expected error of the move {rmse:.3g}{self.model.output.suffix} RMS{part}{held}"
+            text = f"expected error of the move {rmse:.3g}{self.model.output.suffix} RMS"
+            if percent is not None:
+                text += f" ({percent:.2g} % of the move)"
+            if self.clipped.count:
+                text += ", clipped samples included"
+            if self.bandwidth is not None:
+                text += ", besides what `bandwidth` takes off"
+            yield text
         elif isinstance(stated, float):
             yield (
-                f"{unknown}the drive goes from {self.drive.low:.6g} to {self.drive.high:.6g}"
+                f"{unknown}the drive goes from {self.drive_figures.low:.6g} to {self.drive_figures.high:.6g}"
                 f"{self.model.input.suffix}, beyond what the model was identified on"
             )
 
     def expected_rmse(self) -> tuple[float | None, float | None]:
         """Return the error to expect of the move, in its unit and in % of it; None where it is not known."""
-        rmse, covered = self.model.fit.get("expected_rmse"), self.model.input
-        slack = SLACK * covered.span
-        beyond = self.drive.low < covered.minimum - slack or self.drive.high > covered.maximum + slack
-        if not self.states_error or not isinstance(rmse, float) or beyond:
+        rmse = self.model.fit.get("expected_rmse")
+        if not self.states_error or not isinstance(rmse, float):
             return None, None
-        found = self._move_error()
-        rmse = math.hypot(rmse if found is None else found.rmse, self._lost_rms())
-        span = self.move.high - self.move.low
-        return rmse, 100.0 * rmse / span if span > 0.0 else None
+        covered, drive = self.model.input, self.drive_figures
+        slack = SLACK * covered.span
+        if drive.low < covered.minimum - slack:
+            return None, None
+        if drive.high > covered.maximum + slack:
+            return None, None
+        error = self._move_error()
+        if error is not None:
+            rmse = error.rmse
+        rmse = math.hypot(rmse, self._lost_rms())
+        span = self.move_figures.high - self.move_figures.low
+        if span > 0.0:
+            return rmse, 100.0 * rmse / span
+        return rmse, None
 
     def _move_error(self) -> MoveError | None:
-        """Return what to expect of the rows that were kept, worked out once for them."""
-        if not self.kept:
+        """Return what error to expect of the first rows of the drive, worked out once for them."""
+        if not self.first_drives:
             return None
-        rows = self.rows, len(self.kept)
+        rows = self.rows, len(self.first_drives)
         if self._error_of is None or self._error_of[0] != rows:
             self._error_of = rows, self._worked_out()
         return self._error_of[1]
 
     def _worked_out(self) -> MoveError | None:
-        drive = np.concatenate([drive for drive, _ in self.kept])
-        steps = [one for _, one in self.kept if one is not None]
+        drive = np.concatenate([drive for drive, _ in self.first_drives])
+        parts = [steps for _, steps in self.first_drives if steps is not None]
+        steps = np.concatenate(parts) if parts else None
         begin = min(self.rows_before, drive.size - 1)
-        return move_error(self.model, drive, np.concatenate(steps) if steps else None, begin)
+        return move_error(self.model, drive, steps, begin)
 
     def _clipping(self) -> str:
         """Say how much of a trajectory the drive's limits do not allow."""
         drive, limits = self.model.input, self.limits
-        said = f"{drive.quantity} {limits.v_min:.6g} to {limits.v_max:.6g}{drive.suffix}"
+        allowed = f"{drive.quantity} {limits.v_min:.6g} to {limits.v_max:.6g}{drive.suffix}"
         if limits.max_slew is not None:
-            said += f", {limits.max_slew:.6g}{drive.suffix}/s"
-        return f"{self._counted(self.clipped)} beyond what the limits of the drive allow ({said})"
+            allowed += f", {limits.max_slew:.6g}{drive.suffix}/s"
+        return f"{self._counted(self.clipped)} beyond what the limits of the drive allow ({allowed})"
 
 
 def _first_rows(response: Response, count: int) -> Response:

@@ -479,7 +479,7 @@ class ModelRun:
         time = None if block.time is None else float(block.time[-1])
         self.state = dataclasses.replace(done.state, time=time, undoing=self.inputs.memory)
         self.rows += len(x)
-        if block.rows[0] < 1:  # what is before a move is not what the file asks for
+        if block.before_move:  # what is before a move is not what the file asks for
             self.rows_before += len(x)
         elif done.outside_count:
             self.beyond.add(done.outside_count, done.first_outside, block)
@@ -495,7 +495,7 @@ class ModelRun:
         before = drive[0] if self.last_drive is None else self.last_drive
         faster = np.abs(np.diff(drive, prepend=before)) > FASTER * fastest * steps
         self.last_drive = float(drive[-1])
-        if faster.any() and block.rows[0] >= 1:
+        if faster.any() and not block.before_move:
             self.fast.add(int(np.count_nonzero(faster)), int(np.argmax(faster)), block)
 
     def remarks(self) -> Remarks:

@@ -252,7 +252,8 @@ def _solve_within(
     """
     low_part, high_part = low - y0, high - y0
     rising = u - (walk.x + kappa * walk.y) >= 0.0
-    if high_part < walk.y if rising else low_part > walk.y:  # the limits lie on the other side
+    already_beyond = high_part < walk.y if rising else low_part > walk.y
+    if already_beyond:  # the output stands beyond the limit that it moves towards
         _follow_output(walk, high_part if rising else low_part, not rising)
         return high if rising else low, math.inf, False
     rest, outside = _solve(walk, u, kappa, low_part, high_part, extend)

@@ -226,8 +226,8 @@ class ActuatorModel:
         return self.without(self.drive_lag, self.dynamics, self.delay)
 
     @property
-    def slow(self) -> Self:
-        """The model without what lies behind its gears and points in time: dynamics and delay."""
+    def without_dynamics_and_delay(self) -> Self:
+        """The same model without what changes with time behind its gears and points."""
         return self.without(self.dynamics, self.delay)
 
     def without(self, *dropped: Stage | None) -> Self:
@@ -456,7 +456,7 @@ class ActuatorModel:
             _, _, unbound = self.backlash.run(x[:1], state.backlash)
             missed = float(x[0]) - first.reached
             short = abs(missed) > NEGLIGIBLE * (high - low)
-            clipped = short and limits is not None and first.voltage in (limits.v_min, limits.v_max)
+            clipped = short and limits is not None and first.at_limit
             rest_steps = steps[1:] if isinstance(steps, np.ndarray) else steps
             begun = dataclasses.replace(state, backlash=backlash, drive=first.voltage, first=None, time=None)
             y, after, counts, _ = self._backlash_block(x[1:], begun, rest_steps, outside, limits)

@@ -24,11 +24,18 @@ START_NAMES: tuple[StartName, ...] = ("auto", "empty", "full", "settled")
 
 
 class DriveStart(NamedTuple):
-    """The first voltage of an inverse, the state before it, and the displacement it reaches."""
+    """The first voltage of an inverse, the state before it, and the displacement it reaches.
+
+    Attributes
+    ----------
+    at_limit : bool
+        Whether the voltage stands at a limit, because that is in the way or because it leads there.
+    """
 
     voltage: float
     state: BacklashState
     reached: float
+    at_limit: bool = False
 
 
 def start_state(operator: DiscreteBacklashOperator, voltage: float, name: StartName) -> BacklashState:
@@ -76,7 +83,9 @@ def _within(operator: DiscreteBacklashOperator, voltage: float, low: float, high
     """Return the start at ``voltage``, or at the limit that is in the way."""
     allowed = min(max(voltage, low), high)
     state = start_state(operator, allowed, "auto")
-    return DriveStart(allowed, state, float(operator.run([allowed], state)[0][0]))
+    reached = float(operator.run([allowed], state)[0][0])
+    at_limit = voltage <= low or voltage >= high
+    return DriveStart(allowed, state, reached, at_limit)
 
 
 NEGLIGIBLE = 1e-9

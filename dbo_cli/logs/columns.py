@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -62,16 +63,36 @@ _LETTERED = ("", "channel", "ch", "chan", "input", "probe")  # "Channel A" is no
 class ColumnWish:
     """A column that a command wants.
 
-    ``selector`` is what the user gave (a header name, a dataset path, a number counted from 1) or None; then
-    ``guesses`` are tried, quantity names in lower case.  ``option`` is the parameter named in the remedy.
-
-    What is guessed is held against the rest: ``letters`` are tried as whole names where no name is found,
-    ``kinds`` are what the unit may measure (None: anything), ``contrary`` are words that give a column
-    another role, ``by_unit`` are names that count only with a unit of ``channel_kinds`` (``ch`` stands for
-    all names of channels: ``CH1 (V)``), a column with one of the ``preferred`` names goes before the others,
-    and one with a ``foreign`` name is not taken just because no other is left.
-
-    Rows without a value are left out where the column ``may_be_blank``, and refused elsewhere.
+    Parameters
+    ----------
+    selector
+        What the user gave (a header name, a dataset path, a number counted from 1), or None: the column is
+        guessed by what follows.
+    guesses
+        Names of the quantity, in lower case.
+    required
+        Whether the absence of the column is an error. Two columns that may be meant are refused either way.
+    option
+        The parameter that messages name in the remedy.
+    letters
+        Names of one letter, tried as whole names where none of the ``guesses`` is there. They do nothing
+        without ``proving_units``.
+    kinds
+        What the unit may measure (None: anything).
+    contrary
+        Words that give a column another role: it is not taken.
+    by_unit
+        Names that count only with a unit of ``proving_units``; ``ch`` stands for all names of channels
+        (``CH1 (V)``).
+    proving_units
+        Kinds of units that prove the role: a column in such a unit needs a lesser name, or none where it is
+        the only one. Empty: the ``guesses`` alone decide.
+    preferred
+        Names that go before all others.
+    may_be_blank
+        Whether this cell may be empty. A row in which it is empty is left out; elsewhere it is refused.
+    role
+        The key of ``ROLES`` that this wish was made from, if any.
     """
 
     selector: str | None
@@ -82,10 +103,25 @@ class ColumnWish:
     kinds: frozenset[str] | None = None
     contrary: frozenset[str] = frozenset()
     by_unit: tuple[str, ...] = ()
-    channel_kinds: frozenset[str] = frozenset()
+    proving_units: frozenset[str] = frozenset()
     preferred: tuple[str, ...] = ()
-    foreign: frozenset[str] = frozenset()
     may_be_blank: bool = False
+    role: str = ""
+
+    @property
+    def foreign(self) -> frozenset[str]:
+        """Names of the other roles: such a column is not taken just because no other is left."""
+        return _names_of_other_roles(self.role)
+
+
+@cache
+def _names_of_other_roles(role: str) -> frozenset[str]:
+    if role not in ROLES:
+        return frozenset()
+    names: set[str] = set()
+    for known in ROLES.values():
+        names.update(known.guesses)
+    return frozenset(names.difference(ROLES[role].guesses))
 
 
 # --- the names under which columns are looked for, role by role (docs/instruments.md lists them) -----
@@ -108,7 +144,20 @@ _ORDERS = frozenset(
     ("desired", "target", "setpoint", "commanded", "wanted", "demand", "demanded", "reference", "soll",
      "sollwert", "sollposition", "consigne", "command", "nominal", "trajectory")
 )  # fmt: skip
+"""Words of what was wanted: such a column is no measured displacement."""
+_TEMPERATURES = frozenset(
+    ("temperature", "temp", "temperatur", "température", "temperatura", "temperatuur", "teplota",
+     "температура", "温度", "thermocouple", "thermistor")
+)  # fmt: skip
+"""Words of a temperature, which is no voltage and no displacement whatever else its name says."""
 _PLACES = frozenset(("length", "angle", "voltage", "share", "count"))  # a sensor may well give volts
+
+# Each role has one table of names:
+# guesses    names that are enough by themselves
+# letters    names of one letter, where none of the guesses is there
+# by_unit    names that need a unit of the proving kinds beside them
+# preferred  names that go before all others
+# contrary   words of another role, whatever else the name says
 
 VOLTAGE = ColumnWish(
     None,
@@ -117,9 +166,9 @@ VOLTAGE = ColumnWish(
      "napięcie", "napiecie", "napětí", "напряжение", "电压", "電圧", "vpiezo", "upiezo", "vdrive", "vpzt"),
     kinds=frozenset(("voltage", "share", "count")),
     contrary=frozenset(("sensor", "position", "displacement", "feedback", "photodiode", "interferometer",
-                        "supply")),
+                        "supply")) | _TEMPERATURES,
     by_unit=("tension", "piezo", "pzt", "control", "vin", "uin", "ch"),
-    channel_kinds=frozenset(("voltage",)),
+    proving_units=frozenset(("voltage",)),
 )  # fmt: skip
 DISPLACEMENT = ColumnWish(
     None,
@@ -129,23 +178,24 @@ DISPLACEMENT = ColumnWish(
      "stroke", "elongation", "interferometer", "encoder", "capacitive", "lvdt"),
     letters=("x", "z"),
     kinds=_PLACES,
-    contrary=_ORDERS,
+    contrary=_ORDERS | _TEMPERATURES,
     by_unit=("actual", "current", "ist", "istwert", "feedback", "readback", "laser", "ldv", "vibrometer",
              "meas", "travel", "ch"),
-    channel_kinds=frozenset(("length", "angle")),
+    proving_units=frozenset(("length", "angle")),
 )  # fmt: skip
 DESIRED = ColumnWish(
     None,
     ("desired", "reference", "setpoint", "target", "trajectory", "wanted", "ref", "soll", "sollwert",
      "sollposition", "sollweg", "consigne", "demand", "commanded"),
     kinds=_PLACES,
+    contrary=_TEMPERATURES,
     by_unit=("command",),
-    channel_kinds=frozenset(("length", "angle")),
+    proving_units=frozenset(("length", "angle")),
 )  # fmt: skip
 TRAJECTORY = replace(
     DISPLACEMENT,
     guesses=(*DISPLACEMENT.guesses, *DESIRED.guesses),
-    contrary=frozenset(),
+    contrary=_TEMPERATURES,
     by_unit=(*DESIRED.by_unit, *DISPLACEMENT.by_unit),
     preferred=DESIRED.guesses,
 )
@@ -155,7 +205,7 @@ ROLES = {
 }  # fmt: skip
 
 
-def wish(
+def column_wish(
     role: str,
     selector: str | None = None,
     *,
@@ -165,7 +215,7 @@ def wish(
     required: bool = True,
     may_be_blank: bool = False,
 ) -> ColumnWish:
-    """Wish for the column of a role.
+    """Return the wish for the column of a role.
 
     Parameters
     ----------
@@ -179,25 +229,37 @@ def wish(
     quantity, unit
         What a model calls the quantity, and its unit: a column in a unit of that kind is not left out.
     required
-        Whether its absence is an error.
+        Whether its absence is an error; two columns that may be meant are refused either way.
     may_be_blank
-        Whether rows without a value are left out.
+        Whether this cell may be empty; a row in which it is empty is left out.
     """
-    own, kind = (quantity or role).lower(), kind_of_unit(unit)
+    name = (quantity or role).lower()
+    unit_kind = kind_of_unit(unit)
     known = ROLES.get(role)
     if known is None:
-        kinds = None if kind is None else frozenset((kind,))
-        return ColumnWish(selector, (own,), required, option, kinds=kinds, may_be_blank=may_be_blank)
-    others = frozenset(name for other in ROLES.values() for name in other.guesses)
+        return ColumnWish(
+            selector,
+            (name,),
+            required,
+            option,
+            kinds=None if unit_kind is None else frozenset((unit_kind,)),
+            may_be_blank=may_be_blank,
+        )
+    guesses = known.guesses
+    if quantity:
+        guesses = (name, *(guess for guess in guesses if guess != name))
+    kinds = known.kinds or frozenset()
+    if unit_kind:
+        kinds |= {unit_kind}
     return replace(
         known,
         selector=selector,
-        guesses=(own, *(name for name in known.guesses if name != own)) if quantity else known.guesses,
+        guesses=guesses,
         required=required,
         option=option,
-        kinds=(known.kinds or frozenset()) | ({kind} if kind else set()),
-        foreign=others - frozenset(known.guesses),
+        kinds=kinds,
         may_be_blank=may_be_blank,
+        role=role,
     )
 
 
@@ -347,41 +409,50 @@ def guess_columns(columns: Sequence[ColumnInfo], guesses: Sequence[str]) -> list
 
 
 def matching_columns(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[ColumnInfo]:
-    """Find the columns that a wish may mean: by name, by word, by letter, or by a lesser name and the unit.
+    """Find the columns that a wish may mean; the log is clear where it is one.
 
-    What is found by less than a whole name, or by a letter beside other axes' letters, has to stand alone:
-    beside it, whatever has a unit of the kind
-    that is looked for may be meant as well, and so may a name that is only misspelled. Where the only column
-    of a name is in a unit that cannot be meant, no lesser name is taken in its place.
+    Names are tried from the surest to the weakest: preferred names, the guesses, then letters and names that
+    need a unit. What is found by less than a whole name, or by a letter beside other axes' letters, has to
+    stand alone: beside it, whatever has a unit that proves the role may be meant as well, and so may a name
+    that is only misspelled.
     """
     fitting = [column for column in columns if may_be(column, wish)]
     preferred = guess_columns(fitting, wish.preferred)
-    found = preferred or guess_columns(fitting, wish.guesses)
-    whole = [column for column in found if column.quantity.lower() in wish.guesses]
-    sure = bool(found) and all(_is_sure(column, wish) for column in found)
-    measuring = [one for one in fitting if kind_of_unit(one.unit) in wish.channel_kinds]
-    letters = [column for column in fitting if column.quantity.lower() in wish.letters]
-    axes = any(len(one.quantity) == 1 for one in found) and any(one in measuring for one in letters)
-    if preferred or not wish.channel_kinds or (sure and len(whole) == len(found) and not axes):
-        return found
-    if sure:
-        meant = {*found, *_misspelled(fitting, wish), *(set(letters) & set(measuring))}
-        return [column for column in fitting if column in meant]
-    lesser = [column for column in measuring if _has_lesser_name(column, wish)]
-    if not (found or letters or lesser) or (not found and guess_columns(columns, wish.guesses)):
-        return []
-    slips = _misspelled(fitting, wish)
+    if preferred:
+        return preferred
+    by_name = guess_columns(fitting, wish.guesses)
+    if not wish.proving_units:
+        return by_name  # no unit says more than the names do
+    proved = [column for column in fitting if _has_proving_unit(column, wish)]
+    lettered = [column for column in fitting if column.quantity.lower() in wish.letters]
+    whole = [column for column in by_name if column.quantity.lower() in wish.guesses]
+    if by_name and all(_is_sure(column, wish) for column in by_name):
+        other_axes = set(lettered) & set(proved)
+        is_axis = any(len(column.quantity) == 1 for column in by_name)
+        if len(whole) == len(by_name) and not (is_axis and other_axes):
+            return by_name  # whole names beside which nothing else can be meant
+        possible = {*by_name, *_misspelled(fitting, wish), *other_axes}
+        return [column for column in fitting if column in possible]
+    if not by_name and guess_columns(columns, wish.guesses):
+        return []  # the column of that name is in a unit that cannot be meant: no lesser name replaces it
+    lesser = [column for column in proved if _has_lesser_name(column, wish)]
+    if not (by_name or lettered or lesser):
+        return []  # a unit alone is not enough here, see `_only_candidate`
+    possible = {*by_name, *lettered, *proved, *_misspelled(fitting, wish)}
     if not whole:
-        slips += _suspects(fitting, wish, bool(found), [*letters, *lesser])
-    meant = {*found, *letters, *measuring, *slips}
-    return [column for column in fitting if column in meant]
+        possible.update(_suspects(fitting, wish, bool(by_name), [*lettered, *lesser]))
+    return [column for column in fitting if column in possible]
+
+
+def _has_proving_unit(column: ColumnInfo, wish: ColumnWish) -> bool:
+    return kind_of_unit(column.unit) in wish.proving_units
 
 
 def _is_sure(column: ColumnInfo, wish: ColumnWish) -> bool:
     """Return whether a column was found by a whole name, or by a word and a unit of the right kind."""
     kind = kind_of_unit(column.unit)
     whole = len(column.quantity) > 1 and column.quantity.lower() in wish.guesses
-    return kind in wish.channel_kinds or (whole and kind is None)
+    return kind in wish.proving_units or (whole and kind is None)
 
 
 def _misspelled(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[ColumnInfo]:
@@ -402,7 +473,7 @@ def _suspects(
 
     Where no unit supports what was found by a lesser name, any column of an unknown name may be meant.
     """
-    sure = found or all(kind_of_unit(column.unit) in wish.channel_kinds for column in others)
+    sure = found or all(kind_of_unit(column.unit) in wish.proving_units for column in others)
     long_names = [name for name in wish.guesses if len(name) >= 4]
     return [
         column
@@ -424,7 +495,7 @@ def _runs_into_unit(column: ColumnInfo, wish: ColumnWish) -> bool:
     """Return whether a name and a unit of the right kind stand without anything between them: Wegµm."""
     word = _letters(column)
     ends = [word[len(name) :] for name in (*wish.guesses, *wish.letters) if word.startswith(name)]
-    return any(kind_of_unit(normalise_unit(end)) in wish.channel_kinds for end in ends if end)
+    return any(kind_of_unit(normalise_unit(end)) in wish.proving_units for end in ends if end)
 
 
 def _is_unknown(column: ColumnInfo, wish: ColumnWish) -> bool:
@@ -433,17 +504,30 @@ def _is_unknown(column: ColumnInfo, wish: ColumnWish) -> bool:
     return bool(words) and not words & (wish.foreign | _BESIDES)
 
 
-def _one_letter_off(one: str, other: str) -> bool:
-    """Return whether two words of three letters or more differ by one: put in, left out, changed, swapped."""
-    if abs(len(one) - len(other)) > 1 or (one[0] != other[0] and one[-1] != other[-1]):
+def _one_letter_off(word: str, name: str) -> bool:
+    """Return whether a word is a name but for one letter: put in, left out, changed, or swapped."""
+    if abs(len(word) - len(name)) > 1:
+        return False
+    if word[0] != name[0] and word[-1] != name[-1]:
         return False  # the usual case; one slip leaves the first or the last letter
-    short, long = sorted((one, other), key=len)
-    same = next((k for k, letter in enumerate(short) if letter != long[k]), len(short))
-    if len(short) < len(long):
-        return short[same:] == long[same + 1 :]
-    rest = one[same + 1 :], other[same + 1 :]
-    swapped = one[same : same + 2] == other[same : same + 2][::-1] and rest[0][1:] == rest[1][1:]
-    return one != other and (rest[0] == rest[1] or swapped)
+    if len(word) == len(name):
+        return _one_changed_or_swapped(word, name)
+    short, long = sorted((word, name), key=len)
+    for place, letter in enumerate(short):
+        if letter != long[place]:
+            return short[place:] == long[place + 1 :]
+    return True  # the last letter is the one too many
+
+
+def _one_changed_or_swapped(word: str, name: str) -> bool:
+    """Return whether words of one length differ in one letter, or in two neighbours that change places."""
+    differing = [place for place, letter in enumerate(word) if letter != name[place]]
+    if len(differing) != 2:
+        return len(differing) == 1
+    first, second = differing
+    if second != first + 1:
+        return False
+    return word[first] == name[second] and word[second] == name[first]
 
 
 def _has_lesser_name(column: ColumnInfo, wish: ColumnWish) -> bool:
@@ -457,9 +541,12 @@ def _has_lesser_name(column: ColumnInfo, wish: ColumnWish) -> bool:
 
 def may_be(column: ColumnInfo, wish: ColumnWish) -> bool:
     """Return whether nothing in a column's unit and words speaks against a wish."""
+    if column.written != "numbers":
+        return False
     kind = kind_of_unit(column.unit)
-    unlike = wish.kinds is not None and kind is not None and kind not in wish.kinds
-    return column.written == "numbers" and not unlike and not wish.contrary & set(_words(column.name))
+    if wish.kinds is not None and kind is not None and kind not in wish.kinds:
+        return False
+    return not wish.contrary & set(_words(column.name))
 
 
 def _words(quantity: str) -> list[str]:
@@ -469,8 +556,8 @@ def _words(quantity: str) -> list[str]:
 def choose_columns(
     place: str,
     columns: Sequence[ColumnInfo],
-    want: Mapping[str, ColumnWish],
-    taken: Sequence[ColumnInfo] = (),
+    wishes: Mapping[str, ColumnWish],
+    reserved: Sequence[ColumnInfo] = (),
     timed: bool = True,
     notes: list[str] | None = None,
 ) -> dict[str, ColumnInfo]:
@@ -482,9 +569,9 @@ def choose_columns(
         The log's name, for messages.
     columns
         What the log has.
-    want
+    wishes
         Role to wish; a role that is not required and not found is left out.
-    taken
+    reserved
         Columns that are not to be guessed (the time column).
     timed
         Whether the samples' time is known; else the remedy names a time column, too.
@@ -496,95 +583,135 @@ def choose_columns(
     InputError
         A named column is absent, or a guess finds none or several.
     """
-    chosen = {}
-    for role, wish in want.items():
-        if wish.selector is not None:
-            chosen[role] = find_column(place, columns, wish.selector, wish.option)
-    missing: dict[str, list[ColumnInfo]] = {}
-    used = {column.number for column in [*taken, *chosen.values()]}
+    role_columns: dict[str, ColumnInfo] = {}
+    guessed: dict[str, ColumnWish] = {}
+    for role, wish in wishes.items():
+        if wish.selector is None:
+            guessed[role] = wish
+        else:
+            role_columns[role] = find_column(place, columns, wish.selector, wish.option)
+    used = {column.number for column in [*reserved, *role_columns.values()]}
     free = [column for column in columns if column.number not in used]
-    for role, wish in want.items():
-        if wish.selector is not None:
-            continue
-        found = matching_columns(free, wish)
-        if not found and len(want) == 1 and len(free) == 1 and wish.required:  # the only one left is meant
-            found = [one for one in free if may_be(one, wish) and one.quantity.lower() not in wish.foreign]
-        if not found and wish.required and notes is not None and role in ("voltage", "displacement"):
-            found, why = _only_one(free, columns, wish)
-            notes.extend(
-                f"{place}: '{one.name}' is taken for the {role}: {why} (`{wish.option}` names another)"
-                for one in found
-            )
-        if len(found) == 1:
-            chosen[role] = found[0]
-            free = [column for column in free if column.number != found[0].number]
-        elif found or wish.required:
-            missing[role] = found
-    if missing:
-        raise InputError(_not_unique(place, columns, want, missing, [one.number for one in free], timed))
+    unclear: dict[str, list[ColumnInfo]] = {}
+    for role, wish in guessed.items():
+        candidates = matching_columns(free, wish)
+        if not candidates and wish.required and len(wishes) == 1 and len(free) == 1:
+            candidates = _last_column(free, wish)
+        if not candidates and wish.required and role in ("voltage", "displacement") and notes is not None:
+            candidates, reason = _only_candidate(free, columns, wish)
+            for column in candidates:
+                remedy = f"(`{wish.option}` names another)"
+                notes.append(f"{place}: '{column.name}' is taken for the {role}: {reason} {remedy}")
+        if len(candidates) == 1:
+            role_columns[role] = candidates[0]
+            free = [column for column in free if column.number != candidates[0].number]
+        elif candidates or wish.required:
+            unclear[role] = candidates
+    if unclear:
+        numbers = [column.number for column in free]
+        raise InputError(_not_unique(place, columns, wishes, unclear, numbers, timed))
     return {
-        role: replace(chosen[role], may_be_blank=want[role].may_be_blank) for role in want if role in chosen
+        role: replace(role_columns[role], may_be_blank=wish.may_be_blank)
+        for role, wish in wishes.items()
+        if role in role_columns
     }
 
 
-def _only_one(
+def _last_column(free: Sequence[ColumnInfo], wish: ColumnWish) -> list[ColumnInfo]:
+    """Return the column that is left for the only wish, unless its unit or name speaks against it."""
+    return [column for column in free if may_be(column, wish) and column.quantity.lower() not in wish.foreign]
+
+
+def _only_candidate(
     free: Sequence[ColumnInfo], columns: Sequence[ColumnInfo], wish: ColumnWish
 ) -> tuple[list[ColumnInfo], str]:
-    """Find a column that no name gives away: the only one in a unit of the kind, or a card's only channel.
+    """Find a column that no name gives away, and why it is meant: its unit, or its place on a card.
 
     Not beside a column of the right name whose unit cannot be meant, nor one whose name says something else;
-    a monitor has a scale of its own. Of a data acquisition card, ao drives and ai measures (no trajectory).
+    a monitor has a scale of its own.
     """
     if guess_columns(columns, wish.guesses):
         return [], ""
-    told = wish.foreign | _BESIDES | _READINGS
-    measuring = [one for one in free if may_be(one, wish) and kind_of_unit(one.unit) in wish.channel_kinds]
-    if len(measuring) == 1 and not told & set(_words(measuring[0].quantity)):
-        return measuring, f"no other column is in a unit of {kind_of_unit(measuring[0].unit)}"
-    own = "ao" if "voltage" in wish.channel_kinds else "ai"
-    card = {one.number: _CARD.search(one.quantity.strip()) for one in columns if one.unit is None}
-    found = [one for one in free if (match := card.get(one.number)) is not None and match[1].lower() == own]
-    outputs = [match for match in card.values() if match is not None and match[1].lower() == "ao"]
-    only = len(found) == 1 and len(outputs) == 1 and not measuring and not wish.preferred
-    return (found, f"the only analog {'output' if own == 'ao' else 'input'}") if only else ([], "")
+    proved = [column for column in free if may_be(column, wish) and _has_proving_unit(column, wish)]
+    if len(proved) == 1:
+        contrary_words = wish.foreign | _BESIDES | _READINGS
+        if not contrary_words & set(_words(proved[0].quantity)):
+            return proved, f"no other column is in a unit of {kind_of_unit(proved[0].unit)}"
+    if proved or wish.preferred:
+        return [], ""
+    return _only_card_channel(free, columns, wish)
+
+
+def _only_card_channel(
+    free: Sequence[ColumnInfo], columns: Sequence[ColumnInfo], wish: ColumnWish
+) -> tuple[list[ColumnInfo], str]:
+    """Find the only channel of a data acquisition card without units: ao drives and ai measures.
+
+    The card has one output; of several it is not known which one drives.
+    """
+    prefix = "ao" if "voltage" in wish.proving_units else "ai"
+    prefixes: dict[int, str] = {}
+    for column in columns:
+        match = _CARD.search(column.quantity.strip())
+        if column.unit is None and match is not None:
+            prefixes[column.number] = match[1].lower()
+    channels = [column for column in free if prefixes.get(column.number) == prefix]
+    if len(channels) != 1 or list(prefixes.values()).count("ao") != 1:
+        return [], ""
+    return channels, f"the only analog {'output' if prefix == 'ao' else 'input'}"
 
 
 def _not_unique(
     place: str,
     columns: Sequence[ColumnInfo],
-    want: Mapping[str, ColumnWish],
-    missing: Mapping[str, Sequence[ColumnInfo]],
+    wishes: Mapping[str, ColumnWish],
+    unclear: Mapping[str, Sequence[ColumnInfo]],
     free: Sequence[int],
     timed: bool,
 ) -> str:
     """Ask for every role at once which columns may be meant, or that none is, and how to choose."""
-    calls = {role: f"{role} signal" if role in ("desired", "measured") else role for role in missing}
-    if not any(column.quantity for column in columns) and len(free) >= len(missing):
-        options = [want[role].option for role in missing]
-        options = ["time", *options] if not timed and len(free) > len(missing) else options
+    role_names = {}
+    for role in unclear:
+        role_names[role] = f"{role} signal" if role in ("desired", "measured") else role
+    if not any(column.quantity for column in columns) and len(free) >= len(unclear):
+        options = [wishes[role].option for role in unclear]
+        if not timed and len(free) > len(unclear):
+            options.insert(0, "time")
         example = " ".join(f"`{option}` {number}" for option, number in zip(options, free, strict=False))
-        which = ", which the ".join(calls.values())
+        which = ", which the ".join(role_names.values())
         return f"{place}: {list_columns(columns)}: which is the {which}? (such as {example})"
     questions, absent = [], []
-    for role, found in missing.items():
-        if found:
-            names = any_of([f"'{column.name}'" for column in found])
-            questions.append(f"which column is the {calls[role]}, {names}?")
-            continue
-        wanted = next((one.name for one in columns if is_order(one, want[role])), None)
-        order = f": '{wanted}' is what was wanted, not what was measured (play the drive and record the "
-        absent.append(calls[role] + (f"{order}sensor beside it)" if wanted is not None else ""))
+    for role, candidates in unclear.items():
+        if candidates:
+            names = any_of([f"'{column.name}'" for column in candidates])
+            questions.append(f"which column is the {role_names[role]}, {names}?")
+        else:
+            absent.append(role_names[role] + _order_instead(columns, wishes[role]))
     if absent:
         nothing = f"no column is recognised as the {' nor as the '.join(absent)}"
         questions.append(f"{nothing}: {list_columns(columns)}")
-    options = [f"`{want[role].option}`" for role in missing]
+    options = [f"`{wishes[role].option}`" for role in unclear]
     return f"{place}: {' '.join(questions)} (choose with {' and '.join(options)} NAME or NUMBER)"
+
+
+def _order_instead(columns: Sequence[ColumnInfo], wish: ColumnWish) -> str:
+    """Say that a log holds what was wanted, where what was measured is missing."""
+    for column in columns:
+        if is_order(column, wish):
+            return (
+                f": '{column.name}' is what was wanted, not what was measured (play the drive and record the "
+                "sensor beside it)"
+            )
+    return ""
 
 
 def is_order(column: ColumnInfo, wish: ColumnWish) -> bool:
     """Return whether a column says what was wanted, where what was measured is looked for."""
-    unit_fits = wish.kinds is None or column.unit is None or kind_of_unit(column.unit) in wish.kinds
-    return "desired" in wish.contrary and unit_fits and bool(wish.contrary & set(_words(column.name)))
+    if not wish.contrary >= _ORDERS:
+        return False  # what was wanted may be meant
+    if wish.kinds is not None and column.unit is not None and kind_of_unit(column.unit) not in wish.kinds:
+        return False
+    return bool(_ORDERS & set(_words(column.name)))
 
 
 # --- columns that are written ---------------------------------------------------------------------------

@@ -78,6 +78,11 @@ class SampleBlock:
         """Count the samples."""
         return len(self.rows)
 
+    @property
+    def before_move(self) -> bool:
+        """Whether its rows stand before row 1: a drive's way to the move, not the move itself."""
+        return bool(self.rows[0] < 1)
+
     def part(self, start: int, stop: int) -> SampleBlock:
         """Return samples ``start`` to ``stop`` (from 0, ``stop`` not included) as a block of views."""
         if start <= 0 and stop >= len(self):

@@ -22,7 +22,7 @@ from dbo_cli.hysteresis.model_file import read_model as read_model_file
 from dbo_cli.hysteresis.model_state import ModelState, Quantity, StartName
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs import request
-from dbo_cli.logs.columns import is_pattern, wish
+from dbo_cli.logs.columns import column_wish, is_pattern
 from dbo_cli.logs.request import ALL_ROWS, Address, ReadingOptions, Rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.sources import ArraySource, is_file, is_log
@@ -442,9 +442,9 @@ def read_log(
     """
     options = _reading(time, rows, reading)
     want = {
-        "voltage": wish("voltage", voltage, required=False, option="voltage"),
-        "desired": wish("desired", desired, required=False, option="desired"),
-        "displacement": wish("displacement", displacement, required=False, option="displacement"),
+        "voltage": column_wish("voltage", voltage, required=False, option="voltage"),
+        "desired": column_wish("desired", desired, required=False, option="desired"),
+        "displacement": column_wish("displacement", displacement, required=False, option="displacement"),
     }
     with open_log(path, want, options, digest=True) as log:
         if not log.columns:  # refused by this, with what there is to choose from
@@ -532,7 +532,7 @@ def identify(
     reading = ReadingOptions(time=_column(time), sample_rate=sample_rate)
     switches = _chosen(shared_shape=shared_shape, coupling=coupling)
     run = IdentifyRun(logs, _addressed(validate), reading, fixed, *columns, prior, switches, time)
-    return _identified(run, jobs)
+    return _identify_model_or_set(run, jobs)
 
 
 def _chosen(**switches: bool) -> dict[str, bool]:
@@ -552,7 +552,7 @@ def _given(
     return [source], (None, None)
 
 
-def _identified(asked: IdentifyRun, jobs: int) -> Any:
+def _identify_model_or_set(asked: IdentifyRun, jobs: int) -> Any:
     """Identify a model, or a set of them where the columns are patterns."""
     from dbo_cli.runs.identifying import identify_recordings
 

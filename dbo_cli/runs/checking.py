@@ -14,7 +14,7 @@ from dbo_cli.drives.gate import Floats
 from dbo_cli.drives.options import Figure, check_gain, limits_in, plain_in
 from dbo_cli.errors import LimitError, Remarks, UsageError, plain
 from dbo_cli.hysteresis.model_state import DriveLimits
-from dbo_cli.logs.columns import wish
+from dbo_cli.logs.columns import column_wish
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, check_document, selected_files
 from dbo_cli.logs.sample_block import DroppedRows, SampleBlock, even_step, joined
@@ -198,7 +198,7 @@ def _read(
 ) -> _Drive:
     """Return a drive read whole (in ``wanted``, where both units are known)."""
     options = dataclasses.replace(reading, skip_bad=True)
-    with open_log(address, {"voltage": wish("voltage", voltage, option="voltage")}, options) as log:
+    with open_log(address, {"voltage": column_wish("voltage", voltage, option="voltage")}, options) as log:
         if wanted is not None and log.columns["voltage"].unit is not None:
             log.convert("voltage", wanted, "the recording is")
         block = joined(list(log.blocks()))

@@ -25,7 +25,7 @@ from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, read_state
 from dbo_cli.hysteresis.model_state import START_NAMES, DriveLimits, ModelState, Quantity, StartName
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs import request
-from dbo_cli.logs.columns import ColumnWish, OutColumn, split_header, wish
+from dbo_cli.logs.columns import ColumnWish, OutColumn, column_wish, split_header
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, Rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
@@ -405,14 +405,14 @@ def quantity_wish(
 ) -> ColumnWish:
     """Return the wish for a model's quantity; a ``trajectory`` of it may also be called desired."""
     role = "trajectory" if trajectory else quantity.quantity
-    return wish(role, selector, option=option, quantity=quantity.quantity, unit=quantity.unit)
+    return column_wish(role, selector, option=option, quantity=quantity.quantity, unit=quantity.unit)
 
 
 def recording_wishes(voltage: str | None, displacement: str | None) -> dict[str, ColumnWish]:
     """Return the columns that an identification reads, as named or to be guessed."""
     return {
-        "voltage": wish("voltage", voltage, option="voltage"),
-        "displacement": wish("displacement", displacement, option="displacement"),
+        "voltage": column_wish("voltage", voltage, option="voltage"),
+        "displacement": column_wish("displacement", displacement, option="displacement"),
     }
 
 

@@ -17,7 +17,7 @@ from dbo_cli.errors import SILENT, LimitError, Listener, Remarks, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import read_model
 from dbo_cli.logs import request
-from dbo_cli.logs.columns import ColumnWish, wish
+from dbo_cli.logs.columns import ColumnWish, column_wish
 from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, Rows, selected_files
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log
@@ -104,17 +104,17 @@ class TrackingOptions:
 
     def wishes(self, with_model: bool) -> dict[str, ColumnWish]:
         """Return the columns to be read of a log, as named or to be guessed."""
-        want = {"measured": wish("measured", self.measured, option="measured")}
+        want = {"measured": column_wish("measured", self.measured, option="measured")}
         if not with_model and self.trajectory is None:
-            want["desired"] = wish("desired", self.desired, option="desired", may_be_blank=True)
+            want["desired"] = column_wish("desired", self.desired, option="desired", may_be_blank=True)
         needed = with_model or self.voltage is not None
-        want["voltage"] = wish("voltage", self.voltage, required=needed, option="voltage")
+        want["voltage"] = column_wish("voltage", self.voltage, required=needed, option="voltage")
         return want
 
 
 def trajectory_wishes(desired: str | None) -> dict[str, ColumnWish]:
     """Return the column of a trajectory in a file of its own: what was wanted, whatever it is called."""
-    return {"desired": wish("trajectory", desired, option="desired", may_be_blank=True)}
+    return {"desired": column_wish("trajectory", desired, option="desired", may_be_blank=True)}
 
 
 @dataclass

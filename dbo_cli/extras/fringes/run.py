@@ -18,7 +18,7 @@ from dbo_cli.extras.fringes.one_signal import track_one_signal
 from dbo_cli.extras.fringes.quadrature import track_quadrature
 from dbo_cli.extras.fringes.swings import Floats
 from dbo_cli.extras.fringes.track import Track
-from dbo_cli.logs.columns import ColumnWish, OutColumn, wish
+from dbo_cli.logs.columns import ColumnWish, OutColumn, column_wish
 from dbo_cli.logs.request import Address, ReadingOptions, check_format, parse_address
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.signal_writer import signal_writer
@@ -187,7 +187,7 @@ def read_signals(log: SignalLog) -> Signals:
 def wishes(options: FringeOptions) -> dict[str, ColumnWish]:
     """Return the columns that are read."""
     want = {
-        "voltage": wish("voltage", options.voltage, option="voltage"),
+        "voltage": column_wish("voltage", options.voltage, option="voltage"),
         "signal": ColumnWish(options.signal, SIGNAL_NAMES, option="signal"),
     }
     if options.quadrature is not None:

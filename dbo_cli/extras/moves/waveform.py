@@ -15,7 +15,7 @@ from dbo_cli.errors import InputError, LimitError, Remarks, UsageError
 from dbo_cli.extras.moves import generators as waveforms
 from dbo_cli.extras.moves.generators import Points, Values, format_named
 from dbo_cli.hysteresis.model_state import DriveLimits
-from dbo_cli.logs.columns import wish
+from dbo_cli.logs.columns import column_wish
 from dbo_cli.logs.request import Address, ReadingOptions, check_document
 from dbo_cli.logs.sample_block import joined, require_even
 from dbo_cli.logs.signal_log import open_log
@@ -172,7 +172,7 @@ def _read(
 ) -> tuple[Floats, float, Remarks, dict[str, Any]]:
     """Return a drive in volts, read whole and within its limits, its even step (s), remarks, its record."""
     name = address.name
-    with open_log(address, {"voltage": wish("voltage", column, option="voltage")}, reading) as log:
+    with open_log(address, {"voltage": column_wish("voltage", column, option="voltage")}, reading) as log:
         log.require_time(PLAYS)
         log.convert("voltage", "V", "a generator's file")
         block = joined(list(log.blocks()))

@@ -16,8 +16,8 @@ import numpy as np
 
 from dbo_cli.drives.before import longest_chosen, require_short
 from dbo_cli.drives.compensation import SAME_DRIVE
-from dbo_cli.drives.cut_off import ALLOWED_PART
 from dbo_cli.drives.model_run import Response, Tally
+from dbo_cli.drives.move_loss import ALLOWED_PART
 from dbo_cli.drives.pieces import (
     NOTHING,
     SHORTEST_WAY,
@@ -118,7 +118,7 @@ class LoopCompensation(LearnedCompensation):
         firsts = before.voltage if played else NOTHING if run_in.size else settled.done.y
         self.gate.require_start(step, float(firsts[0]) if firsts.size else None)
         self.lead_in_seconds = step * count
-        self.lead_in.see(np.concatenate([before.voltage, run_in]), None)
+        self.lead_in_figures.see(np.concatenate([before.voltage, run_in]), None)
         if run_in.size:
             self.among_them = f", {passes} pass{'es' if passes > 1 else ''} of run-in among them"
         require_short(self.source.name, before.chosen, step, step * asked.size)
@@ -127,7 +127,7 @@ class LoopCompensation(LearnedCompensation):
         if begun is None:
             begun = self.model.start(float(drive[0]), self.start)
         self._require_loop(settled, begun)
-        self.move.see(desired, None)
+        self.move_figures.see(desired, None)
         self._require_reached()
         if played:
             yield self._response(times[:played], before.expected, before.voltage, step)
@@ -144,12 +144,12 @@ class LoopCompensation(LearnedCompensation):
         done, block, unit = settled.done, self.whole.block, self.output.suffix
         self.rows += len(block)
         self.beyond.add(done.outside_count, done.first_outside, block)
-        self._clip(done, block)
+        self._count_clipped(done, block)
         if done.clipped_count:
-            missed = self.period - loops.slow_output(self.model, done.y, self.step, settled.before)
+            lost = self.period - loops.slow_output(self.model, done.y, self.step, settled.before)
             if self.model.dynamics is not None:
-                missed = self.model.dynamics.loop(missed, self.step)[0]
-            self.cut_off.add_displacement(missed)
+                lost = self.model.dynamics.loop(lost, self.step)[0]
+            self.loss.add_displacement(lost)
         seam, inside = abs(float(done.y[0] - done.y[-1])), float(np.abs(np.diff(done.y)).max())
         self.remarks_before.notes.append(
             f"{self.source.name}: the drive's step at the loop's seam is {seam:.3g}{unit}, the largest "
@@ -393,7 +393,7 @@ class LoopCompensation(LearnedCompensation):
         followed = model.compensate(signal[: desired.size], start, limits=limits, time_step=self.step)
         self.rows += followed.y.size
         self.rows_before += followed.y.size
-        self._clip(followed, None)
+        self._count_clipped(followed, None)
         forward = start if begun is not None else model.start(float(followed.y[0]), self.start)
         found, off = None, math.inf
         fades = FADES if self.options.lead is None else ((1.0, 1.0 / self.options.passes), *FADES)

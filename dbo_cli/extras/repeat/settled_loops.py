@@ -101,7 +101,7 @@ def settled_drive(
 
 def looped_state(model: ActuatorModel, drive: Floats, step: float, state: ModelState) -> ModelState:
     """Return the state before a pass, of gears, memory and drive lag, when a drive was repeated for ever."""
-    inner, seconds = model.slow, drive.size * step
+    inner, seconds = model.without_dynamics_and_delay, drive.size * step
     begun = dataclasses.replace(state, dynamics=None, undoing=None, history=None)
     for lagging in (None, model.drive_lag):  # a pass for what reaches further at first, one for the loop
         if lagging is not None:
@@ -119,7 +119,7 @@ def looped_state(model: ActuatorModel, drive: Floats, step: float, state: ModelS
 
 def slow_output(model: ActuatorModel, drive: Floats, step: float, before: ModelState) -> Floats:
     """Return what gears, points and creep make of one period, without dynamics and delay behind them."""
-    inner = model.slow
+    inner = model.without_dynamics_and_delay
     return inner.simulate(drive, before, time_step=step).y
 
 
@@ -158,7 +158,7 @@ def settling(
     rest = begun.backlash.memory
     if rest is None and model.needs_time:  # at rest at the sample to come: what it has after that
         still = dataclasses.replace(begun, dynamics=None, undoing=None, history=None)
-        after = model.slow.simulate(drive[:1], still, time_step=step).state
+        after = model.without_dynamics_and_delay.simulate(drive[:1], still, time_step=step).state
         rest = after.backlash.memory
     if terms is None or memory is None or rest is None:
         return first, int(abs(first) > within)
