@@ -103,7 +103,7 @@ OWN = (
                 "identify channels": "dbo_cli.extras.channels.models:identify_channels",
                 "report channels": "dbo_cli.extras.channels.report:report_channels",
                 "show a set": "dbo_cli.extras.channels.show:set_text",
-                "identify a set": "dbo_cli.extras.channels.api:identified_set",
+                "identify a set": "dbo_cli.extras.channels.api:identify_set",
                 "set from Python": "dbo_cli.extras.channels.api:set_of",
             },
             "option": {

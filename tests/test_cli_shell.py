@@ -294,7 +294,8 @@ def test_show_tells_what_is_in_a_model(dbo: Any) -> None:
     assert (done.code, done.err) == (0, "")
     lines = done.out.splitlines()
     assert lines[0] == "forward model: voltage 0 to 100 V to displacement 0.798299 to 12.6191 um"
-    assert lines[1].startswith("40 gears, 8 segments of asymmetry; lag and creep with time constants of ")
+    assert lines[1] == "displacement rises as voltage rises"
+    assert lines[2].startswith("40 gears, 8 segments of asymmetry; lag and creep with time constants of ")
     assert any(line.startswith("fit: RMSE 0.0") and "um" in line for line in lines)
     assert any(line.startswith("from identification.csv (5,786 rows), by dbo 0.1.0") for line in lines)
     told = json.loads(dbo("show", old, "--format", "json", "--figures", "curves").out)

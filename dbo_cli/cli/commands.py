@@ -44,7 +44,7 @@ def identify(given: Given) -> None:
         raise UsageError("`v_min` and `v_max` belong together: the rated range of the drive")
     from dbo_cli.hysteresis.identification import IdentificationOptions
     from dbo_cli.runs.identifying import IdentifyRun
-    from dbo_cli.runs.many import identified
+    from dbo_cli.runs.many import identify_one_or_many
 
     fixed = IdentificationOptions(
         **given.of([*options.IDENTIFICATION, options.SIGN, options.ZERO, options.METHOD, options.FORCE]),
@@ -60,7 +60,8 @@ def identify(given: Given) -> None:
         command=shlex.join(["dbo", *given.typed]),
         brought=given.brought,
     )
-    finish(given, identified(asked, given.output, work_of(given), Progress(given.reporter, "read")))
+    progress = Progress(given.reporter, "read")
+    finish(given, identify_one_or_many(asked, given.output, work_of(given), progress))
     if not given.output.is_stream and "{" not in given.output.text:
         model = shlex.quote(given.output.text)
         given.reporter.note(

@@ -354,31 +354,41 @@ class SignalLog(Source):
     warns_of_units = True
 
     def __init__(
-        self, address: Address, table: Table, want: Mapping[str, ColumnWish], options: ReadingOptions
+        self, address: Address, table: Table, wishes: Mapping[str, ColumnWish], options: ReadingOptions
     ) -> None:
         """Choose columns and clock of an opened table."""
-        place, there = table.place, table.columns
-        chosen = [one for one in want.values() if one.selector is not None]
-        named = [find_column(place, there, one.selector or "", one.option) for one in chosen]
-        found: FoundTime = table.found_time or find_time_column(place, there, options, named)
-        clock, rate, start = found.clock, options.sample_rate, 0.0
+        place = table.place
+        named = []
+        for wish in wishes.values():
+            if wish.selector is not None:
+                named.append(find_column(place, table.columns, wish.selector, wish.option))
+        found_time: FoundTime = table.found_time or find_time_column(place, table.columns, options, named)
+        clock = found_time.clock
+        rate = options.sample_rate
+        start = 0.0  # s
         if clock is None and options.time_unit is not None:
             raise InputError(f"{place}: no column is recognised as the time (`time` COLUMN names it)")
         timed = clock is not None or rate is not None
-        picks = choose_columns(place, there, want, found.taken, timed, table.notes)
+        picks = choose_columns(place, table.columns, wishes, found_time.taken, timed, table.notes)
         if rate is None and clock is None:
             rate, start = table.even_clock(picks.values())
-        gaps = options.skip_bad or any(column.may_be_blank for column in picks.values())
-        even, timed = None if gaps else rate, clock is not None or rate is not None
-        super().__init__(place, dict(picks), timed, options.resample or even, options.resample or rate)
-        self._scales = _scales_by_role(options, want, picks)
+        may_have_gaps = options.skip_bad or any(column.may_be_blank for column in picks.values())
+        even_rate = None if may_have_gaps else rate
+        timed = clock is not None or rate is not None
+        super().__init__(place, dict(picks), timed, options.resample or even_rate, options.resample or rate)
+        self._scales = _scales_by_role(options, wishes, picks)
         for role, scale in self._scales.items():
             self._factors[role], self.columns[role] = scale.applied_to(self.name, picks[role])
-        table.notes.extend(found.notes)
+        table.notes.extend(found_time.notes)
         self.notes = table.notes
-        self.warnings = [text for one in picks.values() if (text := _doubtful_unit(self.name, one))]
-        self._address, self._options = address, options
-        self._table, self._picks, self._clock, self._start_time = table, picks, clock, start
+        doubts = [_doubtful_unit(self.name, column) for column in picks.values()]
+        self.warnings = [text for text in doubts if text]
+        self._address = address
+        self._options = options
+        self._table = table
+        self._picks = picks
+        self._clock = clock
+        self._start_time = start
         self.time = None if clock is None else clock.column
         self.sample_rate = rate
         self.rows_read = 0
@@ -553,7 +563,7 @@ def _doubtful_unit(place: str, column: ColumnInfo) -> str:
 
 def open_log(
     address: Given,
-    want: Mapping[str, ColumnWish],
+    wishes: Mapping[str, ColumnWish],
     options: ReadingOptions | None = None,
     *,
     live: bool = False,
@@ -566,7 +576,7 @@ def open_log(
     address
         A file, ``FILE::/group`` of an HDF5 file, or ``-`` for standard input. ``options.format`` is forced on
         a name, and goes to an address whose own name does not tell its format.
-    want
+    wishes
         Role to wish.
     options
         How the log is to be read.
@@ -583,7 +593,7 @@ def open_log(
         The address or a column's number is none.
     """
     options = options or ReadingOptions()
-    selectors = [one for one in (*(wish.selector for wish in want.values()), options.time) if one]
+    selectors = [one for one in (*(wish.selector for wish in wishes.values()), options.time) if one]
     named = [one for one in selectors if other_file(one) is None]
     if isinstance(address, Address):
         target = address.or_format(options.format)
@@ -593,19 +603,19 @@ def open_log(
     try:
         if any("::" in one for one in selectors):
             first, table = table, (joint := _JoinedTable(table, options))
-            want = {role: replace(wish, selector=joint.number_of(wish)) for role, wish in want.items()}
+            wishes = {role: replace(wish, selector=joint.number_of(wish)) for role, wish in wishes.items()}
             if options.time is not None:
                 options = replace(options, time=joint.number_of(ColumnWish(options.time, option="time")))
             joint.find_clocks(options)
             table = joint if joint.others else first
-        return SignalLog(target, table, want, options)
+        return SignalLog(target, table, wishes, options)
     except BaseException:
         table.close()
         raise
 
 
 def _scales_by_role(
-    options: ReadingOptions, want: Mapping[str, ColumnWish], columns: Mapping[str, ColumnInfo]
+    options: ReadingOptions, wishes: Mapping[str, ColumnWish], columns: Mapping[str, ColumnInfo]
 ) -> dict[str, Scale]:
     """Give each scale its role, which may be called as the parameter that names its column is.
 
@@ -614,7 +624,7 @@ def _scales_by_role(
     UsageError
         There is no such role here, or one is scaled twice.
     """
-    names = {name: role for role, wish in want.items() for name in (wish.option.lower(), role.lower())}
+    names = {name: role for role, wish in wishes.items() for name in (wish.option.lower(), role.lower())}
     found: dict[str, Scale] = {}
     for scale in options.scales:
         role = names.get(scale.role)

@@ -64,9 +64,8 @@ _EVENLY = 1.5
 _DEVIATIONS = 3.0  # of the noise in such a sum
 
 
-Turn = tuple[
-    int, int, int
-]  # what was settled before the way changed, the first sample of the new one, and it
+Turn = tuple[int, int, int]
+"""Samples settled before a turn, the first sample behind it, and the new direction (1 or -1)."""
 
 
 class NoiseLevel:
@@ -123,23 +122,27 @@ class DirectionTracker:
     def add(self, values: Floats) -> Directions:
         """Take one batch (finite, not empty)."""
         self._noise.add(values)
-        before = self._way, self._low, self._high
-        self._low, self._high = min(self._low, float(values.min())), max(self._high, float(values.max()))
+        direction = before = self._way
+        low, high = self._low, self._high
+        self._low = min(low, float(values.min()))
+        self._high = max(high, float(values.max()))
         least = min(TURN_IN_NOISE * self._noise.deviation, LARGEST_TURN * (self._high - self._low))
-        turns, settled = self._turns(values, least, *before[1:])
-        stops, ways = [], []
-        way = before[0]
+        turns, settled = self._turns(values, least, low, high)
+        stops = []
+        directions = []
         for before_turn, first, following in turns:
             stops += [before_turn, first]
-            ways += [way, 0]
-            way = following
+            directions += [direction, 0]
+            direction = following
         lengths = np.diff([0, *stops, settled, len(values)])
-        known = turns[0][0] if turns else settled
-        return Directions(
-            np.repeat(np.array([*ways, way, 0], dtype=np.int8), lengths),
-            settled,
-            before[0] if known else 0 if turns else None,
-        )
+        earlier: int | None = None
+        if turns:
+            # if nothing goes on as before, what was open lies behind the furthest sample
+            earlier = before if turns[0][0] else 0
+        elif settled:
+            earlier = before
+        ways = np.repeat(np.array([*directions, direction, 0], dtype=np.int8), lengths)
+        return Directions(ways, settled, earlier)
 
     def _turns(self, values: Floats, least: float, low: float, high: float) -> tuple[list[Turn], int]:
         """Return the turns of a batch, and how many samples of it are settled. Every turning point is met."""
@@ -302,15 +305,23 @@ class PhaseLag:
         """Return (samples, degrees), or None where the desired signal does not move back and forth."""
         if self._count < 4 or self._spacing is None:
             return None
+        # means of desired, slope, measured, second difference, and of the products that `add` sums
         d, s, m, bend, dd, ds, ss, dm, sm, db = (total.value / self._count for total in self._sums)
-        dd, ds, ss, dm, sm = dd - d * d, ds - d * s, ss - s * s, dm - d * m, sm - s * m
-        determinant = dd * ss - ds * ds
-        turning = -(db - d * bend)
-        if determinant <= 1e-12 * dd * ss or turning <= 0.0:
+        desired_variance = dd - d * d
+        slope_variance = ss - s * s
+        desired_slope = ds - d * s  # covariances from here on
+        desired_measured = dm - d * m
+        slope_measured = sm - s * m
+        desired_bend = db - d * bend
+        determinant = desired_variance * slope_variance - desired_slope * desired_slope
+        if determinant <= 1e-12 * desired_variance * slope_variance:
             return None
-        along = (dm * ss - sm * ds) / determinant
-        across = (sm * dd - dm * ds) / determinant
-        step = 2.0 * math.asin(min(1.0, 0.5 * math.sqrt(turning / dd)))  # phase in h samples
+        if desired_bend >= 0.0:
+            return None  # a signal that goes back and forth bends towards its mean
+        along = (desired_measured * slope_variance - slope_measured * desired_slope) / determinant
+        across = (slope_measured * desired_variance - desired_measured * desired_slope) / determinant
+        half_chord = 0.5 * math.sqrt(-desired_bend / desired_variance)
+        step = 2.0 * math.asin(min(1.0, half_chord))  # phase in h samples
         phase = math.atan2(-across * math.sin(step), along)
         self.cycles_a_sample = step / (2.0 * math.pi * self._spacing)
         return phase / step * self._spacing, math.degrees(phase)

@@ -532,7 +532,7 @@ def identify(
     reading = ReadingOptions(time=_column(time), sample_rate=sample_rate)
     switches = _chosen(shared_shape=shared_shape, coupling=coupling)
     run = IdentifyRun(logs, _addressed(validate), reading, fixed, *columns, prior, switches, time)
-    return _identified(run, jobs)
+    return _identify_model_or_set(run, jobs)
 
 
 def _chosen(**switches: bool) -> dict[str, bool]:
@@ -552,7 +552,7 @@ def _given(
     return [source], (None, None)
 
 
-def _identified(asked: IdentifyRun, jobs: int) -> Any:
+def _identify_model_or_set(asked: IdentifyRun, jobs: int) -> Any:
     """Identify a model, or a set of them where the columns are patterns."""
     from dbo_cli.runs.identifying import identify_recordings
 

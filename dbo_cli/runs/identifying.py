@@ -44,7 +44,7 @@ Recordings = tuple[Sequence[RecordedLog], Sequence[RecordedLog]]
 
 
 @dataclass(frozen=True)
-class Identified:
+class IdentifyResult:
     """A model, what was found (``summary``), and the remarks of the run."""
 
     model: ActuatorModel
@@ -77,7 +77,7 @@ def identify_recordings(
     validation: Sequence[RecordedLog] = (),
     arguments: Sequence[str] = (),
     prior: ActuatorModel | None = None,
-) -> Identified:
+) -> IdentifyResult:
     """Identify a model, and keep in it what it was identified from.
 
     Parameters
@@ -114,7 +114,7 @@ def identify_recordings(
     remarks = Remarks(warnings=found.warnings)
     for log in [*logs, *validation]:
         remarks.add(log.remarks)
-    return Identified(dataclasses.replace(found.model, provenance=provenance), found.summary, remarks)
+    return IdentifyResult(dataclasses.replace(found.model, provenance=provenance), found.summary, remarks)
 
 
 def sign_line(models: Mapping[str, ActuatorModel]) -> str:
@@ -136,7 +136,7 @@ def with_sign(read: Sequence[str], line: str) -> list[str]:
     return [f"{read[0]}; {line}", *read[1:]] if read else [line]
 
 
-def summary_of_model(found: Identified, command: str) -> dict[str, Any]:
+def summary_of_model(found: IdentifyResult, command: str) -> dict[str, Any]:
     """Return what was identified as plain values (``dbo-summary``); errors in the displacement's unit."""
     model, fit = found.model, found.model.fit
     inputs: Any = model.provenance["inputs"]
@@ -267,7 +267,7 @@ class IdentifyRun:
         whole = dataclasses.replace(self.reading, rows=ALL_ROWS)
         return [read(one, self.reading) for one in self.logs], [read(one, whole) for one in self.validation]
 
-    def run(self, output: Address, listener: Listener = SILENT) -> Identified:
+    def run(self, output: Address, listener: Listener = SILENT) -> IdentifyResult:
         """Identify a model of one actuator from logs and write it."""
         request.check_document(output, "a model", "json")
         beside = request.selected_files(self.voltage, self.displacement, self.reading.time)

@@ -26,7 +26,7 @@ from dbo_cli.runs.jobs import (
 )
 
 if TYPE_CHECKING:
-    from dbo_cli.runs.identifying import Identified, IdentifyRun
+    from dbo_cli.runs.identifying import IdentifyResult, IdentifyRun
     from dbo_cli.runs.reporting import ReportRun
 
 CHANNEL = "{channel}"
@@ -102,7 +102,7 @@ def _of_files(destination: Destination, logs: Sequence[Address]) -> list[Destina
     return found
 
 
-def identified(asked: IdentifyRun, output: Address, work: Work, listener: Listener) -> Outcome:
+def identify_one_or_many(asked: IdentifyRun, output: Address, work: Work, listener: Listener) -> Outcome:
     """Identify one model of all logs, one of each channel, or one of each log (``{file}``)."""
     if _are_many(asked.logs[:1], output, asked.voltage, asked.displacement):
         if wants_channels(output, asked.voltage, asked.displacement):
@@ -170,7 +170,7 @@ def identify_files(asked: IdentifyRun, output: Address, work: Work, listener: Li
     return outcome
 
 
-def say_found(found: Mapping[str, Identified], noun: str, remarks: Remarks) -> None:
+def say_found(found: Mapping[str, IdentifyResult], noun: str, remarks: Remarks) -> None:
     """Sum up what was found over all channels or files."""
     why = {channel: next(iter(one.remarks.warnings), "") for channel, one in found.items()}
     for key, what in (("rmse_percent", "fit, RMSE of range"), ("expected_percent", "expected on new moves")):

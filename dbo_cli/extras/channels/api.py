@@ -200,7 +200,7 @@ def set_of(models: model_set.ModelSet) -> ModelSet:
     return ModelSet({channel: Model(models[channel]) for channel in models}, models.coupling)
 
 
-def identified_set(run: IdentifyRun, jobs: int) -> ModelSet:
+def identify_set(run: IdentifyRun, jobs: int) -> ModelSet:
     """Identify a model of each channel that the patterns of columns name, in so many processes."""
     fits, coupling = fits_of_channels(run, Work(jobs, all_needed=True), Outcome())
     models = {channel: Model(fit.model, fit.summary, fit.remarks) for channel, fit in fits.items()}

@@ -30,7 +30,7 @@ from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.runs import identifying, jobs
 from dbo_cli.runs.files import write_json
 from dbo_cli.runs.identifying import (
-    Identified,
+    IdentifyResult,
     IdentifyRun,
     RecordedLog,
     Recordings,
@@ -98,7 +98,7 @@ def asked_patterns(asked: IdentifyRun) -> dict[str, str]:
 
 def fits_of_channels(
     asked: IdentifyRun, work: jobs.Work, outcome: jobs.Outcome, listener: Listener = SILENT
-) -> tuple[dict[str, Identified], Coupling | None]:
+) -> tuple[dict[str, IdentifyResult], Coupling | None]:
     """Identify a model of each channel, in the order of the log; return how they show in each other, too."""
     patterns, reading, options = asked_patterns(asked), asked.reading, asked.options
     whole, coupling = dataclasses.replace(reading, rows=ALL_ROWS), None
@@ -139,9 +139,11 @@ def fits_of_channels(
             outcome.remarks.notes.append(note)
             kept, options = (lambda channel: shape), options_of_channel(options)
 
-        def call(channel: str) -> Callable[[], Identified]:
+        def call(channel: str) -> Callable[[], IdentifyResult]:
             arguments = asked.arguments(columns_of(patterns, channel), kept(channel))
-            return functools.partial(_identified, recordings(channel), options, arguments, kept(channel))
+            return functools.partial(
+                _identify_channel, recordings(channel), options, arguments, kept(channel)
+            )
 
         calls = ((channel, call(channel)) for channel in channels)
         good = outcome.good(calls, work, "channel", len(channels), listener)
@@ -213,12 +215,12 @@ def _frames(channels: Sequence[str], logs: Sequence[RecordedLog]) -> Frames:
     )
 
 
-def _identified(
+def _identify_channel(
     read: Callable[[], Recordings],
     options: IdentificationOptions,
     arguments: Sequence[str],
     prior: str | ActuatorModel | None,
-) -> Identified:
+) -> IdentifyResult:
     """Identify one channel, in whichever process; ``arguments`` say how the identification was called."""
     fitted, checks = read()
     kept = read_model(prior) if isinstance(prior, str) else prior
@@ -321,7 +323,7 @@ def _spread(channels: Sequence[str], count: int) -> list[str]:
 
 
 def _ratio(
-    shape: ActuatorModel, logs: Sequence[RecordedLog], options: IdentificationOptions, own: Identified
+    shape: ActuatorModel, logs: Sequence[RecordedLog], options: IdentificationOptions, own: IdentifyResult
 ) -> float:
     """Return what the shape leaves on a channel over what its own model leaves on cycles left out."""
     kept = identifying.identify_recordings(logs, dataclasses.replace(options, force=True), prior=shape)

@@ -339,37 +339,59 @@ def _set_files(made: Mapping[str, Translated], name: str) -> dict[str, str]:
     return {**sources, **tests, **around, **project.build_files(values)}
 
 
+CHANNEL_LINES = {
+    "headers": '#include "{prefix}.h"',
+    "states": "    {prefix}_state of_{place}; /* channel {channel} */",
+    "inits": "    {prefix}_init(&state->of_{place});",
+    "resets": "    {prefix}_reset(&state->of_{place}, drives[{place}]);",
+    "steps": "    out[{place}] = {prefix}_step(&state->of_{place}, in[{place}]);",
+    "prototypes": "unsigned {prefix}_self_test(void);",
+    "runs": "    wrong += {prefix}_self_test();",
+    "rows": "| {cells} |",
+    "errors": "- {channel}: {SAME_GEARS}), {AFTER_CLOSE_TURN})",
+}
+"""The line that a set's files have for each channel, by the place that the lines take in the templates."""
+
+CHANNEL_CELLS = (
+    "{channel}",
+    "`{prefix}_...`",
+    "{INPUT_NAME}, {INPUT_RANGE}",
+    "{OUTPUT_NAME}, {OUTPUT_RANGE}",
+    "{GEARS}",
+    "{TABLE_BYTES}",
+    "{STATE_BYTES}",
+    "{WORST_BLOCKS}, {WORST_GEARS}",
+)
+"""The cells of a channel's row in the table of README.md."""
+
+
 def _lines(made: Mapping[str, Translated], name: str) -> dict[str, str | bool]:
     """Return the lines that a set's files have for each channel."""
-    found: dict[str, list[str]] = {}
-    duties: dict[str, list[str]] = {}
-    for place, (channel, one) in enumerate(made.items()):
-        own, shown = one.summary.name, c.plain(channel).replace("|", "/")
-        figures = project.shown_figures(one)
-        cells = (
-            shown, f"`{own}_...`",
-            *(f"{figures[f'{way}_NAME']}, {figures[f'{way}_RANGE']}" for way in ("INPUT", "OUTPUT")),
-            *(str(figures[key]) for key in ("GEARS", "TABLE_BYTES", "STATE_BYTES")),
-            f"{figures['WORST_BLOCKS']}, {figures['WORST_GEARS']}",
-        )  # fmt: skip
-        for key, line in {
-            "headers": f'#include "{own}.h"',
-            "states": f"    {own}_state of_{place}; /* channel {shown} */",
-            "inits": f"    {own}_init(&state->of_{place});",
-            "resets": f"    {own}_reset(&state->of_{place}, drives[{place}]);",
-            "steps": f"    out[{place}] = {own}_step(&state->of_{place}, in[{place}]);",
-            "prototypes": f"unsigned {own}_self_test(void);",
-            "runs": f"    wrong += {own}_self_test();",
-            "rows": f"| {' | '.join(cells)} |",
-            "errors": f"- {shown}: {figures['SAME_GEARS']}), {figures['AFTER_CLOSE_TURN']})",
-        }.items():
-            found.setdefault(key, []).append(line)
-        for note in (*one.summary.notes, *one.summary.warnings):
-            duties.setdefault(note.replace(f"{own.upper()}_", f"{name.upper()}_CHANNEL_"), []).append(shown)
-    samples = [one.code.vectors[0].inputs[10] for one in made.values()]
-    found["duties"] = [
-        f"- {note}" + (f" (channel {', '.join(of)})" if len(of) < len(made) else "")
-        for note, of in duties.items()
-    ]
-    found["samples"] = [c.array(next(iter(made.values())).code.number, "samples", samples).rstrip()]
-    return {key: "\n".join(lines) + "\n" for key, lines in found.items()}
+    lines: dict[str, list[str]] = {key: [] for key in CHANNEL_LINES}
+    channels_of_note: dict[str, list[str]] = {}
+    for place, (channel, translated) in enumerate(made.items()):
+        prefix = translated.summary.name
+        shown = c.plain(channel).replace("|", "/")
+        values: dict[str, object] = {
+            **project.shown_figures(translated),
+            "place": place,
+            "prefix": prefix,
+            "channel": shown,
+        }
+        cells = [cell.format_map(values) for cell in CHANNEL_CELLS]
+        values["cells"] = " | ".join(cells)
+        for key, template in CHANNEL_LINES.items():
+            lines[key].append(template.format_map(values))
+        for note in (*translated.summary.notes, *translated.summary.warnings):
+            of_set = note.replace(f"{prefix.upper()}_", f"{name.upper()}_CHANNEL_")
+            channels_of_note.setdefault(of_set, []).append(shown)
+    lines["duties"] = []
+    for note, channels in channels_of_note.items():
+        where = ""
+        if len(channels) < len(made):
+            where = f" (channel {', '.join(channels)})"
+        lines["duties"].append(f"- {note}{where}")
+    samples = [translated.code.sample_input for translated in made.values()]
+    number = next(iter(made.values())).code.number
+    lines["samples"] = [c.array(number, "samples", samples).rstrip()]
+    return {key: "\n".join(rows) + "\n" for key, rows in lines.items()}

@@ -96,7 +96,7 @@ def project_files(one: Translated, sources: Mapping[str, str], test: str, arduin
     plan, code, summary, words = one
     name = summary.name
     values = {
-        **build_values(words, code.number, sources, [f"{name}_test.c"]), "SAMPLE": code.vectors[0].inputs[10],
+        **build_values(words, code.number, sources, [f"{name}_test.c"]), "SAMPLE": code.sample_input,
         "INPUT_TEXT": _capitalised(plan.model.input), "OUTPUT_TEXT": _capitalised(plan.model.output),
     }  # fmt: skip
     page = fill("README.md", {**values, **shown_figures(one)})

@@ -129,6 +129,10 @@ class Vectors:
     outputs: Sequence[str]
 
 
+SAMPLE_ROW = 10
+"""The row, from 0, of the self-test's first run whose input the examples show."""
+
+
 @dataclass(frozen=True)
 class ModelCode:
     """A model in one arithmetic as C, before it has a name.
@@ -161,6 +165,11 @@ class ModelCode:
     headers: tuple[str, ...]
     table_bytes: int
     bounds: Mapping[str, float]
+
+    @property
+    def sample_input(self) -> str:
+        """An input for the examples: one of the self-test, from its beginning."""
+        return self.vectors[0].inputs[SAMPLE_ROW]
 
     @property
     def state_bytes(self) -> int:

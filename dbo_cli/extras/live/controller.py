@@ -75,7 +75,9 @@ class LookAhead:
 
     def __init__(self, model: ActuatorModel, rate: float, seconds: float | Literal["auto"]) -> None:
         check_seconds("lookahead", seconds)
-        self._rate, self._step, self._delay = rate, 1.0 / rate, model.delay_seconds
+        self._rate = rate
+        self._step = 1.0 / rate
+        self._delay = model.delay_seconds
         self._inverter = None if model.dynamics is None else model.dynamics.inverter(self._step)
         self._late = math.ceil(self._delay / self._step - WHOLE)
         self._ahead = 0 if self._inverter is None else self._inverter.ahead
@@ -96,10 +98,8 @@ class LookAhead:
         """
         memory: InverseMemory | None = None
         if self.held is None:
-            raw, shifted = (
-                [float(wanted)] * (self.samples - self._ahead + 1),
-                np.full(self._ahead + 1, wanted),
-            )
+            raw = [float(wanted)] * (self.samples - self._ahead + 1)
+            shifted = np.full(self._ahead + 1, wanted)
             if self._inverter is not None:
                 memory = (state and state.memory_for(self._inverter)) or self._inverter.rest(wanted)
         else:
@@ -115,7 +115,8 @@ class LookAhead:
     def commit(self, window: Window | None) -> None:
         """Go on to the next sample."""
         if window is not None:
-            self.held, self._count = window, self._count + 1
+            self.held = window
+            self._count += 1
 
     def hold(self) -> Window | None:
         """Return what is held after a sample for which nothing was planned: what is wanted stays."""
@@ -123,7 +124,8 @@ class LookAhead:
 
     def forget(self) -> None:
         """Begin anew with the next value."""
-        self.held, self._count = None, 0
+        self.held = None
+        self._count = 0
 
     def _shifted(self, raw: list[float]) -> float:
         """Return what is wanted the delay after the oldest value; as ``cascade.interpolated`` does."""
@@ -474,9 +476,11 @@ class Controller(LiveDrive[float, float | int]):
         if stepper is None:
             volts, clipped, begun = self._first(wanted, way)
         elif way is not None:
-            volts, clipped, lag = way, 1, self._follow(way, stepper)
+            volts, clipped = way, 1
+            lag = self._follow(way, stepper)
         else:
-            volts, clipped = self._stepped(wanted, stepper), stepper.clipped
+            volts = self._stepped(wanted, stepper)
+            clipped = stepper.clipped
             if self._lag is not None:
                 lag = self._lag.plan(volts, wanted, stepper)
                 volts, clipped = lag.volts, lag.clipped

@@ -93,7 +93,7 @@ def identify(
     check_recordings(recordings)
     if options.sign is not None:
         _refuse_other_sign(recordings, options.sign)
-    found = _identified(widest_first(recordings), options, validation, prior)
+    found = _identify_by_method(widest_first(recordings), options, validation, prior)
     sign: dict[str, object] = {"sign": found.model.sign}
     model = dataclasses.replace(found.model, fit=sign | dict(found.model.fit))
     return dataclasses.replace(found, model=model, fit=sign | found.fit)
@@ -110,7 +110,7 @@ def _refuse_other_sign(recordings: Sequence[Recording], sign: str) -> None:
             )
 
 
-def _identified(
+def _identify_by_method(
     recordings: Sequence[Recording],
     options: IdentificationOptions,
     validation: Sequence[Recording],

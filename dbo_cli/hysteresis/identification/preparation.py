@@ -73,16 +73,19 @@ instead of 15 (as much). So slow a memory of any drive that begins at one end is
 
 CYCLES_PER_ORDER = 3  # chosen: with fewer the drift is what the model learns; 2 and 6 changed none of those
 
-DRIFT_GAIN = 1.2  # see below
-INSTEAD_GAIN = 1.03  # see below
+DRIFT_GAIN = 1.2
+"""A drift must lower the RMSE by at least this factor."""
+INSTEAD_GAIN = 1.03
+"""The factor in place of ``DRIFT_GAIN`` for a drift that takes the place of creep (``CREEP_LEFT``)."""
 CREEP_LEFT = 0.8
-"""A drift must lower the RMSE by the first factor, or by the second where it takes the place of creep: leaves
-so little of the slow memories' gain. Creep with little error more passes for a drift that rises with the
-log, since most drives begin at rest at one end; a drift where there is only creep makes an imperfect creep
-fit better, and the creep beside it grows. Measured on 70 logs of actuators that only creep (0.5 to 60 s,
-0.5 to 4 %, ten kinds of actuators, 15 to 60 s of two kinds of drive, with noise and without): at most 1.12,
-and 1.013 in the place of creep. With a warm-up of 3 %, its time constant a quarter of the log, 55 of the 70
-pass, and the other 15 are doubtful; with a steady drift of 1 % 24 and 31."""
+"""A drift takes the place of creep where it leaves at most this part of the slow memories' gain.
+
+Creep with little error more passes for a drift that rises with the log, since most drives begin at rest at
+one end; a drift where there is only creep makes an imperfect creep fit better, and the creep beside it
+grows. Measured on 70 logs of actuators that only creep (0.5 to 60 s, 0.5 to 4 %, ten kinds of actuators,
+15 to 60 s of two kinds of drive, with noise and without): at most 1.12, and 1.013 in the place of creep.
+With a warm-up of 3 %, its time constant a quarter of the log, 55 of the 70 pass, and the other 15 are
+doubtful; with a steady drift of 1 % 24 and 31."""
 
 AS_GOOD = 1.003
 """Of two drifts whose errors differ by less, the one that leaves less creep: the error on new moves of a

@@ -138,18 +138,39 @@ def date_seconds(text: str) -> int | None:
     ``2024-03-31``, ``2024/3/31``, ``31.03.2024``, ``31-03-2024``, ``31-Mar-2024``; with slashes and the year
     last the month stands first (as in the United States) unless it cannot.
     """
-    found = next((found for pattern in _DATES if (found := pattern.fullmatch(text))), None)
-    if found is None:
+    match = _date_match(text)
+    if match is None:
         return None
-    year, day, name = int(found["year"]), int(found["day"]), found["month"].lower()
-    month = _MONTHS.index(name) + 1 if name in _MONTHS else int(name) if name.isdecimal() else 0
-    if found.re.pattern == _MONTH_FIRST.pattern and month > 12:
+    year = int(match["year"])
+    if year < 100:
+        year += 2000
+    month = _month_number(match["month"].lower())
+    day = int(match["day"])
+    if match.re.pattern == _MONTH_FIRST.pattern and month > 12:
         month, day = day, month
     try:
-        date = datetime.date(year + 2000 if year < 100 else year, month, day)
+        date = datetime.date(year, month, day)
     except ValueError:
         return None
     return (date.toordinal() - datetime.date(1970, 1, 1).toordinal()) * DAY
+
+
+def _date_match(text: str) -> re.Match[str] | None:
+    """Match a date in the first of the known orders that it fits."""
+    for order in _DATES:
+        match = order.fullmatch(text)
+        if match is not None:
+            return match
+    return None
+
+
+def _month_number(month: str) -> int:
+    """Return a month, as digits or as three letters, as a number from 1; 0 where it is none."""
+    if month in _MONTHS:
+        return _MONTHS.index(month) + 1
+    if month.isdecimal():
+        return int(month)
+    return 0
 
 
 def _exact(whole: int, fraction: str | None) -> float:
