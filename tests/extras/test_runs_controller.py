@@ -180,8 +180,8 @@ def test_a_controller_with_dynamics_gives_the_bits_of_compensate(
     got = [live.step(x) for x in wanted]
     lead = {"lead": "auto"} if live.lookahead else {}
     done = model.compensate(
-        wanted, sample_rate=LIVE, state="empty", rows=f":{wanted.size - live.lookahead}", details=True, on_limit="clip",
-        **lead, **limits,
+        wanted, sample_rate=LIVE, state="empty", rows=f":{wanted.size - live.lookahead}", details=True,
+        on_limit="clip", **lead, **limits,
     )  # fmt: skip
     assert got == done.values.tolist()
     assert live.state is not None
