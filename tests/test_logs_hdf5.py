@@ -10,9 +10,12 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from dbo_cli.errors import InputError, OutputError
 from dbo_cli.logs.columns import ColumnWish, OutColumn
+from dbo_cli.logs.hdf5.store import shuffled_deflated
 from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.signal_writer import signal_writer
@@ -267,6 +270,26 @@ def test_files_that_are_cut_off_or_absent(tmp_path: Path) -> None:
     with pytest.raises(InputError) as raised:
         opened("-", format="hdf5")
     assert str(raised.value) == "standard input: HDF5 cannot be read from a pipe: give the file's name"
+
+
+@settings(derandomize=True, deadline=None, max_examples=60)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 70_000))
+def test_chunks_put_together_by_hand_are_what_hdf5_undoes(seed: int, rows: int) -> None:
+    random = np.random.default_rng(seed)
+    values = random.choice(
+        [
+            random.normal(size=rows),
+            np.arange(rows) / 2000,
+            np.round(random.normal(size=rows), 2),
+            np.zeros(rows),
+        ]
+    )
+    with h5py.File("chunk", "w", driver="core", backing_store=False) as file:
+        data = file.create_dataset(
+            "x", shape=(rows,), chunks=(rows,), dtype="<f8", compression="gzip", shuffle=True
+        )
+        data.id.write_direct_chunk((0,), shuffled_deflated(values))
+        assert data[()].tobytes() == values.tobytes()
 
 
 def test_a_group_is_added_to_a_file_and_nothing_else_in_it_is_lost(tmp_path: Path) -> None:
