@@ -260,11 +260,6 @@ FAULTS: list[Fault] = [
          "creep is no unknown history"),
     ),
     *_faults(
-        "hysteresis/identification/refinement.py",
-        IDENTIFICATION,
-        ("+ slope * from_drive - hats @ moved", "+ slope * from_drive", "the linearised output error"),
-    ),
-    *_faults(
         "hysteresis/identification/identify.py",
         IDENTIFICATION,
         ("heights: Floats = floor + shares * np.cumsum(", "heights: Floats = shares * np.cumsum(",
@@ -463,7 +458,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "logs/columns.py",
         ("logs_columns",),
-        ("(sure and len(whole) == len(found) and not axes)", "(sure and len(whole) == len(found))",
+        ("if len(whole) == len(by_name) and not (is_axis and other_axes):", "if len(whole) == len(by_name):",
          "axes with units are asked about"),
         ("    if guess_columns(columns, wish.guesses):\n        return [], \"\"\n", "",
          "a drive in mA is not replaced by another column in volts"),
@@ -543,7 +538,7 @@ FAULTS: list[Fault] = [
          "a wide loop of one amplitude lags"),
         ("listed = self._listed(best.slopes, [best.memories], best.smoothness)", "listed = [best]",
          "the asymmetry of springs that slip keeps its segments"),
-        ("if all(np.count_nonzero(found > 0) < 2 for found in kinds):", "if False:",
+        ("if not swings_of_two_kinds(self._logs, basis):", "if False:",
          "one kind of smaller swings does not answer for all"),
     ),
     *_faults(
