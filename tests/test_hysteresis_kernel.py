@@ -12,6 +12,7 @@ from fractions import Fraction
 from importlib.machinery import ExtensionFileLoader, ModuleSpec
 from importlib.util import module_from_spec
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from gear_by_gear import gear_by_gear
 from trials import Floats, random_operator, random_trajectory
 
 import dbo_cli.hysteresis
-from dbo_cli.errors import UsageError
+from dbo_cli.errors import DboError, UsageError
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.model_state import start_drive
 from dbo_cli.hysteresis.operators import (
@@ -500,6 +501,15 @@ def test_without_extension(monkeypatch: pytest.MonkeyPatch) -> None:
     assert kernel.choose("")[0] == "python"
     with pytest.raises(UsageError, match="was not built at installation"):
         kernel.choose("compiled")
+
+
+def test_an_extension_of_another_state_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After new sources in an editable installation, until it is built again."""
+    for older in (SimpleNamespace(), SimpleNamespace(INTERFACE=kernel.INTERFACE - 1)):
+        monkeypatch.setattr(kernel, "compiled_kernel", lambda older=older: older)
+        with pytest.raises(DboError, match=r"^the compiled kernel was built from another state"):
+            kernel.choose("")
+        assert kernel.choose("python")[0] == "python"
 
 
 def test_environment_selects_the_python_twin() -> None:

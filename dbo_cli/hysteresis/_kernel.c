@@ -743,7 +743,11 @@ static PyTypeObject *stepper_type; /* the first module's; types of others are re
 
 int is_stepper(PyObject *object) { return Py_TYPE(object) == stepper_type; }
 
+#define INTERFACE 1 /* of the functions' arguments; kernel.py has the same number and refuses another */
+
 static int add_types(PyObject *module) {
+    if (PyModule_AddIntConstant(module, "INTERFACE", INTERFACE) < 0)
+        return -1;
     PyType_Spec *specs[2] = {&stepper_spec, &bank_spec};
     for (int k = 0; k < 2; k++) {
         PyObject *type = PyType_FromModuleAndSpec(module, specs[k], NULL);

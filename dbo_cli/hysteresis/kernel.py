@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.errors import UsageError
+from dbo_cli.errors import DboError, UsageError
 
 Floats = NDArray[np.float64]
 
@@ -548,6 +548,10 @@ def interpolated(times: Floats, values: Floats, wanted: Floats, found: Floats, w
     return int(first[-1])
 
 
+INTERFACE = 1
+"""Of the extension's functions, as ``_kernel.c`` has it: raised with every change of their arguments."""
+
+
 def compiled_kernel() -> ModuleType | None:
     """Return the extension, or None where it was not built at installation."""
     try:
@@ -556,6 +560,21 @@ def compiled_kernel() -> ModuleType | None:
         return None
     module: ModuleType = _kernel
     return module
+
+
+def require_this_state(extension: Any) -> None:
+    """Refuse an extension that was built from another state of the sources.
+
+    Raises
+    ------
+    DboError
+        It was: the sources of an editable installation have changed since it was built.
+    """
+    if getattr(extension, "INTERFACE", None) != INTERFACE:
+        raise DboError(
+            "the compiled kernel was built from another state of the sources (pip install -e . in the"
+            " checkout builds it again; DBO_KERNEL=python does without it, about a hundred times slower)"
+        )
 
 
 PythonKernel = sys.modules[__name__]
@@ -569,11 +588,14 @@ def choose(wish: str) -> tuple[str, Any]:
     ------
     UsageError
         ``wish`` names no kernel, or the compiled one where it was not built.
+    DboError
+        The compiled one was built from another state of the sources.
     """
     if wish not in {"", "python", "compiled"}:
         raise UsageError(f"environment DBO_KERNEL: no kernel is called {wish!r} (use python or compiled)")
     compiled = None if wish == "python" else compiled_kernel()
     if compiled is not None:
+        require_this_state(compiled)
         return "compiled", compiled
     if wish == "compiled":
         raise UsageError(
