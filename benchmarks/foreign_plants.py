@@ -147,6 +147,16 @@ def warming(share: float, tau: float) -> Plant:
     return run
 
 
+def drifting(share: float, period: float) -> Plant:
+    """Return a piezo whose zero goes to and fro by ``share`` of the stroke, as the air conditioning does."""
+
+    def run(u: Floats, since: float) -> Floats:
+        clock = since + STEP * np.arange(len(u))
+        return Plays(0.4, 0.15).run(u) + 0.5 * share * np.sin(2.0 * np.pi * clock / period)
+
+    return run
+
+
 def log_creep(share: float) -> Plant:
     """Creep by the same share every decade from 0.05 to 500 s."""
 
@@ -198,6 +208,7 @@ KINDS: dict[str, Kind] = {
     "late sensor": Kind(late(0.002), 2, 0.004),
     "accommodation": Kind(preisach(*relays(0.5, 0.5, 0.35, 4), 0.5, 0.6)),
     "rate-widening": Kind(widening(0.008)),
+    "drifting zero": Kind(drifting(0.02, 170.0)),
 }
 
 

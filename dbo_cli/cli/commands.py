@@ -243,14 +243,16 @@ def report(given: Given) -> None:
 
     Exit code 3
     -----------
-    A limit (--max-rmse, --max-abs, --max-nrmse-percent) is missed; the report is written all the same.
+    A limit (--max-...) is missed; the report is written all the same, and begins with that.
     """
     from dbo_cli.runs.many import reported
     from dbo_cli.runs.reporting import ReportRun, TrackingOptions
 
     tracking = TrackingOptions(**given.of([*options.TRACKING, *options.REPORT_COLUMNS]))
     limits = given.of(options.LIMITS)
-    asked = ReportRun(given.log, given.output, given.reading, tracking, given.format, given.figures, limits)
+    asked = ReportRun(
+        given.log, given.output, given.reading, tracking, given.format, given.figures, limits, given.show
+    )
     finish(given, reported(asked, work_of(given), Progress(given.reporter, "compared")))
 
 

@@ -320,6 +320,7 @@ def summary_of(
             asked |= watcher.summary()
         asked["before"] = run.summary_before()
         expected, percent = run.expected_rmse()
+        asked |= run.summary_of_error()
         clipped = run.clipped.count
     return {
         "format": "dbo-summary",

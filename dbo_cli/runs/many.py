@@ -173,7 +173,10 @@ def identify_files(asked: IdentifyRun, output: Address, work: Work, listener: Li
 def say_found(found: Mapping[str, IdentifyResult], noun: str, remarks: Remarks) -> None:
     """Sum up what was found over all channels or files."""
     why = {channel: next(iter(one.remarks.warnings), "") for channel, one in found.items()}
-    for key, what in (("rmse_percent", "fit, RMSE of range"), ("expected_percent", "expected on new moves")):
+    for key, what in (
+        ("rmse_percent", "fit, RMSE of the model's range"),
+        ("expected_percent", "expected on new moves, of the model's range"),
+    ):
         percents = {c: one.model.fit.get(key) for c, one in found.items()}
         known = {c: value for c, value in percents.items() if isinstance(value, float)}
         if known:

@@ -131,8 +131,8 @@ def validated(checks: Sequence[Residual], span: float, unit: str) -> tuple[dict[
         "validation": [{"name": one.name, "samples": len(one.values), "rmse": one.rmse} for one in checks],
     }
     return figures, [
-        f"{one.name}: predicts it to {one.rmse:.4g}{unit} RMSE ({100.0 * one.rmse / span:.2f} % of range), "
-        "offset removed"
+        f"{one.name}: predicts it to {one.rmse:.4g}{unit} RMSE ({100.0 * one.rmse / span:.2f} % of the "
+        "model's range), offset removed"
         for one in checks
     ]
 
@@ -372,7 +372,7 @@ def fit_warnings(
         )
     if 100.0 * rmse / span > POOR_PERCENT:
         warnings.append(
-            f"the model leaves {100.0 * rmse / span:.1f} % of the range unexplained: the log shows something "
+            f"the model leaves {100.0 * rmse / span:.1f} % of its range unexplained: the log shows something "
             "this class of models cannot follow (a loop that crosses itself, resonance, slip, a wrong "
             "column); look at 'dbo report `model`' before using it"
         )

@@ -395,7 +395,7 @@ def _summary(
     lines = [
         f"the prior's shape was kept; moved: gain {moved.gain:.4g} times the prior's (within "
         f"{moved.gain_error:.2g}), offset {moved.offset:+.4g}{unit}, {lag}",
-        f"fit RMSE {figures['rmse']:.4g}{unit} ({figures['rmse_percent']:.2f} % of range) on "
+        f"fit RMSE {figures['rmse']:.4g}{unit} ({figures['rmse_percent']:.2f} % of the model's range) on "
         f"{figures['samples']:,} rows from {covered[0]:g} to {covered[1]:g}{drive}; the prior covers "
         f"{ends[0]:g} to {ends[1]:g}{drive}",
     ]
