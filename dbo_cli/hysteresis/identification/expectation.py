@@ -135,7 +135,7 @@ class Expectation:
         if self.zero_drift.span > self.known:
             return f"it moved by {self.zero_drift.span:.2g}{unit} along a log, and may go on moving"
         if self.one_level:
-            return "the logs stay at one mean level, and hardly tell creep from a zero that moves"
+            return "logs at one mean level hardly tell creep from a moving zero"
         return "where it stays as it was in the logs"
 
     def words(self) -> str:

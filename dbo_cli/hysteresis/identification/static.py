@@ -285,8 +285,8 @@ def _expected_figures(expected: Expectation, span: float, unit: str) -> dict[str
 def parts_words(figures: Mapping[str, Any], unit: str) -> str:
     """Return the two parts of the error expected on new moves, and under which condition they hold."""
     return (
-        f"{figures['expected_shape_rmse']:.3g}{unit} in shape (RMS of the error less its mean) and "
-        f"{figures['expected_zero']:.3g}{unit} in zero (that mean: {figures['zero_from']})"
+        f"{figures['expected_shape_rmse']:.3g}{unit} shape (RMS of the error less its mean), "
+        f"{figures['expected_zero']:.3g}{unit} zero (that mean; {figures['zero_from']})"
     )
 
 
