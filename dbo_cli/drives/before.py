@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +24,6 @@ from dbo_cli.errors import LimitError, UsageError
 from dbo_cli.hysteresis.excitation import Floats
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, StartName
-from dbo_cli.records import dataclass
 
 CHOSEN_SECONDS = 60.0  # s: so long the program may choose to take before any move
 CHOSEN_MOVES = 10.0  # times the move's own seconds: so long it may choose to take before a longer one

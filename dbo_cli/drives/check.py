@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +14,6 @@ from dbo_cli.errors import InputError
 from dbo_cli.hysteresis.cascade import interpolated
 from dbo_cli.hysteresis.model_state import DriveLimits
 from dbo_cli.logs.sample_block import GAP_STEPS, SAME_RATE, median_step
-from dbo_cli.records import dataclass
 
 TOLERANCE = 1e-3  # of the drive's range: a converter of 10 bits rounds to half of it
 MOST_BY_NOISE = 6.0  # standard deviations: white noise reaches 5 once in two million rows

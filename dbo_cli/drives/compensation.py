@@ -11,7 +11,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from itertools import chain
 from types import MappingProxyType
 from typing import Any, Protocol
@@ -32,7 +32,6 @@ from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
 from dbo_cli.hysteresis.move_error import MOST_ROWS, MoveError, move_error
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock, even_step, median_step
 from dbo_cli.logs.sources import Source
-from dbo_cli.records import dataclass
 
 NOTHING_BROUGHT: Mapping[str, Any] = MappingProxyType({})
 REACH_SLACK = 0.01  # of the range: a trajectory this little outside is clipped and counted like any other

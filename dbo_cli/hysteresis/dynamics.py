@@ -26,7 +26,7 @@ import cmath
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import chain
 from typing import Any, NamedTuple, TypeVar
@@ -37,7 +37,6 @@ from numpy.typing import ArrayLike, NDArray
 from dbo_cli.errors import InputError, ModelError, UsageError
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.operators import checked_steps
-from dbo_cli.records import dataclass
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complexfloating]

@@ -16,7 +16,7 @@ import os
 import re
 from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -51,7 +51,6 @@ from dbo_cli.logs.sample_block import (
 from dbo_cli.logs.sources import Source
 from dbo_cli.logs.text.text_table import TextTable
 from dbo_cli.logs.units import Scale, kind_of_unit
-from dbo_cli.records import dataclass
 
 _USER_BLOCKS = (0, 512, 1024, 2048)  # where an HDF5 file may begin (MATLAB v7.3: 512)
 _TEXT = (".csv", ".tsv", ".txt", ".dat", ".gz", "")  # endings of text; others may be an extra's

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +16,6 @@ import numpy as np
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.plain_text import pattern, shortened
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray
-from dbo_cli.records import dataclass
 
 # SI units and prefixes as instruments spell them; below, other spellings that lower-case names have in use.
 _BASES = {

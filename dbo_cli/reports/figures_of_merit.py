@@ -10,13 +10,13 @@ which way a signal is going, sample by sample, whatever noise, rounding and hold
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.logs.sample_block import SampleBlock
-from dbo_cli.records import dataclass
 from dbo_cli.reports.accumulators import CompensatedSum, DoublingBins, ErrorDistribution
 from dbo_cli.reports.sample_pairs import Batches, Floats, comparable, only
 

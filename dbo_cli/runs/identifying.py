@@ -7,7 +7,7 @@ import hashlib
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import closing
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any
 
 from dbo_cli.errors import SILENT, Listener, Remarks, UsageError, plain
@@ -24,7 +24,6 @@ from dbo_cli.logs.signal_log import SignalLog
 from dbo_cli.logs.sources import ArraySource, Source, is_table, remarks_of
 from dbo_cli.logs.units import in_unit
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
-from dbo_cli.records import dataclass
 from dbo_cli.runs.files import bring_to, opened, read_record, recording_wishes, short_names, write_summary
 from dbo_cli.runs.jobs import named
 from dbo_cli.version import program_version_string

@@ -11,7 +11,7 @@ import os
 import re
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from dbo_cli import errors
@@ -19,7 +19,6 @@ from dbo_cli.errors import SILENT, DboError, Listener, Remarks, UsageError
 from dbo_cli.logs.plain_text import pattern
 from dbo_cli.logs.request import Address, parse_address
 from dbo_cli.logs.whole_output import KeptOutputs, kept_outputs, make_folder
-from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
     from concurrent.futures import Future

@@ -18,6 +18,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -57,7 +58,6 @@ from dbo_cli.hysteresis.identification.search import SEGMENTS
 from dbo_cli.hysteresis.identification.static import Identification, identify_static
 from dbo_cli.hysteresis.identification.statistics import EARNED, INDIFFERENCE
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, Relaxation, Stage
-from dbo_cli.records import dataclass
 
 STILL_GOOD = 1.25
 """Of the same error, up to which the slow rows' second reading is taken.

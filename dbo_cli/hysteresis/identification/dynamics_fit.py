@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
 
@@ -30,7 +31,6 @@ from dbo_cli.hysteresis.identification.evaluation import (
 from dbo_cli.hysteresis.identification.recordings import MOST, FastPart, Floats
 from dbo_cli.hysteresis.identification.statistics import EARNED
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.records import dataclass
 
 Booleans = NDArray[np.bool_]
 Band = tuple[float, float]  # lowest and highest frequency swept, Hz

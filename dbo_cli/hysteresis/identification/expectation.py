@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -53,7 +53,6 @@ from dbo_cli.hysteresis.move_error import (
     thinned,
     unlike,
 )
-from dbo_cli.records import dataclass
 
 LIKELIHOOD_WIDTH = 0.1
 """A model whose RMSE is this share above the chosen one's counts exp(-1). With half of it the errors stated

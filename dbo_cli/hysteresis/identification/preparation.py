@@ -9,7 +9,7 @@ all time constants.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +53,6 @@ from dbo_cli.hysteresis.identification.statistics import (
 )
 from dbo_cli.hysteresis.model_state import StartName
 from dbo_cli.hysteresis.move_error import SMALLEST_TURN
-from dbo_cli.records import dataclass
 
 Booleans = NDArray[np.bool_]
 

@@ -6,14 +6,13 @@ import itertools
 import math
 import numbers
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError, UsageError
 from dbo_cli.hysteresis.move_error import SMALLEST_TURN, turning_points
-from dbo_cli.records import dataclass
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,7 +32,6 @@ from dbo_cli.hysteresis.model import (
     Stage,
     slow_output_range,
 )
-from dbo_cli.records import dataclass
 
 
 @dataclass(frozen=True)

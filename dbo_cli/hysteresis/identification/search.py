@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,7 +45,6 @@ from dbo_cli.hysteresis.identification.statistics import (
     swings_of,
     usual_basis,
 )
-from dbo_cli.records import dataclass
 
 FINER_GEARS = 4
 """Times as many gears where that lowers the error on data left out, surely; twice as many again would gain

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -48,7 +48,6 @@ from dbo_cli.hysteresis.identification.search import (
 from dbo_cli.hysteresis.identification.statistics import PreparedLog
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.move_error import rms
-from dbo_cli.records import dataclass
 
 NO_BETTER = 0.95  # of the straight line's RMSE: above this there is nothing but a line in the log
 

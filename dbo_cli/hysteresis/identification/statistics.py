@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -50,7 +50,6 @@ from dbo_cli.hysteresis.operators import (
     DiscretePointOperator,
     Relaxation,
 )
-from dbo_cli.records import dataclass
 
 BLOCK_ROWS = 256  # a block without a wanted row is passed over, so blocks are short
 JOINED_BLOCKS = 4  # that follow each other: fewer and larger products take half the time
