@@ -189,6 +189,16 @@ class Command(NamedTuple):
         return " ".join(self.section("Writes").split())
 
     @property
+    def usual(self) -> list[str]:
+        """The options that most need; where the docstring names none, those of the command alone."""
+        named = self.section("Usual options").split()
+        if named:
+            return named
+        return [
+            option.names[-1] for option in self.options if option.names and option.heading == options.OPTIONS
+        ]
+
+    @property
     def examples(self) -> list[tuple[str, str]]:
         """What each example is for, and its command line."""
         lines = list(map(str.strip, self.section("Examples").splitlines()))

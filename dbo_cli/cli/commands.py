@@ -27,6 +27,11 @@ def identify(given: Given) -> None:
     ------
     The model as JSON; with several logs and -o 'models/{file}.json' one model each.
 
+    Usual options
+    -------------
+    --voltage --displacement --sample-rate --scale --validate --prior --sign --force
+    -o
+
     Examples
     --------
     A log becomes a model:
@@ -76,6 +81,10 @@ def show(given: Given) -> None:
     ------
     A page of text, or JSON; with --figures the model's curves as PNG and SVG.
 
+    Usual options
+    -------------
+    --figures --format -o
+
     Examples
     --------
     What is in a model, and what it is worth:
@@ -98,6 +107,10 @@ def invert(given: Given) -> None:
     Writes
     ------
     The inverse model as JSON.
+
+    Usual options
+    -------------
+    -o
 
     Examples
     --------
@@ -124,6 +137,10 @@ def simulate(given: Given) -> None:
     ------
     Time (when known), the input column and the result, in the form that the name of the output says;
     several logs with -o 'out/{file}.csv'.
+
+    Usual options
+    -------------
+    --state --save-state --outside --flush -o
 
     Examples
     --------
@@ -156,6 +173,10 @@ def compensate(given: Given) -> None:
     ------
     Time (when known), the desired displacement and the drive; rows that this program puts before or after
     the move have times of their own, before it negative ones.
+
+    Usual options
+    -------------
+    --v-min --v-max --max-slew --from --approach --condition --return --on-limit --summary -o
 
     Examples
     --------
@@ -203,6 +224,10 @@ def check(given: Given) -> None:
     ------
     What was found, as text or JSON.
 
+    Usual options
+    -------------
+    --v-min --v-max --max-slew --from --loop --against -o
+
     Examples
     --------
     Another program's drive, before it is played:
@@ -233,6 +258,10 @@ def report(given: Given) -> None:
     Writes
     ------
     The report as text, JSON, CSV or an HTML page, by the name of the output; with --figures pictures.
+
+    Usual options
+    -------------
+    --trajectory --model --segment --max-rmse --max-nrmse-percent --figures --desired --measured -o
 
     Examples
     --------
@@ -268,6 +297,10 @@ def excite(given: Given) -> None:
     ------
     Time and drive voltage.
 
+    Usual options
+    -------------
+    --v-max --v-min --sample-rate --duration --frequency --max-slew --sweep-to -o
+
     Examples
     --------
     15 s of drive from 0 to 100 V:
@@ -286,15 +319,37 @@ def excite(given: Given) -> None:
     }
     asked = excitation_of(**words | volts)
     drives = excitation_drives(asked, given.points, given.brought)
-    rows = write_excitation(given.output, asked, given.format, drives)
-    given.reporter.detail(
-        f"{rows:,} rows, {rows / asked.sample_rate:g} s, {asked.v_min:g} to {asked.v_max:g} V"
+    fastest = write_excitation(given.output, asked, given.format, drives)
+    rows = len(drives[0])
+    given.reporter.note(
+        f"{rows:,} rows, {rows / asked.sample_rate:g} s at {asked.sample_rate:g} rows a second, from"
+        f" {asked.v_min:g} to {asked.v_max:g} V, at most {fastest:.3g} V/s"
     )
     if given.v_min:
         given.reporter.note(
             f"it begins and ends at {given.v_min:g} V: bring the amplifier there slowly first"
         )
+    if not given.brought:
+        given.reporter.note(
+            "play it, record drive and displacement side by side, then: dbo identify RECORDED -o model.json"
+        )
 
+
+MEANT = {
+    "fit": "identify",
+    "calibrate": "identify",
+    "learn": "identify",
+    "run": "simulate",
+    "predict": "simulate",
+    "inverse": "invert",
+    "drive": "compensate",
+    "plot": "report --figures",
+    "evaluate": "report",
+    "info": "show",
+    "print": "show",
+    "version": "--version",
+}
+"""Words that people try in the place of a command, and what they mean."""
 
 CORE = {
     function.__name__: Command(function, options.OPTIONS_OF[function.__name__])

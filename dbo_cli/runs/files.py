@@ -16,6 +16,8 @@ from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from dbo_cli import extensions
 from dbo_cli.drives.gate import DriveFigures, DriveGate, Floats
 from dbo_cli.drives.model_run import ModelRun, reads_ahead
@@ -278,19 +280,27 @@ def write_excitation(
     excitation: Excitation,
     form: str | None,
     timed_drives: tuple[Floats, Mapping[str, Floats]],
-) -> int:
-    """Write the drives that identify well, as ``excitation_drives`` returns them; returns the rows."""
+) -> float:
+    """Write the drives that identify well, as ``excitation_drives`` returns them.
+
+    Returns
+    -------
+    float
+        The greatest slew of them all in V/s.
+    """
     time, drives = timed_drives
     limits = DriveLimits(excitation.v_min, excitation.v_max, excitation.max_slew)
-    for one in drives.values():
-        DriveGate(limits).admit(one, 1.0 / excitation.sample_rate)
+    rate = excitation.sample_rate
+    fastest = 0.0
+    for drive in drives.values():
+        DriveGate(limits).admit(drive, 1.0 / rate)
+        fastest = max(fastest, float(np.abs(np.diff(drive)).max()) * rate)
     request.check_format(form, [output])
     columns = [OutColumn("time", "s"), *(OutColumn(name, "V") for name in drives)]
-    rate = excitation.sample_rate
     with signal_writer(output.or_format(form), columns, attributes=lambda: {"sample_rate": rate}) as writer:
         for row in range(0, len(time), _ROWS):
-            writer.write(*(one[row : row + _ROWS] for one in (time, *drives.values())))
-    return len(time)
+            writer.write(*(column[row : row + _ROWS] for column in (time, *drives.values())))
+    return fastest
 
 
 def _attributes(run: ModelRun, log: SignalLog, command: str) -> dict[str, str | float]:
