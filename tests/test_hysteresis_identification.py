@@ -700,7 +700,8 @@ def test_on_one_amplitude_neither_memories_nor_free_slopes_stand_in_for_the_loop
 def test_logs_of_different_actuators_are_told_by_their_gains() -> None:
     one = lagging(15, (1.0, 0.7, 0.4))
     other = replace(one, name="other", displacement=0.9 * one.displacement)
-    (warning,) = [line for line in identify([one, other], BENT).warnings if line.startswith("the logs' gains")]
+    warnings = identify([one, other], BENT).warnings
+    (warning,) = [line for line in warnings if line.startswith("the logs' gains")]
     asked = "different actuators, loads or temperatures? identify each by itself"
     assert warning.endswith(f"{asked} (`output` 'models/{{file}}.json' does)")
 
