@@ -277,8 +277,8 @@ def _split(blocks: Iterable[SampleBlock], last_row: int) -> Iterator[SampleBlock
 LONG_WORK = 2_000_000  # rows from which on the Python kernel's slowness is worth a word: it takes seconds
 ASSUMED_SPREAD = 0.01  # of the range: what the past may matter at the start without a word; chosen
 FASTER = 2.0
-"""Times the fastest drive of the identification's logs: beyond, what the model says of lag is a guess. After
-logs of at most 1.3 ranges a second the error at 3 to 6 ranges a second was twice that at the logs' speeds."""
+"""Times the fastest drive of the identification's logs: beyond, what the model says of lag is a guess.
+Measured: docs/choices.md."""
 
 FAST_PART = 0.05  # of the samples: a few faster ones are not worth a word; chosen
 SAME_STEP = 1e-6
