@@ -120,7 +120,9 @@ class TableCommand(ParsedValues, TyperCommand):
         for parameters in sections.values():
             parameters.sort(key=lambda parameter: parameter.metavar != options.COLUMN)
         return [
-            (heading, [_explained(one, ctx) for one in some]) for heading, some in sections.items() if some
+            (heading, [_explained(option, ctx) for option in listed])
+            for heading, listed in sections.items()
+            if listed
         ]
 
 
@@ -313,10 +315,10 @@ def _build(name: str, made_of: Command) -> Any:
 def _parameter(option: Option) -> inspect.Parameter:
     """Return an option as the library reads it: a text, several or a switch, without its parser."""
     kind: Any = list[str] if option.repeated else str
-    given: Any = option.default if option.names else options.REQUIRED
+    default: Any = option.default if option.names else options.REQUIRED
     if option.metavar is None:
-        kind, given = bool, False
-    elif given is None:
+        kind, default = bool, False
+    elif default is None:
         kind = kind | None
     words: dict[str, Any] = {"metavar": option.metavar, "help": option.meaning}
     words["autocompletion"] = offers(option)
@@ -326,7 +328,7 @@ def _parameter(option: Option) -> inspect.Parameter:
     else:
         info = typer.Argument(show_default=False, **words)
     key, keyword_only = option.key, inspect.Parameter.KEYWORD_ONLY
-    return inspect.Parameter(key, keyword_only, annotation=Annotated[kind, info], default=given)
+    return inspect.Parameter(key, keyword_only, annotation=Annotated[kind, info], default=default)
 
 
 def _explained(parameter: Any, context: Any) -> tuple[str, str]:
@@ -379,16 +381,16 @@ def columns_beginning(incomplete: str) -> list[str]:
     from dbo_cli.logs.signal_log import open_table
 
     line = next((os.environ[name] for name in TYPED if name in os.environ), "")
-    found: dict[str, None] = {}
+    names: dict[str, None] = {}
     with contextlib.suppress(ValueError):  # a quotation mark that is still open
         for word in shlex.split(line):
             with contextlib.suppress(DboError, OSError):
                 address = parse_address(word)
                 if os.path.isfile(address.path):
                     table = open_table(Request(address, ReadingOptions()))
-                    found |= dict.fromkeys(_typed(column.name or "") for column in table.columns)
+                    names |= dict.fromkeys(_typed(column.name or "") for column in table.columns)
                     table.close()
-    return [name for name in found if name.startswith(incomplete) and name and " " not in name]
+    return [name for name in names if name.startswith(incomplete) and name and " " not in name]
 
 
 def _typed(name: str) -> str:

@@ -154,8 +154,8 @@ class BeforeMove:
         """Play the voltages, from the state or from a start at the first of them."""
         model, state = self.model, self._state
         if voltage.size == 0 and state is not None:
-            there = 0.0 if self.options.approach is None else model.displacement_of(state)
-            return _Played(state, NOTHING, there, 0.0)
+            reached = 0.0 if self.options.approach is None else model.displacement_of(state)
+            return _Played(state, NOTHING, reached, 0.0)
         rows = voltage
         if voltage.size == 0 and self.last is not None:
             rows = np.array([self.last])

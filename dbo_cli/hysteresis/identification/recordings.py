@@ -25,13 +25,10 @@ SPEED_ROWS = 4  # beside a gap tell how fast the drive is there: fewer would tak
 SMALL_SWING = 0.35  # of the range: larger ones are loops, no sweep's; divides the swings that are left out
 KNOWN_PAST = 0.4  # of a log, at most, is left out for its unknown history; chosen
 MOST = 0.5
-"""More than half of the rows, of an error, of a square is most of it. So many rows must be left behind gaps,
-or these are passed over: a fit to fewer knows less than gaps spoil. An open history, whose price are rows and
-offsets, has to explain most of the error; with 0.9 a log without noise that began full was opened."""
+"""More than half of the rows, of an error, of a square is most of it. Measured: docs/choices.md."""
 NOTICEABLE = 3e-4
-"""Of the range: a voltage's noise below it moves fewer gears than the sensor's own noise hides, reversals
-below it are converter steps and noise, and a line of hum is not worth mentioning (for that half and double
-changed none of ten models, benchmarks/halved_constants.py)."""
+"""Of the range: smaller noise of the voltage, reversals of it and lines of hum are not worth a word.
+Measured: docs/choices.md."""
 BLOCK_ROWS = 1 << 12  # at once: changes no bit; windows that fit the cache are sorted in a third of the time
 EVEN = 1e-3  # of a step: a clock written with few digits still counts as even; with 1e-6 models were the same
 AMPLITUDE_SCATTER = 0.1  # swings that differ by less count as one amplitude; 5 and 20 %: the same models
