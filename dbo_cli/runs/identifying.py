@@ -22,7 +22,7 @@ from dbo_cli.logs.request import ALL_ROWS, Address, ReadingOptions
 from dbo_cli.logs.sample_block import joined
 from dbo_cli.logs.signal_log import SignalLog
 from dbo_cli.logs.sources import ArraySource, Source, is_table, remarks_of
-from dbo_cli.logs.units import in_unit
+from dbo_cli.logs.units import in_unit, quantity_name
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.runs.files import bring_to, opened, read_record, recording_wishes, short_names, write_summary
 from dbo_cli.runs.jobs import named
@@ -59,14 +59,17 @@ def recording_of(source: Source, name: str | None = None, listener: Listener = S
         listener.progressed(len(block))
     whole = joined(blocks)
     rate = source.even_rate
+    units = {role: source.columns[role].unit for role in ("voltage", "displacement")}
     return Recording(
         name or source.name,
         whole.values["voltage"],
         whole.values["displacement"],
         time=whole.time if rate is None else None,
         sample_period=None if rate is None else 1.0 / rate,
-        voltage_unit=source.columns["voltage"].unit,
-        displacement_unit=source.columns["displacement"].unit,
+        voltage_unit=units["voltage"],
+        displacement_unit=units["displacement"],
+        voltage_quantity=quantity_name("voltage", units["voltage"]),
+        displacement_quantity=quantity_name("displacement", units["displacement"]),
     )
 
 
@@ -122,7 +125,8 @@ def sign_line(models: Mapping[str, ActuatorModel]) -> str:
     for name, model in models.items():
         names.setdefault(model.sign, []).append(name)
     ways = sorted(names, key=lambda sign: -len(names[sign]))
-    line = f"displacement {SIGN_VERBS[ways[0]]} as voltage rises"
+    first = next(iter(models.values()))
+    line = f"{first.output.quantity} {SIGN_VERBS[ways[0]]} as {first.input.quantity} rises"
     if len(ways) > 1:
         opposite = names[ways[1]]
         plural = "s" if len(opposite) > 1 else ""

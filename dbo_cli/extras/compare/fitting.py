@@ -472,8 +472,8 @@ def _model_of(solution: Floats, design: Design, prepared: Prepared, recording: R
 
 def _ranged(stages: Sequence[Stage], low: float, high: float, recording: Recording) -> RelativeModel:
     """Return the model with the range that its output reaches slowly."""
-    source = Quantity("voltage", recording.voltage_unit, low, high)
-    anything = Quantity("displacement", recording.displacement_unit, 0.0, 1.0)
+    source = Quantity(recording.voltage_quantity, recording.voltage_unit, low, high)
+    anything = Quantity(recording.displacement_quantity, recording.displacement_unit, 0.0, 1.0)
     model = RelativeModel("forward", source, anything, tuple(stages))
     still = model.without_lag
     ends = still.simulate([low, high, high, low], still.start(low, "empty"), time_step=1e9).y[1:]

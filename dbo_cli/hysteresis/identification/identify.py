@@ -101,9 +101,10 @@ def _refuse_other_sign(recordings: Sequence[Recording], sign: str) -> None:
     for log in recordings:
         measured: Sign = "rising" if gain_sign([log]) > 0.0 else "falling"
         if measured != sign:
+            moves = f"{log.displacement_quantity} {SIGN_VERBS[measured]} as {log.voltage_quantity} rises"
             raise LimitError(
-                f"{log.name}: displacement {SIGN_VERBS[measured]} as voltage rises, and `sign` is {sign}: "
-                "check the actuator's leads and the sensor's sign (`scale` displacement=-1 turns it)"
+                f"{log.name}: {moves}, and `sign` is {sign}: check the actuator's leads and the sensor's sign"
+                " (`scale` displacement=-1 turns it)"
             )
 
 
@@ -218,8 +219,8 @@ def identify_as_in_paper(
     low, high = slow_output_range(stages, x0, x0 + swing)
     model = ActuatorModel(
         direction="forward",
-        input=Quantity("voltage", recording.voltage_unit, x0, x0 + swing),
-        output=Quantity("displacement", recording.displacement_unit, low, high),
+        input=Quantity(recording.voltage_quantity, recording.voltage_unit, x0, x0 + swing),
+        output=Quantity(recording.displacement_quantity, recording.displacement_unit, low, high),
         stages=tuple(stages),
     )
     return model, log

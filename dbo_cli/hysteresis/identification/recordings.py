@@ -40,6 +40,7 @@ class Recording:
 
     ``voltage`` and ``displacement`` have shape (samples,), in the units named; ``time`` is in seconds with
     the same shape, or None where the log has no clock; ``sample_period`` in seconds serves in its place.
+    What drives may be another quantity than a voltage, and what comes out another than a displacement.
     """
 
     name: str
@@ -49,6 +50,8 @@ class Recording:
     sample_period: float | None = None
     voltage_unit: str | None = None
     displacement_unit: str | None = None
+    voltage_quantity: str = "voltage"
+    displacement_quantity: str = "displacement"
 
     def seconds(self) -> Floats | None:
         """Time of each sample in seconds from the first, or None where the log has no clock."""

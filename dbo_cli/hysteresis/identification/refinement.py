@@ -170,7 +170,7 @@ def model_of(
     low, high = slow_output_range(stages, prepared.low, prepared.high)
     return ActuatorModel(
         direction="forward",
-        input=Quantity("voltage", recording.voltage_unit, prepared.low, prepared.high),
-        output=Quantity("displacement", recording.displacement_unit, low, high),
+        input=Quantity(recording.voltage_quantity, recording.voltage_unit, prepared.low, prepared.high),
+        output=Quantity(recording.displacement_quantity, recording.displacement_unit, low, high),
         stages=stages,
     )
