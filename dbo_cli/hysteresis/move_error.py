@@ -13,6 +13,7 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,6 @@ from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import Node, read_relaxation, read_stages, stage_values
 from dbo_cli.hysteresis.model_state import StartName
 from dbo_cli.hysteresis.operators import Floats, Relaxation
-from dbo_cli.records import dataclass
 
 Integers = NDArray[np.int64]
 
@@ -420,9 +420,7 @@ def rms(values: Floats) -> float:
 
 RESONANCE_PART = 3.0
 """A model is trusted to its lowest resonance over this, where its identification says nothing else.
-
-There an error of 10 % in the frequency leaves a relative error of 3 %; at the resonance one above 1.
-"""
+Measured: docs/choices.md."""
 
 
 def trusted_frequency(model: ActuatorModel) -> float | None:
