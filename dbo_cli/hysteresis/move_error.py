@@ -36,13 +36,17 @@ NEAREST = 0.02  # of the range: swings that lie closer together are kept once; c
 MOST_ROWS = 131_072  # of a move are looked at: its first ones, 1 MB of drive and some 30 ms
 MOST = 8  # other models are played: identification keeps five
 DIGITS = 4  # of the other models' numbers: their rounding, 1e-5 of the range, is nothing beside the rest
-WIDENING = 3.25  # how much the error on what was left out grows with a range of unlikeness of the swings
-APART = 1.0  # how much the distance of the other models counts
+WIDENING = 3.25
+"""How much the error on what was left out grows with how unlike the logs' swings a move's are (a unit of the
+range). Measured: docs/choices.md."""
+APART = 1.0
+"""How much the distance of the other models counts. Measured: docs/choices.md."""
 GAIN_LATER = 0.75
 """Of the change of the gain along a log, what a later move meets: the model holds the middle of the log, and
-half of the change is there at its end; another quarter comes within half of that time again."""
+half of the change is there at its end. Measured: docs/choices.md."""
 LINE = 4.0 / 3.0
-"""Times the error that a straight line leaves of what was left out: no model is stated to err by more."""
+"""Times the error that a straight line leaves of what was left out: no shape is stated to err by more.
+Chosen: docs/choices.md."""
 PASTS: tuple[StartName, ...] = ("empty", "full", "settled")  # what may have been before the first row
 PAST_MATTERS = 1.2  # times the expected error: from which on it is said that the past makes it so much larger
 
