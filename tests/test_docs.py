@@ -249,3 +249,11 @@ def test_the_picture_shows_the_numbers_of_the_demo(tmp_path: Path, monkeypatch: 
     shown = re.search(rb"tEXtDescription\0(.*?RMSE; .*? RMSE)", picture)
     assert shown is not None
     assert shown[1].decode("latin-1") == f"straight-line drive: {before}; compensated by dbo: {after}"
+
+
+@pytest.mark.whole
+def test_every_benchmark_is_named_on_their_page() -> None:
+    folder = ROOT / "benchmarks"
+    named = set(re.findall(r"`(\w+\.py|attack/)`", (folder / "README.md").read_text(encoding="utf-8")))
+    programs = {path.name for path in folder.glob("*.py")}
+    assert named == programs | {"attack/"}
