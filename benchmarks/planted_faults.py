@@ -376,7 +376,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "logs/request.py",
         ("logs_changing_files",),
-        ("return found.st_ino, found.st_size, found.st_mtime_ns", "return found.st_ino, found.st_size, 0",
+        ("return status.st_ino, status.st_size, status.st_mtime_ns", "return status.st_ino, status.st_size, 0",
          "a binary log that is written over while it is read"),
     ),
     *_faults(
@@ -395,11 +395,11 @@ FAULTS: list[Fault] = [
     *_faults(
         "logs/whole_output.py",
         ("logs_outputs", "logs_output_sets", "logs_stores", "logs_windows"),
-        ("os.chmod(one.temporary, stat.S_IMODE(os.stat(one.target).st_mode))", "pass",
+        ("os.chmod(output.temporary, stat.S_IMODE(os.stat(output.target).st_mode))", "pass",
          "a file that is replaced, or a store that a group is added to, keeps its permissions"),
-        ("_bring_to_disk(one.temporary, os.O_RDWR)", "_bring_to_disk(one.temporary, os.O_RDONLY)",
+        ("_bring_to_disk(output.temporary, os.O_RDWR)", "_bring_to_disk(output.temporary, os.O_RDONLY)",
          "Windows stores a file through a handle that may write"),
-        ("            _remove(one.backup)  # still there", "            pass  # still there",
+        ("            _remove(output.backup)  # still there", "            pass  # still there",
          "no second copy is left where a rename fails"),
     ),
     *_faults(
