@@ -78,20 +78,20 @@ def swings_between_turns(drive: Floats, span: float) -> tuple[Integers, Floats]:
 
 def travelled(drive: Floats, span: float) -> Floats:
     """Return how far a drive has gone since its first sample, in its unit; noise is no way."""
-    way = np.zeros(len(drive))
+    distance = np.zeros(len(drive))
     for first, last in itertools.pairwise(swings_between_turns(drive, span)[0].tolist()):
         gone = np.maximum.accumulate(np.abs(drive[first : last + 1] - drive[first]))
-        way[first : last + 1] = way[first] + gone
-    return way
+        distance[first : last + 1] = distance[first] + gone
+    return distance
 
 
 def thinned(swings: Floats, span: float) -> Floats:
     """Return at most ``MOST_SWINGS`` of the swings, one of those that lie close together."""
     near = NEAREST * span
     while True:
-        kept: Floats = swings[np.unique(np.round(swings / near), axis=0, return_index=True)[1]]
-        if len(kept) <= MOST_SWINGS:
-            return kept
+        cells: Floats = swings[np.unique(np.round(swings / near), axis=0, return_index=True)[1]]
+        if len(cells) <= MOST_SWINGS:
+            return cells
         near *= 2.0
 
 
@@ -129,10 +129,10 @@ class Alternative:
         stages = [stage_values(stage) for stage in self.model.stages]
         # What stands before the gears says where a drive meets their edges, and where it starts.
         stages[gears:] = _rounded(stages[gears:])
-        found = {"changed": self.kind, "weight": self.weight, "stages": stages}
+        values = {"changed": self.kind, "weight": self.weight, "stages": stages}
         if self.forgetting is not None:
-            found["forgetting"] = {"on": "input"} | _rounded(dataclasses.asdict(self.forgetting))
-        return found
+            values["forgetting"] = {"on": "input"} | _rounded(dataclasses.asdict(self.forgetting))
+        return values
 
     def played(self, drive: Floats, time_step: float | Floats | None) -> Floats:
         """Return the displacement it predicts from its own start."""
@@ -157,9 +157,9 @@ def _rounded(value: Any) -> Any:
     if isinstance(value, float):
         return float(f"{value:.{DIGITS}g}")
     if isinstance(value, list | tuple):
-        return [_rounded(one) for one in value]
+        return [_rounded(item) for item in value]
     if isinstance(value, dict):
-        return {key: one if key in ("x0", "dx") else _rounded(one) for key, one in value.items()}
+        return {key: item if key in ("x0", "dx") else _rounded(item) for key, item in value.items()}
     return value
 
 
@@ -182,29 +182,33 @@ _READ = "alternatives that were read"
 
 def _read_alternatives(model: ActuatorModel) -> list[Alternative]:
     """Return the other models out of the values that ``fit`` has of them."""
-    kept = model.fit.get("alternatives")
-    found = []
-    for place, one in enumerate(kept[:MOST] if isinstance(kept, list) else []):
+    listed = model.fit.get("alternatives")
+    alternatives = []
+    for place, alternative in enumerate(listed[:MOST] if isinstance(listed, list) else []):
         path = f"fit.alternatives[{place}]"
         try:
-            kind, weight, values = str(one["changed"]), float(one["weight"]), one["stages"]
+            kind, weight, values = (
+                str(alternative["changed"]),
+                float(alternative["weight"]),
+                alternative["stages"],
+            )
         except (TypeError, KeyError, ValueError):
             raise ModelError(f"{path}: needs `changed`, `weight` and `stages`") from None
         stages = read_stages(values, f"{path}.stages")
         beside = None
-        if "forgetting" in one:
-            beside, _ = read_relaxation(Node("the model", path, one), "forgetting")
-        found.append(Alternative(kind, weight, _behind(model, stages), beside))
-    return found
+        if "forgetting" in alternative:
+            beside, _ = read_relaxation(Node("the model", path, alternative), "forgetting")
+        alternatives.append(Alternative(kind, weight, _behind(model, stages), beside))
+    return alternatives
 
 
 def _behind(model: ActuatorModel, stages: Sequence[Any]) -> ActuatorModel:
     """Return another model's slow stages with the dynamics of this one, which were found besides."""
     if model.dynamics is not None or model.drive_lag is not None:
-        own = [stage for stage in model.stages if isinstance(stage, DynamicsStage | DelayStage)]
-        first = own[:1] if model.drive_lag is not None else []
+        fast = [stage for stage in model.stages if isinstance(stage, DynamicsStage | DelayStage)]
+        first = fast[:1] if model.drive_lag is not None else []
         slow = [stage for stage in stages if not isinstance(stage, DelayStage)]
-        stages = [*first, *slow, *own[len(first) :]]
+        stages = [*first, *slow, *fast[len(first) :]]
     return dataclasses.replace(model, stages=tuple(stages), fit={}, provenance={})
 
 
@@ -225,13 +229,19 @@ def move_error(
         return None
     drive = drive[:MOST_ROWS]
     steps = time_step[:MOST_ROWS] if isinstance(time_step, np.ndarray) else time_step
-    own = played(model, drive, steps)[begin:]
+    moved = played(model, drive, steps)[begin:]
     if isinstance(known, float):
-        drifted = changed_gain(own, model.fit.get("gain_trend"))
-        others = [one for one in alternatives_of(model) if steps is not None or not one.model.needs_time]
-        apart = spread(own, [(one, one.played(drive, steps)[begin:]) for one in others])
+        drifted = changed_gain(moved, model.fit.get("gain_trend"))
+        alternatives = [
+            alternative
+            for alternative in alternatives_of(model)
+            if steps is not None or not alternative.model.needs_time
+        ]
+        apart = spread(
+            moved, [(alternative, alternative.played(drive, steps)[begin:]) for alternative in alternatives]
+        )
         expected = stated(known, _unlike(model, drive, begin), apart, drifted)
-    return MoveError(expected, rms(own - _straight(model, drive[begin:])))
+    return MoveError(expected, rms(moved - _straight(model, drive[begin:])))
 
 
 def stated(known: float, distance: float, apart: float, drifted: float) -> float:
@@ -241,11 +251,11 @@ def stated(known: float, distance: float, apart: float, drifted: float) -> float
 
 def _unlike(model: ActuatorModel, drive: Floats, begin: int) -> float:
     """Return how unlike the logs' swings a drive's are; 0 where the model does not know them."""
-    kept = model.fit.get("swings")
-    if not kept:
+    swings = model.fit.get("swings")
+    if not swings:
         return 0.0
     try:
-        known = np.asarray(kept, dtype=float).reshape(-1, 2)
+        known = np.asarray(swings, dtype=float).reshape(-1, 2)
     except (TypeError, ValueError):
         raise ModelError("fit.swings: needs pairs of voltages") from None
     return unlike(drive, known, model.input.span, begin)
@@ -254,8 +264,8 @@ def _unlike(model: ActuatorModel, drive: Floats, begin: int) -> float:
 def _straight(model: ActuatorModel, drive: Floats) -> Floats:
     """Return what the best straight line through the model's slow loop over its range makes of a drive."""
     still = model.without_lag
-    way = np.linspace(model.input.minimum, model.input.maximum, 101)
-    loop = np.concatenate((way, way[::-1]))
+    up = np.linspace(model.input.minimum, model.input.maximum, 101)
+    loop = np.concatenate((up, up[::-1]))
     gain, offset = np.polyfit(loop, played(still, loop, 1e9), 1)
     line: Floats = gain * drive + offset
     return line
@@ -266,22 +276,22 @@ def played(model: ActuatorModel, drive: Floats, time_step: float | Floats | None
     return model.simulate(drive, model.start(float(drive[0])), time_step=time_step).y
 
 
-def spread(own: Floats, others: Sequence[tuple[Alternative, Floats]]) -> float:
+def spread(moved: Floats, alternatives: Sequence[tuple[Alternative, Floats]]) -> float:
     """Return how far other models' predictions are from the chosen one's, RMS, an offset included.
 
     Of each kind of change the one that goes farthest counts, weighted by how well it explains the logs; their
     squares add up.
     """
     farthest: dict[str, float] = {}
-    for one, predicted in others:
-        apart = one.weight * rms(predicted - own)
-        farthest[one.kind] = max(farthest.get(one.kind, 0.0), apart)
+    for alternative, predicted in alternatives:
+        apart = alternative.weight * rms(predicted - moved)
+        farthest[alternative.kind] = max(farthest.get(alternative.kind, 0.0), apart)
     return float(np.sqrt(sum(value**2 for value in farthest.values())))
 
 
-def changed_gain(own: Floats, trend: object) -> float:
+def changed_gain(moved: Floats, trend: object) -> float:
     """Return what a gain that changes by ``trend`` (None: not) adds to the error of a move."""
-    return abs(trend) * rms(own - own.min()) if isinstance(trend, float) else 0.0
+    return abs(trend) * rms(moved - moved.min()) if isinstance(trend, float) else 0.0
 
 
 def rms(values: Floats) -> float:
