@@ -319,7 +319,7 @@ FAULTS: list[Fault] = [
         "reports/report.py",
         REPORTS,
         ("np.fmax.accumulate(np.concatenate", "(np.concatenate", "a clock that restarts opens no segment twice"),
-        ("value is not None and value <= limit", "value is not None and value < limit", "a limit that is just met is met"),
+        ("self.value <= self.limit", "self.value < self.limit", "a limit that is just met is met"),
         ("if first > 0.0 else None", "if first >= 0.0 else None", "no ratio to a first log without error"),
         ("lag, rows = self.options.lag, self.score_rows", "lag, rows = self.options.lag, None",
          "with a model only the rows asked for count"),
