@@ -8,6 +8,7 @@ import math
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import chain
 from typing import Any, Literal, NamedTuple, TypeVar
 
@@ -19,7 +20,6 @@ from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.kernel import Floats
 from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator, DiscretePointOperator
 from dbo_cli.interpolation import smooth
-from dbo_cli.records import dataclass
 
 Payload = TypeVar("Payload")
 Between = Literal["smooth", "linear"]

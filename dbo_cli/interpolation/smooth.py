@@ -180,8 +180,8 @@ def interpolated(
     """Return a signal at other times, and the sample before the last of them.
 
     Before the first sample the first value holds, after the last one the last. A time within 1e-9 of a
-    sample's (in steps) is that sample's, so that a shift by whole samples is exact. Where fewer than six samples are
-    known, or two of them have one stamp, it is linear.
+    sample's (in steps) is that sample's, so that a shift by whole samples is exact. Where fewer than six
+    samples are known, or two of them have one stamp, it is linear.
 
     Parameters
     ----------

@@ -7,7 +7,7 @@ A reader of a format finds the columns, their units, scales and the clock; every
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,7 +27,6 @@ from dbo_cli.logs.sample_block import (
     Table,
     are_measured,
 )
-from dbo_cli.records import dataclass
 
 Fetch = Callable[[int, int], Any]
 """Gives the stored values of rows start..stop (from 0, stop not included)."""

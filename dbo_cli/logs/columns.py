@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -18,8 +18,7 @@ from numpy.typing import ArrayLike
 from dbo_cli.errors import InputError, OutputError, UsageError
 from dbo_cli.logs.plain_text import cleaned, counted, pattern
 from dbo_cli.logs.sample_block import ColumnInfo
-from dbo_cli.logs.units import is_known_unit, kind_of_unit, normalise_unit
-from dbo_cli.records import dataclass
+from dbo_cli.logs.units import DRIVING_KINDS, MOVED_KINDS, is_known_unit, kind_of_unit, normalise_unit
 
 # How headers state units: ``voltage (V)``, ``voltage/V``, ``voltage_V``, ``voltage in milli volts``.
 _BRACKETED = pattern(r"^(?P<quantity>.*?)\s*[\[(<{](?P<unit>[^\[\](){}<>]*)[\])>}]\s*$", re.DOTALL)
@@ -150,6 +149,16 @@ _TEMPERATURES = frozenset(
      "температура", "温度", "thermocouple", "thermistor")
 )  # fmt: skip
 """Words of a temperature, which is no voltage and no displacement whatever else its name says."""
+_DRIVING_WORDS = frozenset(
+    ("pressure", "current", "force", "field", "temperature", "temp", "charge", "power", "pwm", "duty",
+     "druck", "strom", "kraft", "feld", "temperatur", "ladung", "leistung")
+)  # fmt: skip
+"""Words of what drives actuators besides a voltage."""
+_MOVED_WORDS = frozenset(
+    ("strain", "angle", "torque", "elongation", "force", "flux", "induction", "flow", "magnetization",
+     "polarization", "dehnung", "winkel", "drehmoment", "kraft", "durchfluss")
+)  # fmt: skip
+"""Words of what actuators give besides a displacement."""
 _PLACES = frozenset(("length", "angle", "voltage", "share", "count"))  # a sensor may well give volts
 
 # Each role has one table of names:
@@ -584,29 +593,17 @@ def choose_columns(
         A named column is absent, or a guess finds none or several.
     """
     role_columns: dict[str, ColumnInfo] = {}
-    guessed: dict[str, ColumnWish] = {}
     for role, wish in wishes.items():
-        if wish.selector is None:
-            guessed[role] = wish
-        else:
+        if wish.selector is not None:
             role_columns[role] = find_column(place, columns, wish.selector, wish.option)
     used = {column.number for column in [*reserved, *role_columns.values()]}
     free = [column for column in columns if column.number not in used]
-    unclear: dict[str, list[ColumnInfo]] = {}
-    for role, wish in guessed.items():
-        candidates = matching_columns(free, wish)
-        if not candidates and wish.required and len(wishes) == 1 and len(free) == 1:
-            candidates = _last_column(free, wish)
-        if not candidates and wish.required and role in ("voltage", "displacement") and notes is not None:
-            candidates, reason = _only_candidate(free, columns, wish)
-            for column in candidates:
-                remedy = f"(`{wish.option}` names another)"
-                notes.append(f"{place}: '{column.name}' is taken for the {role}: {reason} {remedy}")
-        if len(candidates) == 1:
-            role_columns[role] = candidates[0]
-            free = [column for column in free if column.number != candidates[0].number]
-        elif candidates or wish.required:
-            unclear[role] = candidates
+    reasons: dict[str, str] = {}
+    unclear = _guess_roles(columns, free, wishes, role_columns, None if notes is None else reasons)
+    if notes is not None:
+        for role, reason in reasons.items():
+            name, remedy = role_columns[role].name, f"(`{wishes[role].option}` names another)"
+            notes.append(f"{place}: '{name}' is taken for the {_ROLE_WORDS[role]}: {reason} {remedy}")
     if unclear:
         numbers = [column.number for column in free]
         raise InputError(_not_unique(place, columns, wishes, unclear, numbers, timed))
@@ -615,6 +612,75 @@ def choose_columns(
         for role, wish in wishes.items()
         if role in role_columns
     }
+
+
+def _guess_roles(
+    columns: Sequence[ColumnInfo],
+    free: list[ColumnInfo],
+    wishes: Mapping[str, ColumnWish],
+    role_columns: dict[str, ColumnInfo],
+    reasons: dict[str, str] | None,
+) -> dict[str, list[ColumnInfo]]:
+    """Give each role that has no column the only one that may be meant.
+
+    Parameters
+    ----------
+    columns
+        All columns of the log.
+    free
+        Those that have no role yet; what is found is taken out.
+    wishes
+        Role to wish.
+    role_columns
+        Takes what is found.
+    reasons
+        Takes why a column was taken for its unit or its place alone, by role; None where nobody hears it:
+        names alone count then.
+
+    Returns
+    -------
+    dict
+        What may be meant for each role that is not clear.
+    """
+    unclear: dict[str, list[ColumnInfo]] = {}
+    for role, wish in wishes.items():
+        if role in role_columns:
+            continue
+        candidates, reason = _candidates(free, columns, role, wish, len(wishes), reasons is not None)
+        if len(candidates) == 1:
+            role_columns[role] = candidates[0]
+            free.remove(candidates[0])
+            if reasons is not None and reason:
+                reasons[role] = reason
+        elif candidates or wish.required:
+            unclear[role] = candidates
+    if reasons is None or any(unclear.values()):
+        return unclear
+    left, reason = _by_what_is_left(free, wishes, list(unclear))
+    for role, column in left.items():
+        role_columns[role] = column
+        reasons[role] = reason
+        del unclear[role]
+    return unclear
+
+
+def _candidates(
+    free: Sequence[ColumnInfo],
+    columns: Sequence[ColumnInfo],
+    role: str,
+    wish: ColumnWish,
+    wishes: int,
+    by_unit: bool,
+) -> tuple[list[ColumnInfo], str]:
+    """Find the columns that may be meant, and why, where no name says it (only with ``by_unit``)."""
+    candidates = matching_columns(free, wish)
+    if candidates or not wish.required:
+        return candidates, ""
+    if wishes == 1 and len(free) == 1:
+        candidates = _last_column(free, wish)
+    if not candidates and by_unit and role in ("voltage", "displacement"):
+        return _only_candidate(free, columns, wish)
+    return candidates, ""
 
 
 def _last_column(free: Sequence[ColumnInfo], wish: ColumnWish) -> list[ColumnInfo]:
@@ -640,6 +706,84 @@ def _only_candidate(
     if proved or wish.preferred:
         return [], ""
     return _only_card_channel(free, columns, wish)
+
+
+_RESULTS = frozenset(("displacement", "measured"))
+"""Roles of what comes out of an actuator, whatever quantity it is; ``voltage`` is that of what drives it."""
+_ROLE_WORDS = {"voltage": "drive", "displacement": "displacement", "measured": "measured signal"}
+
+
+def _by_what_is_left(
+    free: Sequence[ColumnInfo], wishes: Mapping[str, ColumnWish], absent: Sequence[str]
+) -> tuple[dict[str, ColumnInfo], str]:
+    """Find the drive and what came out by elimination, in logs of other actuators than piezos.
+
+    Where one role is known, the only column that is left has the other; so has the only one that drives
+    actuators (a pressure, a current) or that they give (an angle, a strain). Of two columns left for two
+    roles each must fit one of them alone.
+
+    Returns
+    -------
+    dict, str
+        The column of each role that is absent, and why it is meant; empty where that is not clear.
+    """
+    if not set(absent) <= {"voltage", *_RESULTS}:
+        return {}, ""
+    numbered = [column for column in free if column.written == "numbers" and column.quantity]
+    measured = [column for column in numbered if not _ORDERS & set(_words(column.name))]
+    if len(absent) == 1:
+        column, reason = _the_rest(numbered, wishes[absent[0]], absent[0], len(wishes))
+        return ({}, "") if column is None else ({absent[0]: column}, reason)
+    if len(absent) != 2 or len(measured) != 2 or len(numbered) != 2:
+        return {}, ""
+    orders = []
+    for drive, result in (measured, measured[::-1]):
+        if _drives(drive) and _is_moved(result):
+            orders.append({role: drive if role == "voltage" else result for role in absent})
+    return (orders[0], "of the two columns it alone can be") if len(orders) == 1 else ({}, "")
+
+
+def _the_rest(
+    numbered: Sequence[ColumnInfo], wish: ColumnWish, role: str, wishes: int
+) -> tuple[ColumnInfo | None, str]:
+    """Find the column of the only role that is absent, and why it is meant; None where that is not clear."""
+    if role == "voltage":
+        fits, contrary, wrong_words = _drives, _is_moved, wish.contrary - _TEMPERATURES | _ORDERS
+    else:
+        fits, contrary, wrong_words = _is_moved, _drives, wish.contrary | _ORDERS
+    fitting, rest = [], []
+    for column in numbered:
+        words = set(_words(column.name))
+        if fits(column) and not words & wrong_words:
+            fitting.append(column)
+        elif not contrary(column) and not words & (wish.foreign | _ORDERS):
+            rest.append(column)
+    if len(fitting) == 1 and not rest:
+        return fitting[0], "no other column has such a quantity"
+    if wishes != 2 or len(numbered) != 1 or len(rest) != 1:
+        return None, ""
+    words = set(_words(rest[0].name))
+    if words & wish.contrary:
+        return None, ""
+    if words & _READINGS:
+        return rest[0], "no other column is left; a monitor's scale is its own (`scale` gives it)"
+    return rest[0], "no other column is left"
+
+
+def _drives(column: ColumnInfo) -> bool:
+    """Return whether a column is a quantity that drives actuators besides a voltage."""
+    kind = kind_of_unit(column.unit)
+    if kind is not None:
+        return kind in DRIVING_KINDS
+    return column.quantity.lower() in _DRIVING_WORDS
+
+
+def _is_moved(column: ColumnInfo) -> bool:
+    """Return whether a column is a quantity that actuators give, as displacement is."""
+    kind = kind_of_unit(column.unit)
+    if kind in ("length", "angle") or kind in MOVED_KINDS:
+        return True
+    return kind in (None, "share") and column.quantity.lower() in _MOVED_WORDS
 
 
 def _only_card_channel(
@@ -680,16 +824,21 @@ def _not_unique(
         example = " ".join(f"`{option}` {number}" for option, number in zip(options, free, strict=False))
         which = ", which the ".join(role_names.values())
         return f"{place}: {list_columns(columns)}: which is the {which}? (such as {example})"
-    questions, absent = [], []
+    questions, absent, absent_roles = [], [], []
     for role, candidates in unclear.items():
         if candidates:
             names = any_of([f"'{column.name}'" for column in candidates])
             questions.append(f"which column is the {role_names[role]}, {names}?")
         else:
+            absent_roles.append(role)
             absent.append(role_names[role] + _order_instead(columns, wishes[role]))
     if absent:
         nothing = f"no column is recognised as the {' nor as the '.join(absent)}"
         questions.append(f"{nothing}: {list_columns(columns)}")
+    if set(absent_roles) == {"voltage", "displacement"} and len(free) == 2:
+        first, second = (f"'{column.name}'" for column in columns if column.number in free)
+        both_ways = f"`voltage` {first} `displacement` {second}, or `voltage` {second} `displacement` {first}"
+        return f"{place}: {' '.join(questions)} ({both_ways})"
     options = [f"`{wishes[role].option}`" for role in unclear]
     return f"{place}: {' '.join(questions)} (choose with {' and '.join(options)} NAME or NUMBER)"
 
@@ -735,7 +884,8 @@ class OutColumn:
         name, unit = cleaned(self.name), cleaned(self.unit or "")
         if not unit or split_header(name)[1] == unit:
             return name
-        return f"{name}_{unit}" if is_known_unit(unit) else f"{name} ({unit})"
+        is_plain = is_known_unit(unit) and "/" not in unit
+        return f"{name}_{unit}" if is_plain else f"{name} ({unit})"
 
 
 def unique_headers(columns: Sequence[OutColumn]) -> list[str]:

@@ -13,13 +13,12 @@ import numbers
 import os
 import re
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from dbo_cli.errors import DboError, InputError, UsageError
 from dbo_cli.logs.libraries import GAVE_UP
-from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
     from dbo_cli.logs.units import Scale

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,18 +16,17 @@ import numpy as np
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.plain_text import pattern, shortened
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray
-from dbo_cli.records import dataclass
 
 # SI units and prefixes as instruments spell them; below, other spellings that lower-case names have in use.
 _BASES = {
     "V": "voltage", "A": "current", "m": "length", "N": "force", "Hz": "frequency", "s": "time",
-    "rad": "angle", "Pa": "pressure", "T": "magnetic flux density", "g": "mass", "C": "charge", "W": "power",
+    "rad": "angle", "Pa": "pressure", "T": "induction", "g": "mass", "C": "charge", "W": "power",
     "ohm": "resistance",
 }  # fmt: skip
 _PREFIXES = {"": 0, "p": -12, "n": -9, "u": -6, "m": -3, "k": 3, "M": 6, "G": 9}
 KNOWN_UNITS = frozenset(prefix + unit for prefix in _PREFIXES for unit in _BASES) | {
     "min", "h", "deg", "arcsec", "K", "%", "degC", "counts", "cts", "LSB", "bit", "a.u.", "au", "cm", "dB",
-    "samples", "sample",
+    "samples", "sample", "bar", "mbar", "psi", "A/m", "kA/m", "Oe", "ppm", "Nm", "mNm",
 }  # fmt: skip
 TIME_WORDS = {
     "s": ("sec", "secs", "second", "seconds"),
@@ -69,12 +68,18 @@ _SIZES: dict[str, tuple[str, int, int]] = {  # what it measures, and its size as
     "pF": ("capacitance", 1, 10**12),
     "bar": ("pressure", 10**5, 1),
     "mbar": ("pressure", 100, 1),
+    "psi": ("pressure", 6_894_757_293_168, 10**9),
     "K": ("temperature", 1, 1),
+    "A/m": ("field", 1, 1),
+    "kA/m": ("field", 1000, 1),
+    "ppm": ("strain", 1, 10**6),
+    "mNm": ("torque", 1, 1000),
+    "Nm": ("torque", 1, 1),
 }
 _OTHER_KINDS = {
     "degC": "temperature", "°F": "temperature", "degF": "temperature", "%": "share", "dB": "level",
     "counts": "count", "cts": "count", "LSB": "count", "bit": "count", "a.u.": "count", "au": "count",
-    "samples": "number of samples", "sample": "number of samples",
+    "samples": "number of samples", "sample": "number of samples", "Oe": "field",
 }  # fmt: skip
 
 
@@ -136,6 +141,28 @@ def kind_of_unit(unit: str | None) -> str | None:
         return None
     found = _SIZES.get(unit)
     return found[0] if found else _OTHER_KINDS.get(unit)
+
+
+DRIVING_KINDS = frozenset(("pressure", "current", "force", "field", "temperature", "charge", "power"))
+"""What drives actuators besides a voltage."""
+MOVED_KINDS = frozenset(("strain", "force", "torque", "induction"))
+"""What actuators give besides a displacement, which may be a length or an angle."""
+
+
+def quantity_name(role: str, unit: str | None) -> str:
+    """Return what a signal is called: by what its unit measures, else by its role.
+
+    Parameters
+    ----------
+    role
+        ``voltage`` or ``displacement``.
+    unit
+        A drive in N is a force, an output in ppm a strain; in V, um, deg, % and units that are not known
+        the role says it.
+    """
+    kinds = {"voltage": DRIVING_KINDS, "displacement": MOVED_KINDS}.get(role, frozenset())
+    kind = kind_of_unit(unit)
+    return kind if kind in kinds else role
 
 
 def without_prefix(unit: str | None) -> str | None:
@@ -239,7 +266,9 @@ _SCALE = pattern(
     rf"\s*(?P<role>[^=\s]+)\s*=\s*(?P<factor>{_NUMBER})"
     r"\s*(?:(?P<out>[^\s/\d.][^\s/]*)\s*/\s*(?P<in>[^\s/]+))?\s*"
 )
-_FIGURE = pattern(rf"\s*(?P<number>{_NUMBER})\s*(?P<unit>[^\s\d./][^\s\d/]*)?(?:/(?P<per>[^\s\d/]+))?\s*")
+_FIGURE = pattern(
+    rf"\s*(?P<number>{_NUMBER})\s*(?P<unit>[^\s\d./][^\s\d/]*)?(?:/(?P<per>[^\s\d/]+(?:/[^\s\d/]+)?))?\s*"
+)
 _LARGEST_POWER = 250  # of ten; float64 ends at 308, and a conversion of units besides takes up to 42 of them
 
 
@@ -267,9 +296,9 @@ def in_unit(name: str, given: float | str, unit: str | None, per: str | None = N
     if not isinstance(given, str):
         return given
     found = _FIGURE.fullmatch(given)
+    own, behind = _unit_and_time(found)
     value = float(found["number"]) if found else math.nan
-    own = None if found is None or found["unit"] is None else normalise_unit(found["unit"])
-    if found is None or not math.isfinite(value) or (own is None and found["per"]):
+    if found is None or not math.isfinite(value) or (own is None and behind):
         example = f"5{unit or 'V'}{f'/{per}' if per else ''}"
         raise UsageError(
             f"`{name}` {shortened(given)}: give a number, or one with its unit such as {example}"
@@ -277,11 +306,22 @@ def in_unit(name: str, given: float | str, unit: str | None, per: str | None = N
     if own is None:
         return value
     above = unit_factor(own, unit) if unit is not None and kind_of_unit(own) is not None else None
-    below = unit_factor(normalise_unit(found["per"] or ""), per)
-    if above is None or below is None or bool(found["per"]) != bool(per):
+    below = unit_factor(behind, per)
+    if above is None or below is None or bool(behind) != bool(per):
         wanted = f"in {unit}{f'/{per}' if per else ''}" if unit else "without a unit"
         raise UsageError(f"`{name}` {given}: cannot be converted; a figure {wanted} is needed")
     return float(above.times(below.denominator, below.numerator).apply(np.array(value)))
+
+
+def _unit_and_time(figure: re.Match[str] | None) -> tuple[str | None, str | None]:
+    """Return the unit of a figure, and the unit of time behind its stroke: ``kA/m/s`` has both."""
+    if figure is None or figure["unit"] is None:
+        return None, None if figure is None else figure["per"]
+    unit, behind = figure["unit"], figure["per"] or ""
+    whole, _, time = behind.partition("/")
+    if whole and is_known_unit(f"{unit}/{whole}"):
+        unit, behind = f"{unit}/{whole}", time
+    return normalise_unit(unit), normalise_unit(behind)
 
 
 def parse_scale(text: str) -> Scale:

@@ -23,14 +23,13 @@ import unicodedata
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from contextvars import ContextVar
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import IO, TYPE_CHECKING
 
 from dbo_cli.errors import DboError, OutputError, UsageError
 from dbo_cli.logs.libraries import host
 from dbo_cli.logs.plain_text import pattern
 from dbo_cli.logs.request import Address, Given, parse_address
-from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
     from dbo_cli.logs.columns import OutColumn

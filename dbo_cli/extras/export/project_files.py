@@ -19,7 +19,7 @@ import sys
 import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.sax.saxutils import escape
@@ -28,7 +28,6 @@ from dbo_cli.errors import OutputError
 from dbo_cli.extras.export.cascade_plan import CascadePlan
 from dbo_cli.extras.export.source_text import ModelCode, Values, fill
 from dbo_cli.hysteresis.model import Quantity
-from dbo_cli.records import dataclass
 
 MANIFEST = "export.json"
 FORMAT = "dbo-export"

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -39,7 +40,6 @@ from dbo_cli.extras.export.source_text import (
 from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, through
 from dbo_cli.hysteresis.kernel import Floats
 from dbo_cli.hysteresis.model import DriveLimits, Quantity
-from dbo_cli.records import dataclass
 
 Text = Callable[[Any], str]
 

@@ -20,6 +20,7 @@ import struct
 import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import h5py
@@ -32,7 +33,6 @@ from dbo_cli.logs.columns import OutColumn, require_finite, unique_headers
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.request import Address, FileWatch, Given
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock, TimeCheck
-from dbo_cli.records import dataclass
 
 MARK = "dbo_columns"  # the attribute of a group that this program wrote
 _PATIENCE = 2.0  # s to wait for a lock: a program that opens, appends and closes is done by then

@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from dbo_cli.errors import InputError
@@ -27,7 +28,6 @@ from dbo_cli.logs.text.lines import (
     writing_of,
 )
 from dbo_cli.logs.units import is_known_unit
-from dbo_cli.records import dataclass
 
 _NAMES = {",": "comma", ";": "semicolon", "\t": "tab", BLANKS: "blanks", "|": "pipe"}
 COMMENTS = "#%"

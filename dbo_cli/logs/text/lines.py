@@ -9,6 +9,7 @@ import datetime
 import itertools
 import re
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
@@ -17,7 +18,6 @@ from dbo_cli.logs.byte_source import ByteSource
 from dbo_cli.logs.plain_text import pattern, shortened
 from dbo_cli.logs.request import BLANKS
 from dbo_cli.logs.sample_block import FloatArray, is_overflow
-from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
     from concurrent.futures import Future

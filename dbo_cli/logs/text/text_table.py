@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -38,7 +38,6 @@ from dbo_cli.logs.sample_block import (
 )
 from dbo_cli.logs.text.dialect import Dialect, cause_of, detect, has_data
 from dbo_cli.logs.text.lines import LineBlocks, RepeatedHeader, complain, is_text, looks_cut, one_ahead
-from dbo_cli.records import dataclass
 
 PLAIN_BYTES = 1 << 20  # below this, importing polars costs more than it saves (benchmarks/text_speed.py)
 _NEIGHBOURS = 100  # rows above the last: enough to see how many digits a column has
@@ -230,7 +229,8 @@ class BlockParser:
     next_row: int = 1
     next_line: int = 1
     repeated: RepeatedHeader | None = None
-    ahead: Iterator[bytes] = iter(())  # the lines that follow in a block that is taken line by line
+    # The lines that follow in a block that is taken line by line.
+    ahead: Iterator[bytes] = field(default_factory=lambda: iter(()))
 
     def __post_init__(self) -> None:
         """Prepare for headers among the data."""
