@@ -258,13 +258,18 @@ def read_ahead(
     """
     ahead = _linear_ahead if between == "linear" else _smooth_ahead
     after = 1 if between == "linear" else smooth.AFTER  # samples needed behind the last time wanted
+    fewest = 2 if between == "linear" else smooth.WINDOW  # the first samples are made of the first six, too
     waiting: deque[tuple[Payload, Floats, Floats]] = deque()
     past_times, past_values = np.zeros(0), np.zeros(0)
     for block in chain(blocks, [None]):
         if block is not None and block[1].size == 0:
             continue
         waiting.extend([block] if block is not None else [])
-        while waiting and (block is None or _reaches(waiting, float(waiting[0][1][-1]) + seconds, after)):
+        while waiting:
+            if block is not None and past_times.size + sum(one[1].size for one in waiting) < fewest:
+                break
+            if block is not None and not _reaches(waiting, float(waiting[0][1][-1]) + seconds, after):
+                break
             time = np.concatenate([past_times, *(one[1] for one in waiting)])
             values = np.concatenate([past_values, *(one[2] for one in waiting)])
             payload, own, _ = waiting.popleft()
