@@ -270,6 +270,16 @@ def test_repeated_stamps_are_noted(lagging: dbo_api.Model) -> None:
     assert any("repeats at row 3" in note for note in result.notes)
 
 
+def test_a_log_whose_drive_is_not_recognised_is_not_read_in_silence(tmp_path: Path) -> None:
+    (tmp_path / "run.csv").write_text("time_s,AIN0,y_um,AIN3\n0,1,2,3\n1,2,3,4\n", encoding="utf-8")
+    with pytest.warns(
+        dbo_api.DboWarning, match=r"run\.csv: no column is recognised as the voltage"
+    ) as warned:
+        table = dbo_api.read_log(tmp_path / "run.csv")
+    assert str(warned[0].message).endswith("(`voltage` names it: 'AIN0' or 'AIN3')")
+    assert list(table) == ["time", "displacement"]
+
+
 def test_a_table_without_the_columns_is_refused() -> None:
     with pytest.raises(dbo_api.InputError) as raised:
         dbo_api.identify(pd.DataFrame({"a": [1.0], "b": [2.0]}))

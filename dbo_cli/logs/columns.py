@@ -278,18 +278,18 @@ def column_wish(
 def split_header(header: str) -> tuple[str, str | None]:
     """Split a header cell into its quantity and its normalised unit (or None)."""
     text = " ".join(header.split())
-    found = _BRACKETED.match(text)
-    if found and found["quantity"] and not is_torn(text):
-        inner = found["unit"].strip().lower()
-        symbol = _SYMBOL.fullmatch(text) and not is_known_unit(found["unit"])
+    match = _BRACKETED.match(text)
+    if match and match["quantity"] and not is_torn(text):
+        inner = match["unit"].strip().lower()
+        symbol = _SYMBOL.fullmatch(text) and not is_known_unit(match["unit"])
         if symbol or _INDEX.fullmatch(inner) or inner in _REMARKS:
             return text, None
-        return found["quantity"].strip().rstrip("_,"), normalise_unit(found["unit"])
+        return match["quantity"].strip().rstrip("_,"), normalise_unit(match["unit"])
     for written in (_SLASHED, _SUFFIXED):
-        found = written.match(text)
-        if found is None or found["unit"].strip("[](){}<>") != found["unit"]:  # half a bracket is no unit
+        match = written.match(text)
+        if match is None or match["unit"].strip("[](){}<>") != match["unit"]:  # half a bracket is no unit
             continue
-        quantity, unit = found["quantity"].strip(), found["unit"]
+        quantity, unit = match["quantity"].strip(), match["unit"]
         apart = _PREFIXED.fullmatch(quantity)
         if apart is not None:  # milli volts
             quantity, unit = apart["quantity"].rstrip(" /"), apart["prefix"] + unit
@@ -311,18 +311,18 @@ def column_info(header: str | None, number: int, unit: str | None = None) -> Col
         header = header[1:]  # what keeps a spreadsheet from taking it for a formula
     if not header:
         return ColumnInfo(str(number), normalise_unit(unit or ""), "", number)
-    quantity, own = split_header(header)
+    quantity, unit_in_name = split_header(header)
     bare = header.strip(" /_")  # "/nm": the name is lost
-    if own is None and bare != "m" and kind_of_unit(normalise_unit(bare)) in _NAMING:
-        own = normalise_unit(bare)
-    return ColumnInfo(header, normalise_unit(unit or "") or own, quantity, number)
+    if unit_in_name is None and bare != "m" and kind_of_unit(normalise_unit(bare)) in _NAMING:
+        unit_in_name = normalise_unit(bare)
+    return ColumnInfo(header, normalise_unit(unit or "") or unit_in_name, quantity, number)
 
 
 def contradicted_unit(column: ColumnInfo) -> str | None:
     """Return the unit that a column's name states where it is another than the one it was given apart."""
-    own = split_header(column.name.rsplit("/", 1)[-1])[1] if column.quantity else None
-    known = own is not None and column.unit is not None and is_known_unit(own)
-    return own if known and own != column.unit else None
+    unit_in_name = split_header(column.name.rsplit("/", 1)[-1])[1] if column.quantity else None
+    known = unit_in_name is not None and column.unit is not None and is_known_unit(unit_in_name)
+    return unit_in_name if known and unit_in_name != column.unit else None
 
 
 def column_label(column: ColumnInfo) -> str:
@@ -334,9 +334,14 @@ def list_columns(columns: Sequence[ColumnInfo]) -> str:
     """List the columns of a log for an error message, shortened when there are many."""
     if not any(column.quantity for column in columns):
         return f"it has {counted(len(columns), 'column')} without names"
-    shown = [f"{one.number} {one.name}" if one.quantity else str(one.number) for one in columns[:_LISTED]]
-    more = f", … ({len(columns)} in all)" if len(columns) > _LISTED else ""
-    return f"it has {', '.join(shown)}{more}"
+    shown = []
+    for column in columns[:_LISTED]:
+        name = f" {column.name}" if column.quantity else ""
+        shown.append(f"{column.number}{name}")
+    text = f"it has {', '.join(shown)}"
+    if len(columns) > _LISTED:
+        text += f", … ({len(columns)} in all)"
+    return text
 
 
 def any_of(names: Sequence[str]) -> str:
@@ -355,38 +360,50 @@ def find_column(place: str, columns: Sequence[ColumnInfo], selector: str, option
     UsageError
         The number is 0 or negative.
     """
-    how, given, rest = selector.partition("=")
-    how = how if given and how in ("number", "name") else ""
-    selector = rest if how else selector
+    how, separator, rest = selector.partition("=")
+    if separator and how in ("number", "name"):
+        selector = rest
+    else:
+        how = ""
     if re.fullmatch(r"[+-]?\d{1,15}", selector) and how != "name":
-        number = int(selector)
         if not how:
             _ask_about_number(place, columns, selector, option)
-        if number < 1:
-            raise UsageError(f"`{option}` {selector}: columns are counted from 1")
-        if number > len(columns):
-            has = counted(len(columns), "column")
-            raise InputError(f"{place}: there is no column {number}: it has {has}")
-        return columns[number - 1]
+        return _column_number(place, columns, int(selector), f"`{option}` {selector}")
+    return _column_named(place, columns, selector, option)
+
+
+def _column_number(place: str, columns: Sequence[ColumnInfo], number: int, typed: str) -> ColumnInfo:
+    if number < 1:
+        raise UsageError(f"{typed}: columns are counted from 1")
+    if number > len(columns):
+        has = counted(len(columns), "column")
+        raise InputError(f"{place}: there is no column {number}: it has {has}")
+    return columns[number - 1]
+
+
+def _column_named(place: str, columns: Sequence[ColumnInfo], selector: str, option: str) -> ColumnInfo:
+    """Find a column by its name, by its name in other capitals, its quantity, or a part of its name."""
     wanted = cleaned(selector)
-    named = [(one, " ".join(one.name.split()), one.quantity) for one in columns if one.quantity]
-    for found in (
-        [column for column, name, _ in named if name == wanted],
-        [column for column, name, _ in named if name.lower() == wanted.lower()],
-        [column for column, _, quantity in named if quantity.lower() == wanted.lower()],
+    lower = wanted.lower()
+    named = [column for column in columns if column.quantity]
+    names = {column.number: " ".join(column.name.split()) for column in named}
+    for matching in (
+        [column for column in named if names[column.number] == wanted],
+        [column for column in named if names[column.number].lower() == lower],
+        [column for column in named if column.quantity.lower() == lower],
     ):
-        if len(found) == 1:
-            return found[0]
-        if found:
-            numbers = any_of([str(column.number) for column in found])
+        if len(matching) == 1:
+            return matching[0]
+        if matching:
+            numbers = any_of([str(column.number) for column in matching])
             raise InputError(
                 f"{place}: column '{selector}' occurs more than once: give its number (`{option}` {numbers})"
             )
-    fitting = [column for column, name, _ in named if fits_pattern(name, wanted)]
+    fitting = [column for column in named if fits_pattern(names[column.number], wanted)]
     if len(fitting) > 1:
-        names = any_of([f"'{column.name}'" for column in fitting[:3]])
+        shown = any_of([f"'{column.name}'" for column in fitting[:3]])
         raise InputError(
-            f"{place}: `{option}` {selector} fits {len(fitting)} columns: {names}? (give more of it)"
+            f"{place}: `{option}` {selector} fits {len(fitting)} columns: {shown}? (give more of it)"
         )
     if fitting:
         return fitting[0]
@@ -402,8 +419,8 @@ def fits_pattern(name: str, pattern: str) -> bool:
 def _ask_about_number(place: str, columns: Sequence[ColumnInfo], selector: str, option: str) -> None:
     """Refuse a number that is the name of another column than the one at that place (InputError)."""
     number = int(selector)
-    named = [one for one in columns if one.quantity and one.name.strip() == selector]
-    if any(one.number != number for one in named) and 1 <= number <= len(columns):
+    named = [column for column in columns if column.quantity and column.name.strip() == selector]
+    if any(column.number != number for column in named) and 1 <= number <= len(columns):
         raise InputError(
             f"{place}: `{option}` {selector}: column {selector}, '{columns[number - 1].name}', or column "
             f"{named[0].number}, which is named '{selector}'? "
@@ -476,13 +493,13 @@ def _misspelled(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[ColumnI
 
 
 def _suspects(
-    fitting: Sequence[ColumnInfo], wish: ColumnWish, found: bool, others: Sequence[ColumnInfo]
+    fitting: Sequence[ColumnInfo], wish: ColumnWish, has_name: bool, lesser: Sequence[ColumnInfo]
 ) -> list[ColumnInfo]:
     """Find what may be meant beside a column that has no whole name: names run together, letters in words.
 
     Where no unit supports what was found by a lesser name, any column of an unknown name may be meant.
     """
-    sure = found or all(kind_of_unit(column.unit) in wish.proving_units for column in others)
+    sure = has_name or all(kind_of_unit(column.unit) in wish.proving_units for column in lesser)
     long_names = [name for name in wish.guesses if len(name) >= 4]
     return [
         column

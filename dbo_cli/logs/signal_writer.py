@@ -161,10 +161,10 @@ def signal_writer(
         It cannot be written.
     """
     target = parse_output(address, format)
-    if (kept := KEPT.get()) is not None:
+    if (outputs := KEPT.get()) is not None:
         keeper = _Keeper(columns)
         yield keeper
-        kept.signals.append(KeptSignal(target, columns, format, attributes(), keeper.arrays(), commented))
+        outputs.signals.append(KeptSignal(target, columns, format, attributes(), keeper.arrays(), commented))
         return
     check_output(target, protect)
     if target.kind == "hdf5":

@@ -139,8 +139,8 @@ def kind_of_unit(unit: str | None) -> str | None:
     """Return what a unit measures (``voltage``, ``length``, …), or None where that is not known."""
     if unit is None:
         return None
-    found = _SIZES.get(unit)
-    return found[0] if found else _OTHER_KINDS.get(unit)
+    size = _SIZES.get(unit)
+    return size[0] if size else _OTHER_KINDS.get(unit)
 
 
 DRIVING_KINDS = frozenset(("pressure", "current", "force", "field", "temperature", "charge", "power"))
@@ -173,7 +173,7 @@ def without_prefix(unit: str | None) -> str | None:
     return base if base in _SIZES and unit[0] in _PREFIXES else None
 
 
-def require_unit(name: str, given: float | str | None, unit: str | None, per: str | None = None) -> None:
+def require_unit(name: str, figure: float | str | None, unit: str | None, per: str | None = None) -> None:
     """Refuse a plain number where the unit that it would be read in has a prefix, as kV has.
 
     Parameters
@@ -191,7 +191,7 @@ def require_unit(name: str, given: float | str | None, unit: str | None, per: st
         100 may mean 100 V where the drive is in kV.
     """
     plain = without_prefix(unit)
-    value = _plain_number(given)
+    value = _plain_number(figure)
     if plain is None or value is None or value == 0.0 or not math.isfinite(value):
         return
     factor = unit_factor(plain, unit)
@@ -204,12 +204,12 @@ def require_unit(name: str, given: float | str | None, unit: str | None, per: st
     )
 
 
-def _plain_number(given: float | str | None) -> float | None:
+def _plain_number(figure: float | str | None) -> float | None:
     """Return a figure that has no unit of its own as a number; None for any other."""
-    if not isinstance(given, str):
-        return given
+    if not isinstance(figure, str):
+        return figure
     try:
-        return float(given)
+        return float(figure)
     except ValueError:
         return None
 
@@ -221,10 +221,10 @@ def unit_factor(unit: str | None, wanted: str | None) -> UnitFactor | None:
     """
     if unit == wanted or unit is None or wanted is None:
         return ONE
-    here, there = _SIZES.get(unit), _SIZES.get(wanted)
-    if here is None or there is None or here[0] != there[0]:
+    size, wanted_size = _SIZES.get(unit), _SIZES.get(wanted)
+    if size is None or wanted_size is None or size[0] != wanted_size[0]:
         return None
-    return UnitFactor(here[1], here[2]).times(there[2], there[1])
+    return UnitFactor(size[1], size[2]).times(wanted_size[2], wanted_size[1])
 
 
 @dataclass(frozen=True)
@@ -256,8 +256,8 @@ class Scale:
             return self.factor, column
         before = unit_factor(column.unit, self.unit_in)
         if before is None:
-            own = f"column '{column.name}' is in {column.unit}"
-            raise InputError(f"{place}: {own}, but `scale` {self} takes {self.unit_in}")
+            stated = f"column '{column.name}' is in {column.unit}"
+            raise InputError(f"{place}: {stated}, but `scale` {self} takes {self.unit_in}")
         return self.factor.times(before.numerator, before.denominator), replace(column, unit=self.unit_out)
 
 
@@ -283,7 +283,7 @@ def parse_factor(text: str) -> UnitFactor | None:
     return UnitFactor(*number.as_integer_ratio()) if abs(number.adjusted()) <= _LARGEST_POWER else None
 
 
-def in_unit(name: str, given: float | str, unit: str | None, per: str | None = None) -> float:
+def in_unit(name: str, figure: float | str, unit: str | None, per: str | None = None) -> float:
     """Return a figure in ``unit``: a number is in it already, a text such as ``1.2kV`` is converted.
 
     With ``per``, a unit of time, it is a speed: ``2V/ms``. ``name`` is the parameter, for messages.
@@ -293,23 +293,23 @@ def in_unit(name: str, given: float | str, unit: str | None, per: str | None = N
     UsageError
         It is no finite number, or its unit cannot be converted.
     """
-    if not isinstance(given, str):
-        return given
-    found = _FIGURE.fullmatch(given)
-    own, behind = _unit_and_time(found)
-    value = float(found["number"]) if found else math.nan
-    if found is None or not math.isfinite(value) or (own is None and behind):
+    if not isinstance(figure, str):
+        return figure
+    match = _FIGURE.fullmatch(figure)
+    own_unit, per_time = _unit_and_time(match)
+    value = float(match["number"]) if match else math.nan
+    if match is None or not math.isfinite(value) or (own_unit is None and per_time):
         example = f"5{unit or 'V'}{f'/{per}' if per else ''}"
         raise UsageError(
-            f"`{name}` {shortened(given)}: give a number, or one with its unit such as {example}"
+            f"`{name}` {shortened(figure)}: give a number, or one with its unit such as {example}"
         )
-    if own is None:
+    if own_unit is None:
         return value
-    above = unit_factor(own, unit) if unit is not None and kind_of_unit(own) is not None else None
-    below = unit_factor(behind, per)
-    if above is None or below is None or bool(behind) != bool(per):
+    above = unit_factor(own_unit, unit) if unit is not None and kind_of_unit(own_unit) is not None else None
+    below = unit_factor(per_time, per)
+    if above is None or below is None or bool(per_time) != bool(per):
         wanted = f"in {unit}{f'/{per}' if per else ''}" if unit else "without a unit"
-        raise UsageError(f"`{name}` {given}: cannot be converted; a figure {wanted} is needed")
+        raise UsageError(f"`{name}` {figure}: cannot be converted; a figure {wanted} is needed")
     return float(above.times(below.denominator, below.numerator).apply(np.array(value)))
 
 
@@ -332,18 +332,18 @@ def parse_scale(text: str) -> Scale:
     UsageError
         It is not of that form, or the factor is zero or no float64.
     """
-    found, called = _SCALE.fullmatch(text), f"`scale` {shortened(text)}"
-    if found is None:
+    match, called = _SCALE.fullmatch(text), f"`scale` {shortened(text)}"
+    if match is None:
         raise UsageError(
             f"{called}: give ROLE=FACTOR or ROLE=FACTORUNIT/UNIT, such as voltage=20 or displacement=10um/V"
         )
-    if not re.search("[1-9]", re.split("[eE]", found["factor"])[0]):
+    if not re.search("[1-9]", re.split("[eE]", match["factor"])[0]):
         raise UsageError(f"{called}: a factor of 0 leaves nothing of the signal")
-    factor = parse_factor(found["factor"])
+    factor = parse_factor(match["factor"])
     if factor is None:
         raise UsageError(f"{called}: the factor is too large or too small")
-    units = normalise_unit(found["out"] or ""), normalise_unit(found["in"] or "")
-    return Scale(found["role"].lower(), factor, *units)
+    units = normalise_unit(match["out"] or ""), normalise_unit(match["in"] or "")
+    return Scale(match["role"].lower(), factor, *units)
 
 
 # --- units of time ---------------------------------------------------------------------------------------
@@ -391,10 +391,10 @@ def parse_time_unit(text: str) -> tuple[str, UnitFactor]:
     """
     if text.strip().lower().startswith(HHMMSS):
         return HHMMSS, ONE
-    found = _COUNT.fullmatch(text.strip())
-    unit = time_unit(found["unit"] if found else text)
-    count = parse_factor(found["number"]) if found else ONE
+    match = _COUNT.fullmatch(text.strip())
+    unit = time_unit(match["unit"] if match else text)
+    count = parse_factor(match["number"]) if match else ONE
     if unit is None or count is None or not count.numerator:
         names = ", ".join(FACTORS).replace(", d", " or d")
         raise UsageError(f"`time_unit` {shortened(text)}: give {names}, or a number of them such as 10us")
-    return text.strip() if found else unit, count.times(*FACTORS[unit])
+    return text.strip() if match else unit, count.times(*FACTORS[unit])

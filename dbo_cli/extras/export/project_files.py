@@ -48,9 +48,9 @@ class ExportSummary:
         Gears, rows of the gear table, and how many equal gears a row stands for.
     table_bytes, state_bytes : int
         Constant tables (flash), and the state (RAM) on a 32-bit target.
-    worst_blocks, worst_gears : int
-        A bound on the work of one step: the most blocks of 64 gears it looks at (none in double), and the
-        most gears, or runs of gears, it crosses one by one.
+    worst_runs : int
+        A bound on the work of one step: the most runs of gears it crosses, one for each turn of the drive
+        that it wipes out.
     bounds : mapping
         Derived bounds on the error against the float64 model, in the output's unit and in % of its range;
         empty for double, which gives the same bits.
@@ -72,8 +72,7 @@ class ExportSummary:
     run: int
     table_bytes: int
     state_bytes: int
-    worst_blocks: int
-    worst_gears: int
+    worst_runs: int
     vectors: int
     bounds: Mapping[str, float] = field(default_factory=dict)
     gears_loss: Mapping[str, float] = field(default_factory=dict)
