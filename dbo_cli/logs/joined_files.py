@@ -381,7 +381,8 @@ class JoinedTable(Table):
         if (before | behind).all():
             raise InputError(
                 f"{self._target.place} and {file.place} have no time in common: {_span(rows.time)} and "
-                f"{_span(given.time)} (`clock_offset` SECONDS is added to the drive's clock, auto finds it)"
+                f"{_span(given.time)} (`clock_offset` {float(rows.time[0] - given.time[0]):.12g} lets both begin "
+                "together, auto finds it)"
             )
         steps = np.diff(given.time)
         missing = np.diff(np.asarray(given.block.rows)) > 1  # rows that were left out as they were read
