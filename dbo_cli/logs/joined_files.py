@@ -379,10 +379,10 @@ class JoinedTable(Table):
         """
         before, behind = rows.time < given.time[0], rows.time > given.time[-1]
         if (before | behind).all():
+            apart = float(rows.time[0] - given.time[0])
             raise InputError(
                 f"{self._target.place} and {file.place} have no time in common: {_span(rows.time)} and "
-                f"{_span(given.time)} (`clock_offset` {float(rows.time[0] - given.time[0]):.12g} lets both begin "
-                "together, auto finds it)"
+                f"{_span(given.time)} (`clock_offset` {apart:.12g} lets both begin together, auto finds it)"
             )
         steps = np.diff(given.time)
         missing = np.diff(np.asarray(given.block.rows)) > 1  # rows that were left out as they were read
