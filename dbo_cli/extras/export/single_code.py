@@ -55,9 +55,9 @@ MOST_GEARS = 46_340
 SLOWEST_REST = 2.0**-34
 """A memory that follows by less a step would stand still below 2^10 counts, 1e-6 of the range."""
 
-EPS = 2.0**-24
 SMOOTH_GROWTH = 4.0
 """An error of every sample grows by no more than 3.1 between samples: one-sided slopes weigh 128/12 of it."""
+EPS = 2.0**-24
 """Half a unit in the last place of a float32, as a part of the number."""
 
 LEAST_TOLERANCE = 20
