@@ -64,9 +64,9 @@ def interpolated(times: Floats, values: Floats, wanted: Floats) -> tuple[Floats,
     Before the first sample the first value holds, after the last one the last. A time within 1e-9 of a
     sample's (in steps) is that sample's, so that shifting there and back is exact. Neither times fall.
     """
-    wanted, found = np.ascontiguousarray(wanted), np.empty(wanted.size)
+    wanted, values_wanted = np.ascontiguousarray(wanted), np.empty(wanted.size)
     signal = np.ascontiguousarray(times), np.ascontiguousarray(values)
-    return found, kernel.CHOSEN.interpolated(*signal, wanted, found, WHOLE)
+    return values_wanted, kernel.CHOSEN.interpolated(*signal, wanted, values_wanted, WHOLE)
 
 
 def whole_and_part(samples: float) -> tuple[int, float]:
@@ -202,8 +202,8 @@ class DelayStage:
             y = smooth.shifted_by_part(values[begin : begin + count + smooth.WINDOW - 1], place, 1.0 - part)
         else:
             y = late_by(values[begin : begin + count + 1], part)
-        kept = slice(-needed, None)
-        return y, DelayHistory(tuple(times[kept].tolist()), tuple(values[kept].tolist()))
+        behind = slice(-needed, None)
+        return y, DelayHistory(tuple(times[behind].tolist()), tuple(values[behind].tolist()))
 
 
 def late_loop(x: Floats, samples: float) -> Floats:
@@ -266,15 +266,15 @@ def read_ahead(
             continue
         waiting.extend([block] if block is not None else [])
         while waiting:
-            if block is not None and past_times.size + sum(one[1].size for one in waiting) < fewest:
+            if block is not None and past_times.size + sum(entry[1].size for entry in waiting) < fewest:
                 break
             if block is not None and not _reaches(waiting, float(waiting[0][1][-1]) + seconds, after):
                 break
-            time = np.concatenate([past_times, *(one[1] for one in waiting)])
-            values = np.concatenate([past_values, *(one[2] for one in waiting)])
-            payload, own, _ = waiting.popleft()
-            yield payload, ahead(time, values, own + seconds)
-            gone = slice(past_times.size + own.size)
+            time = np.concatenate([past_times, *(entry[1] for entry in waiting)])
+            values = np.concatenate([past_values, *(entry[2] for entry in waiting)])
+            payload, block_time, _ = waiting.popleft()
+            yield payload, ahead(time, values, block_time + seconds)
+            gone = slice(past_times.size + block_time.size)
             past_times, past_values = time[gone][-smooth.WINDOW :], values[gone][-smooth.WINDOW :]
 
 

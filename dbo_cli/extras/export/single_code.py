@@ -57,6 +57,7 @@ SLOWEST_REST = 2.0**-34
 
 SMOOTH_GROWTH = 4.0
 """An error of every sample grows by no more than 3.1 between samples: one-sided slopes weigh 128/12 of it."""
+
 EPS = 2.0**-24
 """Half a unit in the last place of a float32, as a part of the number."""
 
