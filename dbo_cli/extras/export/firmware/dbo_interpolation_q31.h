@@ -6,7 +6,7 @@
 
 #include "dbo_kernel.h"
 
-#define DBO_WINDOW 6
+#define DBO_WINDOW 6 /* samples that a value between two samples is made of */
 
 /* The number of two that is nearer to zero; zero where their signs differ. */
 static inline int64_t dbo_nearer(int64_t a, int64_t b) {
