@@ -23,6 +23,7 @@ from dbo_cli.hysteresis.model_file import model_to_bytes
 from dbo_cli.hysteresis.move_error import (
     APART,
     GAIN_LATER,
+    LEFT_OUT,
     LINE,
     MOST_SWINGS,
     WIDENING,
@@ -81,12 +82,12 @@ def test_what_other_models_say_of_the_very_move_is_added() -> None:
     drive = ramp(4.0)
     found = move_error(with_others(other), drive, STEP)
     assert found is not None
-    assert found.shape == pytest.approx(np.hypot(0.3, APART * 0.5 * 0.2 * drive.std()), rel=1e-3)
+    assert found.shape == pytest.approx(np.hypot(0.3 * LEFT_OUT, APART * 0.5 * 0.2 * drive.std()), rel=1e-3)
     assert found.zero == pytest.approx(np.hypot(0.3, APART * 0.5 * 0.2 * drive.mean()), rel=1e-3)
     assert found.rmse == pytest.approx(np.hypot(found.shape, found.zero))
     small = move_error(with_others(other), ramp(4.0, 1.0), STEP)
     assert small is not None
-    assert 0.3 < small.shape < 0.31
+    assert 0.3 * LEFT_OUT < small.shape < 0.31 * LEFT_OUT
 
 
 def test_no_shape_is_stated_worse_than_a_straight_line_leaves() -> None:
@@ -102,8 +103,8 @@ def test_no_shape_is_stated_worse_than_a_straight_line_leaves() -> None:
 def test_a_zero_that_moved_along_the_logs_is_in_the_zero_alone() -> None:
     still, moved = (move_error(with_others(zero_drift=drift), ramp(4.0), STEP) for drift in (0.0, 0.4))
     assert still is not None and moved is not None
-    assert (still.shape, still.zero) == (0.3, 0.3)
-    assert (moved.shape, moved.zero) == (0.3, pytest.approx(0.5))
+    assert (still.shape, still.zero) == (pytest.approx(0.3 * LEFT_OUT), 0.3)
+    assert (moved.shape, moved.zero) == (pytest.approx(0.3 * LEFT_OUT), pytest.approx(0.5))
 
 
 def looped(**fit: Any) -> ActuatorModel:
@@ -164,11 +165,13 @@ def test_swings_unlike_those_of_the_logs_widen_it() -> None:
     known = with_others(swings=[[0.0, 8.0], [8.0, 0.0]])
     seen = move_error(known, ramp(4.0), STEP)
     assert seen is not None
-    assert seen.shape == pytest.approx(0.3)
+    assert seen.shape == pytest.approx(0.3 * LEFT_OUT)
+    assert seen.unlike < 0.01
     up = np.linspace(6.0, 8.0, 51)
     high = move_error(known, np.concatenate((np.linspace(0.0, 6.0, 50), up, up[-2::-1])), STEP, 99)
     assert high is not None  # from 8 to 6, where the logs go on to 0: six tenths of the range away
-    assert high.shape == pytest.approx(0.3 * (1.0 + WIDENING * 0.6), rel=0.02)
+    assert high.shape == pytest.approx(0.3 * LEFT_OUT * (1.0 + WIDENING * 0.6), rel=0.02)
+    assert high.unlike == pytest.approx(0.6, rel=0.02)
     with pytest.raises(ModelError, match=r"^fit\.swings: needs pairs of voltages$"):
         move_error(with_others(swings=[1.0]), ramp(4.0), STEP)
 
@@ -185,7 +188,7 @@ def test_rows_before_the_move_do_not_count_and_a_straight_line_is_judged_alike()
     drive = np.concatenate((ramp(4.0), np.zeros(50)))
     found = move_error(with_others(Alternative("bend", 1.0, model(2.2))), drive, STEP, len(drive) - 50)
     assert found is not None
-    assert found.shape == pytest.approx(0.3)
+    assert found.shape == pytest.approx(0.3 * LEFT_OUT)
     assert found.straight_line == pytest.approx(0.0, abs=1e-12)
 
 
@@ -193,7 +196,7 @@ def test_models_without_others_keep_their_figure_and_without_any_none() -> None:
     assert move_error(model(expected_rmse=0.7), ramp(4.0), None).rmse == 0.7  # type: ignore[union-attr]
     assert move_error(model(expected_rmse=None), ramp(4.0), None) is None
     late = with_others(Alternative("lag", 1.0, model(delay=0.05)))
-    assert move_error(late, ramp(4.0), None).shape == 0.3  # type: ignore[union-attr]  # no clock, no lag
+    assert move_error(late, ramp(4.0), None).shape == 0.3 * LEFT_OUT  # type: ignore[union-attr]  # no clock, no lag
 
 
 def test_others_come_back_from_the_file_to_four_digits(tmp_path: Path) -> None:
@@ -276,7 +279,7 @@ def test_compensate_says_what_to_expect_of_the_very_move(dbo: Any) -> None:
             assert done.code == 0, done.err
             assert "is no better than that of a straight line, " in done.err
             stated.append(json.loads(Path("s.json").read_text())["expected_rmse"])
-    assert stated[0] == stated[1] == pytest.approx(np.hypot(0.302, 0.304), abs=0.002)
-    both_parts = np.hypot(0.3, 0.3)
+    assert stated[0] == stated[1] == pytest.approx(np.hypot(0.3 * LEFT_OUT, 0.304), abs=0.002)
+    both_parts = np.hypot(0.3 * LEFT_OUT, 0.3)
     apart = APART * 0.1 * 2.0 * 8.0 / np.sqrt(3.0)
     assert stated[2] == stated[3] == pytest.approx(np.hypot(both_parts, apart), rel=0.01)

@@ -29,7 +29,7 @@ from dbo_cli.drives.pieces import Before, ramp, sweep_range
 from dbo_cli.errors import InputError, LimitError, Remarks, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
-from dbo_cli.hysteresis.move_error import MOST_ROWS, MoveError, move_error
+from dbo_cli.hysteresis.move_error import MOST_ROWS, UNLIKE, MoveError, move_error
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock, even_step, median_step
 from dbo_cli.logs.sources import Source
 
@@ -559,7 +559,7 @@ class Compensation(ModelRun):
                 text += f" ({percent:.2g} % of the move)"
             error = self._move_error()
             if error is not None:
-                text += _parts_words(error, unit) + self._start_words(error)
+                text += self._parts_words(error, unit) + self._start_words(error)
             if self.clipped.count:
                 text += ", clipped samples included"
             if self.bandwidth is not None:
@@ -570,6 +570,15 @@ class Compensation(ModelRun):
                 f"{unknown}the drive goes from {self.drive_figures.low:.6g} to {self.drive_figures.high:.6g}"
                 f"{self.model.input.suffix}, beyond what the model was identified on"
             )
+
+    def _parts_words(self, error: MoveError, unit: str) -> str:
+        """Return shape and zero of the error, and what the zero depends on; nothing of an older model."""
+        if error.shape is None or error.zero is None:
+            return ""
+        holds = self.model.fit.get("zero_from", "where it stays as it was in the logs")
+        if error.unlike > UNLIKE:
+            holds = f"{holds}; the move's swings are unlike the logs', and it may be off by more"
+        return f": shape {error.shape:.3g}{unit}, zero {error.zero:.3g}{unit} ({holds})"
 
     def _start_words(self, error: MoveError) -> str:
         """Say from which start the error is to be expected, where the past makes more than a fifth of it."""
@@ -653,13 +662,6 @@ def _rounded_up(value: float) -> float:
         return value
     unit = 10.0 ** (math.floor(math.log10(value)) - 2)
     return math.ceil(value / unit * (1.0 - 1e-12)) * unit
-
-
-def _parts_words(error: MoveError, unit: str) -> str:
-    """Return shape and zero of an error that is expected; nothing where a model knows the whole alone."""
-    if error.shape is None or error.zero is None:
-        return ""
-    return f": shape {error.shape:.3g}{unit}, zero {error.zero:.3g}{unit}"
 
 
 def _first_rows(response: Response, count: int) -> Response:

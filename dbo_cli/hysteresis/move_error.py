@@ -36,7 +36,10 @@ NEAREST = 0.02  # of the range: swings that lie closer together are kept once; c
 MOST_ROWS = 131_072  # of a move are looked at: its first ones, 1 MB of drive and some 30 ms
 MOST = 8  # other models are played: identification keeps five
 DIGITS = 4  # of the other models' numbers: their rounding, 1e-5 of the range, is nothing beside the rest
-WIDENING = 3.25
+LEFT_OUT = 0.85
+"""Of the error on what was left out, the worst of three ways to leave something out, what counts for the
+shape. Measured: docs/choices.md."""
+WIDENING = 4.0
 """How much the error on what was left out grows with how unlike the logs' swings a move's are (a unit of the
 range). Measured: docs/choices.md."""
 APART = 1.0
@@ -47,6 +50,7 @@ half of the change is there at its end. Measured: docs/choices.md."""
 LINE = 4.0 / 3.0
 """Times the error that a straight line leaves of what was left out: no shape is stated to err by more.
 Chosen: docs/choices.md."""
+UNLIKE = 0.2  # of the range: swings further from the logs' own are said to be unlike them; chosen
 PASTS: tuple[StartName, ...] = ("empty", "full", "settled")  # what may have been before the first row
 PAST_MATTERS = 1.2  # times the expected error: from which on it is said that the past makes it so much larger
 
@@ -177,6 +181,7 @@ class StatedError:
 class MoveError:
     """What to expect of a move, in the displacement's unit.
 
+    ``unlike`` is how far its swings are from the logs' own, in units of the range.
     ``rmse`` is the RMS of the error, where the actuator starts as the model takes it to; ``shape`` and
     ``zero`` are its parts (``StatedError``; None where only the whole is known). ``from_any_past`` is the RMS
     where it may have been anywhere before. ``straight_line`` is the error of a straight line.
@@ -187,6 +192,7 @@ class MoveError:
     shape: float | None
     zero: float | None
     from_any_past: float
+    unlike: float = 0.0
 
     @property
     def form(self) -> float:
@@ -279,18 +285,19 @@ def move_error(
     steps = time_step[:MOST_ROWS] if isinstance(time_step, np.ndarray) else time_step
     own = played(model, drive, steps, start)[begin:]
     straight = rms(own - _straight(model, drive[begin:]))
-    shape, zero = None, None
+    shape, zero, distance = None, None, 0.0
     if isinstance(known, float):
         others = [one for one in alternatives_of(model) if steps is not None or not one.model.needs_time]
         apart = spread(own, [(one, one.played(drive, steps)[begin:]) for one in others])
         drifted = changed_gain(own, model.fit.get("gain_trend"))
         zero_drift = ZeroDrift(_of_fit(model, "zero_drift"), _of_fit(model, "zero_drift_rate"))
         moving = zero_drift.during(_seconds(steps, drive.size, begin))
-        error = stated(known, _unlike(model, drive, begin), apart, drifted, moving)
+        distance = _unlike(model, drive, begin)
+        error = stated(known, distance, apart, drifted, moving)
         error = capped(error, model.fit.get("line_left_out_rmse"))
         expected, shape, zero = error.rmse, error.shape, error.zero
     past = _past(model, drive, steps, begin, own)
-    return MoveError(expected, straight, shape, zero, float(np.hypot(expected, past)))
+    return MoveError(expected, straight, shape, zero, float(np.hypot(expected, past)), distance)
 
 
 def _seconds(steps: float | Floats | None, rows: int, begin: int) -> float:
@@ -350,7 +357,7 @@ def stated(
     zero : what a zero that moves adds
     """
     widened = known * (1.0 + WIDENING * distance)
-    shapes = (widened, APART * apart.shape, drifted.shape, zero.shape)
+    shapes = (LEFT_OUT * widened, APART * apart.shape, drifted.shape, zero.shape)
     zeros = (widened, APART * apart.zero, drifted.zero, zero.zero)
     return StatedError(math.hypot(*shapes), math.hypot(*zeros))
 
