@@ -150,7 +150,7 @@ def test_of_each_kind_the_farthest_counts() -> None:
         (Alternative("lag", 0.5, model()), -8.0 * ones),
     ]
     apart = spread(own, others)
-    assert (apart.shape, apart.zero) == (0.0, pytest.approx(5.0))
+    assert (apart.shape, apart.still_zero) == (0.0, pytest.approx(5.0))
 
 
 def test_a_gain_that_changes_adds_its_part_of_the_move() -> None:

@@ -163,8 +163,8 @@ def test_compensate_says_what_error_to_expect_of_the_move(dbo: Any, sample_model
     percent = f"{100.0 * found.rmse / moved:.2g} % of the move"
     told = (
         f"expected error of the move {found.rmse:.3g} um RMS ({percent}): shape {found.shape:.3g} um, zero "
-        f"{found.zero:.3g} um ({model.actuator.fit['zero_from']}); that is from the start assumed (settled at "
-        "the first row) or after --condition, from an unknown past "
+        f"{found.zero:.3g} um ({model.actuator.fit['zero_from']}); that is from the start assumed (settled "
+        "at the first row) or after --condition, from an unknown past "
     )
     assert f"trajectory.csv: {told}" in dbo("compensate", sample_model, TRAJECTORY, "-o", "drive.csv").err
     swept = model.compensate(table, details=True, condition=True)

@@ -314,7 +314,7 @@ TABLE = [
         (near(2.0, 0.1), near(10, 0.1)),
     ),
     Sentence(
-        r"of that \S+ um shape .* (\S+) um zero \(that mean; it moved by (\S+) um along a log",
+        r"in parts: \S+ um shape .* (\S+) um zero \(that mean; it moved by (\S+) um along a log",
         "a zero that moved by more than the model errs",
         drifting,
         (near(0.3, 0.2), near(0.3, 0.1)),

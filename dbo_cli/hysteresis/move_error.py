@@ -164,27 +164,33 @@ class Alternative:
 class StatedError:
     """The error to state, in the displacement's unit.
 
-    ``shape`` is the RMS of the error less its mean, ``zero`` the size of that mean: where the displacement is
-    as a whole.
+    ``shape`` is the RMS of the error less its mean; ``still_zero`` the size of that mean, where the zero
+    stays as it was in the logs; ``moved`` by how much the zero moved along them.
     """
 
     shape: float
-    zero: float
+    still_zero: float
+    moved: float = 0.0
 
     @property
     def rmse(self) -> float:
-        """The RMS of both together."""
-        return float(np.hypot(self.shape, self.zero))
+        """The RMS of both together, where the zero stays as it was."""
+        return math.hypot(self.shape, self.still_zero)
+
+    @property
+    def zero(self) -> float:
+        """The size of the mean error, where the zero moves as far again as along the logs."""
+        return math.hypot(self.still_zero, self.moved)
 
 
 @dataclass(frozen=True)
 class MoveError:
     """What to expect of a move, in the displacement's unit.
 
-    ``unlike`` is how far its swings are from the logs' own, in units of the range.
-    ``rmse`` is the RMS of the error, where the actuator starts as the model takes it to; ``shape`` and
-    ``zero`` are its parts (``StatedError``; None where only the whole is known). ``from_any_past`` is the RMS
-    where it may have been anywhere before. ``straight_line`` is the error of a straight line.
+    ``rmse`` is the RMS of the error, where the zero stays as it was in the logs and the actuator starts as
+    the model takes it to; ``shape`` and ``zero`` are its parts (``StatedError``; None where only the whole is
+    known). ``from_any_past`` is the RMS where it may have been anywhere before, ``straight_line`` the error
+    of a straight line, and ``unlike`` how far the swings are from the logs' own, in units of the range.
     """
 
     rmse: float
@@ -337,7 +343,7 @@ class ZeroDrift:
         most as far, evenly.
         """
         goes_on = min(self.rate * seconds, self.span)
-        return StatedError(goes_on / math.sqrt(12.0), self.span)
+        return StatedError(goes_on / math.sqrt(12.0), 0.0, self.span)
 
 
 STILL = ZeroDrift(0.0, 0.0)
@@ -358,15 +364,15 @@ def stated(
     """
     widened = known * (1.0 + WIDENING * distance)
     shapes = (LEFT_OUT * widened, APART * apart.shape, drifted.shape, zero.shape)
-    zeros = (widened, APART * apart.zero, drifted.zero, zero.zero)
-    return StatedError(math.hypot(*shapes), math.hypot(*zeros))
+    zeros = (widened, APART * apart.still_zero, drifted.still_zero)
+    return StatedError(math.hypot(*shapes), math.hypot(*zeros), zero.moved)
 
 
 def capped(error: StatedError, line: object) -> StatedError:
     """Return an error whose shape is no larger than what a straight line leaves of what was left out."""
     if not isinstance(line, float):
         return error
-    return StatedError(min(error.shape, LINE * line), error.zero)
+    return dataclasses.replace(error, shape=min(error.shape, LINE * line))
 
 
 def _unlike(model: ActuatorModel, drive: Floats, begin: int) -> float:

@@ -178,7 +178,7 @@ def _goodness(content: Mapping[str, Any], unit: str | None) -> list[str]:
         lines.append(f"expect: RMSE {fit['expected_rmse']:.4g}{suffix} on new moves inside the range{rests}")
         if fit.get("expected_shape_rmse") is not None:
             lines.append(
-                f"of that {fit['expected_shape_rmse']:.3g}{suffix} shape (RMS of the error less its mean), "
+                f"in parts: {fit['expected_shape_rmse']:.3g}{suffix} shape (RMS of the error less its mean), "
                 f"{fit['expected_zero']:.3g}{suffix} zero (that mean; {fit['zero_from']})"
             )
     elif why:

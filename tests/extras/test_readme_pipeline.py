@@ -91,7 +91,7 @@ def test_a_report_that_misses_its_limit_stays_missed(bench: Path) -> None:
     for _ in range(2):
         done = make(bench)
         assert done.returncode == 2
-        assert "dbo: error: c.csv: NRMSE 11.1111 % of the range is above the limit of 2 %" in done.stderr
+        assert "dbo: error: c.csv: RMSE 11.1111 % of the move is above the limit of 2 %" in done.stderr
         assert not (bench / "reports" / "c.json").exists()
 
 

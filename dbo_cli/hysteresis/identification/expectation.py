@@ -126,7 +126,8 @@ class Expectation:
     def zero_words(self, unit: str) -> str:
         """Say under which condition the zero is as stated; ``unit`` follows a number."""
         if self.zero_drift.span > self.known:
-            return f"it moved by {self.zero_drift.span:.2g}{unit} along a log, and may go on moving"
+            moved = f"{self.zero_drift.span:.2g}{unit}"
+            return f"it moved by {moved} along a log, which may go on and is not in the whole"
         if self.one_level:
             return "logs at one mean level hardly tell creep from a moving zero"
         return "where it stays as it was in the logs"

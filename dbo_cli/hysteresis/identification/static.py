@@ -377,7 +377,7 @@ def _summary(
         lines = [
             f"expected on new moves inside the range: {figures['expected_rmse']:.4g}{unit} "
             f"({figures['expected_percent']:.2f} % of the model's range); {fitted}",
-            f"of that {parts_words(figures, unit)}",
+            f"in parts: {parts_words(figures, unit)}",
         ]
     lines.extend(validated(checks, abs(prepared.scale), unit)[1])
     lines.append(
