@@ -291,7 +291,7 @@ def test_no_better_than_a_line_is_refused_unless_forced() -> None:
     line = Recording("line", voltage, 3.0 * voltage + rng.normal(size=len(voltage)), sample_period=PERIOD)
     with pytest.raises(
         FitError,
-        match=r"straight line .*, nor do gears alone; check the columns and the sensor \(`force` keeps .*\)$",
+        match=r"straight line .*, nor do gears alone; .*: check the columns and the sensor \(`force` keeps .*\)$",
     ):
         identify([line])
     log = record(actuator(), voltage)
