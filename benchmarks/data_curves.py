@@ -5,7 +5,7 @@ Two invented actuators (``invented_actuators.py``) are recorded with random nest
 One property of the log changes, the others stay at 20 s, 0.1 % of noise, 500 samples a second. The error is
 that of a new move, offset included, in percent of the stroke; of the six logs the geometric mean is taken.
 
-    python benchmarks/data_curves.py [--figure docs/figures/curves.svg] [--processes N] [--only length|noise|rate]
+    python benchmarks/data_curves.py [--figure FILE.svg] [--processes N] [--only length|noise|rate]
 
 Exit code 1 where more data, or less noise, is worse by more than 10 %.
 """

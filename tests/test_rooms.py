@@ -15,7 +15,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "dbo_cli"
 ORDER = [
-    "version", "errors", "records", "extensions", "hysteresis", "logs", "drives", "reports", "runs", "cli",
+    "version", "errors", "extensions", "hysteresis", "logs", "drives", "reports", "runs", "cli",
     "extras",
 ]  # fmt: skip
 SIBLINGS = [

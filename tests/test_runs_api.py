@@ -274,8 +274,8 @@ def test_a_table_without_the_columns_is_refused() -> None:
     with pytest.raises(dbo_api.InputError) as raised:
         dbo_api.identify(pd.DataFrame({"a": [1.0], "b": [2.0]}))
     assert str(raised.value) == (
-        "the table: no column is recognised as the voltage nor as the displacement: it has 1 a, 2 b (choose "
-        "with `voltage` and `displacement` NAME or NUMBER)"
+        "the table: no column is recognised as the voltage nor as the displacement: it has 1 a, 2 b "
+        "(`voltage` 'a' `displacement` 'b', or `voltage` 'b' `displacement` 'a')"
     )
 
 

@@ -70,12 +70,12 @@ class Option(NamedTuple):
         key = (self.names or [self.spelled.lower()])[-1].lstrip("-").replace("-", "_")
         return key + "_" if keyword.iskeyword(key) else key
 
-    def value(self, given: Any) -> Any:
+    def value(self, typed: Any) -> Any:
         """Return what the parser makes of a text, or of each of several; None of None."""
         parse, name = self.parser, self.key if self.names else ""
-        if parse is None or given is None:
-            return given
-        return [parse(name, one) for one in given] if self.repeated else parse(name, given)
+        if parse is None or typed is None:
+            return typed
+        return [parse(name, word) for word in typed] if self.repeated else parse(name, typed)
 
 
 def _reading(spelled: str, meaning: str, parse: Parser | None = None, repeated: bool = False) -> Option:
@@ -150,7 +150,7 @@ READING = (
     _reading("--encoding NAME", "The text encoding, if not UTF-8."),
     _reading("--block-rows N", "Rows held at a time; changes no digit of a result."),
 )
-READING_OF_LOGS = tuple(LOG_FORMAT if one is FILE_FORMAT else one for one in READING)
+READING_OF_LOGS = tuple(LOG_FORMAT if option is FILE_FORMAT else option for option in READING)
 
 # --- identify: mostly the fields of ``IdentificationOptions`` ---
 IDENTIFICATION = (

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from dbo_cli.errors import UsageError
 from dbo_cli.logs.plain_text import pattern
-from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
     from dbo_cli.logs.request import Address
@@ -31,9 +31,9 @@ def number(option: str, text: str) -> float:
     return value
 
 
-def text(option: str, given: str) -> str:
+def text(option: str, word: str) -> str:
     """Return the text itself."""
-    return given
+    return word
 
 
 def positive(option: str, text: str) -> float:
@@ -51,9 +51,9 @@ def with_unit(parse: Parser) -> Parser:
     """Return a parser of figures that may have a unit (``1.2kV``): a text then, to be converted."""
 
     def parse_figure(option: str, text: str) -> float | str:
-        found = _WITH_UNIT.fullmatch(text.strip())
-        value: float = parse(option, found[1] if found else text)
-        return text if found else value
+        match = _WITH_UNIT.fullmatch(text.strip())
+        value: float = parse(option, match[1] if match else text)
+        return text if match else value
 
     return parse_figure
 
@@ -144,10 +144,10 @@ def seconds_or_auto(option: str, text: str) -> float | str:
 
 def names(option: str, text: str) -> tuple[str, ...]:
     """Return names that commas divide."""
-    found = tuple(name.strip() for name in text.split(","))
-    if not all(found):
+    words = tuple(name.strip() for name in text.split(","))
+    if not all(words):
         raise UsageError(f"`{option}` {shown(text)}: give names with commas between them")
-    return found
+    return words
 
 
 def header_lines(option: str, text: str) -> int:

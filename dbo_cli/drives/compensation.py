@@ -11,7 +11,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from itertools import chain
 from types import MappingProxyType
 from typing import Any, Protocol
@@ -32,7 +32,6 @@ from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
 from dbo_cli.hysteresis.move_error import MOST_ROWS, MoveError, move_error
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock, even_step, median_step
 from dbo_cli.logs.sources import Source
-from dbo_cli.records import dataclass
 
 NOTHING_BROUGHT: Mapping[str, Any] = MappingProxyType({})
 REACH_SLACK = 0.01  # of the range: a trajectory this little outside is clipped and counted like any other
@@ -333,19 +332,19 @@ class Compensation(ModelRun):
         steps = np.diff(stamps)
         forward = steps[steps > 0.0]
         if not len(forward):
-            asked = (self.why_time or "`from_`").split()[0]
+            option = (self.why_time or "`from_`").split()[0]
             raise InputError(
-                f"{self.source.name}: the time does not advance, and {asked} takes its rate from it"
+                f"{self.source.name}: the time does not advance, and {option} takes its rate from it"
             )
         return median_step(forward)
 
     def before_move(self, first: float, step: float) -> Before:
         """Return the pieces before the trajectory's first value."""
-        asked, last = self.options, self.gate.last
-        plan = BeforeMove(self.model, asked, self.limits, self.start, last, step)
+        options, last = self.options, self.gate.last
+        plan = BeforeMove(self.model, options, self.limits, self.start, last, step)
         before = plan.plan(first)
-        if asked.condition:
-            ramped = last is not None and asked.approach is not None
+        if options.condition:
+            ramped = last is not None and options.approach is not None
             begin = None if ramped else sweep_range(self.model, self.limits)[0]
             self.gate.require_start(step, begin)
         return before
@@ -433,9 +432,9 @@ class Compensation(ModelRun):
     def _lost_rms(self) -> float:
         return self.loss.rms(self.rows - self.rows_before)
 
-    def desired_rows(self, asked: FloatArray) -> FloatArray:
+    def desired_rows(self, rows: FloatArray) -> FloatArray:
         """Return what is desired in the last rows of the move that were run, of what the model was asked."""
-        return asked
+        return rows
 
     def finish(self) -> None:
         """Write what belongs beside the drive, once that is written; a plain move needs nothing."""

@@ -26,7 +26,7 @@ import cmath
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import chain
 from typing import Any, NamedTuple, TypeVar
@@ -37,7 +37,6 @@ from numpy.typing import ArrayLike, NDArray
 from dbo_cli.errors import InputError, ModelError, UsageError
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.operators import checked_steps
-from dbo_cli.records import dataclass
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complexfloating]
@@ -45,16 +44,11 @@ Payload = TypeVar("Payload")
 SectionStates = tuple[tuple[float, float, float], ...]
 
 FEWEST_SAMPLES = 3.0
-"""Samples a period of the resonance from which on the inverse is taken.
-
-The zero that is run backward lies at -3.73 for many samples, at -2.4 to -2.9 for 6, at -1.4 for 3; towards 2,
-half the sampling rate, at -1, where no sum over the future converges.
-"""
+"""Samples a period of the resonance from which on the inverse is taken. Measured: docs/choices.md."""
 LEFT_OVER = 1e-17  # of the whole sum over the future: less than rounding does to it
 LONGEST_AHEAD = 2000  # samples; beyond, the zero is so near the unit circle that the inverse rings
 LAG_ZERO = 0.4
-"""β of a lag. Measured on a lag of 0.2 ms and a resonance of 800 Hz at 20 kHz, sine at 160 Hz, error in % of
-the move: 0.17 for β = 0, 0.028 for 0.4; at 0.5 its inverse rings for ever."""
+"""β of a lag, see above. Measured: docs/choices.md."""
 _SERIES = 1.0  # radians of the resonance a step, below which responses are summed as series: no cancellation
 _TERMS = 24  # of the series; the last is below 1e-20 of the first at one radian
 LOW_PASS_LEFT_OVER = 1e-10  # of a low-pass's weight in the middle, at which its weights are cut off

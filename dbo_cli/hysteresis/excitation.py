@@ -10,13 +10,13 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import UsageError
-from dbo_cli.records import dataclass
 
 Floats = NDArray[np.float64]
 
@@ -25,30 +25,23 @@ MOST_SAMPLES = 100_000_000  # a row takes some 30 bytes of text: 3 GB
 FEWEST_CYCLES = 6  # one for the sweeps and one for return and rest leave four for the random turns
 SAMPLES_A_CYCLE = 20  # with fewer, interpolation between samples no longer shows where a swing turns
 
-# Tried on five virtual actuators, two unseen moves, 15 s at 1 kHz, five or six seeds: no holds or longer
-# ones, holds of log-uniform length, a second sweep, speeds or levels that fill their range evenly, distances
-# between turns that are log-uniform. None was better by more than the seeds scatter, a tenth of the mean.
-_FASTEST, _SLOWEST = -0.9, 0.6  # log10 of a swing's time in that of the sweep's part between the same levels
+_FASTEST, _SLOWEST = -0.9, 0.6
+"""log10 of a swing's time in that of the sweep's part between the same levels. Measured: docs/choices.md."""
 AT_AN_END = 0.12  # chance that a turn lies at an end of the range: loops that hang there tell of asymmetry
 _HOLD_CHANCE = 0.15  # chance that a turn is held; chosen
 _HOLD = 0.4  # periods; only at rest does creep show apart from hysteresis
-# Periods at rest at the end, where it began: equal voltages tell drift. Without it, the geometric mean of the
-# error was 0.121 % of the stroke, with it 0.113 % (30 runs each).
 _REST = 0.5
+"""Periods at rest at the end, where it began: equal voltages tell drift. Measured: docs/choices.md."""
 
 FASTER = 10.0  # a sweep's highest frequency over that of the loops: their fastest swings have 8 times it
 
 SWEEP_SECONDS = 2.0  # at least; chosen
 SWEEP_PERIODS = 120.0
-"""Of the highest frequency, at least: 26 periods in all. Below 60 Hz the sweep is longer than 2 s; 2 s up to
-40 Hz showed no resonance at 20 Hz."""
+"""Periods of the highest frequency that a sweep lasts, at least. Measured: docs/choices.md."""
 OCTAVES_DOWN = 100.0
 """The sweep begins at its end over this: there the gears alone answer, and the ratio of the two is known."""
 AMPLITUDE = 0.01
-"""Of the range, from the middle to the crest, at the lower end of the sweep.
-
-A resonance of damping 0.02 makes a quarter of the range of it, at a place where the gears hardly turn.
-"""
+"""Of the range, from the middle to the crest, at the lower end of the sweep. Measured: docs/choices.md."""
 FADED = 0.25
 """Of the amplitude, at the upper end: it falls with the logarithm of the frequency, since what a resonance
 makes of it grows and what the gears do does not."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal, Self
 
@@ -25,7 +25,6 @@ from dbo_cli.hysteresis.cascade import DelayStage, ScaleStage, Stage, slow_outpu
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag
 from dbo_cli.hysteresis.model_state import NEGLIGIBLE, DriveLimits, ModelState, Quantity, Simulated, StartName
 from dbo_cli.hysteresis.operators import Counts, DiscreteBacklashOperator, OutputLimits, Outside, Relaxation
-from dbo_cli.records import dataclass
 
 __all__ = [
     "NEGLIGIBLE",

@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,6 @@ from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import Node, read_relaxation, read_stages, stage_values
 from dbo_cli.hysteresis.operators import Floats, Relaxation
-from dbo_cli.records import dataclass
 
 Integers = NDArray[np.int64]
 
@@ -35,16 +35,8 @@ MOST_ROWS = 131_072  # of a move are looked at: its first ones, 1 MB of drive an
 MOST = 8  # other models are played: identification keeps five
 DIGITS = 4  # of the other models' numbers: their rounding, 1e-5 of the range, is nothing beside the rest
 WIDENING, APART = 3.25, 4.0 / 3.0
-"""How much the error on what was left out grows with how unlike the logs' swings a move's are (in units of
-the range), and how much the distance of the other models counts.
-
-On 528 moves of 11 kinds of plants (benchmarks/foreign_plants.py) swings like the logs' own (within 0.03 of
-the range) erred 1.1 times what was stated without either, in the middle; after two amplitudes those 0.3 to
-0.7 away 2 to 3 times. The ninetieth over the tenth percentile of actual over stated was 5.6 without either,
-4.7 so, and 4.2 with 2 in place of 4/3, which stated 3.3 times what came on the authors' pair (2.4 so). With
-alternatives that forget it is 3.5: 0.40 and 1.41; with 3.75 in place of 3.25 0.39 and 1.38 (seeds 1 to 3).
-Swings with the turn before them, or their mean distance, gained nothing.
-"""
+"""How much the error on what was left out grows with how unlike the logs' swings a move's are (a unit of
+the range), and how much the distance of the other models counts. Measured: docs/choices.md."""
 
 
 def turning_points(signal: Floats, threshold: float) -> Integers:
@@ -299,9 +291,7 @@ def rms(values: Floats) -> float:
 
 RESONANCE_PART = 3.0
 """A model is trusted to its lowest resonance over this, where its identification says nothing else.
-
-There an error of 10 % in the frequency leaves a relative error of 3 %; at the resonance one above 1.
-"""
+Measured: docs/choices.md."""
 
 
 def trusted_frequency(model: ActuatorModel) -> float | None:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Literal, NamedTuple
 
@@ -21,7 +22,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.hysteresis import kernel
-from dbo_cli.records import dataclass
 
 Floats = NDArray[np.float64]
 Axis = Literal["input", "output"]

@@ -15,7 +15,7 @@ import itertools
 import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -44,7 +44,6 @@ from dbo_cli.logs.units import (
     parse_time_unit,
     time_unit,
 )
-from dbo_cli.records import dataclass
 
 # --- what a file states -----------------------------------------------------------------------------------
 

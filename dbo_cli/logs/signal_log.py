@@ -16,7 +16,7 @@ import os
 import re
 from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -50,8 +50,7 @@ from dbo_cli.logs.sample_block import (
 )
 from dbo_cli.logs.sources import Source
 from dbo_cli.logs.text.text_table import TextTable
-from dbo_cli.logs.units import Scale, kind_of_unit
-from dbo_cli.records import dataclass
+from dbo_cli.logs.units import Scale, kind_of_unit, quantity_name
 
 _USER_BLOCKS = (0, 512, 1024, 2048)  # where an HDF5 file may begin (MATLAB v7.3: 512)
 _TEXT = (".csv", ".tsv", ".txt", ".dat", ".gz", "")  # endings of text; others may be an extra's
@@ -433,7 +432,8 @@ class SignalLog(Source):
         for role, column, unit in self._used():  # voltage 'CH1' (V)
             called = f"'{column.name}'" if column.quantity else f"column {column.number}"
             scale = f", {self._scale_text(role)}" if role in self._scales else ""
-            read.append(f"{role} {called} ({unit or 'no unit'}{scale})")
+            quantity = quantity_name(role, unit)
+            read.append(f"{quantity} {called} ({unit or 'no unit'}{scale})")
         return f"{self.name}: {'; '.join(filter(None, [', '.join(known), ', '.join(read)]))}"
 
     def _used(self) -> list[tuple[str, ColumnInfo, str | None]]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,7 +21,6 @@ from dbo_cli.logs.columns import ColumnWish, choose_columns, column_info, find_c
 from dbo_cli.logs.request import ALL_ROWS, BLOCK_ROWS, ReadingOptions, Rows, checked_rate
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, TimeCheck, joined, require_even
 from dbo_cli.logs.units import ONE, UnitFactor, unit_factor
-from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
     import pandas

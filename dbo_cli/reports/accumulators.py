@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,6 @@ from numpy.typing import NDArray
 
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.sample_block import SampleBlock
-from dbo_cli.records import dataclass
 from dbo_cli.reports.sample_pairs import BATCH, Batches, Floats, comparable, only, row_numbers
 
 # Bins are leading bits: 9 of the mantissa tell 0.1 %, 128 octaves from 2^-64 on cover any unit.

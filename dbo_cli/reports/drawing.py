@@ -21,6 +21,7 @@ import tempfile
 import unicodedata
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from types import MappingProxyType
@@ -29,7 +30,6 @@ from typing import TYPE_CHECKING, Any, Literal
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.whole_output import make_folder, write_whole
-from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,13 +10,13 @@ which way a signal is going, sample by sample, whatever noise, rounding and hold
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.logs.sample_block import SampleBlock
-from dbo_cli.records import dataclass
 from dbo_cli.reports.accumulators import CompensatedSum, DoublingBins, ErrorDistribution
 from dbo_cli.reports.sample_pairs import Batches, Floats, comparable, only
 
@@ -30,15 +30,14 @@ LARGEST_TURN = 0.1
 _TO_DEVIATION = math.sqrt(math.pi / 2.0) / math.sqrt(6.0)
 
 _FINE_BINS = 256  # kept; so many that doubling their width loses no more than a factor 2 in place
-# A loop of 0.500 in noise of 0.02, 4,000 samples, reads 0.525 with 256 bins, 0.507 with 64, 0.503 with 32;
 _MOST_BINS = 64
-# in noise of 0.2 it reads 0.551 where joining ends at 16, 0.526 at 8, and with 4 its shape is lost (0.490).
+"""Bins of the loop, at most. Measured: docs/choices.md."""
 _FEWEST_BINS = 8
+"""Bins of the loop, at least, where they are joined. Measured: docs/choices.md."""
 _LEAST_SAMPLES = 3  # of either direction, for a bin to count ...
 _LEAST_PART = 0.1  # ... and this part of what a bin has on average, lest the noise of a few samples wins
-# Bins are joined until the noise floor is below this part of the width: of a true loop of 0.50 in noise of
-# 0.2 and 4,000 samples, 64 bins read 0.62 (the largest of many noisy means), joined ones 0.52.
 _CLEAR = 0.1
+"""Bins are joined until the noise floor is below this part of the width. Measured: docs/choices.md."""
 
 _PLACE_OF_WAY = np.array([1, 3, 0])  # among the sums: of down, of neither, of up
 _UP, _DOWN, _OPEN = slice(0, 2), slice(2, 4), slice(4, 6)  # rows of the sums: count and sum of the error

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import chain, product
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -23,7 +23,6 @@ from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.logs.plain_text import cleaned, counted
 from dbo_cli.logs.request import Rows
 from dbo_cli.logs.sample_block import SampleBlock
-from dbo_cli.records import dataclass
 from dbo_cli.reports import sample_pairs
 from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics, monotone_ends
 from dbo_cli.reports.sample_pairs import Floats

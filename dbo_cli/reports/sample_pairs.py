@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain
 
 import numpy as np
@@ -18,7 +18,6 @@ from dbo_cli.errors import InputError
 from dbo_cli.hysteresis.cascade import interpolated
 from dbo_cli.logs.request import Rows
 from dbo_cli.logs.sample_block import SampleBlock, joined
-from dbo_cli.records import dataclass
 
 Floats = NDArray[np.float64]
 BATCH = 32768  # samples: four columns of them fit into a cache of 1 MB

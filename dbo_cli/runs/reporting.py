@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -23,7 +23,6 @@ from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.sources import Source, remarks_of
 from dbo_cli.logs.whole_output import all_or_none, check_output, write_whole
-from dbo_cli.records import dataclass
 from dbo_cli.reports import renderers
 from dbo_cli.reports.accumulators import FigureData
 from dbo_cli.reports.drawing import Plot, check_folder, file_stems, save
@@ -86,8 +85,8 @@ class TrackingOptions:
             raise UsageError(f"`dwell` {self.dwell:g}: give seconds, 0 or more")
         if segment not in (None, "cycles"):
             if not isinstance(segment, int | float) or not 0.0 < segment < float("inf"):
-                given = segment if isinstance(segment, str) else f"{segment:g}"
-                raise UsageError(f"`segment` {given}: neither 'cycles' nor a number of seconds above 0")
+                shown = segment if isinstance(segment, str) else f"{segment:g}"
+                raise UsageError(f"`segment` {shown}: neither 'cycles' nor a number of seconds above 0")
 
     def scoring(self, with_model: bool) -> ReportOptions:
         """Return how signals are compared."""
@@ -149,7 +148,7 @@ class TrackingRun:
         self,
         log: Any,
         reading: ReadingOptions,
-        asked: TrackingOptions,
+        options: TrackingOptions,
         name: str | None = None,
         listener: Listener = SILENT,
         time: Any = None,
@@ -167,22 +166,24 @@ class TrackingRun:
         time
             The column or the seconds of a table from Python.
         """
-        trajectory = asked.trajectory
+        trajectory = options.trajectory
         from_first = self.model is not None or trajectory is not None
-        own, score_rows = rows_to_score(reading, asked.lag, from_first=from_first)
+        reading_of_log, score_rows = rows_to_score(reading, options.lag, from_first=from_first)
         with contextlib.ExitStack() as stack:
-            want = asked.wishes(self.model is not None)
-            source = stack.enter_context(contextlib.closing(opened(log, want, own, listener, time=time)))
+            want = options.wishes(self.model is not None)
+            source = stack.enter_context(
+                contextlib.closing(opened(log, want, reading_of_log, listener, time=time))
+            )
             if trajectory is None:
                 wished = None
             else:
-                wished = stack.enter_context(open_trajectory(trajectory, asked.desired, reading))
+                wished = stack.enter_context(open_trajectory(trajectory, options.desired, reading))
                 listener.opened(wished.describe())
             self._bring_to_one_unit(source, wished or source)
             data = self._new_figure_data(source) if self.traced else None
             run = None if self.model is None else ModelRun(self.model, source)
             blocks = _counted(source, listener)
-            matched = None if wished is None else _matched(source, blocks, wished, asked.match)
+            matched = None if wished is None else _matched(source, blocks, wished, options.match)
             if matched is not None:
                 blocks = matched.pairs()
             elif run is not None:
@@ -194,7 +195,7 @@ class TrackingRun:
                 sample_rate=source.stated_rate,
                 figure_data=data,
                 score_rows=score_rows,
-                count_sweep=asked.count_sweep or reading.rows != ALL_ROWS,
+                count_sweep=options.count_sweep or reading.rows != ALL_ROWS,
             )
             if matched is not None:
                 merits = dataclasses.replace(merits, notes=(*matched.notes(), *merits.notes))
@@ -236,8 +237,8 @@ def _matched(
     """Join a recording and a trajectory: by ``time``, by ``rows``, or by time where both have one."""
     by_time = match == "time" or (match == "auto" and source.has_time and trajectory.has_time)
     if by_time:
-        for one in (source, trajectory):
-            one.require_time("`match` by time depends on it")
+        for log in (source, trajectory):
+            log.require_time("`match` by time depends on it")
     return TrajectoryMatch(source.name, trajectory.name, blocks, trajectory.blocks(), by_time=by_time)
 
 
@@ -333,12 +334,14 @@ class TrackingReport:
         from dbo_cli.reports.figures import plots_of_comparison, plots_of_log
         from dbo_cli.reports.models import plots_of_model
 
-        report, kept = self.report, self.figure_data
-        if len(kept) != len(report.logs):
+        report, figure_data = self.report, self.figure_data
+        if len(figure_data) != len(report.logs):
             raise UsageError("nothing was kept to draw from: compare with `traced`")
-        of_logs = [plots_of_log(report, log, data) for log, data in zip(report.logs, kept, strict=True)]
+        of_logs = [
+            plots_of_log(report, log, data) for log, data in zip(report.logs, figure_data, strict=True)
+        ]
         of_model = [] if self.model is None else plots_of_model(self.model)
-        return of_logs, plots_of_comparison(report, kept), of_model
+        return of_logs, plots_of_comparison(report, figure_data), of_model
 
 
 ENDINGS = {".json": "json", ".csv": "csv", ".html": "html", ".htm": "html"}
@@ -390,22 +393,22 @@ class ReportRun:
 
 
 @all_or_none()
-def report_logs(asked: ReportRun, listener: Listener = SILENT) -> Outcome:
+def report_logs(run: ReportRun, listener: Listener = SILENT) -> Outcome:
     """Compare logs and write the report, by default in the form of the output's ending, else text."""
-    options, figures = asked.options, asked.figures
+    options, figures = run.options, run.figures
     scoring = options.scoring(options.model is not None)
-    chosen, inputs = asked.prepared()
+    chosen, inputs = run.prepared()
     model = None if options.model is None else read_model(options.model)
     traced = figures is not None or chosen == "html"
     tracking = TrackingRun(scoring, model, str(options.model), traced)
-    names = short_names(asked.logs)
-    for address in asked.logs:
-        tracking.add(address, asked.reading, options, names.get(address), listener)
+    names = short_names(run.logs)
+    for address in run.logs:
+        tracking.add(address, run.reading, options, names.get(address), listener)
     result = tracking.result()
     if figures is not None:
         result.figures(figures)
-    asked.write(result.rendered(chosen), inputs)
-    return asked.judged(result.report, chosen, Outcome(result.remarks))
+    run.write(result.rendered(chosen), inputs)
+    return run.judged(result.report, chosen, Outcome(result.remarks))
 
 
 def report_form(output: Address, form: str | None) -> str:
@@ -456,10 +459,10 @@ def rows_to_score(
 
 def open_trajectory(address: Address, desired: str | None, reading: ReadingOptions) -> SignalLog:
     """Open the file with the desired signal, on its own clock where it has one."""
-    own = dataclasses.replace(reading, rows=ALL_ROWS, time=None, sample_rate=None)
-    log = open_log(address, trajectory_wishes(desired), own)
+    whole = dataclasses.replace(reading, rows=ALL_ROWS, time=None, sample_rate=None)
+    log = open_log(address, trajectory_wishes(desired), whole)
     if log.has_time or reading.sample_rate is None:
         return log
     log.close()
-    timed = dataclasses.replace(own, sample_rate=reading.sample_rate)
+    timed = dataclasses.replace(whole, sample_rate=reading.sample_rate)
     return open_log(address, trajectory_wishes(desired), timed)

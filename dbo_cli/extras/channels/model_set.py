@@ -15,6 +15,7 @@ import functools
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -25,7 +26,6 @@ from dbo_cli.hysteresis import model_file
 from dbo_cli.hysteresis.kernel import Floats
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import MODEL_FORMAT, SET_FORMAT, Node
-from dbo_cli.records import dataclass
 
 MOST_CONDITION = 100.0
 """Of the matrix, in strokes of the channels: undoing it may make a model's error and the sensors' noise

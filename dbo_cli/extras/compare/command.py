@@ -38,6 +38,10 @@ def compare(given: Given) -> None:
     ------
     A table as text, JSON, CSV or an HTML page, by the name of the output; with --figures pictures.
 
+    Usual options
+    -------------
+    --models --validate --figures --save-models -o
+
     Examples
     --------
     Fitted to one log, judged on another:

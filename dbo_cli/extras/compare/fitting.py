@@ -10,7 +10,7 @@ the weights are rules for their increments.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,6 @@ from dbo_cli.hysteresis.identification.recordings import FEWEST_ROWS, Recording
 from dbo_cli.hysteresis.identification.statistics import PreparedLog, Score
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.hysteresis.operators import DiscretePointOperator, Floats
-from dbo_cli.records import dataclass
 
 USUAL_PLAYS = 25  # what the paper and the literature take, and what the delay is searched for with
 PLAYS = (12, 25, 50, 100)  # to choose from; chosen, each twice the one before
@@ -473,8 +472,8 @@ def _model_of(solution: Floats, design: Design, prepared: Prepared, recording: R
 
 def _ranged(stages: Sequence[Stage], low: float, high: float, recording: Recording) -> RelativeModel:
     """Return the model with the range that its output reaches slowly."""
-    source = Quantity("voltage", recording.voltage_unit, low, high)
-    anything = Quantity("displacement", recording.displacement_unit, 0.0, 1.0)
+    source = Quantity(recording.voltage_quantity, recording.voltage_unit, low, high)
+    anything = Quantity(recording.displacement_quantity, recording.displacement_unit, 0.0, 1.0)
     model = RelativeModel("forward", source, anything, tuple(stages))
     still = model.without_lag
     ends = still.simulate([low, high, high, low], still.start(low, "empty"), time_step=1e9).y[1:]

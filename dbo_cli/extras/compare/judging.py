@@ -6,6 +6,7 @@ import dataclasses
 import math
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cache, partial
 
 import numpy as np
@@ -28,7 +29,6 @@ from dbo_cli.hysteresis.identification.recordings import (
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.move_error import played, rms
 from dbo_cli.hysteresis.operators import Floats
-from dbo_cli.records import dataclass
 
 SAME_STAGES = "same-stages"
 NAMES = ("dbo", *(relative.name for relative in RELATIVES), SAME_STAGES)

@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 import operator
 import sys
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -32,7 +32,6 @@ from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.cascade import OtherHysteresis
 from dbo_cli.hysteresis.model_file import relaxation_values
 from dbo_cli.hysteresis.operators import BacklashState, Floats, OutputLimits, Relaxation
-from dbo_cli.records import dataclass
 
 Memory = tuple[float, ...] | None  # of relaxation; None: at rest at the sample to come
 Kind = Literal["plays", "rate-plays", "singular-plays", "one-sided-plays"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -15,7 +15,6 @@ from dbo_cli.hysteresis.dynamics import DynamicsInverter, DynamicsStage
 from dbo_cli.hysteresis.kernel import Floats
 from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits, ModelState, Quantity
 from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator, DiscretePointOperator
-from dbo_cli.records import dataclass
 
 Direction = Literal["forward", "inverse"]
 

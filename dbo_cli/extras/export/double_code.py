@@ -12,7 +12,7 @@ actuator is driven by. It is what ``hysteresis.drive_lag`` does, as C.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -24,7 +24,6 @@ from dbo_cli.hysteresis.drive_lag import coefficients, undoing_rows
 from dbo_cli.hysteresis.kernel import Floats
 from dbo_cli.hysteresis.model import NEGLIGIBLE
 from dbo_cli.hysteresis.operators import kernel_table
-from dbo_cli.records import dataclass
 
 MOST_LOOKUP_GEARS = 12
 """2^12 states are 70 kB of table; one gear more doubles it."""

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,6 @@ from dbo_cli.extras.export.source_text import (
 from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, through
 from dbo_cli.hysteresis.kernel import Floats
 from dbo_cli.hysteresis.model import DriveLimits, Quantity
-from dbo_cli.records import dataclass
 
 Text = Callable[[Any], str]
 
@@ -489,8 +489,7 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
     tables, size = _tables(t, text)
     if spare:
         tables += array("uint32_t", "spare", spare)
-    words = (t.n + 31) // 32 + 4 * (t.n // 64)  # DBO_WORDS(n)
-    members = [f"uint32_t words[{words}];", "uint32_t segments[3];", "dbo_backlash_state gears;"]
+    members = [f"dbo_place turns[{t.n}];", "uint32_t segments[3];", "dbo_backlash_state gears;"]
     if t.terms:
         members.append(f"dbo_memory memory[{len(t.terms)}];")
     delay = ""
@@ -501,8 +500,7 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
     values: dict[str, str | bool] = {
         "counts": q31, "inverse": plan.model.direction == "inverse", "terms": bool(t.terms),
         "spare": bool(spare), "delay": bool(delay), "tables": tables, "delay_line": delay,
-        "SPARE_WORDS": str(len(spare)),
-        "WORDS": str(words), "TERMS": str(len(t.terms)), "COVERED": str(plan.model.covered_gears.operator.n),
+        "TERMS": str(len(t.terms)), "COVERED": str(plan.model.covered_gears.operator.n),
         "MEMORY": "state->memory" if t.terms else "0", "SPARE": "spare" if spare else "0",
         "LIMITS": "0" if t.limits is None else "&limits", "LOWEST_OUTPUT": low, "HIGHEST_OUTPUT": high,
         "FIRST_OUTPUT": text(t.first), "slew": t.change is not None,
@@ -525,20 +523,21 @@ def _tables(t: SingleTables, text: Text) -> tuple[str, int]:
     """Return all tables but that of the spare gears, and their bytes."""
     rows = [[integer(width), integer(height), text(slope)] for width, height, slope in t.rows]
     out, size = array("dbo_gear", "gears", struct_rows(rows)), 12 * len(t.rows)
-    if t.n >= 64:
-        each = np.repeat(np.array([row[:2] for row in t.rows], np.int64), t.run, axis=0)
-        sums = np.vstack([np.zeros((1, 2), np.int64), np.cumsum(each, axis=0)])[: t.n + 1 : 64].tolist()
-        out += array("dbo_block", "blocks", struct_rows([[integer(v) for v in place] for place in sums]))
-        size += 16 * len(sums)
+    begins = _begins(t)
+    out += array("dbo_begin", "begins", struct_rows([[integer(v) for v in begin] for begin in begins]))
+    part_shift, guide = _guide(begins)
+    out += array("dbo_place", "guide", [str(row) for row in guide])
+    size += 16 * len(begins) + 2 * len(guide)
     if t.terms:
         factors = [[integer(carried), integer(rest), f"{shift}U"] for carried, rest, shift in t.terms]
         out += array("dbo_term", "terms", struct_rows(factors))
         size += 12 * len(factors)
     shift = row_shift(t.n, t.run)
     factor = (2**shift + t.run - 1) // t.run
+    half_run = 2 ** (t.run.bit_length() - 1)
     out += (
-        f"static const dbo_backlash op = {{gears, {'blocks' if t.n >= 64 else '0'}, {t.n}U, {t.run}U,"
-        f" {factor}U, {shift}U, {t.tolerance}U,"
+        f"static const dbo_backlash op = {{gears, begins, guide, {part_shift}U,\n    {t.n}U, {t.run}U,"
+        f" {half_run}U, {factor}U, {shift}U, {t.tolerance}U,"
         f" {'terms' if t.terms else '0'}, {len(t.terms)}U,\n"
         f"    {t.carried_shift}U, {int(t.memory_on_output)}, {integer(t.drive_offset)}, {t.drive_shift}U,"
         f" {t.slope_shift}U, {t.x_shift}U, {t.y_shift}U, {integer(t.least)}, {integer(t.most)}}};\n"
@@ -552,8 +551,28 @@ def _tables(t: SingleTables, text: Text) -> tuple[str, int]:
     return out, size
 
 
+def _begins(t: SingleTables) -> list[tuple[int, int]]:
+    """Return where each row of gears begins, and where the last gear ends."""
+    begins = [(0, 0)]
+    for first, (width, height, _) in zip(range(0, t.n, t.run), t.rows, strict=True):
+        count = min(t.run, t.n - first)
+        x, y = begins[-1]
+        begins.append((x + count * width, y + count * height))
+    return begins
+
+
+def _guide(begins: list[tuple[int, int]]) -> tuple[int, list[int]]:
+    """Return a shift that cuts positions into parts, one or two a row, and in which row each part begins."""
+    starts = np.array([x for x, _ in begins], np.int64)
+    span, rows = int(starts[-1]), len(begins) - 1
+    shift = max((span // rows).bit_length() - 1, 0)
+    parts = np.arange((span >> shift) + 2, dtype=np.int64) << shift
+    found = np.searchsorted(starts, parts, side="right") - 1
+    return shift, np.minimum(found, rows - 1).tolist()
+
+
 def row_shift(n: int, run: int) -> int:
-    """Return a shift with which i * ceil(2^shift / run) >> shift is i // run for all i < n, in 32 bits."""
+    """Return a shift with which i * ceil(2^shift / run) >> shift is i // run for all i <= n, in 32 bits."""
     return (n * run - 1).bit_length() if run > 1 else 0
 
 

@@ -6,12 +6,12 @@ file crosses many at once and ends in the same state, because what is left to tr
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from dbo_cli.hysteresis.kernel import find_first_one, find_first_zero
-from dbo_cli.records import dataclass
 
 F = np.float32
 FARTHEST = 1 << 60  # as in dbo_kernel_single.c: beyond every position, and a difference of two fits 64 bits

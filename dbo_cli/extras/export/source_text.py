@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib import resources
 
 import numpy as np
@@ -12,7 +12,6 @@ import numpy as np
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.model import Quantity
 from dbo_cli.hysteresis.model_file import filled
-from dbo_cli.records import dataclass
 
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _LONGEST = 40  # NAME_names.h and the longest names of the kernel stay far below what linkers and disks hold

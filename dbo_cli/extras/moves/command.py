@@ -101,6 +101,10 @@ def trajectory(given: Given) -> None:
     ------
     Time and displacement, or time, x and y: dbo compensate --displacement x_um takes one of them.
 
+    Usual options
+    -------------
+    --rate --range --frequency --lines --turns --cycles --steps --dwell --bandwidth --model -o
+
     Examples
     --------
     A raster that a model can follow:
@@ -128,6 +132,10 @@ def waveform(given: Given) -> None:
     Writes
     ------
     The generator's file; one line on standard error says what to set there.
+
+    Usual options
+    -------------
+    --to --gain --points --rate --volts --v-min --v-max --max-slew -o
 
     Examples
     --------

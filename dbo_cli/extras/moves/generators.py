@@ -12,7 +12,7 @@ import io
 import math
 import wave
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from dbo_cli import extensions
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.logs.libraries import import_extra
-from dbo_cli.records import dataclass
 
 Floats = NDArray[np.float64]
 Codes = NDArray[np.int64]

@@ -8,13 +8,13 @@ was asked for; each turn and each rise takes one period of the bandwidth.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from dbo_cli.drives.gate import Floats
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.excitation import MOST_SAMPLES
-from dbo_cli.records import dataclass
 
 Range = tuple[float, float]
 START = 2.0 / math.pi

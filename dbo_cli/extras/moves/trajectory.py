@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import shlex
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +23,6 @@ from dbo_cli.logs.columns import OutColumn
 from dbo_cli.logs.request import check_format
 from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.whole_output import all_or_none
-from dbo_cli.records import dataclass
 from dbo_cli.runs.api import Model, require_known
 from dbo_cli.runs.files import Destination, shown_name, summary_of_values, write_summary
 

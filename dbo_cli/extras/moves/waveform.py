@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,6 @@ from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.sources import remarks_of
 from dbo_cli.logs.units import in_unit
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
-from dbo_cli.records import dataclass
 from dbo_cli.runs.files import Destination, read_record, summary_of_values, write_summary
 
 SAME_RATE = 1e-9  # two drives for one file are of one clock; the stamps' digits aside

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import field
+from dataclasses import dataclass, field
 
 from dbo_cli.drives.compensation import Compensation
 from dbo_cli.extras.repeat.learning import Lesson, write_history
 from dbo_cli.extras.repeat.options import RepeatOptions
 from dbo_cli.logs.sample_block import FloatArray
-from dbo_cli.records import dataclass
 
 
 @dataclass

@@ -16,6 +16,7 @@ import math
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,7 +31,6 @@ from dbo_cli.hysteresis.move_error import rms, trusted_frequency
 from dbo_cli.logs.sample_block import SAME_RATE, FloatArray, even_step
 from dbo_cli.logs.sources import Source, WholeSource
 from dbo_cli.logs.whole_output import write_whole
-from dbo_cli.records import dataclass
 
 FORMAT, VERSION = "dbo-history", 1
 
@@ -84,24 +84,17 @@ ANOTHER_MOVE = 0.5
 that is not learned, belongs to another trajectory. For a very wrong model twice the move may be asked for."""
 SAME_DRIVE = 0.02  # of the drive's range (RMS): recordings further apart are not of one drive; chosen
 LEARNED_BEFORE = 2e-3
-"""Of the move (RMS): a smaller difference of request and trajectory is not what passes learned.
-
-A converter's step of 12 bits is 7e-5 of the range; a first value that the settled actuator steps over left
-3e-4. Where less was learned, growth shows a pass later.
-"""
+"""Of the move (RMS): a smaller difference of request and trajectory is not what passes learned. Measured:
+docs/choices.md."""
 GROWTH = 1.2
-"""The error of a pass over that of the last one, from which on learning is said to diverge.
-
-A converging pass has less than 1; at the noise's floor two passes differ by a few percent. Without a history
-the error is compared with what was learned before, by halves of the band: below half the cut-off, and above.
-"""
+"""The error of a pass over that of the last one, from which on learning is said to diverge. Measured:
+docs/choices.md."""
 BEYOND_NOISE = 2.0
-"""Times the noise in that half of the band, as its density above twice the cut-off has it: noise of 0.5 % of
-the move alone exceeds GROWTH times what was learned there now and then."""
+"""Times the noise in that half of the band, as its density above twice the cut-off has it. Measured:
+docs/choices.md."""
 FROM_BEST = 2.0  # times the best pass's error: growth by less than GROWTH a pass shows after a few
 ORDER = 4
-"""Of Q, run both ways. Order 2 lets a resonance 25 % lower, damping 0.005, grow: |Q(1 - M)| = 1.6 at a
-cut-off of f_r/3; order 4 has 0.07 there and leaves 0.4 % of the error at half the cut-off."""
+"""Order of the low-pass Q, which is run both ways. Measured: docs/choices.md."""
 MISTUNED = 0.25  # how far off a resonance may be, either way: a payload of half the moving mass does that
 SHARPER = 0.25  # of the model's damping: that of the mistuned resonance; chosen
 FACTOR = 0.9  # most that |Q(1 - M)| may be at any frequency for such a resonance; chosen, below 1

@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import field
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -37,7 +37,6 @@ from dbo_cli.hysteresis.kernel import towards
 from dbo_cli.hysteresis.model_state import ModelState
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.sources import WholeSource
-from dbo_cli.records import dataclass
 
 FEWEST_ROWS = 4  # of a period: fewer have no shape
 SEAM = 3.0
@@ -53,10 +52,8 @@ LED_IN = 2  # passes after a rest, at least: one to fade over, one of the loop f
 REACHED = 0.999  # of the longest rest: it was cut there
 LOOP_ERROR = 1e-6  # of the move: a loop that the model repeats further off than this is none
 FADES = ((0.5, 0.1), (0.7, 0.4), (0.8, 0.2), (0.9, 0.6))
-"""Where a run-in fades over to the settled drive, in parts of it before its end, the gentlest first: where
-the settled drive itself goes at the slew limit just before its seam, an earlier one has time to catch up; and
-where the run-in reaches about as far as the loop, so that the two push each other to and fro, another one
-reaches less far or further."""
+"""Where a run-in fades over to the settled drive, in parts of it before its end (begin, end), the gentlest
+first. Measured: docs/choices.md."""
 
 
 Led = tuple[Before, FloatArray, FloatArray, Settled, ModelState | None]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from dbo_cli.drives.options import DriveOptions
 from dbo_cli.errors import UsageError
-from dbo_cli.records import dataclass
 
 
 @dataclass(frozen=True)

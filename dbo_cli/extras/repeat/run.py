@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from typing import Any
 
 from dbo_cli.drives.compensation import Compensation
@@ -22,7 +23,6 @@ from dbo_cli.logs.sample_block import joined
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.sources import Source, is_log
 from dbo_cli.logs.whole_output import check_outputs
-from dbo_cli.records import dataclass
 from dbo_cli.runs.files import Destination, SignalRun, bring_to, quantity_wish, source_of
 
 

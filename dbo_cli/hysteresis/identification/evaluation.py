@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,6 @@ from dbo_cli.hysteresis.identification.search import ROWS_PER_SLOPE, Choice
 from dbo_cli.hysteresis.identification.statistics import PreparedLog
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import StartName
-from dbo_cli.records import dataclass
 
 TINY = float(np.finfo(float).tiny)  # in place of a divisor of 0
 WHOSE_LAG = "compensated too (`sensor_delay`, `sensor_lag`: take off what is the sensor's)"
@@ -139,9 +139,8 @@ def validated(checks: Sequence[Residual], span: float, unit: str) -> tuple[dict[
 
 FOLDS = 5  # of fast rows, or of a short log beside a prior; chosen, the next line follows from it
 STUDENT = 2.776
-"""Standard errors on either side: Student's t of as many folds, 95 %. They held frequency and damping of 22
-of 23 simulated stages (sample_data/virtual_positioner.py), and of 100 plants of gears
-(benchmarks/dynamics_found.py) 94 and 99; those of a jackknife held 84 and 90."""
+"""Standard errors on either side of a frequency or damping: Student's t of as many folds, 95 %. Measured:
+docs/choices.md."""
 WHITE = 4.0
 """Standard deviations up to which what is left over is noise alone.
 
@@ -197,23 +196,16 @@ def loop_width_percent(model: ActuatorModel) -> float:
 
 POOR_PERCENT = 5.0  # of the range: a fit worse than this does not describe the actuator
 SPEED_CORRELATION = 0.35
-"""Of residual and speed: the models of 26 logs (13 kinds of benchmarks/foreign_plants.py) reach 0.23 at most,
-loops that widen slightly with the rate among them."""
+"""Of residual and speed, from which the error is said to depend on the speed. Measured: docs/choices.md."""
 
 SATURATION = 0.15  # slope at an end, relative to the median slope
 GAINS_APART = 1.01  # greatest over least gain of logs: a piezo's own scatter between runs is below a percent
 SLEWED = 4.0
 """Times as many rows near the greatest speed as the model has: something holds the speed at a limit.
-
-4.5 to 15 times behind an amplifier that slews at a limit (five kinds of logs), at most 3.3 on the other ten
-kinds of plants of benchmarks/foreign_plants.py.
-"""
+Measured: docs/choices.md."""
 FEWEST_SWINGS = 4  # twice up and down: of fewer the error that came was up to ten times the one expected
 FEWEST_LEVELS = 20
-"""Hundredths of the range that a drive visits; chosen: one that moves visits them all.
-
-After a staircase of 11 levels other moves erred up to 14 times the expected error, after 60 random ones 2.8.
-"""
+"""Hundredths of the range that a drive visits; one that moves visits them all. Measured: docs/choices.md."""
 CLOCKWISE = 1.3  # growing slopes fit so much worse than falling ones
 
 

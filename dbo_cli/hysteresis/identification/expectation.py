@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -53,11 +53,9 @@ from dbo_cli.hysteresis.move_error import (
     thinned,
     unlike,
 )
-from dbo_cli.records import dataclass
 
 LIKELIHOOD_WIDTH = 0.1
-"""A model whose RMSE is this share above the chosen one's counts exp(-1). With half of it the errors stated
-after ten invented logs were 0.99 to 1 of these, with twice 1 to 1.03 (benchmarks/halved_constants.py)."""
+"""A model whose RMSE is this share above the chosen one's counts exp(-1). Measured: docs/choices.md."""
 
 MOVES = 26  # swings of the invented drive; what another drive changes stands below
 MOVE_ROWS = 3000  # of them all; 1,500 and 6,000 led to 0.997 to 1.003 of the stated errors of ten logs
@@ -65,13 +63,8 @@ MOVE_SEED = 20180701  # any number: with 1, 2 and 3 they were 0.81 to 1.01 of th
 
 
 FORGETTING_EXPLAINS = 0.8
-"""Memories that fade with the way gone, in units of the range, and the share of the squared error beyond
-noise that they must leave at most. They left 0.23 to 0.77 on 18 logs of Duhem's plant and 0.15 to 0.47 on 13
-of 18 of Bouc and Wen's, the others being noise; on the 198 logs of eleven other kinds 0.81 and more or noise,
-but for four of creep (0.55 to 0.80) and two kinds after one amplitude (0.65). Moves without a warning that
-erred by more than twice the figure became 36 of 1,154, from 77; with lengths of 0.05 and 0.2, 0.2 alone, or
-0.2 and 0.6 as many, with 0.1 and 0.3 46 (benchmarks/foreign_plants.py, seeds 1 to 3).
-"""
+"""Memories that fade with the way gone must leave at most this share of the squared error beyond noise.
+Measured: docs/choices.md."""
 
 
 @dataclass(frozen=True)

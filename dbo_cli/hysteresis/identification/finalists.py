@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,7 +36,6 @@ from dbo_cli.hysteresis.identification.statistics import (
     PreparedLog,
     fewer_rows,
 )
-from dbo_cli.records import dataclass
 
 JUDGED_ROWS = 4000  # of the logs
 JUDGED_GEARS = 64  # different slopes, at most; what is delivered begins with theirs and has all

@@ -8,6 +8,7 @@ damping, and judged on quarters of each log left out in turn, as the candidates 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,7 +16,6 @@ from dbo_cli.hysteresis.identification.normal_equations import least_squares
 from dbo_cli.hysteresis.identification.output_error import BLOCKS, Errors
 from dbo_cli.hysteresis.identification.recordings import EVEN, Floats, Integers, drive_shape
 from dbo_cli.hysteresis.identification.statistics import PreparedLog
-from dbo_cli.records import dataclass
 
 TAPS = (16, 64, 256)
 ROWS_PER_TAP = 8  # fewer rows than this are no evidence of so long a response

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -39,7 +40,6 @@ from dbo_cli.hysteresis.identification.static import BROKEN, Identification
 from dbo_cli.hysteresis.identification.statistics import drift_columns
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage, ScaleStage
 from dbo_cli.hysteresis.move_error import Alternative, alternatives_of
-from dbo_cli.records import dataclass
 
 Booleans = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 

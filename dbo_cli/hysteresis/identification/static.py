@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -48,15 +48,14 @@ from dbo_cli.hysteresis.identification.search import (
 from dbo_cli.hysteresis.identification.statistics import PreparedLog
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.move_error import rms
-from dbo_cli.records import dataclass
 
 NO_BETTER = 0.95  # of the straight line's RMSE: above this there is nothing but a line in the log
 
 BROKEN = 2.0  # times the expected error: what makes a move err by more is warned of, or refused of a prior
 
 LATE = 2.0
-"""Sample periods: a shorter delay is no evidence of one, since a first-order lag looks alike. A sensor late
-by 2 samples and 4 ms was found 2.5 to 3.25 late after six kinds of logs, lags without a delay 0.5 to 2.5."""
+"""Sample periods: a shorter delay is no evidence of one, since a first-order lag looks alike. Measured:
+docs/choices.md."""
 
 LARGE_DRIFT = 0.05  # of the range: a sensor that drifts more is broken, or it is no sensor's drift
 
@@ -110,7 +109,9 @@ def identify_static(
     logs = [cleaned(log) for log in recordings]
     recordings = within([one.recording for one in logs], ends)
     said += [note for one in logs for note in one.notes]
-    prepared = prepare(recordings, options.skip_seconds, [one.bad for one in logs], ends)
+    # Where dynamics are looked for, or left out, what swings at the beginning is no history.
+    at_rest = options.dynamics is None
+    prepared = prepare(recordings, options.skip_seconds, [one.bad for one in logs], ends, at_rest)
     choice = choose(prepared, options, cycle)
     finalist = best_of(prepared, choice, options)
     choice = dataclasses.replace(choice, basis=finalist.basis, structure=finalist.structure)
