@@ -287,7 +287,7 @@ def report(arguments: Given) -> None:
 
     Exit code 3
     -----------
-    A limit (--max-rmse, --max-abs, --max-nrmse-percent) is missed; the report is written all the same.
+    A limit (--max-...) is missed; the report is written all the same, and begins with that.
     """
     from dbo_cli.runs.many import reported
     from dbo_cli.runs.reporting import ReportRun, TrackingOptions
@@ -302,6 +302,7 @@ def report(arguments: Given) -> None:
         arguments.format,
         arguments.figures,
         limits,
+        arguments.show,
     )
     finish(arguments, reported(run, work_of(arguments), Progress(arguments.reporter, "compared")))
 

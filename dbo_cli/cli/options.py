@@ -296,6 +296,18 @@ TRACKING = (  # with the columns, the fields of ``TrackingOptions``
         "Score only the rows at which the desired signal has been held so long: pixels, stairs.",
     ),
     Option("--model MODEL", "Compare this model's prediction with the measurement."),
+    Option(
+        "--state auto|empty|full|settled|FILE",
+        "With --model, what was before the first row: empty (it came from the lower end), full, settled, "
+        "auto (empty at the lower end, else settled; for a log that the model was identified from, as the "
+        "fit found it), or a saved state.",
+        "auto",
+    ),
+    Option(
+        "--expected FILE",
+        "What error was to be expected, to stand beside the actual one: the --summary of compensate, or the "
+        "model.",
+    ),
     Option("--trajectory FILE", "Where the desired signal lies, if not in the logs themselves."),
     Option(
         "--match auto|time|rows",
@@ -310,8 +322,17 @@ TRACKING = (  # with the columns, the fields of ``TrackingOptions``
 LIMITS = (
     Option("--max-rmse VALUE", "Exit 3 where the RMSE of a log is above this."),
     Option("--max-abs VALUE", "Exit 3 where the largest error is above this."),
-    Option("--max-nrmse-percent VALUE", "Exit 3 where the RMSE in % of range is above this."),
+    Option(
+        "--max-nrmse-percent VALUE",
+        "Exit 3 where the RMSE is above this, in % of the move (greatest less least desired value).",
+    ),
+    Option(
+        "--max-percent-of-range VALUE",
+        "Exit 3 where the RMSE is above this, in % of the model's range, as identify and show state it; with "
+        "--model or --expected.",
+    ),
 )
+SHOW = Option("--show", "Open a window for each figure, to zoom in; needs a display.")
 FIGURES = Option("--figures DIR", "Draw the figures, PNG and SVG, into this folder.")
 REPORT_FORMAT = Option("--format text|json|csv|html", "Form of the report [default: by the output's name].")
 SHOW_FORMAT = Option(
@@ -353,7 +374,7 @@ OPTIONS_OF: dict[str, tuple[Option, ...]] = {
     "check": (DRIVE, *READING_OF_LOGS, *REPORTING, *CHECKING, SHOW_FORMAT, DRIVE_COLUMN, OUTPUT),
     "report": (
         LOGS, *READING_OF_LOGS, *REPORTING, *TRACKING, *LIMITS, *WORK, FIGURES, REPORT_FORMAT,
-        *REPORT_COLUMNS, OUTPUT,
+        SHOW, *REPORT_COLUMNS, OUTPUT,
     ),
     "excite": (*REPORTING, *EXCITATION, OUTPUT_FORMAT, OUTPUT),
 }

@@ -128,6 +128,7 @@ class Compensation(ModelRun):
     first_what = "row"
     among_them = ""
     remedies = "`condition` sweeps it there, "
+    or_after_a_sweep = " or after `condition`"
 
     def __post_init__(self) -> None:
         """Take the options apart."""
@@ -482,10 +483,10 @@ class Compensation(ModelRun):
         if self.expecting and self.expected_rmse()[0] is not None:
             error = self._move_error()
         # Where clipping is the error, what is left of the move tells nothing of the logs.
-        if error is not None and not error.rmse < max(error.straight_line, self._lost_rms()):
+        if error is not None and not error.form < max(error.straight_line, self._lost_rms()):
             unit = self.model.output.suffix
             remarks.warn(
-                f"{name}: the expected error of the move, {error.rmse:.3g}{unit}, is no better than that of "
+                f"{name}: the expected error of the move, {error.form:.3g}{unit}, is no better than that of "
                 f"a straight line, {error.straight_line:.3g}{unit}: the logs do not tell what it asks"
             )
         return remarks
@@ -552,9 +553,13 @@ class Compensation(ModelRun):
         if stated is None:
             yield f"{unknown}{self.model.fit.get('expected_from')}"
         elif rmse is not None:
-            text = f"expected error of the move {rmse:.3g}{self.model.output.suffix} RMS"
+            unit = self.model.output.suffix
+            text = f"expected error of the move {rmse:.3g}{unit} RMS"
             if percent is not None:
                 text += f" ({percent:.2g} % of the move)"
+            error = self._move_error()
+            if error is not None:
+                text += _parts_words(error, unit) + self._start_words(error)
             if self.clipped.count:
                 text += ", clipped samples included"
             if self.bandwidth is not None:
@@ -565,6 +570,36 @@ class Compensation(ModelRun):
                 f"{unknown}the drive goes from {self.drive_figures.low:.6g} to {self.drive_figures.high:.6g}"
                 f"{self.model.input.suffix}, beyond what the model was identified on"
             )
+
+    def _start_words(self, error: MoveError) -> str:
+        """Say from which start the error is to be expected, where the past makes more than a fifth of it."""
+        if not self._past_matters(error):
+            return ""
+        unit = self.model.output.suffix
+        whole = math.hypot(error.from_any_past, self._lost_rms())
+        start = "settled at the first row" if self.start in ("auto", "settled") else self.start
+        return (
+            f"; that is from the start assumed ({start}){self.or_after_a_sweep}, from an unknown past "
+            f"{whole:.3g}{unit}"
+        )
+
+    def _past_matters(self, error: MoveError) -> bool:
+        """Whether what was before the first row is not known, and makes more than a fifth of the error."""
+        known = self.options.condition or isinstance(self.start, ModelState)
+        return error.past_matters and not known
+
+    def summary_of_error(self) -> dict[str, Any]:
+        """Return the parts of the expected error and what belongs to them as plain values."""
+        output = self.model.output
+        values: dict[str, Any] = {"unit": output.unit, "model_range": [output.minimum, output.maximum]}
+        error = self._move_error() if self.expected_rmse()[0] is not None else None
+        values["expected_shape_rmse"] = None if error is None else error.shape
+        values["expected_zero"] = None if error is None else error.zero
+        values["expected_from_any_past"] = None
+        if error is not None:
+            past = error.from_any_past if self._past_matters(error) else error.rmse
+            values["expected_from_any_past"] = math.hypot(past, self._lost_rms())
+        return values
 
     def expected_rmse(self) -> tuple[float | None, float | None]:
         """Return the error to expect of the move, in its unit and in % of it; None where it is not known."""
@@ -600,7 +635,8 @@ class Compensation(ModelRun):
         parts = [steps for _, steps in self.first_drives if steps is not None]
         steps = np.concatenate(parts) if parts else None
         begin = min(self.rows_before, drive.size - 1)
-        return move_error(self.model, drive, steps, begin)
+        start = "auto" if isinstance(self.start, ModelState) else self.start
+        return move_error(self.model, drive, steps, begin, start)
 
     def _clipping(self) -> str:
         """Say how much of a trajectory the drive's limits do not allow."""
@@ -609,6 +645,13 @@ class Compensation(ModelRun):
         if limits.max_slew is not None:
             allowed += f", {limits.max_slew:.6g}{drive.suffix}/s"
         return f"{self._counted(self.clipped)} beyond what the limits of the drive allow ({allowed})"
+
+
+def _parts_words(error: MoveError, unit: str) -> str:
+    """Return shape and zero of an error that is expected; nothing where a model knows the whole alone."""
+    if error.shape is None or error.zero is None:
+        return ""
+    return f": shape {error.shape:.3g}{unit}, zero {error.zero:.3g}{unit}"
 
 
 def _first_rows(response: Response, count: int) -> Response:

@@ -483,6 +483,8 @@ def checked_version(root: Node, newest: int = VERSION) -> Node:
     if "version" not in root.values:
         raise root.refuse("version", "is missing")
     version = root.values["version"]
+    if isinstance(version, float) and version.is_integer():
+        version = int(version)  # JSON has one kind of number
     if isinstance(version, bool) or not isinstance(version, int) or version < 1:
         raise root.refuse("version", f"{json.dumps(version)} is not a version")
     if version > newest:

@@ -494,6 +494,18 @@ class SignalLog(Source):
         """What was passed over in silence and may have been rows; complete after the last block."""
         return self._table.doubtful
 
+    @property
+    def unread(self) -> list[str]:
+        """Names of the columns of numbers that nothing was read from."""
+        read = {column.number for column in self._picks.values()}
+        if self.time is not None:
+            read.add(self.time.number)
+        names = []
+        for column in self._table.columns:
+            if column.number not in read and column.written == "numbers":
+                names.append(column.name)
+        return names
+
     def close(self) -> None:
         """Close the file."""
         self._table.close()

@@ -113,6 +113,117 @@ class CompensatedSum:
         return self._sum + self._lost
 
 
+Place = tuple[int, float | None]
+"""A row of a log and its time in seconds, None where that is not known."""
+
+STRETCHES = 4096  # of a log that the error is added up over, at most; half of them at least are in use
+
+
+class ErrorParts:
+    """Where along a log its error is made: the sums over stretches of equally many samples.
+
+    The stretches double in length whenever there are too many of them.
+    """
+
+    def __init__(self) -> None:
+        self._centre: float | None = None
+        self._length = 1
+        self._count = 0
+        self._ends: list[tuple[Place, Place]] = []  # the first and the last place of each stretch
+        self._sums: list[tuple[int, float, float]] = []  # samples, sum, sum of squares about the centre
+
+    def add(self, error: Floats, pairs: SampleBlock) -> None:
+        """Take one batch of errors (finite, not empty) and the rows that they are of."""
+        if self._centre is None:
+            self._centre = float(np.add.reduce(error)) / len(error)
+        shifted = error - self._centre
+        while math.ceil((self._count + len(error)) / self._length) > STRETCHES:
+            self._double()
+        begin = 0
+        while begin < len(shifted):
+            room = self._length - self._count % self._length
+            part = shifted[begin : begin + room]
+            last = begin + len(part) - 1
+            ends = _place(pairs, begin), _place(pairs, last)
+            sums = len(part), float(np.add.reduce(part)), float(np.add.reduce(part * part))
+            if room < self._length:
+                self._join(ends, sums)
+            else:
+                self._ends.append(ends)
+                self._sums.append(sums)
+            self._count += len(part)
+            begin += len(part)
+
+    def half(self, offset: float) -> HalfOfError | None:
+        """Return the shortest piece of the log that makes half of the squared error about ``offset``.
+
+        It is None where there is no error.
+        """
+        if self._centre is None:
+            return None
+        counts, sums, squares = np.array(self._sums, dtype=np.float64).T
+        by = offset - self._centre
+        parts = np.maximum(squares - 2.0 * by * sums + counts * by * by, 0.0)
+        total = float(parts.sum())
+        if not 0.0 < total < math.inf:
+            return None
+        reached = np.concatenate([[0.0], np.cumsum(parts)])
+        begins = np.arange(len(parts))
+        ends = np.searchsorted(reached, reached[:-1] + 0.5 * total * (1.0 - 1e-12))
+        fits = ends <= len(parts)
+        samples = np.concatenate([[0.0], np.cumsum(counts)])
+        lengths = samples[ends[fits]] - samples[begins[fits]]
+        place = int(np.argmin(lengths))
+        first, last = int(begins[fits][place]), int(ends[fits][place]) - 1
+        inside = float(reached[last + 1] - reached[first])
+        rest = self._count - lengths[place]
+        return HalfOfError(
+            first=self._ends[first][0],
+            last=self._ends[last][1],
+            part_of_rows=float(lengths[place]) / self._count,
+            part_of_error=inside / total,
+            rmse_elsewhere=math.sqrt(max(total - inside, 0.0) / rest) if rest else 0.0,
+        )
+
+    def _join(self, ends: tuple[Place, Place], sums: tuple[int, float, float]) -> None:
+        """Add to the last stretch, which has room."""
+        count, total, square = self._sums[-1]
+        self._sums[-1] = count + sums[0], total + sums[1], square + sums[2]
+        self._ends[-1] = self._ends[-1][0], ends[1]
+
+    def _double(self) -> None:
+        """Join every two stretches."""
+        ends, sums = self._ends, self._sums
+        self._ends, self._sums = ends[:1], sums[:1]
+        for place in range(1, len(ends)):
+            if place % 2:
+                self._join(ends[place], sums[place])
+            else:
+                self._ends.append(ends[place])
+                self._sums.append(sums[place])
+        self._length *= 2
+
+
+def _place(pairs: SampleBlock, index: int) -> Place:
+    time = None if pairs.time is None else float(pairs.time[index])
+    return int(pairs.rows[index]), time
+
+
+@dataclass(frozen=True)
+class HalfOfError:
+    """The shortest piece of a log that makes half of its squared error.
+
+    ``first`` and ``last`` are row and time (s, None where not known) of its ends; ``part_of_rows`` and
+    ``part_of_error`` are parts of 1; ``rmse_elsewhere`` is what the other rows have.
+    """
+
+    first: Place
+    last: Place
+    part_of_rows: float
+    part_of_error: float
+    rmse_elsewhere: float
+
+
 class ErrorDistribution:
     """The distribution of the error, exact for one batch and in fine logarithmic bins beyond.
 
@@ -388,6 +499,9 @@ class FigureData:
         self.spectrum = Spectrum()
         self._batches = Batches()
         self._whole: dict[str, Floats] | None = None
+        self._extremes: list[
+            tuple[float, float, float]
+        ] = []  # least and greatest error: time, error, desired
         self._envelope = Envelope()
         self._pixels = {pair: Pixels() for pair in (("desired", "measured"), ("drive", "measured"))}
         if labels[0] == "model":
@@ -422,6 +536,16 @@ class FigureData:
             return Curve(self._whole[x], self._whole[y])
         return self._pixels[x, y].raster()
 
+    def at_largest(self, offset: float) -> tuple[float, float, float]:
+        """Return time (or row) of the largest error about ``offset``, and between what it lies there.
+
+        The two values are the lesser and the greater of desired and measured, that less ``offset``.
+        """
+        largest = max(self._extremes, key=lambda extreme: abs(extreme[1] - offset))
+        time, error, desired = largest
+        ends = sorted((desired, desired + error - offset))
+        return time, ends[0], ends[1]
+
     def _take(self, block: SampleBlock) -> None:
         time = row_numbers(block) if block.time is None else block.time
         desired, measured = block.values["desired"], block.values["measured"]
@@ -431,6 +555,10 @@ class FigureData:
         self.samples += len(time)
         error = measured - desired
         self.spectrum.add(error)
+        for place in (int(error.argmin()), int(error.argmax())):
+            self._extremes.append((float(time[place]), float(error[place]), float(desired[place])))
+        least = min(self._extremes, key=lambda extreme: extreme[1])
+        self._extremes = [least, max(self._extremes, key=lambda extreme: extreme[1])]
         columns = dict(zip(SIGNALS, (desired, measured, error, drive), strict=True))
         if self.samples <= WHOLE:
             self._whole = {"time": time.copy()} | {name: column.copy() for name, column in columns.items()}

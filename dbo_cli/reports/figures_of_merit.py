@@ -17,7 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.logs.sample_block import SampleBlock
-from dbo_cli.reports.accumulators import CompensatedSum, DoublingBins, ErrorDistribution
+from dbo_cli.reports.accumulators import (
+    CompensatedSum,
+    DoublingBins,
+    ErrorDistribution,
+    ErrorParts,
+    HalfOfError,
+)
 from dbo_cli.reports.sample_pairs import Batches, Floats, comparable, only
 
 # A turn must be larger than this many standard deviations of the noise: the greatest and the least of 10,000
@@ -359,7 +365,7 @@ class TrackingFigures:
     ``offset`` is what was subtracted from the error (0.0 unless it was asked for). Where a figure is not
     defined it is None: ``nrmse_percent`` for a desired signal that never changes, ``loop_width`` and its
     noise floor ``loop_noise`` where no value was passed both upward and downward, the lag where nothing
-    moves.
+    moves. ``half`` is the shortest piece that makes half of the squared error, where that was looked for.
     """
 
     samples: int
@@ -381,6 +387,7 @@ class TrackingFigures:
     sample_period: float | None
     loop_noise: float | None = None
     cycles_a_sample: float | None = None
+    half: HalfOfError | None = None
 
     @property
     def frequency(self) -> float | None:
@@ -410,6 +417,8 @@ class TrackingMetrics:
         Take the mean error off before anything else is said about it (a sensor's arbitrary zero).
     sample_rate : float, optional
         Samples a second (Hz), where no times tell it.
+    by_parts : bool
+        Find the shortest piece that makes half of the error.
 
     Attributes
     ----------
@@ -421,8 +430,11 @@ class TrackingMetrics:
         Samples that are not numbers, desired and measured.
     """
 
-    def __init__(self, *, remove_offset: bool = False, sample_rate: float | None = None) -> None:
+    def __init__(
+        self, *, remove_offset: bool = False, sample_rate: float | None = None, by_parts: bool = False
+    ) -> None:
         self._remove_offset, self._sample_rate = remove_offset, sample_rate
+        self._parts = ErrorParts() if by_parts else None
         self.rows: tuple[int, int] | None = None
         self._batches = Batches()
         self.distribution = ErrorDistribution()
@@ -486,6 +498,7 @@ class TrackingMetrics:
             sample_period=self._sample_period(),
             loop_noise=loop.noise_floor if loop else None,
             cycles_a_sample=None if cycles is None else cycles / (self._hold or 1.0),
+            half=None if self._parts is None else self._parts.half(offset),
         )
 
     def _sample_period(self) -> float | None:
@@ -515,6 +528,8 @@ class TrackingMetrics:
         error = measured - desired
         self._range = (min(self._range[0], float(desired.min())), max(self._range[1], float(desired.max())))
         self.distribution.add(error)
+        if self._parts is not None:
+            self._parts.add(error, pairs)
         shifted = error - self.distribution.centre
         self._sums[0].add(float(np.add.reduce(shifted)))
         self._sums[1].add(float(np.add.reduce(shifted * shifted)))

@@ -23,7 +23,7 @@ from dbo_cli.hysteresis.model_file import read_model as read_model_file
 from dbo_cli.hysteresis.model_state import ModelState, Quantity, StartName
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs import request
-from dbo_cli.logs.columns import column_wish, is_pattern
+from dbo_cli.logs.columns import any_of, column_wish, is_pattern
 from dbo_cli.logs.request import ALL_ROWS, Address, ReadingOptions, Rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.sources import ArraySource, is_file, is_log
@@ -449,7 +449,15 @@ def read_log(
     with open_log(path, want, options, digest=True) as log:
         if not log.columns:  # refused by this, with what there is to choose from
             open_log(path, files.recording_wishes(voltage, displacement), options).close()
-        return _frame(log)
+        frame = _frame(log)
+    if list(log.columns) == ["displacement"] and log.unread:
+        columns = any_of([f"'{name}'" for name in log.unread])
+        warnings.warn(
+            f"{log.name}: no column is recognised as the voltage (`voltage` names it: {columns})",
+            DboWarning,
+            stacklevel=2,
+        )
+    return frame
 
 
 def _frame(log: SignalLog) -> pandas.DataFrame:

@@ -330,6 +330,7 @@ def summary_of(
             of_pieces |= watcher.summary()
         of_pieces["before"] = run.summary_before()
         expected, percent = run.expected_rmse()
+        of_pieces |= run.summary_of_error()
         clipped = run.clipped.count
     return {
         "format": "dbo-summary",

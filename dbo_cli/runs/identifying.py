@@ -143,7 +143,8 @@ def summary_of_model(result: IdentifyResult, command: str) -> dict[str, Any]:
     """Return what was identified as plain values (``dbo-summary``); errors in the displacement's unit."""
     model, fit = result.model, result.model.fit
     inputs: Any = model.provenance["inputs"]
-    figures = ("rmse", "rmse_percent", "expected_rmse", "expected_percent")
+    figures = ["rmse", "rmse_percent", "expected_rmse", "expected_percent"]
+    figures += ["expected_shape_rmse", "expected_zero"]
     return {
         "format": "dbo-summary",
         "version": 1,

@@ -173,9 +173,12 @@ def identify_files(run: IdentifyRun, output: Address, work: Work, listener: List
 
 def say_found(results: Mapping[str, IdentifyResult], noun: str, remarks: Remarks) -> None:
     """Sum up what was found over all channels or files."""
-    why = {channel: next(iter(result.remarks.warnings), "") for channel, result in results.items()}
-    for key, what in (("rmse_percent", "fit, RMSE of range"), ("expected_percent", "expected on new moves")):
-        percents = {c: result.model.fit.get(key) for c, result in results.items()}
+    why = {channel: next(iter(one.remarks.warnings), "") for channel, one in results.items()}
+    for key, what in (
+        ("rmse_percent", "fit, RMSE of the model's range"),
+        ("expected_percent", "expected on new moves, of the model's range"),
+    ):
+        percents = {c: one.model.fit.get(key) for c, one in results.items()}
         known = {c: value for c, value in percents.items() if isinstance(value, float)}
         if known:
             remarks.notes.append(spread_line(known, noun, what, why))

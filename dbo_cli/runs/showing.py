@@ -166,7 +166,7 @@ def _goodness(content: Mapping[str, Any], unit: str | None) -> list[str]:
     suffix = f" {unit}" if unit else ""
     lines = []
     if "rmse" in fit:
-        percent = f" ({fit['rmse_percent']:.2f} % of range)" if "rmse_percent" in fit else ""
+        percent = f" ({fit['rmse_percent']:.2f} % of the model's range)" if "rmse_percent" in fit else ""
         left_out = fit.get("cross_validated_rmse")
         more = "" if left_out is None else f", {left_out:.4g}{suffix} on cycles left out"
         line = fit.get("straight_line_rmse")
@@ -176,6 +176,11 @@ def _goodness(content: Mapping[str, Any], unit: str | None) -> list[str]:
     if fit.get("expected_rmse") is not None:
         rests = f", from {why}" if why else ""
         lines.append(f"expect: RMSE {fit['expected_rmse']:.4g}{suffix} on new moves inside the range{rests}")
+        if fit.get("expected_shape_rmse") is not None:
+            lines.append(
+                f"of that {fit['expected_shape_rmse']:.3g}{suffix} shape (RMS of the error less its mean), "
+                f"{fit['expected_zero']:.3g}{suffix} zero (that mean; {fit['zero_from']})"
+            )
     elif why:
         lines.append(f"expect: cannot be told: {why}")
     lines += [
@@ -185,9 +190,8 @@ def _goodness(content: Mapping[str, Any], unit: str | None) -> list[str]:
     if "loop_width_percent" in fit:
         slopes = f"; {fit['slopes']} slopes" if fit.get("slopes") else ""
         bend = f", drive bent by {100.0 * fit['drive_bend']:.0f} %" if fit.get("drive_bend") else ""
-        lines.append(
-            f"loop: {fit['loop_width_percent']:.1f} % of range wide, which the model undoes{slopes}{bend}"
-        )
+        width = f"{fit['loop_width_percent']:.1f} % of the model's range"
+        lines.append(f"loop: {width} wide, which the model undoes{slopes}{bend}")
     return lines + _lateness(fit)
 
 

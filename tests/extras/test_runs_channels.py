@@ -135,7 +135,7 @@ def test_identify_makes_the_models_that_the_columns_alone_give(mirror: Any) -> N
             "one.json",
         )
         assert made["models"][channel] == json.loads(Path("one.json").read_text())
-    assert "fit, RMSE of range: 3 of 3 channels below 1 %; worst: a, " in said.err
+    assert "fit, RMSE of the model's range: 3 of 3 channels below 1 %; worst: a, " in said.err
 
 
 def test_the_bytes_do_not_depend_on_the_number_of_processes(mirror: Any) -> None:

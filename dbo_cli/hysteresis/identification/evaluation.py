@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -131,8 +132,8 @@ def validated(checks: Sequence[Residual], span: float, unit: str) -> tuple[dict[
         "validation": [{"name": one.name, "samples": len(one.values), "rmse": one.rmse} for one in checks],
     }
     return figures, [
-        f"{one.name}: predicts it to {one.rmse:.4g}{unit} RMSE ({100.0 * one.rmse / span:.2f} % of range), "
-        "offset removed"
+        f"{one.name}: predicts it to {one.rmse:.4g}{unit} RMSE ({100.0 * one.rmse / span:.2f} % of the "
+        "model's range), offset removed"
         for one in checks
     ]
 
@@ -147,6 +148,24 @@ WHITE = 4.0
 That of n samples of white noise, of the ratio of their mean square to the one by their second differences, is
 (2/n)^1/2.
 """
+
+
+def with_its_error(value: float, error: float, sign: bool = False) -> tuple[str, str]:
+    """Return a value and the half width of its interval as texts, to the same place.
+
+    The error has two digits and is rounded up, so that what is printed holds what the interval holds, the
+    rounding of the value included.
+    """
+    form = "+" if sign else ""
+    if not 0.0 < error < math.inf:
+        return f"{value:{form}.4g}", f"{error:.2g}"
+    places = 1 - math.floor(math.log10(error))
+    unit = 10.0**-places
+    rounded = round(value, places)
+    least = abs(rounded - value) + error
+    shown = math.ceil(least / unit - 1e-9) * unit
+    places = max(places, 0)
+    return f"{rounded:{form}.{places}f}", f"{shown:.{places}f}"
 
 
 def white_noise(left: Sequence[Floats]) -> float:
@@ -364,7 +383,7 @@ def fit_warnings(
         )
     if 100.0 * rmse / span > POOR_PERCENT:
         warnings.append(
-            f"the model leaves {100.0 * rmse / span:.1f} % of the range unexplained: the log shows something "
+            f"the model leaves {100.0 * rmse / span:.1f} % of its range unexplained: the log shows something "
             "this class of models cannot follow (a loop that crosses itself, resonance, slip, a wrong "
             "column); look at 'dbo report `model`' before using it"
         )

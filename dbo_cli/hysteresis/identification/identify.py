@@ -163,7 +163,8 @@ def _paper(
         "loop_width_percent": loop_width_percent(model),
     }
     unit = f" {model.output.unit}" if model.output.unit else ""
-    summary = [f"fit RMSE {residual.rmse:.4g}{unit} ({figures['rmse_percent']:.2f} % of range) on one cycle"]
+    percent = f"{figures['rmse_percent']:.2f} % of the model's range"
+    summary = [f"fit RMSE {residual.rmse:.4g}{unit} ({percent}) on one cycle"]
     found, lines = validated(checks, span, unit)
     figures |= found
     summary += lines
