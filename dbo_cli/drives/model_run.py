@@ -492,8 +492,14 @@ class ModelRun:
         if not isinstance(fastest, float) or self.model.dynamics is not None:
             return
         before = drive[0] if self.last_drive is None else self.last_drive
-        faster = np.abs(np.diff(drive, prepend=before)) > FASTER * fastest * steps
+        changes = np.empty_like(drive)
+        changes[0] = drive[0] - before
+        np.subtract(drive[1:], drive[:-1], out=changes[1:])
+        np.abs(changes, out=changes)
         self.last_drive = float(drive[-1])
+        if float(changes.max()) <= FASTER * fastest * float(np.min(steps)):
+            return
+        faster = changes > FASTER * fastest * steps
         if faster.any() and not block.before_move:
             self.fast.add(int(np.count_nonzero(faster)), int(np.argmax(faster)), block)
 

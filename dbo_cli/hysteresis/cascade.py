@@ -45,9 +45,9 @@ class ScaleStage:
         if not math.isfinite(self.offset) or not math.isfinite(self.offset / self.gain):
             raise ModelError(f"offset: {self.offset!r} is not a finite number")
 
-    def run(self, x: Floats) -> Floats:
-        """Return the output for one block."""
-        y: Floats = self.gain * x
+    def run(self, x: Floats, out: Floats | None = None) -> Floats:
+        """Return the output for one block, in ``out`` (which may be ``x``) where that is given."""
+        y: Floats = np.multiply(self.gain, x, out=out)
         y += self.offset
         return y
 
@@ -211,10 +211,14 @@ def memory_free(stages: Sequence[Stage]) -> MemoryFree:
     return tuple(stage for stage in stages if isinstance(stage, DiscretePointOperator | ScaleStage))
 
 
-def through(stages: Sequence[MemoryFreeStage], x: Floats) -> Floats:
-    """Pass a block through memory-free stages."""
+def through(stages: Sequence[MemoryFreeStage], x: Floats, overwrite: bool = False) -> Floats:
+    """Pass a block through memory-free stages; ``overwrite``: ``x`` is not needed any more.
+
+    A new array for every stage would cost more than the stages: memory that was given back is empty pages.
+    """
     for stage in stages:
-        x = stage.run(x)
+        x = stage.run(x, x if overwrite else None)
+        overwrite = True
     return x
 
 

@@ -391,17 +391,20 @@ class ActuatorModel:
         self, x: Floats, state: ModelState, steps: Steps | None, outside: Outside, limits: DriveLimits | None
     ) -> Simulated:
         """Return what ``simulate`` does, for a model without a lag before its gears."""
+        given = x
         x = through(self.head, x)
         if outside == "hold":
             x = self._held(x)
+        drive = float(x[-1]) if x.size else None
         inner = None if limits is None else self.inner_limits(limits)
-        y, after, counts, missed = self._backlash_block(x, state, steps, outside, inner)
-        y = through(self.tail, y)
+        room = None if x is given else x
+        y, after, counts, missed = self._backlash_block(x, state, steps, outside, inner, room)
+        y = through(self.tail, y, overwrite=y is not given)
         if limits is not None and self.tail:
             y = np.clip(y, limits.v_min, limits.v_max)  # rounding on the way back through the points
         if self.direction == "forward":
-            if x.size:
-                after = dataclasses.replace(after, drive=float(x[-1]))
+            if drive is not None:
+                after = dataclasses.replace(after, drive=drive)
             if steps is not None and self.dynamics:
                 y, sections = self.dynamics.run(y, steps, state.dynamics)
                 after = dataclasses.replace(after, dynamics=sections)
@@ -444,9 +447,18 @@ class ActuatorModel:
         return steps
 
     def _backlash_block(
-        self, x: Floats, state: ModelState, steps: Steps | None, outside: Outside, limits: DriveLimits | None
+        self,
+        x: Floats,
+        state: ModelState,
+        steps: Steps | None,
+        outside: Outside,
+        limits: DriveLimits | None,
+        room: Floats | None = None,
     ) -> tuple[Floats, ModelState, Counts, float]:
-        """Return the backlash stage's block, the state after, the counts, and the first value missed."""
+        """Return the backlash stage's block, the state after, the counts, and the first value missed.
+
+        ``room``: where the block may go; it may be ``x``.
+        """
         if x.size == 0:
             return x, state, Counts(), 0.0
         if state.first is not None:  # the block begins with a voltage found by ``start``
@@ -468,7 +480,7 @@ class ActuatorModel:
         decay = relaxation.decay(steps) if relaxation and steps is not None else None
         bound = None if limits is None else self.output_limits(limits, steps)
         y, backlash, counts = self.backlash.run(
-            x, state.backlash, decay=decay, outside=outside, limits=bound, last=state.drive
+            x, state.backlash, decay=decay, outside=outside, limits=bound, last=state.drive, out=room
         )
         after = dataclasses.replace(state, backlash=backlash, drive=float(y[-1]), time=None)
         return y, after, counts, 0.0

@@ -441,6 +441,7 @@ class DiscreteBacklashOperator:
         outside: Outside = "extend",
         limits: OutputLimits | None = None,
         last: float | None = None,
+        out: Floats | None = None,
     ) -> tuple[Floats, BacklashState, Counts]:
         """Return the output of (1)-(12), the state after it, and what was unusual.
 
@@ -459,6 +460,8 @@ class DiscreteBacklashOperator:
             output. Not for an operator whose memory follows its input.
         last : float, optional
             The output before this block, for the slew limit.
+        out : array, optional
+            Where the output goes; it may be ``x`` itself.
 
         Raises
         ------
@@ -466,7 +469,8 @@ class DiscreteBacklashOperator:
             The state is not of this operator, or ``decay`` is missing.
         """
         x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
-        y, words, terms = np.empty_like(x), self._words(state), self._gain.size
+        y = np.empty_like(x) if out is None else out
+        words, terms = self._words(state), self._gain.size
         if limits is not None and self.relaxation is not None and self.memory_on == "input":
             raise ModelError("limits on the output of an operator whose memory follows its input")
         bound = limits or NO_LIMITS
@@ -575,9 +579,9 @@ class DiscretePointOperator:
         """Return the inverse (17)-(18): ΔX and ΔY exchanged in every segment, and the origins."""
         return DiscretePointOperator(self.dy, self.dx, self.y0, self.x0)
 
-    def run(self, x: ArrayLike) -> Floats:
-        """Return the output of (13)-(16) for one block of the input."""
+    def run(self, x: ArrayLike, out: Floats | None = None) -> Floats:
+        """Return the output of (13)-(16) for one block, in ``out`` (may be ``x``) where that is given."""
         x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
-        y = np.empty_like(x)
+        y = np.empty_like(x) if out is None else out
         kernel.CHOSEN.point_run(self.segments, self.x0, self.y0, x, y)
         return y

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -214,6 +214,7 @@ ROLES = {
 }  # fmt: skip
 
 
+@lru_cache(maxsize=256)  # asked for at every call from Python
 def column_wish(
     role: str,
     selector: str | None = None,
@@ -304,6 +305,7 @@ def is_torn(text: str) -> bool:
     return unlike or _HASHED.search(text) is not None
 
 
+@lru_cache(maxsize=256)
 def column_info(header: str | None, number: int, unit: str | None = None) -> ColumnInfo:
     """Describe column ``number`` (from 1) by its header cell; a unit given apart (units line) goes first."""
     header, unit = cleaned(header or ""), cleaned(unit or "")  # no command for a terminal, no half a letter

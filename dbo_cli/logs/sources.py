@@ -249,12 +249,18 @@ class ArraySource(Source):
         has_time = self.time is not None or self.sample_rate is not None
         super().__init__(name, dict(columns), has_time, self.sample_rate, self.sample_rate)
 
+    @property
+    def count(self) -> int:
+        """How many samples there are, whichever rows are handed out."""
+        return next(iter(self.values.values())).size
+
     def blocks(self) -> Iterator[SampleBlock]:
         """Return all samples, in blocks that caches hold."""
-        count = next(iter(self.values.values())).size
+        count = self.count
         time = self.time
         if time is None and self.sample_rate is not None:
-            time = np.arange(count) / self.sample_rate
+            time = np.arange(count, dtype=np.float64)
+            time /= self.sample_rate
         rows = range(1, count + 1)
         if self.time is not None:
             check = TimeCheck(self.name)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, overload
@@ -375,17 +375,17 @@ def _rows_of(rows: str | None, ahead: bool) -> tuple[Rows, int | None]:
 
 def _finished(run: ModelRun, return_state: bool, details: bool) -> Any:
     """Run to the end and return what was asked for."""
+    times: list[Floats] = []
     with closing(run.source):
-        responses = list(run.responses())
+        expected = run.source.count if isinstance(run.source, ArraySource) else 0
+        values = _joined(_outputs(run, times if details else None), expected)
     if isinstance(run, Compensation):
         run.expecting = details  # playing other models over the move takes longer than the drive itself
         run.finish()
-    values = responses[0].y if len(responses) == 1 else np.concatenate([response.y for response in responses])
     remarks = run.remarks()
     assert run.state is not None
     run.state = dataclasses.replace(run.state, model=run.model.digest)
     if details:
-        times = [response.time for response in responses if response.time is not None]
         return Result(
             values,
             np.concatenate(times) if times else None,
@@ -398,6 +398,35 @@ def _finished(run: ModelRun, return_state: bool, details: bool) -> Any:
     for text in remarks.warnings:
         warnings.warn(text, DboWarning, stacklevel=3)
     return (values, run.state) if return_state else values
+
+
+def _outputs(run: ModelRun, times: list[Floats] | None) -> Iterator[Floats]:
+    """Return the blocks of a run's output; their times are added to a list where one is given."""
+    for response in run.responses():
+        if times is not None and response.time is not None:
+            times.append(response.time)
+        yield response.y
+
+
+def _joined(blocks: Iterator[Floats], expected: int) -> Floats:
+    """Return blocks as one array, which is as long as expected, or longer or shorter.
+
+    Each block is copied and given back before the next is made: memory in use would have to be found anew.
+    """
+    first = next(blocks, np.empty(0))
+    if first.size >= expected:
+        rest = list(blocks)
+        return np.concatenate([first, *rest]) if rest else first
+    joined = np.empty(expected)
+    joined[: first.size] = first
+    filled = first.size
+    del first
+    for block in blocks:
+        if filled + block.size > joined.size:
+            joined = np.concatenate([joined[:filled], np.empty(max(filled, block.size))])
+        joined[filled : filled + block.size] = block
+        filled += block.size
+    return joined if filled == joined.size else joined[:filled]
 
 
 # --- functions ---

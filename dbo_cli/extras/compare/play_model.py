@@ -151,7 +151,13 @@ class RelativeModel(ActuatorModel):
         return DriveLimits(float(ends.min()), float(ends.max()), slew)
 
     def _backlash_block(
-        self, x: Floats, state: ModelState, steps: Steps | None, outside: Outside, limits: DriveLimits | None
+        self,
+        x: Floats,
+        state: ModelState,
+        steps: Steps | None,
+        outside: Outside,
+        limits: DriveLimits | None,
+        room: Floats | None = None,
     ) -> tuple[Floats, ModelState, Counts, float]:
         """Pass a block through the plays, in the model's direction."""
         if x.size == 0:
