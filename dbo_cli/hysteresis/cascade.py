@@ -62,9 +62,9 @@ def interpolated(times: Floats, values: Floats, wanted: Floats) -> tuple[Floats,
     Before the first sample the first value holds, after the last one the last. A time within 1e-9 of a
     sample's (in steps) is that sample's, so that shifting there and back is exact. Neither times fall.
     """
-    wanted, found = np.ascontiguousarray(wanted), np.empty(wanted.size)
+    wanted, values_wanted = np.ascontiguousarray(wanted), np.empty(wanted.size)
     signal = np.ascontiguousarray(times), np.ascontiguousarray(values)
-    return found, kernel.CHOSEN.interpolated(*signal, wanted, found, WHOLE)
+    return values_wanted, kernel.CHOSEN.interpolated(*signal, wanted, values_wanted, WHOLE)
 
 
 def whole_and_part(samples: float) -> tuple[int, float]:
@@ -158,8 +158,8 @@ class DelayStage:
             times = np.concatenate([times[0] - step * np.arange(missing, 0, -1), times])
         begin = values.size - count - whole - 1
         y = late_by(values[begin : begin + count + 1], part)
-        kept = slice(-(whole + 1), None)
-        return y, DelayHistory(tuple(times[kept].tolist()), tuple(values[kept].tolist()))
+        behind = slice(-(whole + 1), None)
+        return y, DelayHistory(tuple(times[behind].tolist()), tuple(values[behind].tolist()))
 
 
 def read_ahead(
@@ -177,12 +177,12 @@ def read_ahead(
             continue
         waiting.extend([block] if block is not None else [])
         while waiting and (block is None or block[1][-1] > waiting[0][1][-1] + seconds):
-            time = np.concatenate([one[1] for one in waiting])
-            values = np.concatenate([one[2] for one in waiting])
-            payload, own, _ = waiting.popleft()
+            time = np.concatenate([block[1] for block in waiting])
+            values = np.concatenate([block[2] for block in waiting])
+            payload, block_time, _ = waiting.popleft()
             # Mirrored in time, so that the sample after takes the part of the one before: lagging the result
             # by the delay again finds the same pairs of samples.
-            ahead, _ = interpolated(-time[::-1], values[::-1], -(own + seconds)[::-1])
+            ahead, _ = interpolated(-time[::-1], values[::-1], -(block_time + seconds)[::-1])
             yield payload, ahead[::-1]
 
 

@@ -149,7 +149,7 @@ class ActuatorModel:
                     raise ModelError(f"stages[{place}].sections: one lag alone may stand {end}")
             else:
                 outer = self.stages[place + 1 :] if forward else self.stages[:place]
-                if not all(isinstance(other, DelayStage) for other in outer):
+                if not all(isinstance(stage, DelayStage) for stage in outer):
                     where = "after all stages but a delay" if forward else "before all stages but a delay"
                     raise ModelError(f"stages[{place}]: dynamics stand {where}, and once")
             self._turn(stage)
@@ -177,7 +177,7 @@ class ActuatorModel:
         """Raise ModelError, with the remedy, where the model is of the other direction."""
         if self.direction != direction:
             is_one, needed = (
-                f"a{'n' if way == 'inverse' else ''} {way}" for way in (self.direction, direction)
+                f"a{'n' if name == 'inverse' else ''} {name}" for name in (self.direction, direction)
             )
             raise ModelError(f"{place}: is {is_one} model where {needed} one is needed (dbo invert turns it)")
 
@@ -231,8 +231,8 @@ class ActuatorModel:
 
     def without(self, *dropped: Stage | None) -> Self:
         """Return the same model without some of its stages."""
-        kept = tuple(stage for stage in self.stages if not any(stage is one for one in dropped))
-        return dataclasses.replace(self, stages=kept)
+        stages = tuple(stage for stage in self.stages if not any(stage is gone for gone in dropped))
+        return dataclasses.replace(self, stages=stages)
 
     def drive_of(self, state: ModelState) -> float | None:
         """Return the voltage at which a state was left, where it knows."""
@@ -246,9 +246,9 @@ class ActuatorModel:
         """Return the displacement that gears and memories of a state hold, at its own voltage."""
         assert state.drive is not None
         slow = self.without_lag
-        held = dataclasses.replace(state, dynamics=None, drive_lag=None, history=None, undoing=None)
+        at_rest = dataclasses.replace(state, dynamics=None, drive_lag=None, history=None, undoing=None)
         voltage = self.inverted.outer_drive(state.drive)
-        return float(slow.simulate([voltage], held, time_step=0.0).y[0])
+        return float(slow.simulate([voltage], at_rest, time_step=0.0).y[0])
 
     @property
     def sign(self) -> Sign:

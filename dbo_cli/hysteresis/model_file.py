@@ -98,10 +98,10 @@ class Node(NamedTuple):
 
     def listed(self, key: str, what: str) -> list[Any]:
         """Return a list of ``what``."""
-        given = self.values[key]
-        if not isinstance(given, list):
+        values = self.values[key]
+        if not isinstance(values, list):
             raise self.refuse(key, f"is not a list of {what}")
-        return given
+        return values
 
     def finite(self, key: str, value: object) -> float:
         """Return a value as a finite number."""
@@ -216,8 +216,8 @@ def _read(
     """Return what ``make`` builds of an object's keys; those ``besides`` the fields take no part."""
     needed = tuple(field.key for field in fields if not field.optional)
     node.only((*besides, *needed), tuple(field.key for field in fields if field.optional))
-    given = [field for field in fields if field.key in node.values]
-    values = {field.attribute or field.key: field.read(node, field.key) for field in given}
+    present = [field for field in fields if field.key in node.values]
+    values = {field.attribute or field.key: field.read(node, field.key) for field in present}
     return node.build(lambda: make(**values))
 
 
@@ -271,10 +271,11 @@ def _antiresonance_values(section: Resonance) -> Json | None:
 
 def _sections(node: Node, key: str) -> tuple[Section, ...]:
     """Return lags and resonances, these perhaps with an antiresonance."""
-    given = node.listed(key, "sections")
-    nodes = [node.below(f"{key}[{k}]", values) for k, values in enumerate(given)]
+    sections = node.listed(key, "sections")
+    nodes = [node.below(f"{key}[{k}]", values) for k, values in enumerate(sections)]
     return tuple(
-        _read(one, Lag, LAG) if "lag" in one.values else _read(one, Resonance, RESONANCE) for one in nodes
+        _read(section, Lag, LAG) if "lag" in section.values else _read(section, Resonance, RESONANCE)
+        for section in nodes
     )
 
 
@@ -311,7 +312,9 @@ CURVE = (
     Field("dy", Node.lengths, lambda stage: _with_runs(stage.dy.tolist())),
 )
 GEARS = (*CURVE, Field("relaxation", read_relaxation, _memory_values, optional=True))
-SECTIONS = (Field("sections", _sections, lambda stage: [section_values(one) for one in stage.sections]),)
+SECTIONS = (
+    Field("sections", _sections, lambda stage: [section_values(section) for section in stage.sections]),
+)
 
 
 class Kind(NamedTuple):
@@ -608,12 +611,12 @@ def state_to_bytes(state: ModelState, model: ActuatorModel) -> bytes:
         **model.state_values(state.backlash),
         "time": state.time,
         "drive": state.drive,
-        "delay": state.history and {name: list(own) for name, own in vars(state.history).items()},
+        "delay": state.history and {name: list(samples) for name, samples in vars(state.history).items()},
     }
     if state.dynamics is not None or state.undoing is not None:
         values["dynamics"] = _dynamics_values(state)
     if state.drive_lag is not None:
-        values["drive_lag"] = {"sections": [list(one) for one in state.drive_lag]}
+        values["drive_lag"] = {"sections": [list(section) for section in state.drive_lag]}
     return document_bytes(values)
 
 
@@ -659,9 +662,12 @@ def _bits_and_memory(node: Node, model: ActuatorModel) -> BacklashState:
 
 
 def _dynamics_values(state: ModelState) -> Json:
-    values: Json = {"sections": state.dynamics and [list(one) for one in state.dynamics], "inverse": None}
+    values: Json = {
+        "sections": state.dynamics and [list(section) for section in state.dynamics],
+        "inverse": None,
+    }
     if state.undoing is not None:
-        sections = [list(one) for one in state.undoing.states]
+        sections = [list(section) for section in state.undoing.states]
         values["inverse"] = {"time_step": state.undoing.time_step, "sections": sections}
     return values
 
@@ -694,11 +700,11 @@ def _with_dynamics(state: ModelState, root: Node, model: ActuatorModel) -> Model
 
 
 def _section_states(node: Node, count: int) -> SectionStates:
-    given = node.values["sections"]
-    if not isinstance(given, list) or len(given) != count:
+    items = node.values["sections"]
+    if not isinstance(items, list) or len(items) != count:
         raise node.refuse("sections", f"is not a list of {count}, the number of sections of the model")
     states = []
-    for k, item in enumerate(given):
+    for k, item in enumerate(items):
         place = f"sections[{k}]"
         if not isinstance(item, list) or len(item) != 3:
             raise node.refuse(place, "is not a list of three numbers")

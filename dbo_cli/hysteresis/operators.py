@@ -214,16 +214,16 @@ class Relaxation:
     ) -> tuple[Floats, tuple[float, ...]]:
         """Return L_j after each sample (len(x) × terms) and after the last; at rest first without memory."""
         drive = np.ascontiguousarray(x, dtype=np.float64)
-        held = np.array(memory if memory is not None else [0.0] * len(self.tau), dtype=np.float64)
+        memories = np.array(memory if memory is not None else [0.0] * len(self.tau), dtype=np.float64)
         rows = np.empty((drive.size, len(self.tau)))
         decay = self.decay(time_step)
         start = 0
         if memory is None and drive.size:
-            rows[0] = held[:] = drive[0] - self.reference
+            rows[0] = memories[:] = drive[0] - self.reference
             start = 1
         later = decay if len(decay) == 1 else np.ascontiguousarray(decay[start:])
-        kernel.CHOSEN.memory_run(self.reference, held, drive[start:], rows[start:], later)
-        return rows, tuple(held.tolist())
+        kernel.CHOSEN.memory_run(self.reference, memories, drive[start:], rows[start:], later)
+        return rows, tuple(memories.tolist())
 
 
 @dataclass(frozen=True)
@@ -379,8 +379,8 @@ class DiscreteBacklashOperator:
 
     @functools.cached_property
     def _inverse(self) -> DiscreteBacklashOperator:
-        other: Axis = "output" if self.memory_on == "input" else "input"
-        return DiscreteBacklashOperator(self.dy, self.dx, self.y0, self.x0, self.relaxation, other)
+        axis: Axis = "output" if self.memory_on == "input" else "input"
+        return DiscreteBacklashOperator(self.dy, self.dx, self.y0, self.x0, self.relaxation, axis)
 
     def empty(self) -> BacklashState:
         """Return B = 0: the actuator has been at or below its lower end."""
@@ -479,16 +479,16 @@ class DiscreteBacklashOperator:
             raise ModelError(f"state: remembers {memory.size} relaxation terms, this model has {terms}")
         counts, before = Counts(), math.nan if last is None else last
         for begin, end, factors, steps in self._spans(x.size, state, decay, bound.step):
-            found = kernel.CHOSEN.backlash_run(
+            counted = kernel.CHOSEN.backlash_run(
                 *self.constants(outside != "hold"), words, memory, before, x[begin:end], y[begin:end],
                 factors, limits is not None, bound.low, bound.high, bound.slack, steps,
             )  # fmt: skip
-            counts = counts.then(Counts(*found), begin)
+            counts = counts.then(Counts(*counted), begin)
             before = float(y[end - 1])
         if x.size == 0:
             return y, state, counts
-        held = tuple(memory.tolist()) if terms else state.memory
-        return y, BacklashState(self._bits(words), held), counts
+        memories = tuple(memory.tolist()) if terms else state.memory
+        return y, BacklashState(self._bits(words), memories), counts
 
     @functools.cached_property
     def table(self) -> tuple[Floats, NDArray[np.uint32]]:
@@ -518,8 +518,8 @@ class DiscreteBacklashOperator:
                 raise ModelError("relaxation needs the time between samples (`sample_rate`)")
             if len(factors) not in (1, end - begin):
                 factors = factors[begin:end]
-            own = steps[begin:end] if steps.size > 1 else steps
-            spans.append((begin, end, np.ascontiguousarray(factors), np.ascontiguousarray(own)))
+            steps_of_span = steps[begin:end] if steps.size > 1 else steps
+            spans.append((begin, end, np.ascontiguousarray(factors), np.ascontiguousarray(steps_of_span)))
         return spans
 
     def engagement(

@@ -60,7 +60,7 @@ class DoublingBins:
         self.width = 0.0
         self.first = 0
 
-    def fit(self, held: NDArray[Any], values: Floats) -> NDArray[Any]:
+    def fit(self, counts: NDArray[Any], values: Floats) -> NDArray[Any]:
         """Return what the bins hold, with bins for ``values`` (finite, not empty) too."""
         low, high = float(values.min()), float(values.max())
         if self.width == 0.0:
@@ -69,26 +69,26 @@ class DoublingBins:
             self.first = math.floor(low / self.width)
         while True:
             first = min(self.first, math.floor(low / self.width))
-            last = max(self.first + held.shape[-1] - 1, math.floor(high / self.width))
+            last = max(self.first + counts.shape[-1] - 1, math.floor(high / self.width))
             if last - first < self._most:
                 break
-            held = self.double(held)
-        return self._padded(held, self.first - first, last - (self.first + held.shape[-1] - 1))
+            counts = self.double(counts)
+        return self._padded(counts, self.first - first, last - (self.first + counts.shape[-1] - 1))
 
-    def double(self, held: NDArray[Any]) -> NDArray[Any]:
+    def double(self, counts: NDArray[Any]) -> NDArray[Any]:
         """Return what bins of twice the width hold: the sum (of truths: either) of two neighbours."""
         odd = self.first % 2
-        padded = self._padded(held, odd, (odd + held.shape[-1]) % 2)
+        padded = self._padded(counts, odd, (odd + counts.shape[-1]) % 2)
         self.first //= 2
         self.width *= 2.0
         merged: NDArray[Any] = padded[..., 0::2] + padded[..., 1::2]
         return merged
 
-    def _padded(self, held: NDArray[Any], before: int, after: int) -> NDArray[Any]:
+    def _padded(self, counts: NDArray[Any], before: int, after: int) -> NDArray[Any]:
         self.first -= before
         if before == after == 0:
-            return held
-        return np.pad(held, [(0, 0)] * (held.ndim - 1) + [(before, after)])
+            return counts
+        return np.pad(counts, [(0, 0)] * (counts.ndim - 1) + [(before, after)])
 
 
 class CompensatedSum:
@@ -352,8 +352,8 @@ class Envelope:
             length *= 2
         if length > self._length:
             self._grow(length)
-        found = np.stack([np.stack([time, values, time, values]) for values in signals])
-        self._pending.append(_merged(found, length))
+        extremes = np.stack([np.stack([time, values, time, values]) for values in signals])
+        self._pending.append(_merged(extremes, length))
         if len(self._pending) >= self._length // length:
             merged = _merged(np.concatenate(self._pending, axis=2), self._length // length)
             self._pending = []
@@ -363,22 +363,22 @@ class Envelope:
 
     def band(self, signal: int) -> Band:
         """Return the extremes, each drawn at the middle of the two times at which they were met."""
-        found = np.concatenate([self._done, *self._pending], axis=2)[signal]
-        return Band(0.5 * (found[0] + found[2]), found[1], found[3]).smooth()
+        extremes = np.concatenate([self._done, *self._pending], axis=2)[signal]
+        return Band(0.5 * (extremes[0] + extremes[2]), extremes[1], extremes[3]).smooth()
 
     def _grow(self, length: int) -> None:
         self._done = _merged(self._done, length // self._length)
         self._length = length
 
 
-def _merged(found: Floats, count: int) -> Floats:
+def _merged(extremes: Floats, count: int) -> Floats:
     """Merge every ``count`` neighbouring stretches into one."""
-    if count == 1 or not found.size:
-        return found
-    short = -found.shape[2] % count
+    if count == 1 or not extremes.size:
+        return extremes
+    short = -extremes.shape[2] % count
     if short:
-        found = np.pad(found, ((0, 0), (0, 0), (0, short)), mode="edge")
-    rows = found.reshape(len(found), 4, -1, count)
+        extremes = np.pad(extremes, ((0, 0), (0, 0), (0, short)), mode="edge")
+    rows = extremes.reshape(len(extremes), 4, -1, count)
     places = rows[:, 1].argmin(axis=2), rows[:, 3].argmax(axis=2)
     at = np.stack([places[0], places[0], places[1], places[1]], axis=1)
     return np.take_along_axis(rows, at[..., np.newaxis], axis=3)[..., 0]

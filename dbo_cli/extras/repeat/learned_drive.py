@@ -30,12 +30,12 @@ class LearnedCompensation(Compensation):
             self.states_error = False
             self.remarks_before.add(self.lesson.remarks)
 
-    def desired_rows(self, asked: FloatArray) -> FloatArray:
+    def desired_rows(self, rows: FloatArray) -> FloatArray:
         """Return the trajectory's rows instead of what was asked of the model."""
         if self.lesson is None:
-            return asked
+            return rows
         end = self.rows - self.rows_before
-        return self.lesson.desired[end - asked.size : end]
+        return self.lesson.desired[end - rows.size : end]
 
     def finish(self) -> None:
         """Write the history, where one is asked for."""

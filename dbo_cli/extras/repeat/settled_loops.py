@@ -107,11 +107,14 @@ def looped_state(model: ActuatorModel, drive: Floats, step: float, state: ModelS
         if lagging is not None:
             begun = dataclasses.replace(begun, drive_lag=lagging.loop(drive, step)[1])
         done = inner.simulate(drive, begun, time_step=step)
-        begun, held, terms = done.state, begun.backlash.memory, inner.backlash.relaxation
-        if begun.backlash.memory is not None and terms is not None and held is not None:
+        starts = begun.backlash.memory
+        begun = done.state
+        ends = begun.backlash.memory
+        terms = inner.backlash.relaxation
+        if ends is not None and terms is not None and starts is not None:
             memory = tuple(  # that further passes of the same drive would lead to
                 (end - math.exp(-seconds / tau) * start) / -math.expm1(-seconds / tau)
-                for start, end, tau in zip(held, begun.backlash.memory, terms.tau, strict=True)
+                for start, end, tau in zip(starts, ends, terms.tau, strict=True)
             )
             begun = dataclasses.replace(begun, backlash=BacklashState(begun.backlash.bits, memory))
     return begun
@@ -163,7 +166,10 @@ def settling(
     if terms is None or memory is None or rest is None:
         return first, int(abs(first) > within)
     effects = memory_effects(model, drive, step, before)
-    parts = [abs(w * (own - held)) for w, own, held in zip(effects, rest, memory, strict=True)]
+    parts = [
+        abs(effect * (at_rest - settled))
+        for effect, at_rest, settled in zip(effects, rest, memory, strict=True)
+    ]
     seconds, fewest = drive.size * step, int(abs(first) > within)
 
     def stays(passes: int) -> bool:
@@ -178,8 +184,8 @@ def memory_effects(model: ActuatorModel, drive: Floats, step: float, before: Mod
     mean, off, effects = float(slow_output(model, drive, step, before).mean()), 0.01 * model.drive.span, []
     memory = before.backlash.memory or ()
     for k in range(len(memory)):
-        one = tuple(held + off * (i == k) for i, held in enumerate(memory))
-        changed = dataclasses.replace(before, backlash=BacklashState(before.backlash.bits, one))
+        moved = tuple(value + off * (i == k) for i, value in enumerate(memory))
+        changed = dataclasses.replace(before, backlash=BacklashState(before.backlash.bits, moved))
         effects.append((float(slow_output(model, drive, step, changed).mean()) - mean) / off)
     return effects
 
@@ -220,7 +226,7 @@ def creep_rest(
     inner = through(model.head, drive) - terms.reference
     ends = through(model.head, np.array([model.input.minimum, model.input.maximum])) - terms.reference
     far: Floats = np.where(np.array(memory) > ends.mean(), ends[0], ends[1])
-    own = far if begun is None else np.array(begun)
+    begins = far if begun is None else np.array(begun)
     bare, none = dataclasses.replace(terms, reference=0.0), [0.0] * tau.size
     through_run_in = np.exp(-rise.size * step / tau)
     of_level = np.array(bare.lags(1.0 - rise, step, none)[1])
@@ -228,8 +234,8 @@ def creep_rest(
 
     def rest(wait: float) -> tuple[float, float]:
         """Return the best level of a rest, and what the terms are off then, sizes added up."""
-        kept = np.exp(-wait / tau)
-        slope, constant = through_run_in * (1.0 - kept) + of_level, through_run_in * own * kept + off
+        decay = np.exp(-wait / tau)
+        slope, constant = through_run_in * (1.0 - decay) + of_level, through_run_in * begins * decay + off
         known = (slope, constant) if begun is not None else (through_run_in + of_level, off)
         level = -(float(effects @ known[1]) + bias) / float(effects @ known[0])
         level = min(max(level, float(inner.min())), float(inner.max()))
