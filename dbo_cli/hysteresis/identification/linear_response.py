@@ -17,7 +17,7 @@ from dbo_cli.hysteresis.identification.output_error import BLOCKS, Errors
 from dbo_cli.hysteresis.identification.recordings import EVEN, Floats, Integers, drive_shape
 from dbo_cli.hysteresis.identification.statistics import PreparedLog
 
-TAPS = (16, 64, 256)
+TAPS = (16, 64, 256)  # rows of the responses tried, shortest first
 ROWS_PER_TAP = 8  # fewer rows than this are no evidence of so long a response
 ROWS = 8192  # of a log, at most: thirty for each tap of the longest response
 SWING_ROWS = 20  # between turns: a resonance that a drive excites is sampled by about as many
