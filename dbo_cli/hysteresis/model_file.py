@@ -464,8 +464,7 @@ def load_document(path: str, wanted: str, noun: str, newest: int = VERSION) -> N
     if not text.strip():
         raise ModelError(f"{name}: is empty; this is no {noun} file")
     try:
-        values = json.loads(text, object_pairs_hook=functools.partial(_distinct, name))
-        json.dumps(values, ensure_ascii=False).encode()  # half a surrogate pair could not be written again
+        values = parsed(name, text)
     except json.JSONDecodeError as problem:
         log = "" if text.lstrip()[:1] in "{[" else " (identify makes a model from a log)"
         raise ModelError(f"{name}:{problem.lineno}: is not JSON: {problem.msg}{log}") from None
@@ -479,6 +478,22 @@ def load_document(path: str, wanted: str, noun: str, newest: int = VERSION) -> N
     if not isinstance(values, dict) or values.get("format") != wanted:
         raise ModelError(f'{name}: is not a {noun} file ("format" must be "{wanted}")')
     return checked_version(Node(name, "", values), newest)
+
+
+def parsed(name: str, text: str) -> Any:
+    """Return the values of JSON text; keys that occur twice and half surrogate pairs are refused.
+
+    Raises
+    ------
+    ModelError
+        A key occurs twice.
+    ValueError, RecursionError
+        It is no JSON, or none that could be written again.
+    """
+    values = json.loads(text, object_pairs_hook=functools.partial(_distinct, name))
+    if "\\u" in text:
+        json.dumps(values, ensure_ascii=False).encode()  # raises at half a surrogate pair
+    return values
 
 
 def checked_version(root: Node, newest: int = VERSION) -> Node:
