@@ -344,6 +344,7 @@ def _figures(prior: ActuatorModel, moved: _Moved, logs: Sequence[_Log], delay: f
         if isinstance(known, float):
             figures["left_out_rmse"] = max(moved.gain * known, rmse)
         figures["expected_from"] = "the prior's expectation, or what is left on these logs where that is more"
+        figures |= _parts_of_prior(prior, moved.gain, rmse)
     figures |= {
         "method": "prior",
         "rmse": rmse,
@@ -368,6 +369,20 @@ def _figures(prior: ActuatorModel, moved: _Moved, logs: Sequence[_Log], delay: f
         ],
     }
     return figures
+
+
+def _parts_of_prior(prior: ActuatorModel, gain: float, rmse: float) -> dict[str, object]:
+    """Return shape and zero of the prior's expected error, and what bounds them, in the new displacement."""
+    parts: dict[str, object] = {}
+    for key in ("expected_zero", "line_left_out_rmse", "zero_drift", "zero_drift_rate"):
+        value = prior.fit.get(key)
+        if isinstance(value, float):
+            parts[key] = gain * value
+    shape = prior.fit.get("expected_shape_rmse")
+    if isinstance(shape, float):
+        parts["expected_shape_rmse"] = max(gain * shape, rmse)
+        parts["zero_from"] = prior.fit.get("zero_from", "where it stays as it was in the logs")
+    return parts
 
 
 def _expected(prior: ActuatorModel, gain: float) -> float | None:
