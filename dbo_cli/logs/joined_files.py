@@ -9,6 +9,7 @@ the files must be equally long.
 from __future__ import annotations
 
 import itertools
+import os
 from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,7 +22,7 @@ from dbo_cli.errors import InputError
 from dbo_cli.interpolation.smooth import interpolated
 from dbo_cli.logs.clock import FoundTime, TimeColumn, find_time_column, time_column
 from dbo_cli.logs.clock_offset import ClockOffset, find_offset
-from dbo_cli.logs.columns import ColumnWish, find_column
+from dbo_cli.logs.columns import ColumnWish, choose_columns, find_column
 from dbo_cli.logs.request import ReadingOptions, Request, other_file, parse_address
 from dbo_cli.logs.sample_block import (
     GAP_STEPS,
@@ -110,6 +111,8 @@ class JoinedTable(Table):
         InputError
             A file or a column is absent.
         """
+        if names_file(wish.selector, self.columns):
+            return self._guessed_in(wish, role)
         named = other_file(wish.selector)
         if named is None:
             path, mark, _ = (wish.selector or "").partition("::")
@@ -126,6 +129,21 @@ class JoinedTable(Table):
         file = self.files[address]
         file.wishes.append(role)
         self._append(file, find_column(file.place, file.table.columns, selector, wish.option))
+        return f"number={len(self.columns)}"
+
+    def _guessed_in(self, wish: ColumnWish, role: str) -> str:
+        """Return the selector of the column that a role takes in a file of which only the name is given."""
+        address = wish.selector or ""
+        if address not in self.files:
+            there = replace(self._options, format=None, time=None)
+            self.others = [*self.others, address]
+            self.files[address] = _File(self._open_table(Request(parse_address(address), there, [])), {})
+        file = self.files[address]
+        file.wishes.append(role)
+        columns = file.table.columns
+        time = find_time_column(file.place, columns, replace(self._options, time=None), [])
+        guessed = choose_columns(file.place, columns, {role: replace(wish, selector=None)}, time.taken)
+        self._append(file, guessed[role])
         return f"number={len(self.columns)}"
 
     def _append(self, file: _File, column: ColumnInfo) -> ColumnInfo:
@@ -410,6 +428,13 @@ class JoinedTable(Table):
     def sha256(self) -> str | None:
         """The digest of the first file, where it was asked for."""
         return self.files[""].table.sha256
+
+
+def names_file(selector: str | None, columns: Sequence[ColumnInfo]) -> bool:
+    """Tell whether a selector is the name of a file alone, and of no column."""
+    if selector is None or "::" in selector or not os.path.isfile(selector):
+        return False
+    return all(selector not in (column.name, column.quantity) for column in columns)
 
 
 def _span(time: FloatArray) -> str:
