@@ -36,6 +36,7 @@ from dbo_cli.hysteresis.dynamics import ZeroPhaseLowPass, undone
 from dbo_cli.hysteresis.kernel import towards
 from dbo_cli.hysteresis.model_state import ModelState
 from dbo_cli.hysteresis.move_error import rms
+from dbo_cli.interpolation.smooth import AFTER
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.sources import WholeSource
 
@@ -443,8 +444,8 @@ class LoopCompensation(LearnedCompensation):
         """Return what the gears are to follow before the period, delay and dynamics undone."""
         model, step = self.model, self.step
         inverter = None if model.dynamics is None else model.dynamics.inverter(step)
-        ahead = int(np.ceil(model.delay_seconds / step)) + 1 + (0 if inverter is None else inverter.ahead)
-        signal = loops.shifted(np.concatenate([desired, np.resize(loop, ahead)]), model.delay_seconds / step)
+        ahead = int(np.ceil(model.delay_seconds / step)) + AFTER + (0 if inverter is None else inverter.ahead)
+        signal = loops.read_ahead(model, np.concatenate([desired, np.resize(loop, ahead)]), step)
         if inverter is not None:
             memory = None if begun is None or begun.dynamics is None else inverter.memory_of(begun.dynamics)
             ((_, signal, _),) = undone([(None, signal)], inverter, memory)
