@@ -5,14 +5,14 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from dbo_cli import extensions
-from dbo_cli.errors import InputError, Listener, Remarks, UsageError
+from dbo_cli.errors import InputError, Listener, Remarks, UsageError, plain
 from dbo_cli.logs.columns import is_pattern
-from dbo_cli.logs.request import Address, parse_address
+from dbo_cli.logs.request import Address, check_document, parse_address
 from dbo_cli.logs.whole_output import check_outputs, make_folder
-from dbo_cli.runs.files import Destination, SignalRun
+from dbo_cli.runs.files import Destination, SignalRun, write_json
 from dbo_cli.runs.jobs import (
     FILE,
     Outcome,
@@ -153,10 +153,16 @@ def wants_channels(output: Address, *selectors: str | None) -> bool:
 def identify_files(asked: IdentifyRun, output: Address, work: Work, listener: Listener) -> Outcome:
     """Identify a model of each log by itself."""
     check_names(output, asked.logs)
-    if asked.summary is not None and FILE not in asked.summary.text:
-        raise UsageError(f"`summary` {asked.summary.text}: each log has its own (put {FILE} into its name)")
     files = [of_file(output, log) for log in asked.logs]
-    check_outputs(files, [*asked.logs, *asked.validation])
+    of_all = None
+    if asked.summary is not None and FILE not in asked.summary.text:
+        of_all = asked.summary
+        check_document(of_all, "a summary", "json")
+        asked = dataclasses.replace(asked, summary=None)
+    documents = files if of_all is None else [*files, of_all]
+    check_outputs(documents, [*asked.logs, *asked.validation])
+    from dbo_cli.runs.identifying import sign_warning
+
     calls = []
     for log, file in zip(asked.logs, files, strict=True):
         summary = None if asked.summary is None else of_file(asked.summary, log)
@@ -164,10 +170,37 @@ def identify_files(asked: IdentifyRun, output: Address, work: Work, listener: Li
         calls.append((log, functools.partial(of_log.run, file)))
     found, outcome = each_file(calls, work, listener)
     outcome.remarks.read += summed_up({name: one.remarks.read for name, one in found.items()}, "file")
+    exchanged = sign_warning({name: one.model for name, one in found.items()}, "file")
+    if exchanged is not None:
+        outcome.remarks.warn(exchanged)
+    if of_all is not None:
+        write_json(of_all, _summaries_of_logs(asked, found, outcome.failures))
     if len(asked.logs) == 1 and found:
         outcome.remarks.notes += next(iter(found.values())).summary
     say_found(found, "file", outcome.remarks)
     return outcome
+
+
+def _summaries_of_logs(
+    asked: IdentifyRun, found: Mapping[str, IdentifyResult], failures: Mapping[str, str]
+) -> list[dict[str, Any]]:
+    """Return for each log, in their order, what was identified, or why nothing was (``failed``)."""
+    from dbo_cli.runs.identifying import summary_of_model
+
+    summaries = []
+    for log in asked.logs:
+        result = found.get(log.text)
+        if result is None:
+            what = {
+                "format": "dbo-summary",
+                "version": 1,
+                "command": asked.command,
+                "failed": plain(failures[log.text]),
+            }
+        else:
+            what = {**summary_of_model(result, asked.command), "failed": None}
+        summaries.append({"file": log.text, **what})
+    return summaries
 
 
 def say_found(found: Mapping[str, IdentifyResult], noun: str, remarks: Remarks) -> None:
