@@ -30,7 +30,7 @@ GAIN = 20.0  # of the amplifiers
 CARD = [0.0, 5.0]  # V
 RATE = 1000.0  # Hz
 PIXELS, LINES, BACK = 100, 50, 50
-RANGE = (1.2e-6, 12.2e-6)  # m
+RANGE = (2e-6, 12e-6)  # m
 LINE_CLASS = "interfuse.ni_scanning_probe_interfuse.NiScanningProbeInterfuse"
 OUR_CLASS = "dbo.qudi_scanner.DboScanningProbe"
 
@@ -171,12 +171,12 @@ def test_a_scan_by_qudi_goes_where_it_is_wanted(model_file: str, tmp_path: Path)
     # The cursor stands where it was sent, before the scan and after it.
     assert played["cursor"] == pytest.approx({"x": 9e-6, "y": 9e-6}, abs=2e-9)
     assert played["after"] == pytest.approx({"x": 9e-6, "y": 9e-6}, abs=2e-9)
-    # With the way back, the frame ends within a step of where it began.
+    # With the way back, the frame ends where it began, but for the loop's width.
     [frame] = played["frames"]
     for channel in AXES.values():
         volts = GAIN * np.array(frame["volts"][channel])
         assert volts.min() >= 0.0 and volts.max() <= 100.0
-        assert abs(volts[-1] - volts[0]) < 3.0
+        assert abs(volts[-1] - volts[0]) < 10.0
 
 
 def test_coupled_axes_are_played_by_a_set(tmp_path: Path) -> None:
