@@ -3,6 +3,7 @@
 # make paper DATA=FOLDER   Section V of the publication from the authors' recordings, into paper/
 # make compare DATA=FOLDER   the DBO beside its relatives on all recordings: the tables of docs/comparison.md
 # make figures   every picture in docs/, the one in README.md, the man pages and docs/api.md
+# make site   the pages of docs/ as a site, in site/;  make package  archives, built and tried, in archives/
 # make fuzz    100,000 malformed inputs, 20,000 changed headers;  make clean
 # make attack  killed runs, full disks, mutated models, random command lines, drives and live control (ATTACK=10: ten times as many)
 # make mutants plants faults in the mathematics and says which no test finds (an hour on one core)
@@ -16,13 +17,13 @@ VENV := .venv
 BIN := $(VENV)/bin
 DBO := $(BIN)/dbo
 BENCH := $(BIN)/python sample_data/virtual_actuator.py
-KERNEL := $(wildcard dbo_cli/hysteresis/*.c dbo_cli/hysteresis/*.h)
+KERNEL := $(wildcard dbo_cli/hysteresis/*.c dbo_cli/hysteresis/*.h dbo_cli/interpolation/*.c dbo_cli/interpolation/*.h)
 
-.PHONY: help demo picture figures test paper compare fuzz attack mutants bench clean
+.PHONY: help demo picture figures test site package paper compare fuzz attack mutants bench clean
 .DELETE_ON_ERROR:
 
 help:
-	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,12p'
+	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,13p'
 
 # --- the environment ---
 
@@ -98,6 +99,18 @@ figures: picture | $(VENV)/installed
 	  $(BIN)/python docs/$$name.py || exit 1; \
 	done
 
+# --- the pages of docs/ as a site: every link and anchor is checked, a broken one is an error ---
+
+site: $(VENV)/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[site]"
+	$(BIN)/python -m mkdocs build --strict --quiet --site-dir site
+	@echo "site/index.html"
+
+# --- what is published: built, installed where nothing else is, and tried there ---
+
+package:
+	packaging/build_and_try $(PYTHON) archives
+
 # --- the rest ---
 
 paper: $(VENV)/installed
@@ -135,4 +148,4 @@ bench: $(VENV)/installed-test
 	done
 
 clean:
-	rm -rf demo paper build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf demo paper site archives build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -1,14 +1,17 @@
 """Exports on emulated microcontrollers: the self-test, and instructions, code, tables, RAM and stack.
 
-    python benchmarks/embedded.py [--chips m0plus,m4f,m7,rv32] [--gears 8,25,64,256,1152] [--csv FILE]
+    python benchmarks/embedded.py [--chips m0plus,m4f,m7,rv32] [--gears 8,25,64,256,1152]
+        [--arithmetics double,float,q31] [--csv FILE] [--before FILE]
 
 Needs (Debian, Ubuntu): apt install gcc-arm-none-eabi libnewlib-arm-none-eabi gcc-riscv64-unknown-elf
 qemu-system-arm qemu-system-misc. Chips whose tools are missing are left out and named.
 
 An inverse model of n gears (64 slopes at most, points, a scale, limits; with four relaxation terms or none)
-follows a smooth move of 400 samples a cycle, then jumps from either end to 32 places. Instructions are what
-QEMU counts (-icount), -O2, soft float where the chip has none for the type; code holds the soft float that it
-needs. Beside it n play operators (the inverse of Prandtl-Ishlinskii) without points, limits or memory.
+follows a smooth move of 400 samples a cycle, then jumps from either end to 32 places and back, then from the
+state of `NAME_reset` in the middle to either end, which wipes out a turn every other gear. Instructions are
+what QEMU counts (-icount), -O2, soft float where the chip has none for the type; code holds the soft float
+that it needs. `--before` takes the CSV of another state of the program, and adds ratios to it.
+Beside it n play operators (the inverse of Prandtl-Ishlinskii) without points, limits or memory.
 """
 
 from __future__ import annotations
@@ -72,8 +75,8 @@ def missing(chip: Chip) -> list[str]:
     return [tool for tool in (chip.compiler, chip.emulator.split()[0]) if shutil.which(tool) is None]
 
 
-def moves_header(low: float, high: float, arithmetic: str) -> str:
-    """Return smooth moves over the range, 400 samples a cycle, and jumps from its ends as C.
+def moves_header(low: float, high: float, arithmetic: str, drive: tuple[float, float]) -> str:
+    """Return smooth moves over the range, 400 samples a cycle, jumps from its ends and drives to reset to.
 
     A jump costs most where it ends inside the last gears: places lie denser towards the ends.
     """
@@ -81,7 +84,9 @@ def moves_header(low: float, high: float, arithmetic: str) -> str:
     values = low + (high - low) * (0.5 - 0.5 * np.cos(k * np.pi / 200.0) * (1.0 - k / 1600.0))
     places = low + (high - low) * (0.5 - 0.5 * np.cos(np.arange(32) * np.pi / 31.0))
     jumps = np.column_stack([np.repeat([low, high], 32), np.tile(places, 2)]).ravel()
+    resets = [f"{drive[0] + part * (drive[1] - drive[0])!r}" for part in (0.49, 0.51)]
     if arithmetic == "q31":
+        resets = [str(round(2.0**31 * (part - 0.5))) for part in (0.49, 0.51)]
         text = [
             [integer(round(2.0**31 * ((v - low) / (high - low) - 0.5))) for v in row]
             for row in (values, jumps)
@@ -94,6 +99,7 @@ def moves_header(low: float, high: float, arithmetic: str) -> str:
         ("" if arithmetic is None else f"#ifndef PLAYS\ntypedef {kind} number_type;\n#endif\n")
         + f"#define MOVES {len(values)}u\n#define JUMPS {len(jumps)}u\n"
         + array(kind, "moves", text[0]) + array(kind, "jumps", text[1])
+        + f"#ifndef PLAYS\n{array(kind, 'resets', resets)}#endif\n"
     )  # fmt: skip
 
 
@@ -117,7 +123,7 @@ def build(chip: Chip, folder: Path, sources: list[str], defines: list[str]) -> d
 
 
 def run(chip: Chip, folder: Path) -> list[int]:
-    """Run the program; return wrong samples, mean, worst and full-step instructions, bytes of stack."""
+    """Run the program; return wrong samples, instructions (mean, worst, full step, after reset), stack."""
     done = subprocess.run(
         [*chip.emulator.split(), "program.elf"], cwd=folder, capture_output=True, text=True, timeout=300,
         check=False, stdin=subprocess.DEVNULL,
@@ -133,12 +139,14 @@ def measured(chip: Chip, gears: int, terms: int, arithmetic: str) -> dict[str, A
     model = made_model(0, gears=gears, slopes=min(gears, 64), terms=terms)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "x"
+        ends = model.drive.minimum, model.drive.maximum
         summary = export_model(model, str(folder), name="x", arithmetic=arithmetic, sample_rate=1000.0)  # type: ignore[arg-type]
-        (folder / "moves.h").write_text(moves_header(model.output.minimum, model.output.maximum, arithmetic))
+        moves = moves_header(model.output.minimum, model.output.maximum, arithmetic, ends)
+        (folder / "moves.h").write_text(moves)
         own = ["x.c", "dbo_kernel.c"]
         flags = ["-DDBO_NO_MAIN", '-DTEST="x_test.c"', "-DDBO_SMALL"]
         build(chip, folder, [str(HERE / "measure.c"), *own], flags)
-        wrong, mean, worst, full, stack = run(chip, folder)
+        wrong, mean, worst, full, settled, stack = run(chip, folder)
         caller = '#include "x.h"\nx_state s;\nvolatile {0} v;\nint main(void) {{ {1} return 0; }}\n'
         calls = "x_init(&s); x_reset(&s, v); v = x_step(&s, v);"
         (folder / "size.c").write_text(caller.format(TYPES[arithmetic], calls))
@@ -147,7 +155,8 @@ def measured(chip: Chip, gears: int, terms: int, arithmetic: str) -> dict[str, A
         without = build(chip, folder, ["size.c", *own], flags)
     return {
         "chip": chip.name, "gears": gears, "terms": terms, "arithmetic": arithmetic, "wrong": wrong,
-        "mean": mean, "worst": worst, "full_step": full, "code_bytes": with_it["code"] - without["code"],
+        "mean": mean, "worst": worst, "full_step": full, "after_reset": settled,
+        "code_bytes": with_it["code"] - without["code"],
         "table_bytes": summary.table_bytes, "ram_bytes": summary.state_bytes, "stack_bytes": stack,
     }  # fmt: skip
 
@@ -162,7 +171,7 @@ def plays(chip: Chip, count: int, arithmetic: str) -> int:
     text = [[spell(int(v) if arithmetic == "q31" else v) for v in row] for row in (near, weights)]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        (folder / "moves.h").write_text(moves_header(0.0, 1.0, arithmetic))
+        (folder / "moves.h").write_text(moves_header(0.0, 1.0, arithmetic, (0.0, 1.0)))
         (folder / "tables.c").write_text(
             "#include <stdint.h>\n"
             + "".join(
@@ -175,16 +184,46 @@ def plays(chip: Chip, count: int, arithmetic: str) -> int:
         return run(chip, folder)[1]
 
 
+Case = tuple[str, str, str, str]
+
+
+def case_of(row: dict[str, Any]) -> Case:
+    """Return what a row is about."""
+    return str(row["chip"]), str(row["gears"]), str(row["arithmetic"]), str(row["terms"])
+
+
+def rows_of(path: Path) -> dict[Case, dict[str, Any]]:
+    """Return the rows of another run's CSV."""
+    with path.open(newline="") as file:
+        return {case_of(row): row for row in csv.DictReader(file)}
+
+
+def ratios(row: dict[str, Any], before: dict[Case, dict[str, Any]]) -> str:
+    """Return jump, flash and RAM against another run, where it has the case."""
+    old = before.get(case_of(row))
+    if old is None:
+        return ""
+    flash = row["code_bytes"] + row["table_bytes"]
+    old_flash = int(old["code_bytes"]) + int(old["table_bytes"])
+    more = row["ram_bytes"] - int(old["ram_bytes"])
+    jump = row["full_step"] / int(old["full_step"])
+    a_gear = more / row["gears"]
+    return f"  jump x {jump:.2f}, flash x {flash / old_flash:.2f}, RAM {more:+d} ({a_gear:.2f} a gear)"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--chips", default=",".join(CHIPS))
     parser.add_argument("--gears", default="8,25,64,256,1152")
+    parser.add_argument("--arithmetics", default=",".join(ARITHMETICS))
     parser.add_argument("--csv", type=Path)
+    parser.add_argument("--before", type=Path)
     options = parser.parse_args()
     rows = []
+    before = {} if options.before is None else rows_of(options.before)
     print(
-        "chip        gears arithmetic memory  wrong    mean   worst  full step    plays    code  tables   RAM"
-        "  stack"
+        "chip        gears arithmetic memory  wrong    mean   worst  full step  after reset    plays    code"
+        "  tables   RAM  stack"
     )
     for key in options.chips.split(","):
         chip = CHIPS[key]
@@ -192,7 +231,7 @@ def main() -> None:
             print(f"{chip.name}: left out, no {' and no '.join(missing(chip))}")
             continue
         for gears in (int(v) for v in options.gears.split(",")):
-            for arithmetic in ARITHMETICS:
+            for arithmetic in options.arithmetics.split(","):
                 fits = chip.memory[1] != "16K" or gears * 8 < 12_000
                 rival = plays(chip, gears, arithmetic) if fits else None
                 for terms in (0, 4):
@@ -201,8 +240,9 @@ def main() -> None:
                     print(
                         f"{row['chip']:11} {gears:5} {arithmetic:10} {terms:6}  {row['wrong']:5}"
                         f"  {row['mean']:6,}"
-                        f"  {row['worst']:6,}  {row['full_step']:9,}  {rival or 0:7,}  {row['code_bytes']:6,}"
-                        f"  {row['table_bytes']:6,}  {row['ram_bytes']:4,}  {row['stack_bytes']:5,}",
+                        f"  {row['worst']:6,}  {row['full_step']:9,}  {row['after_reset']:11,}"
+                        f"  {rival or 0:7,}  {row['code_bytes']:6,}  {row['table_bytes']:6,}"
+                        f"  {row['ram_bytes']:4,}  {row['stack_bytes']:5,}{ratios(row, before)}",
                         flush=True,
                     )
     if options.csv and rows:

@@ -4,8 +4,7 @@
 
 The same command runs over k and over k + 1 blocks of 131,072 rows while the interpreter reports every call of
 a function of the package (``sys.setprofile``, in every thread); the difference is what a block costs. A
-generator counts each time a block is asked of it: that is a hop, too; setting the fields of a record
-(``records``), as the standard library does in C, is none. Then a small ``compensate`` and a small
+generator counts each time a block is asked of it: that is a hop, too. Then a small ``compensate`` and a small
 ``identify`` are run once: how many files and functions (comprehensions and the bodies of modules and classes
 aside) are called, that is, what a reader of that command opens. FOLDER, a checkout of another version, tells
 what it was before; ``--list`` names the functions.
@@ -79,7 +78,7 @@ def calls(words: list[str]) -> Counter[str]:
         code = frame.f_code
         function = code.co_flags & inspect.CO_OPTIMIZED  # a module's or a class's body is none
         file = code.co_filename.removeprefix(package)
-        if event == "call" and function and file not in (code.co_filename, "records.py"):
+        if event == "call" and function and file != code.co_filename:
             counted[f"{file}: {code.co_qualname}"] += 1
 
     threading.setprofile(note)

@@ -74,15 +74,14 @@ FAULTS: list[Fault] = [
     *_faults(
         "extras/export/firmware/dbo_kernel_single.c",
         ("export",),
-        ("if (left < 0 && crossed > 0U) way->nearly = 64U * block + place;",
-         "if (left < 0) way->nearly = 64U * block + place;",
-         "the gear crossed by the tolerance serves its sample, at the end of a run of equal gears"),
-        ("if (across >= (dbo_position)wide && up >= (dbo_position)high) {", "if (across >= (dbo_position)wide) {",
+        ("if (last < op->n && (rising ? d < 0 : d > 0)) next = last;", "",
+         "the gear crossed by the tolerance serves its sample"),
+        ("if (times(count, gear->height) > up) count", "if (times(count, gear->height) > up && 0) count",
          "of equal gears no more are crossed than the limits leave room for"),
-        ("set_sum(sums, (none ? 0 : sum(sums)) + x);", "set_sum(sums, sum(sums) + x);",
-         "the sums of a block that was open as a whole begin anew"),
-        ("const int gapless = (beyond & (beyond - 1U)) == 0U;", "const int gapless = (beyond & (beyond - 1U)) == 0U || *low != 0U;",
-         "gears between open ones may be crossed already"),
+        ("if (!turned) depth--;", "", "a run that is crossed melts into the next"),
+        ("return op->begins[row].y <= way->y ? row : row_by_halves(op, way, first, row);", "return row;",
+         "no more rows are crossed than the limits leave room for"),
+        ("if (next > 0U) find_begin(op, next, &way);", "", "a run of gears begins behind those that are crossed already"),
         ("return size == (int32_t)bits ? size : -size;", "return size == (int32_t)bits ? size : (int32_t)bits;",
          "where float32 is software, of two numbers below zero the greater has the smaller bits"),
         ("exponent < 150U ? part >> (150U - exponent) : part << (exponent - 150U)",
@@ -106,7 +105,7 @@ FAULTS: list[Fault] = [
         ("outside = (d if rising else -d) >= width * (1.0 - fraction)", "outside = d >= width * (1.0 - fraction)",
          "samples below the range are counted, in Python"),
         ("np.where(part < whole, 0.0, part)", "part", "a time before the first sample, in Python"),
-        ("np.copyto(found, upper, where=part > 1.0 - whole)", "pass",
+        ("np.copyto(out, upper, where=part > 1.0 - whole)", "pass",
          "a whole number of samples shifts exactly where the time is a little early, in Python"),
     ),
     *_faults(
@@ -130,8 +129,8 @@ FAULTS: list[Fault] = [
     *_faults(
         "hysteresis/operators.py",
         KERNEL,
-        ("(self.dy, self.dx, self.y0, self.x0, self.relaxation, other)",
-         "(self.dy, self.dx, self.x0, self.y0, self.relaxation, other)",
+        ("(self.dy, self.dx, self.y0, self.x0, self.relaxation, axis)",
+         "(self.dy, self.dx, self.x0, self.y0, self.relaxation, axis)",
          "the inverse exchanges the origins (18)"),
         ("self.first_outside if known[0] else later.first_outside + samples", "later.first_outside + samples",
          "the first sample outside is named by its place in the block"),
@@ -153,7 +152,7 @@ FAULTS: list[Fault] = [
         ("np.exp(-steps[:, np.newaxis] / np.array(self.tau))",
          "1.0 / (1.0 + steps[:, np.newaxis] / np.array(self.tau))",
          "a_j = exp(-dt/tau_j)"),
-        ("rows[0] = held[:] = drive[0] - self.reference", "rows[0] = held[:] = 0.0",
+        ("rows[0] = memories[:] = drive[0] - self.reference", "rows[0] = memories[:] = 0.0",
          "memories are at rest at the first sample, in the fit"),
     ),
     *_faults(
@@ -320,7 +319,7 @@ FAULTS: list[Fault] = [
         "reports/report.py",
         REPORTS,
         ("np.fmax.accumulate(np.concatenate", "(np.concatenate", "a clock that restarts opens no segment twice"),
-        ("value is not None and value <= limit", "value is not None and value < limit", "a limit that is just met is met"),
+        ("self.value <= self.limit", "self.value < self.limit", "a limit that is just met is met"),
         ("if first > 0.0 else None", "if first >= 0.0 else None", "no ratio to a first log without error"),
         ("lag, rows = self.options.lag, self.score_rows", "lag, rows = self.options.lag, None",
          "with a model only the rows asked for count"),
@@ -377,7 +376,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "logs/request.py",
         ("logs_changing_files",),
-        ("return found.st_ino, found.st_size, found.st_mtime_ns", "return found.st_ino, found.st_size, 0",
+        ("return status.st_ino, status.st_size, status.st_mtime_ns", "return status.st_ino, status.st_size, 0",
          "a binary log that is written over while it is read"),
     ),
     *_faults(
@@ -396,11 +395,11 @@ FAULTS: list[Fault] = [
     *_faults(
         "logs/whole_output.py",
         ("logs_outputs", "logs_output_sets", "logs_stores", "logs_windows"),
-        ("os.chmod(one.temporary, stat.S_IMODE(os.stat(one.target).st_mode))", "pass",
+        ("os.chmod(output.temporary, stat.S_IMODE(os.stat(output.target).st_mode))", "pass",
          "a file that is replaced, or a store that a group is added to, keeps its permissions"),
-        ("_bring_to_disk(one.temporary, os.O_RDWR)", "_bring_to_disk(one.temporary, os.O_RDONLY)",
+        ("_bring_to_disk(output.temporary, os.O_RDWR)", "_bring_to_disk(output.temporary, os.O_RDONLY)",
          "Windows stores a file through a handle that may write"),
-        ("            _remove(one.backup)  # still there", "            pass  # still there",
+        ("            _remove(output.backup)  # still there", "            pass  # still there",
          "no second copy is left where a rename fails"),
     ),
     *_faults(
@@ -418,7 +417,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "extras/moves/generators.py",
         ("waveforms",),
-        ("found = found - (self.decode(found) > within[1])", "found = found - 0",
+        ("codes = codes - (self.decode(codes) > within[1])", "codes = codes - 0",
          "a code next to the upper limit is the one inside it"),
         ("np.rint((volts - self.volts[0])", "np.floor((volts - self.volts[0])", "codes are the nearest"),
         ("[20050114, signals.values.size, 0]", "[20050114, signals.values.size, 1]", "a TFW file has no preview"),
@@ -478,7 +477,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "extras/repeat/settled_loops.py",
         ("runs_repeated",),
-        ("parts = [abs(w * (own - held))", "parts = [abs(w * own)",
+        ("abs(effect * (at_rest - settled))", "abs(effect * at_rest)",
          "a memory is off by what it is away from the loop's own"),
     ),
     *_faults(
@@ -509,7 +508,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "reports/sample_pairs.py",
         ("settling", "cli_shell"),
-        ("held = only(block, ~new & (time - start", "held = only(block, (time - start",
+        ("dwelling = only(block, ~new & (time - start", "dwelling = only(block, (time - start",
          "the first row of a level is not one at which it has been held"),
     ),
     *_faults(
@@ -555,7 +554,7 @@ FAULTS: list[Fault] = [
         ("relatives",),
         ("share = sum(gain * (1.0 - a) for", "share = sum(gain * a for",
          "a memory answers the drive of the very sample"),
-        ("rows[0] = [0.0] * len(held)", "rows[0] = rows[0]", "memories are at rest at the first sample"),
+        ("rows[0] = [0.0] * len(memories)", "rows[0] = rows[0]", "memories are at rest at the first sample"),
     ),
     *_faults(
         "extras/compare/play_model.py",
@@ -575,7 +574,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "extras/compare/judging.py",
         ("relatives",),
-        ("told = rmse * float(str(ratio))", "told = rmse",
+        ("expected_rmse = rmse * float(str(ratio))", "expected_rmse = rmse",
          "what is expected of a relative is wider than its fit"),
     ),
 ]  # fmt: skip

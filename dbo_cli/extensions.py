@@ -268,7 +268,7 @@ def others() -> tuple[Extra, ...]:
     """
     from importlib.metadata import entry_points
 
-    found = []
+    extras = []
     for entry in entry_points(group=ENTRY_POINTS):
         try:
             extra = entry.load()
@@ -279,8 +279,8 @@ def others() -> tuple[Extra, ...]:
             ) from None
         if not isinstance(extra, Extra):
             raise UsageError(f"the extra '{entry.name}' ({entry.value}) is no dbo_cli.extensions.Extra")
-        found.append(extra)
-    return tuple(found)
+        extras.append(extra)
+    return tuple(extras)
 
 
 def _imported(extra: Extra, place: Place, key: str) -> Any:

@@ -71,7 +71,7 @@ def test_csv_has_one_line_a_log(logs: Any) -> None:
         ("r.json", "{"),
         ("r.csv", "name,"),
         ("r.html", "<!doctype html>"),
-        ("r.txt", "after.csv: 0.10 um RMSE, 1.2 % of the range\n\nError"),
+        ("r.txt", "after.csv: 0.10 um RMSE, 1.2 % of the move\n\nError"),
     ],
 )
 def test_the_form_follows_the_name_of_the_output(logs: Any, name: str, start: str) -> None:

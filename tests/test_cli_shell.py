@@ -42,8 +42,8 @@ def test_module_and_console_script_are_the_same_program() -> None:
 
 
 WRONG = {
-    "identfy a.csv": f"no such command: 'identfy': identify?; there are: {LIST}",
-    "fit a.csv": f"no such command: 'fit'; there are: {LIST}",
+    "identfy a.csv": f"no such command: 'identfy': dbo identify?; there are: {LIST}",
+    "fit a.csv": f"no such command: 'fit': dbo identify?; there are: {LIST}",
     "--loud": "no such option: --loud (dbo --help lists what there is)",
     "identify": "LOG is missing (dbo identify --help lists what there is)",
     "simulate model.json": "LOG is missing (dbo simulate --help lists what there is)",
@@ -137,7 +137,7 @@ def test_a_message_is_one_line_whatever_it_holds(dbo: Any, monkeypatch: pytest.M
 
 
 def help_of(dbo: Any, name: str) -> str:
-    done = dbo(name, "--help")
+    done = dbo("help", name)
     assert (done.code, done.err) == (0, "")
     text: str = done.out
     return text
@@ -208,6 +208,52 @@ def test_help_fits_a_terminal_and_holds_no_escapes(dbo: Any, name: str) -> None:
     page = help_of(dbo, name)
     assert max(map(len, page.splitlines())) <= 100
     assert "\x1b" not in page
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_short_help_fits_a_screen_and_points_to_the_rest(dbo: Any, name: str) -> None:
+    short, whole = dbo(name, "-h"), dbo(name, "--help-all")
+    assert short == dbo(name, "--help")
+    assert whole == dbo("help", name)
+    assert (short.code, short.err, whole.code, whole.err) == (0, "", 0, "")
+    assert len(short.out.splitlines()) <= 40
+    assert len(short.out) < len(whole.out)
+    command = COMMANDS[name]
+    usual = re.findall(
+        r"^  (?:-\w, )?(--[a-z-]+)", short.out[short.out.index("Usual options:") :], re.MULTILINE
+    )
+    assert usual == ["--output" if option == "-o" else option for option in command.usual]
+    number = sum(1 for option in (*command.options, *command.brought) if option.names)
+    assert f"dbo help {name} (or --help-all) has all {number} options" in " ".join(short.out.split())
+    assert ("dbo help reading" in short.out) == ("\nReading logs:\n" in whole.out)
+
+
+def test_the_options_of_reading_have_a_page_of_their_own(dbo: Any) -> None:
+    done = dbo("help", "reading")
+    assert (done.code, done.err) == (0, "")
+    whole = help_of(dbo, "identify")
+    listed = re.findall(r"^  (--[a-z-]+)", done.out, re.MULTILINE)
+    in_identify = whole[whole.index("Reading logs:") : whole.index("Output and messages:")]
+    assert sorted(listed) == sorted(re.findall(r"^  (--[a-z-]+)", in_identify, re.MULTILINE))
+
+
+@pytest.mark.parametrize(
+    ("word", "meant"),
+    [("fit", "dbo identify"), ("Plot", "dbo report --figures"), ("version", "dbo --version"), ("run", "dbo simulate"),
+     ("reprot", "dbo report")],
+)  # fmt: skip
+def test_words_that_people_try_are_answered_with_the_command(dbo: Any, word: str, meant: str) -> None:
+    assert f"no such command: '{word}': {meant}?; there are: identify," in dbo(word).err
+
+
+def test_a_name_with_a_blank_that_was_not_quoted_is_recognised(dbo: Any, tmp_path: Path) -> None:
+    (tmp_path / "my log.csv").write_text("time_s,voltage_V\n", encoding="utf-8")
+    done = dbo("identify", *f"{tmp_path}/my log.csv".split(" "), "-o", tmp_path / "model.json")
+    assert done.code == 1
+    assert done.err.endswith(
+        f"(is '{tmp_path}/my log.csv' meant? A name with a blank needs quotation marks)\n"
+    )
 
 
 def test_the_bare_program_shows_its_help(dbo: Any) -> None:
@@ -284,7 +330,7 @@ def test_show_tells_on_which_side_of_the_gears_the_points_stand(dbo: Any, tmp_pa
     assert dbo("invert", "model.json", "-o", "inverse.json").code == 0
     for name in ("model.json", "inverse.json"):
         told = " ".join(dbo("show", name).out.split())
-        assert "2 gears, 3 segments of asymmetry on the drive's side and 2 on the displacement's" in told
+        assert "2 gears, bent by 3 straight pieces on the drive's side and 2 on the displacement's" in told
 
 
 @pytest.mark.whole
@@ -295,7 +341,9 @@ def test_show_tells_what_is_in_a_model(dbo: Any) -> None:
     lines = done.out.splitlines()
     assert lines[0] == "forward model: voltage 0 to 100 V to displacement 0.798299 to 12.6191 um"
     assert lines[1] == "displacement rises as voltage rises"
-    assert lines[2].startswith("40 gears, 8 segments of asymmetry; lag and creep with time constants of ")
+    assert lines[2].startswith(
+        "40 gears, bent by a curve of 8 straight pieces; lag and creep with time constants of "
+    )
     assert any(line.startswith("fit: RMSE 0.0") and "um" in line for line in lines)
     assert any(line.startswith("from identification.csv (5,786 rows), by dbo 0.1.0") for line in lines)
     told = json.loads(dbo("show", old, "--format", "json", "--figures", "curves").out)
@@ -365,5 +413,9 @@ def test_every_help_says_what_is_written_and_has_two_examples_that_parse(dbo: An
 @pytest.mark.whole
 def test_help_is_a_word_too(dbo: Any) -> None:
     assert dbo("help") == dbo("--help")
-    assert dbo("help", "check") == dbo("check", "--help")
-    assert dbo("help", "chek") == (2, "", f"dbo: error: no such command: 'chek': check?; there are: {LIST}\n")
+    assert dbo("help", "check") == dbo("check", "--help-all")
+    assert dbo("help", "chek") == (
+        2,
+        "",
+        f"dbo: error: no such command: 'chek': dbo check?; there are: {LIST}\n",
+    )

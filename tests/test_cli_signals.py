@@ -402,9 +402,14 @@ def test_condition_prepends_a_sweep_in_negative_time(bench: Any) -> None:
 def test_excite_stays_inside_and_starts_and_ends_at_the_bottom(dbo: Any) -> None:
     done = dbo("excite", "--v-min", "-20", "--v-max", "120", "--sample-rate", "200", "--duration", "12")
     lines = done.out.splitlines()
-    begins = "dbo: it begins and ends at -20 V: bring the amplifier there slowly first\n"
-    assert (done.code, done.err, lines[0]) == (0, begins, "time_s,voltage_V")
     table = np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
+    fastest = np.abs(np.diff(table[:, 1])).max() * 200
+    said = (
+        f"dbo: 2,400 rows, 12 s at 200 rows a second, from -20 to 120 V, at most {fastest:.3g} V/s\n"
+        "dbo: it begins and ends at -20 V: bring the amplifier there slowly first\n"
+        "dbo: play it, record drive and displacement side by side, then: dbo identify RECORDED -o model.json\n"
+    )
+    assert (done.code, done.err, lines[0]) == (0, said, "time_s,voltage_V")
     assert len(table) == 2400
     assert (table[0, 1], table[:, 1].min(), table[:, 1].max()) == (-20.0, -20.0, 120.0)
     assert table[-1, 1] == pytest.approx(-20.0, abs=0.1)

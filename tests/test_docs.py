@@ -14,6 +14,7 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import dbo_cli as dbo
@@ -166,7 +167,67 @@ def test_every_constant_says_where_it_comes_from(tmp_path: Path) -> None:
 
 
 def test_the_readme_is_read_in_five_minutes() -> None:
-    assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= 1500
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= 900
+
+
+MISTAKES = {
+    "scope.csv": "identify scope.csv",
+    "noclock.csv": "identify noclock.csv",
+    "ms.csv": "identify ms.csv",
+    "tenth.csv": "identify tenth.csv --v-min 0 --v-max 100",
+    "junk.csv": "identify junk.csv",
+    "minus.csv": "identify minus.csv --sign rising",
+    "big.csv": "compensate model.json big.csv",
+    "trajectory.csv": "compensate model.json trajectory.csv",
+    "played.csv": "check played.csv --against drive.csv",
+    "drive.csv": "report drive.csv",
+}
+"""The ten mistakes of docs/questions.md in the order of the page, each with its command."""
+
+
+def write_mistakes(folder: Path) -> None:
+    """Write the logs of the ten mistakes, made of the sample data."""
+    header = "time_s,voltage_V,displacement_um"
+    log = np.loadtxt(ROOT / "sample_data" / "identification.csv", delimiter=",", skiprows=1)
+    move = np.loadtxt(ROOT / "sample_data" / "trajectory.csv", delimiter=",", skiprows=1)
+    noise = np.random.default_rng(5).uniform(0.0, 10.0, len(log))
+    tables = {
+        "scope.csv": ("time_s,CH1 (V),CH2 (V)", log),
+        "noclock.csv": ("voltage_V,displacement_um", log[:, 1:]),
+        "ms.csv": ("time,voltage_V,displacement_um", log * [1000.0, 1.0, 1.0]),
+        "tenth.csv": (header, log * [1.0, 0.1, 1.0]),
+        "junk.csv": (header, np.column_stack((log[:, :2], noise))),
+        "minus.csv": (header, log * [1.0, 1.0, -1.0]),
+        "big.csv": ("time_s,displacement_um", move * [1.0, 1.4]),
+        "trajectory.csv": ("time_s,displacement_um", move),
+    }
+    for name, (names, table) in tables.items():
+        np.savetxt(folder / name, table, delimiter=",", header=names, comments="", fmt="%.9g")
+
+
+@pytest.mark.whole
+def test_the_ten_mistakes_print_what_the_page_shows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = (DOCS / "questions.md").read_text(encoding="utf-8")
+    shown = re.findall(r"^ {8}(dbo: .*)$", page, re.MULTILINE)
+    assert len(shown) == len(MISTAKES)
+    monkeypatch.chdir(tmp_path)
+    write_mistakes(tmp_path)
+    sample = ROOT / "sample_data" / "identification.csv"
+    assert main(["identify", str(sample), "-o", "model.json", "-q"]) == 0
+    assert main(["compensate", "model.json", "trajectory.csv", "-o", "drive.csv", "-q"]) == 0
+    rows = Path("drive.csv").read_text().splitlines()
+    cells = [row.split(",") for row in rows[1:]]
+    louder = [f"{time},{wanted},{float(volts) * 1.02!r}" for time, wanted, volts in cells]
+    Path("played.csv").write_text("\n".join([rows[0], *louder]) + "\n")
+    for line, command in zip(shown, MISTAKES.values(), strict=True):
+        capsys.readouterr()
+        endings = {"identify": "json", "compensate": "csv", "check": "txt", "report": "txt"}
+        main([*command.split(), "-o", f"out.{endings[command.split()[0]]}"])
+        printed = capsys.readouterr().err.splitlines()
+        masked = [NUMBER.sub("#", text) for text in printed]
+        assert NUMBER.sub("#", line) in masked, "\n".join([command, line, *printed])
 
 
 def test_the_picture_shows_the_numbers_of_the_demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -188,3 +249,11 @@ def test_the_picture_shows_the_numbers_of_the_demo(tmp_path: Path, monkeypatch: 
     shown = re.search(rb"tEXtDescription\0(.*?RMSE; .*? RMSE)", picture)
     assert shown is not None
     assert shown[1].decode("latin-1") == f"straight-line drive: {before}; compensated by dbo: {after}"
+
+
+@pytest.mark.whole
+def test_every_benchmark_is_named_on_their_page() -> None:
+    folder = ROOT / "benchmarks"
+    named = set(re.findall(r"`(\w+\.py|attack/)`", (folder / "README.md").read_text(encoding="utf-8")))
+    programs = {path.name for path in folder.glob("*.py")}
+    assert named == programs | {"attack/"}

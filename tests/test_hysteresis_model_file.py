@@ -87,6 +87,12 @@ def changed(path: str, value: Any) -> dict[str, Any]:
     return values
 
 
+def test_a_version_may_be_written_as_any_whole_number(tmp_path: Path) -> None:
+    """The schema has it so: JSON knows one kind of number."""
+    model = read_model(write(tmp_path, changed("version", 2.0)))
+    assert json.loads(model_to_bytes(model)) == EXAMPLE
+
+
 REFUSED: list[tuple[dict[str, Any] | str, str]] = [
     ("", "is empty; this is no model file"),
     ("{", "1: is not JSON: Expecting property name enclosed in double quotes"),
@@ -98,6 +104,7 @@ REFUSED: list[tuple[dict[str, Any] | str, str]] = [
     (changed("version", ...), "version: is missing"),
     (changed("version", "1"), 'version: "1" is not a version'),
     (changed("version", True), "version: true is not a version"),
+    (changed("version", 1.5), "version: 1.5 is not a version"),
     (changed("version", 3), "version: 3 is newer than this program reads, 2; upgrade dbo-cli"),
     (changed("direction", "up"), "direction: 'up' is neither 'forward' nor 'inverse'"),
     (changed("colour", "red"), "colour: is not a known key"),

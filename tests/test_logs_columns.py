@@ -243,7 +243,7 @@ def test_the_only_column_of_a_unit_or_of_a_card_is_taken_with_a_note() -> None:
     found, notes = taken("time_s,HV [V],Tip angle (mrad)")
     assert found == {"voltage": "HV [V]", "displacement": "Tip angle (mrad)"}
     assert notes == [
-        "log: 'HV [V]' is taken for the voltage: no other column is in a unit of voltage (`voltage` names "
+        "log: 'HV [V]' is taken for the drive: no other column is in a unit of voltage (`voltage` names "
         "another)",
         "log: 'Tip angle (mrad)' is taken for the displacement: no other column is in a unit of angle "
         "(`displacement` names another)",
@@ -251,8 +251,7 @@ def test_the_only_column_of_a_unit_or_of_a_card_is_taken_with_a_note() -> None:
     found, notes = taken("time_s,Dev1/ao0,Dev1/ai0")
     assert found == {"voltage": "Dev1/ao0", "displacement": "Dev1/ai0"}
     assert (
-        notes[0]
-        == "log: 'Dev1/ao0' is taken for the voltage: the only analog output (`voltage` names another)"
+        notes[0] == "log: 'Dev1/ao0' is taken for the drive: the only analog output (`voltage` names another)"
     )
 
 
@@ -260,8 +259,10 @@ def test_the_only_column_of_a_unit_or_of_a_card_is_taken_with_a_note() -> None:
     "header",
     [
         "time_s,HV [V],Bias [V],position_um",  # two in volts
-        "time_s,HV monitor [V],position_um",  # a scale of its own
-        "time_s,Readback [V],position_um",
+        "time_s,HV monitor [V],temp,position_um",  # a scale of its own
+        "time_s,voltage_V,current_A",  # what the amplifier delivers
+        "time_s,displacement_um,tilt (mrad)",
+        "time_s,displacement_um,temperature (degC),x1",
         "time_s,Photodiode [V],position_um",
         "time_s,drive (mA),HV [V],position_um",  # the drive is there, in a unit that cannot be meant
         "time_s,ao0,ao1,ai0",
@@ -292,6 +293,50 @@ def test_a_temperature_is_neither_voltage_nor_displacement(header: str, role: st
         taken(header)
     assert str(raised.value) == (
         f"log: no column is recognised as the {role}: it has {names} (choose with `{role}` NAME or NUMBER)"
+    )
+
+
+OTHER_ACTUATORS = {
+    "time_s,pressure (bar),angle (deg)": ("pressure (bar)", "angle (deg)"),
+    "time_s,force (N),displacement_um": ("force (N)", "displacement_um"),
+    "time_s,force (N),angle (deg)": ("force (N)", "angle (deg)"),
+    "time_s,torque (Nm),force (N)": ("force (N)", "torque (Nm)"),
+    "time_s,B (mT),current (A)": ("current (A)", "B (mT)"),
+    "time_s,field (kA/m),strain (ppm)": ("field (kA/m)", "strain (ppm)"),
+    "time_s,temperature,strain": ("temperature", "strain"),
+    "time_s,T (degC),elongation (%)": ("T (degC)", "elongation (%)"),
+    "time_s,charge (uC),position (um)": ("charge (uC)", "position (um)"),
+    "time_s,current (mA),desired_mm,position (mm)": ("current (mA)", "position (mm)"),
+    "time_s,pressure (kPa),flow (l/min)": ("pressure (kPa)", "flow (l/min)"),
+    "time_s,PWM (%),angle (deg)": ("PWM (%)", "angle (deg)"),
+    "time_s,valve,position_um": ("valve", "position_um"),
+    "time_s,voltage_V,level": ("voltage_V", "level"),
+}
+
+
+@pytest.mark.parametrize("header", OTHER_ACTUATORS)
+def test_any_drive_and_any_output_is_known_by_its_quantity_or_by_what_is_left(header: str) -> None:
+    columns, notes = taken(header)
+    assert (columns["voltage"], columns["displacement"]) == OTHER_ACTUATORS[header]
+    assert notes or header == "time_s,PWM (%),angle (deg)"
+
+
+def test_a_monitor_that_alone_is_left_is_taken_with_a_word_on_its_scale() -> None:
+    columns, notes = taken("time_s,hv_monitor_V,position_um")
+    assert columns["voltage"] == "hv_monitor_V"
+    assert notes == [
+        "log: 'hv_monitor_V' is taken for the drive: no other column is left; a monitor's scale is its own "
+        "(`scale` gives it) (`voltage` names another)"
+    ]
+
+
+def test_where_two_columns_can_be_either_both_commands_are_shown() -> None:
+    with pytest.raises(InputError) as raised:
+        taken("time_s,force (N),force2 (N)")
+    assert str(raised.value) == (
+        "log: no column is recognised as the voltage nor as the displacement: it has 1 time_s, 2 force (N), "
+        "3 force2 (N) (`voltage` 'force (N)' `displacement` 'force2 (N)', or `voltage` 'force2 (N)' "
+        "`displacement` 'force (N)')"
     )
 
 

@@ -219,12 +219,12 @@ def test_one_spike_in_a_long_log_is_kept():
 def test_figures_of_a_log():
     report, figure_data = log_of(3000)
     keys = [plot.key for plot in plots_of_log(report, report.logs[0], figure_data)]
-    assert keys == ["tracking", "error", "output", "loop", "histogram", "spectrum", "drive"]
+    assert keys == ["tracking", "worst", "error", "output", "loop", "histogram", "spectrum", "drive"]
     report, figure_data = log_of(3000, drive=False)
     keys = [plot.key for plot in plots_of_log(report, report.logs[0], figure_data)]
-    assert keys == ["tracking", "error", "output", "histogram", "spectrum"]
+    assert keys == ["tracking", "worst", "error", "output", "histogram", "spectrum"]
     report, figure_data = log_of(1)
-    assert len(plots_of_log(report, report.logs[0], figure_data)) == 6
+    assert len(plots_of_log(report, report.logs[0], figure_data)) == 7
 
 
 @pytest.mark.parametrize(("samples", "kind"), [(3000, "svg"), (20_000, "png"), (20_000, "inline")])
@@ -361,10 +361,10 @@ def test_saved_figures(tmp_path):
     folder = check_folder(str(tmp_path / "new" / "figures"))
     written = save(plots[:2], folder, "run", "run.csv")
     assert sorted(os.listdir(folder)) == [
-        "run-error.png",
-        "run-error.svg",
         "run-tracking.png",
         "run-tracking.svg",
+        "run-worst.png",
+        "run-worst.svg",
     ]
     assert [path.name for path in written][:2] == ["run-tracking.png", "run-tracking.svg"]
     assert written[0].read_bytes()[:4] == b"\x89PNG"
@@ -598,7 +598,7 @@ def test_the_bars_of_a_histogram_add_up_to_the_channels(count, spread):
     percents = 1.0 + spread * np.random.default_rng(4).uniform(0.0, 1.0, count)
     report = report_of(map(str, range(1, count + 1)), percents)
     for plot, unit, values in zip(
-        plots_of_channels(report), ("% of range", "µm"), (percents, percents / 10), strict=False
+        plots_of_channels(report), ("% of the move", "µm"), (percents, percents / 10), strict=False
     ):
         axes = painted(plot)
         assert sum(bar.get_height() for bar in axes.patches) == count

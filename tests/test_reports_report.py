@@ -73,6 +73,13 @@ LOG_KEYS = [
     "not_finite",
     "ratio_to_first",
     "loop_noise",
+    "rmse_percent_of_move",
+    "rmse_percent_of_range",
+    "expected_rmse",
+    "half_of_error_first_row",
+    "half_of_error_last_row",
+    "half_of_error_percent_of_rows",
+    "rmse_elsewhere",
     "segments",
 ]
 
@@ -80,7 +87,8 @@ LOG_KEYS = [
 def test_json_keys_are_a_contract():
     report = report_of({"a.csv": 1.0, "b.csv": 0.25}, ReportOptions(segment="cycles"))
     content = json.loads(to_json(report))
-    assert list(content) == ["format", "version", "unit", "compared", "offset_removed", "logs", "notes"]
+    assert list(content) == ["format", "version", "unit", "compared", "offset_removed", "logs", "notes",
+                             "limits", "passed"]  # fmt: skip
     assert (content["format"], content["version"], content["unit"]) == ("dbo-report", 1, "um")
     assert content["compared"] == ["desired", "measured"]
     assert list(content["logs"][0]) == LOG_KEYS
@@ -114,21 +122,21 @@ def test_text():
         "\n"
         "Error = measured - desired in um\n"
         "\n"
-        "log                samples    RMSE  % range    95 %  largest     mean   ratio\n"
-        "uncompensated.csv     1000   1.000    2.500   1.000    1.000    1.000   1.000\n"
-        "compensated.csv       1000  0.2500   0.6250  0.2500   0.2500  -0.2500  0.2500\n"
+        "log                samples    RMSE  % move    95 %  largest     mean   ratio\n"
+        "uncompensated.csv     1000   1.000   2.500   1.000    1.000    1.000   1.000\n"
+        "compensated.csv       1000  0.2500  0.6250  0.2500   0.2500  -0.2500  0.2500\n"
         "\n"
         "Left over: hysteresis (loop: error going down less going up) and delay (lag)\n"
         + to_text(report).partition("(lag)\n")[2]
     )
     head = to_text(report).partition("(lag)\n")[2].splitlines()[0]
-    assert head.split("  ")[0] == "log" and head.endswith("phase worst row")
+    assert head.split("  ")[0] == "log" and head.endswith("phase largest at row")
 
 
 @pytest.mark.parametrize(
     ("offsets", "sentence"),
     [
-        ({"a.csv": 0.5}, "a.csv: 0.50 um RMSE, 1.2 % of the range"),
+        ({"a.csv": 0.5}, "a.csv: 0.50 um RMSE, 1.2 % of the move"),
         ({"a.csv": 0.5, "b.csv": 0.0081}, "b.csv: 0.0081 um RMSE, 62 times less than a.csv"),
         ({"a.csv": 0.5, "b.csv": 0.51}, "b.csv: 0.51 um RMSE, as much as a.csv"),
         ({"a.csv": 0.5, "b.csv": 1.0}, "b.csv: 1.0 um RMSE, 2.0 times more than a.csv"),
@@ -281,8 +289,7 @@ class TestLimits:
         with pytest.raises(LimitError) as caught:
             check_limits(report, max_nrmse_percent=1.0)
         assert str(caught.value) == (
-            "b.csv: NRMSE 2.5 % of the range is above the limit of 1 % of the range by 1.5"
-            " (`max_nrmse_percent`)"
+            "b.csv: RMSE 2.5 % of the move is above the limit of 1 % of the move by 1.5 (`max_nrmse_percent`)"
         )
 
     def test_that_cannot_be_judged_is_not_passed(self):
@@ -290,7 +297,7 @@ class TestLimits:
         flat = evaluate("flat.csv", blocks_of(np.ones(9), np.ones(9)), options)
         with pytest.raises(LimitError) as caught:
             check_limits(Report.of([flat], options, "um"), max_nrmse_percent=5.0)
-        assert str(caught.value) == "flat.csv: NRMSE is undefined, so `max_nrmse_percent` 5 is not met"
+        assert str(caught.value) == "flat.csv: RMSE is undefined, so `max_nrmse_percent` 5 is not met"
 
 
 def test_one_report_speaks_one_unit():

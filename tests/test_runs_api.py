@@ -160,12 +160,16 @@ def test_compensate_says_what_error_to_expect_of_the_move(dbo: Any, sample_model
     found = move_error(model.actuator, drive, float(np.median(np.diff(table["time"]))))
     assert found is not None
     assert 0.5 * expected < found.rmse < 2.0 * expected
+    percent = f"{100.0 * found.rmse / moved:.2g} % of the move"
     told = (
-        f"expected error of the move {found.rmse:.3g} um RMS ({100.0 * found.rmse / moved:.2g} % of the move)"
+        f"expected error of the move {found.rmse:.3g} um RMS ({percent}): shape {found.shape:.3g} um, zero "
+        f"{found.zero:.3g} um; that is from the start assumed (settled at the first row) or after "
+        f"--condition, from an unknown past {found.from_any_past:.3g} um"
     )
     assert f"trajectory.csv: {told}\n" in dbo("compensate", sample_model, TRAJECTORY, "-o", "drive.csv").err
     swept = model.compensate(table, details=True, condition=True)
     assert any("expected error of the move 0.0" in note for note in swept.notes)
+    assert not any("unknown past" in note for note in swept.notes)
     loop = 6.0 + 4.0 * np.cos(2.0 * np.pi * np.arange(500) / 500.0)
     settled = model.compensate(loop, sample_rate=500.0, periodic=True, details=True)
     assert any(f"({12.5 * expected:.2g} % of the move)" in note for note in settled.notes)
@@ -177,7 +181,7 @@ def test_compensate_says_what_error_to_expect_of_the_move(dbo: Any, sample_model
     assert any("cannot be told: the drive goes from" in note for note in beyond.notes)
     cut = [*table["displacement"][:200], far]
     clipped = model.compensate(cut, sample_rate=500.0, on_limit="clip", details=True)
-    assert any(note.endswith("of the move), clipped samples included") for note in clipped.notes)
+    assert any(note.endswith(", clipped samples included") for note in clipped.notes)
 
 
 @pytest.mark.parametrize("block_rows", [97, 65536])
@@ -270,12 +274,22 @@ def test_repeated_stamps_are_noted(lagging: dbo_api.Model) -> None:
     assert any("repeats at row 3" in note for note in result.notes)
 
 
+def test_a_log_whose_drive_is_not_recognised_is_not_read_in_silence(tmp_path: Path) -> None:
+    (tmp_path / "run.csv").write_text("time_s,AIN0,y_um,AIN3\n0,1,2,3\n1,2,3,4\n", encoding="utf-8")
+    with pytest.warns(
+        dbo_api.DboWarning, match=r"run\.csv: no column is recognised as the voltage"
+    ) as warned:
+        table = dbo_api.read_log(tmp_path / "run.csv")
+    assert str(warned[0].message).endswith("(`voltage` names it: 'AIN0' or 'AIN3')")
+    assert list(table) == ["time", "displacement"]
+
+
 def test_a_table_without_the_columns_is_refused() -> None:
     with pytest.raises(dbo_api.InputError) as raised:
         dbo_api.identify(pd.DataFrame({"a": [1.0], "b": [2.0]}))
     assert str(raised.value) == (
-        "the table: no column is recognised as the voltage nor as the displacement: it has 1 a, 2 b (choose "
-        "with `voltage` and `displacement` NAME or NUMBER)"
+        "the table: no column is recognised as the voltage nor as the displacement: it has 1 a, 2 b "
+        "(`voltage` 'a' `displacement` 'b', or `voltage` 'b' `displacement` 'a')"
     )
 
 

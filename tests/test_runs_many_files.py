@@ -110,7 +110,7 @@ def test_identify_makes_a_model_of_each_log(folder: Any) -> None:
         Path(f"logs/{name}.csv").write_text("\n".join(["time_s,voltage_V,displacement_um", *rows]) + "\n")
     said = folder("identify", "logs/x.csv", "logs/y.csv", *QUICK, "--force", "-o", "models/{file}.json")
     assert said.code == 0, said.err
-    assert "fit, RMSE of range: " in said.err
+    assert "fit, RMSE of the model's range: " in said.err
     folder("identify", "logs/y.csv", *QUICK, "--force", "-q", "-o", "one.json")
     assert Path("one.json").read_bytes() == Path("models/y.json").read_bytes()
     together = folder("identify", "logs/x.csv", "logs/y.csv", *QUICK, "--force", "-o", "both.json")

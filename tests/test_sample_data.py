@@ -111,7 +111,9 @@ def test_the_whole_road(dbo: Any, tmp_path: Path) -> None:
     assert (done.code, done.out) == (0, "")
     begins, expected = done.err.splitlines()
     assert begins.endswith("is not known (--from VOLT says it, --approach ramps there)")
-    stated = re.fullmatch(r"dbo: \S+: expected error of the move (0\.\d+) um RMS \(.* %.*\)", expected)
+    stated = re.fullmatch(
+        r"dbo: \S+: expected error of the move (0\.\d+) um RMS \(.* % of the move\): .*", expected
+    )
     assert stated is not None
     line = [sys.executable, str(SAMPLES / "straight_line.py"), str(log), str(trajectory), "-o", "line.csv"]
     subprocess.run(line, check=True)

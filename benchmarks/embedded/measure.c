@@ -47,7 +47,7 @@ __attribute__((noinline)) static uint32_t depth(const volatile uint8_t *end) {
 
 int main(void) {
     volatile number_type sink;
-    uint32_t wrong = 0, base, unit, begin, most = 0, full = 0, stack;
+    uint32_t wrong = 0, base, unit, begin, most = 0, full = 0, settled = 0, stack;
     uint64_t sum = 0;
     volatile uint8_t *end;
     board_begin();
@@ -77,6 +77,16 @@ int main(void) {
         ticks = board_since(begin) - base;
         if (ticks > full) full = ticks;
     }
+#if !defined(PLAYS)
+    for (unsigned k = 0; k < 2; k++) { /* from a decayed oscillation about the middle to either end */
+        uint32_t ticks;
+        x_reset(&state, resets[k]);
+        begin = board_clock();
+        sink = x_step(&state, jumps[64 * k]);
+        ticks = board_since(begin) - base;
+        if (ticks > settled) settled = ticks;
+    }
+#endif
     end = mark();
     sink = x_step(&state, moves[MOVES / 3]);
     sink = x_step(&state, jumps[JUMPS - 1]);
@@ -87,6 +97,7 @@ int main(void) {
     number((uint32_t)(sum * 1000u / unit / (MOVES - 1u)));
     number((uint32_t)((uint64_t)most * 1000u / unit));
     number((uint32_t)((uint64_t)full * 1000u / unit));
+    number((uint32_t)((uint64_t)settled * 1000u / unit));
     number(stack);
     word("\n");
     line[at] = 0;

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import itertools
 import os
 import signal
 import sys
@@ -117,7 +118,7 @@ def _report_error(problem: BaseException, words: list[str]) -> int:
     text = f"internal error: {type(problem).__name__}: {problem} (--debug shows where; please report it)"
     code = 1
     if isinstance(problem, DboError):
-        text, code = str(problem), problem.exit_code
+        text, code = f"{problem}{_torn_name(words)}", problem.exit_code
     else:
         from dbo_cli.cli.typer_adapter import complaint
 
@@ -140,6 +141,15 @@ def _where_to_look(words: list[str]) -> str:
 
     command = "".join(f" {word}" for word in words[:1] if word in commands.names())
     return f" (dbo{command} --help lists what there is)"
+
+
+def _torn_name(words: list[str]) -> str:
+    """Return the remedy where a file's name with a blank came as two words of the command line."""
+    for begin, end in itertools.pairwise(words):
+        name = f"{begin} {end}"
+        if not os.path.exists(begin) and os.path.isfile(name):
+            return f" (is '{name}' meant? A name with a blank needs quotation marks)"
+    return ""
 
 
 def _print_line(text: str) -> None:

@@ -41,7 +41,7 @@ def shell_line(text: str) -> str:
 
     Names out of files hold no command that a terminal would obey.
     """
-    return _PARAMETER.sub(lambda found: "--" + found[1].rstrip("_").replace("_", "-"), cleaned(text))
+    return _PARAMETER.sub(lambda match: "--" + match[1].rstrip("_").replace("_", "-"), cleaned(text))
 
 
 @dataclass(frozen=True)
@@ -158,8 +158,8 @@ class Given(SimpleNamespace):
         """How logs are to be read; what was not given stays at its default."""
         from dbo_cli.logs.request import ReadingOptions
 
-        given = self.of(options.READING_OF_LOGS if hasattr(self, "log_format") else options.READING)
-        known = {name.removeprefix("log_"): value for name, value in given.items() if value is not None}
+        values = self.of(options.READING_OF_LOGS if hasattr(self, "log_format") else options.READING)
+        known = {name.removeprefix("log_"): value for name, value in values.items() if value is not None}
         return ReadingOptions(**known)
 
 
@@ -189,6 +189,16 @@ class Command(NamedTuple):
         return " ".join(self.section("Writes").split())
 
     @property
+    def usual(self) -> list[str]:
+        """The options that most need; where the docstring names none, those of the command alone."""
+        named = self.section("Usual options").split()
+        if named:
+            return named
+        return [
+            option.names[-1] for option in self.options if option.names and option.heading == options.OPTIONS
+        ]
+
+    @property
     def examples(self) -> list[tuple[str, str]]:
         """What each example is for, and its command line."""
         lines = list(map(str.strip, self.section("Examples").splitlines()))
@@ -201,32 +211,32 @@ class Command(NamedTuple):
         return sorted([*EXIT_CODES, *([("3", missed)] if missed else [])], key=lambda code: int(code[0]))
 
 
-def destination_of(given: Given, inputs: list[Any]) -> Destination:
+def destination_of(arguments: Given, inputs: list[Any]) -> Destination:
     """Return where a command writes, as far as it has options for it, and the inputs to be protected."""
     from dbo_cli.runs.files import Destination
 
-    values = vars(given)
+    values = vars(arguments)
     return Destination(
-        output=given.output,
+        output=arguments.output,
         save_state=values.get("save_state"),
         protect=inputs,
         live=values.get("flush", False),
-        command=shlex.join(["dbo", *given.typed]),
-        summary=given.summary,
+        command=shlex.join(["dbo", *arguments.typed]),
+        summary=arguments.summary,
         commented=values.get("header") == "comment",
     )
 
 
-def work_of(given: Given) -> Work:
+def work_of(arguments: Given) -> Work:
     """Return how many runs are to be worked through."""
     from dbo_cli.runs.jobs import Work
 
-    return Work(given.jobs, given.keep_going)
+    return Work(arguments.jobs, arguments.keep_going)
 
 
-def finish(given: Given, outcome: Outcome) -> None:
+def finish(arguments: Given, outcome: Outcome) -> None:
     """Print what is to be said of many runs, and end with their error, if there is one."""
-    given.reporter.remarks(outcome.remarks)
-    given.reporter.notes(outcome.last)
+    arguments.reporter.remarks(outcome.remarks)
+    arguments.reporter.notes(outcome.last)
     if outcome.failure is not None:
         raise outcome.failure

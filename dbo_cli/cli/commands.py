@@ -16,7 +16,7 @@ from dbo_cli.cli.options import Option
 from dbo_cli.errors import UsageError
 
 
-def identify(given: Given) -> None:
+def identify(arguments: Given) -> None:
     """Identify a model of an actuator from logs of its drive voltage and displacement.
 
     What is left at auto is chosen on cycles left out of the fit. Several logs of one actuator are fitted
@@ -26,6 +26,11 @@ def identify(given: Given) -> None:
     Writes
     ------
     The model as JSON; with several logs and -o 'models/{file}.json' one model each.
+
+    Usual options
+    -------------
+    --voltage --displacement --sample-rate --scale --validate --prior --sign --force
+    -o
 
     Examples
     --------
@@ -38,43 +43,47 @@ def identify(given: Given) -> None:
     -----------
     The displacement goes the other way with the voltage than --sign says; no model is written.
     """
-    reading = given.reading
-    refuse_terminal(given.output)
-    if (given.v_min is None) != (given.v_max is None):
+    reading = arguments.reading
+    refuse_terminal(arguments.output)
+    if (arguments.v_min is None) != (arguments.v_max is None):
         raise UsageError("`v_min` and `v_max` belong together: the rated range of the drive")
     from dbo_cli.hysteresis.identification import IdentificationOptions
     from dbo_cli.runs.identifying import IdentifyRun
     from dbo_cli.runs.many import identify_one_or_many
 
     fixed = IdentificationOptions(
-        **given.of([*options.IDENTIFICATION, options.SIGN, options.ZERO, options.METHOD, options.FORCE]),
-        skip_seconds=given.skip,
-        rated=None if given.v_min is None else (given.v_min, given.v_max),
+        **arguments.of([*options.IDENTIFICATION, options.SIGN, options.ZERO, options.METHOD, options.FORCE]),
+        skip_seconds=arguments.skip,
+        rated=None if arguments.v_min is None else (arguments.v_min, arguments.v_max),
     )
-    asked = IdentifyRun(
-        given.log,
-        given.validate or [],
+    run = IdentifyRun(
+        arguments.log,
+        arguments.validate or [],
         reading,
         fixed,
-        **given.of(options.FITTED),
-        command=shlex.join(["dbo", *given.typed]),
-        brought=given.brought,
+        **arguments.of(options.FITTED),
+        command=shlex.join(["dbo", *arguments.typed]),
+        brought=arguments.brought,
     )
-    progress = Progress(given.reporter, "read")
-    finish(given, identify_one_or_many(asked, given.output, work_of(given), progress))
-    if not given.output.is_stream and "{" not in given.output.text:
-        model = shlex.quote(given.output.text)
-        given.reporter.note(
+    progress = Progress(arguments.reporter, "read")
+    finish(arguments, identify_one_or_many(run, arguments.output, work_of(arguments), progress))
+    if not arguments.output.is_stream and "{" not in arguments.output.text:
+        model = shlex.quote(arguments.output.text)
+        arguments.reporter.note(
             f"dbo show {model} says more; dbo compensate {model} TRAJECTORY -o drive.csv uses it"
         )
 
 
-def show(given: Given) -> None:
+def show(arguments: Given) -> None:
     """Show what is in a model: range and units, how good it is, lag, where it comes from, its warnings.
 
     Writes
     ------
     A page of text, or JSON; with --figures the model's curves as PNG and SVG.
+
+    Usual options
+    -------------
+    --figures --format -o
 
     Examples
     --------
@@ -85,10 +94,12 @@ def show(given: Given) -> None:
     """
     from dbo_cli.runs.showing import show_model
 
-    given.reporter.notes(show_model(given.model, given.output, given.format, given.figures, given.brought))
+    arguments.reporter.notes(
+        show_model(arguments.model, arguments.output, arguments.format, arguments.figures, arguments.brought)
+    )
 
 
-def invert(given: Given) -> None:
+def invert(arguments: Given) -> None:
     """Write the exact inverse of a model.
 
     Every gear and segment exchanges its widths, the cascade runs backwards, a delay becomes a look ahead.
@@ -99,6 +110,10 @@ def invert(given: Given) -> None:
     ------
     The inverse model as JSON.
 
+    Usual options
+    -------------
+    -o
+
     Examples
     --------
     The model that turns displacement into voltage:
@@ -106,14 +121,14 @@ def invert(given: Given) -> None:
     Run it over a trajectory:
         dbo invert model.json | dbo simulate - trajectory.csv -o drive.csv
     """
-    refuse_terminal(given.output)
+    refuse_terminal(arguments.output)
     from dbo_cli.runs.files import invert_model
 
-    inverse = invert_model(given.model, given.output)
-    given.reporter.detail(f"{given.model}: the inverse is {inverse.direction}")
+    inverse = invert_model(arguments.model, arguments.output)
+    arguments.reporter.detail(f"{arguments.model}: the inverse is {inverse.direction}")
 
 
-def simulate(given: Given) -> None:
+def simulate(arguments: Given) -> None:
     """Run a model over its input signal and write the output signal.
 
     A forward model turns a drive into the displacement, an inverse model a displacement into the drive. The
@@ -125,6 +140,10 @@ def simulate(given: Given) -> None:
     Time (when known), the input column and the result, in the form that the name of the output says;
     several logs with -o 'out/{file}.csv'.
 
+    Usual options
+    -------------
+    --state --save-state --outside --flush -o
+
     Examples
     --------
     What a drive would do:
@@ -135,14 +154,22 @@ def simulate(given: Given) -> None:
     from dbo_cli.runs.files import SignalRun
     from dbo_cli.runs.many import signals
 
-    destination = destination_of(given, [given.model, *given.log, given.state])
-    asked = SignalRun(
-        given.model, given.log[0], destination, given.reading, given.input, given.state, given.outside
+    destination = destination_of(arguments, [arguments.model, *arguments.log, arguments.state])
+    run = SignalRun(
+        arguments.model,
+        arguments.log[0],
+        destination,
+        arguments.reading,
+        arguments.input,
+        arguments.state,
+        arguments.outside,
     )
-    finish(given, signals(asked, given.log, work_of(given), Progress(given.reporter, "written")))
+    finish(
+        arguments, signals(run, arguments.log, work_of(arguments), Progress(arguments.reporter, "written"))
+    )
 
 
-def compensate(given: Given) -> None:
+def compensate(arguments: Given) -> None:
     """Write the drive voltage that makes the actuator follow a desired displacement.
 
     The forward model is inverted exactly and started in the state in which dbo simulate of the drive starts;
@@ -156,6 +183,10 @@ def compensate(given: Given) -> None:
     ------
     Time (when known), the desired displacement and the drive; rows that this program puts before or after
     the move have times of their own, before it negative ones.
+
+    Usual options
+    -------------
+    --v-min --v-max --max-slew --from --approach --condition --return --on-limit --summary -o
 
     Examples
     --------
@@ -171,27 +202,30 @@ def compensate(given: Given) -> None:
     or what the program chose to put before the move takes more than a minute and ten times the move. No drive
     is written.
     """
-    reading = given.reading
+    reading = arguments.reading
     from dbo_cli.drives.options import DriveOptions
 
-    drive = DriveOptions(**given.of(options.DRIVING))  # the state is read with the model
+    drive = DriveOptions(**arguments.of(options.DRIVING))  # the state is read with the model
     from dbo_cli.runs.files import run_of_signals
     from dbo_cli.runs.many import signals
 
-    asked = run_of_signals(
-        given.brought,
-        model=given.model,
-        log=given.trajectory[0],
-        destination=destination_of(given, [given.model, *given.trajectory, given.state]),
+    run = run_of_signals(
+        arguments.brought,
+        model=arguments.model,
+        log=arguments.trajectory[0],
+        destination=destination_of(arguments, [arguments.model, *arguments.trajectory, arguments.state]),
         reading=reading,
-        column=given.displacement,
-        state=given.state,
+        column=arguments.displacement,
+        state=arguments.state,
         drive=drive,
     )
-    finish(given, signals(asked, given.trajectory, work_of(given), Progress(given.reporter, "written")))
+    finish(
+        arguments,
+        signals(run, arguments.trajectory, work_of(arguments), Progress(arguments.reporter, "written")),
+    )
 
 
-def check(given: Given) -> None:
+def check(arguments: Given) -> None:
     """Check a drive of any program against the limits of an amplifier, before it is played.
 
     Range, slew, the first row (--from), the seam of a loop (--loop), gaps, repeated times, and every row that
@@ -202,6 +236,10 @@ def check(given: Given) -> None:
     Writes
     ------
     What was found, as text or JSON.
+
+    Usual options
+    -------------
+    --v-min --v-max --max-slew --from --loop --against -o
 
     Examples
     --------
@@ -216,11 +254,13 @@ def check(given: Given) -> None:
     """
     from dbo_cli.runs.checking import CheckOptions, check_file
 
-    asked = CheckOptions(**given.of(options.CHECKING), voltage=given.voltage)
-    given.reporter.remarks(check_file(given.drive, given.output, given.format, given.reading, asked))
+    limits = CheckOptions(**arguments.of(options.CHECKING), voltage=arguments.voltage)
+    arguments.reporter.remarks(
+        check_file(arguments.drive, arguments.output, arguments.format, arguments.reading, limits)
+    )
 
 
-def report(given: Given) -> None:
+def report(arguments: Given) -> None:
     """Report how well the measured displacement follows the desired one.
 
     Several logs are put side by side, each with the ratio of its RMSE to the first log's: uncompensated
@@ -234,6 +274,10 @@ def report(given: Given) -> None:
     ------
     The report as text, JSON, CSV or an HTML page, by the name of the output; with --figures pictures.
 
+    Usual options
+    -------------
+    --trajectory --model --segment --max-rmse --max-nrmse-percent --figures --desired --measured -o
+
     Examples
     --------
     Without and with compensation, side by side:
@@ -243,18 +287,27 @@ def report(given: Given) -> None:
 
     Exit code 3
     -----------
-    A limit (--max-rmse, --max-abs, --max-nrmse-percent) is missed; the report is written all the same.
+    A limit (--max-...) is missed; the report is written all the same, and begins with that.
     """
     from dbo_cli.runs.many import reported
     from dbo_cli.runs.reporting import ReportRun, TrackingOptions
 
-    tracking = TrackingOptions(**given.of([*options.TRACKING, *options.REPORT_COLUMNS]))
-    limits = given.of(options.LIMITS)
-    asked = ReportRun(given.log, given.output, given.reading, tracking, given.format, given.figures, limits)
-    finish(given, reported(asked, work_of(given), Progress(given.reporter, "compared")))
+    tracking = TrackingOptions(**arguments.of([*options.TRACKING, *options.REPORT_COLUMNS]))
+    limits = arguments.of(options.LIMITS)
+    run = ReportRun(
+        arguments.log,
+        arguments.output,
+        arguments.reading,
+        tracking,
+        arguments.format,
+        arguments.figures,
+        limits,
+        arguments.show,
+    )
+    finish(arguments, reported(run, work_of(arguments), Progress(arguments.reporter, "compared")))
 
 
-def excite(given: Given) -> None:
+def excite(arguments: Given) -> None:
     """Write the drive that identifies well; play it and record the displacement.
 
     A sweep over the whole range wipes out the past; then the drive turns at random levels, at speeds from a
@@ -268,6 +321,10 @@ def excite(given: Given) -> None:
     ------
     Time and drive voltage.
 
+    Usual options
+    -------------
+    --v-max --v-min --sample-rate --duration --frequency --max-slew --sweep-to -o
+
     Examples
     --------
     15 s of drive from 0 to 100 V:
@@ -279,22 +336,44 @@ def excite(given: Given) -> None:
     from dbo_cli.logs.units import in_unit
     from dbo_cli.runs.files import excitation_drives, write_excitation
 
-    words = given.of(options.EXCITATION)
+    words = arguments.of(options.EXCITATION)
     volts = {
         key: None if words[key] is None else in_unit(key, words[key], "V", "s" if key == "max_slew" else None)
         for key in ("v_min", "v_max", "max_slew", "sweep_amplitude")
     }
-    asked = excitation_of(**words | volts)
-    drives = excitation_drives(asked, given.points, given.brought)
-    rows = write_excitation(given.output, asked, given.format, drives)
-    given.reporter.detail(
-        f"{rows:,} rows, {rows / asked.sample_rate:g} s, {asked.v_min:g} to {asked.v_max:g} V"
+    drive = excitation_of(**words | volts)
+    drives = excitation_drives(drive, arguments.points, arguments.brought)
+    fastest = write_excitation(arguments.output, drive, arguments.format, drives)
+    rows = len(drives[0])
+    arguments.reporter.note(
+        f"{rows:,} rows, {rows / drive.sample_rate:g} s at {drive.sample_rate:g} rows a second, from"
+        f" {drive.v_min:g} to {drive.v_max:g} V, at most {fastest:.3g} V/s"
     )
-    if given.v_min:
-        given.reporter.note(
-            f"it begins and ends at {given.v_min:g} V: bring the amplifier there slowly first"
+    if arguments.v_min:
+        arguments.reporter.note(
+            f"it begins and ends at {arguments.v_min:g} V: bring the amplifier there slowly first"
+        )
+    if not arguments.brought:
+        arguments.reporter.note(
+            "play it, record drive and displacement side by side, then: dbo identify RECORDED -o model.json"
         )
 
+
+MEANT = {
+    "fit": "identify",
+    "calibrate": "identify",
+    "learn": "identify",
+    "run": "simulate",
+    "predict": "simulate",
+    "inverse": "invert",
+    "drive": "compensate",
+    "plot": "report --figures",
+    "evaluate": "report",
+    "info": "show",
+    "print": "show",
+    "version": "--version",
+}
+"""Words that people try in the place of a command, and what they mean."""
 
 CORE = {
     function.__name__: Command(function, options.OPTIONS_OF[function.__name__])

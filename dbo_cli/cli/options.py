@@ -6,7 +6,17 @@ import inspect
 import keyword
 from typing import Any, NamedTuple
 
-from dbo_cli.cli.values import PARSERS, Parser, choice, figure_above_0, number_or_word, positive, text, whole
+from dbo_cli.cli.values import (
+    PARSERS,
+    Parser,
+    choice,
+    figure_above_0,
+    number_or_word,
+    offset,
+    positive,
+    text,
+    whole,
+)
 
 OPTIONS = "Options"
 READING_LOGS = "Reading logs"
@@ -70,12 +80,12 @@ class Option(NamedTuple):
         key = (self.names or [self.spelled.lower()])[-1].lstrip("-").replace("-", "_")
         return key + "_" if keyword.iskeyword(key) else key
 
-    def value(self, given: Any) -> Any:
+    def value(self, typed: Any) -> Any:
         """Return what the parser makes of a text, or of each of several; None of None."""
         parse, name = self.parser, self.key if self.names else ""
-        if parse is None or given is None:
-            return given
-        return [parse(name, one) for one in given] if self.repeated else parse(name, given)
+        if parse is None or typed is None:
+            return typed
+        return [parse(name, word) for word in typed] if self.repeated else parse(name, typed)
 
 
 def _reading(spelled: str, meaning: str, parse: Parser | None = None, repeated: bool = False) -> Option:
@@ -136,6 +146,11 @@ READING = (
     _reading("--time-unit UNIT", "What time counts: s, ms, us, ns, min, h, d, 10us; before the header."),
     _reading("--sample-rate HZ", "Rate of a log without a time column."),
     _reading(
+        "--clock-offset SECONDS|auto",
+        "Of two recorders: added to the clock of the drive's file; auto finds it.",
+        parse=offset,
+    ),
+    _reading(
         "--scale ROLE=FACTOR", "Multiply: voltage=20, or displacement=10um/V; repeatable.", repeated=True
     ),
     _reading("--rows A:B", "Data rows to take, from 1, both ends included; either may be left out."),
@@ -150,7 +165,7 @@ READING = (
     _reading("--encoding NAME", "The text encoding, if not UTF-8."),
     _reading("--block-rows N", "Rows held at a time; changes no digit of a result."),
 )
-READING_OF_LOGS = tuple(LOG_FORMAT if one is FILE_FORMAT else one for one in READING)
+READING_OF_LOGS = tuple(LOG_FORMAT if option is FILE_FORMAT else option for option in READING)
 
 # --- identify: mostly the fields of ``IdentificationOptions`` ---
 IDENTIFICATION = (
@@ -296,6 +311,18 @@ TRACKING = (  # with the columns, the fields of ``TrackingOptions``
         "Score only the rows at which the desired signal has been held so long: pixels, stairs.",
     ),
     Option("--model MODEL", "Compare this model's prediction with the measurement."),
+    Option(
+        "--state auto|empty|full|settled|FILE",
+        "With --model, what was before the first row: empty (it came from the lower end), full, settled, "
+        "auto (empty at the lower end, else settled; for a log that the model was identified from, as the "
+        "fit found it), or a saved state.",
+        "auto",
+    ),
+    Option(
+        "--expected FILE",
+        "What error was to be expected, to stand beside the actual one: the --summary of compensate, or the "
+        "model.",
+    ),
     Option("--trajectory FILE", "Where the desired signal lies, if not in the logs themselves."),
     Option(
         "--match auto|time|rows",
@@ -310,8 +337,17 @@ TRACKING = (  # with the columns, the fields of ``TrackingOptions``
 LIMITS = (
     Option("--max-rmse VALUE", "Exit 3 where the RMSE of a log is above this."),
     Option("--max-abs VALUE", "Exit 3 where the largest error is above this."),
-    Option("--max-nrmse-percent VALUE", "Exit 3 where the RMSE in % of range is above this."),
+    Option(
+        "--max-nrmse-percent VALUE",
+        "Exit 3 where the RMSE is above this, in % of the move (greatest less least desired value).",
+    ),
+    Option(
+        "--max-percent-of-range VALUE",
+        "Exit 3 where the RMSE is above this, in % of the model's range, as identify and show state it; with "
+        "--model or --expected.",
+    ),
 )
+SHOW = Option("--show", "Open a window for each figure, to zoom in; needs a display.")
 FIGURES = Option("--figures DIR", "Draw the figures, PNG and SVG, into this folder.")
 REPORT_FORMAT = Option("--format text|json|csv|html", "Form of the report [default: by the output's name].")
 SHOW_FORMAT = Option(
@@ -353,7 +389,7 @@ OPTIONS_OF: dict[str, tuple[Option, ...]] = {
     "check": (DRIVE, *READING_OF_LOGS, *REPORTING, *CHECKING, SHOW_FORMAT, DRIVE_COLUMN, OUTPUT),
     "report": (
         LOGS, *READING_OF_LOGS, *REPORTING, *TRACKING, *LIMITS, *WORK, FIGURES, REPORT_FORMAT,
-        *REPORT_COLUMNS, OUTPUT,
+        SHOW, *REPORT_COLUMNS, OUTPUT,
     ),
     "excite": (*REPORTING, *EXCITATION, OUTPUT_FORMAT, OUTPUT),
 }

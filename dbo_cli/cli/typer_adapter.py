@@ -40,6 +40,13 @@ TYPED = ("COMP_WORDS", "_TYPER_COMPLETE_ARGS")
 WORDS: ContextVar[tuple[str, ...]] = ContextVar("WORDS", default=())
 """The words that were typed, set by ``run``."""
 
+WHOLE_HELP: ContextVar[bool] = ContextVar("WHOLE_HELP", default=False)
+"""Whether a page of help has everything, or what most need; set by ``run``."""
+
+ALL_OPTIONS = "--help-all"
+READING = "reading"
+"""``dbo help reading``: the options that say how a log is read, alone."""
+
 
 class ParsedValues:
     """Hands every value to the command as its own parser understands it."""
@@ -59,20 +66,48 @@ class TableCommand(ParsedValues, TyperCommand):
     """A command whose help says what it writes, gives examples, and lists its options under headings."""
 
     def format_help_text(self, ctx: Any, formatter: Any) -> None:
-        """Write the description, what the command writes, and the examples."""
-        super().format_help_text(ctx, formatter)
+        """Write what the command does, writes and needs: in full, or a line of it and the examples."""
         command = command_of(self.name or "")
-        with formatter.section("Writes"):
-            formatter.write_text(command.writes)
+        if WHOLE_HELP.get():
+            super().format_help_text(ctx, formatter)
+            with formatter.section("Writes"):
+                formatter.write_text(command.writes)
+        else:
+            formatter.write(f"\n  {command.summary}\n")
         with formatter.section("Examples"):
             for purpose, line in command.examples:
                 formatter.write(f"  {purpose}\n    {line}\n")
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the options, then the exit codes."""
-        for heading, rows in [*self.sections(ctx), ("Exit codes", command_of(self.name or "").exit_codes)]:
+        """Write the options and the exit codes, or the usual options and where the others stand."""
+        command = command_of(self.name or "")
+        if WHOLE_HELP.get():
+            sections = [*self.sections(ctx), ("Exit codes", command.exit_codes)]
+        else:
+            sections = self.usual_sections(ctx)
+        for heading, rows in sections:
             with formatter.section(heading):
                 formatter.write_dl(rows, col_max=28)
+        if not WHOLE_HELP.get():
+            formatter.write_paragraph()
+            formatter.write_text(_where_the_rest_stands(command, self.name or ""))
+
+    def usual_sections(self, ctx: Any) -> list[tuple[str, list[tuple[str, str]]]]:
+        """Return the arguments, and the options that most need in the order of the command's own list."""
+        arguments = []
+        by_name = {}
+        for parameter in self.get_params(ctx):
+            if parameter.param_type_name == "argument":
+                arguments.append(_explained(parameter, ctx))
+            for name in parameter.opts:
+                by_name[name] = parameter
+        usual = []
+        for name in command_of(self.name or "").usual:
+            if name in by_name:  # an extra that brings it may be missing
+                usual.append(_explained(by_name[name], ctx))
+        return [
+            (heading, rows) for heading, rows in (("Arguments", arguments), ("Usual options", usual)) if rows
+        ]
 
     def sections(self, ctx: Any) -> list[tuple[str, list[tuple[str, str]]]]:
         """Return each heading with its options and what they mean; columns come before the rest."""
@@ -85,7 +120,9 @@ class TableCommand(ParsedValues, TyperCommand):
         for parameters in sections.values():
             parameters.sort(key=lambda parameter: parameter.metavar != options.COLUMN)
         return [
-            (heading, [_explained(one, ctx) for one in some]) for heading, some in sections.items() if some
+            (heading, [_explained(option, ctx) for option in listed])
+            for heading, listed in sections.items()
+            if listed
         ]
 
 
@@ -106,8 +143,9 @@ class Commands(ParsedValues, TyperGroup):
         if not args[0].startswith("-") and commands.find(args[0]) is None:
             names = commands.names()
             near = difflib.get_close_matches(args[0], names, 1)
-            meant = f": {near[0]}?" if near else ""
-            raise UsageError(f"no such command: '{args[0]}'{meant}; there are: {', '.join(names)}")
+            meant = commands.MEANT.get(args[0].lower()) or next(iter(near), "")
+            suggestion = f": dbo {meant}?" if meant else ""
+            raise UsageError(f"no such command: '{args[0]}'{suggestion}; there are: {', '.join(names)}")
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
@@ -141,8 +179,10 @@ def run(words: Sequence[str]) -> int:
     """Parse a command line and run the command it names; its exceptions come through."""
     if options.ASKED in os.environ:
         return completions()
-    if words and words[0] == "help":
-        words = [*words[1:], "--help"]
+    words = _asking_for_help(list(words))
+    if words == [READING, "--help"]:
+        typer.echo(_reading_page())
+        return 0
     WORDS.set(tuple(words))
     command = root_command()
     try:
@@ -152,6 +192,52 @@ def run(words: Sequence[str]) -> int:
     except typer.Exit as leaving:
         return int(leaving.exit_code)
     return 0
+
+
+def _asking_for_help(words: list[str]) -> list[str]:
+    """Return the words with ``help`` and ``--help-all`` as ``--help``, and note how much was asked for."""
+    whole = words[:1] == ["help"] or ALL_OPTIONS in words
+    WHOLE_HELP.set(whole)
+    if not whole:
+        return words
+    command = words[1:] if words[0] == "help" else words
+    return [*(word for word in command if word != ALL_OPTIONS), "--help"]
+
+
+def _reading_page() -> str:
+    """Return the page of the options that say how a log is read, and which commands have them."""
+    context: Any = root_command().make_context("dbo", [], resilient_parsing=True)
+    formatter = context.make_formatter()
+    readers = []
+    for name, command in commands.every().items():
+        if any(option.names == ["--time"] for option in command.options):
+            readers.append(name)
+    formatter.write("How a log is read: what these commands have in common.\n\n")
+    formatter.write_text(
+        f"{', '.join(readers[:-1])} and {readers[-1]} find out what a file is, how its text is written and "
+        "which columns are meant, and say what they took for what. Where that is wrong, or not clear, these "
+        "options say it. docs/instruments-formats.md goes through the formats."
+    )
+    rows = []
+    for option in (options.VOLTAGE, options.DISPLACEMENT, *options.READING):
+        rows.append(
+            (", ".join(option.names) + (f" {option.metavar}" if option.metavar else ""), option.meaning)
+        )
+    with formatter.section(options.READING_LOGS):
+        formatter.write_dl(rows, col_max=28)
+    page: str = formatter.getvalue().rstrip("\n")
+    return page
+
+
+def _where_the_rest_stands(command: Command, name: str) -> str:
+    """Return what a short page of help says of the options that it leaves out."""
+    declared = (*command.options, *command.brought)
+    number = sum(1 for option in declared if option.names)
+    reading = any(option.heading == options.READING_LOGS for option in declared)
+    text = f"dbo help {name} (or --help-all) has all {number} options, what is written and the exit codes"
+    if reading:
+        text += "; dbo help reading: how a log of any kind is read"
+    return f"{text}."
 
 
 def complaint(problem: BaseException) -> tuple[str, int] | None:
@@ -180,7 +266,8 @@ def _root(
     A log of drive voltage and displacement becomes a model (identify), the model and a trajectory become
     the drive that follows it (compensate), and the error is reported (report). Every command reads and
     writes - as standard input and output; data alone goes there, everything else to standard error.
-    dbo help COMMAND, or dbo COMMAND --help, has the options of a command, what it writes, and examples.
+    dbo COMMAND --help has what most need of a command, dbo help COMMAND everything, dbo help reading how
+    logs are read.
     """
     if version:
         typer.echo(f"dbo {__version__}")
@@ -228,10 +315,10 @@ def _build(name: str, made_of: Command) -> Any:
 def _parameter(option: Option) -> inspect.Parameter:
     """Return an option as the library reads it: a text, several or a switch, without its parser."""
     kind: Any = list[str] if option.repeated else str
-    given: Any = option.default if option.names else options.REQUIRED
+    default: Any = option.default if option.names else options.REQUIRED
     if option.metavar is None:
-        kind, given = bool, False
-    elif given is None:
+        kind, default = bool, False
+    elif default is None:
         kind = kind | None
     words: dict[str, Any] = {"metavar": option.metavar, "help": option.meaning}
     words["autocompletion"] = offers(option)
@@ -241,7 +328,7 @@ def _parameter(option: Option) -> inspect.Parameter:
     else:
         info = typer.Argument(show_default=False, **words)
     key, keyword_only = option.key, inspect.Parameter.KEYWORD_ONLY
-    return inspect.Parameter(key, keyword_only, annotation=Annotated[kind, info], default=given)
+    return inspect.Parameter(key, keyword_only, annotation=Annotated[kind, info], default=default)
 
 
 def _explained(parameter: Any, context: Any) -> tuple[str, str]:
@@ -294,16 +381,16 @@ def columns_beginning(incomplete: str) -> list[str]:
     from dbo_cli.logs.signal_log import open_table
 
     line = next((os.environ[name] for name in TYPED if name in os.environ), "")
-    found: dict[str, None] = {}
+    names: dict[str, None] = {}
     with contextlib.suppress(ValueError):  # a quotation mark that is still open
         for word in shlex.split(line):
             with contextlib.suppress(DboError, OSError):
                 address = parse_address(word)
                 if os.path.isfile(address.path):
                     table = open_table(Request(address, ReadingOptions()))
-                    found |= dict.fromkeys(_typed(column.name or "") for column in table.columns)
+                    names |= dict.fromkeys(_typed(column.name or "") for column in table.columns)
                     table.close()
-    return [name for name in found if name.startswith(incomplete) and name and " " not in name]
+    return [name for name in names if name.startswith(incomplete) and name and " " not in name]
 
 
 def _typed(name: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +24,6 @@ from dbo_cli.errors import LimitError, UsageError
 from dbo_cli.hysteresis.excitation import Floats
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, StartName
-from dbo_cli.records import dataclass
 
 CHOSEN_SECONDS = 60.0  # s: so long the program may choose to take before any move
 CHOSEN_MOVES = 10.0  # times the move's own seconds: so long it may choose to take before a longer one
@@ -114,8 +114,9 @@ class BeforeMove:
             return np.full(require_rows("`lead`", rows, self.step), first)
         dynamics = self.model.dynamics
         ahead = 0 if dynamics is None else dynamics.inverter(self.step).ahead
-        delay = math.ceil(self.model.delay_seconds / self.step - WHOLE_ROW)
-        return np.full(ahead + delay, first)
+        delay = self.model.delay
+        late = 0 if delay is None else delay.rows_ahead(self.step)
+        return np.full(ahead + late, first)
 
     def _inside(self) -> float:
         """Return the voltage inside the limits at which the way to the first value, or the sweep, begins."""
@@ -154,8 +155,8 @@ class BeforeMove:
         """Play the voltages, from the state or from a start at the first of them."""
         model, state = self.model, self._state
         if voltage.size == 0 and state is not None:
-            there = 0.0 if self.options.approach is None else model.displacement_of(state)
-            return _Played(state, NOTHING, there, 0.0)
+            reached = 0.0 if self.options.approach is None else model.displacement_of(state)
+            return _Played(state, NOTHING, reached, 0.0)
         rows = voltage
         if voltage.size == 0 and self.last is not None:
             rows = np.array([self.last])

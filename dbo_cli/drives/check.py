@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +14,6 @@ from dbo_cli.errors import InputError
 from dbo_cli.hysteresis.cascade import interpolated
 from dbo_cli.hysteresis.model_state import DriveLimits
 from dbo_cli.logs.sample_block import GAP_STEPS, SAME_RATE, median_step
-from dbo_cli.records import dataclass
 
 TOLERANCE = 1e-3  # of the drive's range: a converter of 10 bits rounds to half of it
 MOST_BY_NOISE = 6.0  # standard deviations: white noise reaches 5 once in two million rows
@@ -218,20 +217,21 @@ def check_played(
         The unit, behind a blank, for messages.
     """
     most = played_tolerance(drive, played * gain, tolerance)
-    own, other = steps
+    step, played_step = steps
     count, ratio = drive.size, None
-    if own is not None and other is not None and abs(other / own - 1.0) > SAME_RATE:
-        ratio = other / own
+    if step is not None and played_step is not None and abs(played_step / step - 1.0) > SAME_RATE:
+        ratio = played_step / step
         count = int((drive.size - 1) / ratio + 1e-9) + 1
-    found, speed = _found(drive, played * gain, most, count, ratio)
-    late = found.lag + found.part
+    likeness, speed = _found(drive, played * gain, most, count, ratio)
+    late = likeness.lag + likeness.part
+    late_seconds = None if played_step is None else late * played_step
     checked.played = {
-        "rows": found.rows, "lag_rows": found.lag, "lag_seconds": None if other is None else late * other,
-        "resampled": count != drive.size, "gain": found.gain, "offset": found.offset,
-        "largest_difference": found.largest, "difference_after_gain_and_offset": found.left,
+        "rows": likeness.rows, "lag_rows": likeness.lag, "lag_seconds": late_seconds,
+        "resampled": count != drive.size, "gain": likeness.gain, "offset": likeness.offset,
+        "largest_difference": likeness.largest, "difference_after_gain_and_offset": likeness.left,
         "tolerance": most, "read_back_noise": noise_of(played * gain), "speed": speed, "amplifier_gain": gain,
     }  # fmt: skip
-    if found.alike < ANOTHER:
+    if likeness.alike < ANOTHER:
         checked.problems.append("what was played is another drive: the two have nothing in common")
         return
     if speed != 1.0:
@@ -239,30 +239,30 @@ def check_played(
             f"the drive was played {speed:.3g} times as fast as it was to be (the generator's rate or "
             "frequency, or the recording's clock)"
         )
-    elif found.rows < count:
-        checked.problems.append(f"{count - found.rows:,} of {count:,} rows were not played")
-    if found.largest > most:
+    elif likeness.rows < count:
+        checked.problems.append(f"{count - likeness.rows:,} of {count:,} rows were not played")
+    if likeness.largest > most:
         checked.problems.append(
-            f"what was played differs by up to {found.largest:.6g}{suffix}, more than {most:.3g}{suffix} "
-            f"({_cause(found, drive, most, gain, suffix)})"
+            f"what was played differs by up to {likeness.largest:.6g}{suffix}, more than {most:.3g}{suffix} "
+            f"({_cause(likeness, drive, most, gain, suffix)})"
         )
 
 
-def _cause(found: Likeness, drive: Floats, most: float, gain: float, suffix: str) -> str:
+def _cause(likeness: Likeness, drive: Floats, most: float, gain: float, suffix: str) -> str:
     """Return in words what explains a difference: a cut, or a gain and an offset."""
     cause = "neither a gain nor an offset explains it"
-    explained = found.left <= 0.5 * found.largest
-    if found.cut <= most:
-        beyond = (found.ends[0] - drive.min(), drive.max() - found.ends[1])
-        cut = [f"{end:.6g}" for end, by in zip(found.ends, beyond, strict=True) if by > most]
+    explained = likeness.left <= 0.5 * likeness.largest
+    if likeness.cut <= most:
+        beyond = (likeness.ends[0] - drive.min(), drive.max() - likeness.ends[1])
+        cut = [f"{end:.6g}" for end, by in zip(likeness.ends, beyond, strict=True) if by > most]
         cause = f"it is the drive cut off at {' and '.join(cut)}{suffix}: a limit of the amplifier?"
     elif explained:
-        cause = f"gain {found.gain:.6g} and offset {found.offset:.6g}{suffix} explain all but "
-        cause += f"{found.left:.3g}{suffix}"
+        cause = f"gain {likeness.gain:.6g} and offset {likeness.offset:.6g}{suffix} explain all but "
+        cause += f"{likeness.left:.3g}{suffix}"
     if explained and gain != 1.0:
         cause += (
-            f"; before the amplifier an amplitude of {100.0 * abs(found.gain):.4g} % and an offset of "
-            f"{found.offset / gain:.4g}{suffix}"
+            f"; before the amplifier an amplitude of {100.0 * abs(likeness.gain):.4g} % and an offset of "
+            f"{likeness.offset / gain:.4g}{suffix}"
         )
     return cause
 
@@ -271,13 +271,13 @@ def _found(
     drive: Floats, played: Floats, most: float, count: int, ratio: float | None
 ) -> tuple[Likeness, float]:
     """Return how a recording is like a drive in ``count`` rows, and how many times as fast it was played."""
-    found, speed = _likeness(_stretched(drive, count, ratio), played, most), 1.0
-    if found.alike < ANOTHER or found.left > most:  # at another speed: row for row, or from end to end?
+    likeness, speed = _likeness(_stretched(drive, count, ratio), played, most), 1.0
+    if likeness.alike < ANOTHER or likeness.left > most:  # at another speed: row for row, or from end to end?
         for rows in sorted({drive.size, played.size} - {count}):
             again = _likeness(_stretched(drive, rows), played, most)
-            if again.left < OTHER_SPEED * found.left and again.alike > found.alike:
-                found, speed = again, count / rows
-    return found, speed
+            if again.left < OTHER_SPEED * likeness.left and again.alike > likeness.alike:
+                likeness, speed = again, count / rows
+    return likeness, speed
 
 
 def _stretched(drive: Floats, count: int, step: float | None = None) -> Floats:
@@ -292,9 +292,9 @@ def _likeness(drive: Floats, played: Floats, most: float) -> Likeness:
     """Return how a recording is like a drive, later by fractions of a row where whole rows do not do."""
     lag = _lag(drive, played)
     begin, end = max(0, -lag), min(drive.size, played.size - lag)
-    found = _fitted(drive[begin:end], played[begin + lag : end + lag], lag, 0.0)
-    if found.left <= most or end - begin < FEWEST_FOR_PARTS or found.alike < ANOTHER:
-        return found
+    likeness = _fitted(drive[begin:end], played[begin + lag : end + lag], lag, 0.0)
+    if likeness.left <= most or end - begin < FEWEST_FOR_PARTS or likeness.alike < ANOTHER:
+        return likeness
     curve, part = _Curve(drive), 0.0
     rows = np.arange(begin + 1.0, end - 1.0)
     b = played[begin + 1 + lag : end - 1 + lag]
@@ -304,7 +304,7 @@ def _likeness(drive: Floats, played: Floats, most: float) -> Likeness:
         gain, _, slope = np.linalg.lstsq(columns, b, rcond=None)[0].tolist()
         part = min(max(part - slope / gain, -1.0), 1.0) if gain else 0.0
     again = _fitted(curve.at(rows - part)[0], b, lag, part)
-    return again._replace(rows=found.rows) if again.left < found.left else found
+    return again._replace(rows=likeness.rows) if again.left < likeness.left else likeness
 
 
 class _Curve:
@@ -338,11 +338,16 @@ class _Curve:
         left = np.clip(np.floor(places).astype(np.int64), 0, self.drive.size - 2)
         after = places - left
         before = 1.0 - after
-        here, there = self.drive[left], self.drive[left + 1]
+        left_value, right_value = self.drive[left], self.drive[left + 1]
         bend_here, bend_there = self.bend[left] / 6.0, self.bend[left + 1] / 6.0
-        value = here * before + there * after
+        value = left_value * before + right_value * after
         value += (before**3 - before) * bend_here + (after**3 - after) * bend_there
-        slope = there - here - (3.0 * before**2 - 1.0) * bend_here + (3.0 * after**2 - 1.0) * bend_there
+        slope = (
+            right_value
+            - left_value
+            - (3.0 * before**2 - 1.0) * bend_here
+            + (3.0 * after**2 - 1.0) * bend_there
+        )
         return value, slope
 
 

@@ -11,7 +11,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from itertools import chain
 from types import MappingProxyType
 from typing import Any, Protocol
@@ -32,7 +32,6 @@ from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
 from dbo_cli.hysteresis.move_error import MOST_ROWS, MoveError, move_error
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock, even_step, median_step
 from dbo_cli.logs.sources import Source
-from dbo_cli.records import dataclass
 
 NOTHING_BROUGHT: Mapping[str, Any] = MappingProxyType({})
 REACH_SLACK = 0.01  # of the range: a trajectory this little outside is clipped and counted like any other
@@ -129,6 +128,7 @@ class Compensation(ModelRun):
     first_what = "row"
     among_them = ""
     remedies = "`condition` sweeps it there, "
+    or_after_a_sweep = " or after `condition`"
 
     def __post_init__(self) -> None:
         """Take the options apart."""
@@ -333,19 +333,19 @@ class Compensation(ModelRun):
         steps = np.diff(stamps)
         forward = steps[steps > 0.0]
         if not len(forward):
-            asked = (self.why_time or "`from_`").split()[0]
+            option = (self.why_time or "`from_`").split()[0]
             raise InputError(
-                f"{self.source.name}: the time does not advance, and {asked} takes its rate from it"
+                f"{self.source.name}: the time does not advance, and {option} takes its rate from it"
             )
         return median_step(forward)
 
     def before_move(self, first: float, step: float) -> Before:
         """Return the pieces before the trajectory's first value."""
-        asked, last = self.options, self.gate.last
-        plan = BeforeMove(self.model, asked, self.limits, self.start, last, step)
+        options, last = self.options, self.gate.last
+        plan = BeforeMove(self.model, options, self.limits, self.start, last, step)
         before = plan.plan(first)
-        if asked.condition:
-            ramped = last is not None and asked.approach is not None
+        if options.condition:
+            ramped = last is not None and options.approach is not None
             begin = None if ramped else sweep_range(self.model, self.limits)[0]
             self.gate.require_start(step, begin)
         return before
@@ -433,9 +433,9 @@ class Compensation(ModelRun):
     def _lost_rms(self) -> float:
         return self.loss.rms(self.rows - self.rows_before)
 
-    def desired_rows(self, asked: FloatArray) -> FloatArray:
+    def desired_rows(self, rows: FloatArray) -> FloatArray:
         """Return what is desired in the last rows of the move that were run, of what the model was asked."""
-        return asked
+        return rows
 
     def finish(self) -> None:
         """Write what belongs beside the drive, once that is written; a plain move needs nothing."""
@@ -483,10 +483,10 @@ class Compensation(ModelRun):
         if self.expecting and self.expected_rmse()[0] is not None:
             error = self._move_error()
         # Where clipping is the error, what is left of the move tells nothing of the logs.
-        if error is not None and not error.rmse < max(error.straight_line, self._lost_rms()):
+        if error is not None and not error.form < max(error.straight_line, self._lost_rms()):
             unit = self.model.output.suffix
             remarks.warn(
-                f"{name}: the expected error of the move, {error.rmse:.3g}{unit}, is no better than that of "
+                f"{name}: the expected error of the move, {error.form:.3g}{unit}, is no better than that of "
                 f"a straight line, {error.straight_line:.3g}{unit}: the logs do not tell what it asks"
             )
         return remarks
@@ -553,9 +553,13 @@ class Compensation(ModelRun):
         if stated is None:
             yield f"{unknown}{self.model.fit.get('expected_from')}"
         elif rmse is not None:
-            text = f"expected error of the move {rmse:.3g}{self.model.output.suffix} RMS"
+            unit = self.model.output.suffix
+            text = f"expected error of the move {rmse:.3g}{unit} RMS"
             if percent is not None:
                 text += f" ({percent:.2g} % of the move)"
+            error = self._move_error()
+            if error is not None:
+                text += _parts_words(error, unit) + self._start_words(error)
             if self.clipped.count:
                 text += ", clipped samples included"
             if self.bandwidth is not None:
@@ -566,6 +570,36 @@ class Compensation(ModelRun):
                 f"{unknown}the drive goes from {self.drive_figures.low:.6g} to {self.drive_figures.high:.6g}"
                 f"{self.model.input.suffix}, beyond what the model was identified on"
             )
+
+    def _start_words(self, error: MoveError) -> str:
+        """Say from which start the error is to be expected, where the past makes more than a fifth of it."""
+        if not self._past_matters(error):
+            return ""
+        unit = self.model.output.suffix
+        whole = math.hypot(error.from_any_past, self._lost_rms())
+        start = "settled at the first row" if self.start in ("auto", "settled") else self.start
+        return (
+            f"; that is from the start assumed ({start}){self.or_after_a_sweep}, from an unknown past "
+            f"{whole:.3g}{unit}"
+        )
+
+    def _past_matters(self, error: MoveError) -> bool:
+        """Whether what was before the first row is not known, and makes more than a fifth of the error."""
+        known = self.options.condition or isinstance(self.start, ModelState)
+        return error.past_matters and not known
+
+    def summary_of_error(self) -> dict[str, Any]:
+        """Return the parts of the expected error and what belongs to them as plain values."""
+        output = self.model.output
+        values: dict[str, Any] = {"unit": output.unit, "model_range": [output.minimum, output.maximum]}
+        error = self._move_error() if self.expected_rmse()[0] is not None else None
+        values["expected_shape_rmse"] = None if error is None else error.shape
+        values["expected_zero"] = None if error is None else error.zero
+        values["expected_from_any_past"] = None
+        if error is not None:
+            past = error.from_any_past if self._past_matters(error) else error.rmse
+            values["expected_from_any_past"] = math.hypot(past, self._lost_rms())
+        return values
 
     def expected_rmse(self) -> tuple[float | None, float | None]:
         """Return the error to expect of the move, in its unit and in % of it; None where it is not known."""
@@ -601,7 +635,8 @@ class Compensation(ModelRun):
         parts = [steps for _, steps in self.first_drives if steps is not None]
         steps = np.concatenate(parts) if parts else None
         begin = min(self.rows_before, drive.size - 1)
-        return move_error(self.model, drive, steps, begin)
+        start = "auto" if isinstance(self.start, ModelState) else self.start
+        return move_error(self.model, drive, steps, begin, start)
 
     def _clipping(self) -> str:
         """Say how much of a trajectory the drive's limits do not allow."""
@@ -610,6 +645,13 @@ class Compensation(ModelRun):
         if limits.max_slew is not None:
             allowed += f", {limits.max_slew:.6g}{drive.suffix}/s"
         return f"{self._counted(self.clipped)} beyond what the limits of the drive allow ({allowed})"
+
+
+def _parts_words(error: MoveError, unit: str) -> str:
+    """Return shape and zero of an error that is expected; nothing where a model knows the whole alone."""
+    if error.shape is None or error.zero is None:
+        return ""
+    return f": shape {error.shape:.3g}{unit}, zero {error.zero:.3g}{unit}"
 
 
 def _first_rows(response: Response, count: int) -> Response:

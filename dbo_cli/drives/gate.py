@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,6 @@ from numpy.typing import NDArray
 from dbo_cli.errors import DboError, LimitError
 from dbo_cli.hysteresis.model_state import DriveLimits
 from dbo_cli.hysteresis.stepper import ROUNDING
-from dbo_cli.records import dataclass
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

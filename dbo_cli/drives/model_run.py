@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import field
+from dataclasses import dataclass, field
 from itertools import chain
 from typing import Any, NamedTuple
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from dbo_cli.errors import InputError, Remarks
 from dbo_cli.hysteresis import kernel, model_state
-from dbo_cli.hysteresis.cascade import read_ahead
+from dbo_cli.hysteresis.cascade import DelayStage, read_ahead
 from dbo_cli.hysteresis.dynamics import (
     DynamicsInverter,
     DynamicsStage,
@@ -27,7 +27,6 @@ from dbo_cli.hysteresis.model_state import ModelState, Quantity, Simulated, Star
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs.sample_block import GAP_STEPS, JITTER, FloatArray, SampleBlock, require_even
 from dbo_cli.logs.sources import Source, remarks_of
-from dbo_cli.records import dataclass
 
 CLOCK_SAMPLES = 101
 """A clock's step is that of so many first samples, however the signal is cut."""
@@ -53,8 +52,8 @@ class Inputs:
         Where the signal comes from.
     input : Quantity
         What the model takes of it; its name is the signal's role in the blocks.
-    delay : float
-        Seconds to be read ahead by.
+    delay : DelayStage, or None
+        What is read ahead for.
     dynamics : DynamicsStage, or None
         Dynamics to be undone.
     bandwidth : float, or None
@@ -69,7 +68,7 @@ class Inputs:
 
     source: Source
     input: Quantity
-    delay: float = 0.0
+    delay: DelayStage | None = None
     dynamics: DynamicsStage | None = None
     bandwidth: float | None = None
     last_row: int | None = None
@@ -98,7 +97,7 @@ class Inputs:
         role, last, dynamics = self.input.quantity, self.last_row, self.dynamics
         self.start, step = begun or self.start, 0.0
         blocks = read if last is None else _split(read, last)
-        if last is None and dynamics is None and self.bandwidth is None and self.delay == 0.0:
+        if last is None and dynamics is None and self.bandwidth is None and not self.delay:
             for block in blocks:
                 yield block, block.values[role]
             return
@@ -109,9 +108,9 @@ class Inputs:
         taken: Iterable[Taken] = ((block, block.values[role]) for block in blocks)
         if self.bandwidth is not None:
             taken = self._rounded(taken, ZeroPhaseLowPass(self.bandwidth, step), step)
-        if self.delay > 0.0:
+        if self.delay:
             timed = ((block, block.time, x) for block, x in taken if block.time is not None)
-            taken = read_ahead(timed, self.delay)
+            taken = read_ahead(timed, abs(self.delay.seconds), self.delay.between)
         if dynamics is not None:
             taken = self._undone(taken, dynamics.inverter(step))
         for block, x in taken:
@@ -121,33 +120,33 @@ class Inputs:
 
     def remarks(self) -> Remarks:
         """Return what is to be said of the transformed signal so far."""
-        found, unit, name = Remarks(), self.input.suffix, self.source.name
+        remarks, unit, name = Remarks(), self.input.suffix, self.source.name
         if self._smoothed:
             rms = math.sqrt(self._squares / self._smoothed)
-            found.notes.append(
+            remarks.notes.append(
                 f"{name}: `bandwidth` {self.bandwidth:g} takes off {rms:.3g}{unit} (RMS), "
                 f"{self._largest:.3g}{unit} at most"
             )
         if abs(self._starts_off) > STARTS_MOVING * self.input.span:
-            found.warn(
+            remarks.warn(
                 f"{name}: begins on the move, which an actuator at rest cannot: it rings at first, by about "
                 f"{abs(self._starts_off):.3g}{unit} (let it begin and end at rest; `lead` auto writes "
                 "the drive that it needs before; `periodic` for a loop)"
             )
         stops_dead = self.last_row is None and self.bandwidth is None
         if stops_dead and abs(self._ends_off) > STARTS_MOVING * self.input.span:
-            found.warn(
+            remarks.warn(
                 f"{name}: ends on the move: its last rows brake the actuator, by a drive as for "
                 f"{abs(self._ends_off):.3g}{unit} more (let it end at rest; `bandwidth` HZ rounds it)"
             )
         if self._corners and self.dynamics is not None:
-            lowest = min((one.frequency for one in self.dynamics.resonances), default=None)
+            lowest = min((resonance.frequency for resonance in self.dynamics.resonances), default=None)
             propose = f" {lowest / PROPOSED_PART:.3g}" if lowest is not None else " HZ"
-            found.notes.append(
+            remarks.notes.append(
                 f"{name}: in {self._corners:,} samples the corners and the speed of the trajectory, not its "
                 f"place, ask for a drive beyond the range (`bandwidth`{propose} rounds it)"
             )
-        return found
+        return remarks
 
     def _rounded(self, taken: Iterable[Taken], low_pass: ZeroPhaseLowPass, step: float) -> Iterator[Taken]:
         for block, x in low_pass.blocks(self._with_rest(taken, low_pass.reach, step)):
@@ -166,9 +165,9 @@ class Inputs:
         if block is not None and x.size:
             rows, times = np.arange(1, count + 1), step * np.arange(1.0, count + 1.0)
             end = None if block.time is None else block.time[-1] + times
-            held = np.full(count, x[-1])
-            self._rest = SampleBlock(block.rows[-1] + rows, None, end, {self.input.quantity: held})
-            yield self._rest, held
+            resting = np.full(count, x[-1])
+            self._rest = SampleBlock(block.rows[-1] + rows, None, end, {self.input.quantity: resting})
+            yield self._rest, resting
 
     def note_rounding(self, before: FloatArray, after: FloatArray) -> None:
         """Add up what a low-pass took off."""
@@ -202,9 +201,9 @@ class Inputs:
                 )
             if not begun:
                 begun, self._starts_off = True, float(u[0] - x[0])
-            asked = (u < low) | (u > high)
-            if asked.any():
-                self._corners += int(np.count_nonzero(asked & (x >= low) & (x <= high)))
+            beyond = (u < low) | (u > high)
+            if beyond.any():
+                self._corners += int(np.count_nonzero(beyond & (x >= low) & (x <= high)))
             self.memory, self._ends_off = after, float(u[-1] - x[-1])
             yield block, u
 
@@ -224,7 +223,7 @@ def even_clock(
     if source.even_rate is not None:
         return 1.0 / source.even_rate, iter(blocks)
     rest = iter(blocks)
-    held, stamps = first_blocks(rest)
+    first, stamps = first_blocks(rest)
     steps = np.diff(stamps)
     if known is not None and (not steps.size or abs(float(np.mean(steps)) - known) <= JITTER * known):
         step = known
@@ -236,7 +235,7 @@ def even_clock(
 
     def checked() -> Iterator[SampleBlock]:
         last: float | None = None
-        for block in chain(held, rest):
+        for block in chain(first, rest):
             if block.time is not None and len(block):
                 steps = np.diff(block.time, prepend=block.time[0] - step if last is None else last)
                 odd = np.abs(steps - step) > slack
@@ -254,14 +253,14 @@ def even_clock(
 
 def first_blocks(blocks: Iterator[SampleBlock]) -> tuple[list[SampleBlock], FloatArray]:
     """Take the first blocks, enough to tell the rate from; return them and their first stamps (s)."""
-    held: list[SampleBlock] = []
-    while sum(map(len, held)) < CLOCK_SAMPLES:
+    first: list[SampleBlock] = []
+    while sum(map(len, first)) < CLOCK_SAMPLES:
         more = next(blocks, None)
         if more is None:
             break
-        held.append(more)
-    times = [block.time for block in held if block.time is not None]
-    return held, np.concatenate(times)[:CLOCK_SAMPLES] if times else np.zeros(0)
+        first.append(more)
+    times = [block.time for block in first if block.time is not None]
+    return first, np.concatenate(times)[:CLOCK_SAMPLES] if times else np.zeros(0)
 
 
 def _split(blocks: Iterable[SampleBlock], last_row: int) -> Iterator[SampleBlock]:
@@ -278,8 +277,8 @@ def _split(blocks: Iterable[SampleBlock], last_row: int) -> Iterator[SampleBlock
 LONG_WORK = 2_000_000  # rows from which on the Python kernel's slowness is worth a word: it takes seconds
 ASSUMED_SPREAD = 0.01  # of the range: what the past may matter at the start without a word; chosen
 FASTER = 2.0
-"""Times the fastest drive of the identification's logs: beyond, what the model says of lag is a guess. After
-logs of at most 1.3 ranges a second the error at 3 to 6 ranges a second was twice that at the logs' speeds."""
+"""Times the fastest drive of the identification's logs: beyond, what the model says of lag is a guess.
+Measured: docs/choices.md."""
 
 FAST_PART = 0.05  # of the samples: a few faster ones are not worth a word; chosen
 SAME_STEP = 1e-6
@@ -441,16 +440,17 @@ class ModelRun:
         why = LAG_DEPENDS if needed else self.why_time
         self.steps = TimeSteps(self.source, why, begun.time if begun else None)
         self._run = functools.partial(model.simulate, outside=self.outside)
-        delay, dynamics = (model.delay_seconds, model.dynamics) if inverting else (0.0, None)
+        delay = model.delay if inverting and model.delay_seconds > 0.0 else None
+        dynamics = model.dynamics if inverting else None
         self.inputs = Inputs(self.source, self.input, delay, dynamics, self.bandwidth, self.last_row, begun)
 
     @property
     def voltage_scale(self) -> str | None:
         """What the voltages of the model's logs were multiplied by, ``times 20``; None where by nothing."""
         inputs: Any = self.model.provenance.get("inputs") or []
-        reads = [one.get("read", {}) for one in inputs]
-        found = {read.get("columns", {}).get("voltage", {}).get("scale") for read in reads}
-        return found.pop() if len(found) == 1 else None
+        reads = [log.get("read", {}) for log in inputs]
+        scales = {read.get("columns", {}).get("voltage", {}).get("scale") for read in reads}
+        return scales.pop() if len(scales) == 1 else None
 
     def responses(self) -> Iterator[Response]:
         """Run over the whole source; the blocks may be of any length, their samples always the same.
@@ -493,8 +493,14 @@ class ModelRun:
         if not isinstance(fastest, float) or self.model.dynamics is not None:
             return
         before = drive[0] if self.last_drive is None else self.last_drive
-        faster = np.abs(np.diff(drive, prepend=before)) > FASTER * fastest * steps
+        changes = np.empty_like(drive)
+        changes[0] = drive[0] - before
+        np.subtract(drive[1:], drive[:-1], out=changes[1:])
+        np.abs(changes, out=changes)
         self.last_drive = float(drive[-1])
+        if float(changes.max()) <= FASTER * fastest * float(np.min(steps)):
+            return
+        faster = changes > FASTER * fastest * steps
         if faster.any() and not block.before_move:
             self.fast.add(int(np.count_nonzero(faster)), int(np.argmax(faster)), block)
 

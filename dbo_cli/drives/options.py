@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -15,7 +16,6 @@ from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, StartName
 from dbo_cli.logs.units import UnitFactor, in_unit, unit_factor
-from dbo_cli.records import dataclass
 
 Seconds = float | Literal["auto"] | None
 NEED_TIME = (
@@ -160,7 +160,7 @@ class DriveOptions:
     def has_pieces(self) -> bool:
         """Whether rows may stand before or after the trajectory's own."""
         around = (self.from_, self.approach, self.lead, self.return_)
-        return self.condition or any(one is not None for one in around)
+        return self.condition or any(option is not None for option in around)
 
 
 def check_seconds(name: str, value: Seconds) -> None:
@@ -172,10 +172,10 @@ def check_seconds(name: str, value: Seconds) -> None:
 
 def volts_a_unit(model: ActuatorModel) -> UnitFactor:
     """Return how many volts a unit of the drive is, one where it has no unit (UsageError)."""
-    found = unit_factor(model.input.unit, "V")
-    if found is None:
+    factor = unit_factor(model.input.unit, "V")
+    if factor is None:
         raise UsageError(f"`max_current` and `capacitance`: the drive is in {model.input.unit}, no voltage")
-    return found
+    return factor
 
 
 def limits_in(unit: str | None, v_min: Figure, v_max: Figure, max_slew: Figure) -> DriveLimits:
@@ -188,7 +188,7 @@ def limits_in(unit: str | None, v_min: Figure, v_max: Figure, max_slew: Figure) 
 
 def plain_in(unit: str | None, *limits: Figure) -> str:
     """Say in which unit plain limits are read, where that is not volts."""
-    if unit in (None, "V") or all(isinstance(one, str) or not one for one in limits):
+    if unit in (None, "V") or all(isinstance(limit, str) or not limit for limit in limits):
         return ""
     return f"limits without a unit are read in {unit}, the drive's (1.2kV, 2000V/s are converted)"
 

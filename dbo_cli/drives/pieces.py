@@ -77,8 +77,8 @@ def ramp(name: str, begin: float, end: float, step: float, seconds: Seconds, lim
     if begin == end and not isinstance(seconds, float | int):
         return np.zeros(0)
     free = SWEEP_SECONDS if limits.max_slew is None else 0.0
-    asked = float(seconds) if isinstance(seconds, float | int) else free
-    count = _rows(f"`{name}`: the ramp", end - begin, step, asked, limits)
+    duration = float(seconds) if isinstance(seconds, float | int) else free
+    count = _rows(f"`{name}`: the ramp", end - begin, step, duration, limits)
     _require_seconds(name, seconds, count, step)
     return swings([begin, end], [count])[1:]
 
@@ -155,8 +155,8 @@ def way(
         return np.zeros(0)
     part = min(abs(end - begin) / model.output.span, 1.0)
     free = SWEEP_SECONDS * part if limits.max_slew is None else 0.0
-    asked = float(seconds) if isinstance(seconds, float | int) else max(free, SHORTEST_WAY * SWEEP_SECONDS)
-    count = swing_samples(end - begin, step, asked)
+    duration = float(seconds) if isinstance(seconds, float | int) else max(free, SHORTEST_WAY * SWEEP_SECONDS)
+    count = swing_samples(end - begin, step, duration)
     if limits.max_slew is None:
         path = _way(begin, end, creep, count, step)
     else:
@@ -246,11 +246,11 @@ class _Slowed:
 def _way(begin: float, end: float, creep: float, count: int, step: float) -> Floats:
     """Return a smooth way of so many rows: no jump of speed or acceleration at either end."""
     t = np.arange(1.0, require_rows("the way to the first row", count, step) + 1.0) / count
-    found: Floats = (
+    values: Floats = (
         begin + soft_rise(t) * (end - begin) + creep * count * t * (1.0 - t) ** 3 * (1.0 + 3.0 * t)
     )
-    found[-1] = end
-    return found
+    values[-1] = end
+    return values
 
 
 def soft_rise(t: Floats) -> Floats:

@@ -89,9 +89,9 @@ static double inwards(const bank *self, size_t k) {
 static int may_pass(const bank *self, size_t k, double volts) {
     const double low = self->low[k], high = self->high[k], last = self->last[k], most = self->most[k];
     int inside = low <= volts && volts <= high && volts - volts == 0.0; /* and finite */
-    if (last == last && !inside && !(low <= last && last <= high))
+    if (!isnan(last) && !inside && !(low <= last && last <= high))
         inside = last < low ? last <= volts && volts <= low : high <= volts && volts <= last;
-    if (inside && last == last && most == most) {
+    if (inside && !isnan(last) && !isnan(most)) {
         const double change = volts > last ? volts - last : last - volts;
         const double one = last < 0.0 ? -last : last, other = volts < 0.0 ? -volts : volts;
         inside = change <= most + ROUNDING * (one > other ? one : other);

@@ -34,6 +34,8 @@ INLINE uint64_t bits_of(double value) {
 /* The exponent, whatever the sign, with its offset. */
 INLINE unsigned exponent_of(double value) { return (unsigned)(bits_of(value) << 1 >> 53); }
 
+INLINE int is_nan(double value) { return value != value; } /* math.h has none without a library on some chips */
+
 /* a >= b, of which one is not zero. Where float64 is software, whole numbers compare for a fifth of its instructions;
  * the bits of numbers below zero fall as the numbers rise. */
 INLINE int at_least(double a, double b) {
@@ -533,7 +535,7 @@ INLINE double general_sample(const dbo_backlash *op, dbo_backlash_state *state, 
     u = ((x - op->x0) - remembered) - kappa * (op->y0 - op->reference);
     if (limits) {
         double low = limits->low, high = limits->high;
-        if (limits->step && state->last == state->last)
+        if (limits->step && !is_nan(state->last))
             window(limits, limits->step[k * limits->step_stride], state->last, &low, &high);
         y = solve_within(op, w, u, kappa, low, high, limits->slack, fixed, &outside, &clipped);
     } else {
@@ -775,6 +777,17 @@ double dbo_point_step(const dbo_segment *segments, size_t m, double x0, double y
 
 void dbo_point_run(const dbo_segment *segments, size_t m, double x0, double y0, const double *x,
                    double *y, size_t count) {
-    size_t segment = 0;
-    for (size_t k = 0; k < count; k++) y[k] = dbo_point_step(segments, m, x0, y0, &segment, x[k]);
+    size_t c = 0, k = 0;
+    while (k < count) {
+        y[k] = dbo_point_step(segments, m, x0, y0, &c, x[k]);
+        {
+            const dbo_segment at = segments[c];
+            const double low = c > 0 ? at.x : -ENDLESS, high = c + 1 < m ? segments[c + 1].x : ENDLESS;
+            for (k++; k < count; k++) { /* samples that stay in the segment */
+                const double u = x[k] - x0;
+                if (!(u >= low && u < high)) break;
+                y[k] = y0 + (at.y + at.slope * (u - at.x));
+            }
+        }
+    }
 }

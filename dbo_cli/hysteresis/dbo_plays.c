@@ -1,6 +1,8 @@
 /* See dbo_plays.h. The readable twin of this file is relatives/plays.py; both give the same bits. */
 #include "dbo_plays.h"
 
+#include <math.h>
+
 #define LANES DBO_PLAY_LANES
 #define MOST_STEPS 64 /* of the safeguarded Newton iteration: halving alone would need no more */
 
@@ -131,7 +133,7 @@ size_t dbo_plays_solve(const dbo_plays *op, double *z, const double *y, double *
         const double wanted = solved(op, z, y[k], share ? share[k] : 0.0);
         double v = wanted;
         if (limits) {
-            if (limits->step && last == last) {
+            if (limits->step && !isnan(last)) {
                 const double step = limits->step[k * limits->step_stride];
                 v = v > last + step ? last + step : v;
                 v = v < last - step ? last - step : v;

@@ -47,9 +47,9 @@ def undone(numbers: Floats, w: Floats, state: SectionStates | None) -> tuple[Flo
     if w.size == 0:
         return w, state
     p, _, u = (float(w[0]), 0.0, float(w[0])) if state is None else state[0]
-    held, v = np.array([[u, 0.0, p]]), np.empty(w.size)
-    kernel.CHOSEN.dynamics_run(np.zeros((1, 2)), held, np.ascontiguousarray(w), v, undoing_rows(numbers))
-    return v, ((float(held[0, 2]), 0.0, float(held[0, 0])),)
+    memory, v = np.array([[u, 0.0, p]]), np.empty(w.size)
+    kernel.CHOSEN.dynamics_run(np.zeros((1, 2)), memory, np.ascontiguousarray(w), v, undoing_rows(numbers))
+    return v, ((float(memory[0, 2]), 0.0, float(memory[0, 0])),)
 
 
 def undoing_rows(numbers: Floats) -> Floats:
@@ -132,14 +132,14 @@ def simulate(
 ) -> Simulated:
     """Return what ``ActuatorModel.simulate`` does, for a model of a lag and the rest behind it."""
     if not lag.inverted:
-        w, held = lag.run(x, steps, state.drive_lag)
+        w, memory = lag.run(x, steps, state.drive_lag)
         done = rest.simulate(w, state, time_step=steps, outside=outside)
-        return done._replace(state=replace(done.state, drive_lag=held))
+        return done._replace(state=replace(done.state, drive_lag=memory))
     numbers = coefficients(lag, steps)
     if limits is None:
         done = rest.simulate(x, state, time_step=steps, outside=outside)
-        v, held = undone(numbers, done.y, state.drive_lag)
-        return done._replace(y=v, state=replace(done.state, drive_lag=held))
+        v, memory = undone(numbers, done.y, state.drive_lag)
+        return done._replace(y=v, state=replace(done.state, drive_lag=memory))
     return _limited(rest, Block(x, steps, numbers, limits), state)
 
 
@@ -162,8 +162,8 @@ def _limited(rest: Prompt, block: Block, state: ModelState) -> Simulated:
             done, side = _held_back(rest, block.of(slice(at, at + 1)), state)
             side *= rest.has_gears  # how far these go on without the inverse is known of gears alone
             count = FIRST_CHUNK
-        found = Counts(done.outside_count, done.first_outside, done.clipped_count, done.first_clipped)
-        total, missed = total.then(found, at), missed or done.first_missed
+        counts = Counts(done.outside_count, done.first_outside, done.clipped_count, done.first_clipped)
+        total, missed = total.then(counts, at), missed or done.first_missed
         drives.append(np.clip(done.y, block.limits.v_min, block.limits.v_max))
         state, at = done.state, at + done.y.size
     return Simulated(np.concatenate(drives), state, *total, missed)
@@ -189,8 +189,8 @@ def _unbounded(rest: Prompt, block: Block, state: ModelState) -> tuple[Simulated
     """Return a block of which only the lag's output is kept within the range, and its drive."""
     wide = DriveLimits(block.limits.v_min, block.limits.v_max)
     done = rest.simulate(block.x, state, time_step=block.steps, limits=wide)
-    v, held = undone(block.numbers, done.y, state.drive_lag)
-    return done._replace(state=replace(done.state, drive_lag=held)), v
+    v, memory = undone(block.numbers, done.y, state.drive_lag)
+    return done._replace(state=replace(done.state, drive_lag=memory)), v
 
 
 def _held_back(rest: Prompt, block: Block, state: ModelState) -> tuple[Simulated, int]:
@@ -222,8 +222,10 @@ def _held_back(rest: Prompt, block: Block, state: ModelState) -> tuple[Simulated
     # range holds back what the lag is to pass on.
     beyond = max(wanted - bounds[1], bounds[0] - wanted) > block.limits.slack(rest.drive.span)
     clipped = beyond or unbounded.clipped_count > 0
-    held = replace(done.state, drive_lag=((w, 0.0, drive),))
-    return Simulated(np.array([drive]), held, done.outside_count, 0, int(clipped), 0, done.first_missed), side
+    after = replace(done.state, drive_lag=((w, 0.0, drive),))
+    row = np.array([drive])
+    limited = Simulated(row, after, done.outside_count, 0, int(clipped), 0, done.first_missed)
+    return limited, side
 
 
 def _held_run(rest: Prompt, block: Block, state: ModelState, side: int) -> Simulated:
@@ -234,8 +236,8 @@ def _held_run(rest: Prompt, block: Block, state: ModelState, side: int) -> Simul
     """
     drive, lagged, inner = _ramp(rest, block, state, side)
     y, after = _followed(rest, block, state, inner)
-    held = _clearly_held(rest, block.of(slice(0, drive.size)), side, lagged, inner, y)
-    count = drive.size if held.all() else int(np.argmin(held))
+    limited = _clearly_held(rest, block.of(slice(0, drive.size)), side, lagged, inner, y)
+    count = drive.size if limited.all() else int(np.argmin(limited))
     if count == 0:
         return Simulated(drive[:0], state)
     if count < drive.size:
@@ -257,7 +259,7 @@ def _ramp(rest: Prompt, block: Block, state: ModelState, side: int) -> tuple[Flo
     size, rising = block.x.shape, side * _sense(rest) > 0
     steps = [None] * block.x.size if most is None else np.broadcast_to(most, size).tolist()
     parts, rises = (np.broadcast_to(numbers, size).tolist() for numbers in block.numbers.T)
-    found: list[tuple[float, float, float]] = []
+    limited_rows: list[tuple[float, float, float]] = []
     for step, part, rise in zip(steps, parts, rises, strict=True):
         bounds = window(block.limits.v_min, block.limits.v_max, step, u)
         low, high = (p + part * (u - p) + rise * (bound - u) for bound in bounds)
@@ -271,8 +273,8 @@ def _ramp(rest: Prompt, block: Block, state: ModelState, side: int) -> tuple[Flo
             if abs(w - (high if side > 0 else low)) > NEGLIGIBLE * (high - low):
                 break
         p, u = w, bounds[side > 0]
-        found.append((u, w, inner))
-    drive, lagged, reached = np.array(found).reshape(-1, 3).T.copy()
+        limited_rows.append((u, w, inner))
+    drive, lagged, reached = np.array(limited_rows).reshape(-1, 3).T.copy()
     return drive, lagged, reached
 
 

@@ -26,7 +26,7 @@ import cmath
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import chain
 from typing import Any, NamedTuple, TypeVar
@@ -37,7 +37,6 @@ from numpy.typing import ArrayLike, NDArray
 from dbo_cli.errors import InputError, ModelError, UsageError
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.operators import checked_steps
-from dbo_cli.records import dataclass
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complexfloating]
@@ -45,16 +44,11 @@ Payload = TypeVar("Payload")
 SectionStates = tuple[tuple[float, float, float], ...]
 
 FEWEST_SAMPLES = 3.0
-"""Samples a period of the resonance from which on the inverse is taken.
-
-The zero that is run backward lies at -3.73 for many samples, at -2.4 to -2.9 for 6, at -1.4 for 3; towards 2,
-half the sampling rate, at -1, where no sum over the future converges.
-"""
+"""Samples a period of the resonance from which on the inverse is taken. Measured: docs/choices.md."""
 LEFT_OVER = 1e-17  # of the whole sum over the future: less than rounding does to it
 LONGEST_AHEAD = 2000  # samples; beyond, the zero is so near the unit circle that the inverse rings
 LAG_ZERO = 0.4
-"""β of a lag. Measured on a lag of 0.2 ms and a resonance of 800 Hz at 20 kHz, sine at 160 Hz, error in % of
-the move: 0.17 for β = 0, 0.028 for 0.4; at 0.5 its inverse rings for ever."""
+"""β of a lag, see above. Measured: docs/choices.md."""
 _SERIES = 1.0  # radians of the resonance a step, below which responses are summed as series: no cancellation
 _TERMS = 24  # of the series; the last is below 1e-20 of the first at one radian
 LOW_PASS_LEFT_OVER = 1e-10  # of a low-pass's weight in the middle, at which its weights are cut off
@@ -101,8 +95,8 @@ class Resonance(Mode):
     @property
     def highest(self) -> float:
         """The higher of the resonance's and the antiresonance's frequency (Hz)."""
-        other = self.antiresonance
-        return self.frequency if other is None else max(self.frequency, other.frequency)
+        beside = self.antiresonance
+        return self.frequency if beside is None else max(self.frequency, beside.frequency)
 
     @property
     def output(self) -> tuple[float, float]:
@@ -145,7 +139,7 @@ def _turned(angle: Floats, zeta: float) -> tuple[Floats, Floats]:
 @lru_cache(maxsize=16)  # a fit changes one resonance at a time, and has but a few
 def _even_step(angle: float, zeta: float) -> Floats:
     """Return ``Resonance.step`` of a single time step, in plain numbers: the same bits."""
-    sine, cosine = (one.item() for one in _turned(np.array([angle]), zeta))
+    sine, cosine = (turned.item() for turned in _turned(np.array([angle]), zeta))
     step = _series(angle, zeta, 0)
     return np.array([[sine, step, _series(angle, zeta, 1), cosine - zeta * sine, sine, step / angle]])
 
@@ -159,8 +153,8 @@ def _series(angle: Any, zeta: float, order: int) -> Any:
     before = now = total = 0.0 * squared  # d_0 and d_1
     plain = isinstance(angle, float)
     for n in range(_TERMS):
-        asked = squared if n == order else 0.0
-        following = (asked - 2.0 * zeta * (n + 1) * angle * now - squared * before) / ((n + 2) * (n + 1))
+        forcing = squared if n == order else 0.0
+        following = (forcing - 2.0 * zeta * (n + 1) * angle * now - squared * before) / ((n + 2) * (n + 1))
         # Where two terms change nothing, no later one does: each is less than the larger of the two before.
         if plain and n > order and total + now == total == total + following:
             break
@@ -243,17 +237,17 @@ def section_inverse(section: Section, time_step: float) -> SectionInverse:
         raise _unresolved(section, time_step)
     p_q, p_lead, p_change, q_q, q_lead, q_change = section.step(np.array([time_step]))[0].tolist()
     by_lead, by_q = section.output
-    own = (1.0 - by_lead) * p_change + by_lead + by_q * q_change
+    by_drive = (1.0 - by_lead) * p_change + by_lead + by_q * q_change
     # The change of the input that gives a wanted change of the output, by u - p, q and that change:
-    from_lead = -((1.0 - by_lead) * p_lead + by_q * q_lead) / own
-    from_q = -((1.0 - by_lead) * p_q + by_q * (q_q - 1.0)) / own
+    from_lead = -((1.0 - by_lead) * p_lead + by_q * q_lead) / by_drive
+    from_q = -((1.0 - by_lead) * p_q + by_q * (q_q - 1.0)) / by_drive
     matrix = np.array(
         [
             [1.0 - p_lead + (1.0 - p_change) * from_lead, -p_q + (1.0 - p_change) * from_q],
             [q_lead + q_change * from_lead, q_q + q_change * from_q],
         ]
     )
-    drive = np.array([(1.0 - p_change) / own, q_change / own])
+    drive = np.array([(1.0 - p_change) / by_drive, q_change / by_drive])
     out = np.array([1.0 - by_lead, -by_q])
     if isinstance(section, Lag):
         numbers = np.array([matrix[0, 0], 0.0, 0.0, 0.0, drive[0], 0.0, out[0], 0.0])
@@ -281,8 +275,8 @@ def _mode(matrix: Floats, drive: Floats, out: Floats, zero: float) -> tuple[Floa
     """Return the part of the inverse that belongs to one eigenvalue: as seen in the result, and its drive."""
     left = np.array([matrix[1, 0], zero - matrix[0, 0]])
     right = np.array([matrix[0, 1], zero - matrix[0, 0]])
-    seen = left * (float(out @ right) / float(left @ right))
-    return seen, float(seen @ drive)
+    output_row = left * (float(out @ right) / float(left @ right))
+    return output_row, float(output_row @ drive)
 
 
 def _forward_only(
@@ -351,8 +345,8 @@ class DynamicsStage:
     @property
     def resonances(self) -> tuple[Resonance, ...]:
         """The second-order sections, lowest first."""
-        found = [section for section in self.sections if isinstance(section, Resonance)]
-        return tuple(sorted(found, key=lambda section: section.frequency))
+        resonances = [section for section in self.sections if isinstance(section, Resonance)]
+        return tuple(sorted(resonances, key=lambda section: section.frequency))
 
     def response(self, frequency: ArrayLike) -> Complexes:
         """Return G(2πif), the gain and phase of the forward stage, for frequencies in Hz."""
@@ -387,10 +381,10 @@ class DynamicsStage:
         """
         if x.size == 0:
             return x, state
-        held = np.array(self.rest(float(x[0])) if state is None else state, dtype=np.float64)
+        memory = np.array(self.rest(float(x[0])) if state is None else state, dtype=np.float64)
         y = np.empty_like(x)
-        kernel.CHOSEN.dynamics_run(self._output, held, np.ascontiguousarray(x), y, self.rows(time_step))
-        return y, _as_states(held)
+        kernel.CHOSEN.dynamics_run(self._output, memory, np.ascontiguousarray(x), y, self.rows(time_step))
+        return y, _as_states(memory)
 
     def loop(self, x: Floats, time_step: float) -> tuple[Floats, SectionStates]:
         """Return one period after the forward stage when it has been repeated for ever, and the state then.
@@ -422,8 +416,8 @@ def _loop_of(stage: DynamicsStage, x: Floats, time_step: float) -> tuple[Floats,
         y, state = stage.run(x, time_step, ((p, q, float(x[-1])),))
         return y, np.array(state).reshape(-1)
 
-    y, held = _repeated(after, slice(0, 2))
-    return y, _as_states(held[np.newaxis])[0]
+    y, memory = _repeated(after, slice(0, 2))
+    return y, _as_states(memory[np.newaxis])[0]
 
 
 def _undone_loop_of(part: SectionInverse, y: Floats) -> Floats:
@@ -431,23 +425,25 @@ def _undone_loop_of(part: SectionInverse, y: Floats) -> Floats:
     wrapped = np.pad(y, (0, part.weight.size), mode="wrap")
 
     def after(a: float, b: float) -> tuple[Floats, Floats]:
-        held, u = np.array([y[-1], a, b]), np.empty(y.size)
-        kernel.CHOSEN.dynamics_undo(part.numbers, part.weight, held, wrapped, u)
-        return u, held
+        memory, u = np.array([y[-1], a, b]), np.empty(y.size)
+        kernel.CHOSEN.dynamics_undo(part.numbers, part.weight, memory, wrapped, u)
+        return u, memory
 
     return _repeated(after, slice(1, 3))[0]
 
 
-def _repeated(after: Callable[[float, float], tuple[Floats, Floats]], kept: slice) -> tuple[Floats, Floats]:
+def _repeated(
+    after: Callable[[float, float], tuple[Floats, Floats]], periodic: slice
+) -> tuple[Floats, Floats]:
     """Return a period, and the state after it, from the two numbers of the state that it leaves unchanged."""
-    base, *ends = (after(*pair)[1][kept] for pair in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))
+    base, *ends = (after(*pair)[1][periodic] for pair in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))
     columns = np.column_stack([end - base for end in ends])
     first, second = np.linalg.solve(np.eye(2) - columns, base).tolist()
     return after(first, second)
 
 
-def _as_states(held: Floats) -> SectionStates:
-    return tuple((float(a), float(b), float(c)) for a, b, c in held)
+def _as_states(memories: Floats) -> SectionStates:
+    return tuple((float(a), float(b), float(c)) for a, b, c in memories)
 
 
 class DynamicsInverter:
@@ -479,12 +475,12 @@ class DynamicsInverter:
 
     def memory_of(self, states: SectionStates) -> InverseMemory:
         """Return the memory with which the inverse goes on from a state of the forward stage."""
-        found = []
+        memories = []
         for part, (p, q, u), section in zip(self.parts, states, self.stage.sections, strict=True):
             by_lead, by_q = section.output
             a, b = (part.from_state @ np.array([u - p, q])).tolist()
-            found.append((p + (by_lead * (u - p) + by_q * q), a, b))
-        return InverseMemory(self.time_step, tuple(found))
+            memories.append((p + (by_lead * (u - p) + by_q * q), a, b))
+        return InverseMemory(self.time_step, tuple(memories))
 
     def run(self, y: Floats, memory: InverseMemory) -> tuple[Floats, InverseMemory]:
         """Return the input for all but the last ``ahead`` samples of an output, and the memory after them."""
@@ -492,12 +488,13 @@ class DynamicsInverter:
         states = list(memory.states)
         for k in range(len(self.parts) - 1, -1, -1):
             part = self.parts[k]
-            held, out = np.array(states[k]), np.empty(signal.size - part.weight.size)
-            kernel.CHOSEN.dynamics_undo(part.numbers, part.weight, held, signal[: count + part.weight.size],
-                                        out[:count])  # fmt: skip
-            states[k] = (float(held[0]), float(held[1]), float(held[2]))
+            numbers, weight = part.numbers, part.weight
+            section = np.array(states[k])
+            out = np.empty(signal.size - weight.size)
+            kernel.CHOSEN.dynamics_undo(numbers, weight, section, signal[: count + weight.size], out[:count])
+            states[k] = (float(section[0]), float(section[1]), float(section[2]))
             if out.size > count:  # what the next section reads ahead, without going on from there
-                kernel.CHOSEN.dynamics_undo(part.numbers, part.weight, held, signal[count:], out[count:])
+                kernel.CHOSEN.dynamics_undo(numbers, weight, section, signal[count:], out[count:])
             signal = out
         return signal, InverseMemory(self.time_step, tuple(states))
 
@@ -536,8 +533,8 @@ def undone(
     the signal is cut into blocks; empty blocks are dropped.
     """
     for payload, values in with_future(blocks, inverter.ahead):
-        held = inverter.rest(float(values[0])) if memory is None else memory
-        u, memory = inverter.run(values, held)
+        begun = inverter.rest(float(values[0])) if memory is None else memory
+        u, memory = inverter.run(values, begun)
         yield payload, u, memory
 
 

@@ -10,13 +10,13 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import UsageError
-from dbo_cli.records import dataclass
 
 Floats = NDArray[np.float64]
 
@@ -25,30 +25,23 @@ MOST_SAMPLES = 100_000_000  # a row takes some 30 bytes of text: 3 GB
 FEWEST_CYCLES = 6  # one for the sweeps and one for return and rest leave four for the random turns
 SAMPLES_A_CYCLE = 20  # with fewer, interpolation between samples no longer shows where a swing turns
 
-# Tried on five virtual actuators, two unseen moves, 15 s at 1 kHz, five or six seeds: no holds or longer
-# ones, holds of log-uniform length, a second sweep, speeds or levels that fill their range evenly, distances
-# between turns that are log-uniform. None was better by more than the seeds scatter, a tenth of the mean.
-_FASTEST, _SLOWEST = -0.9, 0.6  # log10 of a swing's time in that of the sweep's part between the same levels
+_FASTEST, _SLOWEST = -0.9, 0.6
+"""log10 of a swing's time in that of the sweep's part between the same levels. Measured: docs/choices.md."""
 AT_AN_END = 0.12  # chance that a turn lies at an end of the range: loops that hang there tell of asymmetry
 _HOLD_CHANCE = 0.15  # chance that a turn is held; chosen
 _HOLD = 0.4  # periods; only at rest does creep show apart from hysteresis
-# Periods at rest at the end, where it began: equal voltages tell drift. Without it, the geometric mean of the
-# error was 0.121 % of the stroke, with it 0.113 % (30 runs each).
 _REST = 0.5
+"""Periods at rest at the end, where it began: equal voltages tell drift. Measured: docs/choices.md."""
 
 FASTER = 10.0  # a sweep's highest frequency over that of the loops: their fastest swings have 8 times it
 
 SWEEP_SECONDS = 2.0  # at least; chosen
 SWEEP_PERIODS = 120.0
-"""Of the highest frequency, at least: 26 periods in all. Below 60 Hz the sweep is longer than 2 s; 2 s up to
-40 Hz showed no resonance at 20 Hz."""
+"""Periods of the highest frequency that a sweep lasts, at least. Measured: docs/choices.md."""
 OCTAVES_DOWN = 100.0
 """The sweep begins at its end over this: there the gears alone answer, and the ratio of the two is known."""
 AMPLITUDE = 0.01
-"""Of the range, from the middle to the crest, at the lower end of the sweep.
-
-A resonance of damping 0.02 makes a quarter of the range of it, at a place where the gears hardly turn.
-"""
+"""Of the range, from the middle to the crest, at the lower end of the sweep. Measured: docs/choices.md."""
 FADED = 0.25
 """Of the amplitude, at the upper end: it falls with the logarithm of the frequency, since what a resonance
 makes of it grows and what the gears do does not."""
@@ -220,7 +213,7 @@ SAMPLE_RATE = 1000.0  # rows a second where nothing is said: 50 in a swing of th
 
 
 def excitation_of(
-    *, sample_rate: float | None = None, points: int | None = None, duration: float, **asked: Any
+    *, sample_rate: float | None = None, points: int | None = None, duration: float, **fields: Any
 ) -> Excitation:
     """Return an excitation at a rate, or of so many rows in all, whose rate follows from the duration.
 
@@ -230,16 +223,18 @@ def excitation_of(
         Both are given, the points are too few for the frequencies, or as for ``Excitation``.
     """
     if points is None:
-        return Excitation(sample_rate=sample_rate or SAMPLE_RATE, duration=duration, **asked)
+        return Excitation(sample_rate=sample_rate or SAMPLE_RATE, duration=duration, **fields)
     if sample_rate is not None:
         raise UsageError("`points` and `sample_rate` exclude each other: the rate follows from the points")
-    sweep_to = asked.get("sweep_to")
+    sweep_to = fields.get("sweep_to")
 
     def swept(rate: float) -> int:
-        ends, more = (asked["v_min"], asked["v_max"]), (asked.get("sweep_amplitude"), asked.get("max_slew"))
-        return 0 if sweep_to is None else sweep(*ends, rate, sweep_to, *more).size
+        if sweep_to is None:
+            return 0
+        amplitude, max_slew = fields.get("sweep_amplitude"), fields.get("max_slew")
+        return sweep(fields["v_min"], fields["v_max"], rate, sweep_to, amplitude, max_slew).size
 
-    fewest = max(SAMPLES_A_CYCLE * asked["frequency"], SAMPLES_A_PERIOD * (sweep_to or 0.0))
+    fewest = max(SAMPLES_A_CYCLE * fields["frequency"], SAMPLES_A_PERIOD * (sweep_to or 0.0))
     seconds = duration + swept(2.0 * fewest) / (2.0 * fewest)
     rate = points / seconds
     if rate < fewest:
@@ -247,14 +242,14 @@ def excitation_of(
             f"`points` {points:,}: {rate:.4g} rows a second, at least {fewest:g} are needed (`points` "
             f"{math.ceil(fewest * seconds):,})"
         )
-    return Excitation(sample_rate=rate, duration=(points - swept(rate)) / rate, **asked)
+    return Excitation(sample_rate=rate, duration=(points - swept(rate)) / rate, **fields)
 
 
-def _legs(asked: Excitation, steps: int) -> list[Leg]:
+def _legs(drive: Excitation, steps: int) -> list[Leg]:
     """Return two sweeps, random turns and holds, the return and the rest, ``steps`` in all."""
-    step, period = 1.0 / asked.sample_rate, 1.0 / asked.frequency
-    slew = None if asked.max_slew is None else asked.max_slew / asked.span
-    chance = random.Random(asked.seed).random  # the one generator whose numbers Python never changes
+    step, period = 1.0 / drive.sample_rate, 1.0 / drive.frequency
+    slew = None if drive.max_slew is None else drive.max_slew / drive.span
+    chance = random.Random(drive.seed).random  # the one generator whose numbers Python never changes
 
     def swing(distance: float, slowness: float = 1.0) -> int:
         count = swing_samples(distance, step, 0.5 * period * distance * slowness, slew)
@@ -262,18 +257,18 @@ def _legs(asked: Excitation, steps: int) -> list[Leg]:
 
     sweep, rest = swing(1.0), round(_REST * period / step)
     turns: list[Leg] = []
-    here, used = 0.0, 0
+    level, used = 0.0, 0
     while True:
         turn = float(chance() < 0.5) if chance() < AT_AN_END else chance()
         slowness = 10.0 ** (_FASTEST + (_SLOWEST - _FASTEST) * chance())
-        found = [(turn, swing(abs(turn - here), slowness))]
+        legs = [(turn, swing(abs(turn - level), slowness))]
         if chance() < _HOLD_CHANCE:
-            found.append((turn, round(_HOLD * period / step)))
-        used += sum(count for _, count in found)
+            legs.append((turn, round(_HOLD * period / step)))
+        used += sum(count for _, count in legs)
         if turns and used + swing(turn) > steps - 2 * sweep - rest:  # the way back included
             break
-        turns += found
-        here = turn
+        turns += legs
+        level = turn
     back = swing(turns[-1][0])
     turns = _stretched(turns, steps - 2 * sweep - back - rest)
     return [(1.0, sweep), (0.0, sweep), *turns, (0.0, back), (0.0, rest)]
@@ -327,10 +322,10 @@ def sweep(
     turns = begin * seconds / grown * np.expm1(grown * part)
     edge = np.clip(np.minimum(part, 1.0 - part) / TAPER, 0.0, 1.0)
     size = crest * FADED**part * (0.5 - 0.5 * np.cos(np.pi * edge))
-    way = swing_samples(0.5 * span, step, SETTLE, max_slew)
+    ramp = swing_samples(0.5 * span, step, SETTLE, max_slew)
     rest = round(SETTLE * sample_rate)
-    up = swings([v_min, middle, middle], [way, rest])
-    down = swings([middle, middle, v_min, v_min], [rest, way, rest])
+    up = swings([v_min, middle, middle], [ramp, rest])
+    down = swings([middle, middle, v_min, v_min], [rest, ramp, rest])
     return np.concatenate([up[1:], middle + size * np.sin(2.0 * np.pi * turns), down])
 
 

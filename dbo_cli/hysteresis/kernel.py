@@ -39,14 +39,14 @@ def dynamics_run(output: Floats, state: Floats, x: Floats, y: Floats, step: Floa
     ``dbo_dynamics.h`` for their meaning.
     """
     sections = state.size // 3
-    held = [list(row) for row in state.reshape(sections, 3).tolist()]
+    memories = [list(row) for row in state.reshape(sections, 3).tolist()]
     outputs = output.reshape(sections, 2).tolist()
     rows = step.reshape(-1, sections, 6).tolist()
     result = []
     for k, value in enumerate(x.tolist()):
         row = rows[k] if len(rows) > 1 else rows[0]
         for s, (p_q, p_lead, p_change, q_q, q_lead, q_change), (by_lead, by_q) in zip(
-            held, row, outputs, strict=True
+            memories, row, outputs, strict=True
         ):
             p, q, u = s
             lead, change = u - p, value - u
@@ -56,7 +56,7 @@ def dynamics_run(output: Floats, state: Floats, x: Floats, y: Floats, step: Floa
             value = p + (by_lead * (value - p) + by_q * q)
         result.append(value)
     y[:] = result
-    state[:] = np.array(held).reshape(state.shape)
+    state[:] = np.array(memories).reshape(state.shape)
 
 
 def dynamics_undo(numbers: Floats, weight: Floats, state: Floats, y: Floats, u: Floats) -> None:
@@ -276,24 +276,24 @@ def _decay_rows(decay: Floats, terms: int, count: int) -> Iterator[list[float]]:
         yield rows[k] if len(rows) > 1 else rows[0]
 
 
-def _remember(held: list[float], decay: list[float], drive: float) -> None:
+def _remember(memory: list[float], decay: list[float], drive: float) -> None:
     """Go on with every relaxation term by one sample."""
     for j, a in enumerate(decay):
-        held[j] = a * held[j] + (1.0 - a) * drive
+        memory[j] = a * memory[j] + (1.0 - a) * drive
 
 
-def _recalled(weights: list[float], held: list[float]) -> float:
+def _recalled(weights: list[float], memories: list[float]) -> float:
     """Return what the terms add up to."""
     total = 0.0
-    for c, memory in zip(weights, held, strict=True):
+    for c, memory in zip(weights, memories, strict=True):
         total += c * memory
     return total
 
 
-def _known_part(weights: list[float], held: list[float], decay: list[float]) -> tuple[float, float]:
+def _known_part(weights: list[float], memories: list[float], decay: list[float]) -> tuple[float, float]:
     """Return what the terms keep of the past, and their part kappa of the present output."""
     remembered = kappa = 0.0
-    for c, memory, a in zip(weights, held, decay, strict=True):
+    for c, memory, a in zip(weights, memories, decay, strict=True):
         remembered += c * (a * memory)
         kappa += c * (1.0 - a)
     return remembered, kappa
@@ -359,7 +359,7 @@ def backlash_run(
     walk = _Walk(gears, n, run, words)
     flags: list[tuple[bool, bool]] = []  # of each sample: whether it lies outside, and was clipped
     weights: list[float] = gain.tolist()
-    held: list[float] = memory.tolist()
+    memories: list[float] = memory.tolist()
     steps: list[float | None] = [None] if not step.size else step.tolist()
     after = len(weights) > 0 and not memory_on_output
     rows = _decay_rows(decay, len(weights), x.size)
@@ -367,10 +367,10 @@ def backlash_run(
         kappa = remembered = 0.0
         u = value - x0
         if after:
-            _remember(held, a, value - reference)
-            remembered = _recalled(weights, held)
+            _remember(memories, a, value - reference)
+            remembered = _recalled(weights, memories)
         elif weights:
-            remembered, kappa = _known_part(weights, held, a)
+            remembered, kappa = _known_part(weights, memories, a)
             u = (u - remembered) - kappa * (y0 - reference)
         excess = -1.0
         if limited:
@@ -382,9 +382,9 @@ def backlash_run(
         y[k] = last
         flags.append((outside, excess > slack))
         if weights and not after:
-            _remember(held, a, last - reference)
+            _remember(memories, a, last - reference)
     walk.finish()
-    memory[:] = held
+    memory[:] = memories
     return (*_counted([flag[0] for flag in flags]), *_counted([flag[1] for flag in flags]))
 
 
@@ -513,14 +513,14 @@ def backlash_engagement(
 
 def memory_run(reference: float, memory: Floats, x: Floats, rows: Floats, decay: Floats) -> None:
     """Fill ``rows`` (samples × terms) with L_j after each sample; ``memory`` becomes the last row."""
-    held: list[float] = memory.tolist()
-    terms = len(held)
+    memories: list[float] = memory.tolist()
+    terms = len(memories)
     table = rows.reshape(-1, terms) if terms else rows
     for k, (value, a) in enumerate(zip(x.tolist(), _decay_rows(decay, terms, x.size), strict=True)):
-        _remember(held, a, value - reference)
+        _remember(memories, a, value - reference)
         if terms:
-            table[k] = held
-    memory[:] = held
+            table[k] = memories
+    memory[:] = memories
 
 
 def point_run(segments: Floats, x0: float, y0: float, x: Floats, y: Floats) -> None:
@@ -535,7 +535,7 @@ def point_run(segments: Floats, x0: float, y0: float, x: Floats, y: Floats) -> N
     y[:] = y0 + (height + slope * (u - start))
 
 
-def interpolated(times: Floats, values: Floats, wanted: Floats, found: Floats, whole: float) -> int:
+def interpolated(times: Floats, values: Floats, wanted: Floats, out: Floats, whole: float) -> int:
     """Fill ``found`` with a signal at the times wanted; see ``cascade.interpolated``."""
     first = np.clip(np.searchsorted(times, wanted, side="right") - 1, 0, None)
     second = np.minimum(first + 1, times.size - 1)
@@ -543,8 +543,8 @@ def interpolated(times: Floats, values: Floats, wanted: Floats, found: Floats, w
     gap = times[second] - begin
     with np.errstate(invalid="ignore", divide="ignore"):
         part = np.where(gap > 0.0, (wanted - begin) / gap, 0.0)
-    found[:] = lower + np.where(part < whole, 0.0, part) * (upper - lower)
-    np.copyto(found, upper, where=part > 1.0 - whole)
+    out[:] = lower + np.where(part < whole, 0.0, part) * (upper - lower)
+    np.copyto(out, upper, where=part > 1.0 - whole)
     return int(first[-1])
 
 

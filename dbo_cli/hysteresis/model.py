@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal, Self
 
@@ -25,7 +25,6 @@ from dbo_cli.hysteresis.cascade import DelayStage, ScaleStage, Stage, slow_outpu
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag
 from dbo_cli.hysteresis.model_state import NEGLIGIBLE, DriveLimits, ModelState, Quantity, Simulated, StartName
 from dbo_cli.hysteresis.operators import Counts, DiscreteBacklashOperator, OutputLimits, Outside, Relaxation
-from dbo_cli.records import dataclass
 
 __all__ = [
     "NEGLIGIBLE",
@@ -150,7 +149,7 @@ class ActuatorModel:
                     raise ModelError(f"stages[{place}].sections: one lag alone may stand {end}")
             else:
                 outer = self.stages[place + 1 :] if forward else self.stages[:place]
-                if not all(isinstance(other, DelayStage) for other in outer):
+                if not all(isinstance(stage, DelayStage) for stage in outer):
                     where = "after all stages but a delay" if forward else "before all stages but a delay"
                     raise ModelError(f"stages[{place}]: dynamics stand {where}, and once")
             self._turn(stage)
@@ -178,7 +177,7 @@ class ActuatorModel:
         """Raise ModelError, with the remedy, where the model is of the other direction."""
         if self.direction != direction:
             is_one, needed = (
-                f"a{'n' if way == 'inverse' else ''} {way}" for way in (self.direction, direction)
+                f"a{'n' if name == 'inverse' else ''} {name}" for name in (self.direction, direction)
             )
             raise ModelError(f"{place}: is {is_one} model where {needed} one is needed (dbo invert turns it)")
 
@@ -232,8 +231,8 @@ class ActuatorModel:
 
     def without(self, *dropped: Stage | None) -> Self:
         """Return the same model without some of its stages."""
-        kept = tuple(stage for stage in self.stages if not any(stage is one for one in dropped))
-        return dataclasses.replace(self, stages=kept)
+        stages = tuple(stage for stage in self.stages if not any(stage is gone for gone in dropped))
+        return dataclasses.replace(self, stages=stages)
 
     def drive_of(self, state: ModelState) -> float | None:
         """Return the voltage at which a state was left, where it knows."""
@@ -247,9 +246,9 @@ class ActuatorModel:
         """Return the displacement that gears and memories of a state hold, at its own voltage."""
         assert state.drive is not None
         slow = self.without_lag
-        held = dataclasses.replace(state, dynamics=None, drive_lag=None, history=None, undoing=None)
+        at_rest = dataclasses.replace(state, dynamics=None, drive_lag=None, history=None, undoing=None)
         voltage = self.inverted.outer_drive(state.drive)
-        return float(slow.simulate([voltage], held, time_step=0.0).y[0])
+        return float(slow.simulate([voltage], at_rest, time_step=0.0).y[0])
 
     @property
     def sign(self) -> Sign:
@@ -392,17 +391,20 @@ class ActuatorModel:
         self, x: Floats, state: ModelState, steps: Steps | None, outside: Outside, limits: DriveLimits | None
     ) -> Simulated:
         """Return what ``simulate`` does, for a model without a lag before its gears."""
+        given = x
         x = through(self.head, x)
         if outside == "hold":
             x = self._held(x)
+        drive = float(x[-1]) if x.size else None
         inner = None if limits is None else self.inner_limits(limits)
-        y, after, counts, missed = self._backlash_block(x, state, steps, outside, inner)
-        y = through(self.tail, y)
+        room = None if x is given else x
+        y, after, counts, missed = self._backlash_block(x, state, steps, outside, inner, room)
+        y = through(self.tail, y, overwrite=y is not given)
         if limits is not None and self.tail:
             y = np.clip(y, limits.v_min, limits.v_max)  # rounding on the way back through the points
         if self.direction == "forward":
-            if x.size:
-                after = dataclasses.replace(after, drive=float(x[-1]))
+            if drive is not None:
+                after = dataclasses.replace(after, drive=drive)
             if steps is not None and self.dynamics:
                 y, sections = self.dynamics.run(y, steps, state.dynamics)
                 after = dataclasses.replace(after, dynamics=sections)
@@ -445,9 +447,18 @@ class ActuatorModel:
         return steps
 
     def _backlash_block(
-        self, x: Floats, state: ModelState, steps: Steps | None, outside: Outside, limits: DriveLimits | None
+        self,
+        x: Floats,
+        state: ModelState,
+        steps: Steps | None,
+        outside: Outside,
+        limits: DriveLimits | None,
+        room: Floats | None = None,
     ) -> tuple[Floats, ModelState, Counts, float]:
-        """Return the backlash stage's block, the state after, the counts, and the first value missed."""
+        """Return the backlash stage's block, the state after, the counts, and the first value missed.
+
+        ``room``: where the block may go; it may be ``x``.
+        """
         if x.size == 0:
             return x, state, Counts(), 0.0
         if state.first is not None:  # the block begins with a voltage found by ``start``
@@ -469,7 +480,7 @@ class ActuatorModel:
         decay = relaxation.decay(steps) if relaxation and steps is not None else None
         bound = None if limits is None else self.output_limits(limits, steps)
         y, backlash, counts = self.backlash.run(
-            x, state.backlash, decay=decay, outside=outside, limits=bound, last=state.drive
+            x, state.backlash, decay=decay, outside=outside, limits=bound, last=state.drive, out=room
         )
         after = dataclasses.replace(state, backlash=backlash, drive=float(y[-1]), time=None)
         return y, after, counts, 0.0

@@ -31,8 +31,11 @@ from dbo_cli.hysteresis.operators import Axis, BacklashState, Relaxation
 MODEL_FORMAT = "dbo-model"
 STATE_FORMAT = "dbo-state"
 SET_FORMAT = "dbo-model-set"
-VERSION = 2
-"""Of both files. Version 1 had every width written out, and states that did not know their time."""
+VERSION = 3
+"""The newest of model files. Version 1 had every width written out; up to version 2 a delay is linear between
+samples, from version 3 on smooth. A model without a delay, or with a linear one, is written as version 2."""
+STATE_VERSION = 2
+"""Of state files. States of version 1 did not know their time."""
 
 MOST_STAGES = 16  # twice what identification makes; 400 of a million segments took minutes to be refused
 MOST_GEARS = 1_000_000  # a file of some bytes must not ask for more memory than a machine has
@@ -98,10 +101,10 @@ class Node(NamedTuple):
 
     def listed(self, key: str, what: str) -> list[Any]:
         """Return a list of ``what``."""
-        given = self.values[key]
-        if not isinstance(given, list):
+        values = self.values[key]
+        if not isinstance(values, list):
             raise self.refuse(key, f"is not a list of {what}")
-        return given
+        return values
 
     def finite(self, key: str, value: object) -> float:
         """Return a value as a finite number."""
@@ -216,8 +219,8 @@ def _read(
     """Return what ``make`` builds of an object's keys; those ``besides`` the fields take no part."""
     needed = tuple(field.key for field in fields if not field.optional)
     node.only((*besides, *needed), tuple(field.key for field in fields if field.optional))
-    given = [field for field in fields if field.key in node.values]
-    values = {field.attribute or field.key: field.read(node, field.key) for field in given}
+    present = [field for field in fields if field.key in node.values]
+    values = {field.attribute or field.key: field.read(node, field.key) for field in present}
     return node.build(lambda: make(**values))
 
 
@@ -271,10 +274,11 @@ def _antiresonance_values(section: Resonance) -> Json | None:
 
 def _sections(node: Node, key: str) -> tuple[Section, ...]:
     """Return lags and resonances, these perhaps with an antiresonance."""
-    given = node.listed(key, "sections")
-    nodes = [node.below(f"{key}[{k}]", values) for k, values in enumerate(given)]
+    sections = node.listed(key, "sections")
+    nodes = [node.below(f"{key}[{k}]", values) for k, values in enumerate(sections)]
     return tuple(
-        _read(one, Lag, LAG) if "lag" in one.values else _read(one, Resonance, RESONANCE) for one in nodes
+        _read(section, Lag, LAG) if "lag" in section.values else _read(section, Resonance, RESONANCE)
+        for section in nodes
     )
 
 
@@ -311,7 +315,9 @@ CURVE = (
     Field("dy", Node.lengths, lambda stage: _with_runs(stage.dy.tolist())),
 )
 GEARS = (*CURVE, Field("relaxation", read_relaxation, _memory_values, optional=True))
-SECTIONS = (Field("sections", _sections, lambda stage: [section_values(one) for one in stage.sections]),)
+SECTIONS = (
+    Field("sections", _sections, lambda stage: [section_values(section) for section in stage.sections]),
+)
 
 
 class Kind(NamedTuple):
@@ -430,6 +436,8 @@ def model_of(root: Node) -> ActuatorModel:
     if direction not in {"forward", "inverse"}:
         raise root.refuse("direction", f"{direction!r} is neither 'forward' nor 'inverse'")
     cascade = _stages(root, "stages")
+    if root.values["version"] < 3:
+        cascade = tuple(_with_linear_delay(stage) for stage in cascade)
     notes = {key: root.node(key) for key in ("fit", "provenance") if key in root.values}
     for note in notes.values():
         note.check_notes(_NOTE_DEPTH)
@@ -439,6 +447,19 @@ def model_of(root: Node) -> ActuatorModel:
     make: Callable[..., ActuatorModel] = ActuatorModel if brought is None else brought.model
     model: ActuatorModel = root.build(lambda: make(direction, source, result, cascade, **carried))
     return model
+
+
+def _with_linear_delay(stage: Stage) -> Stage:
+    """Return a stage as files before version 3 mean it."""
+    if isinstance(stage, DelayStage):
+        return DelayStage(stage.seconds, "linear")
+    return stage
+
+
+def _version(model: ActuatorModel) -> int:
+    """Return the oldest version of the model file that says what a model is."""
+    smooth = any(isinstance(stage, DelayStage) and stage.between == "smooth" for stage in model.stages)
+    return VERSION if smooth else 2
 
 
 def load_document(path: str, wanted: str, noun: str, newest: int = VERSION) -> Node:
@@ -461,8 +482,7 @@ def load_document(path: str, wanted: str, noun: str, newest: int = VERSION) -> N
     if not text.strip():
         raise ModelError(f"{name}: is empty; this is no {noun} file")
     try:
-        values = json.loads(text, object_pairs_hook=functools.partial(_distinct, name))
-        json.dumps(values, ensure_ascii=False).encode()  # half a surrogate pair could not be written again
+        values = parsed(name, text)
     except json.JSONDecodeError as problem:
         log = "" if text.lstrip()[:1] in "{[" else " (identify makes a model from a log)"
         raise ModelError(f"{name}:{problem.lineno}: is not JSON: {problem.msg}{log}") from None
@@ -478,11 +498,29 @@ def load_document(path: str, wanted: str, noun: str, newest: int = VERSION) -> N
     return checked_version(Node(name, "", values), newest)
 
 
+def parsed(name: str, text: str) -> Any:
+    """Return the values of JSON text; keys that occur twice and half surrogate pairs are refused.
+
+    Raises
+    ------
+    ModelError
+        A key occurs twice.
+    ValueError, RecursionError
+        It is no JSON, or none that could be written again.
+    """
+    values = json.loads(text, object_pairs_hook=functools.partial(_distinct, name))
+    if "\\u" in text:
+        json.dumps(values, ensure_ascii=False).encode()  # raises at half a surrogate pair
+    return values
+
+
 def checked_version(root: Node, newest: int = VERSION) -> Node:
     """Return an object whose version is one that this program reads (ModelError where it is not)."""
     if "version" not in root.values:
         raise root.refuse("version", "is missing")
     version = root.values["version"]
+    if isinstance(version, float) and version.is_integer():
+        version = int(version)  # JSON has one kind of number
     if isinstance(version, bool) or not isinstance(version, int) or version < 1:
         raise root.refuse("version", f"{json.dumps(version)} is not a version")
     if version > newest:
@@ -539,7 +577,7 @@ def model_values(model: ActuatorModel) -> Json:
     """Return the keys and values of a model file."""
     values: Json = {
         "format": MODEL_FORMAT,
-        "version": VERSION,
+        "version": _version(model),
         "direction": model.direction,
         "input": _written(model.input, QUANTITY),
         "output": _written(model.output, QUANTITY),
@@ -601,17 +639,17 @@ def state_to_bytes(state: ModelState, model: ActuatorModel) -> bytes:
     """Return the state file of a state; it names the gears it belongs to by a digest."""
     values: Json = {
         "format": STATE_FORMAT,
-        "version": VERSION,
+        "version": STATE_VERSION,
         "model": model.digest,
         **model.state_values(state.backlash),
         "time": state.time,
         "drive": state.drive,
-        "delay": state.history and {name: list(own) for name, own in vars(state.history).items()},
+        "delay": state.history and {name: list(samples) for name, samples in vars(state.history).items()},
     }
     if state.dynamics is not None or state.undoing is not None:
         values["dynamics"] = _dynamics_values(state)
     if state.drive_lag is not None:
-        values["drive_lag"] = {"sections": [list(one) for one in state.drive_lag]}
+        values["drive_lag"] = {"sections": [list(section) for section in state.drive_lag]}
     return document_bytes(values)
 
 
@@ -625,7 +663,7 @@ def read_state(path: str, model: ActuatorModel) -> ModelState:
     ModelError
         It is not a state, contradicts itself, or belongs to another model.
     """
-    root = load_document(path, STATE_FORMAT, "state")
+    root = load_document(path, STATE_FORMAT, "state", STATE_VERSION)
     timed = root.values["version"] > 1
     brought = _brought(model.stages)
     key, read = ("backlash", _bits_and_memory) if brought is None else ("plays", brought.read_state)
@@ -657,9 +695,12 @@ def _bits_and_memory(node: Node, model: ActuatorModel) -> BacklashState:
 
 
 def _dynamics_values(state: ModelState) -> Json:
-    values: Json = {"sections": state.dynamics and [list(one) for one in state.dynamics], "inverse": None}
+    values: Json = {
+        "sections": state.dynamics and [list(section) for section in state.dynamics],
+        "inverse": None,
+    }
     if state.undoing is not None:
-        sections = [list(one) for one in state.undoing.states]
+        sections = [list(section) for section in state.undoing.states]
         values["inverse"] = {"time_step": state.undoing.time_step, "sections": sections}
     return values
 
@@ -692,11 +733,11 @@ def _with_dynamics(state: ModelState, root: Node, model: ActuatorModel) -> Model
 
 
 def _section_states(node: Node, count: int) -> SectionStates:
-    given = node.values["sections"]
-    if not isinstance(given, list) or len(given) != count:
+    items = node.values["sections"]
+    if not isinstance(items, list) or len(items) != count:
         raise node.refuse("sections", f"is not a list of {count}, the number of sections of the model")
     states = []
-    for k, item in enumerate(given):
+    for k, item in enumerate(items):
         place = f"sections[{k}]"
         if not isinstance(item, list) or len(item) != 3:
             raise node.refuse(place, "is not a list of three numbers")

@@ -10,6 +10,7 @@ one whose own start leads to that displacement.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 from dbo_cli.errors import InputError, ModelError
@@ -17,7 +18,6 @@ from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.cascade import DelayHistory
 from dbo_cli.hysteresis.dynamics import DynamicsInverter, InverseMemory, SectionStates
 from dbo_cli.hysteresis.operators import CROSSING_TOLERANCE, BacklashState, DiscreteBacklashOperator, Floats
-from dbo_cli.records import dataclass
 
 StartName = Literal["auto", "empty", "full", "settled"]
 START_NAMES: tuple[StartName, ...] = ("auto", "empty", "full", "settled")

@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,8 +24,8 @@ from dbo_cli.hysteresis.cascade import DelayStage, through
 from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import Node, read_relaxation, read_stages, stage_values
+from dbo_cli.hysteresis.model_state import StartName
 from dbo_cli.hysteresis.operators import Floats, Relaxation
-from dbo_cli.records import dataclass
 
 Integers = NDArray[np.int64]
 
@@ -34,17 +36,19 @@ NEAREST = 0.02  # of the range: swings that lie closer together are kept once; c
 MOST_ROWS = 131_072  # of a move are looked at: its first ones, 1 MB of drive and some 30 ms
 MOST = 8  # other models are played: identification keeps five
 DIGITS = 4  # of the other models' numbers: their rounding, 1e-5 of the range, is nothing beside the rest
-WIDENING, APART = 3.25, 4.0 / 3.0
-"""How much the error on what was left out grows with how unlike the logs' swings a move's are (in units of
-the range), and how much the distance of the other models counts.
-
-On 528 moves of 11 kinds of plants (benchmarks/foreign_plants.py) swings like the logs' own (within 0.03 of
-the range) erred 1.1 times what was stated without either, in the middle; after two amplitudes those 0.3 to
-0.7 away 2 to 3 times. The ninetieth over the tenth percentile of actual over stated was 5.6 without either,
-4.7 so, and 4.2 with 2 in place of 4/3, which stated 3.3 times what came on the authors' pair (2.4 so). With
-alternatives that forget it is 3.5: 0.40 and 1.41; with 3.75 in place of 3.25 0.39 and 1.38 (seeds 1 to 3).
-Swings with the turn before them, or their mean distance, gained nothing.
-"""
+WIDENING = 3.25
+"""How much the error on what was left out grows with how unlike the logs' swings a move's are (a unit of the
+range). Measured: docs/choices.md."""
+APART = 1.0
+"""How much the distance of the other models counts. Measured: docs/choices.md."""
+GAIN_LATER = 0.75
+"""Of the change of the gain along a log, what a later move meets: the model holds the middle of the log, and
+half of the change is there at its end. Measured: docs/choices.md."""
+LINE = 4.0 / 3.0
+"""Times the error that a straight line leaves of what was left out: no shape is stated to err by more.
+Chosen: docs/choices.md."""
+PASTS: tuple[StartName, ...] = ("empty", "full", "settled")  # what may have been before the first row
+PAST_MATTERS = 1.2  # times the expected error: from which on it is said that the past makes it so much larger
 
 
 def turning_points(signal: Floats, threshold: float) -> Integers:
@@ -153,11 +157,46 @@ class Alternative:
 
 
 @dataclass(frozen=True)
+class StatedError:
+    """The error to state, in the displacement's unit.
+
+    ``shape`` is the RMS of the error less its mean, ``zero`` the size of that mean: where the displacement is
+    as a whole.
+    """
+
+    shape: float
+    zero: float
+
+    @property
+    def rmse(self) -> float:
+        """The RMS of both together."""
+        return float(np.hypot(self.shape, self.zero))
+
+
+@dataclass(frozen=True)
 class MoveError:
-    """What to expect of a move, in the displacement's unit: the error, and that of a straight line."""
+    """What to expect of a move, in the displacement's unit.
+
+    ``rmse`` is the RMS of the error, where the actuator starts as the model takes it to; ``shape`` and
+    ``zero`` are its parts (``StatedError``; None where only the whole is known). ``from_any_past`` is the RMS
+    where it may have been anywhere before. ``straight_line`` is the error of a straight line.
+    """
 
     rmse: float
     straight_line: float
+    shape: float | None
+    zero: float | None
+    from_any_past: float
+
+    @property
+    def form(self) -> float:
+        """What to compare with a straight line, whose zero is as unknown: the shape, where it is known."""
+        return self.rmse if self.shape is None else self.shape
+
+    @property
+    def past_matters(self) -> bool:
+        """Whether an unknown past makes the error larger by more than a fifth."""
+        return self.from_any_past > PAST_MATTERS * self.rmse
 
 
 def _rounded(value: Any) -> Any:
@@ -217,34 +256,110 @@ def _behind(model: ActuatorModel, stages: Sequence[Any]) -> ActuatorModel:
 
 
 def move_error(
-    model: ActuatorModel, drive: Floats, time_step: float | Floats | None, begin: int = 0
+    model: ActuatorModel,
+    drive: Floats,
+    time_step: float | Floats | None,
+    begin: int = 0,
+    start: StartName = "auto",
 ) -> MoveError | None:
     """Return what to expect of a move; None where the model does not know.
 
     Parameters
     ----------
     model : forward, with its ``fit``
-    drive : voltages, shape (rows,); all of them are played, from the start that ``auto`` finds
+    drive : voltages, shape (rows,); all of them are played
     time_step : seconds since the row before, one number or one for each; None without a clock
     begin : the first row that counts
+    start : what was before the first row
     """
     expected, known = model.fit.get("expected_rmse"), model.fit.get("left_out_rmse")
     if not isinstance(expected, float) or drive.size <= begin:
         return None
     drive = drive[:MOST_ROWS]
     steps = time_step[:MOST_ROWS] if isinstance(time_step, np.ndarray) else time_step
-    own = played(model, drive, steps)[begin:]
+    own = played(model, drive, steps, start)[begin:]
+    straight = rms(own - _straight(model, drive[begin:]))
+    shape, zero = None, None
     if isinstance(known, float):
-        drifted = changed_gain(own, model.fit.get("gain_trend"))
         others = [one for one in alternatives_of(model) if steps is not None or not one.model.needs_time]
         apart = spread(own, [(one, one.played(drive, steps)[begin:]) for one in others])
-        expected = stated(known, _unlike(model, drive, begin), apart, drifted)
-    return MoveError(expected, rms(own - _straight(model, drive[begin:])))
+        drifted = changed_gain(own, model.fit.get("gain_trend"))
+        zero_drift = ZeroDrift(_of_fit(model, "zero_drift"), _of_fit(model, "zero_drift_rate"))
+        moving = zero_drift.during(_seconds(steps, drive.size, begin))
+        error = stated(known, _unlike(model, drive, begin), apart, drifted, moving)
+        error = capped(error, model.fit.get("line_left_out_rmse"))
+        expected, shape, zero = error.rmse, error.shape, error.zero
+    past = _past(model, drive, steps, begin, own)
+    return MoveError(expected, straight, shape, zero, float(np.hypot(expected, past)))
 
 
-def stated(known: float, distance: float, apart: float, drifted: float) -> float:
-    """Return the error to state: on what was left out, of other models, and of a gain that changes."""
-    return float(np.sqrt((known * (1.0 + WIDENING * distance)) ** 2 + (APART * apart) ** 2 + drifted**2))
+def _seconds(steps: float | Floats | None, rows: int, begin: int) -> float:
+    """Return how long the rows from ``begin`` on last; 0 without a clock."""
+    if steps is None:
+        return 0.0
+    return float(np.broadcast_to(steps, rows)[begin:].sum())
+
+
+def _of_fit(model: ActuatorModel, key: str) -> float:
+    """Return a number of a model's fit, 0 where there is none."""
+    value = model.fit.get(key)
+    return value if isinstance(value, float) else 0.0
+
+
+def _past(
+    model: ActuatorModel, drive: Floats, steps: float | Floats | None, begin: int, own: Floats
+) -> float:
+    """Return by how much a move differs, RMS, between the starts that a model knows; the most of them."""
+    apart = 0.0
+    for start in PASTS:
+        apart = max(apart, rms(played(model, drive, steps, start)[begin:] - own))
+    return apart
+
+
+@dataclass(frozen=True)
+class ZeroDrift:
+    """How far the zero moved along a log (``span``), in the displacement's unit, and how fast, a second."""
+
+    span: float
+    rate: float
+
+    def during(self, seconds: float) -> StatedError:
+        """Return what it adds to the error of a move that lasts so long.
+
+        As a whole the move may be off by as much as the zero moved; and while it lasts the zero moves on, at
+        most as far, evenly.
+        """
+        goes_on = min(self.rate * seconds, self.span)
+        return StatedError(goes_on / math.sqrt(12.0), self.span)
+
+
+STILL = ZeroDrift(0.0, 0.0)
+
+
+def stated(
+    known: float, distance: float, apart: StatedError, drifted: StatedError, zero: StatedError
+) -> StatedError:
+    """Return the error to state.
+
+    Parameters
+    ----------
+    known : on what was left out of the fit, RMS
+    distance : how unlike the logs' swings the move's are, in units of the range
+    apart : how far other models go apart on it
+    drifted : what a gain that changes adds
+    zero : what a zero that moves adds
+    """
+    widened = known * (1.0 + WIDENING * distance)
+    shapes = (widened, APART * apart.shape, drifted.shape, zero.shape)
+    zeros = (widened, APART * apart.zero, drifted.zero, zero.zero)
+    return StatedError(math.hypot(*shapes), math.hypot(*zeros))
+
+
+def capped(error: StatedError, line: object) -> StatedError:
+    """Return an error whose shape is no larger than what a straight line leaves of what was left out."""
+    if not isinstance(line, float):
+        return error
+    return StatedError(min(error.shape, LINE * line), error.zero)
 
 
 def _unlike(model: ActuatorModel, drive: Floats, begin: int) -> float:
@@ -269,27 +384,37 @@ def _straight(model: ActuatorModel, drive: Floats) -> Floats:
     return line
 
 
-def played(model: ActuatorModel, drive: Floats, time_step: float | Floats | None) -> Floats:
-    """Return the displacement that a model predicts from its own start."""
-    return model.simulate(drive, model.start(float(drive[0])), time_step=time_step).y
+def played(
+    model: ActuatorModel, drive: Floats, time_step: float | Floats | None, start: StartName = "auto"
+) -> Floats:
+    """Return the displacement that a model predicts from a start, its own one by default."""
+    return model.simulate(drive, model.start(float(drive[0]), start), time_step=time_step).y
 
 
-def spread(own: Floats, others: Sequence[tuple[Alternative, Floats]]) -> float:
-    """Return how far other models' predictions are from the chosen one's, RMS, an offset included.
+def spread(own: Floats, others: Sequence[tuple[Alternative, Floats]]) -> StatedError:
+    """Return how far other models' predictions are from the chosen one's, in shape and in zero.
 
     Of each kind of change the one that goes farthest counts, weighted by how well it explains the logs; their
     squares add up.
     """
-    farthest: dict[str, float] = {}
+    farthest: dict[str, tuple[float, float]] = {}
     for one, predicted in others:
-        apart = one.weight * rms(predicted - own)
-        farthest[one.kind] = max(farthest.get(one.kind, 0.0), apart)
-    return float(np.sqrt(sum(value**2 for value in farthest.values())))
+        left = predicted - own
+        shape, zero = farthest.get(one.kind, (0.0, 0.0))
+        shape = max(shape, one.weight * float(left.std()))
+        zero = max(zero, one.weight * abs(float(left.mean())))
+        farthest[one.kind] = shape, zero
+    shapes = sum(shape**2 for shape, _ in farthest.values())
+    zeros = sum(zero**2 for _, zero in farthest.values())
+    return StatedError(float(np.sqrt(shapes)), float(np.sqrt(zeros)))
 
 
-def changed_gain(own: Floats, trend: object) -> float:
-    """Return what a gain that changes by ``trend`` (None: not) adds to the error of a move."""
-    return abs(trend) * rms(own - own.min()) if isinstance(trend, float) else 0.0
+def changed_gain(own: Floats, trend: object) -> StatedError:
+    """Return what a gain that changed by ``trend`` along the logs (None: not) adds to a later move."""
+    if not isinstance(trend, float):
+        return StatedError(0.0, 0.0)
+    later = GAIN_LATER * abs(trend)
+    return StatedError(later * float(own.std()), later * float(own.mean() - own.min()))
 
 
 def rms(values: Floats) -> float:
@@ -299,9 +424,7 @@ def rms(values: Floats) -> float:
 
 RESONANCE_PART = 3.0
 """A model is trusted to its lowest resonance over this, where its identification says nothing else.
-
-There an error of 10 % in the frequency leaves a relative error of 3 %; at the resonance one above 1.
-"""
+Measured: docs/choices.md."""
 
 
 def trusted_frequency(model: ActuatorModel) -> float | None:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Literal, NamedTuple
 
@@ -21,7 +22,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.hysteresis import kernel
-from dbo_cli.records import dataclass
 
 Floats = NDArray[np.float64]
 Axis = Literal["input", "output"]
@@ -214,16 +214,16 @@ class Relaxation:
     ) -> tuple[Floats, tuple[float, ...]]:
         """Return L_j after each sample (len(x) × terms) and after the last; at rest first without memory."""
         drive = np.ascontiguousarray(x, dtype=np.float64)
-        held = np.array(memory if memory is not None else [0.0] * len(self.tau), dtype=np.float64)
+        memories = np.array(memory if memory is not None else [0.0] * len(self.tau), dtype=np.float64)
         rows = np.empty((drive.size, len(self.tau)))
         decay = self.decay(time_step)
         start = 0
         if memory is None and drive.size:
-            rows[0] = held[:] = drive[0] - self.reference
+            rows[0] = memories[:] = drive[0] - self.reference
             start = 1
         later = decay if len(decay) == 1 else np.ascontiguousarray(decay[start:])
-        kernel.CHOSEN.memory_run(self.reference, held, drive[start:], rows[start:], later)
-        return rows, tuple(held.tolist())
+        kernel.CHOSEN.memory_run(self.reference, memories, drive[start:], rows[start:], later)
+        return rows, tuple(memories.tolist())
 
 
 @dataclass(frozen=True)
@@ -379,8 +379,8 @@ class DiscreteBacklashOperator:
 
     @functools.cached_property
     def _inverse(self) -> DiscreteBacklashOperator:
-        other: Axis = "output" if self.memory_on == "input" else "input"
-        return DiscreteBacklashOperator(self.dy, self.dx, self.y0, self.x0, self.relaxation, other)
+        axis: Axis = "output" if self.memory_on == "input" else "input"
+        return DiscreteBacklashOperator(self.dy, self.dx, self.y0, self.x0, self.relaxation, axis)
 
     def empty(self) -> BacklashState:
         """Return B = 0: the actuator has been at or below its lower end."""
@@ -441,6 +441,7 @@ class DiscreteBacklashOperator:
         outside: Outside = "extend",
         limits: OutputLimits | None = None,
         last: float | None = None,
+        out: Floats | None = None,
     ) -> tuple[Floats, BacklashState, Counts]:
         """Return the output of (1)-(12), the state after it, and what was unusual.
 
@@ -459,6 +460,8 @@ class DiscreteBacklashOperator:
             output. Not for an operator whose memory follows its input.
         last : float, optional
             The output before this block, for the slew limit.
+        out : array, optional
+            Where the output goes; it may be ``x`` itself.
 
         Raises
         ------
@@ -466,7 +469,8 @@ class DiscreteBacklashOperator:
             The state is not of this operator, or ``decay`` is missing.
         """
         x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
-        y, words, terms = np.empty_like(x), self._words(state), self._gain.size
+        y = np.empty_like(x) if out is None else out
+        words, terms = self._words(state), self._gain.size
         if limits is not None and self.relaxation is not None and self.memory_on == "input":
             raise ModelError("limits on the output of an operator whose memory follows its input")
         bound = limits or NO_LIMITS
@@ -475,16 +479,16 @@ class DiscreteBacklashOperator:
             raise ModelError(f"state: remembers {memory.size} relaxation terms, this model has {terms}")
         counts, before = Counts(), math.nan if last is None else last
         for begin, end, factors, steps in self._spans(x.size, state, decay, bound.step):
-            found = kernel.CHOSEN.backlash_run(
+            counted = kernel.CHOSEN.backlash_run(
                 *self.constants(outside != "hold"), words, memory, before, x[begin:end], y[begin:end],
                 factors, limits is not None, bound.low, bound.high, bound.slack, steps,
             )  # fmt: skip
-            counts = counts.then(Counts(*found), begin)
+            counts = counts.then(Counts(*counted), begin)
             before = float(y[end - 1])
         if x.size == 0:
             return y, state, counts
-        held = tuple(memory.tolist()) if terms else state.memory
-        return y, BacklashState(self._bits(words), held), counts
+        memories = tuple(memory.tolist()) if terms else state.memory
+        return y, BacklashState(self._bits(words), memories), counts
 
     @functools.cached_property
     def table(self) -> tuple[Floats, NDArray[np.uint32]]:
@@ -514,8 +518,8 @@ class DiscreteBacklashOperator:
                 raise ModelError("relaxation needs the time between samples (`sample_rate`)")
             if len(factors) not in (1, end - begin):
                 factors = factors[begin:end]
-            own = steps[begin:end] if steps.size > 1 else steps
-            spans.append((begin, end, np.ascontiguousarray(factors), np.ascontiguousarray(own)))
+            steps_of_span = steps[begin:end] if steps.size > 1 else steps
+            spans.append((begin, end, np.ascontiguousarray(factors), np.ascontiguousarray(steps_of_span)))
         return spans
 
     def engagement(
@@ -575,9 +579,9 @@ class DiscretePointOperator:
         """Return the inverse (17)-(18): ΔX and ΔY exchanged in every segment, and the origins."""
         return DiscretePointOperator(self.dy, self.dx, self.y0, self.x0)
 
-    def run(self, x: ArrayLike) -> Floats:
-        """Return the output of (13)-(16) for one block of the input."""
+    def run(self, x: ArrayLike, out: Floats | None = None) -> Floats:
+        """Return the output of (13)-(16) for one block, in ``out`` (may be ``x``) where that is given."""
         x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
-        y = np.empty_like(x)
+        y = np.empty_like(x) if out is None else out
         kernel.CHOSEN.point_run(self.segments, self.x0, self.y0, x, y)
         return y

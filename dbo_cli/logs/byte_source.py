@@ -158,10 +158,10 @@ class ByteSource:
     def _now(self) -> os.stat_result | None:
         """Look at the open file; None for a stream and for text in memory."""
         try:
-            found = os.fstat(self._file.fileno())
+            status = os.fstat(self._file.fileno())
         except (OSError, ValueError):
             return None
-        return found if stat.S_ISREG(found.st_mode) else None
+        return status if stat.S_ISREG(status.st_mode) else None
 
     def _patiently(self, size: int) -> bytes:
         """Read a full block from a pipe in pieces: an interrupt is served between them."""
@@ -260,7 +260,7 @@ def file_sha256(path: str) -> str:
 
 
 def input_record(
-    address: Given, rows: int, sha256: str | None = None, others: Sequence[Given] = ()
+    address: Given, rows: int, sha256: str | None = None, joined: Sequence[Given] = ()
 ) -> dict[str, Any]:
     """Record an input: its name without folders (they differ between machines), its digest and the rows used.
 
@@ -270,4 +270,4 @@ def input_record(
     parsed = parse_address(address)
     name = os.path.basename(parsed.path) + (f"::{parsed.group}" if parsed.group else "")
     record = {"name": cleaned(name), "sha256": sha256 or file_sha256(parsed.path), "rows": rows}
-    return record | ({"joined": [input_record(other, rows) for other in others]} if others else {})
+    return record | ({"joined": [input_record(address, rows) for address in joined]} if joined else {})

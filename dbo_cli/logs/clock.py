@@ -15,7 +15,7 @@ import itertools
 import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -44,7 +44,6 @@ from dbo_cli.logs.units import (
     parse_time_unit,
     time_unit,
 )
-from dbo_cli.records import dataclass
 
 # --- what a file states -----------------------------------------------------------------------------------
 
@@ -261,6 +260,11 @@ def agreed_rate(place: str, statements: Iterable[Statement], notes: list[str]) -
     if chosen.assumed:
         notes.append(f"{place}: {chosen.text} has no unit: {chosen.assumed} is assumed")
     return chosen.rate
+
+
+def hertz(unit: str) -> float | None:
+    """Return how many hertz a unit of a rate is (``kHz``, ``S/s``), or None where it is none."""
+    return _HERTZ.get(unit.strip().replace(" ", ""))
 
 
 def _taken_apart(value: object) -> tuple[int, float | None, str, str]:

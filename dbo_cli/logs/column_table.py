@@ -7,7 +7,7 @@ A reader of a format finds the columns, their units, scales and the clock; every
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,7 +27,6 @@ from dbo_cli.logs.sample_block import (
     Table,
     are_measured,
 )
-from dbo_cli.records import dataclass
 
 Fetch = Callable[[int, int], Any]
 """Gives the stored values of rows start..stop (from 0, stop not included)."""
@@ -85,7 +84,7 @@ class ColumnSource:
         stored = np.asarray(self.fetch(start, stop))
         values = np.ascontiguousarray(stored, dtype=np.float64)
         if self.missing:
-            absent = np.logical_or.reduce([stored == one for one in self.missing])
+            absent = np.logical_or.reduce([stored == code for code in self.missing])
             if absent.any():
                 values = np.where(absent, np.nan, values)
         if self.scale != 1.0:
@@ -122,7 +121,7 @@ def listed_source(name: str, values: list[Any]) -> ColumnSource | None:
     """
     from dbo_cli.logs.text.lines import stamp_seconds, to_number
 
-    first = next((one for one in values if one is not None), None)
+    first = next((value for value in values if value is not None), None)
     stamps, unit = isinstance(first, str), None
     start = stamp_seconds(first) if isinstance(first, str) else None
     numbers, bad = np.full(len(values), np.nan), []
@@ -169,10 +168,10 @@ def with_unit(source: ColumnSource, member: Callable[[str], Any]) -> ColumnSourc
 
 def statements_in(values: Mapping[str, Any]) -> list[Statement]:
     """Read what named values state of the sample rate; its unit is ``NAME_units`` or ``NAME_unit``."""
-    found: list[Statement] = []
+    statements: list[Statement] = []
     for name, value in values.items():
-        found += read_statements(name, value, values.get(f"{name}_units", values.get(f"{name}_unit")))
-    return found
+        statements += read_statements(name, value, values.get(f"{name}_units", values.get(f"{name}_unit")))
+    return statements
 
 
 # What netCDF's library leaves where nothing was written: NC_FILL_FLOAT and NC_FILL_DOUBLE, one number.
@@ -264,13 +263,13 @@ class ColumnTable(Table):
             raise InputError(f"{self.place}: no columns of numbers: it holds {instead}{self.remedy}")
         self.notes, self.columns = [], []
         self.dropped, self.doubtful = DroppedRows(), []
-        for number, one in enumerate(self.sources, start=1):
-            info = column_info(one.label.rsplit("/", 1)[-1], number, one.unit)
-            self.columns.append(replace(info, name=one.label))
+        for number, source in enumerate(self.sources, start=1):
+            info = column_info(source.label.rsplit("/", 1)[-1], number, source.unit)
+            self.columns.append(replace(info, name=source.label))
 
     def describe(self) -> str:
         """Describe in one line how the log is written, for ``verbose``."""
-        stated = [one for one in self.clock if one.rate]
+        stated = [statement for statement in self.clock if statement.rate]
         rate = f", {stated[0].rate:g} samples a second" if stated else ""
         return f"{self.place}: {self.kind}, {counted(len(self.sources), 'column')}{self.where}{rate}"
 
@@ -283,9 +282,9 @@ class ColumnTable(Table):
             The rate cannot be read, or the columns are sampled at different rates.
         """
         picked = [self.sources[column.number - 1] for column in columns]
-        own = [one for source in picked for one in source.clock]
+        statements = [statement for source in picked for statement in source.clock]
         # What a column states of itself goes before what the file states as a whole.
-        rate = agreed_rate(self.place, own or self.clock, self.notes)
+        rate = agreed_rate(self.place, statements or self.clock, self.notes)
         starts = {source.start for source in picked}
         if len(starts) > 1:
             listed = ", ".join(f"'{source.label}' at {source.start:g} s" for source in picked)

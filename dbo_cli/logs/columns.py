@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from functools import cache
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,8 +18,7 @@ from numpy.typing import ArrayLike
 from dbo_cli.errors import InputError, OutputError, UsageError
 from dbo_cli.logs.plain_text import cleaned, counted, pattern
 from dbo_cli.logs.sample_block import ColumnInfo
-from dbo_cli.logs.units import is_known_unit, kind_of_unit, normalise_unit
-from dbo_cli.records import dataclass
+from dbo_cli.logs.units import DRIVING_KINDS, MOVED_KINDS, is_known_unit, kind_of_unit, normalise_unit
 
 # How headers state units: ``voltage (V)``, ``voltage/V``, ``voltage_V``, ``voltage in milli volts``.
 _BRACKETED = pattern(r"^(?P<quantity>.*?)\s*[\[(<{](?P<unit>[^\[\](){}<>]*)[\])>}]\s*$", re.DOTALL)
@@ -150,6 +149,16 @@ _TEMPERATURES = frozenset(
      "температура", "温度", "thermocouple", "thermistor")
 )  # fmt: skip
 """Words of a temperature, which is no voltage and no displacement whatever else its name says."""
+_DRIVING_WORDS = frozenset(
+    ("pressure", "current", "force", "field", "temperature", "temp", "charge", "power", "pwm", "duty",
+     "druck", "strom", "kraft", "feld", "temperatur", "ladung", "leistung")
+)  # fmt: skip
+"""Words of what drives actuators besides a voltage."""
+_MOVED_WORDS = frozenset(
+    ("strain", "angle", "torque", "elongation", "force", "flux", "induction", "flow", "magnetization",
+     "polarization", "dehnung", "winkel", "drehmoment", "kraft", "durchfluss")
+)  # fmt: skip
+"""Words of what actuators give besides a displacement."""
 _PLACES = frozenset(("length", "angle", "voltage", "share", "count"))  # a sensor may well give volts
 
 # Each role has one table of names:
@@ -205,6 +214,7 @@ ROLES = {
 }  # fmt: skip
 
 
+@lru_cache(maxsize=256)  # asked for at every call from Python
 def column_wish(
     role: str,
     selector: str | None = None,
@@ -269,18 +279,18 @@ def column_wish(
 def split_header(header: str) -> tuple[str, str | None]:
     """Split a header cell into its quantity and its normalised unit (or None)."""
     text = " ".join(header.split())
-    found = _BRACKETED.match(text)
-    if found and found["quantity"] and not is_torn(text):
-        inner = found["unit"].strip().lower()
-        symbol = _SYMBOL.fullmatch(text) and not is_known_unit(found["unit"])
+    match = _BRACKETED.match(text)
+    if match and match["quantity"] and not is_torn(text):
+        inner = match["unit"].strip().lower()
+        symbol = _SYMBOL.fullmatch(text) and not is_known_unit(match["unit"])
         if symbol or _INDEX.fullmatch(inner) or inner in _REMARKS:
             return text, None
-        return found["quantity"].strip().rstrip("_,"), normalise_unit(found["unit"])
+        return match["quantity"].strip().rstrip("_,"), normalise_unit(match["unit"])
     for written in (_SLASHED, _SUFFIXED):
-        found = written.match(text)
-        if found is None or found["unit"].strip("[](){}<>") != found["unit"]:  # half a bracket is no unit
+        match = written.match(text)
+        if match is None or match["unit"].strip("[](){}<>") != match["unit"]:  # half a bracket is no unit
             continue
-        quantity, unit = found["quantity"].strip(), found["unit"]
+        quantity, unit = match["quantity"].strip(), match["unit"]
         apart = _PREFIXED.fullmatch(quantity)
         if apart is not None:  # milli volts
             quantity, unit = apart["quantity"].rstrip(" /"), apart["prefix"] + unit
@@ -295,6 +305,7 @@ def is_torn(text: str) -> bool:
     return unlike or _HASHED.search(text) is not None
 
 
+@lru_cache(maxsize=256)
 def column_info(header: str | None, number: int, unit: str | None = None) -> ColumnInfo:
     """Describe column ``number`` (from 1) by its header cell; a unit given apart (units line) goes first."""
     header, unit = cleaned(header or ""), cleaned(unit or "")  # no command for a terminal, no half a letter
@@ -302,18 +313,18 @@ def column_info(header: str | None, number: int, unit: str | None = None) -> Col
         header = header[1:]  # what keeps a spreadsheet from taking it for a formula
     if not header:
         return ColumnInfo(str(number), normalise_unit(unit or ""), "", number)
-    quantity, own = split_header(header)
+    quantity, unit_in_name = split_header(header)
     bare = header.strip(" /_")  # "/nm": the name is lost
-    if own is None and bare != "m" and kind_of_unit(normalise_unit(bare)) in _NAMING:
-        own = normalise_unit(bare)
-    return ColumnInfo(header, normalise_unit(unit or "") or own, quantity, number)
+    if unit_in_name is None and bare != "m" and kind_of_unit(normalise_unit(bare)) in _NAMING:
+        unit_in_name = normalise_unit(bare)
+    return ColumnInfo(header, normalise_unit(unit or "") or unit_in_name, quantity, number)
 
 
 def contradicted_unit(column: ColumnInfo) -> str | None:
     """Return the unit that a column's name states where it is another than the one it was given apart."""
-    own = split_header(column.name.rsplit("/", 1)[-1])[1] if column.quantity else None
-    known = own is not None and column.unit is not None and is_known_unit(own)
-    return own if known and own != column.unit else None
+    unit_in_name = split_header(column.name.rsplit("/", 1)[-1])[1] if column.quantity else None
+    known = unit_in_name is not None and column.unit is not None and is_known_unit(unit_in_name)
+    return unit_in_name if known and unit_in_name != column.unit else None
 
 
 def column_label(column: ColumnInfo) -> str:
@@ -325,9 +336,14 @@ def list_columns(columns: Sequence[ColumnInfo]) -> str:
     """List the columns of a log for an error message, shortened when there are many."""
     if not any(column.quantity for column in columns):
         return f"it has {counted(len(columns), 'column')} without names"
-    shown = [f"{one.number} {one.name}" if one.quantity else str(one.number) for one in columns[:_LISTED]]
-    more = f", … ({len(columns)} in all)" if len(columns) > _LISTED else ""
-    return f"it has {', '.join(shown)}{more}"
+    shown = []
+    for column in columns[:_LISTED]:
+        name = f" {column.name}" if column.quantity else ""
+        shown.append(f"{column.number}{name}")
+    text = f"it has {', '.join(shown)}"
+    if len(columns) > _LISTED:
+        text += f", … ({len(columns)} in all)"
+    return text
 
 
 def any_of(names: Sequence[str]) -> str:
@@ -346,38 +362,50 @@ def find_column(place: str, columns: Sequence[ColumnInfo], selector: str, option
     UsageError
         The number is 0 or negative.
     """
-    how, given, rest = selector.partition("=")
-    how = how if given and how in ("number", "name") else ""
-    selector = rest if how else selector
+    how, separator, rest = selector.partition("=")
+    if separator and how in ("number", "name"):
+        selector = rest
+    else:
+        how = ""
     if re.fullmatch(r"[+-]?\d{1,15}", selector) and how != "name":
-        number = int(selector)
         if not how:
             _ask_about_number(place, columns, selector, option)
-        if number < 1:
-            raise UsageError(f"`{option}` {selector}: columns are counted from 1")
-        if number > len(columns):
-            has = counted(len(columns), "column")
-            raise InputError(f"{place}: there is no column {number}: it has {has}")
-        return columns[number - 1]
+        return _column_number(place, columns, int(selector), f"`{option}` {selector}")
+    return _column_named(place, columns, selector, option)
+
+
+def _column_number(place: str, columns: Sequence[ColumnInfo], number: int, typed: str) -> ColumnInfo:
+    if number < 1:
+        raise UsageError(f"{typed}: columns are counted from 1")
+    if number > len(columns):
+        has = counted(len(columns), "column")
+        raise InputError(f"{place}: there is no column {number}: it has {has}")
+    return columns[number - 1]
+
+
+def _column_named(place: str, columns: Sequence[ColumnInfo], selector: str, option: str) -> ColumnInfo:
+    """Find a column by its name, by its name in other capitals, its quantity, or a part of its name."""
     wanted = cleaned(selector)
-    named = [(one, " ".join(one.name.split()), one.quantity) for one in columns if one.quantity]
-    for found in (
-        [column for column, name, _ in named if name == wanted],
-        [column for column, name, _ in named if name.lower() == wanted.lower()],
-        [column for column, _, quantity in named if quantity.lower() == wanted.lower()],
+    lower = wanted.lower()
+    named = [column for column in columns if column.quantity]
+    names = {column.number: " ".join(column.name.split()) for column in named}
+    for matching in (
+        [column for column in named if names[column.number] == wanted],
+        [column for column in named if names[column.number].lower() == lower],
+        [column for column in named if column.quantity.lower() == lower],
     ):
-        if len(found) == 1:
-            return found[0]
-        if found:
-            numbers = any_of([str(column.number) for column in found])
+        if len(matching) == 1:
+            return matching[0]
+        if matching:
+            numbers = any_of([str(column.number) for column in matching])
             raise InputError(
                 f"{place}: column '{selector}' occurs more than once: give its number (`{option}` {numbers})"
             )
-    fitting = [column for column, name, _ in named if fits_pattern(name, wanted)]
+    fitting = [column for column in named if fits_pattern(names[column.number], wanted)]
     if len(fitting) > 1:
-        names = any_of([f"'{column.name}'" for column in fitting[:3]])
+        shown = any_of([f"'{column.name}'" for column in fitting[:3]])
         raise InputError(
-            f"{place}: `{option}` {selector} fits {len(fitting)} columns: {names}? (give more of it)"
+            f"{place}: `{option}` {selector} fits {len(fitting)} columns: {shown}? (give more of it)"
         )
     if fitting:
         return fitting[0]
@@ -393,8 +421,8 @@ def fits_pattern(name: str, pattern: str) -> bool:
 def _ask_about_number(place: str, columns: Sequence[ColumnInfo], selector: str, option: str) -> None:
     """Refuse a number that is the name of another column than the one at that place (InputError)."""
     number = int(selector)
-    named = [one for one in columns if one.quantity and one.name.strip() == selector]
-    if any(one.number != number for one in named) and 1 <= number <= len(columns):
+    named = [column for column in columns if column.quantity and column.name.strip() == selector]
+    if any(column.number != number for column in named) and 1 <= number <= len(columns):
         raise InputError(
             f"{place}: `{option}` {selector}: column {selector}, '{columns[number - 1].name}', or column "
             f"{named[0].number}, which is named '{selector}'? "
@@ -467,13 +495,13 @@ def _misspelled(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[ColumnI
 
 
 def _suspects(
-    fitting: Sequence[ColumnInfo], wish: ColumnWish, found: bool, others: Sequence[ColumnInfo]
+    fitting: Sequence[ColumnInfo], wish: ColumnWish, has_name: bool, lesser: Sequence[ColumnInfo]
 ) -> list[ColumnInfo]:
     """Find what may be meant beside a column that has no whole name: names run together, letters in words.
 
     Where no unit supports what was found by a lesser name, any column of an unknown name may be meant.
     """
-    sure = found or all(kind_of_unit(column.unit) in wish.proving_units for column in others)
+    sure = has_name or all(kind_of_unit(column.unit) in wish.proving_units for column in lesser)
     long_names = [name for name in wish.guesses if len(name) >= 4]
     return [
         column
@@ -584,29 +612,17 @@ def choose_columns(
         A named column is absent, or a guess finds none or several.
     """
     role_columns: dict[str, ColumnInfo] = {}
-    guessed: dict[str, ColumnWish] = {}
     for role, wish in wishes.items():
-        if wish.selector is None:
-            guessed[role] = wish
-        else:
+        if wish.selector is not None:
             role_columns[role] = find_column(place, columns, wish.selector, wish.option)
     used = {column.number for column in [*reserved, *role_columns.values()]}
     free = [column for column in columns if column.number not in used]
-    unclear: dict[str, list[ColumnInfo]] = {}
-    for role, wish in guessed.items():
-        candidates = matching_columns(free, wish)
-        if not candidates and wish.required and len(wishes) == 1 and len(free) == 1:
-            candidates = _last_column(free, wish)
-        if not candidates and wish.required and role in ("voltage", "displacement") and notes is not None:
-            candidates, reason = _only_candidate(free, columns, wish)
-            for column in candidates:
-                remedy = f"(`{wish.option}` names another)"
-                notes.append(f"{place}: '{column.name}' is taken for the {role}: {reason} {remedy}")
-        if len(candidates) == 1:
-            role_columns[role] = candidates[0]
-            free = [column for column in free if column.number != candidates[0].number]
-        elif candidates or wish.required:
-            unclear[role] = candidates
+    reasons: dict[str, str] = {}
+    unclear = _guess_roles(columns, free, wishes, role_columns, None if notes is None else reasons)
+    if notes is not None:
+        for role, reason in reasons.items():
+            name, remedy = role_columns[role].name, f"(`{wishes[role].option}` names another)"
+            notes.append(f"{place}: '{name}' is taken for the {_ROLE_WORDS[role]}: {reason} {remedy}")
     if unclear:
         numbers = [column.number for column in free]
         raise InputError(_not_unique(place, columns, wishes, unclear, numbers, timed))
@@ -615,6 +631,75 @@ def choose_columns(
         for role, wish in wishes.items()
         if role in role_columns
     }
+
+
+def _guess_roles(
+    columns: Sequence[ColumnInfo],
+    free: list[ColumnInfo],
+    wishes: Mapping[str, ColumnWish],
+    role_columns: dict[str, ColumnInfo],
+    reasons: dict[str, str] | None,
+) -> dict[str, list[ColumnInfo]]:
+    """Give each role that has no column the only one that may be meant.
+
+    Parameters
+    ----------
+    columns
+        All columns of the log.
+    free
+        Those that have no role yet; what is found is taken out.
+    wishes
+        Role to wish.
+    role_columns
+        Takes what is found.
+    reasons
+        Takes why a column was taken for its unit or its place alone, by role; None where nobody hears it:
+        names alone count then.
+
+    Returns
+    -------
+    dict
+        What may be meant for each role that is not clear.
+    """
+    unclear: dict[str, list[ColumnInfo]] = {}
+    for role, wish in wishes.items():
+        if role in role_columns:
+            continue
+        candidates, reason = _candidates(free, columns, role, wish, len(wishes), reasons is not None)
+        if len(candidates) == 1:
+            role_columns[role] = candidates[0]
+            free.remove(candidates[0])
+            if reasons is not None and reason:
+                reasons[role] = reason
+        elif candidates or wish.required:
+            unclear[role] = candidates
+    if reasons is None or any(unclear.values()):
+        return unclear
+    left, reason = _by_what_is_left(free, wishes, list(unclear))
+    for role, column in left.items():
+        role_columns[role] = column
+        reasons[role] = reason
+        del unclear[role]
+    return unclear
+
+
+def _candidates(
+    free: Sequence[ColumnInfo],
+    columns: Sequence[ColumnInfo],
+    role: str,
+    wish: ColumnWish,
+    wishes: int,
+    by_unit: bool,
+) -> tuple[list[ColumnInfo], str]:
+    """Find the columns that may be meant, and why, where no name says it (only with ``by_unit``)."""
+    candidates = matching_columns(free, wish)
+    if candidates or not wish.required:
+        return candidates, ""
+    if wishes == 1 and len(free) == 1:
+        candidates = _last_column(free, wish)
+    if not candidates and by_unit and role in ("voltage", "displacement"):
+        return _only_candidate(free, columns, wish)
+    return candidates, ""
 
 
 def _last_column(free: Sequence[ColumnInfo], wish: ColumnWish) -> list[ColumnInfo]:
@@ -640,6 +725,84 @@ def _only_candidate(
     if proved or wish.preferred:
         return [], ""
     return _only_card_channel(free, columns, wish)
+
+
+_RESULTS = frozenset(("displacement", "measured"))
+"""Roles of what comes out of an actuator, whatever quantity it is; ``voltage`` is that of what drives it."""
+_ROLE_WORDS = {"voltage": "drive", "displacement": "displacement", "measured": "measured signal"}
+
+
+def _by_what_is_left(
+    free: Sequence[ColumnInfo], wishes: Mapping[str, ColumnWish], absent: Sequence[str]
+) -> tuple[dict[str, ColumnInfo], str]:
+    """Find the drive and what came out by elimination, in logs of other actuators than piezos.
+
+    Where one role is known, the only column that is left has the other; so has the only one that drives
+    actuators (a pressure, a current) or that they give (an angle, a strain). Of two columns left for two
+    roles each must fit one of them alone.
+
+    Returns
+    -------
+    dict, str
+        The column of each role that is absent, and why it is meant; empty where that is not clear.
+    """
+    if not set(absent) <= {"voltage", *_RESULTS}:
+        return {}, ""
+    numbered = [column for column in free if column.written == "numbers" and column.quantity]
+    measured = [column for column in numbered if not _ORDERS & set(_words(column.name))]
+    if len(absent) == 1:
+        column, reason = _the_rest(numbered, wishes[absent[0]], absent[0], len(wishes))
+        return ({}, "") if column is None else ({absent[0]: column}, reason)
+    if len(absent) != 2 or len(measured) != 2 or len(numbered) != 2:
+        return {}, ""
+    orders = []
+    for drive, result in (measured, measured[::-1]):
+        if _drives(drive) and _is_moved(result):
+            orders.append({role: drive if role == "voltage" else result for role in absent})
+    return (orders[0], "of the two columns it alone can be") if len(orders) == 1 else ({}, "")
+
+
+def _the_rest(
+    numbered: Sequence[ColumnInfo], wish: ColumnWish, role: str, wishes: int
+) -> tuple[ColumnInfo | None, str]:
+    """Find the column of the only role that is absent, and why it is meant; None where that is not clear."""
+    if role == "voltage":
+        fits, contrary, wrong_words = _drives, _is_moved, wish.contrary - _TEMPERATURES | _ORDERS
+    else:
+        fits, contrary, wrong_words = _is_moved, _drives, wish.contrary | _ORDERS
+    fitting, rest = [], []
+    for column in numbered:
+        words = set(_words(column.name))
+        if fits(column) and not words & wrong_words:
+            fitting.append(column)
+        elif not contrary(column) and not words & (wish.foreign | _ORDERS):
+            rest.append(column)
+    if len(fitting) == 1 and not rest:
+        return fitting[0], "no other column has such a quantity"
+    if wishes != 2 or len(numbered) != 1 or len(rest) != 1:
+        return None, ""
+    words = set(_words(rest[0].name))
+    if words & wish.contrary:
+        return None, ""
+    if words & _READINGS:
+        return rest[0], "no other column is left; a monitor's scale is its own (`scale` gives it)"
+    return rest[0], "no other column is left"
+
+
+def _drives(column: ColumnInfo) -> bool:
+    """Return whether a column is a quantity that drives actuators besides a voltage."""
+    kind = kind_of_unit(column.unit)
+    if kind is not None:
+        return kind in DRIVING_KINDS
+    return column.quantity.lower() in _DRIVING_WORDS
+
+
+def _is_moved(column: ColumnInfo) -> bool:
+    """Return whether a column is a quantity that actuators give, as displacement is."""
+    kind = kind_of_unit(column.unit)
+    if kind in ("length", "angle") or kind in MOVED_KINDS:
+        return True
+    return kind in (None, "share") and column.quantity.lower() in _MOVED_WORDS
 
 
 def _only_card_channel(
@@ -680,16 +843,21 @@ def _not_unique(
         example = " ".join(f"`{option}` {number}" for option, number in zip(options, free, strict=False))
         which = ", which the ".join(role_names.values())
         return f"{place}: {list_columns(columns)}: which is the {which}? (such as {example})"
-    questions, absent = [], []
+    questions, absent, absent_roles = [], [], []
     for role, candidates in unclear.items():
         if candidates:
             names = any_of([f"'{column.name}'" for column in candidates])
             questions.append(f"which column is the {role_names[role]}, {names}?")
         else:
+            absent_roles.append(role)
             absent.append(role_names[role] + _order_instead(columns, wishes[role]))
     if absent:
         nothing = f"no column is recognised as the {' nor as the '.join(absent)}"
         questions.append(f"{nothing}: {list_columns(columns)}")
+    if set(absent_roles) == {"voltage", "displacement"} and len(free) == 2:
+        first, second = (f"'{column.name}'" for column in columns if column.number in free)
+        both_ways = f"`voltage` {first} `displacement` {second}, or `voltage` {second} `displacement` {first}"
+        return f"{place}: {' '.join(questions)} ({both_ways})"
     options = [f"`{wishes[role].option}`" for role in unclear]
     return f"{place}: {' '.join(questions)} (choose with {' and '.join(options)} NAME or NUMBER)"
 
@@ -735,7 +903,8 @@ class OutColumn:
         name, unit = cleaned(self.name), cleaned(self.unit or "")
         if not unit or split_header(name)[1] == unit:
             return name
-        return f"{name}_{unit}" if is_known_unit(unit) else f"{name} ({unit})"
+        is_plain = is_known_unit(unit) and "/" not in unit
+        return f"{name}_{unit}" if is_plain else f"{name} ({unit})"
 
 
 def unique_headers(columns: Sequence[OutColumn]) -> list[str]:

@@ -13,13 +13,12 @@ import numbers
 import os
 import re
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 from dbo_cli.errors import DboError, InputError, UsageError
 from dbo_cli.logs.libraries import GAVE_UP
-from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
     from dbo_cli.logs.units import Scale
@@ -104,8 +103,8 @@ class Address:
 
     def refuse_other(self, named: str, shown: str | None = None) -> None:
         """Refuse a format that contradicts the name (UsageError); a name without a known ending does not."""
-        own, unlike = _kind_by_name(self.path), {"csv": ".tsv", "tsv": ".csv"}.get(named, "::")
-        if own is not None and (own != FORMATS[named] or _plain(self.path).endswith(unlike)):
+        kind, unlike = _kind_by_name(self.path), {"csv": ".tsv", "tsv": ".csv"}.get(named, "::")
+        if kind is not None and (kind != FORMATS[named] or _plain(self.path).endswith(unlike)):
             raise UsageError(
                 f"{shown or self.text}: `format` {named} contradicts this name: leave one of them out"
             )
@@ -125,7 +124,7 @@ def _kind_by_name(path: str) -> str | None:
     return "text" if _plain(path).endswith(TEXT_ENDINGS) else None
 
 
-def parse_address(given: Given, format: str | None = None) -> Address:
+def parse_address(source: Given, format: str | None = None) -> Address:
     """Take the text of a name apart; an address is returned as it is.
 
     Raises
@@ -133,9 +132,9 @@ def parse_address(given: Given, format: str | None = None) -> Address:
     UsageError
         The text is empty, the format is unknown, or a group is asked of a text file.
     """
-    if isinstance(given, Address) and format in (None, given.format):
-        return given
-    text = given.text if isinstance(given, Address) else os.fspath(given)
+    if isinstance(source, Address) and format in (None, source.format):
+        return source
+    text = source.text if isinstance(source, Address) else os.fspath(source)
     if not text:
         raise UsageError("an empty file name was given")
     if format is not None and format not in FORMATS:
@@ -151,7 +150,7 @@ def parse_address(given: Given, format: str | None = None) -> Address:
     return Address(text, path, group or "/", kind or "hdf5", format)
 
 
-def parse_output(given: Given, format: str | None = None) -> Address:
+def parse_output(source: Given, format: str | None = None) -> Address:
     """Take the name of a signal to be written apart; its ending chooses the format.
 
     Raises
@@ -160,7 +159,7 @@ def parse_output(given: Given, format: str | None = None) -> Address:
         As for :func:`parse_address`; or the name belongs to a format that is not written, or contradicts
         ``format``.
     """
-    target = parse_address(given, format)
+    target = parse_address(source, format)
     lower = target.path.lower()
     for ending, reason in _NOT_WRITTEN.items():
         if lower.endswith((ending, ending + ".gz")):
@@ -187,20 +186,20 @@ def check_document(address: Given, what: str, form: str) -> None:
     UsageError
         The name ends in what belongs to another format.
     """
-    own, path = _DOCUMENTS[form], parse_address(address).path
-    known = {".csv", ".tsv", ".gz", *HDF5_ENDINGS, *_NOT_WRITTEN} - set(own)
+    endings, path = _DOCUMENTS[form], parse_address(address).path
+    known = {".csv", ".tsv", ".gz", *HDF5_ENDINGS, *_NOT_WRITTEN} - set(endings)
     named = _longest_ending(path, known)
     if named:
         stem = path
-        while ending := _longest_ending(stem, known | {*own, ".txt"}):
+        while ending := _longest_ending(stem, known | {*endings, ".txt"}):
             stem = stem[: -len(ending)]
         kind = "text" if form == "text" else form.upper()
-        better = stem + (own[0] if own else ".txt")
+        better = stem + (endings[0] if endings else ".txt")
         raise UsageError(f"{path}: {what} is written as {kind}, not as {named}: call it {better}")
 
 
 def _longest_ending(path: str, endings: Collection[str]) -> str:
-    return max((one for one in endings if path.lower().endswith(one)), key=len, default="")
+    return max((ending for ending in endings if path.lower().endswith(ending)), key=len, default="")
 
 
 def check_format(named: str | None, addresses: Sequence[Address]) -> None:
@@ -211,9 +210,9 @@ def check_format(named: str | None, addresses: Sequence[Address]) -> None:
     UsageError
         Every name has a format of its own, and one of them another than ``named``.
     """
-    if named is not None and all(one.kind is not None for one in addresses):
-        for one in addresses:
-            one.refuse_other(named)
+    if named is not None and all(address.kind is not None for address in addresses):
+        for address in addresses:
+            address.refuse_other(named)
 
 
 def other_file(selector: str | None) -> tuple[str, str] | None:
@@ -230,7 +229,7 @@ def other_file(selector: str | None) -> tuple[str, str] | None:
 def selected_files(*selectors: str | None) -> list[str]:
     """List the files that ``FILE::COLUMN`` names: no output may overwrite them."""
     named = [other_file(selector) for selector in selectors]
-    return [found[0].partition("::")[0] for found in named if found is not None]
+    return [match[0].partition("::")[0] for match in named if match is not None]
 
 
 def without_folder(selector: str) -> str:
@@ -287,6 +286,9 @@ class ReadingOptions:
         Factors by role, ``voltage=20`` or ``displacement=10um/V``.
     sample_rate : float, optional
         Samples a second (Hz) of a log without a time column; replaces a column that was only guessed.
+    clock_offset : float or "auto", optional
+        Seconds to be added to the clock of the drive's file where columns of several files are joined by
+        time; auto: found from what both recorded.
     rows : tuple of int
         The first and the last data row to take, counted from 1 (last None: to the end).
     skip_bad : bool
@@ -315,6 +317,7 @@ class ReadingOptions:
     time_unit: str | None = None
     scale: tuple[str, ...] = ()
     sample_rate: float | None = None
+    clock_offset: float | str | None = None
     rows: Rows = ALL_ROWS
     skip_bad: bool = False
     resample: float | None = None
@@ -380,12 +383,15 @@ class ReadingOptions:
 
     def chosen(self) -> dict[str, object]:
         """Return what the user gave, under its parameter's name; how many rows are held changes nothing."""
-        own = [one for one in dataclasses.fields(self) if one.name != "block_rows"]
-        given = {one.name: value for one in own if (value := getattr(self, one.name)) != one.default}
-        if "rows" in given:
+        chosen = {}
+        for option in dataclasses.fields(self):
+            value = getattr(self, option.name)
+            if option.name != "block_rows" and value != option.default:
+                chosen[option.name] = value
+        if "rows" in chosen:
             first, last = self.rows
-            given["rows"] = f"{first if first > 1 else ''}:{'' if last is None else last}"
-        return given
+            chosen["rows"] = f"{first if first > 1 else ''}:{'' if last is None else last}"
+        return chosen
 
     @cached_property
     def delimiter_character(self) -> str | None:
@@ -398,11 +404,11 @@ class ReadingOptions:
         """
         if self.delimiter is None:
             return None
-        found = DELIMITERS.get(self.delimiter.lower(), self.delimiter.replace("\\t", "\t"))
-        if len(found) != 1 or found.isalnum() or found in '."\n\r':
+        character = DELIMITERS.get(self.delimiter.lower(), self.delimiter.replace("\\t", "\t"))
+        if len(character) != 1 or character.isalnum() or character in '."\n\r':
             names = ", ".join(DELIMITERS)
             raise UsageError(f"`delimiter` {self.delimiter}: give a single character or one of {names}")
-        return found
+        return character
 
     @cached_property
     def decimal_sign(self) -> str | None:
@@ -415,10 +421,10 @@ class ReadingOptions:
         """
         if self.decimal is None:
             return None
-        found = DECIMALS.get(self.decimal.lower())
-        if found is None:
+        sign = DECIMALS.get(self.decimal.lower())
+        if sign is None:
             raise UsageError(f"`decimal` {self.decimal}: give point or comma")
-        return found
+        return sign
 
 
 def checked_rate(rate: float | None, name: str = "sample_rate") -> float | None:
@@ -435,7 +441,7 @@ def checked_rate(rate: float | None, name: str = "sample_rate") -> float | None:
     return float(rate)
 
 
-def parse_rows(given: object) -> Rows:
+def parse_rows(rows: object) -> Rows:
     """Read ``A:B``, or a pair of numbers: data rows counted from 1, both ends included.
 
     Raises
@@ -443,18 +449,29 @@ def parse_rows(given: object) -> Rows:
     UsageError
         It is not of that form, or B is before A.
     """
-    rows = given
-    if isinstance(given, str):
-        found = re.fullmatch(r"([0-9]{0,18}):([0-9]{0,18})", given.strip())
-        rows = None if found is None else (int(found[1] or 1), int(found[2]) if found[2] else None)
-    pair: Any = rows if isinstance(rows, tuple | list) and len(rows) == 2 else ("", "")
-    if not all(type(number) is int for number in (pair[0], pair[1] or 1)):
-        raise UsageError(f"`rows` {given}: give A:B, data rows counted from 1, both ends included")
+    pair = _split_rows(rows) if isinstance(rows, str) else rows
+    if not _is_pair_of_rows(pair):
+        raise UsageError(f"`rows` {rows}: give A:B, data rows counted from 1, both ends included")
     first, last = pair
     if first < 1 or (last is not None and last < first):
-        text = given if isinstance(given, str) else f"{first}:{'' if last is None else last}"
+        text = rows if isinstance(rows, str) else f"{first}:{'' if last is None else last}"
         raise UsageError(f"`rows` {text}: rows are counted from 1, and the last is not before the first")
     return first, last
+
+
+def _split_rows(text: str) -> Rows | None:
+    """Return the two numbers of ``A:B``, None where it is not of that form."""
+    match = re.fullmatch(r"([0-9]{0,18}):([0-9]{0,18})", text.strip())
+    if match is None:
+        return None
+    return int(match[1] or 1), int(match[2]) if match[2] else None
+
+
+def _is_pair_of_rows(pair: object) -> TypeGuard[Rows]:
+    """Return whether these are a first row and a last one, or None for the end."""
+    if not isinstance(pair, tuple | list) or len(pair) != 2:
+        return False
+    return type(pair[0]) is int and type(pair[1] or 1) is int
 
 
 # --- what a reader of a format is given ------------------------------------------------------------------
@@ -494,10 +511,10 @@ class FileWatch:
 
 def _state_of(path: str) -> tuple[int, int, int] | None:
     try:
-        found = os.stat(path)
+        status = os.stat(path)
     except OSError:
         return None
-    return found.st_ino, found.st_size, found.st_mtime_ns
+    return status.st_ino, status.st_size, status.st_mtime_ns
 
 
 @dataclass(frozen=True)

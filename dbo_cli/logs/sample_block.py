@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError
-from dbo_cli.records import dataclass
 
 FloatArray = NDArray[np.float64]
 Places = range | NDArray[np.int64]
@@ -94,12 +93,12 @@ class SampleBlock:
             {role: values[start:stop] for role, values in self.values.items()},
         )
 
-    def chosen(self, kept: NDArray[np.bool_]) -> SampleBlock:
+    def chosen(self, mask: NDArray[np.bool_]) -> SampleBlock:
         """Return the samples that are marked."""
-        lines = None if self.lines is None else np.asarray(self.lines)[kept]
-        time = None if self.time is None else self.time[kept]
-        values = {role: values[kept] for role, values in self.values.items()}
-        return SampleBlock(np.asarray(self.rows)[kept], lines, time, values)
+        lines = None if self.lines is None else np.asarray(self.lines)[mask]
+        time = None if self.time is None else self.time[mask]
+        values = {role: values[mask] for role, values in self.values.items()}
+        return SampleBlock(np.asarray(self.rows)[mask], lines, time, values)
 
     def within(self, rows: tuple[int, int | None]) -> SampleBlock:
         """Return the samples whose row numbers lie from the first to the last of ``rows``, both included."""
@@ -171,10 +170,10 @@ class DroppedRows:
             self.named.append(bad)
         self.count += 1
 
-    def extend(self, others: DroppedRows) -> None:
+    def extend(self, later: DroppedRows) -> None:
         """Add what was left out elsewhere."""
-        self.named = (self.named + others.named)[:MOST_NAMED]
-        self.count += others.count
+        self.named = (self.named + later.named)[:MOST_NAMED]
+        self.count += later.count
 
     def note(self) -> str:
         """Return in one line what was left out."""
@@ -191,6 +190,7 @@ class Table:
     dropped: DroppedRows  # what ``skip_bad`` left out; complete after the last block
     doubtful: list[str]  # lines that were passed over in silence and may have been rows; likewise
     others: Sequence[str] = ()  # the addresses of further files that were joined
+    warnings: Sequence[str] = ()  # what may spoil a result; complete after the last block
     found_time: Any = None  # what ``clock.find_time_column`` found, where it looked already
 
     def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:

@@ -7,6 +7,7 @@ import io
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from itertools import repeat
 from typing import IO, TYPE_CHECKING, Protocol, cast
 
@@ -19,7 +20,6 @@ from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.request import BLOCK_ROWS, Address, Given, parse_output
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.whole_output import KEPT, KeptSignal, check_output, is_replaceable, opened
-from dbo_cli.records import dataclass
 from dbo_cli.version import program_version_string
 
 if TYPE_CHECKING:
@@ -161,10 +161,10 @@ def signal_writer(
         It cannot be written.
     """
     target = parse_output(address, format)
-    if (kept := KEPT.get()) is not None:
+    if (outputs := KEPT.get()) is not None:
         keeper = _Keeper(columns)
         yield keeper
-        kept.signals.append(KeptSignal(target, columns, format, attributes(), keeper.arrays(), commented))
+        outputs.signals.append(KeptSignal(target, columns, format, attributes(), keeper.arrays(), commented))
         return
     check_output(target, protect)
     if target.kind == "hdf5":

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,7 +21,6 @@ from dbo_cli.logs.columns import ColumnWish, choose_columns, column_info, find_c
 from dbo_cli.logs.request import ALL_ROWS, BLOCK_ROWS, ReadingOptions, Rows, checked_rate
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, TimeCheck, joined, require_even
 from dbo_cli.logs.units import ONE, UnitFactor, unit_factor
-from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
     import pandas
@@ -250,12 +249,18 @@ class ArraySource(Source):
         has_time = self.time is not None or self.sample_rate is not None
         super().__init__(name, dict(columns), has_time, self.sample_rate, self.sample_rate)
 
+    @property
+    def count(self) -> int:
+        """How many samples there are, whichever rows are handed out."""
+        return next(iter(self.values.values())).size
+
     def blocks(self) -> Iterator[SampleBlock]:
         """Return all samples, in blocks that caches hold."""
-        count = next(iter(self.values.values())).size
+        count = self.count
         time = self.time
         if time is None and self.sample_rate is not None:
-            time = np.arange(count) / self.sample_rate
+            time = np.arange(count, dtype=np.float64)
+            time /= self.sample_rate
         rows = range(1, count + 1)
         if self.time is not None:
             check = TimeCheck(self.name)

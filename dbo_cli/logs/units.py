@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,18 +16,17 @@ import numpy as np
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.plain_text import pattern, shortened
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray
-from dbo_cli.records import dataclass
 
 # SI units and prefixes as instruments spell them; below, other spellings that lower-case names have in use.
 _BASES = {
     "V": "voltage", "A": "current", "m": "length", "N": "force", "Hz": "frequency", "s": "time",
-    "rad": "angle", "Pa": "pressure", "T": "magnetic flux density", "g": "mass", "C": "charge", "W": "power",
+    "rad": "angle", "Pa": "pressure", "T": "induction", "g": "mass", "C": "charge", "W": "power",
     "ohm": "resistance",
 }  # fmt: skip
 _PREFIXES = {"": 0, "p": -12, "n": -9, "u": -6, "m": -3, "k": 3, "M": 6, "G": 9}
 KNOWN_UNITS = frozenset(prefix + unit for prefix in _PREFIXES for unit in _BASES) | {
     "min", "h", "deg", "arcsec", "K", "%", "degC", "counts", "cts", "LSB", "bit", "a.u.", "au", "cm", "dB",
-    "samples", "sample",
+    "samples", "sample", "bar", "mbar", "psi", "A/m", "kA/m", "Oe", "ppm", "Nm", "mNm",
 }  # fmt: skip
 TIME_WORDS = {
     "s": ("sec", "secs", "second", "seconds"),
@@ -69,12 +68,18 @@ _SIZES: dict[str, tuple[str, int, int]] = {  # what it measures, and its size as
     "pF": ("capacitance", 1, 10**12),
     "bar": ("pressure", 10**5, 1),
     "mbar": ("pressure", 100, 1),
+    "psi": ("pressure", 6_894_757_293_168, 10**9),
     "K": ("temperature", 1, 1),
+    "A/m": ("field", 1, 1),
+    "kA/m": ("field", 1000, 1),
+    "ppm": ("strain", 1, 10**6),
+    "mNm": ("torque", 1, 1000),
+    "Nm": ("torque", 1, 1),
 }
 _OTHER_KINDS = {
     "degC": "temperature", "°F": "temperature", "degF": "temperature", "%": "share", "dB": "level",
     "counts": "count", "cts": "count", "LSB": "count", "bit": "count", "a.u.": "count", "au": "count",
-    "samples": "number of samples", "sample": "number of samples",
+    "samples": "number of samples", "sample": "number of samples", "Oe": "field",
 }  # fmt: skip
 
 
@@ -134,8 +139,30 @@ def kind_of_unit(unit: str | None) -> str | None:
     """Return what a unit measures (``voltage``, ``length``, …), or None where that is not known."""
     if unit is None:
         return None
-    found = _SIZES.get(unit)
-    return found[0] if found else _OTHER_KINDS.get(unit)
+    size = _SIZES.get(unit)
+    return size[0] if size else _OTHER_KINDS.get(unit)
+
+
+DRIVING_KINDS = frozenset(("pressure", "current", "force", "field", "temperature", "charge", "power"))
+"""What drives actuators besides a voltage."""
+MOVED_KINDS = frozenset(("strain", "force", "torque", "induction"))
+"""What actuators give besides a displacement, which may be a length or an angle."""
+
+
+def quantity_name(role: str, unit: str | None) -> str:
+    """Return what a signal is called: by what its unit measures, else by its role.
+
+    Parameters
+    ----------
+    role
+        ``voltage`` or ``displacement``.
+    unit
+        A drive in N is a force, an output in ppm a strain; in V, um, deg, % and units that are not known
+        the role says it.
+    """
+    kinds = {"voltage": DRIVING_KINDS, "displacement": MOVED_KINDS}.get(role, frozenset())
+    kind = kind_of_unit(unit)
+    return kind if kind in kinds else role
 
 
 def without_prefix(unit: str | None) -> str | None:
@@ -146,7 +173,7 @@ def without_prefix(unit: str | None) -> str | None:
     return base if base in _SIZES and unit[0] in _PREFIXES else None
 
 
-def require_unit(name: str, given: float | str | None, unit: str | None, per: str | None = None) -> None:
+def require_unit(name: str, figure: float | str | None, unit: str | None, per: str | None = None) -> None:
     """Refuse a plain number where the unit that it would be read in has a prefix, as kV has.
 
     Parameters
@@ -164,7 +191,7 @@ def require_unit(name: str, given: float | str | None, unit: str | None, per: st
         100 may mean 100 V where the drive is in kV.
     """
     plain = without_prefix(unit)
-    value = _plain_number(given)
+    value = _plain_number(figure)
     if plain is None or value is None or value == 0.0 or not math.isfinite(value):
         return
     factor = unit_factor(plain, unit)
@@ -177,12 +204,12 @@ def require_unit(name: str, given: float | str | None, unit: str | None, per: st
     )
 
 
-def _plain_number(given: float | str | None) -> float | None:
+def _plain_number(figure: float | str | None) -> float | None:
     """Return a figure that has no unit of its own as a number; None for any other."""
-    if not isinstance(given, str):
-        return given
+    if not isinstance(figure, str):
+        return figure
     try:
-        return float(given)
+        return float(figure)
     except ValueError:
         return None
 
@@ -194,10 +221,10 @@ def unit_factor(unit: str | None, wanted: str | None) -> UnitFactor | None:
     """
     if unit == wanted or unit is None or wanted is None:
         return ONE
-    here, there = _SIZES.get(unit), _SIZES.get(wanted)
-    if here is None or there is None or here[0] != there[0]:
+    size, wanted_size = _SIZES.get(unit), _SIZES.get(wanted)
+    if size is None or wanted_size is None or size[0] != wanted_size[0]:
         return None
-    return UnitFactor(here[1], here[2]).times(there[2], there[1])
+    return UnitFactor(size[1], size[2]).times(wanted_size[2], wanted_size[1])
 
 
 @dataclass(frozen=True)
@@ -229,8 +256,8 @@ class Scale:
             return self.factor, column
         before = unit_factor(column.unit, self.unit_in)
         if before is None:
-            own = f"column '{column.name}' is in {column.unit}"
-            raise InputError(f"{place}: {own}, but `scale` {self} takes {self.unit_in}")
+            stated = f"column '{column.name}' is in {column.unit}"
+            raise InputError(f"{place}: {stated}, but `scale` {self} takes {self.unit_in}")
         return self.factor.times(before.numerator, before.denominator), replace(column, unit=self.unit_out)
 
 
@@ -239,7 +266,9 @@ _SCALE = pattern(
     rf"\s*(?P<role>[^=\s]+)\s*=\s*(?P<factor>{_NUMBER})"
     r"\s*(?:(?P<out>[^\s/\d.][^\s/]*)\s*/\s*(?P<in>[^\s/]+))?\s*"
 )
-_FIGURE = pattern(rf"\s*(?P<number>{_NUMBER})\s*(?P<unit>[^\s\d./][^\s\d/]*)?(?:/(?P<per>[^\s\d/]+))?\s*")
+_FIGURE = pattern(
+    rf"\s*(?P<number>{_NUMBER})\s*(?P<unit>[^\s\d./][^\s\d/]*)?(?:/(?P<per>[^\s\d/]+(?:/[^\s\d/]+)?))?\s*"
+)
 _LARGEST_POWER = 250  # of ten; float64 ends at 308, and a conversion of units besides takes up to 42 of them
 
 
@@ -254,7 +283,7 @@ def parse_factor(text: str) -> UnitFactor | None:
     return UnitFactor(*number.as_integer_ratio()) if abs(number.adjusted()) <= _LARGEST_POWER else None
 
 
-def in_unit(name: str, given: float | str, unit: str | None, per: str | None = None) -> float:
+def in_unit(name: str, figure: float | str, unit: str | None, per: str | None = None) -> float:
     """Return a figure in ``unit``: a number is in it already, a text such as ``1.2kV`` is converted.
 
     With ``per``, a unit of time, it is a speed: ``2V/ms``. ``name`` is the parameter, for messages.
@@ -264,24 +293,35 @@ def in_unit(name: str, given: float | str, unit: str | None, per: str | None = N
     UsageError
         It is no finite number, or its unit cannot be converted.
     """
-    if not isinstance(given, str):
-        return given
-    found = _FIGURE.fullmatch(given)
-    value = float(found["number"]) if found else math.nan
-    own = None if found is None or found["unit"] is None else normalise_unit(found["unit"])
-    if found is None or not math.isfinite(value) or (own is None and found["per"]):
+    if not isinstance(figure, str):
+        return figure
+    match = _FIGURE.fullmatch(figure)
+    own_unit, per_time = _unit_and_time(match)
+    value = float(match["number"]) if match else math.nan
+    if match is None or not math.isfinite(value) or (own_unit is None and per_time):
         example = f"5{unit or 'V'}{f'/{per}' if per else ''}"
         raise UsageError(
-            f"`{name}` {shortened(given)}: give a number, or one with its unit such as {example}"
+            f"`{name}` {shortened(figure)}: give a number, or one with its unit such as {example}"
         )
-    if own is None:
+    if own_unit is None:
         return value
-    above = unit_factor(own, unit) if unit is not None and kind_of_unit(own) is not None else None
-    below = unit_factor(normalise_unit(found["per"] or ""), per)
-    if above is None or below is None or bool(found["per"]) != bool(per):
+    above = unit_factor(own_unit, unit) if unit is not None and kind_of_unit(own_unit) is not None else None
+    below = unit_factor(per_time, per)
+    if above is None or below is None or bool(per_time) != bool(per):
         wanted = f"in {unit}{f'/{per}' if per else ''}" if unit else "without a unit"
-        raise UsageError(f"`{name}` {given}: cannot be converted; a figure {wanted} is needed")
+        raise UsageError(f"`{name}` {figure}: cannot be converted; a figure {wanted} is needed")
     return float(above.times(below.denominator, below.numerator).apply(np.array(value)))
+
+
+def _unit_and_time(figure: re.Match[str] | None) -> tuple[str | None, str | None]:
+    """Return the unit of a figure, and the unit of time behind its stroke: ``kA/m/s`` has both."""
+    if figure is None or figure["unit"] is None:
+        return None, None if figure is None else figure["per"]
+    unit, behind = figure["unit"], figure["per"] or ""
+    whole, _, time = behind.partition("/")
+    if whole and is_known_unit(f"{unit}/{whole}"):
+        unit, behind = f"{unit}/{whole}", time
+    return normalise_unit(unit), normalise_unit(behind)
 
 
 def parse_scale(text: str) -> Scale:
@@ -292,18 +332,18 @@ def parse_scale(text: str) -> Scale:
     UsageError
         It is not of that form, or the factor is zero or no float64.
     """
-    found, called = _SCALE.fullmatch(text), f"`scale` {shortened(text)}"
-    if found is None:
+    match, called = _SCALE.fullmatch(text), f"`scale` {shortened(text)}"
+    if match is None:
         raise UsageError(
             f"{called}: give ROLE=FACTOR or ROLE=FACTORUNIT/UNIT, such as voltage=20 or displacement=10um/V"
         )
-    if not re.search("[1-9]", re.split("[eE]", found["factor"])[0]):
+    if not re.search("[1-9]", re.split("[eE]", match["factor"])[0]):
         raise UsageError(f"{called}: a factor of 0 leaves nothing of the signal")
-    factor = parse_factor(found["factor"])
+    factor = parse_factor(match["factor"])
     if factor is None:
         raise UsageError(f"{called}: the factor is too large or too small")
-    units = normalise_unit(found["out"] or ""), normalise_unit(found["in"] or "")
-    return Scale(found["role"].lower(), factor, *units)
+    units = normalise_unit(match["out"] or ""), normalise_unit(match["in"] or "")
+    return Scale(match["role"].lower(), factor, *units)
 
 
 # --- units of time ---------------------------------------------------------------------------------------
@@ -351,10 +391,10 @@ def parse_time_unit(text: str) -> tuple[str, UnitFactor]:
     """
     if text.strip().lower().startswith(HHMMSS):
         return HHMMSS, ONE
-    found = _COUNT.fullmatch(text.strip())
-    unit = time_unit(found["unit"] if found else text)
-    count = parse_factor(found["number"]) if found else ONE
+    match = _COUNT.fullmatch(text.strip())
+    unit = time_unit(match["unit"] if match else text)
+    count = parse_factor(match["number"]) if match else ONE
     if unit is None or count is None or not count.numerator:
         names = ", ".join(FACTORS).replace(", d", " or d")
         raise UsageError(f"`time_unit` {shortened(text)}: give {names}, or a number of them such as 10us")
-    return text.strip() if found else unit, count.times(*FACTORS[unit])
+    return text.strip() if match else unit, count.times(*FACTORS[unit])

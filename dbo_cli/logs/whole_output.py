@@ -23,14 +23,13 @@ import unicodedata
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from contextvars import ContextVar
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import IO, TYPE_CHECKING
 
 from dbo_cli.errors import DboError, OutputError, UsageError
 from dbo_cli.logs.libraries import host
 from dbo_cli.logs.plain_text import pattern
 from dbo_cli.logs.request import Address, Given, parse_address
-from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
     from dbo_cli.logs.columns import OutColumn
@@ -60,15 +59,15 @@ def descriptor_of(path: str) -> int | None:
     """
     if os.name != "posix" or "\0" in path:
         return None
-    here = path
+    target = path
     for _ in range(_MOST_LINKS):
-        folder, name = os.path.split(here)
-        here = os.path.join(os.path.realpath(folder or "."), name)
-        found = _DESCRIPTOR.fullmatch(here)
-        if found:
-            return int(found[1])
+        folder, name = os.path.split(target)
+        target = os.path.join(os.path.realpath(folder or "."), name)
+        match = _DESCRIPTOR.fullmatch(target)
+        if match:
+            return int(match[1])
         try:
-            here = os.path.join(os.path.dirname(here), os.readlink(here))
+            target = os.path.join(os.path.dirname(target), os.readlink(target))
         except OSError:
             return None
     return None
@@ -96,27 +95,27 @@ def identity_of(address: Given, *, reading: bool = False) -> FileIdentity | None
     target = parse_address(address)
     descriptor = (0 if reading else 1) if target.is_stream else descriptor_of(target.path)
     try:
-        found = os.stat(target.path) if descriptor is None else os.fstat(descriptor)
+        status = os.stat(target.path) if descriptor is None else os.fstat(descriptor)
     except ValueError:
         return None
     except OSError:
         folder, name = os.path.split(os.path.realpath(target.path))
         if descriptor is not None or not os.path.isdir(folder):
             return None  # what is not open, or in no folder, is refused elsewhere
-        found = os.stat(folder)
+        status = os.stat(folder)
         if _ignores_case(folder):
             name = unicodedata.normalize("NFC", name).casefold()
-        return ("new", found.st_dev, found.st_ino, name)
-    if stat.S_ISREG(found.st_mode) or (stat.S_ISFIFO(found.st_mode) and not reading):
-        return ("file", found.st_dev, found.st_ino)
+        return ("new", status.st_dev, status.st_ino, name)
+    if stat.S_ISREG(status.st_mode) or (stat.S_ISFIFO(status.st_mode) and not reading):
+        return ("file", status.st_dev, status.st_ino)
     return None
 
 
 def _ignores_case(folder: str) -> bool:
     """Tell whether the file system finds a folder by its name in the other case, too."""
-    other = folder.swapcase()
+    swapped = folder.swapcase()
     try:
-        return other != folder and os.path.samefile(folder, other)
+        return swapped != folder and os.path.samefile(folder, swapped)
     except OSError:
         return False
 
@@ -138,10 +137,10 @@ def check_outputs(outputs: Sequence[Given], inputs: Sequence[Given] = ()) -> Non
     OutputError
         A folder is missing or not writable, an output is a folder, a name is too long.
     """
-    if sum(given == "-" or (isinstance(given, Address) and given.is_stream) for given in inputs) > 1:
+    if sum(address == "-" or (isinstance(address, Address) and address.is_stream) for address in inputs) > 1:
         raise UsageError("two inputs are standard input, which can be read once: give one of them as a file")
-    targets = [parse_address(one) for one in outputs]
-    read = {identity_of(given, reading=True) for given in _readable(inputs)}
+    targets = [parse_address(output) for output in outputs]
+    read = {identity_of(address, reading=True) for address in _readable(inputs)}
     written: dict[FileIdentity, Address] = {}
     for target in targets:
         which = identity_of(target) or (object(),)  # what may be used twice is like nothing else
@@ -158,9 +157,9 @@ def check_outputs(outputs: Sequence[Given], inputs: Sequence[Given] = ()) -> Non
 
 def _readable(inputs: Sequence[Given]) -> Iterator[Address]:
     """Leave out what is no file: the name of a state, an empty word, what does not exist."""
-    for given in inputs:
+    for address in inputs:
         with contextlib.suppress(DboError):
-            target = parse_address(given)
+            target = parse_address(address)
             if target.is_stream or os.path.exists(target.path):
                 yield target
 
@@ -257,8 +256,8 @@ def writers_in(folder: str, start: str = ".") -> dict[str, int]:
         names = os.listdir(folder or ".")
     except OSError:
         return {}  # a folder that may be written but not listed
-    found = ((name, _PARTIAL.fullmatch(name)) for name in names if name.startswith(start))
-    return {name: int(match[1]) for name, match in found if match is not None}
+    matches = ((name, _PARTIAL.fullmatch(name)) for name in names if name.startswith(start))
+    return {name: int(match[1]) for name, match in matches if match is not None}
 
 
 def is_running(process: int) -> bool:
@@ -341,24 +340,25 @@ class OutputSet:
         done = False
         while not done:
             with contextlib.ExitStack() as prepared:
-                for one in self.pending:
-                    with _telling(one.path):
-                        one.exclusive = prepared.enter_context(one.prepare(one.temporary))
-                        _bring_to_disk(one.temporary, os.O_RDWR)  # else a power failure leaves an empty file
+                for output in self.pending:
+                    with _telling(output.path):
+                        output.exclusive = prepared.enter_context(output.prepare(output.temporary))
+                        # Else a power failure leaves an empty file.
+                        _bring_to_disk(output.temporary, os.O_RDWR)
                         with contextlib.suppress(OSError):  # the permissions of the file that it replaces
-                            os.chmod(one.temporary, stat.S_IMODE(os.stat(one.target).st_mode))
+                            os.chmod(output.temporary, stat.S_IMODE(os.stat(output.target).st_mode))
                 done = self._renamed()
-        for one in self.pending:
-            _remove(one.backup)
-        for folder in {os.path.dirname(one.target) for one in self.pending}:
+        for output in self.pending:
+            _remove(output.backup)
+        for folder in {os.path.dirname(output.target) for output in self.pending}:
             with contextlib.suppress(OSError):  # Windows, some network drives
                 _bring_to_disk(folder, os.O_RDONLY)
 
     def give_up(self) -> None:
         """Remove everything that was written and not renamed, and the folders made for it."""
-        for one in self.pending:
-            _remove(one.temporary)
-            _remove(one.backup)  # a signal came when everything was renamed
+        for output in self.pending:
+            _remove(output.temporary)
+            _remove(output.backup)  # a signal came when everything was renamed
         for folder in reversed(self.folders):
             with contextlib.suppress(OSError):
                 os.rmdir(folder)
@@ -367,9 +367,9 @@ class OutputSet:
         """Rename everything; False where a file appeared meanwhile and it must be tried again."""
         with host().signals_held():
             try:
-                for one in self.pending:
-                    with _telling(one.path):
-                        self._rename(one)
+                for output in self.pending:
+                    with _telling(output.path):
+                        self._rename(output)
             except BaseException as problem:
                 self._take_back()
                 if isinstance(problem, _AppearedMeanwhile):
@@ -377,38 +377,38 @@ class OutputSet:
                 raise
         return True
 
-    def _rename(self, one: _Pending) -> None:
-        if one.exclusive:
+    def _rename(self, output: _Pending) -> None:
+        if output.exclusive:
             try:
-                os.link(one.temporary, one.target)
-                _remove(one.temporary)
+                os.link(output.temporary, output.target)
+                _remove(output.temporary)
             except FileExistsError:
                 raise _AppearedMeanwhile from None
             except OSError:  # a file system without hard links: the best that it can do
-                os.replace(one.temporary, one.target)
+                os.replace(output.temporary, output.target)
         else:
-            if len(self.pending) > 1 and os.path.exists(one.target):
-                backup = partial_path(one.target)
+            if len(self.pending) > 1 and os.path.exists(output.target):
+                backup = partial_path(output.target)
                 if WINDOWS:  # a link to a file that is open could not be removed again
-                    os.replace(one.target, backup)
-                    one.backup = backup
+                    os.replace(output.target, backup)
+                    output.backup = backup
                 else:
                     with contextlib.suppress(OSError):
-                        os.link(one.target, backup)
-                        one.backup = backup
-            os.replace(one.temporary, one.target)
-        one.renamed = True
+                        os.link(output.target, backup)
+                        output.backup = backup
+            os.replace(output.temporary, output.target)
+        output.renamed = True
 
     def _take_back(self) -> None:
         """Undo the renames done so far: the new files go under their temporary names again."""
-        for one in self.pending:
+        for output in self.pending:
             with contextlib.suppress(OSError):
-                if one.renamed:
-                    os.replace(one.target, one.temporary)
-                if one.backup is not None:
-                    os.replace(one.backup, one.target)
-            _remove(one.backup)  # still there where nothing had been renamed: both names were one file's
-            one.renamed, one.backup = False, None
+                if output.renamed:
+                    os.replace(output.target, output.temporary)
+                if output.backup is not None:
+                    os.replace(output.backup, output.target)
+            _remove(output.backup)  # still there where nothing had been renamed: both names were one file's
+            output.renamed, output.backup = False, None
 
 
 _CURRENT: ContextVar[OutputSet | None] = ContextVar("dbo_outputs", default=None)
@@ -440,10 +440,10 @@ KEPT: ContextVar[KeptOutputs | None] = ContextVar("dbo_kept", default=None)
 @contextlib.contextmanager
 def kept_outputs() -> Iterator[KeptOutputs]:
     """Let ``write_whole`` and ``signal_writer`` keep their data inside the block and write nothing."""
-    kept = KeptOutputs()
-    token = KEPT.set(kept)
+    outputs = KeptOutputs()
+    token = KEPT.set(outputs)
     try:
-        yield kept
+        yield outputs
     finally:
         KEPT.reset(token)
 
@@ -508,7 +508,7 @@ def replacing(path: str, prepare: Prepare = _unprepared) -> Iterator[str]:
     target = os.path.realpath(path)  # through a symbolic link, its target is replaced
     with _current_or_new() as outputs:
         which = identity_of(target)
-        if which is not None and any(identity_of(one.target) == which for one in outputs.pending):
+        if which is not None and any(identity_of(output.target) == which for output in outputs.pending):
             raise OutputError(f"{path}: two outputs go there: give each a file of its own")
         remove_orphans(os.path.dirname(target))
         pending = _Pending(path, target, partial_path(target), prepare)
@@ -529,10 +529,12 @@ def make_folder(path: str) -> None:
     OutputError
         It cannot be made.
     """
-    outputs, missing, here = _CURRENT.get() or OutputSet(), [], os.path.abspath(path)
-    while not os.path.isdir(here) and os.path.dirname(here) != here:
-        missing.append(here)
-        here = os.path.dirname(here)
+    outputs = _CURRENT.get() or OutputSet()
+    missing = []
+    above = os.path.abspath(path)
+    while not os.path.isdir(above) and os.path.dirname(above) != above:
+        missing.append(above)
+        above = os.path.dirname(above)
     for folder in reversed(missing):
         with _telling(path):
             try:
@@ -617,9 +619,9 @@ def write_whole(address: Given, data: bytes, *, protect: Sequence[Given] = ()) -
         It cannot be written; what stood there is left as it was.
     """
     target = parse_address(address)
-    kept = KEPT.get()
-    if kept is not None:
-        kept.documents.append((target.text, data))
+    outputs = KEPT.get()
+    if outputs is not None:
+        outputs.documents.append((target.text, data))
         return
     check_output(target, protect)
     if target.group is not None:

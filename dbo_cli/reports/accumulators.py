@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,6 @@ from numpy.typing import NDArray
 
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.sample_block import SampleBlock
-from dbo_cli.records import dataclass
 from dbo_cli.reports.sample_pairs import BATCH, Batches, Floats, comparable, only, row_numbers
 
 # Bins are leading bits: 9 of the mantissa tell 0.1 %, 128 octaves from 2^-64 on cover any unit.
@@ -60,7 +60,7 @@ class DoublingBins:
         self.width = 0.0
         self.first = 0
 
-    def fit(self, held: NDArray[Any], values: Floats) -> NDArray[Any]:
+    def fit(self, counts: NDArray[Any], values: Floats) -> NDArray[Any]:
         """Return what the bins hold, with bins for ``values`` (finite, not empty) too."""
         low, high = float(values.min()), float(values.max())
         if self.width == 0.0:
@@ -69,26 +69,26 @@ class DoublingBins:
             self.first = math.floor(low / self.width)
         while True:
             first = min(self.first, math.floor(low / self.width))
-            last = max(self.first + held.shape[-1] - 1, math.floor(high / self.width))
+            last = max(self.first + counts.shape[-1] - 1, math.floor(high / self.width))
             if last - first < self._most:
                 break
-            held = self.double(held)
-        return self._padded(held, self.first - first, last - (self.first + held.shape[-1] - 1))
+            counts = self.double(counts)
+        return self._padded(counts, self.first - first, last - (self.first + counts.shape[-1] - 1))
 
-    def double(self, held: NDArray[Any]) -> NDArray[Any]:
+    def double(self, counts: NDArray[Any]) -> NDArray[Any]:
         """Return what bins of twice the width hold: the sum (of truths: either) of two neighbours."""
         odd = self.first % 2
-        padded = self._padded(held, odd, (odd + held.shape[-1]) % 2)
+        padded = self._padded(counts, odd, (odd + counts.shape[-1]) % 2)
         self.first //= 2
         self.width *= 2.0
         merged: NDArray[Any] = padded[..., 0::2] + padded[..., 1::2]
         return merged
 
-    def _padded(self, held: NDArray[Any], before: int, after: int) -> NDArray[Any]:
+    def _padded(self, counts: NDArray[Any], before: int, after: int) -> NDArray[Any]:
         self.first -= before
         if before == after == 0:
-            return held
-        return np.pad(held, [(0, 0)] * (held.ndim - 1) + [(before, after)])
+            return counts
+        return np.pad(counts, [(0, 0)] * (counts.ndim - 1) + [(before, after)])
 
 
 class CompensatedSum:
@@ -111,6 +111,117 @@ class CompensatedSum:
     def value(self) -> float:
         """The sum so far."""
         return self._sum + self._lost
+
+
+Place = tuple[int, float | None]
+"""A row of a log and its time in seconds, None where that is not known."""
+
+STRETCHES = 4096  # of a log that the error is added up over, at most; half of them at least are in use
+
+
+class ErrorParts:
+    """Where along a log its error is made: the sums over stretches of equally many samples.
+
+    The stretches double in length whenever there are too many of them.
+    """
+
+    def __init__(self) -> None:
+        self._centre: float | None = None
+        self._length = 1
+        self._count = 0
+        self._ends: list[tuple[Place, Place]] = []  # the first and the last place of each stretch
+        self._sums: list[tuple[int, float, float]] = []  # samples, sum, sum of squares about the centre
+
+    def add(self, error: Floats, pairs: SampleBlock) -> None:
+        """Take one batch of errors (finite, not empty) and the rows that they are of."""
+        if self._centre is None:
+            self._centre = float(np.add.reduce(error)) / len(error)
+        shifted = error - self._centre
+        while math.ceil((self._count + len(error)) / self._length) > STRETCHES:
+            self._double()
+        begin = 0
+        while begin < len(shifted):
+            room = self._length - self._count % self._length
+            part = shifted[begin : begin + room]
+            last = begin + len(part) - 1
+            ends = _place(pairs, begin), _place(pairs, last)
+            sums = len(part), float(np.add.reduce(part)), float(np.add.reduce(part * part))
+            if room < self._length:
+                self._join(ends, sums)
+            else:
+                self._ends.append(ends)
+                self._sums.append(sums)
+            self._count += len(part)
+            begin += len(part)
+
+    def half(self, offset: float) -> HalfOfError | None:
+        """Return the shortest piece of the log that makes half of the squared error about ``offset``.
+
+        It is None where there is no error.
+        """
+        if self._centre is None:
+            return None
+        counts, sums, squares = np.array(self._sums, dtype=np.float64).T
+        by = offset - self._centre
+        parts = np.maximum(squares - 2.0 * by * sums + counts * by * by, 0.0)
+        total = float(parts.sum())
+        if not 0.0 < total < math.inf:
+            return None
+        reached = np.concatenate([[0.0], np.cumsum(parts)])
+        begins = np.arange(len(parts))
+        ends = np.searchsorted(reached, reached[:-1] + 0.5 * total * (1.0 - 1e-12))
+        fits = ends <= len(parts)
+        samples = np.concatenate([[0.0], np.cumsum(counts)])
+        lengths = samples[ends[fits]] - samples[begins[fits]]
+        place = int(np.argmin(lengths))
+        first, last = int(begins[fits][place]), int(ends[fits][place]) - 1
+        inside = float(reached[last + 1] - reached[first])
+        rest = self._count - lengths[place]
+        return HalfOfError(
+            first=self._ends[first][0],
+            last=self._ends[last][1],
+            part_of_rows=float(lengths[place]) / self._count,
+            part_of_error=inside / total,
+            rmse_elsewhere=math.sqrt(max(total - inside, 0.0) / rest) if rest else 0.0,
+        )
+
+    def _join(self, ends: tuple[Place, Place], sums: tuple[int, float, float]) -> None:
+        """Add to the last stretch, which has room."""
+        count, total, square = self._sums[-1]
+        self._sums[-1] = count + sums[0], total + sums[1], square + sums[2]
+        self._ends[-1] = self._ends[-1][0], ends[1]
+
+    def _double(self) -> None:
+        """Join every two stretches."""
+        ends, sums = self._ends, self._sums
+        self._ends, self._sums = ends[:1], sums[:1]
+        for place in range(1, len(ends)):
+            if place % 2:
+                self._join(ends[place], sums[place])
+            else:
+                self._ends.append(ends[place])
+                self._sums.append(sums[place])
+        self._length *= 2
+
+
+def _place(pairs: SampleBlock, index: int) -> Place:
+    time = None if pairs.time is None else float(pairs.time[index])
+    return int(pairs.rows[index]), time
+
+
+@dataclass(frozen=True)
+class HalfOfError:
+    """The shortest piece of a log that makes half of its squared error.
+
+    ``first`` and ``last`` are row and time (s, None where not known) of its ends; ``part_of_rows`` and
+    ``part_of_error`` are parts of 1; ``rmse_elsewhere`` is what the other rows have.
+    """
+
+    first: Place
+    last: Place
+    part_of_rows: float
+    part_of_error: float
+    rmse_elsewhere: float
 
 
 class ErrorDistribution:
@@ -241,8 +352,8 @@ class Envelope:
             length *= 2
         if length > self._length:
             self._grow(length)
-        found = np.stack([np.stack([time, values, time, values]) for values in signals])
-        self._pending.append(_merged(found, length))
+        extremes = np.stack([np.stack([time, values, time, values]) for values in signals])
+        self._pending.append(_merged(extremes, length))
         if len(self._pending) >= self._length // length:
             merged = _merged(np.concatenate(self._pending, axis=2), self._length // length)
             self._pending = []
@@ -252,22 +363,22 @@ class Envelope:
 
     def band(self, signal: int) -> Band:
         """Return the extremes, each drawn at the middle of the two times at which they were met."""
-        found = np.concatenate([self._done, *self._pending], axis=2)[signal]
-        return Band(0.5 * (found[0] + found[2]), found[1], found[3]).smooth()
+        extremes = np.concatenate([self._done, *self._pending], axis=2)[signal]
+        return Band(0.5 * (extremes[0] + extremes[2]), extremes[1], extremes[3]).smooth()
 
     def _grow(self, length: int) -> None:
         self._done = _merged(self._done, length // self._length)
         self._length = length
 
 
-def _merged(found: Floats, count: int) -> Floats:
+def _merged(extremes: Floats, count: int) -> Floats:
     """Merge every ``count`` neighbouring stretches into one."""
-    if count == 1 or not found.size:
-        return found
-    short = -found.shape[2] % count
+    if count == 1 or not extremes.size:
+        return extremes
+    short = -extremes.shape[2] % count
     if short:
-        found = np.pad(found, ((0, 0), (0, 0), (0, short)), mode="edge")
-    rows = found.reshape(len(found), 4, -1, count)
+        extremes = np.pad(extremes, ((0, 0), (0, 0), (0, short)), mode="edge")
+    rows = extremes.reshape(len(extremes), 4, -1, count)
     places = rows[:, 1].argmin(axis=2), rows[:, 3].argmax(axis=2)
     at = np.stack([places[0], places[0], places[1], places[1]], axis=1)
     return np.take_along_axis(rows, at[..., np.newaxis], axis=3)[..., 0]
@@ -388,6 +499,9 @@ class FigureData:
         self.spectrum = Spectrum()
         self._batches = Batches()
         self._whole: dict[str, Floats] | None = None
+        self._extremes: list[
+            tuple[float, float, float]
+        ] = []  # least and greatest error: time, error, desired
         self._envelope = Envelope()
         self._pixels = {pair: Pixels() for pair in (("desired", "measured"), ("drive", "measured"))}
         if labels[0] == "model":
@@ -422,6 +536,16 @@ class FigureData:
             return Curve(self._whole[x], self._whole[y])
         return self._pixels[x, y].raster()
 
+    def at_largest(self, offset: float) -> tuple[float, float, float]:
+        """Return time (or row) of the largest error about ``offset``, and between what it lies there.
+
+        The two values are the lesser and the greater of desired and measured, that less ``offset``.
+        """
+        largest = max(self._extremes, key=lambda extreme: abs(extreme[1] - offset))
+        time, error, desired = largest
+        ends = sorted((desired, desired + error - offset))
+        return time, ends[0], ends[1]
+
     def _take(self, block: SampleBlock) -> None:
         time = row_numbers(block) if block.time is None else block.time
         desired, measured = block.values["desired"], block.values["measured"]
@@ -431,6 +555,10 @@ class FigureData:
         self.samples += len(time)
         error = measured - desired
         self.spectrum.add(error)
+        for place in (int(error.argmin()), int(error.argmax())):
+            self._extremes.append((float(time[place]), float(error[place]), float(desired[place])))
+        least = min(self._extremes, key=lambda extreme: extreme[1])
+        self._extremes = [least, max(self._extremes, key=lambda extreme: extreme[1])]
         columns = dict(zip(SIGNALS, (desired, measured, error, drive), strict=True))
         if self.samples <= WHOLE:
             self._whole = {"time": time.copy()} | {name: column.copy() for name, column in columns.items()}

@@ -21,6 +21,7 @@ import tempfile
 import unicodedata
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from types import MappingProxyType
@@ -29,7 +30,6 @@ from typing import TYPE_CHECKING, Any, Literal
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.whole_output import make_folder, write_whole
-from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -107,7 +107,7 @@ def draw(plot: Plot, kind: Kind, note: str = "", scope: str = "") -> bytes:
     key (they must differ within a page).
     """
     inline = kind == "inline"
-    with _style({"svg.fonttype": "none"} if inline else {}):
+    with styled({"svg.fonttype": "none"} if inline else {}):
         content = _saved(_painted(plot, note, as_outlines=not inline), kind)
     return _for_page(content.decode(), plot, f"{scope}-{plot.key}-").encode() if inline else content
 
@@ -116,7 +116,7 @@ def save(plots: Sequence[Plot], folder: Path, stem: str, note: str = "") -> list
     """Write every figure as ``STEM-KEY.png`` and ``.svg``; each appears whole or not at all."""
     written: list[Path] = []
     for plot in plots:
-        with _style():
+        with styled():
             figure = _painted(plot, note, as_outlines=True)
             contents = {folder / f"{stem}-{plot.key}.{kind}": _saved(figure, kind) for kind in FILES}
         for path, content in contents.items():
@@ -337,7 +337,8 @@ def _settings() -> dict[str, object]:
 
 
 @contextlib.contextmanager
-def _style(settings: Mapping[str, object] = MappingProxyType({})) -> Iterator[None]:
+def styled(settings: Mapping[str, object] = MappingProxyType({})) -> Iterator[None]:
+    """Draw in this program's look, whatever the user's own configuration says."""
     _load()
     from matplotlib import rc_context
 

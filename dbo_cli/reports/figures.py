@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
     from matplotlib.legend import Legend
 
+OUTSIDE = 0.02  # of an axes' height: so far a curve that leaves it is drawn beyond; chosen
+FINER = 10.0  # times, what is drawn about the largest error
 WIDE_BAND = 1.5  # times the lowest frequency, up to which segments are of one frequency
 LENGTH_UNITS = ("m", "mm", "um", "nm", "pm")
 WIDEST = 52  # letters of 9 points in 4.3 inches of legend; names that need more stand below each other
@@ -118,7 +120,10 @@ def plots_of_log(report: Report, log: LogReport, figure_data: FigureData) -> lis
     by_frequency = view.by_frequency is not None
     both = f"{first.capitalize()} and {second} against time"
     tracks = f"{both}, the first as a solid line, the second dashed."
-    error = f"{second.capitalize()} less {first} displacement against time, with a band of one RMSE."
+    error = f"{second.capitalize()} less {first} displacement against time, with a band of one RMSE"
+    concentrated = log.concentrated is not None
+    error += ", and the rows that make half of the squared error." if concentrated else "."
+    worst = f"{first.capitalize()} and {second} about the largest error, both axes ten times finer."
     output = f"{second.capitalize()} against {first}"
     loop = "Hysteresis loop: displacement against drive voltage"
     share = "Share of all samples against their error."
@@ -127,6 +132,7 @@ def plots_of_log(report: Report, log: LogReport, figure_data: FigureData) -> lis
     has_drive, has_spectrum = figure_data.has_drive, figure_data.spectrum.density(1.0) is not None
     plots = [
         (True, Plot("tracking", both, tracks, wide, view.tracking)),
+        (True, Plot("worst", "The same about the largest error, ten times finer", worst, wide, view.worst)),
         (True, Plot("error", "Error against time", error, wide, view.error)),
         (True, Plot("output", output, f"{output}, beside the identity.", tall, view.output)),
         (has_drive, Plot("loop", loop, f"{loop}.", tall, view.loop)),
@@ -143,6 +149,7 @@ class _LogView:
 
     def __init__(self, report: Report, log: LogReport, figure_data: FigureData) -> None:
         self._report = report
+        self._log = log
         self._figures = log.figures
         self._figure_data = figure_data
         self._offset = log.figures.offset
@@ -159,12 +166,49 @@ class _LogView:
         _against_time(axes, self._figure_data.against_time("desired"), style.SOLID, label=first)
         measured = self._figure_data.against_time("measured")
         _against_time(axes, measured, style.DASHED, self._offset, label=second)
+        (left, right), (low, high) = self._finer(axes)
+        corners = [left, right, right, left, left], [low, low, high, high, low]
+        axes.plot(*corners, label="drawn finer", **style.DOTTED)
         finish(axes, self._time(), self._length(self._quantity))
+
+    def worst(self, axes: Axes) -> None:
+        first, second = self._report.options.labels
+        desired = self._figure_data.against_time("desired")
+        measured = self._figure_data.against_time("measured")
+        _against_time(axes, desired, style.SOLID)
+        _against_time(axes, measured, style.DASHED, self._offset)
+        across, up = self._finer(axes)
+        axes.clear()
+        up_measured = up[0] + self._offset, up[1] + self._offset
+        _against_time(axes, cut_out(desired, across, up), style.SOLID, label=first)
+        cut = cut_out(measured, across, up_measured)
+        _against_time(axes, cut, style.DASHED, self._offset, label=second)
+        finish(axes, self._time(), self._length(self._quantity))
+        axes.set(xlim=across, ylim=up)
+
+    def _finer(self, axes: Axes) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Return a tenth of the time and of the displacement that axes show, about the largest error.
+
+        Where the error itself is larger than that, it fits in.
+        """
+        time, low, high = self._figure_data.at_largest(self._offset)
+        ends = axes.get_xlim(), axes.get_ylim()
+        half_width = (ends[0][1] - ends[0][0]) / (2.0 * FINER)
+        half_height = max((ends[1][1] - ends[1][0]) / (2.0 * FINER), 0.7 * (high - low))
+        middle = 0.5 * (low + high)
+        return (time - half_width, time + half_width), (middle - half_height, middle + half_height)
 
     def error(self, axes: Axes) -> None:
         rmse = self._figures.rmse
         band = f"± RMSE {digits(rmse)} {shown_unit(self._report.unit)}".rstrip()
         axes.axhspan(-rmse, rmse, color=style.FILL, alpha=0.35, linewidth=0.0, label=band)
+        half = self._log.concentrated
+        if half is not None:
+            at = 1 if self._figure_data.has_time else 0
+            share = "half of the squared error"
+            begin, end = half.first[at], half.last[at]
+            if begin is not None and end is not None:
+                axes.axvspan(begin, end, color=style.SECOND, alpha=0.25, label=share)
         _against_time(axes, self._figure_data.against_time("error"), style.ALONE, self._offset)
         finish(axes, self._time(), self._length("Error"))
 
@@ -259,6 +303,20 @@ def _against_time(
     axes.plot(shape.x, shape.low - shift, **thin)
 
 
+def cut_out(shape: Curve | Band, across: tuple[float, float], up: tuple[float, float]) -> Curve | Band:
+    """Return what of a curve lies in a piece of its axes; beyond that it runs along the frame, just outside.
+
+    A browser counts what a clipped path would cover, so that it must not go far beyond.
+    """
+    inside = (shape.x >= across[0]) & (shape.x <= across[1])
+    margin = OUTSIDE * (up[1] - up[0])
+    low, high = up[0] - margin, up[1] + margin
+    x = shape.x[inside]
+    if isinstance(shape, Curve):
+        return Curve(x, np.clip(shape.y[inside], low, high))
+    return Band(x, np.clip(shape.low[inside], low, high), np.clip(shape.high[inside], low, high))
+
+
 def _paint_raster(axes: Axes, raster: Raster, color: str, shift: float) -> None:
     """Paint the passed pixels, cut to those in use and as thick as a line, in one colour on nothing."""
     from matplotlib.colors import ListedColormap, NoNorm
@@ -319,7 +377,7 @@ def plots_of_channels(report: Report) -> list[Plot]:
     figures = [report.logs[k].figures for k in order]
     rmse = np.array([one.rmse for one in figures])
     percent = np.array([one.nrmse_percent for one in figures], dtype=np.float64)  # None becomes NaN
-    both = {"percent": (percent, "% of range"), "rmse": (rmse, report.unit or "")}
+    both = {"percent": (percent, "% of the move"), "rmse": (rmse, report.unit or "")}
     found = {key: one for key, one in both.items() if np.isfinite(one[0]).any()}
     words = "Number of channels against their RMSE, {}; median and worst are marked."
     plots = []
@@ -348,7 +406,7 @@ def row_width(count: int) -> int:
 
 
 def _amount(value: float, unit: str) -> str:
-    return f"{digits(value, 3)} {shown_unit(unit.removesuffix(' of range'))}".rstrip()
+    return f"{digits(value, 3)} {shown_unit(unit.removesuffix(' of the move'))}".rstrip()
 
 
 def _histogram(names: list[str], values: Floats, unit: str, axes: Axes) -> None:

@@ -10,14 +10,20 @@ which way a signal is going, sample by sample, whatever noise, rounding and hold
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.logs.sample_block import SampleBlock
-from dbo_cli.records import dataclass
-from dbo_cli.reports.accumulators import CompensatedSum, DoublingBins, ErrorDistribution
+from dbo_cli.reports.accumulators import (
+    CompensatedSum,
+    DoublingBins,
+    ErrorDistribution,
+    ErrorParts,
+    HalfOfError,
+)
 from dbo_cli.reports.sample_pairs import Batches, Floats, comparable, only
 
 # A turn must be larger than this many standard deviations of the noise: the greatest and the least of 10,000
@@ -30,15 +36,14 @@ LARGEST_TURN = 0.1
 _TO_DEVIATION = math.sqrt(math.pi / 2.0) / math.sqrt(6.0)
 
 _FINE_BINS = 256  # kept; so many that doubling their width loses no more than a factor 2 in place
-# A loop of 0.500 in noise of 0.02, 4,000 samples, reads 0.525 with 256 bins, 0.507 with 64, 0.503 with 32;
 _MOST_BINS = 64
-# in noise of 0.2 it reads 0.551 where joining ends at 16, 0.526 at 8, and with 4 its shape is lost (0.490).
+"""Bins of the loop, at most. Measured: docs/choices.md."""
 _FEWEST_BINS = 8
+"""Bins of the loop, at least, where they are joined. Measured: docs/choices.md."""
 _LEAST_SAMPLES = 3  # of either direction, for a bin to count ...
 _LEAST_PART = 0.1  # ... and this part of what a bin has on average, lest the noise of a few samples wins
-# Bins are joined until the noise floor is below this part of the width: of a true loop of 0.50 in noise of
-# 0.2 and 4,000 samples, 64 bins read 0.62 (the largest of many noisy means), joined ones 0.52.
 _CLEAR = 0.1
+"""Bins are joined until the noise floor is below this part of the width. Measured: docs/choices.md."""
 
 _PLACE_OF_WAY = np.array([1, 3, 0])  # among the sums: of down, of neither, of up
 _UP, _DOWN, _OPEN = slice(0, 2), slice(2, 4), slice(4, 6)  # rows of the sums: count and sum of the error
@@ -360,7 +365,7 @@ class TrackingFigures:
     ``offset`` is what was subtracted from the error (0.0 unless it was asked for). Where a figure is not
     defined it is None: ``nrmse_percent`` for a desired signal that never changes, ``loop_width`` and its
     noise floor ``loop_noise`` where no value was passed both upward and downward, the lag where nothing
-    moves.
+    moves. ``half`` is the shortest piece that makes half of the squared error, where that was looked for.
     """
 
     samples: int
@@ -382,6 +387,7 @@ class TrackingFigures:
     sample_period: float | None
     loop_noise: float | None = None
     cycles_a_sample: float | None = None
+    half: HalfOfError | None = None
 
     @property
     def frequency(self) -> float | None:
@@ -411,6 +417,8 @@ class TrackingMetrics:
         Take the mean error off before anything else is said about it (a sensor's arbitrary zero).
     sample_rate : float, optional
         Samples a second (Hz), where no times tell it.
+    by_parts : bool
+        Find the shortest piece that makes half of the error.
 
     Attributes
     ----------
@@ -422,8 +430,11 @@ class TrackingMetrics:
         Samples that are not numbers, desired and measured.
     """
 
-    def __init__(self, *, remove_offset: bool = False, sample_rate: float | None = None) -> None:
+    def __init__(
+        self, *, remove_offset: bool = False, sample_rate: float | None = None, by_parts: bool = False
+    ) -> None:
         self._remove_offset, self._sample_rate = remove_offset, sample_rate
+        self._parts = ErrorParts() if by_parts else None
         self.rows: tuple[int, int] | None = None
         self._batches = Batches()
         self.distribution = ErrorDistribution()
@@ -487,6 +498,7 @@ class TrackingMetrics:
             sample_period=self._sample_period(),
             loop_noise=loop.noise_floor if loop else None,
             cycles_a_sample=None if cycles is None else cycles / (self._hold or 1.0),
+            half=None if self._parts is None else self._parts.half(offset),
         )
 
     def _sample_period(self) -> float | None:
@@ -516,6 +528,8 @@ class TrackingMetrics:
         error = measured - desired
         self._range = (min(self._range[0], float(desired.min())), max(self._range[1], float(desired.max())))
         self.distribution.add(error)
+        if self._parts is not None:
+            self._parts.add(error, pairs)
         shifted = error - self.distribution.centre
         self._sums[0].add(float(np.add.reduce(shifted)))
         self._sums[1].add(float(np.add.reduce(shifted * shifted)))

@@ -40,11 +40,20 @@ def plots_of_model(model: ActuatorModel) -> list[Plot]:
         _quantity(model.output) if last else "Output of the gears",
     )
     travelled = axis_label("Input travelled since the turn", model.input.unit if first else None)
-    paint_loop, paint_slopes = partial(_paint_gears, gears, labels), partial(_paint_slopes, gears, travelled)
-    loop = f"Output against input of the backlash operator of {gears.n} gears, up and back down."
+    # Spare gears stand beyond both ends of the logs' range; what they would do was never seen.
+    covered = model.covered_gears.operator
+    if model.direction == "inverse":
+        covered = covered.inverse()
+    paint_loop = partial(_paint_gears, covered, labels)
+    paint_slopes = partial(_paint_slopes, covered, travelled)
+    loop = (
+        f"Output against input of the backlash operator over the logs' range, {covered.n} gears, up and down."
+    )
     slopes = "Slope of each gear, one step as wide as the gear, in the order they engage after a turn."
     plots = [
-        Plot("gears", f"The loop of the {gears.n} gears", loop, style.TALL, paint_loop),
+        Plot(
+            "gears", f"The loop of the {covered.n} gears over the logs' range", loop, style.TALL, paint_loop
+        ),
         Plot("slopes", "Slope of the gears against their width", slopes, style.WIDE, paint_slopes),
     ]
     usual = "after" if model.direction == "forward" else "before"

@@ -15,10 +15,11 @@ from string import Template
 from typing import Any, NamedTuple
 
 from dbo_cli.reports.drawing import Plot, draw, short_name, text_width
-from dbo_cli.reports.report import Report
+from dbo_cli.reports.report import Judgement, Report
 
 JSON_VERSION = 1  # of the form dbo-report; a change of meaning would need another
 WIDTH = 80  # columns of the narrowest usual terminal
+MOST_PASSED = 8  # limits that are kept are listed, at most: of a hundred channels nobody reads them
 UNBROKEN = 28  # letters of a name that stay together: nine columns beside it fit into 1,000 pixels of a page
 LEFT = "Left over: hysteresis (loop: error going down less going up) and delay (lag)"
 
@@ -28,15 +29,22 @@ def to_json(report: Report) -> str:
 
     Keys, always all of them and in this order: ``format``, ``version``, ``unit`` (null: not known),
     ``compared`` (what was compared with what; the error is the second less the first), ``offset_removed``,
-    ``logs`` and ``notes``. Each log: ``name``, ``samples``, ``rmse``,
-    ``nrmse_percent`` (of desired_max - desired_min; null for a constant), ``max_abs``, ``max_abs_row``
+    ``logs``, ``notes``, ``limits`` (a list of ``name``, ``figure``, ``limit``, ``value``, ``passed``) and
+    ``passed`` (whether all limits are kept; null where none was set). Each log: ``name``, ``samples``,
+    ``rmse``, ``nrmse_percent`` (of desired_max - desired_min; null for a constant), ``max_abs``,
+    ``max_abs_row``
     (data row from 1), ``max_abs_time_s``, ``mean``, ``p95_abs`` (95 % of all |errors| are no larger),
     ``loop_width`` (signed, see ``figures_of_merit.LoopWidth``), ``loop_width_percent``, ``lag_left_samples``,
     ``lag_left_s``, ``phase_left_degrees``, ``desired_min``, ``desired_max``, ``lag_samples`` (taken out
     beforehand), ``lag_s``, ``offset_removed`` (subtracted from the error), ``sample_period_s``,
     ``not_finite`` (rows left out), ``ratio_to_first`` (of the RMSE), ``loop_noise`` (what noise alone would
-    show as ``loop_width``), ``segments``: a list of ``number``, ``first_row``, ``last_row``, the keys from
-    ``samples`` to ``desired_max``, ``offset_removed`` (the segment's own), ``loop_noise`` and
+    show as ``loop_width``), ``rmse_percent_of_move`` (``nrmse_percent`` under the name of its denominator),
+    ``rmse_percent_of_range`` (of the range of the model's output; null where no model is known),
+    ``expected_rmse`` (that the model states for this drive, null where it is not known; where the mean error
+    is taken off, without the mean), ``half_of_error_first_row``, ``half_of_error_last_row`` and
+    ``half_of_error_percent_of_rows`` (the shortest piece of the log that makes half of the squared error),
+    ``rmse_elsewhere`` (of all other rows), ``segments``: a list of ``number``, ``first_row``, ``last_row``,
+    the keys from ``samples`` to ``desired_max``, ``offset_removed`` (the segment's own), ``loop_noise`` and
     ``frequency_hz`` (of the desired signal). New keys may come in later releases; none will change its
     meaning within version 1.
     """
@@ -50,6 +58,8 @@ def to_json(report: Report) -> str:
             log.record() | {"segments": [part.record() for part in log.segments]} for log in report.logs
         ],
         "notes": report.notes,
+        "limits": [judgement.record() for judgement in report.judgements],
+        "passed": not report.missed if report.judgements else None,
     }
     return json_text(content)
 
@@ -94,7 +104,10 @@ def no_formula(name: str) -> str:
 def to_text(report: Report) -> str:
     """Return one sentence and tables of at most 80 columns, four significant digits, for a terminal."""
     errors, left = log_tables(report)
-    parts = ["\n".join(wrapped(headline(report))), "\n".join(wrapped(settings_line(report)))]
+    parts = ["\n".join(wrapped(line)) for line in verdict_lines(report)]
+    parts += ["\n".join(wrapped(headline(report)))]
+    parts += ["\n".join(wrapped(line)) for line in expected_lines(report)]
+    parts += ["\n".join(wrapped(settings_line(report)))]
     parts += [_table_of(errors, report.logs), f"{LEFT}\n{_table_of(left, report.logs)}"]
     for log in report.logs:
         if log.segments:
@@ -105,6 +118,50 @@ def to_text(report: Report) -> str:
     return "\n\n".join(parts) + "\n"
 
 
+def verdict_lines(report: Report) -> list[str]:
+    """Return whether the limits are kept, and each that is missed; no line where none was set."""
+    if not report.judgements:
+        return []
+    missed = report.missed
+    if missed:
+        count = f"{len(missed)} of {len(report.judgements)} limits missed"
+        return [f"FAILED: {count}", *[_judgement_words(report, judgement) for judgement in missed]]
+    words = [_judgement_words(report, judgement) for judgement in report.judgements]
+    if len(words) == 1:
+        return [f"PASSED: {words[0]}"]
+    return [f"PASSED: all {len(words)} limits", *words[:MOST_PASSED]]
+
+
+def _judgement_words(report: Report, judgement: Judgement) -> str:
+    """Return figure, limit and what comes of it; the log's name where there are several."""
+    name = f"{judgement.name}: " if len(report.logs) > 1 else ""
+    if judgement.value is None:
+        value = "undefined"
+    else:
+        value = f"{digits(judgement.value, 4)}{judgement.unit}"
+    relation = "within" if judgement.passed else "above"
+    if judgement.value is None:
+        relation = "not comparable with"
+    return f"{name}{judgement.title} {value}, {relation} the limit of {judgement.limit:g}{judgement.unit}"
+
+
+def expected_lines(report: Report) -> list[str]:
+    """Return for each log whose expected error is known that one beside the actual one."""
+    lines = []
+    for log in report.logs:
+        expected = log.expected_rmse
+        if expected is None or log.expected is None:
+            continue
+        name = f"{log.name}: " if len(report.logs) > 1 else ""
+        unit = _unit(report)
+        times = f", {digits(log.figures.rmse / expected, 2)} times as much came" if expected > 0.0 else ""
+        lines.append(
+            f"{name}Expected {digits(expected, 2)}{unit} RMSE (by {log.expected.source}), actual "
+            f"{digits(log.figures.rmse, 2)}{unit}{times}"
+        )
+    return lines
+
+
 def headline(report: Report) -> str:
     """Return what was found in one sentence: of several logs the least error, and that of the first one."""
     first, *others = report.logs
@@ -113,7 +170,7 @@ def headline(report: Report) -> str:
     found = f"{best.name}: {digits(figures.rmse, 2)}{_unit(report)} RMSE"
     if best is first:
         percent = figures.nrmse_percent
-        return found if percent is None else f"{found}, {digits(percent, 2)} % of the range"
+        return found if percent is None else f"{found}, {digits(percent, 2)} % of the move"
     if not figures.rmse > 0.0 or not first.figures.rmse > 0.0:
         return f"{found}; {first.name}: {digits(first.figures.rmse, 2)}{_unit(report)} RMSE"
     times = first.figures.rmse / figures.rmse
@@ -136,18 +193,25 @@ def log_tables(report: Report) -> tuple[list[Column], list[Column]]:
     unit = _unit(report, " ({})")
     name = Column("log", "Log", lambda log: str(log.name))
     errors = [name, Column("samples", "Samples", lambda log: str(log.figures.samples)), *_errors(report, 4)]
+    if any(log.expected is not None for log in report.logs):
+        errors.insert(
+            4, Column("% range", "% of the model's range", lambda log: digits(log.percent_of_range))
+        )
+    if any(log.expected_rmse is not None for log in report.logs):
+        expected = Column("expected", f"Expected{unit}", lambda log: digits(log.expected_rmse))
+        errors.insert(3, expected)
     if len(report.logs) > 1:
         errors.append(Column("ratio", "Times the first", lambda log: digits(log.ratio_to_first)))
     return errors, [
         name,
         Column("loop left", f"Hysteresis left{unit}", lambda log: digits(log.figures.loop_width)),
-        Column("% range", "the same, % of range", lambda log: digits(log.figures.loop_width_percent)),
+        Column("% move", "the same, % of the move", lambda log: digits(log.figures.loop_width_percent)),
         Column("by noise", f"Noise alone{unit}", lambda log: digits(log.figures.loop_noise, 2)),
         Column("lag left", "Delay left (samples)", lambda log: digits(log.figures.lag_left, 3)),
         Column("seconds", "", lambda log: digits(log.figures.lag_left_seconds, 3)),
         Column("", "Delay left (ms)", lambda log: digits(log.figures.lag_left_seconds, 3, 1000.0)),
         Column("phase", "Phase left (360° a cycle)", lambda log: digits(log.figures.phase_left, 3) + "°"),
-        Column("worst row", "", lambda log: str(log.figures.max_abs_row)),
+        Column("largest at row", "", lambda log: str(log.figures.max_abs_row)),
     ]
 
 
@@ -173,7 +237,7 @@ def _errors(report: Report, places: int) -> list[Column]:
     mean = "offset" if report.options.remove_offset else "mean"
     return [
         Column("RMSE", f"RMSE{unit}", lambda part: digits(part.figures.rmse, places)),
-        Column("% range", "% of range", lambda part: digits(part.figures.nrmse_percent, places)),
+        Column("% move", "% of the move", lambda part: digits(part.figures.nrmse_percent, places)),
         Column("95 %", f"95 % below{unit}", lambda part: digits(part.figures.p95_abs, places)),
         Column("largest", f"Largest{unit}", lambda part: digits(part.figures.max_abs, places)),
         Column("", "at row", lambda part: str(part.figures.max_abs_row)),
@@ -282,7 +346,8 @@ def to_html(
     found = " ".join(map(breakable, headline(report).split()))
     errors, left = log_tables(report)
     together = drawn_figures(comparison_plots, "all")
-    parts = [f'<p class="headline">{found}.</p>']
+    parts = [_html_verdict(report), f'<p class="headline">{found}.</p>']
+    parts += [f"<p>{escape(line)}.</p>" for line in expected_lines(report)]
     parts += [
         f"<p>{escape(settings_line(report).replace(' - ', ' − ', 1))}.</p>",
         *([] if any(plots) else [together]),
@@ -308,6 +373,16 @@ def to_html(
     if model_plots:
         parts.append(f"<section><h2>The model</h2>{drawn_figures(model_plots, 'model')}</section>")
     return page_of(title, parts, program)
+
+
+def _html_verdict(report: Report) -> str:
+    """Return the verdict on the limits as the first line of a page; nothing where no limit was set."""
+    lines = verdict_lines(report)
+    if not lines:
+        return ""
+    outcome = "failed" if report.missed else "passed"
+    rest = "".join(f"<br>{escape(line)}" for line in lines[1:])
+    return f'<p class="verdict {outcome}"><strong>{escape(lines[0])}</strong>{rest}</p>'
 
 
 def page_of(title: str, parts: Sequence[str], program: str) -> str:

@@ -6,15 +6,15 @@ To compare, for each log::
 
     merit = evaluate(name, blocks, options, unit="um", sample_rate=None, figure_data=FigureData() or None)
     report = Report.of([merit, ...], options, unit="um")
-    check_limits(report, max_rmse=0.5)
+    check_limits(report.judged(max_rmse=0.5))
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
-from itertools import chain, product
+from dataclasses import dataclass, replace
+from itertools import chain
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -23,9 +23,9 @@ from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.logs.plain_text import cleaned, counted
 from dbo_cli.logs.request import Rows
 from dbo_cli.logs.sample_block import SampleBlock
-from dbo_cli.records import dataclass
 from dbo_cli.reports import sample_pairs
-from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics, monotone_ends
+from dbo_cli.reports.accumulators import HalfOfError
+from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics, monotone_ends, percent_of
 from dbo_cli.reports.sample_pairs import Floats
 
 if TYPE_CHECKING:
@@ -44,6 +44,7 @@ OTHER_KEYS = {
     **{"max_abs_time": "max_abs_time_s", "lag_left": "lag_left_samples", "lag_left_seconds": "lag_left_s"},
     "phase_left": "phase_left_degrees",
 }
+CONCENTRATED = 0.1  # of the rows: fewer that make half of the squared error are said and drawn
 PATIENCE = 1 << 18  # samples that a rest at the lowest place may last within a cycle
 
 
@@ -90,6 +91,20 @@ class Segment:
 
 
 @dataclass(frozen=True)
+class Expected:
+    """What error was to be expected of a log, and the range that a model covers; in the report's unit.
+
+    ``rmse`` is the whole error, ``shape`` that without its mean, None where they are not known; ``span`` the
+    range of the model's output; ``source`` what says so.
+    """
+
+    rmse: float | None
+    shape: float | None
+    span: float
+    source: str
+
+
+@dataclass(frozen=True)
 class LogReport:
     """The figures of one log; lengths in the report's unit."""
 
@@ -99,6 +114,27 @@ class LogReport:
     ratio_to_first: float | None = None
     segments: tuple[Segment, ...] = ()
     notes: tuple[str, ...] = ()
+    expected: Expected | None = None
+
+    @property
+    def percent_of_range(self) -> float | None:
+        """The RMSE in percent of the model's range; None where no model is known."""
+        return None if self.expected is None else percent_of(self.figures.rmse, self.expected.span)
+
+    @property
+    def expected_rmse(self) -> float | None:
+        """The expected error to compare the RMSE with: with its mean, where that was not removed."""
+        if self.expected is None:
+            return None
+        if self.figures.offset and self.expected.shape is not None:
+            return self.expected.shape
+        return self.expected.rmse
+
+    @property
+    def concentrated(self) -> HalfOfError | None:
+        """The piece that makes half of the squared error, where it is a tenth of the rows at most."""
+        half = self.figures.half
+        return half if half is not None and half.part_of_rows <= CONCENTRATED else None
 
     def record(self) -> dict[str, Any]:
         """Return the log's figures as plain values under the keys of the JSON form, segments aside."""
@@ -107,16 +143,66 @@ class LogReport:
         lag = {"lag_samples": self.lag, "lag_s": None if period is None else _finite(self.lag * period)}
         own = {"offset_removed": figures.offset, "sample_period_s": period, "not_finite": figures.not_finite}
         rest = {"ratio_to_first": self.ratio_to_first, "loop_noise": figures.loop_noise}
-        return {"name": self.name} | _record(figures) | lag | own | rest
+        half = figures.half
+        new = {
+            "rmse_percent_of_move": figures.nrmse_percent,
+            "rmse_percent_of_range": self.percent_of_range,
+            "expected_rmse": self.expected_rmse,
+            "half_of_error_first_row": None if half is None else half.first[0],
+            "half_of_error_last_row": None if half is None else half.last[0],
+            "half_of_error_percent_of_rows": None if half is None else 100.0 * half.part_of_rows,
+            "rmse_elsewhere": None if half is None else half.rmse_elsewhere,
+        }
+        return {"name": self.name} | _record(figures) | lag | own | rest | new
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Whether a log keeps a limit.
+
+    ``title`` is the figure's name, ``value`` its value (None: undefined, which keeps no limit), ``unit`` what
+    follows the numbers, and ``option`` the limit's parameter.
+    """
+
+    name: str
+    title: str
+    value: float | None
+    limit: float
+    unit: str
+    option: str
+
+    @property
+    def passed(self) -> bool:
+        """Whether the limit is kept."""
+        return self.value is not None and self.value <= self.limit
+
+    def words(self) -> str:
+        """Say what is wrong, with the figures; of a limit that is not kept."""
+        if self.value is None:
+            return f"{self.name}: {self.title} is undefined, so `{self.option}` {self.limit:g} is not met"
+        return (
+            f"{self.name}: {self.title} {self.value:.6g}{self.unit} is above the limit of "
+            f"{self.limit:g}{self.unit} by {self.value - self.limit:.3g} (`{self.option}`)"
+        )
+
+    def record(self) -> dict[str, Any]:
+        """Return it as plain values for the JSON form."""
+        figure = self.option.removeprefix("max_")
+        limit = {"name": self.name, "figure": figure, "limit": self.limit, "value": self.value}
+        return limit | {"passed": self.passed}
 
 
 @dataclass(frozen=True)
 class Report:
-    """What was compared, and the figures of every log in the order they were given."""
+    """What was compared, and the figures of every log in the order they were given.
+
+    ``judgements`` are the limits that were set, of every log; none where none was.
+    """
 
     unit: str | None
     options: ReportOptions
     logs: tuple[LogReport, ...]
+    judgements: tuple[Judgement, ...] = ()
 
     @classmethod
     def of(cls, logs: Sequence[LogReport], options: ReportOptions, unit: str | None) -> Report:
@@ -128,6 +214,51 @@ class Report:
             for log in logs
         )
         return cls(unit, options, rated)
+
+    def judged(
+        self,
+        *,
+        max_rmse: float | None = None,
+        max_abs: float | None = None,
+        max_nrmse_percent: float | None = None,
+        max_percent_of_range: float | None = None,
+    ) -> Report:
+        """Return the report with what comes of these limits.
+
+        Raises
+        ------
+        UsageError
+            ``max_percent_of_range`` where no model says what the range is.
+        """
+        unit = f" {self.unit}" if self.unit else ""
+        judgements = []
+        for log in self.logs:
+            if max_percent_of_range is not None and log.expected is None:
+                raise UsageError(
+                    "`max_percent_of_range` needs the range of a model (`model`, or `expected` MODEL)"
+                )
+            figures = log.figures
+            limits = (
+                ("RMSE", figures.rmse, max_rmse, unit, "max_rmse"),
+                ("largest error", figures.max_abs, max_abs, unit, "max_abs"),
+                ("RMSE", figures.nrmse_percent, max_nrmse_percent, " % of the move", "max_nrmse_percent"),
+                (
+                    "RMSE",
+                    log.percent_of_range,
+                    max_percent_of_range,
+                    " % of the model's range",
+                    "max_percent_of_range",
+                ),
+            )
+            for title, value, limit, suffix, option in limits:
+                if limit is not None:
+                    judgements.append(Judgement(log.name, title, value, limit, suffix, option))
+        return replace(self, judgements=tuple(judgements))
+
+    @property
+    def missed(self) -> list[Judgement]:
+        """The limits that are not kept."""
+        return [judgement for judgement in self.judgements if not judgement.passed]
 
     @property
     def notes(self) -> list[str]:
@@ -215,38 +346,16 @@ def evaluate(
     return replace(log, notes=(note, *log.notes))
 
 
-def check_limits(
-    report: Report,
-    *,
-    max_rmse: float | None = None,
-    max_abs: float | None = None,
-    max_nrmse_percent: float | None = None,
-) -> None:
+def check_limits(report: Report, **limits: float | None) -> None:
     """Raise LimitError, one line, for the first log that misses a limit; the others are counted in it.
 
-    A log whose NRMSE is undefined misses ``max_nrmse_percent``: a gate that cannot be judged is not passed.
+    ``limits`` are the parameters of ``Report.judged``; without any, those it was judged by. A log whose
+    figure is undefined misses its limit: a gate that cannot be judged is not passed.
     """
-    unit = f" {report.unit}" if report.unit else ""
-    limits = (
-        ("RMSE", unit, "rmse", "max_rmse", max_rmse),
-        ("largest error", unit, "max_abs", "max_abs", max_abs),
-        ("NRMSE", " % of the range", "nrmse_percent", "max_nrmse_percent", max_nrmse_percent),
-    )
-    missed = []
-    for log, (title, suffix, figure, option, limit) in product(report.logs, limits):
-        value: float | None = getattr(log.figures, figure)
-        if limit is None or (value is not None and value <= limit):
-            continue
-        if value is None:
-            missed.append(f"{log.name}: {title} is undefined, so `{option}` {limit:g} is not met")
-        else:
-            missed.append(
-                f"{log.name}: {title} {value:.6g}{suffix} is above the limit of {limit:g}{suffix}"
-                f" by {value - limit:.3g} (`{option}`)"
-            )
+    missed = (report.judged(**limits) if limits else report).missed
     if missed:
         more = f"; {len(missed) - 1} more missed" if len(missed) > 1 else ""
-        raise LimitError(missed[0] + more)
+        raise LimitError(missed[0].words() + more)
 
 
 OFFSET_ALONE = 1.0 / 3.0  # of the RMSE is left, at most, without the mean: nine tenths of the square are its
@@ -271,7 +380,7 @@ class _Evaluation:
             blocks = dwells.of(blocks)
         if figure_data is not None:
             figure_data.begin(options.labels)
-        whole, current = self._metrics(), self._metrics()
+        whole, current = self._metrics(by_parts=True), self._metrics()
         segments: list[Segment] = []
         for part in chain(self._segmented(sample_pairs.batched(blocks)), [None]):
             if part is None:
@@ -296,7 +405,8 @@ class _Evaluation:
                 f"{name}: without the mean error {100.0 * rest / figures.rmse:.0f} % of the RMSE is left: "
                 "where the mean is the sensor's zero, `remove_offset` takes it off"
             )
-        return LogReport(name, figures, lag, segments=tuple(segments), notes=tuple(notes))
+        log = LogReport(name, figures, lag, segments=tuple(segments), notes=tuple(notes))
+        return _with_concentration(log)
 
     def _paired(self, blocks: Iterable[SampleBlock]) -> tuple[Iterator[SampleBlock], int, list[str]]:
         """Return the pairs that count, their lag taken out, the lag and the notes on it."""
@@ -316,8 +426,9 @@ class _Evaluation:
             return blocks
         return cycles(blocks) if segment == "cycles" else spans(blocks, segment, self.sample_rate)
 
-    def _metrics(self) -> TrackingMetrics:
-        return TrackingMetrics(remove_offset=self.options.remove_offset, sample_rate=self.sample_rate)
+    def _metrics(self, *, by_parts: bool = False) -> TrackingMetrics:
+        remove_offset, sample_rate = self.options.remove_offset, self.sample_rate
+        return TrackingMetrics(remove_offset=remove_offset, sample_rate=sample_rate, by_parts=by_parts)
 
     def _closed(self, metrics: TrackingMetrics, number: int) -> list[Segment]:
         """Return the segment that ends here; none where it holds no number."""
@@ -420,6 +531,26 @@ class _Turns:
         if not self._falling:
             self.candidate = self._seen
         return found
+
+
+def _with_concentration(log: LogReport) -> LogReport:
+    """Return a log with a note on the few rows that make half of its error, where they are few."""
+    if log.concentrated is None:
+        return log
+    note = _concentrated(log.name, log.concentrated, log.figures.rmse)
+    return replace(log, notes=(*log.notes, note))
+
+
+def _concentrated(name: str, half: HalfOfError, rmse: float) -> str:
+    """Say which rows make half of the error, and what the others have."""
+    (first, begin), (last, end) = half.first, half.last
+    seconds = "" if begin is None or end is None else f" ({begin:.4g} to {end:.4g} s)"
+    rows = f"rows {first} to {last}" if last > first else f"row {first}"
+    return (
+        f"{name}: {rows}{seconds}, {100.0 * half.part_of_rows:.2g} % of all, make "
+        f"{100.0 * half.part_of_error:.0f} % of the squared error; without them the RMSE is "
+        f"{half.rmse_elsewhere / rmse:.2f} of it"
+    )
 
 
 def _record(figures: TrackingFigures) -> dict[str, Any]:

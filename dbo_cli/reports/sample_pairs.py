@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain
 
 import numpy as np
@@ -18,7 +18,6 @@ from dbo_cli.errors import InputError
 from dbo_cli.hysteresis.cascade import interpolated
 from dbo_cli.logs.request import Rows
 from dbo_cli.logs.sample_block import SampleBlock, joined
-from dbo_cli.records import dataclass
 
 Floats = NDArray[np.float64]
 BATCH = 32768  # samples: four columns of them fit into a cache of 1 MB
@@ -40,13 +39,13 @@ def row_numbers(block: SampleBlock) -> Floats:
     return block.rows.astype(np.float64)
 
 
-def only(block: SampleBlock, kept: NDArray[np.bool_]) -> SampleBlock:
+def only(block: SampleBlock, mask: NDArray[np.bool_]) -> SampleBlock:
     """Return the samples that are kept, as rows without lines."""
-    if kept.all():
+    if mask.all():
         return block
-    values = {role: column[kept] for role, column in block.values.items()}
-    rows = np.asarray(block.rows, dtype=np.int64)[kept]
-    return SampleBlock(rows, None, None if block.time is None else block.time[kept], values)
+    values = {role: column[mask] for role, column in block.values.items()}
+    rows = np.asarray(block.rows, dtype=np.int64)[mask]
+    return SampleBlock(rows, None, None if block.time is None else block.time[mask], values)
 
 
 def with_values(block: SampleBlock, **values: Floats) -> SampleBlock:
@@ -161,11 +160,11 @@ class TrajectoryMatch:
         InputError
             The trajectory's time goes backwards, or no sample found a partner.
         """
-        found = False
+        is_beyond = False
         for pair in self._pairs_by_time() if self.by_time else self._pairs_by_row():
-            found = True
+            is_beyond = True
             yield pair
-        if not found:
+        if not is_beyond:
             if not self.by_time:
                 raise InputError(f"{self.name}: no row to compare with {self.trajectory_name}")
             raise InputError(
@@ -231,9 +230,9 @@ class TrajectoryMatch:
                         self.left_out += len(block) - done
                         break
                 count = min(len(block) - done, len(wanted))
-                own, partner = block.part(done, done + count), wanted.part(0, count)
-                time = own.time if partner.time is None else partner.time
-                yield with_values(replace(own, time=time), desired=partner.values["desired"])
+                part, partner = block.part(done, done + count), wanted.part(0, count)
+                time = part.time if partner.time is None else partner.time
+                yield with_values(replace(part, time=time), desired=partner.values["desired"])
                 done, wanted = done + count, wanted.part(count, len(wanted))
         left = wanted is not None and len(wanted) > 0
         self.goes_on = left or next(self._coming, None) is not None
@@ -245,15 +244,15 @@ def lagged(name: str, blocks: Iterable[SampleBlock], lag: int) -> Iterator[Sampl
     ``|lag|`` samples are held back, no more. Raises InputError where nothing is left to compare.
     """
     late, early = max(lag, 0), max(-lag, 0)
-    held: SampleBlock | None = None
+    last: SampleBlock | None = None
     paired = total = 0
     for block in blocks:
         total += len(block)
-        whole = block if held is None else joined([held, block])
+        whole = block if last is None else joined([last, block])
         count = max(len(whole) - abs(lag), 0)
         measured = whole.values["measured"][late : late + count]
         ready = with_values(whole.part(early, early + count), measured=measured)
-        held = whole.part(count, len(whole)) if lag else None
+        last = whole.part(count, len(whole)) if lag else None
         if len(ready):
             paired += len(ready)
             yield ready
@@ -329,12 +328,12 @@ def batched(blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
     yield from batches.rest()
 
 
-def released(held: list[SampleBlock], count: int) -> Iterator[SampleBlock]:
+def released(blocks: list[SampleBlock], count: int) -> Iterator[SampleBlock]:
     """Take the first ``count`` samples out of ``held``."""
-    while count > 0 and held:
-        block = held.pop(0)
+    while count > 0 and blocks:
+        block = blocks.pop(0)
         if len(block) > count:
-            held.insert(0, block.part(count, len(block)))
+            blocks.insert(0, block.part(count, len(block)))
             block = block.part(0, count)
         count -= len(block)
         yield block
@@ -412,11 +411,11 @@ class Dwells:
             new = desired != np.concatenate([[level], desired[:-1]])  # a blank is never held
             begun = np.maximum.accumulate(np.where(new, np.arange(len(block)), -1))
             start = np.where(begun >= 0, time[begun], since)
-            held = only(block, ~new & (time - start >= self._seconds * (1.0 - SAME)))
+            dwelling = only(block, ~new & (time - start >= self._seconds * (1.0 - SAME)))
             level, since = float(desired[-1]), float(start[-1])
             self.read += len(block)
-            self.kept += len(held)
-            yield held
+            self.kept += len(dwelling)
+            yield dwelling
         if self.read and not self.kept:
             raise InputError(
                 f"{self._name}: what is desired is nowhere held for {self._seconds:g} s (`dwell`)"

@@ -5,8 +5,9 @@ from __future__ import annotations
 import dataclasses
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, overload
 
 import numpy as np
@@ -22,12 +23,11 @@ from dbo_cli.hysteresis.model_file import read_model as read_model_file
 from dbo_cli.hysteresis.model_state import ModelState, Quantity, StartName
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs import request
-from dbo_cli.logs.columns import column_wish, is_pattern
+from dbo_cli.logs.columns import any_of, column_wish, is_pattern
 from dbo_cli.logs.request import ALL_ROWS, Address, ReadingOptions, Rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.sources import ArraySource, is_file, is_log
 from dbo_cli.logs.whole_output import write_whole
-from dbo_cli.records import dataclass
 from dbo_cli.runs import files
 
 if TYPE_CHECKING:
@@ -301,13 +301,13 @@ class Model:
         brought = {name: options.pop(name) for name in brought_keywords("compensate") if name in options}
         if np.size(tracked):
             brought["tracked"] = tracked
-        asked = record_of(DriveOptions, options | {"state": state}, "is no parameter of compensate")
+        drive = record_of(DriveOptions, options | {"state": state}, "is no parameter of compensate")
         self.actuator.require("forward")
         read, last = _rows_of(rows, not (brought.get("periodic") or "tracked" in brought))
         want = {self.output.quantity: files.quantity_wish(self.output, option="wanted", trajectory=True)}
         source = files.source_of(want, wanted, time=time, sample_rate=sample_rate, rows=read)
         files.bring_to(source, self.output.quantity, self.output, "the model")
-        run = compensation(self.actuator, source, asked, brought, last)
+        run = compensation(self.actuator, source, drive, brought, last)
         return _finished(run, return_state, details)
 
     def controller(self, sample_rate: float | None = None, **options: Any) -> Controller:
@@ -347,10 +347,10 @@ class Model:
 OUTSIDE = ("extend", "hold", "error")
 
 
-def record_of(record: type[Record], given: Mapping[str, Any], what: str) -> Record:
+def record_of(record: type[Record], values: Mapping[str, Any], what: str) -> Record:
     """Return a record of options, made of keywords that it knows (see ``require_known``)."""
-    require_known(record, given, what)
-    return record(**given)
+    require_known(record, values, what)
+    return record(**values)
 
 
 def brought_keywords(command: str) -> list[str]:
@@ -359,10 +359,10 @@ def brought_keywords(command: str) -> list[str]:
     return [option.replace("-", "_") for name, _, option in keys if name == command]
 
 
-def require_known(record: type[DataclassInstance], given: Mapping[str, Any], what: str) -> None:
+def require_known(record: type[DataclassInstance], values: Mapping[str, Any], what: str) -> None:
     """Refuse keywords that are no fields of a record of options (UsageError, which lists the fields)."""
     known = {field.name for field in dataclasses.fields(record)}
-    for name in given:
+    for name in values:
         if name not in known:
             raise UsageError(f"`{name}` {what}; there are: {', '.join(sorted(known))}")
 
@@ -375,17 +375,17 @@ def _rows_of(rows: str | None, ahead: bool) -> tuple[Rows, int | None]:
 
 def _finished(run: ModelRun, return_state: bool, details: bool) -> Any:
     """Run to the end and return what was asked for."""
+    times: list[Floats] = []
     with closing(run.source):
-        responses = list(run.responses())
+        expected = run.source.count if isinstance(run.source, ArraySource) else 0
+        values = _joined(_outputs(run, times if details else None), expected)
     if isinstance(run, Compensation):
         run.expecting = details  # playing other models over the move takes longer than the drive itself
         run.finish()
-    values = responses[0].y if len(responses) == 1 else np.concatenate([response.y for response in responses])
     remarks = run.remarks()
     assert run.state is not None
     run.state = dataclasses.replace(run.state, model=run.model.digest)
     if details:
-        times = [response.time for response in responses if response.time is not None]
         return Result(
             values,
             np.concatenate(times) if times else None,
@@ -398,6 +398,35 @@ def _finished(run: ModelRun, return_state: bool, details: bool) -> Any:
     for text in remarks.warnings:
         warnings.warn(text, DboWarning, stacklevel=3)
     return (values, run.state) if return_state else values
+
+
+def _outputs(run: ModelRun, times: list[Floats] | None) -> Iterator[Floats]:
+    """Return the blocks of a run's output; their times are added to a list where one is given."""
+    for response in run.responses():
+        if times is not None and response.time is not None:
+            times.append(response.time)
+        yield response.y
+
+
+def _joined(blocks: Iterator[Floats], expected: int) -> Floats:
+    """Return blocks as one array, which is as long as expected, or longer or shorter.
+
+    Each block is copied and given back before the next is made: memory in use would have to be found anew.
+    """
+    first = next(blocks, np.empty(0))
+    if first.size >= expected:
+        rest = list(blocks)
+        return np.concatenate([first, *rest]) if rest else first
+    joined = np.empty(expected)
+    joined[: first.size] = first
+    filled = first.size
+    del first
+    for block in blocks:
+        if filled + block.size > joined.size:
+            joined = np.concatenate([joined[:filled], np.empty(max(filled, block.size))])
+        joined[filled : filled + block.size] = block
+        filled += block.size
+    return joined if filled == joined.size else joined[:filled]
 
 
 # --- functions ---
@@ -449,7 +478,15 @@ def read_log(
     with open_log(path, want, options, digest=True) as log:
         if not log.columns:  # refused by this, with what there is to choose from
             open_log(path, files.recording_wishes(voltage, displacement), options).close()
-        return _frame(log)
+        frame = _frame(log)
+    if list(log.columns) == ["displacement"] and log.unread:
+        columns = any_of([f"'{name}'" for name in log.unread])
+        warnings.warn(
+            f"{log.name}: no column is recognised as the voltage (`voltage` names it: {columns})",
+            DboWarning,
+            stacklevel=2,
+        )
+    return frame
 
 
 def _frame(log: SignalLog) -> pandas.DataFrame:
@@ -552,20 +589,20 @@ def _given(
     return [source], (None, None)
 
 
-def _identify_model_or_set(asked: IdentifyRun, jobs: int) -> Any:
+def _identify_model_or_set(run: IdentifyRun, jobs: int) -> Any:
     """Identify a model, or a set of them where the columns are patterns."""
     from dbo_cli.runs.identifying import identify_recordings
 
-    if is_pattern(asked.voltage) or is_pattern(asked.displacement):
-        return extensions.find("run", "identify a set")(asked, jobs)
-    asked.refuse_channels_options()
-    kept = None if asked.prior is None else _model(asked.prior).actuator
-    fitted, checks = asked.read(prior=kept)
-    arguments = asked.arguments({}, os.fspath(asked.prior) if is_file(asked.prior) else None)
-    found = identify_recordings(fitted, asked.options, checks, arguments, kept)
-    for text in found.remarks.warnings:
+    if is_pattern(run.voltage) or is_pattern(run.displacement):
+        return extensions.find("run", "identify a set")(run, jobs)
+    run.refuse_channels_options()
+    prior = None if run.prior is None else _model(run.prior).actuator
+    fitted, checks = run.read(prior=prior)
+    arguments = run.arguments({}, os.fspath(run.prior) if is_file(run.prior) else None)
+    result = identify_recordings(fitted, run.options, checks, arguments, prior)
+    for text in result.remarks.warnings:
         warnings.warn(text, DboWarning, stacklevel=3)
-    return Model(found.model, found.summary, found.remarks)
+    return Model(result.model, result.summary, result.remarks)
 
 
 def read_model(path: str | os.PathLike[str]) -> Any:
@@ -664,18 +701,18 @@ def report(
     from dbo_cli.runs.reporting import TrackingRun
 
     logs = [] if measured is not None else _logs(wanted)
-    asked = _tracking_options(options, logs, voltage, time)
+    tracked = _tracking_options(options, logs, voltage, time)
     predicting = None if model is None else _model(model).actuator
-    tracking = TrackingRun(asked.scoring(predicting is not None), predicting, traced=True)
+    tracking = TrackingRun(tracked.scoring(predicting is not None), predicting, traced=True)
     reading = _reading(_column(time), options.pop("rows", None), options | {"sample_rate": sample_rate})
     if not logs:
         first = "desired" if predicting is None else "voltage"
         logs = [_pair({first: wanted, "measured": measured}, voltage, time, reading.sample_rate, unit)]
     names = files.short_names(logs)
-    for number, one in enumerate(logs, 1):
+    for number, log in enumerate(logs, 1):
         called = name if len(logs) < 2 else f"{name} {number}"
-        shown = names.get(one) if isinstance(one, Address) else called
-        tracking.add(one, reading, asked, shown, time=time)
+        shown = names.get(log) if isinstance(log, Address) else called
+        tracking.add(log, reading, tracked, shown, time=time)
     return tracking.result()
 
 
@@ -702,15 +739,15 @@ def _tracking_options(
     from dbo_cli.runs.reporting import TrackingOptions
 
     known = {field.name for field in dataclasses.fields(TrackingOptions)}
-    asked = {key: options.pop(key) for key in known & options.keys()}
-    if asked.get("trajectory") is not None:
-        if not logs or not all(isinstance(one, Address) for one in logs):
+    values = {key: options.pop(key) for key in known & options.keys()}
+    if values.get("trajectory") is not None:
+        if not logs or not all(isinstance(log, Address) for log in logs):
             raise UsageError("`trajectory` belongs to a log in a file; of arrays, give both signals")
-        asked["trajectory"] = request.parse_address(asked["trajectory"])
-    for role, given in {"voltage": voltage, "time": time}.items():
-        if logs and not isinstance(given, str | int | None):
+        values["trajectory"] = request.parse_address(values["trajectory"])
+    for role, column in {"voltage": voltage, "time": time}.items():
+        if logs and not isinstance(column, str | int | None):
             raise UsageError(f"`{role}`: beside tables and files give the name or number of their column")
-    return TrackingOptions(**asked | {"voltage": voltage if logs else None})
+    return TrackingOptions(**values | {"voltage": voltage if logs else None})
 
 
 def _model(model: Model | str | os.PathLike[str]) -> Model:
@@ -718,21 +755,21 @@ def _model(model: Model | str | os.PathLike[str]) -> Model:
     if isinstance(model, Model):
         return model
     actuator = read_model_file(os.fspath(model))
-    kept = actuator.fit.get("warnings")
-    return Model(actuator, remarks=Remarks(warnings=list(kept) if isinstance(kept, list) else []))
+    warnings = actuator.fit.get("warnings")
+    return Model(actuator, remarks=Remarks(warnings=list(warnings) if isinstance(warnings, list) else []))
 
 
 def _reading(time: str | None, rows: str | None, options: dict[str, Any]) -> ReadingOptions:
-    given = options | {"time": time, "rows": ALL_ROWS if rows is None else request.parse_rows(rows)}
-    return record_of(ReadingOptions, given, "says nothing about reading a log")
+    values = options | {"time": time, "rows": ALL_ROWS if rows is None else request.parse_rows(rows)}
+    return record_of(ReadingOptions, values, "says nothing about reading a log")
 
 
-def _logs(given: Any) -> list[Any]:
+def _logs(logs: Any) -> list[Any]:
     """Return the tables and files that were given, one or a list of them; none of anything else."""
-    several = isinstance(given, list | tuple) and all(map(is_log, given))
-    return _addressed(given) if is_log(given) or several else []
+    several = isinstance(logs, list | tuple) and all(map(is_log, logs))
+    return _addressed(logs) if is_log(logs) or several else []
 
 
 def _addressed(logs: Any) -> list[Any]:
     """Return logs, one or a list of them, the names of files taken apart."""
-    return [request.parse_address(one) if is_file(one) else one for one in ([logs] if is_log(logs) else logs)]
+    return [request.parse_address(log) if is_file(log) else log for log in ([logs] if is_log(logs) else logs)]

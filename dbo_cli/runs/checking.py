@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +23,6 @@ from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.sources import remarks_of
 from dbo_cli.logs.units import in_unit, require_unit
 from dbo_cli.logs.whole_output import check_output, write_whole
-from dbo_cli.records import dataclass
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class CheckOptions:
     @property
     def has_plain_limits(self) -> bool:
         """Whether any limit is a number without a unit."""
-        return any(one is not None and not isinstance(one, str) for one in self.figures)
+        return any(limit is not None and not isinstance(limit, str) for limit in self.figures)
 
 
 def check_file(
@@ -124,8 +124,8 @@ def check_file(
     if unit is None and options.has_plain_limits:
         column = cleaned(read.column)
         remarks.note([f"{name}: column '{column}' has no unit: limits are taken in what its figures count"])
-    elif said := plain_in(unit, *options.figures):
-        remarks.note([f"{name}: {said}"])
+    elif note := plain_in(unit, *options.figures):
+        remarks.note([f"{name}: {note}"])
     write_whole(output, _report(name, checked, unit, chosen).encode(), protect=inputs)
     if checked.problems:
         more_of = f" (and {len(checked.problems) - 1} more)" if len(checked.problems) > 1 else ""
@@ -137,7 +137,7 @@ def _report(name: str, checked: CheckedDrive, unit: str | None, form: str) -> st
     """Return the check as text or JSON."""
     if form != "json":
         return "\n".join(_lines(name, checked, unit)) + "\n"
-    found = {
+    content = {
         "format": "dbo-check",
         "version": 1,
         "name": name,
@@ -147,7 +147,7 @@ def _report(name: str, checked: CheckedDrive, unit: str | None, form: str) -> st
         "played": checked.played or None,
         "problems": [plain(text) for text in checked.problems],
     }
-    return json.dumps(found, indent=2, ensure_ascii=False) + "\n"
+    return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
 
 
 def _finite(figures: dict[str, Any]) -> dict[str, Any]:
@@ -228,16 +228,25 @@ def _lines(name: str, checked: CheckedDrive, unit: str | None) -> list[str]:
         f"{figures.last:.6g}{u}",
     ]
     if checked.played:
-        one = checked.played
-        late = f" ({one['lag_seconds'] * 1e3:.4g} ms)" if one["lag_seconds"] else ""
-        gain, after = one["amplifier_gain"], ", at another rate" if one["resampled"] else ""
-        after += f", times the amplifier's {gain:g}" if gain != 1.0 else ""
-        if one["read_back_noise"]:
-            after += (
-                f"; read back with noise of {one['read_back_noise']:.2g}{u} (up to {one['tolerance']:.2g}{u})"
-            )
-        lines.append(
-            f"  played: {one['rows']:,} rows, {one['lag_rows']} later{late}, gain {one['gain']:.6g}, offset "
-            f"{one['offset']:.3g}{u}, largest difference {one['largest_difference']:.3g}{u}{after}"
-        )
+        lines.append(_played_line(checked.played, u))
     return lines + [f"  {text}" for text in checked.problems]
+
+
+def _played_line(played: dict[str, Any], suffix: str) -> str:
+    """Return how what was played compares with the drive."""
+    rows = f"{played['rows']:,} rows, {played['lag_rows']} later"
+    if played["lag_seconds"]:
+        rows += f" ({played['lag_seconds'] * 1e3:.4g} ms)"
+    line = (
+        f"  played: {rows}, gain {played['gain']:.6g}, "
+        f"offset {played['offset']:.3g}{suffix}, "
+        f"largest difference {played['largest_difference']:.3g}{suffix}"
+    )
+    if played["resampled"]:
+        line += ", at another rate"
+    if played["amplifier_gain"] != 1.0:
+        line += f", times the amplifier's {played['amplifier_gain']:g}"
+    if played["read_back_noise"]:
+        noise, tolerance = played["read_back_noise"], played["tolerance"]
+        line += f"; read back with noise of {noise:.2g}{suffix} (up to {tolerance:.2g}{suffix})"
+    return line

@@ -11,10 +11,12 @@ import dataclasses
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from dbo_cli import extensions
 from dbo_cli.drives.gate import DriveFigures, DriveGate, Floats
@@ -32,7 +34,6 @@ from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.sources import ArraySource, Source, is_file, is_log, is_table, table_source
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
-from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
     from dbo_cli.drives.options import DriveOptions
@@ -63,16 +64,16 @@ class Destination(NamedTuple):
 
     def placed(self, put: Callable[[Address], Address]) -> Destination:
         """Put the name of a channel or a file into every output's."""
-        state, summary = (None if one is None else put(one) for one in (self.save_state, self.summary))
+        state, summary = (None if path is None else put(path) for path in (self.save_state, self.summary))
         return self._replace(output=put(self.output), save_state=state, summary=summary)
 
     def check(self) -> None:
         """Refuse outputs that cannot be written, or that are inputs or each other, before the long work."""
-        if sum(one == "-" or (isinstance(one, Address) and one.is_stream) for one in self.protect) > 1:
+        if sum(path == "-" or (isinstance(path, Address) and path.is_stream) for path in self.protect) > 1:
             raise UsageError("standard input can be read once only: give the model or the signal as a file")
         request.parse_output(self.output)
         outputs = (self.output, self.save_state, self.summary)
-        check_outputs([one for one in outputs if one is not None], self.protect)
+        check_outputs([path for path in outputs if path is not None], self.protect)
         if self.summary is not None:
             request.check_document(self.summary, "a summary", "json")
         if self.save_state is not None:
@@ -120,11 +121,11 @@ class SignalRun:
         destination.check()
         check_order(model_file, self.log.text)
         request.check_format(self.reading.format, [self.log, destination.output])
-        asked, model = dataclasses.replace(self, destination=destination), read_model(model_file)
+        run, model = dataclasses.replace(self, destination=destination), read_model(model_file)
         if self.drive is None:
-            return asked._simulated(model, listener)
+            return run._simulated(model, listener)
         model.require("forward", shown_name(model_file))
-        return asked._compensated(model, self.drive, listener)
+        return run._compensated(model, self.drive, listener)
 
     @property
     def may_read_ahead(self) -> bool:
@@ -161,9 +162,9 @@ class SignalRun:
             run.streamed = self.destination.output.is_stream
             # Not under the name of what will be measured: a drive must not be taken for a recording.
             unit = log.columns[wanted.quantity].unit or wanted.unit
-            given = OutColumn("desired", unit, "desired", may_be_blank=True)
+            desired = OutColumn("desired", unit, "desired", may_be_blank=True)
             with all_or_none():
-                remarks = self._written(run, log, given, listener)
+                remarks = self._written(run, log, desired, listener)
                 run.finish()
             return remarks
 
@@ -182,13 +183,13 @@ class SignalRun:
             bring_to(log, taken.quantity, taken, shown_name(self.model))
             yield log
 
-    def _written(self, run: ModelRun, log: SignalLog, given: OutColumn, listener: Listener) -> Remarks:
+    def _written(self, run: ModelRun, log: SignalLog, wanted: OutColumn, listener: Listener) -> Remarks:
         """Run to the end of the log and write what comes out, then the state."""
         output, destination = run.output, self.destination
         out = OutColumn(output.quantity, output.unit)
-        if out.header == given.header:
+        if out.header == wanted.header:
             out = OutColumn(f"model_{output.quantity}", output.unit)
-        columns = [*([OutColumn("time", "s")] if log.has_time else []), given, out]
+        columns = [*([OutColumn("time", "s")] if log.has_time else []), wanted, out]
         responses = run.responses()
         # Computed before anything is opened: a log that is bad from the start leaves not even a header.
         first = next(responses)
@@ -227,7 +228,7 @@ class SignalRun:
         return remarks
 
 
-def run_of_signals(brought: Mapping[str, Any], **asked: Any) -> SignalRun:
+def run_of_signals(brought: Mapping[str, Any], **fields: Any) -> SignalRun:
     """Return the run of ``compensate``, as the extra makes it whose options were given.
 
     Parameters
@@ -240,7 +241,7 @@ def run_of_signals(brought: Mapping[str, Any], **asked: Any) -> SignalRun:
     make: type[SignalRun] = SignalRun
     for name in brought:
         make = extensions.find("run", f"files of compensate {name}") or make
-    return make(**asked, brought=brought)
+    return make(**fields, brought=brought)
 
 
 def invert_model(model_file: str, output: Address) -> ActuatorModel:
@@ -279,19 +280,27 @@ def write_excitation(
     excitation: Excitation,
     form: str | None,
     timed_drives: tuple[Floats, Mapping[str, Floats]],
-) -> int:
-    """Write the drives that identify well, as ``excitation_drives`` returns them; returns the rows."""
+) -> float:
+    """Write the drives that identify well, as ``excitation_drives`` returns them.
+
+    Returns
+    -------
+    float
+        The greatest slew of them all in V/s.
+    """
     time, drives = timed_drives
     limits = DriveLimits(excitation.v_min, excitation.v_max, excitation.max_slew)
-    for one in drives.values():
-        DriveGate(limits).admit(one, 1.0 / excitation.sample_rate)
+    rate = excitation.sample_rate
+    fastest = 0.0
+    for drive in drives.values():
+        DriveGate(limits).admit(drive, 1.0 / rate)
+        fastest = max(fastest, float(np.abs(np.diff(drive)).max()) * rate)
     request.check_format(form, [output])
     columns = [OutColumn("time", "s"), *(OutColumn(name, "V") for name in drives)]
-    rate = excitation.sample_rate
     with signal_writer(output.or_format(form), columns, attributes=lambda: {"sample_rate": rate}) as writer:
         for row in range(0, len(time), _ROWS):
-            writer.write(*(one[row : row + _ROWS] for one in (time, *drives.values())))
-    return len(time)
+            writer.write(*(column[row : row + _ROWS] for column in (time, *drives.values())))
+    return fastest
 
 
 def _attributes(run: ModelRun, log: SignalLog, command: str) -> dict[str, str | float]:
@@ -314,12 +323,14 @@ def summary_of(
     """Return what was done as plain values (``dbo-summary``); voltages and lengths in the model's units."""
     from dbo_cli.drives.compensation import Compensation
 
-    expected, percent, clipped, asked = None, None, 0, dict[str, Any]()
+    expected, percent, clipped = None, None, 0
+    of_pieces: dict[str, Any] = {}
     if isinstance(run, Compensation):
         for watcher in run.watchers:
-            asked |= watcher.summary()
-        asked["before"] = run.summary_before()
+            of_pieces |= watcher.summary()
+        of_pieces["before"] = run.summary_before()
         expected, percent = run.expected_rmse()
+        of_pieces |= run.summary_of_error()
         clipped = run.clipped.count
     return {
         "format": "dbo-summary",
@@ -332,7 +343,7 @@ def summary_of(
         "largest_step": figures.largest_step,
         "expected_rmse": expected,
         "expected_percent": percent,
-        **asked,
+        **of_pieces,
         "notes": [plain(text) for text in remarks.notes],
         "warnings": [plain(text) for text in remarks.warnings],
     }
@@ -418,8 +429,8 @@ def recording_wishes(voltage: str | None, displacement: str | None) -> dict[str,
 
 def short_names(logs: Sequence[Any]) -> dict[Address, str]:
     """Return the names of files without their folders, where these differ."""
-    files = [one for one in logs if isinstance(one, Address) and not one.is_stream]
-    short = {one: cleaned(os.path.basename(one.text)) for one in files}
+    files = [log for log in logs if isinstance(log, Address) and not log.is_stream]
+    short = {log: cleaned(os.path.basename(log.text)) for log in files}
     return short if len(set(short.values())) == len(short) else {}
 
 
@@ -457,9 +468,9 @@ def opened(
         return table_source(log, want, time, reading.sample_rate, reading.rows)
     if not is_file(log) and not isinstance(log, Address):
         raise InputError("a log is a table or a file's name; give two arrays as voltage and displacement")
-    found = open_log(log, want, reading, digest=digest)
-    listener.opened(found.describe())
-    return found
+    log_file = open_log(log, want, reading, digest=digest)
+    listener.opened(log_file.describe())
+    return log_file
 
 
 def source_of(
@@ -487,9 +498,9 @@ def source_of(
         column = time if is_file(signals[0]) else None
         reading = ReadingOptions(time=column, sample_rate=sample_rate, rows=rows)
         return opened(signals[0], want, reading, time=time)
-    called = [one.option for one in want.values()]
-    given = dict(zip(called, signals, strict=True))
-    arrays = ArraySource(given, time, sample_rate, name=name or f"`{called[0]}`", rows=rows)
+    called = [wish.option for wish in want.values()]
+    columns = dict(zip(called, signals, strict=True))
+    arrays = ArraySource(columns, time, sample_rate, name=name or f"`{called[0]}`", rows=rows)
     arrays.values = dict(zip(want, arrays.values.values(), strict=True))
     arrays.columns = dict(zip(want, arrays.columns.values(), strict=True))
     return arrays

@@ -7,7 +7,7 @@ import hashlib
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import closing
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any
 
 from dbo_cli.errors import SILENT, Listener, Remarks, UsageError, plain
@@ -22,9 +22,8 @@ from dbo_cli.logs.request import ALL_ROWS, Address, ReadingOptions
 from dbo_cli.logs.sample_block import joined
 from dbo_cli.logs.signal_log import SignalLog
 from dbo_cli.logs.sources import ArraySource, Source, is_table, remarks_of
-from dbo_cli.logs.units import in_unit
+from dbo_cli.logs.units import in_unit, quantity_name
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
-from dbo_cli.records import dataclass
 from dbo_cli.runs.files import bring_to, opened, read_record, recording_wishes, short_names, write_summary
 from dbo_cli.runs.jobs import named
 from dbo_cli.version import program_version_string
@@ -55,19 +54,22 @@ class IdentifyResult:
 def recording_of(source: Source, name: str | None = None, listener: Listener = SILENT) -> Recording:
     """Read a source whole."""
     blocks = []
-    for one in source.blocks():
-        blocks.append(one)
-        listener.progressed(len(one))
-    block = joined(blocks)
+    for block in source.blocks():
+        blocks.append(block)
+        listener.progressed(len(block))
+    whole = joined(blocks)
     rate = source.even_rate
+    units = {role: source.columns[role].unit for role in ("voltage", "displacement")}
     return Recording(
         name or source.name,
-        block.values["voltage"],
-        block.values["displacement"],
-        time=block.time if rate is None else None,
+        whole.values["voltage"],
+        whole.values["displacement"],
+        time=whole.time if rate is None else None,
         sample_period=None if rate is None else 1.0 / rate,
-        voltage_unit=source.columns["voltage"].unit,
-        displacement_unit=source.columns["displacement"].unit,
+        voltage_unit=units["voltage"],
+        displacement_unit=units["displacement"],
+        voltage_quantity=quantity_name("voltage", units["voltage"]),
+        displacement_quantity=quantity_name("displacement", units["displacement"]),
     )
 
 
@@ -103,7 +105,7 @@ def identify_recordings(
         unit, (low, high) = logs[0].recording.voltage_unit, options.rated
         rated = in_unit("v_min", low, unit), in_unit("v_max", high, unit)
         options = dataclasses.replace(options, rated=rated)
-    found = identify_model([log.recording for log in logs], options, tests, prior)
+    result = identify_model([log.recording for log in logs], options, tests, prior)
     provenance: dict[str, Any] = {
         "program": program_version_string(),
         "arguments": list(arguments),
@@ -111,10 +113,10 @@ def identify_recordings(
     }
     if prior is not None:
         provenance["prior"] = dict(prior.provenance)
-    remarks = Remarks(warnings=found.warnings)
+    remarks = Remarks(warnings=result.warnings)
     for log in [*logs, *validation]:
         remarks.add(log.remarks)
-    return IdentifyResult(dataclasses.replace(found.model, provenance=provenance), found.summary, remarks)
+    return IdentifyResult(dataclasses.replace(result.model, provenance=provenance), result.summary, remarks)
 
 
 def sign_line(models: Mapping[str, ActuatorModel], noun: str = "channel") -> str:
@@ -123,11 +125,12 @@ def sign_line(models: Mapping[str, ActuatorModel], noun: str = "channel") -> str
     for name, model in models.items():
         names.setdefault(model.sign, []).append(name)
     ways = sorted(names, key=lambda sign: -len(names[sign]))
-    line = f"displacement {SIGN_VERBS[ways[0]]} as voltage rises"
+    first = next(iter(models.values()))
+    line = f"{first.output.quantity} {SIGN_VERBS[ways[0]]} as {first.input.quantity} rises"
     if len(ways) > 1:
-        others = names[ways[1]]
-        plural = "s" if len(others) > 1 else ""
-        line += f", but {SIGN_VERBS[ways[1]]} in {noun}{plural} {named(others)}"
+        opposite = names[ways[1]]
+        plural = "s" if len(opposite) > 1 else ""
+        line += f", but {SIGN_VERBS[ways[1]]} in {noun}{plural} {named(opposite)}"
     return line
 
 
@@ -143,43 +146,44 @@ def sign_warning(models: Mapping[str, ActuatorModel], noun: str) -> str | None:
     return f"{sign_line(models, noun)}: are leads exchanged, or does a sensor face away?"
 
 
-def summary_of_model(found: IdentifyResult, command: str) -> dict[str, Any]:
+def summary_of_model(result: IdentifyResult, command: str) -> dict[str, Any]:
     """Return what was identified as plain values (``dbo-summary``).
 
     Errors are in the displacement's unit; the gain is displacement per voltage, end to end, with its sign.
     """
-    model, fit = found.model, found.model.fit
+    model, fit = result.model, result.model.fit
     gain = model.output.span / model.input.span
     if model.sign == "falling":
         gain = -gain
     inputs: Any = model.provenance["inputs"]
-    figures = ("rmse", "rmse_percent", "expected_rmse", "expected_percent")
+    figures = ["rmse", "rmse_percent", "expected_rmse", "expected_percent"]
+    figures += ["expected_shape_rmse", "expected_zero"]
     return {
         "format": "dbo-summary",
         "version": 1,
         "command": command,
-        "read": [read_record(one["name"], one.get("read", one)) for one in inputs],
+        "read": [read_record(log["name"], log.get("read", log)) for log in inputs],
         "rows": fit.get("samples"),
         "sign": model.sign,
         "gain": gain,
         "range": [model.input.minimum, model.input.maximum],
         **{key: fit.get(key) for key in figures},
-        "notes": [plain(text) for text in [*found.remarks.notes, *found.summary]],
-        "warnings": [plain(text) for text in found.remarks.warnings],
+        "notes": [plain(text) for text in [*result.remarks.notes, *result.summary]],
+        "warnings": [plain(text) for text in result.remarks.warnings],
     }
 
 
 def chosen_of(options: IdentificationOptions) -> dict[str, Any]:
     """Return the parameters that are not at their default, under the command line's names."""
     changed: dict[str, Any] = {}
-    for one in dataclasses.fields(options):
-        value = getattr(options, one.name)
-        if value == one.default:
+    for option in dataclasses.fields(options):
+        value = getattr(options, option.name)
+        if value == option.default:
             continue
-        if one.name == "rated":
+        if option.name == "rated":
             changed |= {"v_min": value[0], "v_max": value[1]}
         else:
-            changed[{"skip_seconds": "skip"}.get(one.name, one.name)] = value
+            changed[{"skip_seconds": "skip"}.get(option.name, option.name)] = value
     return changed
 
 
@@ -242,14 +246,14 @@ class IdentifyRun:
         for log in self.validation if checked else ():
             words += ["--validate", os.path.basename(_name_of(log))]
         for name, value in chosen.items():
-            several = isinstance(value, tuple) and value and all(isinstance(one, str) for one in value)
-            for one in value if several else [value]:
-                words += ["--" + name.replace("_", "-"), *([] if one is True else [_word(one)])]
+            several = isinstance(value, tuple) and value and all(isinstance(item, str) for item in value)
+            for item in value if several else [value]:
+                words += ["--" + name.replace("_", "-"), *([] if item is True else [_word(item)])]
         return [cleaned(request.without_folder(word)) for word in words]
 
     def read(self, listener: Listener = SILENT, prior: str | ActuatorModel | None = None) -> Recordings:
         """Read what is fitted and what is judged on, in the units of a prior, else of the first log."""
-        kept = read_model(prior) if isinstance(prior, str) else prior
+        prior_model = read_model(prior) if isinstance(prior, str) else prior
         names = short_names([*self.logs, *self.validation])
         units: dict[str, str | None] = {}
         wishes = recording_wishes(self.voltage, self.displacement)
@@ -265,9 +269,9 @@ class IdentifyRun:
                         f"{source.name}: column '{taken.name}' is what was wanted, by its name, not what was "
                         "measured: what is identified is how the drive was computed, not the actuator"
                     )
-                if kept is not None:
-                    bring_to(source, "voltage", kept.input, "the prior")
-                    bring_to(source, "displacement", kept.output, "the prior")
+                if prior_model is not None:
+                    bring_to(source, "voltage", prior_model.input, "the prior")
+                    bring_to(source, "displacement", prior_model.output, "the prior")
                 for role, unit in units.items():
                     source.convert(role, unit, "the first log is")
                 named = names.get(log) if isinstance(log, Address) else _name_of(log)
@@ -279,7 +283,7 @@ class IdentifyRun:
                 return RecordedLog(recording, _record_of(source, log), remarks)
 
         whole = dataclasses.replace(self.reading, rows=ALL_ROWS)
-        return [read(one, self.reading) for one in self.logs], [read(one, whole) for one in self.validation]
+        return [read(log, self.reading) for log in self.logs], [read(log, whole) for log in self.validation]
 
     def run(self, output: Address, listener: Listener = SILENT) -> IdentifyResult:
         """Identify a model of one actuator from logs and write it."""
@@ -289,22 +293,24 @@ class IdentifyRun:
         inputs = [*self.logs, *self.validation]
         self.check_outputs([output], [*inputs, *beside, *known])
         request.check_format(self.reading.format, inputs)
-        kept = None if self.prior is None else read_model(self.prior)
-        fitted, checks = self.read(listener, kept)
+        prior = None if self.prior is None else read_model(self.prior)
+        fitted, checks = self.read(listener, prior)
         columns = {"voltage": self.voltage, "displacement": self.displacement}
-        arguments = self.arguments({key: one for key, one in columns.items() if one is not None}, self.prior)
+        arguments = self.arguments(
+            {key: column for key, column in columns.items() if column is not None}, self.prior
+        )
         rows = sum(len(log.recording.voltage) for log in fitted)
         listener.working(f"fitting {rows:,} rows")
         try:
-            found = identify_recordings(fitted, self.options, checks, arguments, kept)
+            result = identify_recordings(fitted, self.options, checks, arguments, prior)
         finally:
             listener.finished()
         with all_or_none():
-            write_whole(output, model_to_bytes(found.model))
+            write_whole(output, model_to_bytes(result.model))
             if self.summary is not None:
-                write_summary(self.summary, [summary_of_model(found, self.command)])
-        found.remarks.read = with_sign(found.remarks.read, sign_line({"": found.model}))
-        return found
+                write_summary(self.summary, [summary_of_model(result, self.command)])
+        result.remarks.read = with_sign(result.remarks.read, sign_line({"": result.model}))
+        return result
 
     def check_outputs(self, outputs: Sequence[Address], inputs: Sequence[Any]) -> None:
         """Refuse a model's or a summary's file that cannot be written, before any work starts."""

@@ -11,7 +11,7 @@ import os
 import re
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from dbo_cli import errors
@@ -19,7 +19,6 @@ from dbo_cli.errors import SILENT, DboError, Listener, Remarks, UsageError
 from dbo_cli.logs.plain_text import pattern
 from dbo_cli.logs.request import Address, parse_address
 from dbo_cli.logs.whole_output import KeptOutputs, kept_outputs, make_folder
-from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -107,20 +106,20 @@ class Outcome:
             The first failure, where it is not to be gone on or where all failed.
         """
         failed: dict[str, DboError] = {}
-        for number, one in enumerate(run_jobs(jobs, work.processes, keep), start=1):
+        for number, end in enumerate(run_jobs(jobs, work.processes, keep), start=1):
             listener.finished()
-            if isinstance(one, Done):
-                yield one
+            if isinstance(end, Done):
+                yield end
             else:
-                failed[one.name] = one.problem
-                text = str(one.problem)
-                if noun != "file" or not text.startswith(one.name):
-                    text = f"{noun} {one.name}: {text}"
+                failed[end.name] = end.problem
+                text = str(end.problem)
+                if noun != "file" or not text.startswith(end.name):
+                    text = f"{noun} {end.name}: {text}"
                 if not work.keep_going:
                     remedy = "" if work.all_needed else f" (`keep_going` writes the other {noun}s)"
-                    raise type(one.problem)(text + remedy)
+                    raise type(end.problem)(text + remedy)
                 self.remarks.warn(text)
-                self.failures[one.name] = str(one.problem)
+                self.failures[end.name] = str(end.problem)
             if number < count:
                 listener.working(f"{noun} {number + 1:,} of {count:,}")
         if failed:
@@ -175,8 +174,15 @@ def run_job(name: str, call: Callable[[], Value], keep: bool) -> Done[Value] | F
             return Done(name, call(), outputs)
         except DboError as problem:
             # Of the plain class: what a subclass holds besides may not pickle.
-            kind = next(one for one in type(problem).__mro__ if one.__module__ == errors.__name__)
-            return Failed(name, kind(str(problem)))
+            return Failed(name, _plain_class(problem)(str(problem)))
+
+
+def _plain_class(problem: DboError) -> type[DboError]:
+    """Return the first class of an error that stands in ``errors``."""
+    for kind in type(problem).__mro__:
+        if kind.__module__ == errors.__name__:
+            return kind
+    return DboError
 
 
 def summed_up(texts: Mapping[str, Sequence[str]], noun: str) -> list[str]:
@@ -190,32 +196,45 @@ def summed_up(texts: Mapping[str, Sequence[str]], noun: str) -> list[str]:
         ``channel`` or ``file``.
     """
     groups: dict[str, list[tuple[str, str]]] = {}
-    for name, own in texts.items():
-        whole = re.compile(rf"(?<!\w){re.escape(name)}(?!\w)")
-        for text in dict.fromkeys(own):
-            shape = _NUMBER.sub("#", text if name.isdigit() else whole.sub("#", text))
-            groups.setdefault(shape, []).append((name, text))
-    lines = []
-    for group in groups.values():
-        names = list(dict.fromkeys(name for name, _ in group))
-        first = group[0][1]
-        if len(texts) == 1:
-            lines.append(first)
-        elif len(names) == 1:
-            lines.append(
-                first if noun == "file" and first.startswith(names[0]) else f"{noun} {names[0]}: {first}"
-            )
-        else:
-            which = f"all {len(texts):,} {noun}s" if len(names) == len(texts) else f"{noun}s {named(names)}"
-            own = "" if all(text == first for _, text in group) else f" ({noun} {names[0]}'s)"
-            lines.append(f"{which}: {first}{own}")
-    return lines
+    for name, messages in texts.items():
+        for text in dict.fromkeys(messages):
+            groups.setdefault(_without_numbers(text, name), []).append((name, text))
+    return [_group_line(group, len(texts), noun) for group in groups.values()]
 
 
-def sum_up(remarks: Remarks, found: Mapping[str, Remarks], noun: str) -> None:
+def _without_numbers(text: str, name: str) -> str:
+    """Return a message with a mark in the place of its numbers, and of the channel's or file's name."""
+    if not name.isdigit():
+        whole_name = re.compile(rf"(?<!\w){re.escape(name)}(?!\w)")
+        text = whole_name.sub("#", text)
+    return _NUMBER.sub("#", text)
+
+
+def _group_line(group: Sequence[tuple[str, str]], count: int, noun: str) -> str:
+    """Return one line for the messages (name, text) of a group, of ``count`` channels or files in all."""
+    names = list(dict.fromkeys(name for name, _ in group))
+    first = group[0][1]
+    if count == 1:
+        return first
+    if len(names) == 1:
+        if noun == "file" and first.startswith(names[0]):
+            return first
+        return f"{noun} {names[0]}: {first}"
+    which = f"{noun}s {named(names)}"
+    if len(names) == count:
+        which = f"all {count:,} {noun}s"
+    line = f"{which}: {first}"
+    if any(text != first for _, text in group):
+        line += f" ({noun} {names[0]}'s)"
+    return line
+
+
+def sum_up(remarks: Remarks, remarks_of: Mapping[str, Remarks], noun: str) -> None:
     """Add the notes and warnings of many channels or files, put together."""
-    remarks.notes += summed_up({name: one.notes for name, one in found.items()}, noun)
-    remarks.warnings += summed_up({name: one.warnings for name, one in found.items()}, noun)
+    notes = {name: of_name.notes for name, of_name in remarks_of.items()}
+    warnings = {name: of_name.warnings for name, of_name in remarks_of.items()}
+    remarks.notes += summed_up(notes, noun)
+    remarks.warnings += summed_up(warnings, noun)
 
 
 def named(names: Sequence[str]) -> str:
@@ -271,15 +290,15 @@ def of_file(address: Address, log: Address) -> Address:
 
 def check_names(output: Address, logs: Sequence[Address]) -> None:
     """Refuse two logs of one name (UsageError), and make the folder that the outputs go to."""
-    seen: dict[str, Address] = {}
+    logs_by_name: dict[str, Address] = {}
     for log in logs:
         name = name_of(log)
-        if name in seen:
+        if name in logs_by_name:
             raise UsageError(
-                f"{seen[name].text} and {log.text} would both be written to"
+                f"{logs_by_name[name].text} and {log.text} would both be written to"
                 f" {output.text.replace(FILE, name)}: rename one, or run them apart"
             )
-        seen[name] = log
+        logs_by_name[name] = log
     folder = os.path.dirname(output.path)
     if folder and "{" not in folder:
         make_folder(folder)
@@ -292,4 +311,4 @@ def each_file(
     outcome, going = Outcome(), Work(work.processes, keep_going=True)
     jobs = ((log.text, call) for log, call in calls)
     done = outcome.good(jobs, going, "file", len(calls), listener, keep=False)
-    return {one.name: one.value for one in done}, outcome
+    return {job.name: job.value for job in done}, outcome

@@ -36,7 +36,7 @@ _PLACES = ("{}", CHANNEL, FILE)
 _WORTH_POLARS = 32  # files of 1,000 rows: importing polars (0.1 s) costs less than formatting them in Python
 
 
-def signals(asked: SignalRun, logs: Sequence[Address], work: Work, listener: Listener) -> Outcome:
+def signals(run: SignalRun, logs: Sequence[Address], work: Work, listener: Listener) -> Outcome:
     """Run ``simulate`` or ``compensate`` over one log, the channels that a pattern names, or many files.
 
     Raises
@@ -44,35 +44,36 @@ def signals(asked: SignalRun, logs: Sequence[Address], work: Work, listener: Lis
     UsageError
         Patterns, names of files and logs contradict each other.
     """
-    output = asked.destination.output
-    if not _are_many(logs, output, asked.column):
-        return Outcome(asked.run(listener))
-    asked.refuse_many()
-    if wants_channels(output, asked.column):
+    output = run.destination.output
+    if not _are_many(logs, output, run.column):
+        return Outcome(run.run(listener))
+    run.refuse_many()
+    if wants_channels(output, run.column):
         if len(logs) > 1:
             raise UsageError(f"{len(logs)} logs, and a pattern of columns of one: give one log")
-        outcome: Outcome = extensions.find("run", "signals of channels")(asked, work, listener)
+        outcome: Outcome = extensions.find("run", "signals of channels")(run, work, listener)
         return outcome
-    return _signals_of_files(asked, logs, work, listener)
+    return _signals_of_files(run, logs, work, listener)
 
 
-def _signals_of_files(asked: SignalRun, logs: Sequence[Address], work: Work, listener: Listener) -> Outcome:
+def _signals_of_files(run: SignalRun, logs: Sequence[Address], work: Work, listener: Listener) -> Outcome:
     """Run ``simulate`` or ``compensate`` over each log."""
-    if FILE not in asked.destination.output.text and len(logs) > 1:
+    if FILE not in run.destination.output.text and len(logs) > 1:
         raise UsageError(
-            f"{len(logs)} logs and one output, {asked.destination.output.text}: put {FILE} into its name "
+            f"{len(logs)} logs and one output, {run.destination.output.text}: put {FILE} into its name "
             f"(-o 'out/{FILE}.csv')"
         )
-    places = _of_files(asked.destination, logs)
+    places = _of_files(run.destination, logs)
     if len(logs) >= _WORTH_POLARS and work.processes == 1:
         import polars  # noqa: F401 - text of small files, too, is then written by it, the same bytes
     calls = [
-        (log, dataclasses.replace(asked, log=log, destination=place).run)
+        (log, dataclasses.replace(run, log=log, destination=place).run)
         for log, place in zip(logs, places, strict=True)
     ]
-    found, outcome = each_file(calls, work, listener)
-    outcome.remarks.read += summed_up({name: one.read for name, one in found.items()}, "file")
-    sum_up(outcome.remarks, found, "file")
+    remarks, outcome = each_file(calls, work, listener)
+    read = {name: of_log.read for name, of_log in remarks.items()}
+    outcome.remarks.read += summed_up(read, "file")
+    sum_up(outcome.remarks, remarks, "file")
     return outcome
 
 
@@ -93,44 +94,44 @@ def _of_files(destination: Destination, logs: Sequence[Address]) -> list[Destina
         if address is not None and FILE not in address.text:
             raise UsageError(f"`{option}` {address.text}: each log has its own (put {FILE} into its name)")
     check_names(destination.output, logs)
-    others = [one for one in destination.protect if one not in set(logs)]
-    found = [
-        destination._replace(protect=[*others, log]).placed(functools.partial(of_file, log=log))
+    protected = [log for log in destination.protect if log not in set(logs)]
+    places = [
+        destination._replace(protect=[*protected, log]).placed(functools.partial(of_file, log=log))
         for log in logs
     ]
-    check_outputs([one.output for one in found], destination.protect)
-    return found
+    check_outputs([place.output for place in places], destination.protect)
+    return places
 
 
-def identify_one_or_many(asked: IdentifyRun, output: Address, work: Work, listener: Listener) -> Outcome:
+def identify_one_or_many(run: IdentifyRun, output: Address, work: Work, listener: Listener) -> Outcome:
     """Identify one model of all logs, one of each channel, or one of each log (``{file}``)."""
-    if _are_many(asked.logs[:1], output, asked.voltage, asked.displacement):
-        if wants_channels(output, asked.voltage, asked.displacement):
-            outcome: Outcome = extensions.find("run", "identify channels")(asked, output, work, listener)
+    if _are_many(run.logs[:1], output, run.voltage, run.displacement):
+        if wants_channels(output, run.voltage, run.displacement):
+            outcome: Outcome = extensions.find("run", "identify channels")(run, output, work, listener)
             return outcome
-        if not asked.brought:
-            return identify_files(asked, output, work, listener)
-    asked.refuse_channels_options()
-    found = asked.run(output, listener)
-    read, remarks = found.remarks.read, found.remarks
-    return Outcome(Remarks([*remarks.notes, *found.summary], remarks.warnings, read))
+        if not run.brought:
+            return identify_files(run, output, work, listener)
+    run.refuse_channels_options()
+    result = run.run(output, listener)
+    read, remarks = result.remarks.read, result.remarks
+    return Outcome(Remarks([*remarks.notes, *result.summary], remarks.warnings, read))
 
 
-def reported(asked: ReportRun, work: Work, listener: Listener) -> Outcome:
+def reported(run: ReportRun, work: Work, listener: Listener) -> Outcome:
     """Report on logs side by side, or on the channels that a pattern names."""
     from dbo_cli.runs.reporting import report_logs
 
-    columns = (asked.options.desired, asked.options.measured, asked.options.voltage)
-    if _are_many([], asked.output, *columns):
-        outcome: Outcome = extensions.find("run", "report channels")(asked, work, listener)
+    columns = (run.options.desired, run.options.measured, run.options.voltage)
+    if _are_many([], run.output, *columns):
+        outcome: Outcome = extensions.find("run", "report channels")(run, work, listener)
         return outcome
-    return report_logs(asked, listener)
+    return report_logs(run, listener)
 
 
 def _are_many(logs: Sequence[Address], output: Address, *selectors: str | None) -> bool:
     """Tell whether there is more than one run, or a name that asks for more."""
-    texts = [one for one in (output.text, *selectors) if one is not None]
-    return len(logs) > 1 or any(place in one for one in texts for place in _PLACES)
+    texts = [text for text in (output.text, *selectors) if text is not None]
+    return len(logs) > 1 or any(place in text for text in texts for place in _PLACES)
 
 
 def wants_channels(output: Address, *selectors: str | None) -> bool:
@@ -150,68 +151,71 @@ def wants_channels(output: Address, *selectors: str | None) -> bool:
     return False
 
 
-def identify_files(asked: IdentifyRun, output: Address, work: Work, listener: Listener) -> Outcome:
+def identify_files(run: IdentifyRun, output: Address, work: Work, listener: Listener) -> Outcome:
     """Identify a model of each log by itself."""
-    check_names(output, asked.logs)
-    files = [of_file(output, log) for log in asked.logs]
-    of_all = None
-    if asked.summary is not None and FILE not in asked.summary.text:
-        of_all = asked.summary
-        check_document(of_all, "a summary", "json")
-        asked = dataclasses.replace(asked, summary=None)
-    documents = files if of_all is None else [*files, of_all]
-    check_outputs(documents, [*asked.logs, *asked.validation])
     from dbo_cli.runs.identifying import sign_warning
 
+    check_names(output, run.logs)
+    files = [of_file(output, log) for log in run.logs]
+    of_all = None
+    if run.summary is not None and FILE not in run.summary.text:
+        of_all = run.summary
+        check_document(of_all, "a summary", "json")
+        run = dataclasses.replace(run, summary=None)
+    documents = files if of_all is None else [*files, of_all]
+    check_outputs(documents, [*run.logs, *run.validation])
     calls = []
-    for log, file in zip(asked.logs, files, strict=True):
-        summary = None if asked.summary is None else of_file(asked.summary, log)
-        of_log = dataclasses.replace(asked, logs=[log], summary=summary)
+    for log, file in zip(run.logs, files, strict=True):
+        summary = None if run.summary is None else of_file(run.summary, log)
+        of_log = dataclasses.replace(run, logs=[log], summary=summary)
         calls.append((log, functools.partial(of_log.run, file)))
-    found, outcome = each_file(calls, work, listener)
-    outcome.remarks.read += summed_up({name: one.remarks.read for name, one in found.items()}, "file")
-    exchanged = sign_warning({name: one.model for name, one in found.items()}, "file")
+    results, outcome = each_file(calls, work, listener)
+    outcome.remarks.read += summed_up({name: result.remarks.read for name, result in results.items()}, "file")
+    exchanged = sign_warning({name: result.model for name, result in results.items()}, "file")
     if exchanged is not None:
         outcome.remarks.warn(exchanged)
     if of_all is not None:
-        write_json(of_all, _summaries_of_logs(asked, found, outcome.failures))
-    if len(asked.logs) == 1 and found:
-        outcome.remarks.notes += next(iter(found.values())).summary
-    say_found(found, "file", outcome.remarks)
+        write_json(of_all, _summaries_of_logs(run, results, outcome.failures))
+    if len(run.logs) == 1 and results:
+        outcome.remarks.notes += next(iter(results.values())).summary
+    say_found(results, "file", outcome.remarks)
     return outcome
 
 
 def _summaries_of_logs(
-    asked: IdentifyRun, found: Mapping[str, IdentifyResult], failures: Mapping[str, str]
+    run: IdentifyRun, results: Mapping[str, IdentifyResult], failures: Mapping[str, str]
 ) -> list[dict[str, Any]]:
     """Return for each log, in their order, what was identified, or why nothing was (``failed``)."""
     from dbo_cli.runs.identifying import summary_of_model
 
     summaries = []
-    for log in asked.logs:
-        result = found.get(log.text)
+    for log in run.logs:
+        result = results.get(log.text)
         if result is None:
             what = {
                 "format": "dbo-summary",
                 "version": 1,
-                "command": asked.command,
+                "command": run.command,
                 "failed": plain(failures[log.text]),
             }
         else:
-            what = {**summary_of_model(result, asked.command), "failed": None}
+            what = {**summary_of_model(result, run.command), "failed": None}
         summaries.append({"file": log.text, **what})
     return summaries
 
 
-def say_found(found: Mapping[str, IdentifyResult], noun: str, remarks: Remarks) -> None:
+def say_found(results: Mapping[str, IdentifyResult], noun: str, remarks: Remarks) -> None:
     """Sum up what was found over all channels or files."""
-    why = {channel: next(iter(one.remarks.warnings), "") for channel, one in found.items()}
-    for key, what in (("rmse_percent", "fit, RMSE of range"), ("expected_percent", "expected on new moves")):
-        percents = {c: one.model.fit.get(key) for c, one in found.items()}
+    why = {channel: next(iter(one.remarks.warnings), "") for channel, one in results.items()}
+    for key, what in (
+        ("rmse_percent", "fit, RMSE of the model's range"),
+        ("expected_percent", "expected on new moves, of the model's range"),
+    ):
+        percents = {c: one.model.fit.get(key) for c, one in results.items()}
         known = {c: value for c, value in percents.items() if isinstance(value, float)}
         if known:
             remarks.notes.append(spread_line(known, noun, what, why))
-    sum_up(remarks, {channel: one.remarks for channel, one in found.items()}, noun)
+    sum_up(remarks, {channel: result.remarks for channel, result in results.items()}, noun)
 
 
 def in_name(name: str, channel: str) -> str:

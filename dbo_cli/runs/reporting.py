@@ -7,29 +7,42 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
 from dbo_cli.drives.model_run import ModelRun
-from dbo_cli.errors import SILENT, LimitError, Listener, Remarks, UsageError
+from dbo_cli.errors import SILENT, InputError, LimitError, Listener, Remarks, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import read_model
+from dbo_cli.hysteresis.model_state import START_NAMES, ModelState, StartName
+from dbo_cli.hysteresis.move_error import MOST_ROWS, move_error
 from dbo_cli.logs import request
 from dbo_cli.logs.columns import ColumnWish, column_wish
 from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, Rows, selected_files
-from dbo_cli.logs.sample_block import SampleBlock
+from dbo_cli.logs.sample_block import FloatArray, SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.sources import Source, remarks_of
 from dbo_cli.logs.whole_output import all_or_none, check_output, write_whole
-from dbo_cli.records import dataclass
 from dbo_cli.reports import renderers
 from dbo_cli.reports.accumulators import FigureData
 from dbo_cli.reports.drawing import Plot, check_folder, file_stems, save
-from dbo_cli.reports.report import LogReport, Report, ReportOptions, check_limits, common_unit, evaluate
+from dbo_cli.reports.report import (
+    Expected,
+    LogReport,
+    Report,
+    ReportOptions,
+    check_limits,
+    common_unit,
+    evaluate,
+)
 from dbo_cli.reports.sample_pairs import TrajectoryMatch, rows_to_read, with_values
-from dbo_cli.runs.files import bring_to, opened, short_names
+from dbo_cli.reports.windows import require_display, show_in_windows
+from dbo_cli.runs.files import bring_to, opened, short_names, start_of
 from dbo_cli.runs.jobs import Outcome
 from dbo_cli.version import program_version_string
 
@@ -37,6 +50,7 @@ if TYPE_CHECKING:
     import pandas
 
 Match = Literal["auto", "time", "rows"]
+SLACK = 1e-9  # of the range: what rounding may add to a drive that ends at its limit
 
 
 @dataclass(frozen=True)
@@ -63,6 +77,12 @@ class TrackingOptions:
         Let a conditioning sweep (rows before time 0, where others follow) take part.
     dwell : float, optional
         Only rows at which the desired signal has been held for so many seconds count: pixels and stairs.
+    state : str or ModelState
+        With ``model``, what was before the first row: ``auto``, ``empty``, ``full``, ``settled``, a state or
+        a state file.
+    expected : str, optional
+        What states the error to expect and the model's range: a summary of ``compensate``, or a model. With
+        ``model`` that one states both.
     """
 
     lag: int | Literal["auto"] = 0
@@ -76,6 +96,8 @@ class TrackingOptions:
     match: Match = "auto"
     count_sweep: bool = False
     dwell: float | None = None
+    state: StartName | ModelState | str = "auto"
+    expected: Address | None = None
 
     def __post_init__(self) -> None:
         """Refuse a lag or a segment that is none (UsageError)."""
@@ -86,12 +108,18 @@ class TrackingOptions:
             raise UsageError(f"`dwell` {self.dwell:g}: give seconds, 0 or more")
         if segment not in (None, "cycles"):
             if not isinstance(segment, int | float) or not 0.0 < segment < float("inf"):
-                given = segment if isinstance(segment, str) else f"{segment:g}"
-                raise UsageError(f"`segment` {given}: neither 'cycles' nor a number of seconds above 0")
+                shown = segment if isinstance(segment, str) else f"{segment:g}"
+                raise UsageError(f"`segment` {shown}: neither 'cycles' nor a number of seconds above 0")
 
     def scoring(self, with_model: bool) -> ReportOptions:
         """Return how signals are compared."""
         labels = ("model" if with_model else "desired", "measured")
+        if not with_model and self.state != "auto":
+            raise UsageError("`state` is where a model starts (`model`)")
+        if with_model and self.expected is not None:
+            raise UsageError(
+                "`expected` and `model` exclude each other: the model states what to expect of it"
+            )
         segment = float(self.segment) if isinstance(self.segment, int) else self.segment
         if with_model and self.trajectory is not None:
             raise UsageError(
@@ -149,7 +177,7 @@ class TrackingRun:
         self,
         log: Any,
         reading: ReadingOptions,
-        asked: TrackingOptions,
+        options: TrackingOptions,
         name: str | None = None,
         listener: Listener = SILENT,
         time: Any = None,
@@ -167,26 +195,32 @@ class TrackingRun:
         time
             The column or the seconds of a table from Python.
         """
-        trajectory = asked.trajectory
+        trajectory = options.trajectory
         from_first = self.model is not None or trajectory is not None
-        own, score_rows = rows_to_score(reading, asked.lag, from_first=from_first)
+        reading_of_log, score_rows = rows_to_score(reading, options.lag, from_first=from_first)
         with contextlib.ExitStack() as stack:
-            want = asked.wishes(self.model is not None)
-            source = stack.enter_context(contextlib.closing(opened(log, want, own, listener, time=time)))
+            want = options.wishes(self.model is not None)
+            source = stack.enter_context(
+                contextlib.closing(opened(log, want, reading_of_log, listener, time=time))
+            )
             if trajectory is None:
                 wished = None
             else:
-                wished = stack.enter_context(open_trajectory(trajectory, asked.desired, reading))
+                wished = stack.enter_context(open_trajectory(trajectory, options.desired, reading))
                 listener.opened(wished.describe())
             self._bring_to_one_unit(source, wished or source)
             data = self._new_figure_data(source) if self.traced else None
-            run = None if self.model is None else ModelRun(self.model, source)
+            run = None
+            if self.model is not None:
+                run = ModelRun(self.model, source, start_of(options.state, self.model))
+                run.remedies = "`rows` leaves rows out, "
             blocks = _counted(source, listener)
-            matched = None if wished is None else _matched(source, blocks, wished, asked.match)
+            matched = None if wished is None else _matched(source, blocks, wished, options.match)
             if matched is not None:
                 blocks = matched.pairs()
             elif run is not None:
-                blocks = _predicted(run, blocks)
+                drive = PredictedDrive(run, options.count_sweep or reading.rows != ALL_ROWS)
+                blocks = drive.predicted(blocks)
             merits = evaluate(
                 name or source.name,
                 blocks,
@@ -194,10 +228,16 @@ class TrackingRun:
                 sample_rate=source.stated_rate,
                 figure_data=data,
                 score_rows=score_rows,
-                count_sweep=asked.count_sweep or reading.rows != ALL_ROWS,
+                count_sweep=options.count_sweep or reading.rows != ALL_ROWS,
             )
             if matched is not None:
                 merits = dataclasses.replace(merits, notes=(*matched.notes(), *merits.notes))
+            if run is not None:
+                expected = drive.expected(self.model_name, score_rows)
+                merits = dataclasses.replace(merits, expected=expected)
+            elif options.expected is not None:
+                expected = stated_in(options.expected.text, self._units[-1][1])
+                merits = dataclasses.replace(merits, expected=expected)
             self._merits.append(merits)
             listener.finished()
             self.remarks.add(remarks_of(source) if run is None else run.remarks())
@@ -236,14 +276,105 @@ def _matched(
     """Join a recording and a trajectory: by ``time``, by ``rows``, or by time where both have one."""
     by_time = match == "time" or (match == "auto" and source.has_time and trajectory.has_time)
     if by_time:
-        for one in (source, trajectory):
-            one.require_time("`match` by time depends on it")
+        for log in (source, trajectory):
+            log.require_time("`match` by time depends on it")
     return TrajectoryMatch(source.name, trajectory.name, blocks, trajectory.blocks(), by_time=by_time)
 
 
-def _predicted(run: ModelRun, blocks: Iterator[SampleBlock]) -> Iterator[SampleBlock]:
-    for block in blocks:
-        yield with_values(block, desired=run.feed(block, block.values["voltage"]).y)
+class PredictedDrive:
+    """A model's prediction of a log, and of its first rows the error that the model states for them.
+
+    Parameters
+    ----------
+    run
+        Of the forward model over the log's drive.
+    counts_before_zero
+        Whether rows before time 0 take part though others follow.
+    """
+
+    def __init__(self, run: ModelRun, counts_before_zero: bool) -> None:
+        self._run = run
+        self._counts_before_zero = counts_before_zero
+        self._drives: list[FloatArray] = []
+        self._steps: list[FloatArray] = []
+        self._rows = 0
+        self._before_zero = 0
+
+    def predicted(self, blocks: Iterator[SampleBlock]) -> Iterator[SampleBlock]:
+        """Give the blocks with what the model predicts as the desired signal."""
+        for block in blocks:
+            drive = block.values["voltage"]
+            predicted = self._run.feed(block, drive).y
+            room = MOST_ROWS - self._rows
+            if room > 0:
+                self._keep(block, drive[:room])
+            yield with_values(block, desired=predicted)
+
+    def _keep(self, block: SampleBlock, drive: FloatArray) -> None:
+        self._drives.append(drive.copy())
+        steps = self._run.time_step
+        if steps is not None:
+            self._steps.append(np.broadcast_to(steps, len(block))[: drive.size].copy())
+        if block.time is not None:
+            self._before_zero += int(np.count_nonzero(block.time[: drive.size] < 0.0))
+        self._rows += drive.size
+
+    def expected(self, name: str, score_rows: Rows | None) -> Expected:
+        """Return what the model states for the rows that count, of those it was shown first."""
+        model = self._run.model
+        span, source = model.output.span, f"{name} for this drive"
+        if not self._drives:
+            return Expected(None, None, span, source)
+        drive = np.concatenate(self._drives)
+        steps = np.concatenate(self._steps) if self._steps else None
+        covered, slack = model.input, SLACK * model.input.span
+        inside = covered.minimum - slack <= drive.min() and drive.max() <= covered.maximum + slack
+        begin = 0
+        if score_rows is not None:
+            begin = score_rows[0] - 1
+        elif not self._counts_before_zero and self._before_zero < drive.size:
+            begin = self._before_zero
+        error = move_error(model, drive, steps, begin) if inside else None
+        if error is None:
+            return Expected(None, None, span, source)
+        return Expected(error.rmse, error.shape, span, source)
+
+
+def stated_in(path: str, unit: str | None) -> Expected:
+    """Return the error to expect and the model's range out of a file.
+
+    Parameters
+    ----------
+    path
+        A summary that ``compensate`` wrote, or a model.
+    unit
+        Of what is compared.
+
+    Raises
+    ------
+    InputError
+        The file is neither, does not say what to expect, or speaks another unit.
+    """
+    try:
+        content = json.loads(Path(path).read_text("utf-8"))
+    except (OSError, ValueError, RecursionError) as problem:
+        raise InputError(f"{path}: cannot be read as a summary or a model: {problem}") from None
+    if isinstance(content, dict) and content.get("format") == "dbo-summary":
+        ends, stated_unit = content.get("model_range"), content.get("unit")
+        if not isinstance(ends, list):
+            raise InputError(f"{path}: is no summary of compensate: it has no `model_range`")
+        rmse, shape = content.get("expected_rmse"), content.get("expected_shape_rmse")
+        span = abs(float(ends[1]) - float(ends[0]))
+        source = f"{path} for this move"
+    else:
+        model = read_model(path)
+        stated_unit, span = model.output.unit, model.output.span
+        rmse, shape = model.fit.get("expected_rmse"), model.fit.get("expected_shape_rmse")
+        source = f"{path} for any move inside its range"
+    if stated_unit != unit:
+        raise InputError(f"{path}: is in {stated_unit or 'no unit'}, the comparison in {unit or 'no unit'}")
+    rmse = rmse if isinstance(rmse, float) else None
+    return Expected(rmse, shape if isinstance(shape, float) else None, span, source)
 
 
 def _counted(source: Source, listener: Listener) -> Iterator[SampleBlock]:
@@ -328,17 +459,30 @@ class TrackingReport:
         save(together, target, "all-logs")
         save(of_model, target, "model")
 
+    def show(self) -> None:
+        """Open matplotlib's own window for each figure, to zoom in; returns when all are closed.
+
+        Raises
+        ------
+        UsageError
+            There is no display, or nothing that opens windows is installed.
+        """
+        of_logs, together, of_model = self._plots()
+        show_in_windows([plot for plots in (*of_logs, together, of_model) for plot in plots])
+
     def _plots(self) -> tuple[list[list[Plot]], list[Plot], list[Plot]]:
         """Return the figures of each log, of all together, and of the model."""
         from dbo_cli.reports.figures import plots_of_comparison, plots_of_log
         from dbo_cli.reports.models import plots_of_model
 
-        report, kept = self.report, self.figure_data
-        if len(kept) != len(report.logs):
+        report, figure_data = self.report, self.figure_data
+        if len(figure_data) != len(report.logs):
             raise UsageError("nothing was kept to draw from: compare with `traced`")
-        of_logs = [plots_of_log(report, log, data) for log, data in zip(report.logs, kept, strict=True)]
+        of_logs = [
+            plots_of_log(report, log, data) for log, data in zip(report.logs, figure_data, strict=True)
+        ]
         of_model = [] if self.model is None else plots_of_model(self.model)
-        return of_logs, plots_of_comparison(report, kept), of_model
+        return of_logs, plots_of_comparison(report, figure_data), of_model
 
 
 ENDINGS = {".json": "json", ".csv": "csv", ".html": "html", ".htm": "html"}
@@ -348,7 +492,7 @@ ENDINGS = {".json": "json", ".csv": "csv", ".html": "html", ".htm": "html"}
 class ReportRun:
     """What is asked of ``report``: logs, the report's file and form, a folder for ``figures``, and limits.
 
-    ``limits`` are the parameters of ``check_limits``.
+    ``limits`` are the parameters of ``Report.judged``; ``show`` opens a window for each figure in the end.
     """
 
     logs: Sequence[Address]
@@ -358,17 +502,22 @@ class ReportRun:
     form: str | None
     figures: str | None
     limits: Mapping[str, float | None]
+    show: bool = False
 
     def prepared(self) -> tuple[str, list[Given]]:
         """Return the report's form and the inputs; what cannot be written is refused before the long work."""
         options, chosen = self.options, report_form(self.output, self.form)
         request.check_document(self.output, "a report", chosen)
-        files = [name for name in (options.model, options.trajectory) if name is not None]
-        inputs: list[Given] = [*self.logs, *files]
+        places = (options.model, options.trajectory, options.expected)
+        inputs: list[Given] = [*self.logs, *(place for place in places if place is not None)]
+        if isinstance(options.state, str) and options.state not in START_NAMES:
+            inputs.append(options.state)
         inputs += selected_files(options.desired, options.measured, options.voltage, self.reading.time)
         check_output(self.output, inputs)
         if self.figures is not None:
             check_folder(self.figures)
+        if self.show:
+            require_display()
         return chosen, inputs
 
     def write(self, content: bytes, inputs: Sequence[Given]) -> None:
@@ -383,29 +532,32 @@ class ReportRun:
         """Add what the report notes, and the first limit that a log misses, unless a channel failed."""
         outcome.last = [] if form == "text" else report.notes
         try:
-            check_limits(report, **self.limits)
+            check_limits(report)
         except LimitError as missed:
             outcome.failure = outcome.failure or missed
         return outcome
 
 
 @all_or_none()
-def report_logs(asked: ReportRun, listener: Listener = SILENT) -> Outcome:
+def report_logs(run: ReportRun, listener: Listener = SILENT) -> Outcome:
     """Compare logs and write the report, by default in the form of the output's ending, else text."""
-    options, figures = asked.options, asked.figures
+    options, figures = run.options, run.figures
     scoring = options.scoring(options.model is not None)
-    chosen, inputs = asked.prepared()
+    chosen, inputs = run.prepared()
     model = None if options.model is None else read_model(options.model)
-    traced = figures is not None or chosen == "html"
+    traced = figures is not None or chosen == "html" or run.show
     tracking = TrackingRun(scoring, model, str(options.model), traced)
-    names = short_names(asked.logs)
-    for address in asked.logs:
-        tracking.add(address, asked.reading, options, names.get(address), listener)
+    names = short_names(run.logs)
+    for address in run.logs:
+        tracking.add(address, run.reading, options, names.get(address), listener)
     result = tracking.result()
+    result = dataclasses.replace(result, report=result.report.judged(**run.limits))
     if figures is not None:
         result.figures(figures)
-    asked.write(result.rendered(chosen), inputs)
-    return asked.judged(result.report, chosen, Outcome(result.remarks))
+    run.write(result.rendered(chosen), inputs)
+    if run.show:
+        result.show()
+    return run.judged(result.report, chosen, Outcome(result.remarks))
 
 
 def report_form(output: Address, form: str | None) -> str:
@@ -456,10 +608,10 @@ def rows_to_score(
 
 def open_trajectory(address: Address, desired: str | None, reading: ReadingOptions) -> SignalLog:
     """Open the file with the desired signal, on its own clock where it has one."""
-    own = dataclasses.replace(reading, rows=ALL_ROWS, time=None, sample_rate=None)
-    log = open_log(address, trajectory_wishes(desired), own)
+    whole = dataclasses.replace(reading, rows=ALL_ROWS, time=None, sample_rate=None)
+    log = open_log(address, trajectory_wishes(desired), whole)
     if log.has_time or reading.sample_rate is None:
         return log
     log.close()
-    timed = dataclasses.replace(own, sample_rate=reading.sample_rate)
+    timed = dataclasses.replace(whole, sample_rate=reading.sample_rate)
     return open_log(address, trajectory_wishes(desired), timed)

@@ -85,8 +85,12 @@ def contents(model: ActuatorModel) -> dict[str, Any]:
         "segments_at_the_drive": sum(s.m for s in before if isinstance(s, PointStage)) if backlash else 0,
         "relaxation_seconds": list(loop.relaxation.tau) if loop.relaxation else [],
         "delay_seconds": model.delay_seconds,
-        "dynamics": [section_values(one) for one in (model.dynamics.sections if model.dynamics else ())],
-        "drive_lag_seconds": next((one.seconds for one in drive_lag if isinstance(one, Lag)), None),
+        "dynamics": [
+            section_values(section) for section in (model.dynamics.sections if model.dynamics else ())
+        ],
+        "drive_lag_seconds": next(
+            (section.seconds for section in drive_lag if isinstance(section, Lag)), None
+        ),
         "fit": {key: fit[key] for key in fit if key not in APART},
         "logs": fit.get("logs", []),
         "validation": fit.get("validation", []),
@@ -100,26 +104,18 @@ def contents(model: ActuatorModel) -> dict[str, Any]:
 
 def as_text(content: Mapping[str, Any]) -> str:
     """Return the contents as lines for a terminal."""
-    given, made = content["input"], content["output"]
+    source, made = content["input"], content["output"]
     lines = [
-        f"{content['direction']} model: {_range(given)} to {_range(made)}",
-        f"{made['quantity']} {SIGN_VERBS[content['sign']]} as {given['quantity']} rises",
+        f"{content['direction']} model: {_range(source)} to {_range(made)}",
+        f"{made['quantity']} {SIGN_VERBS[content['sign']]} as {source['quantity']} rises",
         content["operator"] + _asymmetry(content) + _lag(content),
     ]
     lines += _moving(content)
     if "settling" in content:
-        one = content["settling"]
-        lines.append(
-            f"settling: {one['seconds']:.3g} s after a step over the whole drive, until creep and ringing "
-            f"stay within {one['distance']:.6g} {one['unit'] or ''}".rstrip()
-            + (f" ({one['hint']})" if "hint" in one else "")
-        )
+        lines.append(_settling_line(content["settling"]))
     lines += _goodness(content, made["unit"])
     if content["inputs"]:
-        names = ", ".join(
-            f"{' and '.join(part['name'] for part in [one, *one.get('joined', ())])} ({one['rows']:,} rows)"
-            for one in content["inputs"]
-        )
+        names = ", ".join(_log_with_rows(log) for log in content["inputs"])
         lines.append(f"from {names}, by {content['program']}")
     if content["arguments"]:
         lines.append("dbo " + " ".join(map(str, content["arguments"])))
@@ -128,21 +124,37 @@ def as_text(content: Mapping[str, Any]) -> str:
     return "\n".join(map(wrapped, lines))
 
 
+def _settling_line(settling: Mapping[str, Any]) -> str:
+    line = (
+        f"settling: {settling['seconds']:.3g} s after a step over the whole drive, until creep and "
+        f"ringing stay within {settling['distance']:.6g} {settling['unit'] or ''}"
+    ).rstrip()
+    if "hint" in settling:
+        line += f" ({settling['hint']})"
+    return line
+
+
+def _log_with_rows(log: Mapping[str, Any]) -> str:
+    """Return the name of a log, with those joined to it, and its rows."""
+    names = [part["name"] for part in [log, *log.get("joined", ())]]
+    return f"{' and '.join(names)} ({log['rows']:,} rows)"
+
+
 def _moving(content: Mapping[str, Any]) -> list[str]:
     """Return the dynamics, and how fast the model can be trusted."""
     before = content["drive_lag_seconds"]
     parts = [f"a lag of {1e3 * before:.3g} ms before the {content['operator'].split()[-1]}"] if before else []
-    for one in content["dynamics"]:
-        if one.get("lead"):
-            late = 100.0 * (1.0 - one["lead"] / one["lag"])
-            parts.append(f"creep of {late:.2g} % with {one['lag']:.3g} s")
+    for section in content["dynamics"]:
+        if section.get("lead"):
+            late = 100.0 * (1.0 - section["lead"] / section["lag"])
+            parts.append(f"creep of {late:.2g} % with {section['lag']:.3g} s")
             continue
-        if "lag" in one:
-            parts.append(f"a lag of {1e3 * one['lag']:.3g} ms")
+        if "lag" in section:
+            parts.append(f"a lag of {1e3 * section['lag']:.3g} ms")
             continue
-        parts.append(f"a resonance at {one['frequency']:.5g} Hz, damping {one['damping']:.3g}")
-        if "antiresonance" in one:
-            parts[-1] += f", with an antiresonance at {one['antiresonance']['frequency']:.5g} Hz"
+        parts.append(f"a resonance at {section['frequency']:.5g} Hz, damping {section['damping']:.3g}")
+        if "antiresonance" in section:
+            parts[-1] += f", with an antiresonance at {section['antiresonance']['frequency']:.5g} Hz"
     lines = [f"dynamics: {'; '.join(parts)}"] if parts else []
     trusted = content["fit"].get("trusted_hz")
     return lines + ([f"trust it to {trusted:.3g} Hz"] if trusted is not None else [])
@@ -154,7 +166,7 @@ def _goodness(content: Mapping[str, Any], unit: str | None) -> list[str]:
     suffix = f" {unit}" if unit else ""
     lines = []
     if "rmse" in fit:
-        percent = f" ({fit['rmse_percent']:.2f} % of range)" if "rmse_percent" in fit else ""
+        percent = f" ({fit['rmse_percent']:.2f} % of the model's range)" if "rmse_percent" in fit else ""
         left_out = fit.get("cross_validated_rmse")
         more = "" if left_out is None else f", {left_out:.4g}{suffix} on cycles left out"
         line = fit.get("straight_line_rmse")
@@ -164,18 +176,22 @@ def _goodness(content: Mapping[str, Any], unit: str | None) -> list[str]:
     if fit.get("expected_rmse") is not None:
         rests = f", from {why}" if why else ""
         lines.append(f"expect: RMSE {fit['expected_rmse']:.4g}{suffix} on new moves inside the range{rests}")
+        if fit.get("expected_shape_rmse") is not None:
+            lines.append(
+                f"of that {fit['expected_shape_rmse']:.3g}{suffix} shape (RMS of the error less its mean), "
+                f"{fit['expected_zero']:.3g}{suffix} zero (that mean; {fit['zero_from']})"
+            )
     elif why:
         lines.append(f"expect: cannot be told: {why}")
     lines += [
-        f"validated: RMSE {one['rmse']:.4g}{suffix} on {one['name']}, which took no part in the fit"
-        for one in content["validation"]
+        f"validated: RMSE {log['rmse']:.4g}{suffix} on {log['name']}, which took no part in the fit"
+        for log in content["validation"]
     ]
     if "loop_width_percent" in fit:
         slopes = f"; {fit['slopes']} slopes" if fit.get("slopes") else ""
         bend = f", drive bent by {100.0 * fit['drive_bend']:.0f} %" if fit.get("drive_bend") else ""
-        lines.append(
-            f"loop: {fit['loop_width_percent']:.1f} % of range wide, which the model undoes{slopes}{bend}"
-        )
+        width = f"{fit['loop_width_percent']:.1f} % of the model's range"
+        lines.append(f"loop: {width} wide, which the model undoes{slopes}{bend}")
     return lines + _lateness(fit)
 
 
@@ -200,8 +216,8 @@ def _asymmetry(content: Mapping[str, Any]) -> str:
     before, every = content["segments_at_the_drive"], sum(content["segments"])
     if 0 < before < every:
         behind = every - before
-        return f", {before} segments of asymmetry on the drive's side and {behind} on the displacement's"
-    return f", {every} segments of asymmetry" if every else ""
+        return f", bent by {before} straight pieces on the drive's side and {behind} on the displacement's"
+    return f", bent by a curve of {every} straight pieces" if every else ""
 
 
 def _lag(content: Mapping[str, Any]) -> str:
@@ -211,8 +227,13 @@ def _lag(content: Mapping[str, Any]) -> str:
     return text + (f"; a delay of {1e3 * delay:.3g} ms" if delay else "")
 
 
-def _quantity(one: Quantity) -> dict[str, Any]:
-    return {"quantity": one.quantity, "unit": one.unit, "min": one.minimum, "max": one.maximum}
+def _quantity(quantity: Quantity) -> dict[str, Any]:
+    return {
+        "quantity": quantity.quantity,
+        "unit": quantity.unit,
+        "min": quantity.minimum,
+        "max": quantity.maximum,
+    }
 
 
 def _range(quantity: Mapping[str, Any]) -> str:

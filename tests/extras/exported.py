@@ -37,12 +37,6 @@ void play(const NUMBER *in, NUMBER *out, uint32_t *crossed, size_t count, int re
     for (size_t k = 0; k < count; k++) {
         uint32_t hash = 2166136261u;
         out[k] = NAME_step(&state, in[k]);
-        HASH
-        crossed[k] = hash;
-    }
-}
-"""
-OF_TURNS = """
         size_t depth = state.gears.depth, end = 0;
         uint32_t bit = state.gears.set == 0;
         end = bit ? state.gears.zero : state.gears.set;
@@ -50,10 +44,9 @@ OF_TURNS = """
             for (; i == end; bit = !bit) end = state.turns[--depth];
             hash = (hash ^ bit) * 16777619u;
         }
-"""
-OF_WORDS = """
-        for (size_t i = 0; i < GEARS; i++)
-            hash = (hash ^ (state.words[i / 32] >> (i % 32) & 1)) * 16777619u;
+        crossed[k] = hash;
+    }
+}
 """
 
 
@@ -63,8 +56,7 @@ def compiled(
 ) -> Any:  # fmt: skip
     """Return a function (inputs, reset drive or None) -> (outputs, hashes of the crossed gears)."""
     number = {"double": "double", "float": "float", "q31": "int32_t"}[arithmetic]
-    text = HARNESS.replace("HASH", OF_TURNS if arithmetic == "double" else OF_WORDS)
-    text = text.replace("NAME", name).replace("NUMBER", number).replace("GEARS", str(gears))
+    text = HARNESS.replace("NAME", name).replace("NUMBER", number).replace("GEARS", str(gears))
     (folder / "harness.c").write_text(text)
     library = folder / "harness.so"
     sources = ["harness.c", f"{name}.c", "dbo_kernel.c", *others]

@@ -10,7 +10,7 @@ import sys
 import time
 
 PATIENCE = 60.0  # s
-HARDWARE = "group"  # the settings of a plug-in, as the dashboard names them
+HARDWARE = "actuator_settings"  # the settings of a plug-in, as the dashboard names them
 TARGETS = ((5.0, "um"), (2500.0, "nm"))
 
 

@@ -84,7 +84,7 @@ REFUSABLE = [
     Refusal("negative column number", HEAD + GOOD, "`voltage` -1: columns are counted from 1", {"voltage": "-1"}, code=2),
     Refusal("a name that occurs twice", b"t,u,u,y\n0,1,2,3\n1,2,3,4\n", "{log}: column 'u' occurs more than once: give its number (`voltage` 2 or 3)", {"voltage": "u"}),
     Refusal("a guess that finds two", b"t,drive,u,y\n0,1,2,3\n1,2,3,4\n", "{log}: which column is the voltage, 'drive' or 'u'? (choose with `voltage` NAME or NUMBER)"),
-    Refusal("a guess that finds none", b"t,ch1,ch2\n0,1,2\n1,2,3\n", "{log}: no column is recognised as the voltage nor as the displacement: it has 1 t, 2 ch1, 3 ch2 (choose with `voltage` and `displacement` NAME or NUMBER)"),
+    Refusal("a guess that finds none", b"t,ch1,ch2\n0,1,2\n1,2,3\n", "{log}: no column is recognised as the voltage nor as the displacement: it has 1 t, 2 ch1, 3 ch2 (`voltage` 'ch1' `displacement` 'ch2', or `voltage` 'ch2' `displacement` 'ch1')"),
     Refusal("no names to guess from", b"0,1,2\n1,2,3\n", "{log}: it has 3 columns without names: which is the voltage, which the displacement? (such as `time` 1 `voltage` 2 `displacement` 3)"),
     Refusal("two time columns", b"t,time,u,y\n0,0,1,2\n1,1,2,3\n", "{log}: which column is the time, 't' or 'time'? (choose with `time` NAME or NUMBER)"),
     Refusal("a clock time cut off", b"time,u,y\n10:15:00,1,2\n10:15:01,2,3\n10:15,3,4\n", "{log}:4: column 'time' is not a time stamp like the others: '10:15'" + SKIP),

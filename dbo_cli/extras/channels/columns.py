@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.byte_source import file_sha256
@@ -19,7 +19,6 @@ from dbo_cli.logs.request import ALL_ROWS, Address, ReadingOptions, Request, Row
 from dbo_cli.logs.sample_block import ColumnInfo, DroppedRows, SampleBlock, Table, joined
 from dbo_cli.logs.signal_log import open_table
 from dbo_cli.logs.text.text_table import TextTable
-from dbo_cli.records import dataclass
 
 _LISTED = 5  # channels that a message names at most
 

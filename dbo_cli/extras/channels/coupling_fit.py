@@ -25,14 +25,13 @@ QUIET = 0.02
 """Part of a log whose stillest windows tell that scatter: a drive that was logged as it was asked for has
 none, and the slow ends of its swings are then no rest."""
 SHORTEST = 100
-"""Rows at rest: the slow ends of swings are shorter. With 20, a drive read with 0.01 % of noise gave gains
-1.5e-3 off, with 100 the same as one without, 1.6e-4."""
+"""Rows at rest: the slow ends of swings are shorter. Measured: docs/choices.md."""
 DECAYS = (0.01, 0.1, 1.0, 10.0, 100.0)
 """s: the creep of a stretch is made of decays a decade apart, which follow its logarithm to a percent."""
 LEAST_MOVED = 0.1  # of a channel's stroke: another that moved less while this one rested tells of no gain
 LEAST_OWN = 0.05
-"""Of a channel's motion while another rests, what no third channel's motion makes up: below it, which of them
-shows cannot be told. Drives of different turns have 0.5 and more, drives that are alike 1e-4."""
+"""Of a channel's motion while another rests, what no third channel's motion makes up: below it, which of
+them shows cannot be told. Measured: docs/choices.md."""
 
 REMEDY = "play a drive in which every channel also moves alone (dbo excite with `channels` N)"
 

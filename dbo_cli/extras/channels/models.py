@@ -49,10 +49,7 @@ LEFT_OUT = 3  # channels, at most, that take no part in the mean and are asked a
 FEWEST = 4  # channels: of fewer, none could be left out
 WORSE = 1.1
 """Times its own model's error on cycles left out, the median of the channels left out: what the one shape
-may leave. Eight virtual actuators (sample_data/) that differ in gain and offset left 0.82 times (noise of
-0.05 % of the stroke) and 0.98 (of 0.5 %); with loops 10 % wider and narrower 6.6 times, with bends of 0 to
-0.2 7.0 times.
-"""
+may leave. Measured: docs/choices.md."""
 
 
 def identify_channels(

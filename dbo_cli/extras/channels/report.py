@@ -69,6 +69,7 @@ def report_channels(asked: ReportRun, work: Work, listener: Listener) -> Outcome
             merits += found.logs
             units.append((one.name, found.unit))
     report = Report.of(merits, options.scoring(options.model is not None), common_unit(units))
+    report = report.judged(**asked.limits)
     if merits:
         _write(asked, report, chosen, inputs)
     sum_up_remarks(texts, patterns["measured"], outcome.remarks)
@@ -81,7 +82,7 @@ def _summary(merits: Sequence[LogReport], drawn: Mapping[str, str] | None) -> It
     """Return how the errors are spread, and how the figures of the worst are made where all were drawn."""
     percents = {log.name: x for log in merits if (x := log.figures.nrmse_percent) is not None}
     if percents:
-        yield spread_line(percents, "channel", "RMSE of range", {})
+        yield spread_line(percents, "channel", "RMSE of the move", {})
     if percents and drawn is not None:
         worst = max(percents, key=percents.__getitem__)
         own = ", ".join(f"`{option}` '{name}'" for option, name in columns_of(drawn, worst).items())

@@ -28,7 +28,17 @@ def set_text(models_of_set: ModelSet, form: str) -> str:
 def _set_lines(models: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """Return a table of a set: what each channel spans, how good it is, and how many warnings it has."""
     rows: list[tuple[str, ...]] = [
-        ("channel", "drive", "output", "sign", "gears", "fit RMSE", "% of range", "expected", "warnings")
+        (
+            "channel",
+            "drive",
+            "output",
+            "sign",
+            "gears",
+            "fit RMSE",
+            "% of range",
+            "expected",
+            "warnings",
+        )
     ]
     for channel, one in models.items():
         fit, unit = one["fit"], one["output"]["unit"] or ""

@@ -12,6 +12,7 @@ import dataclasses
 import functools
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -34,7 +35,6 @@ from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.sources import TABLE, is_file, is_table
 from dbo_cli.logs.whole_output import KeptOutputs, KeptSignal
-from dbo_cli.records import dataclass
 from dbo_cli.runs.files import Destination, SignalRun, bring_to, check_order, quantity_wish, write_json
 from dbo_cli.runs.jobs import Done, Outcome, Work, named, sum_up
 from dbo_cli.runs.many import CHANNEL, address_of, in_name, make_folder_of

@@ -26,7 +26,7 @@ SAVE_MODELS = Option(
 )
 
 
-def compare(given: Given) -> None:
+def compare(arguments: Given) -> None:
     """Compare the DBO with its relatives: each fitted to the same logs, in one table.
 
     The relatives are a straight line and the Prandtl-Ishlinskii operators that the paper names. All get the
@@ -37,6 +37,10 @@ def compare(given: Given) -> None:
     Writes
     ------
     A table as text, JSON, CSV or an HTML page, by the name of the output; with --figures pictures.
+
+    Usual options
+    -------------
+    --models --validate --figures --save-models -o
 
     Examples
     --------
@@ -49,12 +53,18 @@ def compare(given: Given) -> None:
     from dbo_cli.hysteresis.identification import IdentificationOptions
     from dbo_cli.runs.identifying import IdentifyRun
 
-    logs = (given.log, given.validate or [], given.reading, IdentificationOptions())
+    logs = (arguments.log, arguments.validate or [], arguments.reading, IdentificationOptions())
     table = TableOptions(
-        given.models, given.skip, not given.no_timings, given.format, given.figures, given.save_models
+        arguments.models,
+        arguments.skip,
+        not arguments.no_timings,
+        arguments.format,
+        arguments.figures,
+        arguments.save_models,
     )
-    asked, listener = IdentifyRun(*logs, given.voltage, given.displacement), Progress(given.reporter, "read")
-    given.reporter.remarks(compare_logs(asked, given.output, table, listener))
+    run = IdentifyRun(*logs, arguments.voltage, arguments.displacement)
+    listener = Progress(arguments.reporter, "read")
+    arguments.reporter.remarks(compare_logs(run, arguments.output, table, listener))
 
 
 COMPARE = Command(

@@ -10,7 +10,7 @@ the weights are rules for their increments.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,6 @@ from dbo_cli.hysteresis.identification.recordings import FEWEST_ROWS, Recording
 from dbo_cli.hysteresis.identification.statistics import PreparedLog, Score
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.hysteresis.operators import DiscretePointOperator, Floats
-from dbo_cli.records import dataclass
 
 USUAL_PLAYS = 25  # what the paper and the literature take, and what the delay is searched for with
 PLAYS = (12, 25, 50, 100)  # to choose from; chosen, each twice the one before
@@ -128,21 +127,21 @@ def rows_of(log: PreparedLog, design: Design) -> Iterator[tuple[slice, Floats]]:
     rate = rates_of(drive, log.seconds)
     operator = design.operator()
     if log.start in ("empty", "full"):
-        held = operator.after(operator.low if log.start == "empty" else 1.0)
+        state = operator.after(operator.low if log.start == "empty" else 1.0)
     else:
-        held = operator.settled(float(drive[0]))
+        state = operator.settled(float(drive[0]))
     before, share = delayed_rows(log.seconds, len(drive), design.delay)
     for begin in range(0, len(drive), BLOCK_ROWS):
         end = min(begin + BLOCK_ROWS, len(drive))
-        plays, held_after = operator.rows(drive[begin:end], held)
+        plays, held_after = operator.rows(drive[begin:end], state)
         if end < len(drive):  # the sample after, that the last ones are interpolated towards
             plays = np.vstack((plays, operator.rows(drive[end : end + 1], held_after)[0]))
-        held = held_after
+        state = held_after
         rows = slice(int(np.searchsorted(before, begin)), int(np.searchsorted(before, end)))
         if rows.stop == rows.start or not log.used[rows].any():
             continue
-        some = slice(begin, begin + len(plays))
-        table = design.columns(plays, drive[some], rate[some])
+        block = slice(begin, begin + len(plays))
+        table = design.columns(plays, drive[block], rate[block])
         first = before[rows] - begin
         part = share[rows, None]
         if part.any():
@@ -306,12 +305,12 @@ def _held_out(logs: Sequence[PreparedLog], design: Design, cycles: float) -> flo
         products = gather(grouped, design)
         squares, rows = 0.0, 0
         for group in range(1, len(products.grams)):
-            mine = products.rows[group]
-            others = sum(products.rows) - mine
-            if mine < FEWEST_ROWS or others < max(FEWEST_ROWS, mine / 5):
+            left_out_rows = products.rows[group]
+            other_rows = sum(products.rows) - left_out_rows
+            if left_out_rows < FEWEST_ROWS or other_rows < max(FEWEST_ROWS, left_out_rows / 5):
                 continue
-            squares += min(products.left_out(group), mine * (statistics.MAX_RATIO * cycles) ** 2)
-            rows += mine
+            squares += min(products.left_out(group), left_out_rows * (statistics.MAX_RATIO * cycles) ** 2)
+            rows += left_out_rows
         worst = max(worst, squares / rows if rows else 0.0)
     return float(np.sqrt(worst))
 
@@ -369,7 +368,7 @@ def fit(
     period, longest = search.sample_period(prepared.logs) or 1.0, LONGEST_DELAY * (cycle or 0.0)
     trials = [step for step in DELAY_TRIALS if step * period <= longest]  # without a clock 0 alone
     ways = [(*best_delay(logs, replace(design, falling=fall), trials, period), fall) for fall in falls]
-    delay, _, falling = min(ways, key=lambda way: way[1])
+    delay, _, falling = min(ways, key=lambda trial: trial[1])
     design = replace(design, delay=delay, falling=falling)
     if trials[1:] and logs[0] is not prepared.logs[0]:  # thinned rows alone tell the delay less well
         near = [max(delay / period + step, 0.0) for step in (-1.0, 0.0, 1.0)]
@@ -396,15 +395,16 @@ def _simplest(logs: Sequence[PreparedLog], designs: Sequence[Design]) -> Design:
     if len(designs) == 1:
         return designs[0]
     scores: list[Score] = []
-    for one in designs:
+    for design in designs:
         try:
-            scores.append(cross_validated(gather(logs, one)))
+            scores.append(cross_validated(gather(logs, design)))
         except FitError:  # columns too nearly alike for the solver: none finer is tried
             if not scores:
                 raise
             break
-    least = min(scores, key=lambda one: one.rmse)
-    losses = [float(one.excess_over(least).mean()) for one in scores]  # no scatter excuses a coarser rival
+    least = min(scores, key=lambda score: score.rmse)
+    # No scatter excuses a coarser rival.
+    losses = [float(score.excess_over(least).mean()) for score in scores]
     near = min(losses) + float(np.log1p(search.FINE_INDIFFERENCE))
     return designs[next(k for k, loss in enumerate(losses) if loss <= near)]
 
@@ -473,8 +473,8 @@ def _model_of(solution: Floats, design: Design, prepared: Prepared, recording: R
 
 def _ranged(stages: Sequence[Stage], low: float, high: float, recording: Recording) -> RelativeModel:
     """Return the model with the range that its output reaches slowly."""
-    source = Quantity("voltage", recording.voltage_unit, low, high)
-    anything = Quantity("displacement", recording.displacement_unit, 0.0, 1.0)
+    source = Quantity(recording.voltage_quantity, recording.voltage_unit, low, high)
+    anything = Quantity(recording.displacement_quantity, recording.displacement_unit, 0.0, 1.0)
     model = RelativeModel("forward", source, anything, tuple(stages))
     still = model.without_lag
     ends = still.simulate([low, high, high, low], still.start(low, "empty"), time_step=1e9).y[1:]

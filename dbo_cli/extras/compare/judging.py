@@ -6,6 +6,7 @@ import dataclasses
 import math
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cache, partial
 
 import numpy as np
@@ -28,7 +29,6 @@ from dbo_cli.hysteresis.identification.recordings import (
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.move_error import played, rms
 from dbo_cli.hysteresis.operators import Floats
-from dbo_cli.records import dataclass
 
 SAME_STAGES = "same-stages"
 NAMES = ("dbo", *(relative.name for relative in RELATIVES), SAME_STAGES)
@@ -124,26 +124,27 @@ def compare(
     clean, _ = without_voltage_glitches(recordings)
     logs = [cleaned(log) for log in clean]
     ends = drive_range(clean)
-    mended = within([one.recording for one in logs], ends)
-    ready = prepare(mended, skip_seconds, [one.bad for one in logs], ends)
+    mended = within([log.recording for log in logs], ends)
+    ready = prepare(mended, skip_seconds, [log.bad for log in logs], ends)
     clocked = all(log.seconds() is not None for log in recordings)
     cycle = median_cycle_seconds(recordings) if clocked else None
     judged = skip_seconds if judged_from is None else judged_from
     judge = _Judge(mended, ready, validation, judged, timed)
     fits: dict[str, tuple[str, Callable[[], ActuatorModel]]] = {
-        one.name: (one.words, partial(fit, one, ready, judge.recordings, cycle)) for one in RELATIVES
+        relative.name: (relative.words, partial(fit, relative, ready, judge.recordings, cycle))
+        for relative in RELATIVES
     }
     options = IdentificationOptions(skip_seconds=skip_seconds, force=True)  # a mere line is compared, too
-    own = cache(lambda: identify(recordings, options).model)
-    fits |= {"dbo": (OWN_WORDS, own), SAME_STAGES: (SAME_WORDS, lambda: _same_stages(own()))}
+    identified = cache(lambda: identify(recordings, options).model)
+    fits |= {"dbo": (OWN_WORDS, identified), SAME_STAGES: (SAME_WORDS, lambda: _same_stages(identified()))}
     return [judge.row(name, *fits[name]) for name in dict.fromkeys(names)]
 
 
-def _same_stages(own: ActuatorModel) -> RelativeModel:
+def _same_stages(dbo: ActuatorModel) -> RelativeModel:
     """Return the DBO's own model with plays in the place of its gears; nothing is fitted again."""
-    model, figures = with_plays(own), {key: own.fit[key] for key in SHARED if key in own.fit}
+    model, figures = with_plays(dbo), {key: dbo.fit[key] for key in SHARED if key in dbo.fit}
     figures |= {"method": SAME_STAGES, "operator": SAME_WORDS, "plays": model.plays.n}
-    return dataclasses.replace(model, fit=figures | {"parameters": _parameters(own)})
+    return dataclasses.replace(model, fit=figures | {"parameters": _parameters(dbo)})
 
 
 @dataclass(frozen=True)
@@ -169,10 +170,10 @@ class _Judge:
         logs = zip(self.recordings, self.ready.logs, strict=True)
         rmse = _pooled([residual_of(model, recording, log) for recording, log in logs])
         checks = [validation_of(model, log, self.skip_seconds) for log in self.validation]
-        told, ratio = model.fit.get("expected_rmse"), model.fit.get("left_out_ratio")
+        expected_rmse, ratio = model.fit.get("expected_rmse"), model.fit.get("left_out_ratio")
         if ratio is not None:
-            told = rmse * float(str(ratio))
-        expected = None if told is None else float(str(told))
+            expected_rmse = rmse * float(str(ratio))
+        expected = None if expected_rmse is None else float(str(expected_rmse))
         if isinstance(model, RelativeModel):
             model = dataclasses.replace(model, fit=self._figures(model, rmse, expected, checks))
         errors = rmse, expected, _pooled(checks) if checks else None
@@ -190,7 +191,7 @@ class _Judge:
         figures |= {"expected_rmse": expected, "expected_percent": percent}
         if checks:
             figures["validation"] = [
-                {"name": one.name, "samples": len(one.values), "rmse": one.rmse} for one in checks
+                {"name": check.name, "samples": len(check.values), "rmse": check.rmse} for check in checks
             ]
         return {key: value for key, value in model.fit.items() if key != "left_out_ratio"} | figures
 
@@ -231,7 +232,7 @@ class _Judge:
 
 def _pooled(residuals: Sequence[Residual]) -> float:
     """Root of the mean square over all logs, weighted by their rows."""
-    return rms(np.concatenate([one.values for one in residuals]))
+    return rms(np.concatenate([residual.values for residual in residuals]))
 
 
 def _parameters(model: ActuatorModel) -> int:
@@ -244,5 +245,7 @@ def _parameters(model: ActuatorModel) -> int:
     count += len(memories) if isinstance(memories, list) else 0
     count += bool(fit.get("drive_bend")) + bool(fit.get("delay_seconds"))
     if model.dynamics is not None:
-        count += sum(sum(v is not None for v in vars(one).values()) for one in model.dynamics.sections)
+        count += sum(
+            sum(v is not None for v in vars(section).values()) for section in model.dynamics.sections
+        )
     return count

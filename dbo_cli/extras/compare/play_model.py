@@ -151,7 +151,13 @@ class RelativeModel(ActuatorModel):
         return DriveLimits(float(ends.min()), float(ends.max()), slew)
 
     def _backlash_block(
-        self, x: Floats, state: ModelState, steps: Steps | None, outside: Outside, limits: DriveLimits | None
+        self,
+        x: Floats,
+        state: ModelState,
+        steps: Steps | None,
+        outside: Outside,
+        limits: DriveLimits | None,
+        room: Floats | None = None,
     ) -> tuple[Floats, ModelState, Counts, float]:
         """Pass a block through the plays, in the model's direction."""
         if x.size == 0:
@@ -239,8 +245,8 @@ def with_plays(model: ActuatorModel) -> RelativeModel:
 
 def _plays(node: Node) -> Stage:
     kind: Kind = node.text("type")  # type: ignore[assignment]
-    own = {"rate-plays": ("by_rate", "fastest"), "one-sided-plays": ("cubic", "linear")}.get(kind, ())
-    node.only(("type", "radii", "weights", *own), ("relaxation",) if kind == "plays" else ())
+    keys = {"rate-plays": ("by_rate", "fastest"), "one-sided-plays": ("cubic", "linear")}.get(kind, ())
+    node.only(("type", "radii", "weights", *keys), ("relaxation",) if kind == "plays" else ())
     lists = {key: node.numbers(key) for key in ("radii", "weights", "by_rate") if key in node.values}
     numbers = {key: node.number(key) for key in ("fastest", "cubic", "linear") if key in node.values}
     beside, axis = read_relaxation(node, "relaxation") if "relaxation" in node.values else (None, "input")

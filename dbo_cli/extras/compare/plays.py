@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 import operator
 import sys
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -32,7 +32,6 @@ from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.cascade import OtherHysteresis
 from dbo_cli.hysteresis.model_file import relaxation_values
 from dbo_cli.hysteresis.operators import BacklashState, Floats, OutputLimits, Relaxation
-from dbo_cli.records import dataclass
 
 Memory = tuple[float, ...] | None  # of relaxation; None: at rest at the sample to come
 Kind = Literal["plays", "rate-plays", "singular-plays", "one-sided-plays"]
@@ -55,8 +54,8 @@ MOST_STEPS = 64  # of Newton's method and of halving, in the kernel
 def _follow(table: Floats, z: Floats, v: float) -> None:
     """Move all plays to the input."""
     low, high = v - table[0], v + table[1]
-    held = np.where(z > high, high, z)
-    z[:] = np.where(held < low, low, held)
+    clipped = np.where(z > high, high, z)
+    z[:] = np.where(clipped < low, low, clipped)
 
 
 def _weighted(table: Floats, z: Floats, share: float) -> float:
@@ -106,15 +105,15 @@ def plays_rows(n: int, table: Floats, z: Floats, x: Floats, rows: Floats) -> Non
 def _on_curve(curve: Floats, at: float, slope: float, wanted: float) -> float:
     """Return where curve(x) - curve(at) + slope (x - at) = wanted, going from ``at`` towards it."""
     begin = _curve(curve, at)
-    way = wanted / (slope + _curve_slope(curve, at))
-    near, far = at, at + way
+    step = wanted / (slope + _curve_slope(curve, at))
+    near, far = at, at + step
     for _ in range(MOST_STEPS):
         missing = wanted - ((_curve(curve, far) - begin) + slope * (far - at))
         if missing <= 0.0 if wanted > 0.0 else missing >= 0.0:
             break
         near = far
-        way = way + way
-        far = at + way
+        step = step + step
+        far = at + step
     x = far
     for _ in range(MOST_STEPS):
         missing = wanted - ((_curve(curve, x) - begin) + slope * (x - at))
@@ -427,23 +426,25 @@ class PlayOperator(OtherHysteresis):
         assert terms is not None
         table = np.vstack((self.table, np.arange(z.size) == 0))
         rows = np.broadcast_to(terms.decay(steps), (y.size, len(terms.tau))).tolist()
-        held = list(begun.memory or [0.0] * len(terms.tau))
+        memories = list(begun.memory or [0.0] * len(terms.tau))
         if begun.memory is None:
-            rows[0] = [0.0] * len(held)  # at rest at the first sample
+            rows[0] = [0.0] * len(memories)  # at rest at the first sample
         most = None if bounds.step is None else np.broadcast_to(bounds.step, y.shape).copy()
         clipped = first = 0
-        for k, (wanted, kept) in enumerate(zip(y.tolist(), rows, strict=True)):
-            past = [a * one for a, one in zip(kept, held, strict=True)]
-            share = sum(gain * (1.0 - a) for gain, a in zip(terms.gain, kept, strict=True))
+        for k, (wanted, decays) in enumerate(zip(y.tolist(), rows, strict=True)):
+            past = [a * memory for a, memory in zip(decays, memories, strict=True)]
+            share = sum(gain * (1.0 - a) for gain, a in zip(terms.gain, decays, strict=True))
             wanted += share * terms.reference - sum(map(operator.mul, terms.gain, past))
-            found, _ = _kernel().plays_solve(
+            limited, _ = _kernel().plays_solve(
                 self.n, table, NOTHING, z, np.array([wanted]), x[k : k + 1], np.array([share]), True,
                 bounds.low, bounds.high, bounds.slack, NOTHING if most is None else most[k : k + 1],
                 np.nan if last is None else last,
             )  # fmt: skip
-            first, clipped, last = first if clipped or not found else k, clipped + found, float(x[k])
-            held = [one + (1.0 - a) * (last - terms.reference) for a, one in zip(kept, past, strict=True)]
-        return x, PlayState(0, tuple(held), tuple(z[: self.n].tolist())), (clipped, first)
+            first, clipped, last = first if clipped or not limited else k, clipped + limited, float(x[k])
+            memories = [
+                memory + (1.0 - a) * (last - terms.reference) for a, memory in zip(decays, past, strict=True)
+            ]
+        return x, PlayState(0, tuple(memories), tuple(z[: self.n].tolist())), (clipped, first)
 
     def slow_output(self, x: float, plays: Floats) -> float:
         """Return the output for one input that comes slowly."""

@@ -34,26 +34,26 @@ class TableOptions:
 
 @all_or_none()
 def compare_logs(
-    asked: IdentifyRun, output: Address, options: TableOptions, listener: Listener = SILENT
+    run: IdentifyRun, output: Address, options: TableOptions, listener: Listener = SILENT
 ) -> Remarks:
     """Fit every model to the logs and write the table; ``asked.reading.rows`` are not the validation's."""
     form = report_form(output, options.form)
-    inputs = [*asked.logs, *asked.validation]
+    inputs = [*run.logs, *run.validation]
     check_output(output, inputs)
-    request.check_format(asked.reading.format, inputs)
+    request.check_format(run.reading.format, inputs)
     for folder in (options.figures, options.models_folder):
         if folder is not None:
             check_folder(folder)
-    fitted, checks = asked.read(listener)
-    recordings, others = [one.recording for one in fitted], [one.recording for one in checks]
-    rows = compare(recordings, others, options.names or NAMES, options.skip_seconds, options.timed)
+    fitted, checks = run.read(listener)
+    recordings, tests = [log.recording for log in fitted], [log.recording for log in checks]
+    rows = compare(recordings, tests, options.names or NAMES, options.skip_seconds, options.timed)
     unit = recordings[0].displacement_unit
-    names = [tuple(one.name for one in some) for some in (recordings, others)]
+    names = [tuple(recording.name for recording in logs) for logs in (recordings, tests)]
     shown = ModelTable(tuple(rows), unit, names[0], names[1])
     if options.figures is not None:
         save(shown.plots(), Path(options.figures), "models")
     program = program_version_string()
-    provenance = {"program": program, "inputs": [dict(one.record) for one in [*fitted, *checks]]}
+    provenance = {"program": program, "inputs": [dict(log.record) for log in [*fitted, *checks]]}
     if options.models_folder is not None:
         for row in rows:
             if row.model is not None:
@@ -63,6 +63,6 @@ def compare_logs(
     content = shown.rendered(form, provenance, program)
     write_whole(output, content, protect=inputs)
     remarks = Remarks()
-    for one in [*fitted, *checks]:
-        remarks.add(one.remarks)
+    for log in [*fitted, *checks]:
+        remarks.add(log.remarks)
     return remarks

@@ -76,7 +76,7 @@ class ModelTable:
         if rows:
             parts.append(renderers.text_table(head, rows))
         remarks = [f"{row.name}: {row.refused}" for row in self.rows if row.refused is not None]
-        remarks += [f"{row.name}: {said}" for row in self.rows if (said := remark(row))]
+        remarks += [f"{row.name}: {note}" for row in self.rows if (note := remark(row))]
         parts += ["\n".join(renderers.wrapped(line)) for line in remarks]
         return "\n\n".join(parts) + "\n"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -15,7 +15,6 @@ from dbo_cli.hysteresis.dynamics import DynamicsInverter, DynamicsStage
 from dbo_cli.hysteresis.kernel import Floats
 from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits, ModelState, Quantity
 from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator, DiscretePointOperator
-from dbo_cli.records import dataclass
 
 Direction = Literal["forward", "inverse"]
 
@@ -66,6 +65,14 @@ class CascadePlan:
             return None
         assert self.time_step is not None
         return whole_and_part(self.model.delay_seconds / self.time_step)
+
+    @property
+    def delay_is_smooth(self) -> bool:
+        """Whether a forward model's delay takes values between samples, and smoothly."""
+        whole_and_rest = self.delay_samples
+        if whole_and_rest is None or not whole_and_rest[1]:
+            return False
+        return self.model.delay is not None and self.model.delay.between == "smooth"
 
     @property
     def terms(self) -> int:

@@ -53,6 +53,10 @@ def export(given: Given) -> None:
     A folder with NAME.h, NAME.c, NAME_test.c, the kernel, build files and README.md; it appears whole or
     not at all.
 
+    Usual options
+    -------------
+    --sample-rate --arithmetic --direction --v-min --v-max --max-slew --name -o
+
     Examples
     --------
     For a controller of 10 kHz:

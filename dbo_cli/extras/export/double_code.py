@@ -12,7 +12,7 @@ actuator is driven by. It is what ``hysteresis.drive_lag`` does, as C.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -24,7 +24,6 @@ from dbo_cli.hysteresis.drive_lag import coefficients, undoing_rows
 from dbo_cli.hysteresis.kernel import Floats
 from dbo_cli.hysteresis.model import NEGLIGIBLE
 from dbo_cli.hysteresis.operators import kernel_table
-from dbo_cli.records import dataclass
 
 MOST_LOOKUP_GEARS = 12
 """2^12 states are 70 kB of table; one gear more doubles it."""
@@ -73,8 +72,11 @@ def double_code(plan: CascadePlan, lookup: bool) -> c.ModelCode:
         members.append(f"size_t segments[{parts.segments}];")
     if plan.delay_samples is not None:
         whole, part = plan.delay_samples
-        between = f"later + {c.hex_double(part)} * (earlier - later)" if part else "later"
-        more, delay = c.delay_line(whole, "double", between)
+        if plan.delay_is_smooth:
+            more, delay = c.smooth_delay_line(whole, c.hex_double(1.0 - part), "double", "")
+        else:
+            between = f"later + {c.hex_double(part)} * (earlier - later)" if part else "later"
+            more, delay = c.delay_line(whole, "double", between)
         members += more
     dynamics, spare, covered = plan.model.dynamics is not None, plan.spare_words(64), plan.model.covered_gears
     values: dict[str, str | bool] = {
@@ -92,7 +94,11 @@ def double_code(plan: CascadePlan, lookup: bool) -> c.ModelCode:
         "tables": parts.tables, "drive_steps": parts.drive, "step": parts.undo + step + parts.dynamics,
         "delay_line": delay,
     }  # fmt: skip
-    headers = ("dbo_lookup.h", lookup), ("dbo_dynamics.h", dynamics or lag)
+    headers = (
+        ("dbo_lookup.h", lookup),
+        ("dbo_dynamics.h", dynamics or lag),
+        (c.INTERPOLATION, plan.delay_is_smooth),
+    )
     used = tuple(header for header, needed in headers if needed)
     return c.ModelCode("double", members, "double.c", values, _vectors(plan), used, parts.size, {})
 

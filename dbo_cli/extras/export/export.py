@@ -103,14 +103,13 @@ def translated(
     count, run = plan.model.backlash.n, plan.model.backlash.equal_run
     # Towards the input; an inverse then to its limits, and back to where a drive lag's own limits hold it.
     passes = 1 if plan.model.direction == "forward" else 2 if plan.model.drive_lag is None else 3
-    worst = worst_pass(count, run, arithmetic)
     beyond = ""
     if plan.limits is not None:
         beyond = beyond_range(plan.model.drive, plan.limits.v_min, plan.limits.v_max)
     summary = ExportSummary(
         folder=folder, name=name, direction=plan.model.direction, arithmetic=arithmetic, files=(),
         gears=count, table_rows=-(-count // run), run=run, table_bytes=code.table_bytes,
-        state_bytes=code.state_bytes, worst_blocks=worst[0] * passes, worst_gears=worst[1] * passes,
+        state_bytes=code.state_bytes, worst_runs=most_runs(count) * passes,
         vectors=sum(len(one.inputs) for one in code.vectors), bounds=code.bounds, gears_loss=loss,
         notes=tuple(_notes(plan, loss, words)), warnings=(f"the limits allow {beyond}",) if beyond else (),
     )  # fmt: skip
@@ -160,16 +159,9 @@ def _limits(
     return drive_limits(model.drive, v_min, v_max, max_slew, extrapolate=extrapolate)
 
 
-def worst_pass(gears: int, run: int, arithmetic: str) -> tuple[int, int]:
-    """Return the most blocks that crossing gears one way looks at, and the most gears it takes one by one.
-
-    In double there are no blocks; runs of gears between turns of the drive count, at most as many as there
-    are gears. Else the gears are in the first and the last block: all gears below the kernel's LEAP, else
-    SINGLE in each word, and runs of equal gears instead of gears.
-    """
-    if arithmetic == "double":
-        return 0, gears
-    return -(-gears // 64), min(gears, 2 * (64 if run < 3 else 8 + 63 // run + 2))
+def most_runs(gears: int) -> int:
+    """Return the most runs of gears that are crossed one way: every other gear is one at most."""
+    return (gears + 1) // 2
 
 
 def _words(plan: CascadePlan, name: str, arithmetic: str) -> c.Values:
@@ -229,8 +221,11 @@ def kernel_files(words: c.Values, arithmetic: str, headers: tuple[str, ...]) -> 
         resources.files("dbo_cli.hysteresis"),
         resources.files("dbo_cli.extras.export") / "firmware",
     )
-    files = {}
-    for file in ("dbo_kernel", *(header.removesuffix(".h") for header in headers)):
+    files: dict[str, str] = {}
+    if c.INTERPOLATION in headers:
+        files[c.INTERPOLATION] = c.interpolation_header(arithmetic)
+    kernels = [header.removesuffix(".h") for header in headers if header != c.INTERPOLATION]
+    for file in ("dbo_kernel", *kernels):
         for kind in ("c", "h"):
             path = (firmware if file == "dbo_lookup" else package) / f"{file}.{kind}"
             if arithmetic != "double":
@@ -360,7 +355,7 @@ CHANNEL_CELLS = (
     "{GEARS}",
     "{TABLE_BYTES}",
     "{STATE_BYTES}",
-    "{WORST_BLOCKS}, {WORST_GEARS}",
+    "{WORST_RUNS}",
 )
 """The cells of a channel's row in the table of README.md."""
 

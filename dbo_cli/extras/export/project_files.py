@@ -19,7 +19,7 @@ import sys
 import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.sax.saxutils import escape
@@ -28,7 +28,6 @@ from dbo_cli.errors import OutputError
 from dbo_cli.extras.export.cascade_plan import CascadePlan
 from dbo_cli.extras.export.source_text import ModelCode, Values, fill
 from dbo_cli.hysteresis.model import Quantity
-from dbo_cli.records import dataclass
 
 MANIFEST = "export.json"
 FORMAT = "dbo-export"
@@ -49,9 +48,9 @@ class ExportSummary:
         Gears, rows of the gear table, and how many equal gears a row stands for.
     table_bytes, state_bytes : int
         Constant tables (flash), and the state (RAM) on a 32-bit target.
-    worst_blocks, worst_gears : int
-        A bound on the work of one step: the most blocks of 64 gears it looks at (none in double), and the
-        most gears, or runs of gears, it crosses one by one.
+    worst_runs : int
+        A bound on the work of one step: the most runs of gears it crosses, one for each turn of the drive
+        that it wipes out.
     bounds : mapping
         Derived bounds on the error against the float64 model, in the output's unit and in % of its range;
         empty for double, which gives the same bits.
@@ -73,8 +72,7 @@ class ExportSummary:
     run: int
     table_bytes: int
     state_bytes: int
-    worst_blocks: int
-    worst_gears: int
+    worst_runs: int
     vectors: int
     bounds: Mapping[str, float] = field(default_factory=dict)
     gears_loss: Mapping[str, float] = field(default_factory=dict)

@@ -18,26 +18,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from dbo_cli.errors import ModelError
 from dbo_cli.extras.export.cascade_plan import CascadePlan, ignored_beyond, self_test_moves
-from dbo_cli.extras.export.single_kernel import F, Segments, SingleKernel, SingleTables, clamped
+from dbo_cli.extras.export.single_kernel import PARTS, F, Segments, SingleKernel, SingleTables, clamped
 from dbo_cli.extras.export.source_text import (
+    INTERPOLATION,
     ModelCode,
     Vectors,
     array,
     delay_line,
     hex_float,
     integer,
+    smooth_delay_line,
     struct_rows,
 )
 from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, through
 from dbo_cli.hysteresis.kernel import Floats
 from dbo_cli.hysteresis.model import DriveLimits, Quantity
-from dbo_cli.records import dataclass
 
 Text = Callable[[Any], str]
 
@@ -52,6 +54,9 @@ MOST_GEARS = 46_340
 
 SLOWEST_REST = 2.0**-34
 """A memory that follows by less a step would stand still below 2^10 counts, 1e-6 of the range."""
+
+SMOOTH_GROWTH = 4.0
+"""An error of every sample grows by no more than 3.1 between samples: one-sided slopes weigh 128/12 of it."""
 
 EPS = 2.0**-24
 """Half a unit in the last place of a float32, as a part of the number."""
@@ -255,7 +260,10 @@ def single_tables(plan: CascadePlan, axes: Axes, q31: bool, tolerance: float) ->
     if clip is not None:
         first = min(max(first, clip[0]), clip[1])
     whole, part = plan.delay_samples or (-1, 0.0)
-    delay = whole, round(part * COUNTS) if q31 else F(part)
+    smooth = plan.delay_is_smooth
+    if smooth:
+        part = 1.0 - part  # of the step in which the value lies
+    delay = whole, round(part * (PARTS if smooth else COUNTS)) if q31 else F(part)
     drive_shift, drive_count, offset = _remembered(plan, axes)
     terms, carried_shift = _terms(plan, axes)
     span = sum(rows[i // gears.equal_run][0] for i in range(gears.n))
@@ -268,7 +276,7 @@ def single_tables(plan: CascadePlan, axes: Axes, q31: bool, tolerance: float) ->
         covered=plan.model.covered_gears.operator.n, spare_bits=plan.model.covered_gears.spare_bits,
         before=segments_of(before, q31, taken, (base, x_step)),
         behind=segments_of(behind, q31, (gears.y0, axes.y_count), given),
-        drive=drive, clip=clip, change=change, first=first, delay=delay,
+        drive=drive, clip=clip, change=change, first=first, delay=delay, smooth=smooth,
     )  # fmt: skip
 
 
@@ -445,6 +453,9 @@ def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> dict[str, float]:
     if plan.model.delay_seconds and not on_output and not q31:
         leaving += 3.0 * EPS * max(abs(result.minimum), abs(result.maximum))
     same = bend * inner + leaving
+    if plan.delay_is_smooth:
+        rounding = 4.0 * y_out if q31 else 8.0 * EPS * max(abs(result.minimum), abs(result.maximum))
+        same = SMOOTH_GROWTH * same + rounding
     found: dict[str, float] = {}
     for key, value in (("same_gears", same), ("after_close_turn", same + bend * hop)):
         found |= {key: value, f"{key}_percent": 100.0 * value / result.span}
@@ -489,20 +500,22 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
     tables, size = _tables(t, text)
     if spare:
         tables += array("uint32_t", "spare", spare)
-    words = (t.n + 31) // 32 + 4 * (t.n // 64)  # DBO_WORDS(n)
-    members = [f"uint32_t words[{words}];", "uint32_t segments[3];", "dbo_backlash_state gears;"]
+    members = [f"dbo_place turns[{t.n}];", "uint32_t segments[3];", "dbo_backlash_state gears;"]
     if t.terms:
         members.append(f"dbo_memory memory[{len(t.terms)}];")
     delay = ""
     if t.delay[0] >= 0:
-        more, delay = delay_line(t.delay[0], number, _between(t, text))
+        if t.smooth:
+            suffix = "" if q31 else "F"
+            more, delay = smooth_delay_line(t.delay[0], text(t.delay[1]), number, suffix)
+        else:
+            more, delay = delay_line(t.delay[0], number, _between(t, text))
         members += more
     low, high = ("", "") if t.clip is None else map(text, t.clip)
     values: dict[str, str | bool] = {
         "counts": q31, "inverse": plan.model.direction == "inverse", "terms": bool(t.terms),
         "spare": bool(spare), "delay": bool(delay), "tables": tables, "delay_line": delay,
-        "SPARE_WORDS": str(len(spare)),
-        "WORDS": str(words), "TERMS": str(len(t.terms)), "COVERED": str(plan.model.covered_gears.operator.n),
+        "TERMS": str(len(t.terms)), "COVERED": str(plan.model.covered_gears.operator.n),
         "MEMORY": "state->memory" if t.terms else "0", "SPARE": "spare" if spare else "0",
         "LIMITS": "0" if t.limits is None else "&limits", "LOWEST_OUTPUT": low, "HIGHEST_OUTPUT": high,
         "FIRST_OUTPUT": text(t.first), "slew": t.change is not None,
@@ -518,27 +531,29 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
             f"{way}_MIDDLE": repr(middle), f"{way}_COUNT": repr(unit), f"{way}_COUNTS": repr(1.0 / unit),
             f"{way}_LABEL": f"{quantity.quantity}{f' ({quantity.unit})' if quantity.unit else ''}",
         }  # fmt: skip
-    return ModelCode(number, members, "single.c", values, _vectors(plan, t, text), (), size, bounds)
+    headers = (INTERPOLATION,) if t.smooth else ()
+    return ModelCode(number, members, "single.c", values, _vectors(plan, t, text), headers, size, bounds)
 
 
 def _tables(t: SingleTables, text: Text) -> tuple[str, int]:
     """Return all tables but that of the spare gears, and their bytes."""
     rows = [[integer(width), integer(height), text(slope)] for width, height, slope in t.rows]
     out, size = array("dbo_gear", "gears", struct_rows(rows)), 12 * len(t.rows)
-    if t.n >= 64:
-        each = np.repeat(np.array([row[:2] for row in t.rows], np.int64), t.run, axis=0)
-        sums = np.vstack([np.zeros((1, 2), np.int64), np.cumsum(each, axis=0)])[: t.n + 1 : 64].tolist()
-        out += array("dbo_block", "blocks", struct_rows([[integer(v) for v in place] for place in sums]))
-        size += 16 * len(sums)
+    begins = _begins(t)
+    out += array("dbo_begin", "begins", struct_rows([[integer(v) for v in begin] for begin in begins]))
+    part_shift, guide = _guide(begins)
+    out += array("dbo_place", "guide", [str(row) for row in guide])
+    size += 16 * len(begins) + 2 * len(guide)
     if t.terms:
         factors = [[integer(carried), integer(rest), f"{shift}U"] for carried, rest, shift in t.terms]
         out += array("dbo_term", "terms", struct_rows(factors))
         size += 12 * len(factors)
     shift = row_shift(t.n, t.run)
     factor = (2**shift + t.run - 1) // t.run
+    half_run = 2 ** (t.run.bit_length() - 1)
     out += (
-        f"static const dbo_backlash op = {{gears, {'blocks' if t.n >= 64 else '0'}, {t.n}U, {t.run}U,"
-        f" {factor}U, {shift}U, {t.tolerance}U,"
+        f"static const dbo_backlash op = {{gears, begins, guide, {part_shift}U,\n    {t.n}U, {t.run}U,"
+        f" {half_run}U, {factor}U, {shift}U, {t.tolerance}U,"
         f" {'terms' if t.terms else '0'}, {len(t.terms)}U,\n"
         f"    {t.carried_shift}U, {int(t.memory_on_output)}, {integer(t.drive_offset)}, {t.drive_shift}U,"
         f" {t.slope_shift}U, {t.x_shift}U, {t.y_shift}U, {integer(t.least)}, {integer(t.most)}}};\n"
@@ -552,8 +567,28 @@ def _tables(t: SingleTables, text: Text) -> tuple[str, int]:
     return out, size
 
 
+def _begins(t: SingleTables) -> list[tuple[int, int]]:
+    """Return where each row of gears begins, and where the last gear ends."""
+    begins = [(0, 0)]
+    for first, (width, height, _) in zip(range(0, t.n, t.run), t.rows, strict=True):
+        count = min(t.run, t.n - first)
+        x, y = begins[-1]
+        begins.append((x + count * width, y + count * height))
+    return begins
+
+
+def _guide(begins: list[tuple[int, int]]) -> tuple[int, list[int]]:
+    """Return a shift that cuts positions into parts, one or two a row, and in which row each part begins."""
+    starts = np.array([x for x, _ in begins], np.int64)
+    span, rows = int(starts[-1]), len(begins) - 1
+    shift = max((span // rows).bit_length() - 1, 0)
+    parts = np.arange((span >> shift) + 2, dtype=np.int64) << shift
+    found = np.searchsorted(starts, parts, side="right") - 1
+    return shift, np.minimum(found, rows - 1).tolist()
+
+
 def row_shift(n: int, run: int) -> int:
-    """Return a shift with which i * ceil(2^shift / run) >> shift is i // run for all i < n, in 32 bits."""
+    """Return a shift with which i * ceil(2^shift / run) >> shift is i // run for all i <= n, in 32 bits."""
     return (n * run - 1).bit_length() if run > 1 else 0
 
 

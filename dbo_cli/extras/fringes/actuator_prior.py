@@ -6,10 +6,10 @@ are linear in their weights, so that a fit is one linear problem with a Gaussian
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
-
-from dbo_cli.records import dataclass
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]

@@ -15,6 +15,7 @@ turn is chosen by a model of the actuator (``actuator_prior``):
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -23,7 +24,6 @@ from numpy.typing import NDArray
 
 from dbo_cli.extras.fringes.actuator_prior import Columns
 from dbo_cli.extras.fringes.swings import Floats, Indices
-from dbo_cli.records import dataclass
 
 TURN = 2.0 * np.pi
 """rad; the phase of a fringe."""

@@ -44,6 +44,10 @@ def fringes(given: Given) -> None:
     Time, voltage, displacement (um, 0 at the first row) and its standard deviation (um). Where the beam was
     interrupted, -o 'recorded-{part}.csv' writes a log of each part.
 
+    Usual options
+    -------------
+    --voltage --signal --quadrature --wavelength --per-fringe --sign --figures -o
+
     Examples
     --------
     One photodiode and a helium-neon laser:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -30,7 +31,6 @@ from dbo_cli.extras.fringes.swings import (
 )
 from dbo_cli.extras.fringes.track import Track, TurnOdds
 from dbo_cli.extras.fringes.whole_counts import added_counts, joint_odds, swing_counts
-from dbo_cli.records import dataclass
 
 ROUNDS = 10
 """Rounds of model and branches at most."""

@@ -10,11 +10,11 @@ signal is most probable (Laplace's approximation). No model of the actuator take
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky_banded, solveh_banded
-
-from dbo_cli.records import dataclass
 
 Floats = NDArray[np.float64]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,6 @@ from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.units import in_unit
 from dbo_cli.logs.whole_output import all_or_none
-from dbo_cli.records import dataclass
 from dbo_cli.reports.drawing import check_folder, file_stems, save
 from dbo_cli.runs.files import Destination, read_record, summary_of_values, write_summary
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from dbo_cli.extras.fringes.phase_smoother import Channel
 from dbo_cli.extras.fringes.swings import Floats
-from dbo_cli.records import dataclass
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,13 @@ that has another count there.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from dbo_cli.extras.fringes.actuator_prior import Columns
 from dbo_cli.extras.fringes.branches import MOST_ODDS, NODES, TURN, Nodes
 from dbo_cli.extras.fringes.swings import Floats, Indices
-from dbo_cli.records import dataclass
 
 INSIDE_TRAVEL = 0.5
 """Fringes behind a turn that take no part in the fit: there the displacement is late."""

@@ -97,12 +97,12 @@ def open_npz(request: Request) -> ColumnTable:
                 arrays[name] = None  # pickled objects are left out, as text is
     readable = {name: array for name, array in arrays.items() if array is not None}
     sources = without_scalars(
-        [one for name, array in readable.items() for one in _array_columns(name, array)]
+        [source for name, array in readable.items() for source in _array_columns(name, array)]
     )
     single = {name: array.ravel()[0] for name, array in readable.items() if array.size == 1}
     stated = {name: value for name, value in single.items() if is_clock_name(name) or isinstance(value, str)}
-    held = (f"{name} ({_array_shape(array)})" for name, array in arrays.items())
-    return ColumnTable(request, "NumPy archive", sources, clock=statements_in(stated), held=held)
+    listed = (f"{name} ({_array_shape(array)})" for name, array in arrays.items())
+    return ColumnTable(request, "NumPy archive", sources, clock=statements_in(stated), held=listed)
 
 
 def _array_columns(name: str, array: Any) -> list[ColumnSource]:
@@ -127,8 +127,8 @@ def _file_array_columns(path: str, array: Any) -> Iterator[ColumnSource]:
         row = np.dtype((kind, (width,)))
         for index in range(width):
             place = array.offset + index * length * kind.itemsize
-            own = _records(path, row, array.offset, (slice(None), index)) if by_rows else None
-            yield ColumnSource("", length, own or _records(path, kind, place, ...))
+            column = _records(path, row, array.offset, (slice(None), index)) if by_rows else None
+            yield ColumnSource("", length, column or _records(path, kind, place, ...))
 
 
 def _records(path: str, record: Any, offset: int, column: Any) -> Fetch:
@@ -185,24 +185,25 @@ def open_matlab(request: Request) -> ColumnTable:
             for member, value in above[-1].items()
             if isinstance(value, dict)
         }
-        inner = {name: found for name, above in level.items() if (found := _matlab_columns(above[-1]))}
+        inner = {name: _matlab_columns(above[-1]) for name, above in level.items()}
+        inner = {name: columns for name, columns in inner.items() if columns}
         if len(inner) > 1:
             raise InputError(
                 f"{place}: columns in {len(inner)} structs, {', '.join(inner)}: which one? "
                 f"(write {request.address.path}::{next(iter(inner))})"
             )
-        for name, found in inner.items():
-            trail, sources = level[name], found
+        for name, columns in inner.items():
+            trail, sources = level[name], columns
     for path in request.named:
         if path not in group:
             sources += _by_path(variables, path)
     objects = "__function_workspace__" in stored or any(map(_is_object, variables.values()))
-    held = (f"{name} ({_shape(value)})" for name, value in group.items())
+    listed = (f"{name} ({_shape(value)})" for name, value in group.items())
     clock = next((stated for level in reversed(trail) if (stated := _statements(level))), [])
     starts = [value for level in trail for name, value in level.items() if name.lower() in _START_NAMES]
     start = number_in(starts[-1]) if starts and np.ndim(starts[-1]) == 0 else None
     remedy = MATLAB_OBJECTS if objects else ""
-    return ColumnTable(request, "MATLAB", sources, clock, start or 0.0, held=held, remedy=remedy)
+    return ColumnTable(request, "MATLAB", sources, clock, start or 0.0, held=listed, remedy=remedy)
 
 
 def _struct(place: str, variables: dict[str, Any], path: str) -> list[dict[str, Any]]:
@@ -211,7 +212,7 @@ def _struct(place: str, variables: dict[str, Any], path: str) -> list[dict[str, 
     for part in filter(None, path.replace("/", ".").split(".")):
         value = trail[-1].get(part)
         if not isinstance(value, dict):
-            names = ", ".join(name for name, one in trail[-1].items() if isinstance(one, dict)) or "none"
+            names = ", ".join(name for name, value in trail[-1].items() if isinstance(value, dict)) or "none"
             raise InputError(f"{place}: there is no struct '{part}': the structs are: {names}")
         trail.append(value)
     return trail
@@ -224,13 +225,13 @@ def _matlab_columns(group: dict[str, Any]) -> list[ColumnSource]:
     if _is_channel(group) and not _is_channel_list(group):  # Simulink's "structure with time"
         known = {source.label for source in sources}
         sources += [source for source in _channels("", group) if source.label not in known]
-    structs = {name: one for name, one in group.items() if isinstance(one, dict)}
-    single = {name: one for name, one in structs.items() if not _is_channel_list(one)}
-    channels = {name: one for name, one in single.items() if np.ndim(_first(one, _VALUES)) == 1}
+    structs = {name: value for name, value in group.items() if isinstance(value, dict)}
+    single = {name: struct for name, struct in structs.items() if not _is_channel_list(struct)}
+    channels = {name: struct for name, struct in single.items() if np.ndim(_first(struct, _VALUES)) == 1}
     if len(channels) > 1:
         sources += _with_their_times(channels)
     elif all(source.label.lower() in TIME_NAMES for source in sources) and sources:  # its signals lie below
-        sources += [one for one in _below(group) if one.length == sources[0].length]
+        sources += [source for source in _below(group) if source.length == sources[0].length]
     return [with_unit(source, group.get) for source in without_scalars(sources)]
 
 
@@ -238,8 +239,8 @@ def _below(group: dict[str, Any]) -> Iterator[ColumnSource]:
     """List the columns of the structs in a struct, at any depth, by their paths."""
     for name, value in group.items():
         if isinstance(value, dict):
-            for one in [*_matlab_columns(value), *_below(value)]:
-                yield replace(one, label=f"{name}/{one.label}")
+            for source in [*_matlab_columns(value), *_below(value)]:
+                yield replace(source, label=f"{name}/{source.label}")
 
 
 def _with_their_times(channels: dict[str, dict[str, Any]]) -> Iterator[ColumnSource]:
@@ -250,7 +251,7 @@ def _with_their_times(channels: dict[str, dict[str, Any]]) -> Iterator[ColumnSou
         for key in (key for key in value if key.lower() in TIME_NAMES and np.ndim(value[key]) == 1):
             times[name] = value[key]
     first: Any = next(iter(times.values()), None)
-    same = len(times) == len(channels) and all(np.array_equal(one, first) for one in times.values())
+    same = len(times) == len(channels) and all(np.array_equal(time, first) for time in times.values())
     for name in list(times)[:1] if same else times:
         yield array_source("time" if same else f"{name}/time", times[name])
 
@@ -267,14 +268,14 @@ def _is_channel_list(value: Any) -> bool:
     """Recognise an array of structs with a name and values each (dSPACE's Y, Simulink's signals)."""
     items = value if isinstance(value, list | np.ndarray) else [value]
     structs = isinstance(items, list) or items.dtype == object
-    return structs and len(items) > 0 and all(_is_channel(one) and _label(one) for one in items)
+    return structs and len(items) > 0 and all(_is_channel(item) and _label(item) for item in items)
 
 
 def _channels(name: str, value: Any) -> Iterator[ColumnSource]:
-    for number, one in enumerate(value if isinstance(value, list | np.ndarray) else [value], start=1):
-        label = (_label(one) or str(name or number)).strip('"')
-        unit = _first(one, _UNIT_NAMES)
-        for source in _arrays(label, np.atleast_1d(_first(one, _VALUES))):
+    for number, channel in enumerate(value if isinstance(value, list | np.ndarray) else [value], start=1):
+        label = (_label(channel) or str(name or number)).strip('"')
+        unit = _first(channel, _UNIT_NAMES)
+        for source in _arrays(label, np.atleast_1d(_first(channel, _VALUES))):
             yield replace(source, unit=unit if isinstance(unit, str) and unit else None)
 
 
@@ -296,8 +297,8 @@ def _by_path(variables: dict[str, Any], path: str) -> list[ColumnSource]:
 
 
 def _statements(level: Mapping[str, Any]) -> list[Statement]:
-    plain = {name: one for name, one in level.items() if not isinstance(one, dict | list)}
-    return statements_in({name: one for name, one in plain.items() if np.size(one) == 1})
+    plain = {name: value for name, value in level.items() if not isinstance(value, dict | list)}
+    return statements_in({name: value for name, value in plain.items() if np.size(value) == 1})
 
 
 def _is_object(value: Any) -> bool:
@@ -330,14 +331,18 @@ def open_netcdf(request: Request) -> ColumnTable:
     # Without a map everything is read here; scipy raises whatever the damaged bytes lead to.
     with request.reading("netCDF"), netcdf_file(request.address.path, "r", mmap=False) as file:
         variables = dict(file.variables)
-        vectors = [(name, one) for name, one in variables.items() if len(one.shape) == 1]
-        sources = [_variable(clean_text(name), one) for name, one in vectors if one.data.dtype.kind in "fiu"]
+        vectors = [(name, variable) for name, variable in variables.items() if len(variable.shape) == 1]
+        sources = [
+            _variable(clean_text(name), variable)
+            for name, variable in vectors
+            if variable.data.dtype.kind in "fiu"
+        ]
         clock = statements_in(file._attributes)
         for name, variable in variables.items():
             if not variable.shape:
                 clock += read_statements(name, variable.data, variable._attributes.get("units"))
-    held = (f"{name} {variable.shape}" for name, variable in variables.items())
-    return ColumnTable(request, "netCDF", sources, clock=clock, held=held)
+    listed = (f"{name} {variable.shape}" for name, variable in variables.items())
+    return ColumnTable(request, "netCDF", sources, clock=clock, held=listed)
 
 
 def _variable(label: str, variable: Any) -> ColumnSource:
@@ -395,8 +400,8 @@ def _open_arrow(request: Request, kind: str, scan: Callable[..., Any]) -> Column
             unit = units.get(name) if isinstance(units, dict) else None
             sources.append(replace(source, unit=source.unit or (str(unit) if unit else None)))
     clock = statements_in(metadata) + statements_in(attributes)
-    held = (f"{name} ({stored})" for name, stored in schema.items())
-    return ColumnTable(request, kind, sources, clock=clock, damaged=damaged, held=held)
+    listed = (f"{name} ({stored})" for name, stored in schema.items())
+    return ColumnTable(request, kind, sources, clock=clock, damaged=damaged, held=listed)
 
 
 def _arrow_rows(request: Request, kind: str, frame: Any, name: str) -> Callable[[int, int], Any]:
@@ -443,10 +448,10 @@ def _parquet_metadata(path: str) -> dict[str, str]:
 def _pandas_attributes(metadata: dict[str, str]) -> dict[str, Any]:
     """Give ``DataFrame.attrs`` as pandas stores them: ``units`` by column, a rate."""
     try:
-        found = json.loads(metadata.get("PANDAS_ATTRS", "{}"))
+        attributes = json.loads(metadata.get("PANDAS_ATTRS", "{}"))
     except (ValueError, RecursionError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return attributes if isinstance(attributes, dict) else {}
 
 
 # --- Excel workbooks and OpenDocument sheets, read with fastexcel -----------------------------------------
@@ -483,16 +488,18 @@ def _wanted_part(request: Request) -> str:
 def _sheet(request: Request, book: Any) -> str:
     place, wanted = request.place, _wanted_part(request)
     names = [str(name) for name in book.sheet_names]
-    found = names if wanted else [name for name in names if _has_numbers(book, name)]
-    listed = ", ".join(f"'{name}'" for name in found)
+    sheets = names if wanted else [name for name in names if _has_numbers(book, name)]
+    listed = ", ".join(f"'{name}'" for name in sheets)
     if wanted and wanted not in names:
         raise InputError(f"{place}: there is no sheet '{wanted}': the sheets are: {listed}")
-    if not found:
+    if not sheets:
         raise InputError(f"{place}: no sheet holds rows of numbers")
-    if not wanted and len(found) > 1:
-        one = f"{request.address.path}::{found[0]}"
-        raise InputError(f"{place}: {len(found)} sheets hold numbers, {listed}: which one? (write {one})")
-    return wanted or found[0]
+    if not wanted and len(sheets) > 1:
+        example = f"{request.address.path}::{sheets[0]}"
+        raise InputError(
+            f"{place}: {len(sheets)} sheets hold numbers, {listed}: which one? (write {example})"
+        )
+    return wanted or sheets[0]
 
 
 def _has_numbers(book: Any, name: str) -> bool:
@@ -542,15 +549,19 @@ def open_tdms(request: Request) -> ColumnTable:
         if wanted and not groups:
             names = ", ".join(f"'{group.name}'" for group in all_groups) or "none"
             raise InputError(f"{request.place}: there is no group '{wanted}': the groups are: {names}")
-        channels = [(group, one) for group in groups for one in group.channels()]
-        numeric = [(group, one) for group, one in channels if len(one) > 0 and one.dtype.kind in "fiubM"]
+        channels = [(group, channel) for group in groups for channel in group.channels()]
+        numeric = [
+            (group, channel)
+            for group, channel in channels
+            if len(channel) > 0 and channel.dtype.kind in "fiubM"
+        ]
         several = len({group.name for group, _ in numeric}) > 1
         sources = [_tdms_column(group if several else None, channel) for group, channel in numeric]
         if not sources:
-            listed = ", ".join(f"{group.name}/{one.name}" for group, one in channels) or "nothing"
+            listed = ", ".join(f"{group.name}/{channel.name}" for group, channel in channels) or "nothing"
             raise InputError(f"{request.place}: no channels of numbers: it holds {listed}")
         levels = [*(groups if len(groups) == 1 else ()), file]
-        clock = next((found for level in levels if (found := _tdms_statements(level))), [])
+        clock = next((statements for level in levels if (statements := _tdms_statements(level))), [])
         close = opened.pop_all().close
     return ColumnTable(request, "TDMS", sources, clock=clock, at_close=close, damaged=(Exception,))
 
@@ -573,12 +584,12 @@ def _tdms_statements(node: Any) -> list[Statement]:
     properties = node.properties
     if clean_text(properties.get("wf_xname") or "Time").strip().lower() not in ("time", "zeit", "temps", ""):
         return []  # a spectrum: its increment is no time
-    found = []
+    statements = []
     for name, value in properties.items():
-        own = name == "wf_increment"  # LabVIEW defines it in seconds
-        unit = properties.get("wf_xunit_string" if own else f"{name}_unit")
-        found += read_statements(name, value, unit or None, sure=own)
-    return found
+        is_increment = name == "wf_increment"  # LabVIEW defines it in seconds
+        unit = properties.get("wf_xunit_string" if is_increment else f"{name}_unit")
+        statements += read_statements(name, value, unit or None, sure=is_increment)
+    return statements
 
 
 # --- universal files (UFF, UNV) of modal analysis: data sets 58, read with pyuff --------------------------
@@ -596,27 +607,31 @@ def open_uff(request: Request) -> ColumnTable:
     """
     pyuff = import_extra("pyuff", request.place)
     with request.reading("UFF"):  # pyuff raises whatever the damaged text leads to
-        found = pyuff.UFF(request.address.path).read_sets()
-        sets = found if isinstance(found, list) else [found]
-        functions = [one for one in sets if one["type"] == 58 and one["abscissa_spec_data_type"] == _TIME]
+        content = pyuff.UFF(request.address.path).read_sets()
+        sets = content if isinstance(content, list) else [content]
+        functions = [
+            data_set
+            for data_set in sets
+            if data_set["type"] == 58 and data_set["abscissa_spec_data_type"] == _TIME
+        ]
         sources: list[ColumnSource] = []
-        for one in functions:
-            sources += _function_columns(one, {source.label for source in sources})
-    held = (f"data set {one['type']}" for one in sets)
-    return ColumnTable(request, "UFF", sources, held=held, remedy=" (functions of time, 58)")
+        for data_set in functions:
+            sources += _function_columns(data_set, {source.label for source in sources})
+    listed = (f"data set {data_set['type']}" for data_set in sets)
+    return ColumnTable(request, "UFF", sources, held=listed, remedy=" (functions of time, 58)")
 
 
-def _function_columns(one: dict[str, Any], taken: set[str]) -> list[ColumnSource]:
+def _function_columns(data_set: dict[str, Any], taken: set[str]) -> list[ColumnSource]:
     """Make a column of a function; its stamps become another where they are not evenly spaced."""
-    names = (clean_text(one[key]).strip() for key in ("id1", "ordinate_axis_lab"))
+    names = (clean_text(data_set[key]).strip() for key in ("id1", "ordinate_axis_lab"))
     name = next((name for name in names if name not in ("", "NONE")), "")
-    name = f"{name} {one['rsp_node']}" if name in taken or not name else name
-    unit = clean_text(one["ordinate_axis_units_lab"]).strip()
-    values, step = np.asarray(one["data"]), float(one["abscissa_inc"])
+    name = f"{name} {data_set['rsp_node']}" if name in taken or not name else name
+    unit = clean_text(data_set["ordinate_axis_units_lab"]).strip()
+    values, step = np.asarray(data_set["data"]), float(data_set["abscissa_inc"])
     if values.dtype.kind != "f":
         return []
     source = array_source(name, values, None if unit in ("", "NONE") else unit)
-    if one["abscissa_spacing"] == _UNEVEN or not step > 0.0:
-        return [array_source("time", np.asarray(one["x"]), "s"), source][("time" in taken) :]
+    if data_set["abscissa_spacing"] == _UNEVEN or not step > 0.0:
+        return [array_source("time", np.asarray(data_set["x"]), "s"), source][("time" in taken) :]
     clock = (Statement(f"'abscissa_inc' {step:g} s", 1.0 / step),)
-    return [replace(source, clock=clock, start=float(one["abscissa_min"]))]
+    return [replace(source, clock=clock, start=float(data_set["abscissa_min"]))]

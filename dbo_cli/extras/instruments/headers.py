@@ -45,7 +45,7 @@ def read_instrument_header(place: str, head: bytes, options: ReadingOptions) -> 
     lines = [decoded(line.removesuffix(b"\r")) for line in head.split(b"\n", _LOOKED_AT)[:_LOOKED_AT]]
     lines[0] = lines[0].removeprefix("\ufeff")
     forced = (options.delimiter, options.decimal, options.comment, options.skip_lines, options.header_lines)
-    for maker in _MAKERS if all(one is None for one in forced) else ():
+    for maker in _MAKERS if all(option is None for option in forced) else ():
         begins = (n for n, line in enumerate(lines[: maker.within]) if maker.mark.match(line[:_LONGEST]))
         at = next(begins, None)
         header = None if at is None else maker.read(place, lines, at)
@@ -155,8 +155,8 @@ def _pi_array(place: str, lines: list[str], end: int) -> Dialect | None:
         The rows have another number of columns than the header states.
     """
     pattern = re.compile(r"\s*#\s*([A-Z_]+\s?\d*)\s*=\s*(.*?)\s*")
-    found = [one for line in lines[:end] if (one := pattern.fullmatch(line[:_LONGEST]))]
-    settings = {one[1].replace(" ", ""): one[2] for one in found}
+    matches = [match for line in lines[:end] if (match := pattern.fullmatch(line[:_LONGEST]))]
+    settings = {match[1].replace(" ", ""): match[2] for match in matches}
     if end + 1 >= len(lines) or not {"SAMPLE_TIME", "NDATA", "DIM"} & settings.keys():
         return None
     code = _number(settings.get("SEPARATOR", "9"))
@@ -188,8 +188,10 @@ def _lvm(place: str, lines: list[str], _: int) -> Dialect | None:
     ends = [number for number, line in enumerate(lines) if line.startswith(END_OF_HEADER)]
     if len(ends) < 2 or ends[1] + 2 >= len(lines):
         return None
-    stated = [one for line in lines[: ends[0]] if (one := re.match(r"(\w+)([\t,;])(.*)", line))]
-    file = {one[1]: one[3].rstrip("\t ").removesuffix(one[2]) or one[3].strip("\t ") for one in stated}
+    stated = [match for line in lines[: ends[0]] if (match := re.match(r"(\w+)([\t,;])(.*)", line))]
+    file = {
+        match[1]: match[3].rstrip("\t ").removesuffix(match[2]) or match[3].strip("\t ") for match in stated
+    }
     delimiter = _LVM_SEPARATORS.get(file.get("Separator", "Tab").lower(), "\t")
     rows = [split_cells(line, delimiter) for line in lines[ends[0] + 1 : ends[1] + 3]]
     channels = {cells[0]: cells[1:] for cells in rows[:-2] if cells[0]}
@@ -203,19 +205,19 @@ def _lvm(place: str, lines: list[str], _: int) -> Dialect | None:
             f"{place}: every channel has its own X column (X_Columns Multi): write it with X_Columns One "
             "or No"
         )
-    timed = all(one.lower() == "time" for one in channels.get("X_Dimension", []) if one)
+    timed = all(dimension.lower() == "time" for dimension in channels.get("X_Dimension", []) if dimension)
     if x_columns == "no":
         names = ["", *names[1:]]  # the X column is there, but its cells are empty
     units = ["s" if timed and x_columns != "no" else "", *channels.get("Y_Unit_Label", [])]
     # Where X0 is not relative, it counts from a day in the past.
     starts = channels.get("X0", []) if file.get("Time_Pref", "Relative").lower() == "relative" else []
-    start = _number(next((one for one in starts if one), "")) or 0.0
-    steps = [found for value in channels.get("Delta_X", []) for found in _step("Delta_X", value)]
+    start = _number(next((start for start in starts if start), "")) or 0.0
+    steps = [step for value in channels.get("Delta_X", []) for step in _step("Delta_X", value)]
     clock = tuple(dict.fromkeys(steps)) if timed else ()
     decimal = "," if file.get("Decimal_Separator") == "," else "."
     width = len(names) if remarks and rows[-1][-1] else max(len(names), len(rows[-1]))
-    found = _header(lines, ends[1] + 2, names, units, width, delimiter, decimal, clock=clock, start=start)
-    return replace(found, remarks=remarks)
+    header = _header(lines, ends[1] + 2, names, units, width, delimiter, decimal, clock=clock, start=start)
+    return replace(header, remarks=remarks)
 
 
 def _labview_waveforms(place: str, lines: list[str], _: int) -> Dialect | None:
@@ -257,7 +259,9 @@ def _yokogawa(place: str, lines: list[str], _: int) -> Dialect | None:
     names, units, steps, offsets, x_units = (
         [*settings.get(key, []), ""] for key in ("tracename", "vunit", "hresolution", "hoffset", "hunit")
     )
-    clock = dict.fromkeys(one for value in steps for one in _step("HResolution", value) if x_units[0] == "s")
+    clock = dict.fromkeys(
+        step for value in steps for step in _step("HResolution", value) if x_units[0] == "s"
+    )
     start = _number(offsets[0]) or 0.0
     return _header(lines, first, ["", *names], ["", *units], clock=tuple(clock), start=start)
 
@@ -301,9 +305,9 @@ def _twincat(place: str, lines: list[str], at: int) -> Dialect | None:
     if first is None:
         return None
     cells = split_cells(lines[first], delimiter)
-    given = rows.get("Unit", [])
+    row_of_units = rows.get("Unit", [])
     labels = [names[n] if n in channels else "" for n in range(len(cells))]
-    units = [given[n] if n in channels and n < len(given) else "" for n in range(len(cells))]
+    units = [row_of_units[n] if n in channels and n < len(row_of_units) else "" for n in range(len(cells))]
     stamp = _number(cells[0])
     if stamp is not None and stamp < _FILETIME:
         labels[0], units[0] = "time", "ms"
@@ -323,16 +327,16 @@ def _has_decimal_commas(lines: Sequence[str], delimiter: str) -> bool:
 
 def _scale_notes(rows: dict[str, list[str]], channels: list[int]) -> tuple[str, ...]:
     """Note which channels have a scale that the export may or may not have applied."""
-    found = []
+    notes = []
     for key, plain in (("ScaleFactor", 1.0), ("Offset", 0.0)):
         for n in (n for n in channels if n < len(rows.get(key, []))):
             value = _number(rows[key][n])
             if value is not None and value != plain:
-                found.append(
+                notes.append(
                     f"channel '{rows['Name'][n]}' has {key} {value:g}, and the file does not say whether its "
                     "values are scaled already (Scope: 'Scale values before export')"
                 )
-    return tuple(found)
+    return tuple(notes)
 
 
 def _tektronix_rows(place: str, lines: list[str], _: int) -> Dialect | None:
@@ -364,7 +368,7 @@ def _tektronix_table(place: str, lines: list[str], header: int) -> Dialect | Non
     keys = ("horizontal units", "sample interval")
     horizontal, interval = ([*settings.get(key, []), ""][0] for key in keys)
     vertical = settings.get("vertical units", [])
-    if len(names) == 2 and len([one for one in vertical if one]) == 1:
+    if len(names) == 2 and len([unit for unit in vertical if unit]) == 1:
         vertical = vertical[:1]
     units = [horizontal or "s", *vertical]  # the maker's unit of time is the second
     clock = read_statements("Sample Interval", interval, sure=True)
@@ -388,15 +392,15 @@ def _rigol_ds(place: str, lines: list[str], _: int) -> Dialect | None:
 
 def _rigol_mso(place: str, lines: list[str], _: int) -> Dialect | None:
     """Read the MSO series' files: ``CH1(V),t0 = -1e-3, tInc = 1e-6`` over the rows."""
-    found = re.search(r"t0\s*=\s*([^,\s]+)\s*,\s*tInc\s*=\s*([^,\s]+)", lines[0][:_LONGEST])
-    if found is None or len(lines) < 2:
+    match = re.search(r"t0\s*=\s*([^,\s]+)\s*,\s*tInc\s*=\s*([^,\s]+)", lines[0][:_LONGEST])
+    if match is None or len(lines) < 2:
         return None
     cells = [cell for cell in split_cells(lines[0], ",") if cell]
     cells = [cell for cell in cells if not cell.lower().startswith(("t0", "tinc"))]
     channels = [re.fullmatch(r"(.+?)\(?([mu]?V|A)\)?", cell) for cell in cells]
-    names = [one[1] if one else cell for one, cell in zip(channels, cells, strict=True)]
-    units = [one[2] if one else "" for one in channels]
-    return _header(lines, 1, names, units, clock=_step("tInc", found[2]), start=_number(found[1]) or 0.0)
+    names = [match[1] if match else cell for match, cell in zip(channels, cells, strict=True)]
+    units = [match[2] if match else "" for match in channels]
+    return _header(lines, 1, names, units, clock=_step("tInc", match[2]), start=_number(match[1]) or 0.0)
 
 
 def _infiniium(place: str, lines: list[str], _: int) -> Dialect | None:
@@ -405,14 +409,14 @@ def _infiniium(place: str, lines: list[str], _: int) -> Dialect | None:
     settings: dict[str, str] = {}
     first = None
     for index, line in enumerate(lines[:_NEAR]):
-        found = setting.match(line[:_LONGEST].strip())
+        match = setting.match(line[:_LONGEST].strip())
         if line.strip().lower().rstrip(":,") == "data" and "xinc" in settings:
             first = _number_row(lines, index + 1)
             break
-        if found is None:
+        if match is None:
             first = index if _number_row([line], 0) == 0 else None
             break
-        settings[found[1].strip().lower()] = found[2].strip(" :,\t")
+        settings[match[1].strip().lower()] = match[2].strip(" :,\t")
     if first is None or not {"xinc", "xorg"} <= settings.keys():
         return None
     unit, measured = settings.get("xunits", ""), settings.get("yunits", "")

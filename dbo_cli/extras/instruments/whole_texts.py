@@ -58,11 +58,11 @@ def open_json(request: Request) -> ColumnTable:
         document = _parsed(request.place, text)
     with request.reading("JSON", (OverflowError, RecursionError)):
         columns, single = _columns(document)
-        found = [listed_source(name, values) for name, values in columns.items()]
-    sources = without_scalars([source for source in found if source is not None])
+        listed = [listed_source(name, values) for name, values in columns.items()]
+    sources = without_scalars([source for source in listed if source is not None])
     remedy = ' (write a line a row: {"time": 0, "voltage": 1.5})'
-    clock, held = statements_in(single), columns or single
-    return ColumnTable(request, "JSON", sources, clock=clock, held=held, remedy=remedy)
+    clock, keys = statements_in(single), columns or single
+    return ColumnTable(request, "JSON", sources, clock=clock, held=keys, remedy=remedy)
 
 
 def _parsed(place: str, text: str) -> Any:
@@ -90,7 +90,7 @@ def _columns(document: Any) -> tuple[dict[str, list[Any]], dict[str, Any]]:
     for name, value in _leaves(document):
         if not isinstance(value, list):
             single[name.rpartition("/")[2]] = value
-        elif value and all(isinstance(one, dict) for one in value):
+        elif value and all(isinstance(item, dict) for item in value):
             inner = _columns(value)[0]
             columns |= dict(_named(value)) or {f"{name}/{key}": values for key, values in inner.items()}
         else:
@@ -100,11 +100,11 @@ def _columns(document: Any) -> tuple[dict[str, list[Any]], dict[str, Any]]:
 
 def _named(channels: list[dict[str, Any]]) -> Iterator[tuple[str, list[Any]]]:
     """Take channels apart that have a name, values, and perhaps a unit each."""
-    for one in channels:
-        held = [value for value in one.values() if isinstance(value, list)]
-        name, unit = one.get("name", one.get("label")), one.get("unit", one.get("units"))
-        if len(held) == 1 and isinstance(name, str):
-            yield (f"{name} [{unit}]" if isinstance(unit, str) and unit else name), held[0]
+    for channel in channels:
+        lists = [value for value in channel.values() if isinstance(value, list)]
+        name, unit = channel.get("name", channel.get("label")), channel.get("unit", channel.get("units"))
+        if len(lists) == 1 and isinstance(name, str):
+            yield (f"{name} [{unit}]" if isinstance(unit, str) and unit else name), lists[0]
 
 
 def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
@@ -152,11 +152,11 @@ def open_igor(request: Request) -> ColumnTable:
             names = [f"{names[0]}[{number}]" for number in range(1, width + 1)]
         rows = [_row(f"{request.place}:{number}", line, len(names)) for number, line in lines]
         columns = np.array(rows).reshape(len(rows), len(names)).T
-        sources |= {name: array_source(name, one) for name, one in zip(names, columns, strict=True)}
-    for found in _SCALE.finditer(text):
-        names = _names(found["names"])
+        sources |= {name: array_source(name, column) for name, column in zip(names, columns, strict=True)}
+    for match in _SCALE.finditer(text):
+        names = _names(match["names"])
         for label in (label for label in sources if label.partition("[")[0] in names):
-            sources[label] = _scaled(sources[label], found)
+            sources[label] = _scaled(sources[label], match)
     return ColumnTable(request, "Igor text", list(sources.values()))
 
 
@@ -173,15 +173,15 @@ def _row(place: str, line: str, width: int) -> list[float]:
     return numbers
 
 
-def _scaled(source: ColumnSource, found: re.Match[str]) -> ColumnSource:
+def _scaled(source: ColumnSource, match: re.Match[str]) -> ColumnSource:
     """Take a unit (axis d, or y), or start and step (axis x, in seconds) from a ``SetScale``."""
-    first, second = to_number(found["first"].strip(), "."), to_number(found["second"].strip(), ".")
-    if found["axis"].lower() != "x":
-        return replace(source, unit=found["unit"] or None)
-    unit = time_unit(found["unit"])
+    first, second = to_number(match["first"].strip(), "."), to_number(match["second"].strip(), ".")
+    if match["axis"].lower() != "x":
+        return replace(source, unit=match["unit"] or None)
+    unit = time_unit(match["unit"])
     if first is None or second is None or unit is None:
         return source
-    step = second if (found["how"] or "").upper() == "/P" else (second - first) / max(1, source.length - 1)
+    step = second if (match["how"] or "").upper() == "/P" else (second - first) / max(1, source.length - 1)
     if not step > 0.0:
         return source
     start, step = FACTORS[unit].apply(np.array([first, step])).tolist()
@@ -238,8 +238,8 @@ def side_by_side(request: Request, dialect: Dialect) -> ColumnTable | None:
     stamps = list(dict.fromkeys(cells[time] for _, cells in rows))
     refusal = None
     for column in named:
-        held = ((n, cells[time], cells[column], cells[names.index("value")]) for n, cells in rows)
-        signals, clash = _signals(held)
+        readings = ((n, cells[time], cells[column], cells[names.index("value")]) for n, cells in rows)
+        signals, clash = _signals(readings)
         if not 1 < len(signals) <= min(_MOST, len(rows) // 2):
             continue
         if clash is None:
@@ -294,8 +294,12 @@ def _table(
     columns: dict[str, list[Any]] = {dialect.headers[time]: stamps if None in numbers else numbers}
     for name, cells in whole.items():
         columns[name] = [to_number(cells.get(stamp, ""), dialect.decimal) for stamp in stamps]
-    found = [listed_source(name, values) for name, values in columns.items()]
-    sources = [replace(one, unit=units.get(one.label) or one.unit) for one in found if one is not None]
+    listed = [listed_source(name, values) for name, values in columns.items()]
+    sources = [
+        replace(source, unit=units.get(source.label) or source.unit)
+        for source in listed
+        if source is not None
+    ]
     return ColumnTable(request, "a long table", sources)
 
 

@@ -91,7 +91,7 @@ GENERATOR = (  # the fields of ``WaveformOptions``
 )
 
 
-def trajectory(given: Given) -> None:
+def trajectory(arguments: Given) -> None:
     """Write a move to be followed: raster, spiral, staircase, sine or triangle.
 
     It starts and stops softly, and its turns and steps are rounded to --bandwidth or to what --model can be
@@ -100,6 +100,10 @@ def trajectory(given: Given) -> None:
     Writes
     ------
     Time and displacement, or time, x and y: dbo compensate --displacement x_um takes one of them.
+
+    Usual options
+    -------------
+    --rate --range --frequency --lines --turns --cycles --steps --dwell --bandwidth --model -o
 
     Examples
     --------
@@ -112,14 +116,16 @@ def trajectory(given: Given) -> None:
     from dbo_cli.extras.moves.shapes import TrajectoryOptions
     from dbo_cli.extras.moves.trajectory import write_trajectory
 
-    asked = TrajectoryOptions(given.shape, **given.of(MOVE))
-    models = given.model or []
-    destination = destination_of(given, models)
-    drive = DriveOptions(**given.of(MOVE_LIMITS))
-    given.reporter.notes(write_trajectory(destination, asked, models, given.unit, given.format, drive))
+    shape = TrajectoryOptions(arguments.shape, **arguments.of(MOVE))
+    models = arguments.model or []
+    destination = destination_of(arguments, models)
+    drive = DriveOptions(**arguments.of(MOVE_LIMITS))
+    arguments.reporter.notes(
+        write_trajectory(destination, shape, models, arguments.unit, arguments.format, drive)
+    )
 
 
-def waveform(given: Given) -> None:
+def waveform(arguments: Given) -> None:
     """Write a drive as the file that a generator, a wave table or a converter takes.
 
     What is written is read back and passes the gate that the drive passed. One line says what to set:
@@ -128,6 +134,10 @@ def waveform(given: Given) -> None:
     Writes
     ------
     The generator's file; one line on standard error says what to set there.
+
+    Usual options
+    -------------
+    --to --gain --points --rate --volts --v-min --v-max --max-slew -o
 
     Examples
     --------
@@ -142,9 +152,9 @@ def waveform(given: Given) -> None:
     """
     from dbo_cli.extras.moves.waveform import WaveformOptions, write_waveform
 
-    asked = WaveformOptions(**given.of(GENERATOR), voltage=tuple(given.voltage or ()))
-    destination = destination_of(given, given.drive)
-    given.reporter.remarks(write_waveform(given.drive, destination, given.reading, asked))
+    generator = WaveformOptions(**arguments.of(GENERATOR), voltage=tuple(arguments.voltage or ()))
+    destination = destination_of(arguments, arguments.drive)
+    arguments.reporter.remarks(write_waveform(arguments.drive, destination, arguments.reading, generator))
 
 
 TRAJECTORY = Command(

@@ -12,7 +12,7 @@ import io
 import math
 import wave
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from dbo_cli import extensions
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.logs.libraries import import_extra
-from dbo_cli.records import dataclass
 
 Floats = NDArray[np.float64]
 Codes = NDArray[np.int64]
@@ -46,10 +45,10 @@ class Coding(NamedTuple):
 
     def encode(self, volts: Floats, within: Span) -> Codes:
         """Return the nearest codes; next to a limit the nearest one inside it."""
-        found: Codes = np.rint((volts - self.volts[0]) / self.step).astype(np.int64) + self.codes[0]
-        found = np.clip(found, *self.codes)
-        found = found - (self.decode(found) > within[1])
-        return found + (self.decode(found) < within[0])
+        codes: Codes = np.rint((volts - self.volts[0]) / self.step).astype(np.int64) + self.codes[0]
+        codes = np.clip(codes, *self.codes)
+        codes = codes - (self.decode(codes) > within[1])
+        return codes + (self.decode(codes) < within[0])
 
     def decode(self, codes: Codes) -> Floats:
         """Return the voltages of codes."""
@@ -155,7 +154,7 @@ def _tdms(signals: Signals) -> bytes:
 
 def _read_tdms(data: bytes) -> Floats:
     nptdms = import_extra("nptdms", "a TDMS file")
-    return np.stack([one[:] for one in nptdms.TdmsFile.read(io.BytesIO(data))["drive"].channels()])
+    return np.stack([channel[:] for channel in nptdms.TdmsFile.read(io.BytesIO(data))["drive"].channels()])
 
 
 def _binary(form: str) -> Callable[[Signals], bytes]:
@@ -175,10 +174,10 @@ def _pi_gcs(signals: Signals) -> bytes:
     lines = []
     for table, values in enumerate(signals.values, 1):
         for first in range(0, values.size, BUNCH):
-            some = values[first : first + BUNCH].tolist()
+            bunch = values[first : first + BUNCH].tolist()
             append = "&" if first else "X"
-            points = " ".join(map(positional, some))
-            lines.append(f"WAV {table} {append} PNT {first + 1} {len(some)} {points}\n")
+            points = " ".join(map(positional, bunch))
+            lines.append(f"WAV {table} {append} PNT {first + 1} {len(bunch)} {points}\n")
     return "".join(lines).encode()
 
 
@@ -271,7 +270,9 @@ def check_name(output: str, form: str) -> None:
     """Refuse a file name that says another format (UsageError)."""
     endings = format_named(form).endings
     if output != "-" and not output.lower().endswith(endings):
-        raise UsageError(f"{output}: a {form} file is called {' or '.join('*' + one for one in endings)}")
+        raise UsageError(
+            f"{output}: a {form} file is called {' or '.join('*' + ending for ending in endings)}"
+        )
 
 
 def written(form: str, signals: Signals) -> bytes:
@@ -355,13 +356,13 @@ def at_points(drive: Floats, rate: float, points: int | None, new_rate: float | 
         raise UsageError(f"`points` {count}: a drive needs two")
     else:
         new_rate = (count if loop else count - 1) / seconds if count != rows else rate
-    held = 0 if points is None else points - count
+    resting = 0 if points is None else points - count
     if count == rows and abs(new_rate / rate - 1.0) < WHOLE / count:
-        found, moved = drive, 0.0
+        played, moved = drive, 0.0
     else:
-        own, new = np.arange(rows) / rate, np.arange(count) / new_rate
+        time, new = np.arange(rows) / rate, np.arange(count) / new_rate
         period = seconds if loop else None
-        found = np.stack([np.interp(new, own, one, period=period) for one in drive])
-        back = np.stack([np.interp(own, new, one, period=period) for one in found])
+        played = np.stack([np.interp(new, time, axis, period=period) for axis in drive])
+        back = np.stack([np.interp(time, new, axis, period=period) for axis in played])
         moved = float(np.abs(back - drive).max())
-    return Points(np.pad(found, ((0, 0), (0, held)), mode="edge"), new_rate, moved, held)
+    return Points(np.pad(played, ((0, 0), (0, resting)), mode="edge"), new_rate, moved, resting)

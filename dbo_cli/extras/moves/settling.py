@@ -26,7 +26,7 @@ MOST_TIMED = 300  # different steps that are timed: 7 ms each
 FEWEST_HELD = 10  # rows at one value that count as a level; a sine sampled coarsely rests for two or three
 
 
-def distance_in(given: float | str, unit: str | None) -> float:
+def distance_in(distance: float | str, unit: str | None) -> float:
     """Return a distance in a unit, from a number that is in it already or a text such as ``5nm``.
 
     Raises
@@ -34,9 +34,9 @@ def distance_in(given: float | str, unit: str | None) -> float:
     UsageError
         It is no distance above 0, or its unit is no known one or of another kind.
     """
-    size = in_unit("settle", given, unit)
+    size = in_unit("settle", distance, unit)
     if not 0.0 < size < math.inf:
-        raise UsageError(f"`settle` {given}: give a distance above 0, such as 0.005 or 5nm")
+        raise UsageError(f"`settle` {distance}: give a distance above 0, such as 0.005 or 5nm")
     return size
 
 
@@ -83,10 +83,10 @@ class StepTimes:
             self._close()
         for k in np.flatnonzero((rows >= FEWEST_HELD) | (begins == 0) | (begins == begins[-1])).tolist():
             before = carried if k == 0 else 0
-            held = before + int(rows[k])
-            if before < FEWEST_HELD <= held:
+            rows_at_level = before + int(rows[k])
+            if before < FEWEST_HELD <= rows_at_level:
                 self._drive = float(drive[begins[k] + FEWEST_HELD - before - 1])
-            self._level, self._rows = float(desired[begins[k]]), held
+            self._level, self._rows = float(desired[begins[k]]), rows_at_level
             if k < rows.size - 1:
                 self._close()
 
@@ -106,8 +106,10 @@ class StepTimes:
             if len(set(steps)) > MOST_TIMED:
                 sizes = sorted(set(steps), key=lambda step: (abs(step[1] - step[0]), step))
                 steps = [sizes[k] for k in np.linspace(0, len(sizes) - 1, MOST_TIMED).astype(int)]
-            found = {one: settling_seconds(self.model, *one, self.distance) for one in dict.fromkeys(steps)}
-            self._timed = [StepTime(*step, found[step]) for step in steps]
+            seconds = {
+                step: settling_seconds(self.model, *step, self.distance) for step in dict.fromkeys(steps)
+            }
+            self._timed = [StepTime(*step, seconds[step]) for step in steps]
         return self._timed
 
     def summary(self) -> dict[str, Any]:
@@ -125,16 +127,17 @@ class StepTimes:
             f"{name}: after a step from {drive.low:.6g} to {drive.high:.6g}{volts} that is held, creep and "
             f"ringing stay within {distance:.6g}{unit} after {seconds:.3g} s{below_error(model, distance)}"
         ]
-        said = [f"{one.seconds:.3g} s ({one.begin:.6g} to {one.end:.6g}{volts})" for one in times]
-        held = f"{name}: within {distance:.6g}{unit},"
+        texts = [f"{step.seconds:.3g} s ({step.begin:.6g} to {step.end:.6g}{volts})" for step in times]
+        within = f"{name}: within {distance:.6g}{unit},"
         if 0 < count <= MOST_SAID:
-            notes.append(f"{held} steps between held levels take {', '.join(said)}")
+            notes.append(f"{within} steps between held levels take {', '.join(texts)}")
         elif count:
             order = sorted(range(len(times)), key=lambda k: times[k].seconds)
-            some = "" if count == len(times) else f" ({len(times)} looked at)"
+            part = "" if count == len(times) else f" ({len(times)} looked at)"
+            shortest, longest = texts[order[0]], texts[order[-1]]
             notes.append(
-                f"{held} of {count:,} steps between held levels{some} the shortest takes {said[order[0]]}, "
-                f"the longest {said[order[-1]]} (`summary` has each)"
+                f"{within} of {count:,} steps between held levels{part} the shortest takes {shortest}, "
+                f"the longest {longest} (`summary` has each)"
             )
         return notes
 
@@ -186,11 +189,14 @@ def settling_seconds(model: ActuatorModel, begin: float, end: float, distance: f
     for _ in range(HALVINGS):
         middle = math.sqrt(low * high)
         low, high = (middle, high) if left(middle) > distance else (low, middle)
-    modes = [one.frequency for one in model.dynamics.resonances] if model.dynamics is not None else []
+    modes = []
+    if model.dynamics is not None:
+        modes = [resonance.frequency for resonance in model.dynamics.resonances]
     if not modes or high * min(modes) > FEW_PERIODS:
         return high
     step = 1.0 / (ROWS_A_PERIOD * max(modes))
-    whole = dataclasses.replace(model, stages=tuple(one for one in model.stages if one is not model.delay))
+    without_delay = tuple(stage for stage in model.stages if stage is not model.delay)
+    whole = dataclasses.replace(model, stages=without_delay)
     begun = whole.simulate([begin], rest, time_step=step).state
     y = whole.simulate(np.full(math.ceil(high / step), end), begun, time_step=step).y
     return step * (int(np.flatnonzero(np.abs(y - aim) > distance).max(initial=-1)) + 1)
@@ -228,6 +234,10 @@ def _fades(sections: Sequence[Section]) -> list[tuple[float, float]]:
             fades.append((1.0, section.seconds))
             continue
         at = np.array([section.frequency])
-        gains = (abs(complex(one.response(at)[0])) for one in sections if one is not section)
+        gains = (
+            abs(complex(section_beside.response(at)[0]))
+            for section_beside in sections
+            if section_beside is not section
+        )
         fades.append((math.prod(gains), 0.5 / (math.pi * section.frequency * section.damping)))
     return fades

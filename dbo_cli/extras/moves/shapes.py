@@ -8,13 +8,13 @@ was asked for; each turn and each rise takes one period of the bandwidth.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from dbo_cli.drives.gate import Floats
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.excitation import MOST_SAMPLES
-from dbo_cli.records import dataclass
 
 Range = tuple[float, float]
 START = 2.0 / math.pi
@@ -105,9 +105,9 @@ class TrajectoryOptions:
         for name in needs:
             if getattr(self, name) is None:
                 raise UsageError(f"a {self.shape} needs `{name}`")
-        for other in (name for pair in TAKES.values() for names in pair for name in names):
-            if getattr(self, other) and other not in needs + takes:
-                raise UsageError(f"`{other}` belongs to another shape than {self.shape}")
+        for option in (name for pair in TAKES.values() for names in pair for name in names):
+            if getattr(self, option) and option not in needs + takes:
+                raise UsageError(f"`{option}` belongs to another shape than {self.shape}")
 
     def _check_values(self) -> None:
         for low, high in (self.range, self.slow_range or self.range):
@@ -196,16 +196,16 @@ def turned(place: float, speed: float, count: int) -> Floats:
 def started(place: float, speed: float, count: int) -> Floats:
     """Return a start from rest that arrives at ``place`` with ``speed``, the row at rest included."""
     k, n = np.arange(count + 1.0), max(count, 1)
-    way: Floats = 0.5 * k - 0.5 * n / math.pi * np.sin(math.pi * k / n)
-    return place + speed * (way - 0.5 * count)
+    distance: Floats = 0.5 * k - 0.5 * n / math.pi * np.sin(math.pi * k / n)
+    return place + speed * (distance - 0.5 * count)
 
 
 def risen(count: int) -> Floats:
     """Return the way from 0 to 1: its acceleration is one period of a sine."""
     part = _steps(count) / max(count, 1)
-    way: Floats = part - np.sin(2.0 * math.pi * part) / (2.0 * math.pi)
-    way[-1:] = 1.0
-    return way
+    share: Floats = part - np.sin(2.0 * math.pi * part) / (2.0 * math.pi)
+    share[-1:] = 1.0
+    return share
 
 
 def strokes(ends: Range, flat: int, turn: int, count: int, loop: bool = False) -> Floats:
@@ -215,14 +215,14 @@ def strokes(ends: Range, flat: int, turn: int, count: int, loop: bool = False) -
     """
     low, high = ends
     speed, part = (high - low) / flat, _steps(flat) / flat
-    there = [low + (high - low) * part, turned(high, speed, turn)]
+    up = [low + (high - low) * part, turned(high, speed, turn)]
     back = [high - (high - low) * part, turned(low, -speed, turn)]
-    lines = np.tile(np.concatenate(there + back), (count + 1) // 2)[: count * (flat + turn)]
+    lines = np.tile(np.concatenate(up + back), (count + 1) // 2)[: count * (flat + turn)]
     if loop:
         return np.roll(lines, 1)
     lead = math.floor(START * turn)
-    end, way = (high, speed) if count % 2 else (low, -speed)
-    stop = started(end, -way, lead)[::-1][1:]  # a stop is a start played backwards
+    end, pace = (high, speed) if count % 2 else (low, -speed)
+    stop = started(end, -pace, lead)[::-1][1:]  # a stop is a start played backwards
     return np.concatenate([started(low, speed, lead), lines[: lines.size - turn], stop])
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import shlex
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +23,6 @@ from dbo_cli.logs.columns import OutColumn
 from dbo_cli.logs.request import check_format
 from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.whole_output import all_or_none
-from dbo_cli.records import dataclass
 from dbo_cli.runs.api import Model, require_known
 from dbo_cli.runs.files import Destination, shown_name, summary_of_values, write_summary
 
@@ -96,8 +96,8 @@ def make_trajectory(
     size = f"{rows:,} rows, {rows / options.rate:.6g} s"
     suffix = f" {unit}" if unit else ""
     reach = ", ".join(f"{axis} {v.min():.6g} to {v.max():.6g}{suffix}" for axis, v in axes.items())
-    said = [f"{options.shape}: {note}" for note in [f"{reach}; {size}", *made.notes, *notes]]
-    return Trajectory(np.arange(rows) / options.rate, axes, unit, said)
+    remarks = [f"{options.shape}: {note}" for note in [f"{reach}; {size}", *made.notes, *notes]]
+    return Trajectory(np.arange(rows) / options.rate, axes, unit, remarks)
 
 
 def _trusted(
@@ -106,7 +106,7 @@ def _trusted(
     """Return options with the bandwidth of the models, where none is given, and a note on it."""
     if options.bandwidth is not None:
         return options, []
-    known = [one for one in map(trusted_frequency, models) if one is not None]
+    known = [frequency for frequency in map(trusted_frequency, models) if frequency is not None]
     trusted = min(known, default=None)
     why = "the model does not know how fast it can be trusted: " if models else ""
     note = f"{why}corners are not rounded (`bandwidth` HZ)"
@@ -147,18 +147,18 @@ def _reach(model: ActuatorModel, limits: DriveLimits) -> tuple[float, float]:
 
 def _speed(axis: str, values: Floats, name: str, model: ActuatorModel) -> list[str]:
     """Say where a move (``values`` times rows a second) is faster than what a model has seen."""
-    seen = model.fit.get("fastest_drive")
-    if not isinstance(seen, float) or model.dynamics is not None:
+    fastest = model.fit.get("fastest_drive")
+    if not isinstance(fastest, float) or model.dynamics is not None:
         return []
     speed = (
         float(np.quantile(np.abs(np.diff(values)), 1.0 - FAST_PART)) * model.input.span / model.output.span
     )
-    if speed <= FASTER * seen:
+    if speed <= FASTER * fastest:
         return []
     return [
         f"{axis} needs a drive of some {speed:.3g} {model.input.unit or 'V'}/s; the logs of {name} show at "
-        f"most {seen:.3g}, so how late the actuator is at that speed is a guess (up to "
-        f"{FASTER * seen / speed:.2g} times the speed it is known)"
+        f"most {fastest:.3g}, so how late the actuator is at that speed is a guess (up to "
+        f"{FASTER * fastest / speed:.2g} times the speed it is known)"
     ]
 
 
@@ -174,7 +174,7 @@ def write_trajectory(
     output, summary = destination.output, destination.summary
     check_format(form, [output])
     destination.check()
-    made = make_trajectory(options, [(shown_name(one), read_model(one)) for one in models], unit, drive)
+    made = make_trajectory(options, [(shown_name(path), read_model(path)) for path in models], unit, drive)
     columns = [OutColumn("time", "s"), *(OutColumn(name, made.unit) for name in made.axes)]
     with all_or_none():
         with signal_writer(
@@ -182,15 +182,15 @@ def write_trajectory(
         ) as writer:
             writer.write(made.time, *made.axes.values())
         if summary is not None:
-            told = (destination.command, None, Remarks(made.notes))
-            write_summary(summary, [summary_of_values(one, *told) for one in made.axes.values()])
+            behind = (destination.command, None, Remarks(made.notes))
+            write_summary(summary, [summary_of_values(axis, *behind) for axis in made.axes.values()])
     if output.is_stream:
         return made.notes
     words = ["dbo", "compensate", *(models[:1] or ["MODEL"]), output.text]
-    picked, others = (columns[1].header, columns[2].header) if len(made.axes) > 1 else ("", "")
+    picked, second_axis = (columns[1].header, columns[2].header) if len(made.axes) > 1 else ("", "")
     then = shlex.join(words) + (f" `displacement` {shlex.quote(picked)}" if picked else "")
     then += " `periodic`" * options.loop + " -o drive.csv makes the drive"
-    return [*made.notes, then + (f", {others} that of the second axis" if others else "")]
+    return [*made.notes, then + (f", {second_axis} that of the second axis" if second_axis else "")]
 
 
 def trajectory(
@@ -236,8 +236,8 @@ def trajectory(
     for name in ("rate", "range"):
         if name not in options:
             raise UsageError(f"a {shape} needs `{name}`")
-    given = [model] if isinstance(model, Model | str) or hasattr(model, "__fspath__") else list(model)
-    models = [_named_model(one) for one in given]
+    named = [model] if isinstance(model, Model | str) or hasattr(model, "__fspath__") else list(model)
+    models = [_named_model(source) for source in named]
     drive = DriveOptions(v_min=v_min, v_max=v_max, extrapolate=extrapolate)
     made = make_trajectory(TrajectoryOptions(shape, **options), models, unit, drive)
     frame = pd.DataFrame({"time": made.time, **made.axes})
@@ -249,5 +249,7 @@ def trajectory(
     return frame
 
 
-def _named_model(one: Any) -> tuple[str, ActuatorModel]:
-    return ("the model", one.actuator) if isinstance(one, Model) else (str(one), read_model(str(one)))
+def _named_model(source: Any) -> tuple[str, ActuatorModel]:
+    if isinstance(source, Model):
+        return "the model", source.actuator
+    return str(source), read_model(str(source))

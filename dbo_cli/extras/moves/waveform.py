@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,6 @@ from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.sources import remarks_of
 from dbo_cli.logs.units import in_unit
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
-from dbo_cli.records import dataclass
 from dbo_cli.runs.files import Destination, read_record, summary_of_values, write_summary
 
 SAME_RATE = 1e-9  # two drives for one file are of one clock; the stamps' digits aside
@@ -117,19 +117,21 @@ def write_waveform(
     """
     output, summary = destination.output, destination.summary
     waveforms.check_name("-" if output.is_stream else output.path, options.to)
-    check_outputs([one for one in (output, summary) if one is not None], drives)
+    check_outputs([path for path in (output, summary) if path is not None], drives)
     if summary is not None:
         check_document(summary, "a summary", "json")
     signals = _signals(drives, options.voltage)
     if len(signals) > 1 and not format_named(options.to).channels:
         raise UsageError(f"a {options.to} file holds one drive, not {len(signals)} (one file each)")
-    names = [one.name if len(drives) == len(signals) else f"{one.name}, {column}" for one, column in signals]
-    remarks, found = Remarks(), [_read(*one, reading, options) for one in signals]
-    for _, _, said, _ in found:
-        remarks.add(said)
-    values, steps, _, records = zip(*found, strict=True)
-    for name, one, step in zip(names, values, steps, strict=True):
-        if one.size != values[0].size or abs(step / steps[0] - 1.0) > SAME_RATE:
+    names = _names_of(signals, len(drives))
+    values, steps, remarks_of, records = zip(
+        *[_read(*signal, reading, options) for signal in signals], strict=True
+    )
+    remarks = Remarks()
+    for remarks_of_drive in remarks_of:
+        remarks.add(remarks_of_drive)
+    for name, volts, step in zip(names, values, steps, strict=True):
+        if volts.size != values[0].size or abs(step / steps[0] - 1.0) > SAME_RATE:
             raise InputError(f"{name}: has other rows or another rate than {names[0]}: play them apart")
     drive = np.stack(values)
     played = waveforms.at_points(drive, 1.0 / steps[0], options.points, options.rate, options.loop)
@@ -145,19 +147,26 @@ def write_waveform(
     with all_or_none():
         write_whole(output, data, protect=drives)
         if summary is not None:
-            done = (
-                summary_of_values(one, destination.command, read, Remarks([*said.notes, line], said.warnings))
-                for read, one, (_, _, said, _), line in zip(records, back, found, lines, strict=True)
-            )
-            write_summary(summary, list(done))
+            summaries = []
+            for read, volts, known, line in zip(records, back, remarks_of, lines, strict=True):
+                remarks_of_drive = Remarks([*known.notes, line], known.warnings)
+                summaries.append(summary_of_values(volts, destination.command, read, remarks_of_drive))
+            write_summary(summary, summaries)
     remarks.note(lines)
     return remarks
+
+
+def _names_of(signals: Sequence[tuple[Address, str | None]], files: int) -> list[str]:
+    """Return what messages call each channel: its file, with its column where that has several."""
+    if files == len(signals):
+        return [drive.name for drive, _ in signals]
+    return [f"{drive.name}, {column}" for drive, column in signals]
 
 
 def _signals(drives: Sequence[Address], columns: Sequence[str]) -> list[tuple[Address, str | None]]:
     """Return which column of which file each channel is: a column a file, or several of one file."""
     if len(columns) < 2:
-        return [(one, *(columns or (None,))) for one in drives]
+        return [(drive, *(columns or (None,))) for drive in drives]
     if len(drives) == 1:
         return [(drives[0], column) for column in columns]
     if len(drives) != len(columns):
@@ -176,7 +185,7 @@ def _read(
         log.require_time(PLAYS)
         log.convert("voltage", "V", "a generator's file")
         block = joined(list(log.blocks()))
-        said, read = remarks_of(log), read_record(name, log.reading_record())
+        remarks, read = remarks_of(log), read_record(name, log.reading_record())
         assert block.time is not None
         rows = block.rows
         drive, stated = block.values["voltage"], log.stated_rate
@@ -194,7 +203,7 @@ def _read(
         problem = checked.problems[0]
         remedy = next((text for words, text in _REMEDIES.items() if words in problem), "")
         raise LimitError(f"{name}: {problem}{remedy}")
-    return drive, 1.0 / stated if stated else require_even(name, block.time, PLAYS), said, read
+    return drive, 1.0 / stated if stated else require_even(name, block.time, PLAYS), remarks, read
 
 
 def _encoded(
@@ -229,16 +238,19 @@ def _encoded(
         _refuse_coarse(name, exact, rounded, options)
     data = waveforms.written(options.to, waveforms.Signals(content, rate, ends))
     slew = None if limits.max_slew is None else limits.max_slew / abs(options.gain) + coarse * rate
-    for one in back:
+    for rows in back:
         gate = DriveGate(DriveLimits(*within, slew))
-        gate.admit(np.append(one, one[0]) if options.loop else one, 1.0 / rate)
+        gate.admit(np.append(rows, rows[0]) if options.loop else rows, 1.0 / rate)
     rounding = float(np.abs(back - volts).max())
     codes = options.codes or form.codes or ((-1, 1) if form.normal else None)
     mean = "" if codes is None else f"; {codes[0]:g} to {codes[1]:g} mean {ends[0]:.6g} to {ends[1]:.6g} V"
     return (
         data,
         back,
-        [_line(name, one, played, rounding, options) + mean for name, one in zip(names, back, strict=True)],
+        [
+            _line(name, volts, played, rounding, options) + mean
+            for name, volts in zip(names, back, strict=True)
+        ],
     )
 
 
@@ -280,9 +292,9 @@ def _line(name: str, volts: Floats, played: Points, rounding: float, options: Wa
     once = f"repeated at {1.0 / seconds:.9g} Hz" if options.loop else "played once"
     before = f" before a gain of {options.gain:g}" if options.gain != 1.0 else ""
     moved = f", another rate {played.moved:.3g} V of the drive" if played.moved else ""
-    held = f"; the last {played.held:,} hold the last value" if played.held else ""
+    end = f"; the last {played.held:,} hold the last value" if played.held else ""
     return (
-        f"{name}: {volts.size:,} points at {played.rate:.9g} a second, {seconds:.6g} s, {once}{held}; "
+        f"{name}: {volts.size:,} points at {played.rate:.9g} a second, {seconds:.6g} s, {once}{end}; "
         f"amplitude {high - low:.6g} Vpp, offset {0.5 * (high + low):.6g} V{before}; rounding "
         f"moves it by at most {rounding:.3g} V{moved}"
     )

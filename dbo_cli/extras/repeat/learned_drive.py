@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import field
+from dataclasses import dataclass, field
 
 from dbo_cli.drives.compensation import Compensation
 from dbo_cli.extras.repeat.learning import Lesson, write_history
 from dbo_cli.extras.repeat.options import RepeatOptions
 from dbo_cli.logs.sample_block import FloatArray
-from dbo_cli.records import dataclass
 
 
 @dataclass
@@ -31,12 +30,12 @@ class LearnedCompensation(Compensation):
             self.states_error = False
             self.remarks_before.add(self.lesson.remarks)
 
-    def desired_rows(self, asked: FloatArray) -> FloatArray:
+    def desired_rows(self, rows: FloatArray) -> FloatArray:
         """Return the trajectory's rows instead of what was asked of the model."""
         if self.lesson is None:
-            return asked
+            return rows
         end = self.rows - self.rows_before
-        return self.lesson.desired[end - asked.size : end]
+        return self.lesson.desired[end - rows.size : end]
 
     def finish(self) -> None:
         """Write the history, where one is asked for."""

@@ -16,6 +16,7 @@ import math
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,7 +31,6 @@ from dbo_cli.hysteresis.move_error import rms, trusted_frequency
 from dbo_cli.logs.sample_block import SAME_RATE, FloatArray, even_step
 from dbo_cli.logs.sources import Source, WholeSource
 from dbo_cli.logs.whole_output import write_whole
-from dbo_cli.records import dataclass
 
 FORMAT, VERSION = "dbo-history", 1
 
@@ -60,19 +60,19 @@ def read_history(path: str) -> list[PassRecord]:
     if not isinstance(content, dict) or (content.get("format"), content.get("version")) != (FORMAT, VERSION):
         raise InputError(f'{path}: is no history ("format": "{FORMAT}", "version": {VERSION})')
     passes = content.get("passes")
-    return [_record(path, one) for one in passes] if isinstance(passes, list) else []
+    return [_record(path, record) for record in passes] if isinstance(passes, list) else []
 
 
-def _record(path: str, one: Any) -> PassRecord:
-    rmse = one.get("rmse") if isinstance(one, dict) else None
+def _record(path: str, values: Any) -> PassRecord:
+    rmse = values.get("rmse") if isinstance(values, dict) else None
     if isinstance(rmse, bool) or not isinstance(rmse, int | float) or not 0.0 <= rmse <= sys.float_info.max:
         raise InputError(f"{path}: a pass has no `rmse`, a number of at least 0")
-    return PassRecord(str(one.get("drive_sha256", "")), float(rmse))
+    return PassRecord(str(values.get("drive_sha256", "")), float(rmse))
 
 
 def write_history(path: str, passes: Sequence[PassRecord]) -> None:
     """Write a history, whole or not at all."""
-    content = {"format": FORMAT, "version": VERSION, "passes": [one._asdict() for one in passes]}
+    content = {"format": FORMAT, "version": VERSION, "passes": [record._asdict() for record in passes]}
     write_whole(path, (json.dumps(content, indent=2) + "\n").encode())
 
 
@@ -84,24 +84,17 @@ ANOTHER_MOVE = 0.5
 that is not learned, belongs to another trajectory. For a very wrong model twice the move may be asked for."""
 SAME_DRIVE = 0.02  # of the drive's range (RMS): recordings further apart are not of one drive; chosen
 LEARNED_BEFORE = 2e-3
-"""Of the move (RMS): a smaller difference of request and trajectory is not what passes learned.
-
-A converter's step of 12 bits is 7e-5 of the range; a first value that the settled actuator steps over left
-3e-4. Where less was learned, growth shows a pass later.
-"""
+"""Of the move (RMS): a smaller difference of request and trajectory is not what passes learned. Measured:
+docs/choices.md."""
 GROWTH = 1.2
-"""The error of a pass over that of the last one, from which on learning is said to diverge.
-
-A converging pass has less than 1; at the noise's floor two passes differ by a few percent. Without a history
-the error is compared with what was learned before, by halves of the band: below half the cut-off, and above.
-"""
+"""The error of a pass over that of the last one, from which on learning is said to diverge. Measured:
+docs/choices.md."""
 BEYOND_NOISE = 2.0
-"""Times the noise in that half of the band, as its density above twice the cut-off has it: noise of 0.5 % of
-the move alone exceeds GROWTH times what was learned there now and then."""
+"""Times the noise in that half of the band, as its density above twice the cut-off has it. Measured:
+docs/choices.md."""
 FROM_BEST = 2.0  # times the best pass's error: growth by less than GROWTH a pass shows after a few
 ORDER = 4
-"""Of Q, run both ways. Order 2 lets a resonance 25 % lower, damping 0.005, grow: |Q(1 - M)| = 1.6 at a
-cut-off of f_r/3; order 4 has 0.07 there and leaves 0.4 % of the error at half the cut-off."""
+"""Order of the low-pass Q, which is run both ways. Measured: docs/choices.md."""
 MISTUNED = 0.25  # how far off a resonance may be, either way: a payload of half the moving mass does that
 SHARPER = 0.25  # of the model's damping: that of the mistuned resonance; chosen
 FACTOR = 0.9  # most that |Q(1 - M)| may be at any frequency for such a resonance; chosen, below 1
@@ -181,17 +174,17 @@ class RepeatedMove:
         """
         desired, absolute = self.desired, self.options.absolute
         unit, name = self.unit, recordings[0].name
-        passes = [self._rows_of(one) for one in recordings]
+        passes = [self._rows_of(recording) for recording in recordings]
         self._require_same_drive(recordings, passes)
-        believed = np.mean([one.believed for one in passes], axis=0)
+        believed = np.mean([recorded.believed for recorded in passes], axis=0)
         self._require_same_move(name, believed)
-        error = desired - np.mean([one.measured for one in passes], axis=0)
+        error = desired - np.mean([recorded.measured for recorded in passes], axis=0)
         zero = 0.0 if absolute else float(error.mean())
         remarks = Remarks(warnings=self._jumps(name, error))
         error = error - zero
         digest = hashlib.sha256(np.ascontiguousarray(passes[0].voltage).tobytes()).hexdigest()
         passed = PassRecord(digest, rms(error))
-        drives = [one.drive_sha256 for one in history]
+        drives = [record.drive_sha256 for record in history]
         if passed.drive_sha256 in drives:  # learned from before: what came of it is forgotten
             history = history[: drives.index(passed.drive_sha256)]
         cutoff = self.options.bandwidth or self._trusted(name, believed, desired - error)
@@ -219,35 +212,35 @@ class RepeatedMove:
             learned = _resting_ends(learned, cutoff * self.step)
         return Lesson(desired, desired + learned, cutoff, remarks, [*history, passed])
 
-    def _rows_of(self, one: Tracked) -> _Pass:
+    def _rows_of(self, recording: Tracked) -> _Pass:
         """Return drive, belief and measurement of the rows that belong to the trajectory."""
         model, step, loop, count = self.model, self.step, self.options.periodic, self.desired.size
-        begin = 0 if one.time is None else self._first_row(one.name, one.time)
-        rows = one.voltage.size - begin
-        if rows > count and not loop and one.time is not None:
+        begin = 0 if recording.time is None else self._first_row(recording.name, recording.time)
+        rows = recording.voltage.size - begin
+        if rows > count and not loop and recording.time is not None:
             rows = count  # what stands behind is a return
         if rows < count or (rows % count if loop else rows != count):
             whole = " or whole periods of it" if loop else ""
             raise InputError(
-                f"{one.name}: {rows:,} rows from the trajectory's first on, the trajectory has "
+                f"{recording.name}: {rows:,} rows from the trajectory's first on, the trajectory has "
                 f"{count:,}{whole} (give the recording of this trajectory, row by row)"
             )
         if loop:
             last = begin if rows == count else begin + count  # the first of several is not settled yet
-            voltage = one.voltage[last:].reshape(-1, count).mean(axis=0)
-            measured = one.measured[last:].reshape(-1, count).mean(axis=0)
+            voltage = recording.voltage[last:].reshape(-1, count).mean(axis=0)
+            measured = recording.measured[last:].reshape(-1, count).mean(axis=0)
             begun = model.start(float(voltage[0]), self.options.state)
             return _Pass(voltage, settled_run(model, voltage, step, begun).y, measured)
-        begun = model.start(float(one.voltage[0]), self.options.state if begin == 0 else "auto")
-        believed = model.simulate(one.voltage, begun, time_step=step).y
+        begun = model.start(float(recording.voltage[0]), self.options.state if begin == 0 else "auto")
+        believed = model.simulate(recording.voltage, begun, time_step=step).y
         own_rows = slice(begin, begin + count)
-        return _Pass(one.voltage[own_rows], believed[own_rows], one.measured[own_rows])
+        return _Pass(recording.voltage[own_rows], believed[own_rows], recording.measured[own_rows])
 
     def _first_row(self, name: str, time: FloatArray) -> int:
         """Return the recording's row of the trajectory's first; what stands before is a sweep or run-in."""
-        own = even_step(time)
-        if own is None or abs(own / self.step - 1.0) > SAME_RATE:
-            rate = "no even clock" if own is None else f"{1.0 / own:.6g} samples a second"
+        step = even_step(time)
+        if step is None or abs(step / self.step - 1.0) > SAME_RATE:
+            rate = "no even clock" if step is None else f"{1.0 / step:.6g} samples a second"
             raise InputError(
                 f"{name}: has {rate} where the trajectory has {1.0 / self.step:.6g} (record at the drive's "
                 "rate, or resample both)"
@@ -255,8 +248,8 @@ class RepeatedMove:
         return int(np.searchsorted(time, self.time[0] - 0.5 * self.step))
 
     def _require_same_drive(self, recordings: Sequence[Tracked], passes: Sequence[_Pass]) -> None:
-        for recording, one in zip(recordings, passes, strict=True):
-            if rms(one.voltage - passes[0].voltage) > SAME_DRIVE * self.model.input.span:
+        for recording, recorded in zip(recordings, passes, strict=True):
+            if rms(recorded.voltage - passes[0].voltage) > SAME_DRIVE * self.model.input.span:
                 raise InputError(
                     f"{recording.name}: was driven otherwise than {recordings[0].name}; only recordings of "
                     "one drive can be averaged"
@@ -264,11 +257,11 @@ class RepeatedMove:
 
     def _require_same_move(self, name: str, believed: FloatArray) -> None:
         """Refuse a drive that asks for another shape, whatever its size (``absolute``: or another mean)."""
-        asked, wanted = believed - believed.mean(), self.desired - self.desired.mean()
+        believed_shape, wanted = believed - believed.mean(), self.desired - self.desired.mean()
         square = float(np.dot(wanted, wanted))
-        size = max(float(np.dot(asked, wanted)) / square, 0.0) if square else 1.0
+        size = max(float(np.dot(believed_shape, wanted)) / square, 0.0) if square else 1.0
         mean = 0.0 if self.options.absolute else float(believed.mean() - self.desired.mean())
-        away = math.hypot(rms(asked - size * wanted), mean)
+        away = math.hypot(rms(believed_shape - size * wanted), mean)
         if away > ANOTHER_MOVE * rms(wanted):
             raise InputError(
                 f"{name}: its drive belongs to another trajectory: by the model it asks for something "
@@ -301,7 +294,7 @@ class RepeatedMove:
 
     def _refuse_grown(self, name: str, passed: PassRecord, history: Sequence[PassRecord]) -> None:
         """Refuse to go on when the error is larger than the last pass's, or much larger than the best's."""
-        errors, unit = [one.rmse for one in history], self.unit
+        errors, unit = [record.rmse for record in history], self.unit
         best = min(errors)
         if passed.rmse <= min(GROWTH * errors[-1], FROM_BEST * best):
             return
@@ -386,11 +379,11 @@ def _trusted_by_bands(name: str, believed: FloatArray, measured: FloatArray, ste
     From the strongest one on: in those below, what a wrong loop makes of it exceeds the little asked there.
     """
     window = np.hanning(believed.size)
-    asked, got = (np.fft.rfft((x - x.mean()) * window) for x in (believed, measured))
+    spectrum, got = (np.fft.rfft((x - x.mean()) * window) for x in (believed, measured))
     frequency = np.fft.rfftfreq(believed.size, step)
     band = np.floor(3.0 * np.log2(np.maximum(frequency[1:] / frequency[1], 1.0))).astype(int)
-    energy = np.sqrt(np.bincount(band, np.abs(asked[1:]) ** 2))
-    off = np.sqrt(np.bincount(band, np.abs(got[1:] - asked[1:]) ** 2))
+    energy = np.sqrt(np.bincount(band, np.abs(spectrum[1:]) ** 2))
+    off = np.sqrt(np.bincount(band, np.abs(got[1:] - spectrum[1:]) ** 2))
     good, strongest = -1, int(np.argmax(energy))
     for k in strongest + np.flatnonzero(energy[strongest:] > ENERGY * energy.max()):
         if off[k] > TRUSTED_ERROR * energy[k]:

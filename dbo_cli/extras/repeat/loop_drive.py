@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import field
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -35,9 +35,10 @@ from dbo_cli.extras.repeat.settled_loops import Settled
 from dbo_cli.hysteresis.dynamics import ZeroPhaseLowPass, undone
 from dbo_cli.hysteresis.kernel import towards
 from dbo_cli.hysteresis.model_state import ModelState
+from dbo_cli.hysteresis.move_error import rms
+from dbo_cli.interpolation.smooth import AFTER
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.sources import WholeSource
-from dbo_cli.records import dataclass
 
 FEWEST_ROWS = 4  # of a period: fewer have no shape
 SEAM = 3.0
@@ -53,10 +54,8 @@ LED_IN = 2  # passes after a rest, at least: one to fade over, one of the loop f
 REACHED = 0.999  # of the longest rest: it was cut there
 LOOP_ERROR = 1e-6  # of the move: a loop that the model repeats further off than this is none
 FADES = ((0.5, 0.1), (0.7, 0.4), (0.8, 0.2), (0.9, 0.6))
-"""Where a run-in fades over to the settled drive, in parts of it before its end, the gentlest first: where
-the settled drive itself goes at the slew limit just before its seam, an earlier one has time to catch up; and
-where the run-in reaches about as far as the loop, so that the two push each other to and fro, another one
-reaches less far or further."""
+"""Where a run-in fades over to the settled drive, in parts of it before its end (begin, end), the gentlest
+first. Measured: docs/choices.md."""
 
 
 Led = tuple[Before, FloatArray, FloatArray, Settled, ModelState | None]
@@ -84,6 +83,7 @@ class LoopCompensation(LearnedCompensation):
     repeats = True
     first_what = "period"
     remedies = ""  # a loop is run in instead of swept
+    or_after_a_sweep = ""
 
     def responses(self) -> Iterator[Response]:
         """Return the way there and the run-in, where they are asked for, and one period of the settled drive.
@@ -102,16 +102,16 @@ class LoopCompensation(LearnedCompensation):
         self.step = step = self.whole.even_step("`periodic` needs an even clock")
         block, passes = self.whole.block, self.options.passes
         request = block.values[self.input.quantity]
-        asked = request
+        loop = request
         if self.bandwidth is not None:
-            asked = ZeroPhaseLowPass(self.bandwidth, step).loop(request)
-            self.inputs.note_rounding(request, asked)
+            loop = ZeroPhaseLowPass(self.bandwidth, step).loop(request)
+            self.inputs.note_rounding(request, loop)
         desired = request if self.lesson is None else self.lesson.desired
         _require_closed(self.whole.name, desired)
-        self.period = loops.undone_loop(self.model, asked, step)
+        self.period = loops.undone_loop(self.model, loop, step)
         if passes:
-            require_rows(f"`passes` {passes}: the run-in", passes * asked.size, step)
-        before, followed, run_in, settled, begun = self._led_to_loop(asked)
+            require_rows(f"`passes` {passes}: the run-in", passes * loop.size, step)
+        before, followed, run_in, settled, begun = self._led_to_loop(loop)
         played = before.voltage.size
         count, zero = played + run_in.size, 0.0 if block.time is None else float(block.time[0])
         times = np.asarray(zero - step * np.arange(count, 0, -1.0), dtype=np.float64)
@@ -121,12 +121,12 @@ class LoopCompensation(LearnedCompensation):
         self.lead_in_figures.see(np.concatenate([before.voltage, run_in]), None)
         if run_in.size:
             self.among_them = f", {passes} pass{'es' if passes > 1 else ''} of run-in among them"
-        require_short(self.source.name, before.chosen, step, step * asked.size)
+        require_short(self.source.name, before.chosen, step, step * loop.size)
         drive = self._closed(settled.done.y)
         self._count(settled)
         if begun is None:
             begun = self.model.start(float(drive[0]), self.start)
-        self._require_loop(settled, begun)
+        self._require_loop(settled, begun, np.concatenate([before.voltage, run_in]))
         self.move_figures.see(desired, None)
         self._require_reached()
         if played:
@@ -156,7 +156,7 @@ class LoopCompensation(LearnedCompensation):
             f"inside {inside:.3g}{unit}"
         )
 
-    def _require_loop(self, settled: Settled, begun: ModelState) -> None:
+    def _require_loop(self, settled: Settled, begun: ModelState, led_in: FloatArray) -> None:
         """Say when the model, begun as it is, repeats the loop; refuse or warn where it never does."""
         away, move = self._away(settled, begun), float(np.ptp(self.period))
         if away > LOOP_ERROR * move:
@@ -168,7 +168,7 @@ class LoopCompensation(LearnedCompensation):
         elif not settled.converged:
             why = "the drive still changes from pass to pass within its limits"
         else:
-            self._note_settling(settled, begun)
+            self._note_settling(settled, begun, led_in)
             return
         text = f"{self.source.name}: the loop does not settle: {why}"
         much = away > ALLOWED_PART * move
@@ -176,8 +176,11 @@ class LoopCompensation(LearnedCompensation):
             raise LimitError(f"{text} (`on_limit` clip writes it all the same)")
         self.remarks_before.warn(text)
 
-    def _note_settling(self, settled: Settled, begun: ModelState) -> None:
-        """Say how many passes and seconds the mean of a pass takes to come within the expected error."""
+    def _note_settling(self, settled: Settled, begun: ModelState, led_in: FloatArray) -> None:
+        """Say how many passes and seconds the mean of a pass takes to come within the expected error.
+
+        That holds from the start which is assumed; of other pasts it is said what they cost the first pass.
+        """
         drive, unit = settled.done.y, self.input.suffix
         within, what = self._stated()
         first, passes = loops.settling(self.model, drive, self.step, begun, settled.before, within)
@@ -188,27 +191,47 @@ class LoopCompensation(LearnedCompensation):
                 f"{passes * (self.step * drive.size):.3g} s: the mean of the first is {first:.3g}{unit} off, "
                 "then within"
             )
+        lower, upper = self._from_either_end(settled, led_in)
+        known = self.start != "auto" or max(lower, upper) <= within
+        start = "" if known else ", from the start assumed,"
         self.remarks_before.notes.append(
-            f"{self.source.name}: by the model the loop {how} {what}, {within:.3g}{unit}"
+            f"{self.source.name}: by the model{start} the loop {how} {what}, {within:.3g}{unit}"
         )
+        if not known:
+            self.remarks_before.notes.append(
+                f"{self.source.name}: from its lower end the actuator's first pass is {lower:.3g}{unit} off "
+                f"(RMS), from its upper end {upper:.3g}{unit}: what was before is not known (`state` says "
+                "it, more `passes` bring it nearer)"
+            )
+
+    def _from_either_end(self, settled: Settled, led_in: FloatArray) -> tuple[float, float]:
+        """Return how far off the first pass is, RMS, where the actuator came from its lower or upper end."""
+        model, step, drive = self.model, self.step, settled.done.y
+        aim = loops.settled_run(model, drive, step, settled.before).y
+        played = np.concatenate([led_in, drive])
+        errors = []
+        for end in ("empty", "full"):
+            y = model.simulate(played, model.start(float(played[0]), end), time_step=step).y
+            errors.append(rms(y[-drive.size :] - aim))
+        return errors[0], errors[1]
 
     # --- what stands before the period ---
 
-    def _led_to_loop(self, asked: FloatArray) -> Led:
+    def _led_to_loop(self, loop: FloatArray) -> Led:
         """Return the settled loop of a period, and what is asked to stand before it."""
         passes = self.options.passes
         if self.options.lead is not None:
-            return self._run_in_from_rest(asked)
-        before = self.before_move(float(asked[0]), self.step) if passes else self._ramp_before()
+            return self._run_in_from_rest(loop)
+        before = self.before_move(float(loop[0]), self.step) if passes else self._ramp_before()
         settled = self._settled(before.state or self._begun(float(self.period[0])))
         if passes:
-            desired = np.concatenate([before.desired, self._approached(asked, float(asked[0]))])
-            return before, desired, *self._run_in(desired, asked, before.state, settled)
+            desired = np.concatenate([before.desired, self._approached(loop, float(loop[0]))])
+            return before, desired, *self._run_in(desired, loop, before.state, settled)
         if before.state is None:
             before, settled = self._of_its_own_start(settled)
         return before, NOTHING, NOTHING, settled, before.state
 
-    def _run_in_from_rest(self, asked: FloatArray) -> Led:
+    def _run_in_from_rest(self, loop: FloatArray) -> Led:
         """Return the loop, and before it the rest and the run-in.
 
         What the plan of the rest leaves out, gears that the run-in reaches, is measured and taken off.
@@ -220,9 +243,9 @@ class LoopCompensation(LearnedCompensation):
         for _ in range(REST_PLANS):
             self.rows, self.rows_before, self.clipped = 0, 0, Tally()  # of the last try alone
             before = self._rest_before(start, seconds, bias)
-            desired = self._approached(asked, float(before.expected[-1]))
+            desired = self._approached(loop, float(before.expected[-1]))
             assert before.state is not None
-            run_in, settled, begun = self._run_in(desired, asked, before.state, self._settled(before.state))
+            run_in, settled, begun = self._run_in(desired, loop, before.state, self._settled(before.state))
             off, _ = loops.settling(self.model, settled.done.y, self.step, begun, settled.before, within)
             if abs(off) <= 0.5 * within:
                 break
@@ -244,10 +267,10 @@ class LoopCompensation(LearnedCompensation):
             )
         return before, desired, run_in, settled, begun
 
-    def _approached(self, asked: FloatArray, first: float) -> FloatArray:
+    def _approached(self, loop: FloatArray, first: float) -> FloatArray:
         """Return the passes of a run-in, which fade in from a rest."""
         passes = self.options.passes
-        return first + _rise(asked.size, passes) * (np.tile(asked, passes) - first)
+        return first + _rise(loop.size, passes) * (np.tile(loop, passes) - first)
 
     def _rest_before(self, last: float | None, between: tuple[float, float], bias: float) -> Before:
         """Return the rest that brings the creep where the loop needs it, and the ramp there from ``last``."""
@@ -325,14 +348,14 @@ class LoopCompensation(LearnedCompensation):
         Which gears a start leaves crossed changes by jumps with the voltage, so that the first row that the
         loop needs may jump over the one it began with. A row or few from there on then stand before the loop.
         """
-        model, first, found = self.model, float(settled.done.y[0]), settled
+        model, first, best = self.model, float(settled.done.y[0]), settled
         below, above, least = -math.inf, math.inf, math.inf
         for _ in range(MOST_STARTS):
             settled = self._settled(model.start(first, self.start))
             leads_to = float(settled.done.y[0])
             away = self._away(settled, model.start(leads_to, self.start))
             if away < least:
-                found, least = settled, away
+                best, least = settled, away
             if least <= LOOP_ERROR * float(np.ptp(self.period)) or below >= above:
                 break
             if self.start in ("empty", "full"):  # whatever the first row
@@ -342,11 +365,11 @@ class LoopCompensation(LearnedCompensation):
             middle = 0.5 * (below + above)
             first = leads_to if below < leads_to < above or not math.isfinite(middle) else middle
         if least > LOOP_ERROR * float(np.ptp(self.period)):
-            lag = found.before.drive_lag
+            lag = best.before.drive_lag
             for start in (first,) if lag is None else (first, lag[0][0]):  # the second: the lag is on its way
-                if led := self._rows_before(start, found):
+                if led := self._rows_before(start, best):
                     return led
-        return Before(NOTHING, NOTHING, NOTHING, None), found
+        return Before(NOTHING, NOTHING, NOTHING, None), best
 
     def _rows_before(self, first: float, loop: Settled) -> tuple[Before, Settled] | None:
         """Return rows from a voltage to the loop that they lead to, where the model then repeats it."""
@@ -380,7 +403,7 @@ class LoopCompensation(LearnedCompensation):
         return float(np.abs(ends - aim).max())
 
     def _run_in(
-        self, desired: FloatArray, asked: FloatArray, begun: ModelState | None, settled: Settled
+        self, desired: FloatArray, loop: FloatArray, begun: ModelState | None, settled: Settled
     ) -> tuple[FloatArray, Settled, ModelState]:
         """Return the drive up to the settled period, the period settled from the state it leaves, and that.
 
@@ -388,14 +411,14 @@ class LoopCompensation(LearnedCompensation):
         drive, within the slew limit.
         """
         model, limits = self.model, self.limits
-        signal = self._undone_before(desired, asked, begun)
+        signal = self._undone_before(desired, loop, begun)
         start = begun or model.start_compensation(float(signal[0]), self.start, limits)
         followed = model.compensate(signal[: desired.size], start, limits=limits, time_step=self.step)
         self.rows += followed.y.size
         self.rows_before += followed.y.size
         self._count_clipped(followed, None)
         forward = start if begun is not None else model.start(float(followed.y[0]), self.start)
-        found, off = None, math.inf
+        led, off = None, math.inf
         fades = FADES if self.options.lead is None else ((1.0, 1.0 / self.options.passes), *FADES)
         for fade in fades:
             aim = settled
@@ -407,22 +430,22 @@ class LoopCompensation(LearnedCompensation):
                     break
                 state = model.simulate(drive, forward, time_step=self.step).state
                 aim = loops.settled_drive(model, self.period, self.step, state, limits)
-                found = drive, target, state
+                led = drive, target, state
                 if np.abs(aim.done.y - target.done.y).max() <= SAME_DRIVE * model.input.span:
-                    return found
-        if found is None:
+                    return led
+        if led is None:
             raise LimitError(
                 f"{self.source.name}: the run-in ends {off:.3g}{self.output.suffix} off the settled loop "
                 "(more `passes`, or a larger `max_slew`)"
             )
-        return found
+        return led
 
-    def _undone_before(self, desired: FloatArray, asked: FloatArray, begun: ModelState | None) -> FloatArray:
+    def _undone_before(self, desired: FloatArray, loop: FloatArray, begun: ModelState | None) -> FloatArray:
         """Return what the gears are to follow before the period, delay and dynamics undone."""
         model, step = self.model, self.step
         inverter = None if model.dynamics is None else model.dynamics.inverter(step)
-        ahead = int(np.ceil(model.delay_seconds / step)) + 1 + (0 if inverter is None else inverter.ahead)
-        signal = loops.shifted(np.concatenate([desired, np.resize(asked, ahead)]), model.delay_seconds / step)
+        ahead = int(np.ceil(model.delay_seconds / step)) + AFTER + (0 if inverter is None else inverter.ahead)
+        signal = loops.read_ahead(model, np.concatenate([desired, np.resize(loop, ahead)]), step)
         if inverter is not None:
             memory = None if begun is None or begun.dynamics is None else inverter.memory_of(begun.dynamics)
             ((_, signal, _),) = undone([(None, signal)], inverter, memory)

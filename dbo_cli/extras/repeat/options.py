@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from dbo_cli.drives.options import DriveOptions
 from dbo_cli.errors import UsageError
-from dbo_cli.records import dataclass
 
 
 @dataclass(frozen=True)
@@ -83,8 +83,8 @@ def repeat_options(options: DriveOptions, brought: Mapping[str, Any]) -> RepeatO
     """
     fields = {field.name: getattr(options, field.name) for field in dataclasses.fields(DriveOptions)}
     names = ("absolute", "history", "periodic", "passes")
-    own = {name: brought[name] for name in names if name in brought}
+    values = {name: brought[name] for name in names if name in brought}
     learns = bool(brought.get("tracked"))
-    if own.get("history") is not None and not learns:
+    if values.get("history") is not None and not learns:
         raise UsageError("`history` keeps the error of the passes that `tracked` recorded: give both")
-    return RepeatOptions(**fields, **own, learns=learns)
+    return RepeatOptions(**fields, **values, learns=learns)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from typing import Any
 
 from dbo_cli.drives.compensation import Compensation
@@ -22,7 +23,6 @@ from dbo_cli.logs.sample_block import joined
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.sources import Source, is_log
 from dbo_cli.logs.whole_output import check_outputs
-from dbo_cli.records import dataclass
 from dbo_cli.runs.files import Destination, SignalRun, bring_to, quantity_wish, source_of
 
 
@@ -57,31 +57,33 @@ def repeated(
         A recording is not of this trajectory, or the error grew.
     """
     recordings = recordings_of(brought.get("tracked", ()), model)
-    asked = repeat_options(options, {**brought, "tracked": recordings})
+    options_of_repeat = repeat_options(options, {**brought, "tracked": recordings})
     lesson: Lesson | None = None
     if recordings:
-        source, lesson = learned_source(model, source, recordings, asked)
-    if not asked.periodic:
-        return LearnedCompensation(model, source, last_row=last_row, options=asked, lesson=lesson)
-    if asked.lead is not None:
-        asked = dataclasses.replace(asked, passes=max(asked.passes, LED_IN))
-    return LoopCompensation(model, source, last_row=last_row, options=asked, lesson=lesson)
+        source, lesson = learned_source(model, source, recordings, options_of_repeat)
+    if not options_of_repeat.periodic:
+        return LearnedCompensation(model, source, last_row=last_row, options=options_of_repeat, lesson=lesson)
+    if options_of_repeat.lead is not None:
+        options_of_repeat = dataclasses.replace(
+            options_of_repeat, passes=max(options_of_repeat.passes, LED_IN)
+        )
+    return LoopCompensation(model, source, last_row=last_row, options=options_of_repeat, lesson=lesson)
 
 
 def recordings_of(recorded: Any, model: ActuatorModel) -> list[Tracked]:
     """Return recordings of a pass: of a table, a file's name or a pair of arrays, or of several of these."""
     is_pair = isinstance(recorded, tuple) and len(recorded) == 2 and not any(map(is_log, recorded))
     several = [recorded] if is_pair or is_log(recorded) else list(recorded)
-    found = []
-    for number, one in enumerate(several, start=1):
-        if isinstance(one, Tracked):
-            found.append(one)
+    recordings = []
+    for number, recording in enumerate(several, start=1):
+        if isinstance(recording, Tracked):
+            recordings.append(recording)
             continue
-        signals = [one] if is_log(one) else one
+        signals = [recording] if is_log(recording) else recording
         source = source_of(tracked_wishes(model), *signals, name=f"`tracked` {number}")
         with closing(source):
-            found.append(tracked_of(source, model))
-    return found
+            recordings.append(tracked_of(source, model))
+    return recordings
 
 
 def tracked_wishes(

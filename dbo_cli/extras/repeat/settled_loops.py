@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dbo_cli.hysteresis.cascade import through, whole_and_part
+from dbo_cli.hysteresis.cascade import early_loop, late_loop, through, whole_and_part
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
 from dbo_cli.hysteresis.operators import BacklashState, Floats
@@ -39,15 +39,32 @@ class Settled(NamedTuple):
     converged: bool
 
 
-def shifted(x: Floats, samples: float) -> Floats:
+def read_ahead(model: ActuatorModel, x: Floats, step: float) -> Floats:
+    """Return one period of what a forward model's output is to be, read ahead by its delay."""
+    samples = model.delay_seconds / step
+    if model.delay is None or model.delay.between == "smooth":
+        return early_loop(x, samples)
+    return _linear_shift(x, samples)
+
+
+def undone_loop(model: ActuatorModel, desired: Floats, step: float) -> Floats:
+    """Return what a forward model's dynamics and delay are to be given for one period of their output."""
+    if model.delay is None or model.delay.between == "smooth":
+        ahead = read_ahead(model, desired, step)
+    else:
+        ahead = _linear_undone(desired, model.delay_seconds / step)
+    return ahead if model.dynamics is None else model.dynamics.inverter(step).loop(ahead)
+
+
+def _linear_shift(x: Floats, samples: float) -> Floats:
     """Return one period read ahead by so many samples (behind, where negative), linear between them."""
     whole, part = whole_and_part(samples)
     near = np.roll(x, -whole)
     return near + part * (np.roll(near, -1) - near) if part else near
 
 
-def _advanced(x: Floats, samples: float) -> Floats:
-    """Return one period of what ``shifted`` by so many samples delays to ``x``.
+def _linear_undone(x: Floats, samples: float) -> Floats:
+    """Return one period of what a linear delay by so many samples makes ``x`` of.
 
     Between samples the delay takes the mean of two; frequencies that come through that are restored.
     """
@@ -61,10 +78,12 @@ def _advanced(x: Floats, samples: float) -> Floats:
     return np.fft.irfft(np.fft.rfft(ahead) / gain, x.size)
 
 
-def undone_loop(model: ActuatorModel, desired: Floats, step: float) -> Floats:
-    """Return what a forward model's dynamics and delay are to be given for one period of their output."""
-    ahead = _advanced(desired, model.delay_seconds / step)
-    return ahead if model.dynamics is None else model.dynamics.inverter(step).loop(ahead)
+def _late(model: ActuatorModel, y: Floats, step: float) -> Floats:
+    """Return one period late by a forward model's delay."""
+    samples = model.delay_seconds / step
+    if model.delay is None or model.delay.between == "smooth":
+        return late_loop(y, samples)
+    return _linear_shift(y, -samples)
 
 
 def settled_drive(
@@ -107,11 +126,14 @@ def looped_state(model: ActuatorModel, drive: Floats, step: float, state: ModelS
         if lagging is not None:
             begun = dataclasses.replace(begun, drive_lag=lagging.loop(drive, step)[1])
         done = inner.simulate(drive, begun, time_step=step)
-        begun, held, terms = done.state, begun.backlash.memory, inner.backlash.relaxation
-        if begun.backlash.memory is not None and terms is not None and held is not None:
+        starts = begun.backlash.memory
+        begun = done.state
+        ends = begun.backlash.memory
+        terms = inner.backlash.relaxation
+        if ends is not None and terms is not None and starts is not None:
             memory = tuple(  # that further passes of the same drive would lead to
                 (end - math.exp(-seconds / tau) * start) / -math.expm1(-seconds / tau)
-                for start, end, tau in zip(held, begun.backlash.memory, terms.tau, strict=True)
+                for start, end, tau in zip(starts, ends, terms.tau, strict=True)
             )
             begun = dataclasses.replace(begun, backlash=BacklashState(begun.backlash.bits, memory))
     return begun
@@ -134,7 +156,7 @@ def settled_run(model: ActuatorModel, drive: Floats, step: float, state: ModelSt
     if model.dynamics is not None:
         y, sections = model.dynamics.loop(y, step)
     after = dataclasses.replace(done.state, dynamics=sections, drive_lag=lagging)
-    return done._replace(y=shifted(y, -model.delay_seconds / step), state=after)
+    return done._replace(y=_late(model, y, step), state=after)
 
 
 def settling(
@@ -163,7 +185,10 @@ def settling(
     if terms is None or memory is None or rest is None:
         return first, int(abs(first) > within)
     effects = memory_effects(model, drive, step, before)
-    parts = [abs(w * (own - held)) for w, own, held in zip(effects, rest, memory, strict=True)]
+    parts = [
+        abs(effect * (at_rest - settled))
+        for effect, at_rest, settled in zip(effects, rest, memory, strict=True)
+    ]
     seconds, fewest = drive.size * step, int(abs(first) > within)
 
     def stays(passes: int) -> bool:
@@ -178,8 +203,8 @@ def memory_effects(model: ActuatorModel, drive: Floats, step: float, before: Mod
     mean, off, effects = float(slow_output(model, drive, step, before).mean()), 0.01 * model.drive.span, []
     memory = before.backlash.memory or ()
     for k in range(len(memory)):
-        one = tuple(held + off * (i == k) for i, held in enumerate(memory))
-        changed = dataclasses.replace(before, backlash=BacklashState(before.backlash.bits, one))
+        moved = tuple(value + off * (i == k) for i, value in enumerate(memory))
+        changed = dataclasses.replace(before, backlash=BacklashState(before.backlash.bits, moved))
         effects.append((float(slow_output(model, drive, step, changed).mean()) - mean) / off)
     return effects
 
@@ -220,7 +245,7 @@ def creep_rest(
     inner = through(model.head, drive) - terms.reference
     ends = through(model.head, np.array([model.input.minimum, model.input.maximum])) - terms.reference
     far: Floats = np.where(np.array(memory) > ends.mean(), ends[0], ends[1])
-    own = far if begun is None else np.array(begun)
+    begins = far if begun is None else np.array(begun)
     bare, none = dataclasses.replace(terms, reference=0.0), [0.0] * tau.size
     through_run_in = np.exp(-rise.size * step / tau)
     of_level = np.array(bare.lags(1.0 - rise, step, none)[1])
@@ -228,8 +253,8 @@ def creep_rest(
 
     def rest(wait: float) -> tuple[float, float]:
         """Return the best level of a rest, and what the terms are off then, sizes added up."""
-        kept = np.exp(-wait / tau)
-        slope, constant = through_run_in * (1.0 - kept) + of_level, through_run_in * own * kept + off
+        decay = np.exp(-wait / tau)
+        slope, constant = through_run_in * (1.0 - decay) + of_level, through_run_in * begins * decay + off
         known = (slope, constant) if begun is not None else (through_run_in + of_level, off)
         level = -(float(effects @ known[1]) + bias) / float(effects @ known[0])
         level = min(max(level, float(inner.min())), float(inner.max()))

@@ -6,7 +6,7 @@ off; spikes, and rows in which the sensor stands still while the drive moves, ar
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,6 @@ from dbo_cli.hysteresis.identification.recordings import (
     Recording,
     drive_shape,
 )
-from dbo_cli.records import dataclass
 
 Booleans = NDArray[np.bool_]
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -57,17 +58,10 @@ from dbo_cli.hysteresis.identification.search import SEGMENTS
 from dbo_cli.hysteresis.identification.static import Identification, identify_static
 from dbo_cli.hysteresis.identification.statistics import EARNED, INDIFFERENCE
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, Relaxation, Stage
-from dbo_cli.records import dataclass
 
 STILL_GOOD = 1.25
-"""Of the same error, up to which the slow rows' second reading is taken.
-
-The sweep sees a few gears only. With a reading that was better by 10 % on the slow rows it left 1.03 to 1.08
-of what it left before; with 24 wide gears whose edge came to lie in the sweep, 3.1. The dynamics are those of
-the reading with which they leave least on the fast rows: they were nearest to the truth there (lags of 0.200,
-0.150, 0.050 ms came out as 0.197, 0.146, 0.049, with the reading that did best on the slow rows as 0.194,
-0.143, 0.048; where a second mode was not found, one of 0.600 as 0.607 with the first).
-"""
+"""The slow rows' second reading is taken where the sweep's error grows by at most this factor. Measured:
+docs/choices.md."""
 FINER = 4  # times the segments of asymmetry that slow moves need (see _again)
 FAST_LAGS = 2.0  # periods of the lowest swept frequency: shorter relaxation is part of the dynamics
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
 
@@ -30,7 +31,6 @@ from dbo_cli.hysteresis.identification.evaluation import (
 from dbo_cli.hysteresis.identification.recordings import MOST, FastPart, Floats
 from dbo_cli.hysteresis.identification.statistics import EARNED
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.records import dataclass
 
 Booleans = NDArray[np.bool_]
 Band = tuple[float, float]  # lowest and highest frequency swept, Hz
@@ -38,8 +38,7 @@ Band = tuple[float, float]  # lowest and highest frequency swept, Hz
 BLOCKS = 40  # of the fast rows, dealt out to the folds in turn, so that every fold has all frequencies
 LEAST_DAMPING, MOST_DAMPING = 1e-4, 0.98  # rings for 1,600 periods; hardly rings, and is no pair of lags yet
 MOST_BESIDE = 0.1
-"""Damping of resonances where one has an antiresonance: pairs damped by 0.2 to 0.8 stood in for slow moves
-that the gears follow badly (at 6 Hz beside a resonance of 20), and hid a mode at 185 Hz."""
+"""Largest damping of resonances where one has an antiresonance. Measured: docs/choices.md."""
 FEW_STEPS, FINALISTS, MOST_STEPS = 6, 2, 40  # of a refinement: of all starts, how many go on, to the end
 SMALL = 1e-5  # of a parameter's logarithm: for derivatives, far above rounding and far below any bend
 NO_LAG = 2e-3  # of a time step: a lag at the lower end of its range is none
@@ -320,15 +319,8 @@ def _spread(signals: Sequence[Signals], best: Floats, structure: Structure) -> F
 
 MOST_RESONANCES = 2  # what stages show within a sweep; more are not told apart by one (see SURE)
 SURE, MOST_OF_IT = 200.0, 0.3
-"""Or, once one resonance is found, to this: the sum of squares on blocks left out falls by so many times the
-noise's mean square, and by this share of what it is beyond white noise.
-
-On invented stages with one mode a second one lowered it by at most 48 where the slow rows had been read with
-the lag (by 3 % of what was beyond the noise, up to 553, where they had not); on stages with a second mode of
-3 to 6 %, behind amplifiers that let a fifth of it pass, in noise of 0.07 and 0.1 % of the range, by 400 and
-more. Without such a mode lags came out 2 to 4 % wrong (0.634 ms for 0.612), and moves at f_r/10 missed by
-0.1 to 0.25 % instead of 0.02 to 0.05.
-"""
+"""Or, once one resonance is found, to this: the sum of squares on blocks left out falls by so many times
+the noise's mean square, and by this share of what it is beyond white noise. Measured: docs/choices.md."""
 INSIDE = 1.02  # times the bound at which a fit would like to go on: what it found there is something else
 APART = 0.3  # of the logarithms of two resonances, at least
 NEAR = 0.03  # of the logarithms of a resonance and an antiresonance from which a fit begins

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +27,6 @@ from dbo_cli.hysteresis.identification.search import ROWS_PER_SLOPE, Choice
 from dbo_cli.hysteresis.identification.statistics import PreparedLog
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import StartName
-from dbo_cli.records import dataclass
 
 TINY = float(np.finfo(float).tiny)  # in place of a divisor of 0
 WHOSE_LAG = "compensated too (`sensor_delay`, `sensor_lag`: take off what is the sensor's)"
@@ -131,23 +132,40 @@ def validated(checks: Sequence[Residual], span: float, unit: str) -> tuple[dict[
         "validation": [{"name": one.name, "samples": len(one.values), "rmse": one.rmse} for one in checks],
     }
     return figures, [
-        f"{one.name}: predicts it to {one.rmse:.4g}{unit} RMSE ({100.0 * one.rmse / span:.2f} % of range), "
-        "offset removed"
+        f"{one.name}: predicts it to {one.rmse:.4g}{unit} RMSE ({100.0 * one.rmse / span:.2f} % of the "
+        "model's range), offset removed"
         for one in checks
     ]
 
 
 FOLDS = 5  # of fast rows, or of a short log beside a prior; chosen, the next line follows from it
 STUDENT = 2.776
-"""Standard errors on either side: Student's t of as many folds, 95 %. They held frequency and damping of 22
-of 23 simulated stages (sample_data/virtual_positioner.py), and of 100 plants of gears
-(benchmarks/dynamics_found.py) 94 and 99; those of a jackknife held 84 and 90."""
+"""Standard errors on either side of a frequency or damping: Student's t of as many folds, 95 %. Measured:
+docs/choices.md."""
 WHITE = 4.0
 """Standard deviations up to which what is left over is noise alone.
 
 That of n samples of white noise, of the ratio of their mean square to the one by their second differences, is
 (2/n)^1/2.
 """
+
+
+def with_its_error(value: float, error: float, sign: bool = False) -> tuple[str, str]:
+    """Return a value and the half width of its interval as texts, to the same place.
+
+    The error has two digits and is rounded up, so that what is printed holds what the interval holds, the
+    rounding of the value included.
+    """
+    form = "+" if sign else ""
+    if not 0.0 < error < math.inf:
+        return f"{value:{form}.4g}", f"{error:.2g}"
+    places = 1 - math.floor(math.log10(error))
+    unit = 10.0**-places
+    rounded = round(value, places)
+    least = abs(rounded - value) + error
+    shown = math.ceil(least / unit - 1e-9) * unit
+    places = max(places, 0)
+    return f"{rounded:{form}.{places}f}", f"{shown:.{places}f}"
 
 
 def white_noise(left: Sequence[Floats]) -> float:
@@ -197,23 +215,16 @@ def loop_width_percent(model: ActuatorModel) -> float:
 
 POOR_PERCENT = 5.0  # of the range: a fit worse than this does not describe the actuator
 SPEED_CORRELATION = 0.35
-"""Of residual and speed: the models of 26 logs (13 kinds of benchmarks/foreign_plants.py) reach 0.23 at most,
-loops that widen slightly with the rate among them."""
+"""Of residual and speed, from which the error is said to depend on the speed. Measured: docs/choices.md."""
 
 SATURATION = 0.15  # slope at an end, relative to the median slope
 GAINS_APART = 1.01  # greatest over least gain of logs: a piezo's own scatter between runs is below a percent
 SLEWED = 4.0
 """Times as many rows near the greatest speed as the model has: something holds the speed at a limit.
-
-4.5 to 15 times behind an amplifier that slews at a limit (five kinds of logs), at most 3.3 on the other ten
-kinds of plants of benchmarks/foreign_plants.py.
-"""
+Measured: docs/choices.md."""
 FEWEST_SWINGS = 4  # twice up and down: of fewer the error that came was up to ten times the one expected
 FEWEST_LEVELS = 20
-"""Hundredths of the range that a drive visits; chosen: one that moves visits them all.
-
-After a staircase of 11 levels other moves erred up to 14 times the expected error, after 60 random ones 2.8.
-"""
+"""Hundredths of the range that a drive visits; one that moves visits them all. Measured: docs/choices.md."""
 CLOCKWISE = 1.3  # growing slopes fit so much worse than falling ones
 
 
@@ -347,9 +358,9 @@ def fit_notes(
         )
     if forgets:
         notes.append(
-            "loops may not close: the logs are explained better by a memory that fades with the way gone, "
-            "which gears have not, so small moves repeated at one place may creep away from the model; the "
-            "error expected of a move holds that"
+            "loops may not close: in the logs the displacement forgets its past as the drive moves, which "
+            "this model does not, so that small moves repeated at one place may creep away from it; the "
+            "error expected of a move includes that"
         )
     return notes
 
@@ -372,7 +383,7 @@ def fit_warnings(
         )
     if 100.0 * rmse / span > POOR_PERCENT:
         warnings.append(
-            f"the model leaves {100.0 * rmse / span:.1f} % of the range unexplained: the log shows something "
+            f"the model leaves {100.0 * rmse / span:.1f} % of its range unexplained: the log shows something "
             "this class of models cannot follow (a loop that crosses itself, resonance, slip, a wrong "
             "column); look at 'dbo report `model`' before using it"
         )

@@ -11,14 +11,16 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.excitation import AT_AN_END
 from dbo_cli.hysteresis.identification.evaluation import (
     FEWEST_SWINGS,
+    TINY,
     most_noise,
     pooled,
     residual_of,
@@ -28,8 +30,8 @@ from dbo_cli.hysteresis.identification.normal_equations import (
     Structure,
 )
 from dbo_cli.hysteresis.identification.output_error import corners
-from dbo_cli.hysteresis.identification.preparation import Prepared
-from dbo_cli.hysteresis.identification.recordings import MOST, Floats, Recording
+from dbo_cli.hysteresis.identification.preparation import Prepared, level_moves
+from dbo_cli.hysteresis.identification.recordings import FEWEST_ROWS, MOST, Floats, Recording
 from dbo_cli.hysteresis.identification.refinement import Fitted, stages_of
 from dbo_cli.hysteresis.identification.search import BEND_STEP, Choice, sample_period
 from dbo_cli.hysteresis.identification.statistics import (
@@ -38,12 +40,17 @@ from dbo_cli.hysteresis.identification.statistics import (
     PreparedLog,
     fewer_rows,
     gather,
+    groupings,
     groups_left_out,
     swings_of,
 )
 from dbo_cli.hysteresis.model import ActuatorModel, Relaxation, ScaleStage
 from dbo_cli.hysteresis.move_error import (
+    STILL,
     Alternative,
+    StatedError,
+    ZeroDrift,
+    capped,
     changed_gain,
     played,
     rms,
@@ -53,11 +60,9 @@ from dbo_cli.hysteresis.move_error import (
     thinned,
     unlike,
 )
-from dbo_cli.records import dataclass
 
 LIKELIHOOD_WIDTH = 0.1
-"""A model whose RMSE is this share above the chosen one's counts exp(-1). With half of it the errors stated
-after ten invented logs were 0.99 to 1 of these, with twice 1 to 1.03 (benchmarks/halved_constants.py)."""
+"""A model whose RMSE is this share above the chosen one's counts exp(-1). Measured: docs/choices.md."""
 
 MOVES = 26  # swings of the invented drive; what another drive changes stands below
 MOVE_ROWS = 3000  # of them all; 1,500 and 6,000 led to 0.997 to 1.003 of the stated errors of ten logs
@@ -65,13 +70,8 @@ MOVE_SEED = 20180701  # any number: with 1, 2 and 3 they were 0.81 to 1.01 of th
 
 
 FORGETTING_EXPLAINS = 0.8
-"""Memories that fade with the way gone, in units of the range, and the share of the squared error beyond
-noise that they must leave at most. They left 0.23 to 0.77 on 18 logs of Duhem's plant and 0.15 to 0.47 on 13
-of 18 of Bouc and Wen's, the others being noise; on the 198 logs of eleven other kinds 0.81 and more or noise,
-but for four of creep (0.55 to 0.80) and two kinds after one amplitude (0.65). Moves without a warning that
-erred by more than twice the figure became 36 of 1,154, from 77; with lengths of 0.05 and 0.2, 0.2 alone, or
-0.2 and 0.6 as many, with 0.1 and 0.3 46 (benchmarks/foreign_plants.py, seeds 1 to 3).
-"""
+"""Memories that fade with the way gone must leave at most this share of the squared error beyond noise.
+Measured: docs/choices.md."""
 
 
 @dataclass(frozen=True)
@@ -80,24 +80,39 @@ class Expectation:
 
     ``known`` is the error on what was left out of the fit; ``fitted`` the equation error that was fitted, in
     the normalised output; ``alternatives`` the models that explain the logs as well, and ``figure`` the
-    expected RMSE of the invented moves; ``seen`` some of the logs' swings, ``swings`` their number;
+    error stated for the invented moves; ``seen`` some of the logs' swings, ``swings`` their number;
     ``left_out`` names what was left out; ``gain_trend`` by how much the gain changes along a log where that
-    makes most of the error.
+    makes most of the error; ``line`` what a straight line leaves of what was left out, RMS, and
+    ``zero_drift`` by how much the zero moved along a log, both in the displacement's unit; ``one_level``
+    whether the mean of the drive stays where it is, from cycle to cycle.
     """
 
     known: float
     fitted: float
-    figure: float
+    figure: StatedError
     alternatives: tuple[Alternative, ...]
     seen: Floats
     left_out: tuple[str, ...]
     swings: int
     gain_trend: float | None
+    line: float
+    zero_drift: ZeroDrift
+    one_level: bool
 
     @property
     def rmse(self) -> float | None:
         """The expected RMSE; None where the logs have no way up and down that another one could predict."""
-        return None if self.swings < FEWEST_SWINGS else self.figure
+        return None if self.swings < FEWEST_SWINGS else self.figure.rmse
+
+    @property
+    def shape(self) -> float | None:
+        """The expected RMS of the error less its mean; None as ``rmse`` is."""
+        return None if self.swings < FEWEST_SWINGS else self.figure.shape
+
+    @property
+    def zero(self) -> float | None:
+        """The expected size of the mean error; None as ``rmse`` is."""
+        return None if self.swings < FEWEST_SWINGS else self.figure.zero
 
     @property
     def forgets(self) -> bool:
@@ -107,6 +122,14 @@ class Expectation:
     def swing_values(self) -> list[list[float]]:
         """Return the logs' swings for the model file: from which voltage to which."""
         return [[float(f"{volt:.4g}") for volt in swing] for swing in self.seen.tolist()]
+
+    def zero_words(self, unit: str) -> str:
+        """Say under which condition the zero is as stated; ``unit`` follows a number."""
+        if self.zero_drift.span > self.known:
+            return f"it moved by {self.zero_drift.span:.2g}{unit} along a log, and may go on moving"
+        if self.one_level:
+            return "logs at one mean level hardly tell creep from a moving zero"
+        return "where it stays as it was in the logs"
 
     def words(self) -> str:
         """Say what the figure rests on, or why there is none."""
@@ -119,7 +142,12 @@ class Expectation:
 
 
 def expect(
-    prepared: Prepared, choice: Choice, model: ActuatorModel, delivered: float, noise: float
+    prepared: Prepared,
+    choice: Choice,
+    model: ActuatorModel,
+    delivered: float,
+    noise: float,
+    zero_drift: ZeroDrift = STILL,
 ) -> Expectation:
     """Estimate the error on new moves.
 
@@ -131,6 +159,7 @@ def expect(
     delivered : RMSE of the model's output on its own logs; the equation error, which counts on the wrong side
         of the asymmetry, is brought over by the ratio of the two
     noise : the share of its mean square that is white
+    zero_drift : by how much the zero moved along a log
     """
     some = fewer_rows(prepared.logs)
     own, square = gather(some, choice.basis, choice.structure.segments).solved(choice.structure)
@@ -144,8 +173,68 @@ def expect(
     moves = _invented_moves(some, choice.basis)
     own_moves, kept, apart = _alternatives(prepared, some, choice, model, moves, fitted, noise * fitted**2)
     distance = unlike(moves[0], seen, choice.basis.span, len(moves[0]) - len(own_moves))
-    figure = stated(known, distance, apart, changed_gain(own_moves, trend))
-    return Expectation(known, fitted, figure, kept, seen, left_out, len(swings), trend)
+    drifted = changed_gain(own_moves, trend)
+    line = abs(prepared.scale) * line_left_out(some, choice.basis)
+    lasted = 0.0 if some[0].seconds is None else float(moves[1][-1] - moves[1][0])
+    shapes = zip(prepared.shapes, prepared.logs, strict=True)
+    one_level = not any(level_moves(shape, log.voltage) for shape, log in shapes)
+    figure = capped(stated(known, distance, apart, drifted, zero_drift.during(lasted)), line)
+    return Expectation(
+        known, fitted, figure, kept, seen, left_out, len(swings), trend, line, zero_drift, one_level
+    )
+
+
+def line_left_out(logs: Sequence[PreparedLog], basis: Basis) -> float:
+    """Return what a straight line leaves of groups of swings left out of its fit, RMS, the worst grouping.
+
+    It is in units of the normalised output; offset and drift are fitted beside it. Where nothing can be left
+    out it is that of all rows.
+    """
+    voltage = [(log.voltage - basis.low) / basis.span for log in logs]
+    everywhere = [log.used for log in logs]
+    worst = _line_error(logs, voltage, everywhere, everywhere)
+    for _, grouped in groupings(logs, basis):
+        squares, rows = 0.0, 0
+        for group in range(1, 1 + max(int(log.fold.max()) for log in grouped)):
+            mine = [log.fold == group for log in grouped]
+            rest = [log.used & (log.fold != group) for log in grouped]
+            count = sum(int(some.sum()) for some in mine)
+            if count < FEWEST_ROWS or sum(int(some.sum()) for some in rest) < FEWEST_ROWS:
+                continue
+            squares += count * _line_error(grouped, voltage, rest, mine) ** 2
+            rows += count
+        if rows:
+            worst = max(worst, float(np.sqrt(squares / rows)))
+    return worst
+
+
+def _line_error(
+    logs: Sequence[PreparedLog],
+    voltage: Sequence[Floats],
+    fitted: Sequence[NDArray[np.bool_]],
+    judged: Sequence[NDArray[np.bool_]],
+) -> float:
+    """Return what the slope of some rows leaves of others, RMS, each log's offset and drift taken off."""
+    free = [_free_of_drift(log, x, rows) for log, x, rows in zip(logs, voltage, fitted, strict=True)]
+    slope = sum(float(x @ y) for x, y in free) / max(sum(float(x @ x) for x, _ in free), TINY)
+    squares, count = 0.0, 0
+    for log, x, rows in zip(logs, voltage, judged, strict=True):
+        if rows.any():
+            moved, output = _free_of_drift(log, x, rows)
+            left = output - slope * moved
+            squares += float(left @ left)
+            count += left.size
+    return float(np.sqrt(squares / count))
+
+
+def _free_of_drift(log: PreparedLog, voltage: Floats, rows: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+    """Return voltage and output of some rows of a log without the offset and drift of those rows."""
+    if not rows.any():
+        return np.zeros(0), np.zeros(0)
+    table = np.column_stack((voltage[rows], log.output[rows]))
+    columns = log.drift[rows]
+    left: Floats = table - columns @ np.linalg.lstsq(columns, table, rcond=None)[0]
+    return left[:, 0], left[:, 1]
 
 
 def _gain_trend(logs: Sequence[PreparedLog], choice: Choice, own: Solution, floor: float) -> float | None:
@@ -182,16 +271,20 @@ def _alternatives(
     moves: tuple[Floats, Floats],
     fitted: float,
     floor: float,
-) -> tuple[Floats, tuple[Alternative, ...], float]:
+) -> tuple[Floats, tuple[Alternative, ...], StatedError]:
     """Return what the model makes of invented moves, the other models, and how far these are from it there.
 
-    Of each kind of change the one that goes farthest is kept.
+    Of each kind of change the one that goes farthest is kept. None counts that leaves as much of the logs as
+    a straight line does.
     """
     drive, seconds = moves
     begin = int(np.argmax(drive >= choice.basis.high - 1e-9 * choice.basis.span))
     steps = None if logs[0].seconds is None else np.diff(seconds, prepend=0.0)
     own = played(model, drive, steps)[2 * begin :]  # the first two swings wipe out the start
     least, level = _on_logs(model, prepared, logs)
+    every = [log.used for log in logs]
+    voltages = [(log.voltage - choice.basis.low) / choice.basis.span for log in logs]
+    line = abs(prepared.scale) * _line_error(logs, voltages, every, every)
     farthest: dict[str, tuple[float, Alternative, Floats]] = {}
     gathered = {}
     for kind, basis, structure in _changes(choice, logs):
@@ -203,6 +296,8 @@ def _alternatives(
             continue
         other = _other(solution, basis, structure, prepared, model)
         rmse, mean = _on_logs(other, prepared, logs)
+        if rmse >= line:
+            continue
         other = _shifted(other, level - mean)
         one = Alternative(kind, float(np.exp(-max(rmse / least - 1.0, 0.0) / LIKELIHOOD_WIDTH)), other)
         predicted = played(other, drive, steps)[2 * begin :]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,7 +34,6 @@ from dbo_cli.hysteresis.identification.statistics import (
     PreparedLog,
     fewer_rows,
 )
-from dbo_cli.records import dataclass
 
 JUDGED_ROWS = 4000  # of the logs
 SEGMENTS = ((1, KNOT_SMOOTHNESS), (2, KNOT_SMOOTHNESS), (4, KNOT_SMOOTHNESS), (8, KNOT_SMOOTHNESS),

@@ -56,13 +56,10 @@ SMOOTHNESS = 1e-11  # of the fine slopes; 1e-9 to 1e-13: 0.233 to 0.213 um on th
 SHRUNK = tuple(part / 20 for part in range(20, 5, -1))  # amplitudes, over the cycle's own; the first is it
 
 CYCLE_WEIGHT = 10.0
-"""Of the cycle's own amplitude, over each smaller one. On the authors' recordings, fit of the cycle and error
-on their other log in um: 0.28 and 0.63 with 1, 0.22 and 0.67 with 10, 0.20 and 0.69 with 20 (theirs: 0.19 and
-0.68)."""
+"""Weight of the cycle's own amplitude, over each smaller one. Measured: docs/choices.md."""
 
 LEAST_SLOPE = 0.3
-"""Of the mean slope. After a turn, few gears of which the first is flat let the inverse jump: by up to 130 mV
-between samples of a 1 Hz drive of 3.6 V with 0.1, by 70 with 0.3 (theirs: 55)."""
+"""Least slope of a gear, of the mean slope. Measured: docs/choices.md."""
 
 
 def identify(
@@ -104,9 +101,10 @@ def _refuse_other_sign(recordings: Sequence[Recording], sign: str) -> None:
     for log in recordings:
         measured: Sign = "rising" if gain_sign([log]) > 0.0 else "falling"
         if measured != sign:
+            moves = f"{log.displacement_quantity} {SIGN_VERBS[measured]} as {log.voltage_quantity} rises"
             raise LimitError(
-                f"{log.name}: displacement {SIGN_VERBS[measured]} as voltage rises, and `sign` is {sign}: "
-                "check the actuator's leads and the sensor's sign (`scale` displacement=-1 turns it)"
+                f"{log.name}: {moves}, and `sign` is {sign}: check the actuator's leads and the sensor's sign"
+                " (`scale` displacement=-1 turns it)"
             )
 
 
@@ -165,7 +163,8 @@ def _paper(
         "loop_width_percent": loop_width_percent(model),
     }
     unit = f" {model.output.unit}" if model.output.unit else ""
-    summary = [f"fit RMSE {residual.rmse:.4g}{unit} ({figures['rmse_percent']:.2f} % of range) on one cycle"]
+    percent = f"{figures['rmse_percent']:.2f} % of the model's range"
+    summary = [f"fit RMSE {residual.rmse:.4g}{unit} ({percent}) on one cycle"]
     found, lines = validated(checks, span, unit)
     figures |= found
     summary += lines
@@ -221,8 +220,8 @@ def identify_as_in_paper(
     low, high = slow_output_range(stages, x0, x0 + swing)
     model = ActuatorModel(
         direction="forward",
-        input=Quantity("voltage", recording.voltage_unit, x0, x0 + swing),
-        output=Quantity("displacement", recording.displacement_unit, low, high),
+        input=Quantity(recording.voltage_quantity, recording.voltage_unit, x0, x0 + swing),
+        output=Quantity(recording.displacement_quantity, recording.displacement_unit, low, high),
         stages=tuple(stages),
     )
     return model, log

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -22,7 +23,6 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError
 from dbo_cli.hysteresis import kernel
-from dbo_cli.records import dataclass
 
 Floats = NDArray[np.float64]
 States = NDArray[np.uint8]
@@ -119,8 +119,8 @@ SLOPE_FLOOR = 1e-3
 memory, which is pruned below (half and double: 0.1 % on new moves)."""
 
 MAX_STEEPNESS = 15.0
-"""Steepest slope of the asymmetry over its mean; a segment's width is bounded from below by its inverse. With
-narrower segments the curves of a shape-memory wire and of an end stop fit no better (less than 1 %)."""
+"""Steepest slope of the asymmetry over its mean; a segment's width is bounded from below by its inverse.
+Measured: docs/choices.md."""
 
 RIDGES = (1e-12, 1e-10, 1e-8, 1e-6)
 """Added to each column's own square, as a share of it: a column that was never excited stays harmless. The

@@ -19,7 +19,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,7 +44,6 @@ from dbo_cli.hysteresis.identification.statistics import (
     groupings,
     hat_functions,
 )
-from dbo_cli.records import dataclass
 
 TINY = 1e-30  # beside squares of the normalised output: a logarithm of nothing
 STEPS = 6  # of Gauss and Newton, at most

@@ -9,7 +9,7 @@ all time constants.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,23 +53,16 @@ from dbo_cli.hysteresis.identification.statistics import (
 )
 from dbo_cli.hysteresis.model_state import StartName
 from dbo_cli.hysteresis.move_error import SMALLEST_TURN
-from dbo_cli.records import dataclass
 
 Booleans = NDArray[np.bool_]
 
 WARM_UPS = (1 / 16, 1 / 8, 1 / 4, 1 / 2)
-"""Of the log's length: time constants of a sensor that warms up. Memories longer than the first can stand in
-for a drift; with half as long ones 139 models were the same."""
+"""Of the log's length: time constants of a sensor that warms up. Measured: docs/choices.md."""
 HIGHEST_ORDER = 4
-"""Of the polynomial. With 2, drifts of 2 % that rise and fall (a cubic, a sine, a parabola; six invented
-logs) left 1.9 times the error on new moves; 8 changed none of eight models."""
+"""Of the polynomial that describes a drift. Measured: docs/choices.md."""
 WARMING = 2  # a warm-up is offered where a polynomial of this order is: it has a size and a time constant
 LONGEST_MEMORY = 0.5
-"""Of the longest log, wherever the ratio leads: creep over minutes, seen through 15 s at 5 kHz, was followed
-to 0.005 um instead of 0.007 so (0.9 and 0.45 of the error at 2.5 to 5 kHz); a whole log was worth no more.
-Drift has to compete with the same memories. With 0.7 there, drifts of 1 % were found in 50 of 70 logs of
-actuators that creep instead of 63 (moves erred by 1.18 times as much); without any drift one was taken in 9
-instead of 15 (as much). So slow a memory of any drive that begins at one end is a ramp."""
+"""Longest time constant of a memory, as a part of the longest log. Measured: docs/choices.md."""
 
 CYCLES_PER_ORDER = 3  # chosen: with fewer the drift is what the model learns; 2 and 6 changed none of those
 
@@ -78,36 +71,29 @@ DRIFT_GAIN = 1.2
 INSTEAD_GAIN = 1.03
 """The factor in place of ``DRIFT_GAIN`` for a drift that takes the place of creep (``CREEP_LEFT``)."""
 CREEP_LEFT = 0.8
-"""A drift takes the place of creep where it leaves at most this part of the slow memories' gain.
-
-Creep with little error more passes for a drift that rises with the log, since most drives begin at rest at
-one end; a drift where there is only creep makes an imperfect creep fit better, and the creep beside it
-grows. Measured on 70 logs of actuators that only creep (0.5 to 60 s, 0.5 to 4 %, ten kinds of actuators,
-15 to 60 s of two kinds of drive, with noise and without): at most 1.12, and 1.013 in the place of creep.
-With a warm-up of 3 %, its time constant a quarter of the log, 55 of the 70 pass, and the other 15 are
-doubtful; with a steady drift of 1 % 24 and 31."""
+"""A drift takes the place of creep where it leaves at most this part of the slow memories' gain. Measured:
+docs/choices.md."""
 
 AS_GOOD = 1.003
-"""Of two drifts whose errors differ by less, the one that leaves less creep: the error on new moves of a
-creeping actuator after a warm-up of 3 % was 0.11 % with it, 0.41 and 0.79 with the others."""
+"""Of two drifts whose errors differ by less than this factor, the one that leaves less creep is taken.
+Measured: docs/choices.md."""
 
 DOUBTFUL = 0.007
-"""Of the range: a drift this large that could be in the place of creep is worth a word. Of the 70 logs of
-actuators that only creep it is in 2."""
+"""Of the range: a drift this large that could be in the place of creep is worth a word. Measured:
+docs/choices.md."""
 
 TRIAL_SPLIT, TRIAL_SEGMENTS, TRIAL_SMOOTHNESS = 8, 8, 1e-8
-"""Gears of each slope in a trial and in any probing fit, segments and smoothness. Chosen: on eight invented
-logs half and double, and a tenth and ten times the smoothness, led to the same models."""
+"""Gears of each slope in a trial and in any probing fit, segments and smoothness. Measured:
+docs/choices.md."""
 PROBE_SEGMENTS = 4
-"""Of the asymmetry beside free slopes, where the history before a log is looked for. With 8 they stood in
-for it: after growing triangles three of twelve wires and magnets erred by 2.0 to 5.4 %, not by 0.1 to 2.2."""
+"""Segments of the asymmetry beside free slopes, where the history before a log is looked for. Measured:
+docs/choices.md."""
 PROBE_SMOOTHNESS = 1e-9
-"""Of free slopes, from which outliers and drift are told: with 1e-8 the authors' one log predicted the other
-7 % worse."""
+"""Of free slopes, from which outliers and drift are told. Measured: docs/choices.md."""
 
 LEVEL_MOVES = 0.02
 """Scatter of the cycles' mean levels, of the drive or of a slow memory, over the drive's range, from which
-creep can be told from drift. Half and double changed none of ten models (benchmarks/halved_constants.py)."""
+creep can be told from drift. Measured: docs/choices.md."""
 
 
 def level_moves(shape: DriveShape, voltage: Floats) -> bool:
@@ -303,17 +289,15 @@ def _trial(
 
 
 FOLDS = 10
-"""With 5, one of eight invented logs was followed worse by 18 %; 20 took half as long again. A history
-that is left open has at most as many stretches, each of which costs an offset."""
+"""Most folds that the cycles are dealt into, and most stretches of a history that is left open. Measured:
+docs/choices.md."""
 PARTS = 8
-"""Of a cycle with most of the rows, left out in turn: with one slow sweep beside small cycles 0.19 % was
-expected, 1.4 with 4, and 0.03 came; with 10 three muscles after growing triangles erred 1.7 to 2.8 times."""
+"""Parts of a cycle with most of the rows, left out in turn. Measured: docs/choices.md."""
 MOST_OUTLIERS = 0.02
-"""Of the rows: more are what the actuator does. Half and double changed none of ten models; with 0.2 rows of
-wide Preisach loops after a sine were left out, and moves erred by 2.4 times the error stated, not by 1.0."""
+"""Of the rows: more are what the actuator does. Measured: docs/choices.md."""
 CLIPPED_STEEPNESS = 0.35
-"""Slope just before the displacement stands still, over the mean one, above which the sensor is to blame: a
-piezo cut off in its upper half has 0.8 to 1.3, a wire that has reached its plateau less than 0.2."""
+"""Slope just before the displacement stands still, over the mean one, above which the sensor is to blame.
+Measured: docs/choices.md."""
 
 STARTS: tuple[StartName, ...] = ("settled", "empty", "full")
 

@@ -6,14 +6,13 @@ import itertools
 import math
 import numbers
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError, UsageError
 from dbo_cli.hysteresis.move_error import SMALLEST_TURN, turning_points
-from dbo_cli.records import dataclass
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -26,13 +25,10 @@ SPEED_ROWS = 4  # beside a gap tell how fast the drive is there: fewer would tak
 SMALL_SWING = 0.35  # of the range: larger ones are loops, no sweep's; divides the swings that are left out
 KNOWN_PAST = 0.4  # of a log, at most, is left out for its unknown history; chosen
 MOST = 0.5
-"""More than half of the rows, of an error, of a square is most of it. So many rows must be left behind gaps,
-or these are passed over: a fit to fewer knows less than gaps spoil. An open history, whose price are rows and
-offsets, has to explain most of the error; with 0.9 a log without noise that began full was opened."""
+"""More than half of the rows, of an error, of a square is most of it. Measured: docs/choices.md."""
 NOTICEABLE = 3e-4
-"""Of the range: a voltage's noise below it moves fewer gears than the sensor's own noise hides, reversals
-below it are converter steps and noise, and a line of hum is not worth mentioning (for that half and double
-changed none of ten models, benchmarks/halved_constants.py)."""
+"""Of the range: smaller noise of the voltage, reversals of it and lines of hum are not worth a word.
+Measured: docs/choices.md."""
 BLOCK_ROWS = 1 << 12  # at once: changes no bit; windows that fit the cache are sorted in a third of the time
 EVEN = 1e-3  # of a step: a clock written with few digits still counts as even; with 1e-6 models were the same
 AMPLITUDE_SCATTER = 0.1  # swings that differ by less count as one amplitude; 5 and 20 %: the same models
@@ -44,6 +40,7 @@ class Recording:
 
     ``voltage`` and ``displacement`` have shape (samples,), in the units named; ``time`` is in seconds with
     the same shape, or None where the log has no clock; ``sample_period`` in seconds serves in its place.
+    What drives may be another quantity than a voltage, and what comes out another than a displacement.
     """
 
     name: str
@@ -53,6 +50,8 @@ class Recording:
     sample_period: float | None = None
     voltage_unit: str | None = None
     displacement_unit: str | None = None
+    voltage_quantity: str = "voltage"
+    displacement_quantity: str = "displacement"
 
     def seconds(self) -> Floats | None:
         """Time of each sample in seconds from the first, or None where the log has no clock."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,7 +32,6 @@ from dbo_cli.hysteresis.model import (
     Stage,
     slow_output_range,
 )
-from dbo_cli.records import dataclass
 
 
 @dataclass(frozen=True)
@@ -171,7 +170,7 @@ def model_of(
     low, high = slow_output_range(stages, prepared.low, prepared.high)
     return ActuatorModel(
         direction="forward",
-        input=Quantity("voltage", recording.voltage_unit, prepared.low, prepared.high),
-        output=Quantity("displacement", recording.displacement_unit, low, high),
+        input=Quantity(recording.voltage_quantity, recording.voltage_unit, prepared.low, prepared.high),
+        output=Quantity(recording.displacement_quantity, recording.displacement_unit, low, high),
         stages=stages,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,39 +45,28 @@ from dbo_cli.hysteresis.identification.statistics import (
     swings_of,
     usual_basis,
 )
-from dbo_cli.records import dataclass
 
 FINER_GEARS = 4
-"""Times as many gears where that lowers the error on data left out, surely; twice as many again would gain
-little.
-
-A turn inside a gear retraces it. On a loop of 40 % of the range that is an error of 0.013 % with 1,280 gears
-(0.0055 with 2,560, 0.004 with 5,120): more than a good sensor's noise. Stages with 0.02 % of noise then
-followed moves up to f_r/10 to 0.01 to 0.03 % instead of 0.02 to 0.07. The authors' log (noise 0.2 %) tells
-nothing of it and keeps the fewer gears.
-"""
+"""Times as many gears are tried, and taken where they surely lower the error on data left out. Measured:
+docs/choices.md."""
 ROWS_PER_SLOPE = 8  # fewer usable rows than this for each unknown slope is not safe
 SEGMENTS = (
     *((count, KNOT_SMOOTHNESS) for count in (1, 2, 4, 8, 16)), (16, 1e-7), (32, 1e-7), (32, 1e-8), (32, 1e-9)
 )  # fmt: skip
-"""Segments and smoothness of the asymmetry, simplest first: the error on a saturating curve falls from 0.69 %
-of the range with 8 to 0.33, on a shape-memory wing from 0.52 to 0.21; smooth piezos stay at 8 or 16. A log of
-one amplitude may not choose from the rougher ones: loop and asymmetry then stand in for each other (three
-times the error on a softening loop)."""
+"""Segments and smoothness of the asymmetry, simplest first. A log of one amplitude may not choose from the
+rougher ones: loop and asymmetry then stand in for each other. Measured: docs/choices.md."""
 
 FINE_INDIFFERENCE = 0.005
-"""The same where the logs hold several amplitudes and can tell: with 0.01 in the choice of the smoothness one
-of 194 models erred by 2.2 times as much, some of an earlier set by three."""
+"""The same where the logs hold several amplitudes and can tell. Measured: docs/choices.md."""
 SMOOTHNESS_CHOICES = (1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-14, 1e-16)
-"""Springs that slip at a few forces have slopes with kinks: their error on new moves (four kinds of logs) was
-0.36 to 0.52 of that with 1e-12 for the last; on nine other kinds it is the same or less (0.76 to 1.00)."""
+"""Smoothness of the slopes, from the smoothest on; the roughest serve springs that slip at a few forces.
+Measured: docs/choices.md."""
 BEND_STEP = 0.1  # of the range, refined by half: 0.05 and 0.2 changed one of eight logs, by 5 %
 BEND_TRIALS = 4
-"""Steps to either side, outwards while the fit gets better; half and double: 5 % on one of ten. As far as
-bends can be undone (9) 139 models erred by 0.998 of before, but one by 1.3 times, and bends reached 0.95."""
+"""Steps to either side, outwards while the fit gets better. Measured: docs/choices.md."""
 SPEEDS_APART = 1.5
-"""Times the speed of the slower swings: less, and time and way are one, so that no log tells them apart. On
-ramps of one speed memories of the way took the place of a lag: errors of 0.1 to 0.7 um became 1.3 to 6.2."""
+"""Times the speed of the slower swings: less, and time and way are one, so that no log tells them apart.
+Measured: docs/choices.md."""
 
 FINEST_DELAY_STEP = 0.25  # of a sample: what a fit to noisy cycles can tell
 DELAY_TRIALS = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)  # sample periods

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from dataclasses import field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -47,16 +48,15 @@ from dbo_cli.hysteresis.identification.search import (
 )
 from dbo_cli.hysteresis.identification.statistics import PreparedLog
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.move_error import rms
-from dbo_cli.records import dataclass
+from dbo_cli.hysteresis.move_error import ZeroDrift, rms
 
 NO_BETTER = 0.95  # of the straight line's RMSE: above this there is nothing but a line in the log
 
 BROKEN = 2.0  # times the expected error: what makes a move err by more is warned of, or refused of a prior
 
 LATE = 2.0
-"""Sample periods: a shorter delay is no evidence of one, since a first-order lag looks alike. A sensor late
-by 2 samples and 4 ms was found 2.5 to 3.25 late after six kinds of logs, lags without a delay 0.5 to 2.5."""
+"""Sample periods: a shorter delay is no evidence of one, since a first-order lag looks alike. Measured:
+docs/choices.md."""
 
 LARGE_DRIFT = 0.05  # of the range: a sensor that drifts more is broken, or it is no sensor's drift
 
@@ -134,12 +134,12 @@ def identify_static(
         warnings.append(_no_loop(recordings, rmse, line, options.force))
     checks = [validation_of(model, sensor.taken_off(log), options.skip_seconds) for log in validation]
     noise = white_noise([one.values for one in residuals]) / max(rmse, TINY) ** 2
-    expected = expect(prepared, choice, model, rmse, noise)
+    expected = expect(prepared, choice, model, rmse, noise, _zero_drift(residuals, recordings))
     figures = _figures(prepared, choice, fitted, model, residuals, checks, rmse, line, cycle, expected, given)
     warnings += _drift_warnings(residuals, abs(prepared.scale), model.output.unit)
-    if expected.rmse is not None and expected.rmse >= line:
+    if expected.shape is not None and expected.shape >= line:
         remedy = _scales_apart(recordings) or RECORD_MORE
-        warnings.append(NO_BETTER_THAN_LINE.format(expected.rmse, line, remedy))
+        warnings.append(NO_BETTER_THAN_LINE.format(expected.shape, line, remedy))
     if not sensor and options.delay is None:
         warnings += _late_warnings(choice, prepared, expected)
     notes = fit_notes(model.output.unit, prepared, choice.clockwise, expected.gain_trend, expected.forgets)
@@ -147,6 +147,15 @@ def identify_static(
     figures |= {"notes": notes} | _for_use(expected, sensor) | {"warnings": list(warnings)}
     figures["alternatives"] = [one.values() for one in expected.alternatives]
     return Identification(dataclasses.replace(model, fit=figures), figures, summary, warnings)
+
+
+def _zero_drift(residuals: Sequence[Residual], recordings: Sequence[Recording]) -> ZeroDrift:
+    """Return how far the zero moved along the log on which it moved most."""
+    most = max(range(len(residuals)), key=lambda place: residuals[place].drift_span)
+    seconds = recordings[most].seconds()
+    lasted = 0.0 if seconds is None else float(seconds[-1] - seconds[0])
+    span = residuals[most].drift_span
+    return ZeroDrift(span, span / lasted if lasted > 0.0 else 0.0)
 
 
 def _for_use(expected: Expectation, sensor: Sensor) -> dict[str, object]:
@@ -214,7 +223,7 @@ def _figures(
     """Everything the model file says of its fit; errors in the displacement's unit, times in seconds."""
     span = abs(prepared.scale)
     cross = rmse * choice.score.rmse / expected.fitted
-    new_moves, gears = expected.rmse, fitted.basis
+    gears = fitted.basis
     taus = zip(gears.time_constants, fitted.gains, strict=True)
     return {
         "method": "least-squares",
@@ -222,10 +231,7 @@ def _figures(
         "rmse_percent": 100.0 * rmse / span,
         "cross_validated_rmse": cross,
         "cross_validated_percent": 100.0 * cross / span,
-        "expected_rmse": new_moves,
-        "expected_percent": None if new_moves is None else 100.0 * new_moves / span,
-        "expected_from": expected.words(),
-        "left_out_rmse": expected.known,
+        **_expected_figures(expected, span, model.output.suffix),
         "straight_line_rmse": line,
         "fastest_drive": fastest_drive(prepared.logs),
         **validated(checks, span, "")[0],
@@ -256,6 +262,38 @@ def _figures(
             for k, (residual, log) in enumerate(zip(residuals, prepared.logs, strict=True))
         ],
     }
+
+
+def _expected_figures(expected: Expectation, span: float, unit: str) -> dict[str, object]:
+    """Return what error to expect on new moves, in its parts, and what that rests on."""
+    rmse = expected.rmse
+    return {
+        "expected_rmse": rmse,
+        "expected_percent": None if rmse is None else 100.0 * rmse / span,
+        "expected_shape_rmse": expected.shape,
+        "expected_zero": expected.zero,
+        "expected_from": expected.words(),
+        "zero_from": expected.zero_words(unit),
+        "left_out_rmse": expected.known,
+        "line_left_out_rmse": expected.line,
+        "zero_drift": expected.zero_drift.span,
+        "zero_drift_rate": expected.zero_drift.rate,
+    }
+
+
+def asymmetry_words(segments: object) -> str:
+    """Return in words how many straight pieces bend the loop's two branches alike."""
+    if not segments:
+        return "no curve that bends the loop"
+    return f"a curve of {segments} straight pieces that bends the loop"
+
+
+def parts_words(figures: Mapping[str, Any], unit: str) -> str:
+    """Return the two parts of the error expected on new moves, and under which condition they hold."""
+    return (
+        f"{figures['expected_shape_rmse']:.3g}{unit} shape (RMS of the error less its mean), "
+        f"{figures['expected_zero']:.3g}{unit} zero (that mean; {figures['zero_from']})"
+    )
 
 
 def _late_warnings(choice: Choice, prepared: Prepared, expected: Expectation) -> list[str]:
@@ -330,7 +368,7 @@ def _summary(
     unit = f" {model.output.unit}" if model.output.unit else ""
     volt = f" {model.input.unit}" if model.input.unit else ""
     fitted = (
-        f"fit RMSE {figures['rmse']:.4g}{unit} ({figures['rmse_percent']:.2f} % of range), a straight line's "
+        f"fit RMSE {figures['rmse']:.4g}{unit} ({figures['rmse_percent']:.2f} %), a straight line's "
         f"{figures['straight_line_rmse']:.4g}{unit}"
     )
     if figures["expected_rmse"] is None:
@@ -338,12 +376,13 @@ def _summary(
     else:
         lines = [
             f"expected on new moves inside the range: {figures['expected_rmse']:.4g}{unit} "
-            f"({figures['expected_percent']:.2f} %); {fitted}"
+            f"({figures['expected_percent']:.2f} % of the model's range); {fitted}",
+            f"of that {parts_words(figures, unit)}",
         ]
     lines.extend(validated(checks, abs(prepared.scale), unit)[1])
     lines.append(
-        f"loop {figures['loop_width_percent']:.1f} % of range, drive {prepared.low:g} to "
-        f"{prepared.high:g}{volt}; {figures['gears']} gears, {figures['points']} segments of asymmetry"
+        f"loop {figures['loop_width_percent']:.1f} % of the model's range, drive {prepared.low:g} to "
+        f"{prepared.high:g}{volt}; {figures['gears']} gears, {asymmetry_words(figures['points'])}"
     )
     lag = figures["lag_seconds"]
     assert isinstance(lag, float)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -50,18 +50,15 @@ from dbo_cli.hysteresis.operators import (
     DiscretePointOperator,
     Relaxation,
 )
-from dbo_cli.records import dataclass
 
 BLOCK_ROWS = 256  # a block without a wanted row is passed over, so blocks are short
 JOINED_BLOCKS = 4  # that follow each other: fewer and larger products take half the time
 BEND_SEGMENTS = 32  # of the parabola; 16 and 64 changed the errors of one of eight invented logs, by 2 %
 TIME_CONSTANT_RATIO = 3.0  # with 6 a log of creep alone was followed four times worse, with 2 by 7 % worse
 ALL_GEARS = 1024
-"""However many slopes they share. On eight invented logs half as many left 0.997 to 1.42 of the error on new
-moves, twice as many 0.53 (springs that slip) to 1.003."""
+"""Gears of the finest model, however many slopes they share. Measured: docs/choices.md."""
 SLOPE_CHOICES = (64, 128, 256)
-"""Different slopes among the gears, simplest first: with 256 springs that slip were predicted with 0.6 of the
-error, and fewer than 64 were never better."""
+"""Different slopes among the gears, simplest first. Measured: docs/choices.md."""
 LENGTHS = (0.15, 0.5)  # of memories that fade with the way gone, in units of the range; see ``expectation``
 
 
@@ -474,26 +471,12 @@ def _runs(fold: Integers) -> Iterator[tuple[int, slice]]:
 
 
 INDIFFERENCE = 0.02
-"""A gain in RMSE below this share is not worth a larger model where the logs cannot tell; elsewhere it is
-what one standard error can excuse. With 0.03 for the latter, 194 models erred by 1.000 of these."""
+"""A gain in RMSE below this share is not worth a larger model where the logs cannot tell. Measured:
+docs/choices.md."""
 
 EARNED = 0.9
-"""Of the error on data left out: what clearly makes a model larger must lower it to this share.
-
-Slopes that are free (by cycles, and by an amplitude, level or speed left out: on 20 invented plants of
-several amplitudes the geometric mean of the error over the best rival's was 0.61 so, by the cycles alone
-0.69). An asymmetry on the drive, beside the one on the output (half and double changed none of ten models).
-Memories that fade with the way gone in the place of those of the time, which then only stood for them: that
-comes to pass on 12 of 36 logs of plants that forget so (benchmarks/foreign_plants.py, seeds 1 to 3), and new
-moves err by 0.57 to 0.77 of what they did; with 1.0 on three more, and plants with memories of the time left
-1.04 and more. One more resonance, an antiresonance, or a lag behind the gears against one before them: a
-small sweep cannot tell (the gears hardly turn in it), and an amplifier's lag is the usual one; actuators
-without a resonance, fitted with one, came to 0.97 to 1.00, with a heavily damped one at half the swept band
-to 0.3.
-
-A delay that is seen at first sight, and memories where the logs have one amplitude and a delay alone may do
-(194 models: with 0.7 and 0.87 in their place 1.000 and 1.001 times the error).
-"""
+"""What clearly makes a model larger must lower the error on data left out to this share: free slopes, an
+asymmetry on the drive, memories of the way, one more resonance. Measured: docs/choices.md."""
 
 
 @dataclass(frozen=True)
@@ -570,10 +553,9 @@ def simplest_of(scores: Sequence[Score], indifference: float = INDIFFERENCE) -> 
     return next((k for k, close in enumerate(near) if close), 0)  # the simplest where none can be solved
 
 
-# Of ten invented logs (benchmarks/halved_constants.py) the stated errors were 0.76 to 1 of these with a
-# MAX_RATIO of 1.5, 1 to 1.05 with 4; 0.93 to 1.16 with LARGE of 0.6, 0.9; 1 to 1.19 with SMALL_SWING of 0.2,
-# 0.5.
-MAX_RATIO = 2.0  # a group without which the fit falls apart says how far one cannot extrapolate, not this
+MAX_RATIO = 2.0
+"""Times the error of cycles left out: a group without which the fit falls apart counts no more than this.
+Measured: docs/choices.md."""
 
 LARGE = 0.75  # of the drive's range: without the swings above, the last gears would never be seen
 

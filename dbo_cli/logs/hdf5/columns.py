@@ -53,9 +53,9 @@ def is_group(node: Any) -> bool:
 
 def attribute(node: Any, *names: str) -> Any:
     """Give the first attribute of these names (case aside), or None."""
-    there = _attribute_names(node)
-    found = next((there[name.lower()] for name in names if name.lower() in there), None)
-    return None if found is None else node.attrs[found]
+    spellings = _attribute_names(node)
+    spelling = next((spellings[name.lower()] for name in names if name.lower() in spellings), None)
+    return None if spelling is None else node.attrs[spelling]
 
 
 def _attribute_names(node: Any) -> dict[str, str]:
@@ -96,14 +96,14 @@ def columns_of(dataset: Any, name: str, stamps: frozenset[int] = frozenset()) ->
         return _fields_of(dataset, name) if len(shape) == 1 else []
     if kind.kind not in "fiub" or len(shape) not in (1, 2) or 0 in shape:
         return []
-    own = name or clean_text(dataset.name.rsplit("/", 1)[-1])
+    label = name or clean_text(dataset.name.rsplit("/", 1)[-1])
     axis = _time_axis(dataset, stamps)
     width = 1 if len(shape) == 1 else shape[1 - axis]
     names = _column_names(dataset, width) if width > 1 else None
-    labels = names or ([own] if width == 1 else [f"{own}[{number}]" for number in range(1, width + 1)])
+    labels = names or ([label] if width == 1 else [f"{label}[{number}]" for number in range(1, width + 1)])
     fetches = [slicer(dataset, axis, index) for index in range(width)]
     sources = [ColumnSource(label, shape[axis], fetch) for label, fetch in zip(labels, fetches, strict=True)]
-    return [_described(one, dataset, index) for index, one in enumerate(sources)]
+    return [_described(source, dataset, index) for index, source in enumerate(sources)]
 
 
 def _holds_measurements(dataset: Any) -> bool:
@@ -136,11 +136,13 @@ def slicer(dataset: Any, axis: int, index: int) -> Fetch:
 
 
 def _fields_of(dataset: Any, name: str) -> list[ColumnSource]:
-    found = []
+    fields = []
     for number, field in enumerate(dataset.dtype.names):
         label = f"{name}/{clean_text(field)}" if name else clean_text(field)
-        found += [_described(one, dataset, number) for one in field_sources(dataset, field, label, None)]
-    return found
+        fields += [
+            _described(source, dataset, number) for source in field_sources(dataset, field, label, None)
+        ]
+    return fields
 
 
 def field_sources(dataset: Any, field: str, label: str, names: list[str] | None) -> list[ColumnSource]:
@@ -151,8 +153,8 @@ def field_sources(dataset: Any, field: str, label: str, names: list[str] | None)
         if names is None or len(names) != width:
             names = [f"{label}[{number}]" for number in range(1, width + 1)]
         return [
-            ColumnSource(one, length, _field(dataset, field, (slice(None), index)))
-            for index, one in enumerate(names)
+            ColumnSource(column_label, length, _field(dataset, field, (slice(None), index)))
+            for index, column_label in enumerate(names)
         ]
     return [ColumnSource(label, length, _field(dataset, field, ...))] if kind.kind in "fiub" else []
 
@@ -182,7 +184,7 @@ def _unit_of(dataset: Any, index: int) -> str:
     value = attribute(dataset, *_UNIT_ATTRIBUTES)
     if value is None or type(value).__name__ == "Empty":
         return ""
-    units = [clean_text(one) for one in np.atleast_1d(value).ravel()]
+    units = [clean_text(text) for text in np.atleast_1d(value).ravel()]
     if len(units) == 1 and "," in units[0]:
         units = units[0].split(",")
     return units[0] if len(units) == 1 else units[index] if index < len(units) else ""
@@ -190,10 +192,10 @@ def _unit_of(dataset: Any, index: int) -> str:
 
 def _scaled(source: ColumnSource, dataset: Any, index: int) -> ColumnSource:
     """Apply netCDF's conventions and a plain ``scale``; note what looks like a factor and is not used."""
-    there = _attribute_names(dataset)
+    spellings = _attribute_names(dataset)
 
     def number(name: str) -> float | None:
-        return number_in(dataset.attrs.get(there.get(name.lower(), "")), index)
+        return number_in(dataset.attrs.get(spellings.get(name.lower(), "")), index)
 
     unsigned = attribute_text(dataset, "_Unsigned").lower() == "true"
     filled = dataset.dtype.kind == "f" and dataset.fillvalue == NETCDF_FILL
@@ -314,7 +316,7 @@ def _labber_traces(group: Any) -> Iterator[ColumnSource]:
     for name in (name for name in traces if f"{name}_t0dt" in traces):
         values = np.asarray(traces[name][()])
         if values.ndim == 3 and values.shape[1:] == (1, 1):
-            start, step = (float(one) for one in np.ravel(traces[f"{name}_t0dt"][()])[:2])
+            start, step = (float(value) for value in np.ravel(traces[f"{name}_t0dt"][()])[:2])
             timed = attribute_text(traces[name], "x_unit") in ("s", "") and step > 0.0
             clock = (Statement(f"'{name}_t0dt' {step:g} s", 1.0 / step),) if timed else ()
             unit = units.get(clean_text(name)) or None
@@ -356,7 +358,7 @@ def _pandas_table(group: Any, table: Any) -> list[ColumnSource]:
 def _pandas_blocks(group: Any) -> list[ColumnSource]:
     sources = _index(group["axis1"])
     order = group["axis0"][()].ravel() if is_dataset(group.get("axis0")) else ()
-    found: dict[str, ColumnSource] = {}
+    by_name: dict[str, ColumnSource] = {}
     for number in range(int(np.ravel(attribute(group, "nblocks"))[0])):
         values, items = group.get(f"block{number}_values"), group.get(f"block{number}_items")
         if not (
@@ -365,8 +367,8 @@ def _pandas_blocks(group: Any) -> list[ColumnSource]:
             continue
         for index, name in enumerate(map(clean_text, items[()].ravel())):
             source = ColumnSource(name, values.shape[0], slicer(values, 0, index))
-            found[name] = _from_stamps(source, attribute_text(values, "value_type")) or source
-    return sources + [found[name] for name in map(clean_text, order) if name in found]
+            by_name[name] = _from_stamps(source, attribute_text(values, "value_type")) or source
+    return sources + [by_name[name] for name in map(clean_text, order) if name in by_name]
 
 
 def _index(axis: Any) -> list[ColumnSource]:
@@ -390,8 +392,8 @@ def _as_index(source: ColumnSource, kind: str) -> list[ColumnSource]:
 
 def _from_stamps(source: ColumnSource, kind: str) -> ColumnSource | None:
     """Turn dates (and durations) stored as counts into seconds from the first row on."""
-    found = re.fullmatch(r"(?:datetime|timedelta)64(?:\[(s|ms|us|ns)(?:,.*)?\])?", kind)
-    return from_first_row(source, found[1] or "ns") if found is not None and source.length else None
+    match = re.fullmatch(r"(?:datetime|timedelta)64(?:\[(s|ms|us|ns)(?:,.*)?\])?", kind)
+    return from_first_row(source, match[1] or "ns") if match is not None and source.length else None
 
 
 class _NoCode(pickle.Unpickler):

@@ -100,18 +100,18 @@ def _find_columns(file: Any, address: Address, selectors: Sequence[str]) -> tupl
         return node, sources
     start = node
     sources = columns_in(node) if len(node) <= _MOST or not selectors else []
-    others: list[tuple[Any, list[ColumnSource]]] = []
+    tables: list[tuple[Any, list[ColumnSource]]] = []
     if not sources and len(node) <= _MOST:  # what is wanted often lies further down
         try:
-            others = tables_below(node)
+            tables = tables_below(node)
         except InputError:
             if not selectors:
                 raise
-        if len(others) == 1:
-            node, sources = others[0]
+        if len(tables) == 1:
+            node, sources = tables[0]
     sources = sources + list(_by_path(start, node, sources, selectors))
     if not sources:
-        raise InputError(_no_columns(file, address, others))
+        raise InputError(_no_columns(file, address, tables))
     return node, sources
 
 
@@ -126,16 +126,16 @@ def _by_path(
             continue
         if "*" in path and not any(fits_pattern(label, path) for label in known):
             for name in _dataset_paths(start):
-                found = columns_of(start.get(name), "") if fits_pattern(name, path) else []
-                if len(found) == 1 and name not in known:
+                columns = columns_of(start.get(name), "") if fits_pattern(name, path) else []
+                if len(columns) == 1 and name not in known:
                     known.add(name)
-                    yield replace(found[0], label=name)
+                    yield replace(columns[0], label=name)
             continue
         for base in (node, start):
-            other = base.get(path)
-            found = columns_of(other, "") if is_dataset(other) else []
-            if len(found) == 1:
-                yield replace(found[0], label=path)
+            member = base.get(path)
+            columns = columns_of(member, "") if is_dataset(member) else []
+            if len(columns) == 1:
+                yield replace(columns[0], label=path)
                 break
 
 
@@ -152,9 +152,9 @@ def _nearest_clock(node: Any) -> list[Statement]:
     """Read the statements of the sample rate next to the columns, else further out."""
     level = node.parent if is_dataset(node) else node
     while True:
-        found = [*statements_of(level), *scalar_statements(level)]
-        if found or level.name == "/":
-            return found
+        statements = [*statements_of(level), *scalar_statements(level)]
+        if statements or level.name == "/":
+            return statements
         level = level.parent
 
 
@@ -162,8 +162,8 @@ def _no_columns(file: Any, address: Address, tables: Sequence[tuple[Any, list[Co
     text = f"{address.text}: no columns of numbers in this group: {_list_groups(file)}"
     roles: dict[str, int] = {}
     for node, sources in tables:
-        labels = {one.label.lower() for one in sources}
-        if sum(one.label.lower() not in TIME_NAMES for one in sources) > 1:
+        labels = {source.label.lower() for source in sources}
+        if sum(source.label.lower() not in TIME_NAMES for source in sources) > 1:
             known = [bool(labels & set(role.guesses)) for role in (VOLTAGE, DISPLACEMENT)]
             roles[clean_text(node.name)] = sum(known)
     if roles:  # not what a camera wrote beside a drive
@@ -184,7 +184,10 @@ def _short_end(path: str, paths: Sequence[str]) -> str:
     """Return the last parts of an address that no other one ends with."""
     parts = path.split("/")
     ends = ("/" + "/".join(parts[-count:]) for count in range(1, len(parts)))
-    return next((end for end in ends if sum(one.endswith(end) for one in paths) == 1), path)
+    for end in ends:
+        if sum(table.endswith(end) for table in paths) == 1:
+            return end
+    return path
 
 
 def _is_object(node: Any) -> bool:
@@ -234,14 +237,14 @@ def tables_below(group: Any) -> list[tuple[Any, list[ColumnSource]]]:
     chosen = _default_data(group)
     if chosen is not None:
         return [(chosen, columns_in(chosen))]
-    level, seen = [group], {group.id}
+    level, visited = [group], {group.id}
     for _ in range(_DEEPEST):
-        level = [child for node in level for child in _inner_groups(node) if child.id not in seen]
+        level = [child for node in level for child in _inner_groups(node) if child.id not in visited]
         level = list({child.id: child for child in level}.values())
-        seen |= {child.id for child in level}
-        found = [(child, columns) for child in level if (columns := columns_in(child))]
-        if found or not level:
-            return found
+        visited |= {child.id for child in level}
+        tables = [(child, columns) for child in level if (columns := columns_in(child))]
+        if tables or not level:
+            return tables
     return []
 
 
@@ -262,10 +265,10 @@ def _plain_columns(group: Any) -> list[ColumnSource]:
     for name, node in nodes:
         if not (node.size == 1 and is_clock_name(name)):
             sources += columns_of(node, name, stamps)
-    there = set(group)
+    members = set(group)
 
     def text(name: str) -> str | None:
-        return stored_text(group.get(name)) if name in there else None
+        return stored_text(group.get(name)) if name in members else None
 
     sources = [with_unit(source, text) for source in without_scalars(sources)]
     if attribute_text(group, "NX_class") in ("NXdata", "NXlog"):
@@ -298,7 +301,7 @@ def _nexus_scaled(group: Any, sources: list[ColumnSource]) -> list[ColumnSource]
     """Apply NeXus' ``NAME_scaling_factor`` and ``NAME_offset`` fields: (value + offset) · factor."""
     ends = ("_scaling_factor", "_offset", "_errors")
     helpers = {f"{source.label}{end}" for source in sources for end in ends}
-    found = []
+    scaled = []
     for source in sources:
         if source.label in helpers:
             continue
@@ -306,10 +309,10 @@ def _nexus_scaled(group: Any, sources: list[ColumnSource]) -> list[ColumnSource]
         if factor is not None or offset is not None:
             factor, offset = 1.0 if factor is None else factor, offset or 0.0
             source = replace(source, scale=factor, offset=offset * factor)
-        found.append(source)
+        scaled.append(source)
     signal = attribute_text(group, "signal")
-    length = next((source.length for source in found if source.label == signal), None)
-    return found if length is None else [source for source in found if source.length == length]
+    length = next((source.length for source in scaled if source.label == signal), None)
+    return scaled if length is None else [source for source in scaled if source.length == length]
 
 
 def _single(node: Any) -> float | None:
@@ -324,42 +327,42 @@ def _logged_columns(group: Any) -> list[ColumnSource]:
     values: list[ColumnSource] = []
     clocks: list[ColumnSource] = []
     for child in _inner_groups(group):
-        held = {name: node for name in child if is_dataset(node := child.get(name)) and node.shape}
-        value = next((name for name in _VALUES if name in held), None)
-        time = next((name for name in _TIMES if name in held), None)
-        own = clean_text(child.name.rsplit("/", 1)[-1])
-        if value is None or _beside(held, held[value].shape[0]):
+        datasets = {name: node for name in child if is_dataset(node := child.get(name)) and node.shape}
+        value = next((name for name in _VALUES if name in datasets), None)
+        time = next((name for name in _TIMES if name in datasets), None)
+        label = clean_text(child.name.rsplit("/", 1)[-1])
+        if value is None or _beside(datasets, datasets[value].shape[0]):
             continue
-        found = columns_of(held[value], own)
-        if len(found) != 1:
+        columns = columns_of(datasets[value], label)
+        if len(columns) != 1:
             continue
-        values += found
+        values += columns
         if time is not None:
-            stamps = columns_of(held[time], f"{own}/{time}")
+            stamps = columns_of(datasets[time], f"{label}/{time}")
             unit = stamps[0].unit if stamps else None
             if child.get("EPOCH") is not None:  # Bluesky's writer documents its times in seconds
                 unit = unit or "s"
-            clocks += [_in_seconds(child, replace(one, unit=unit)) for one in stamps]
+            clocks += [_in_seconds(child, replace(stamp, unit=unit)) for stamp in stamps]
     if not values or max(source.length for source in values) < 2:
         return []
     return (_one_clock(clocks) if len(clocks) == len(values) else clocks) + values
 
 
-def _beside(held: dict[str, Any], length: int) -> bool:
+def _beside(datasets: dict[str, Any], length: int) -> bool:
     """Tell whether a group holds other columns beside one signal and its stamps: then it is a table."""
     known = (*_VALUES, *_TIMES, *_BESIDE)
-    return any(name not in known and node.shape[0] == length for name, node in held.items())
+    return any(name not in known and node.shape[0] == length for name, node in datasets.items())
 
 
 def _one_clock(clocks: list[ColumnSource]) -> list[ColumnSource]:
     """Put clocks that agree together into one; signals stamped each for itself keep their own."""
     first = clocks[0]
-    for other in clocks[1:]:
-        if (other.length, other.unit, other.scale) != (first.length, first.unit, first.scale):
+    for clock in clocks[1:]:
+        if (clock.length, clock.unit, clock.scale) != (first.length, first.unit, first.scale):
             return clocks
         for start in range(0, first.length, BLOCK_ROWS):
             stop = min(first.length, start + BLOCK_ROWS)
-            if not np.allclose(first.read(start, stop), other.read(start, stop), _SAME_STAMPS, 0.0):
+            if not np.allclose(first.read(start, stop), clock.read(start, stop), _SAME_STAMPS, 0.0):
                 return clocks
     return [replace(first, label=first.label.rsplit("/", 1)[-1])]
 
@@ -379,9 +382,9 @@ def _clock_base(group: Any) -> float | None:
     """Look for LabOne's ``clockbase`` (ticks a second) beside the samples or anywhere above them."""
     node = group
     for _ in range(_DEEPEST):
-        found = _single(node.get("clockbase")) or number_in(attribute(node, "clockbase"))
-        if found is not None and found > 0.0:
-            return found
+        base = _single(node.get("clockbase")) or number_in(attribute(node, "clockbase"))
+        if base is not None and base > 0.0:
+            return base
         node = node.parent
     return None
 
@@ -443,8 +446,8 @@ class _SafeFile(_SafeGroup, h5py.File):  # type: ignore[misc]
 
     def close(self) -> None:
         """Close the file and those behind its links."""
-        for other in (*self.behind_links, self):
-            h5py.File.close(other)
+        for file in (*self.behind_links, self):
+            h5py.File.close(file)
 
 
 def _text(name: str | bytes) -> str:
@@ -454,55 +457,55 @@ def _text(name: str | bytes) -> str:
 def _resolved(group: Any, name: str | bytes, root: _SafeFile, hops: int) -> Any:
     """Follow a path link by link; None where it leads nowhere."""
     # a plain group: its own methods must not come back here
-    here = h5py.Group(h5py.h5g.open(group.id, b"/" if _text(name).startswith("/") else b"."))
+    node = h5py.Group(h5py.h5g.open(group.id, b"/" if _text(name).startswith("/") else b"."))
     parts = [part for part in _text(name).split("/") if part not in ("", ".")]
     for number, part in enumerate(parts):
-        if not isinstance(here, h5py.Group):
+        if not isinstance(node, h5py.Group):
             return None
         try:
-            link = h5py.Group.get(here, part, getlink=True)
+            link = h5py.Group.get(node, part, getlink=True)
         except (KeyError, OSError, RuntimeError, UnicodeError):
             return None
         if isinstance(link, h5py.SoftLink | h5py.ExternalLink):
             if hops >= _MOST_HOPS:
                 return None
-            return _through(here, link, "/".join(parts[number + 1 :]), root, hops + 1)
+            return _through(node, link, "/".join(parts[number + 1 :]), root, hops + 1)
         if link is None:
             return None
         try:
-            here = h5py.Group.__getitem__(here, part)
+            node = h5py.Group.__getitem__(node, part)
         except (KeyError, OSError, RuntimeError):
             return None
-    if isinstance(here, h5py.Dataset):
-        check_dataset(here, root.watch)
-        return here
-    if not isinstance(here, h5py.Group):
-        return here
-    safe = _SafeGroup(here.id)
+    if isinstance(node, h5py.Dataset):
+        check_dataset(node, root.watch)
+        return node
+    if not isinstance(node, h5py.Group):
+        return node
+    safe = _SafeGroup(node.id)
     safe.root, safe.hops = root, hops
     return safe
 
 
-def _through(here: Any, link: Any, rest: str, root: _SafeFile, hops: int) -> Any:
+def _through(group: Any, link: Any, rest: str, root: _SafeFile, hops: int) -> Any:
     """Go on behind a link, in this file or another."""
     path = f"{link.path}/{rest}" if rest else link.path
     if isinstance(link, h5py.SoftLink):
-        return _resolved(here, path, root, hops)
-    target = _file_named(link.filename, here.file.filename)
+        return _resolved(group, path, root, hops)
+    target = _file_named(link.filename, group.file.filename)
     if target is None:
         return None
     if not stat.S_ISREG(os.stat(target).st_mode):
         raise InputError(
-            f"{cleaned(here.file.filename)}: a link in '{here.name}' leads to '{cleaned(link.filename)}', "
+            f"{cleaned(group.file.filename)}: a link in '{group.name}' leads to '{cleaned(link.filename)}', "
             "which is no regular file: take the link out, or read another file"
         )
     root.watch.add(target)
     try:
-        other = h5py.File(target, "r")
+        file = h5py.File(target, "r")
     except OSError:
         return None
-    root.behind_links.append(other)
-    return _resolved(other, "/" + path.lstrip("/"), root, hops)
+    root.behind_links.append(file)
+    return _resolved(file, "/" + path.lstrip("/"), root, hops)
 
 
 def _file_named(name: str, beside: str) -> str | None:
@@ -563,18 +566,18 @@ def _stored_share(dataset: Any) -> float:
 
 
 def _check_virtual(dataset: Any, place: str, watch: FileWatch, above: tuple[tuple[str, str], ...]) -> None:
-    own = (os.path.realpath(dataset.file.filename), dataset.name)
-    if own in above or len(above) > _MOST_HOPS:
+    itself = (os.path.realpath(dataset.file.filename), dataset.name)
+    if itself in above or len(above) > _MOST_HOPS:
         raise InputError(f"{place} is a virtual one made of itself: it holds no samples")
     for file_name, name in _sources(dataset):
-        source = _file_named(file_name, dataset.file.filename) if file_name != "." else own[0]
+        source = _file_named(file_name, dataset.file.filename) if file_name != "." else itself[0]
         if "%" in file_name + name:
             raise InputError(f"{place} is a virtual one of numbered files: join them into one file first")
         called = f"'{cleaned(name)}'" + (f" in '{cleaned(file_name)}'" if file_name != "." else "")
         missing = f"{place} is a virtual one, and its source {called} is missing"
         if source is None or not os.path.isfile(source):
             raise InputError(f"{missing}: put the file beside this one")
-        if (os.path.realpath(source), "/" + name.strip("/")) in (*above, own):
+        if (os.path.realpath(source), "/" + name.strip("/")) in (*above, itself):
             raise InputError(f"{place} is a virtual one made of itself: it holds no samples")
         watch.add(source)
         try:
@@ -583,7 +586,7 @@ def _check_virtual(dataset: Any, place: str, watch: FileWatch, above: tuple[tupl
                 if node is None:
                     raise InputError(f"{missing} there")
                 if node.is_virtual:
-                    _check_virtual(node, place, watch, (*above, own))
+                    _check_virtual(node, place, watch, (*above, itself))
                 elif node.external:
                     raise InputError(f"{place} is a virtual one, and its source {called} is stored elsewhere")
         except OSError:
@@ -592,23 +595,23 @@ def _check_virtual(dataset: Any, place: str, watch: FileWatch, above: tuple[tupl
 
 def _resolved_link(file: Any, name: str) -> Any:
     """Return the dataset of a virtual source where it stands there by itself, no link on the way."""
-    here = file
+    node = file
     for part in name.strip("/").split("/"):
-        link = here.get(part, getlink=True) if isinstance(here, h5py.Group) else None
+        link = node.get(part, getlink=True) if isinstance(node, h5py.Group) else None
         if not isinstance(link, h5py.HardLink):
             return None
-        here = here[part]
-    return here if isinstance(here, h5py.Dataset) else None
+        node = node[part]
+    return node if isinstance(node, h5py.Dataset) else None
 
 
 def _sources(dataset: Any) -> Iterator[tuple[str, str]]:
     """Give each source of a virtual dataset once; every sample of it must come from one."""
     claimed = int(np.prod([float(length) for length in dataset.shape]))
-    mapped, seen = 0, set()
+    mapped, files = 0, set()
     for source in dataset.virtual_sources():
         mapped += int(source.vspace.get_select_npoints())
-        if (source.file_name, source.dset_name) not in seen:
-            seen.add((source.file_name, source.dset_name))
+        if (source.file_name, source.dset_name) not in files:
+            files.add((source.file_name, source.dset_name))
             yield source.file_name, source.dset_name
     if mapped < claimed:
         raise InputError(

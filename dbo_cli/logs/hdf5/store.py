@@ -20,6 +20,7 @@ import struct
 import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import h5py
@@ -32,7 +33,6 @@ from dbo_cli.logs.columns import OutColumn, require_finite, unique_headers
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.request import Address, FileWatch, Given
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock, TimeCheck
-from dbo_cli.records import dataclass
 
 MARK = "dbo_columns"  # the attribute of a group that this program wrote
 _PATIENCE = 2.0  # s to wait for a lock: a program that opens, appends and closes is done by then
@@ -122,24 +122,24 @@ class StoreOutput:
 
     def _node(self, store: Any) -> Any:
         """Return what stands at the group's path, None where there is nothing yet."""
-        node, here = store, ""
+        node, place = store, ""
         for name in self.group.strip("/").split("/") if self.group != "/" else ():
-            here += f"/{name}"
+            place += f"/{name}"
             link = node.get(name, getlink=True)
             if link is None:
                 return None
             if not isinstance(link, h5py.HardLink):
-                raise OutputError(f"{self.path}::{here} is a link to elsewhere: {self._other()}")
+                raise OutputError(f"{self.path}::{place} is a link to elsewhere: {self._other()}")
             node = node.get(name)
             if not isinstance(node, h5py.Group):
-                raise OutputError(f"{self.path}::{here} is a dataset, not a group: {self._other()}")
+                raise OutputError(f"{self.path}::{place} is a dataset, not a group: {self._other()}")
         return node
 
     def _refuse_others_in(self, node: Any) -> None:
-        own = set()
+        marked = set()
         with contextlib.suppress(KeyError, OSError, TypeError, ValueError):
-            own = {str(name) for name in node.attrs.get(MARK, ())}
-        foreign = sorted(name for name in node if name not in own)
+            marked = {str(name) for name in node.attrs.get(MARK, ())}
+        foreign = sorted(name for name in node if name not in marked)
         if foreign:
             more = f" and {len(foreign) - 1} more" if len(foreign) > 1 else ""
             whole = "file" if self.group == "/" else "group"
@@ -167,8 +167,8 @@ def store_output(target: Address, attributes: Mapping[str, str | float]) -> Iter
         raise UsageError("HDF5 cannot be written to a pipe: name a file (-o FILE.h5)")
     parts = [part for part in (target.group or "").split("/") if part not in ("", ".")]  # //a/./b/ is /a/b
     if ".." in parts:
-        told = "'..' is no group of an HDF5 file: give its path from the root, ::/NAME"
-        raise UsageError(f"::{target.group}: {told}")
+        remedy = "'..' is no group of an HDF5 file: give its path from the root, ::/NAME"
+        raise UsageError(f"::{target.group}: {remedy}")
     store = StoreOutput(target.path, "/" + "/".join(cleaned(part) for part in parts))
     if os.path.isfile(store.path):
         with _locked(store.path):
@@ -288,8 +288,8 @@ class Hdf5Writer:
         """Append rows, one float64 array a column."""
         parts = [np.ascontiguousarray(array, dtype=np.float64) for array in arrays]
         require_finite(self._columns, self._names, parts)
-        for kept, part in zip(self._kept, parts, strict=True):
-            kept.append(part)
+        for parts_of_column, part in zip(self._kept, parts, strict=True):
+            parts_of_column.append(part)
         if self._clock is not None:
             rows = range(self._kept_rows, self._kept_rows + len(parts[0]))
             self._times.feed(SampleBlock(rows, None, parts[self._clock], {}))
@@ -358,7 +358,7 @@ def _squeezed(plane: bytes) -> bytes:
         return raw.compress(plane) + raw.flush(zlib.Z_SYNC_FLUSH)
     pieces = [plane[start : start + _STORED_MOST] for start in range(0, len(plane), _STORED_MOST)]
     # a byte that says "stored", the length and its complement, both little-endian
-    return b"".join(struct.pack("<BHH", 0, len(one), len(one) ^ 0xFFFF) + one for one in pieces)
+    return b"".join(struct.pack("<BHH", 0, len(piece), len(piece) ^ 0xFFFF) + piece for piece in pieces)
 
 
 # --- matrices: a dataset a quantity, rows of samples, a column of each channel ------------------------
@@ -390,7 +390,7 @@ def matrix_writer(
     """
     whole_output.check_output(target, protect)
     with store_output(target, attributes) as group:
-        group.attrs[MARK] = [*(["time_s"] if time is not None else []), *(one.name for one in columns)]
+        group.attrs[MARK] = [*(["time_s"] if time is not None else []), *(column.name for column in columns)]
         if time is not None:
             group["time_s"] = time
             group["time_s"].attrs["units"] = "s"
@@ -406,7 +406,7 @@ def matrix_writer(
             datasets.append(dataset)
 
         def write(place: int, arrays: Sequence[FloatArray]) -> None:
-            require_finite(columns, [one.header for one in columns], arrays)
+            require_finite(columns, [column.header for column in columns], arrays)
             for dataset, array in zip(datasets, arrays, strict=True):
                 dataset[:, place] = array
 

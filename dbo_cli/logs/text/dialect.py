@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from dbo_cli.errors import InputError
@@ -27,7 +28,6 @@ from dbo_cli.logs.text.lines import (
     writing_of,
 )
 from dbo_cli.logs.units import is_known_unit
-from dbo_cli.records import dataclass
 
 _NAMES = {",": "comma", ";": "semicolon", "\t": "tab", BLANKS: "blanks", "|": "pipe"}
 COMMENTS = "#%"
@@ -161,9 +161,10 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
         raise InputError(f"{place}: the file is empty")
     shapes = _shapes(lines, candidates, options)
     if not shapes:
-        found = next((one for n in candidates[::-1] if (one := _NUMBER_WITH_UNIT.search(lines[n]))), None)
-        if found is not None:
-            raise InputError(f"{place}: no line holds plain numbers, but '{found[0]}' ({_PLAIN_NUMBERS})")
+        searches = (_NUMBER_WITH_UNIT.search(lines[n]) for n in reversed(candidates))
+        match = next(filter(None, searches), None)
+        if match is not None:
+            raise InputError(f"{place}: no line holds plain numbers, but '{match[0]}' ({_PLAIN_NUMBERS})")
         raise InputError(f"{place}: no data rows: no line holds numbers")
     best = max(shape.score for shape in shapes)
     tied = [shape for shape in shapes if shape.score >= best - 1e-12]
@@ -173,7 +174,7 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
     layouts = [_layout(lines, candidates, shape, comments, options) for shape in tied]
     shape, layout = max(zip(tied, layouts, strict=True), key=lambda pair: pair[1].fits)
     decimal = shape.decimal
-    either = len({one.decimal for one in tied if one.delimiter == shape.delimiter}) > 1
+    either = len({tie.decimal for tie in tied if tie.delimiter == shape.delimiter}) > 1
     doubtful = either or (decimal == "." and shape.whole_numbers)
     if options.decimal is None and shape.delimiter != "," and doubtful:
         decimal = _late_decimal(place, lines[layout.first :], comments)
@@ -195,7 +196,7 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
         _writings(last, shape),
         find_header_block(lines, layout.first, shape.delimiter),
         _is_sparse(last, shape),
-        tuple(one for line in lines[: layout.first] for one in labelled(line, comments)),
+        tuple(label for line in lines[: layout.first] for label in labelled(line, comments)),
         passed=tuple((number + 1, lines[number].strip()) for number in layout.passed),
     )  # fmt: skip
 
@@ -226,12 +227,12 @@ def _ask_about_numbered_columns(place: str, rows: list[list[str]]) -> None:
     InputError
         It may be a header or a sample.
     """
-    first, *others = rows
+    first, *rest = rows
     written = first[1:] if not first[0] else first
     counted = [[str(number + start) for number in range(len(written))] for start in (0, 1)]
     if written not in counted or len(written) < 2:
         return
-    whole = [bool(re.fullmatch(r"[-+]?\d*", cell)) for row in others for cell in row[-len(written) :]]
+    whole = [bool(re.fullmatch(r"[-+]?\d*", cell)) for row in rest for cell in row[-len(written) :]]
     if whole and (not any(whole) or (len(written) > 2 and not all(whole))):
         raise InputError(
             f"{place}: the first row, {','.join(written)}, counts the columns: are these names or a sample? "
@@ -241,14 +242,14 @@ def _ask_about_numbered_columns(place: str, rows: list[list[str]]) -> None:
 
 def _writings(rows: list[list[str]], shape: _Shape) -> tuple[str, ...]:
     """Find the columns of time stamps; empty where there are none."""
-    others = sorted(set(range(shape.width)) - shape.numeric)
-    if not others:
+    texts = sorted(set(range(shape.width)) - shape.numeric)
+    if not texts:
         return ()
     rows = [row for row in rows if len(row) >= shape.width]
-    found = {column: writing_of([row[column] for row in rows]) for column in others}
-    if not any(found.values()):
+    writings = {column: writing_of([row[column] for row in rows]) for column in texts}
+    if not any(writings.values()):
         return ()
-    return tuple(found.get(column) or "numbers" for column in range(shape.width))
+    return tuple(writings.get(column) or "numbers" for column in range(shape.width))
 
 
 class _Shape(NamedTuple):
@@ -264,12 +265,12 @@ class _Shape(NamedTuple):
 
 def _shapes(lines: list[str], candidates: list[int], options: ReadingOptions) -> list[_Shape]:
     """Read the last lines with every delimiter and decimal sign that may be meant."""
-    given, decimal = options.delimiter_character, options.decimal_sign
+    delimiter, decimal = options.delimiter_character, options.decimal_sign
     sample = [lines[number] for number in candidates[-SAMPLE_LINES:]]
     shapes = []
     for sign in [decimal] if decimal else [".", ","]:
-        for mark in [given] if given else ["\t", ";", ",", BLANKS, "|"]:
-            absent = given is None and mark != BLANKS and not any(mark in line for line in sample)
+        for mark in [delimiter] if delimiter else ["\t", ";", ",", BLANKS, "|"]:
+            absent = delimiter is None and mark != BLANKS and not any(mark in line for line in sample)
             alone = mark == "," and sign == "."  # one column without any delimiter
             if alone or not (absent or mark == sign):
                 shapes.append(_shape(sample, mark, sign))
@@ -288,7 +289,7 @@ def _shape(sample: list[str], delimiter: str, decimal: str) -> _Shape | None:
     votes: dict[int, float] = defaultdict(float)
     for number in numbered:  # a key beside its value counts half of a full row of numbers
         votes[len(rows[number])] += shares[number]
-    width = max(votes, key=lambda one: (votes[one], one))
+    width = max(votes, key=lambda count: (votes[count], count))
     usual = [number for number in numbered if len(rows[number]) == width]
     counts = [sum(verdicts[number][column] for number in usual) for column in range(width)]
     numeric = frozenset(column for column, count in enumerate(counts) if 2 * count >= len(usual))
@@ -393,9 +394,9 @@ def _units_apart(above: list[str], names: tuple[str, ...], shape: _Shape, commen
     for line in above:
         body = line.strip().lstrip(comments).strip()
         label = _LABEL.match(body)
-        own = _UNIT_OF_ONE.fullmatch(body)
-        if own is not None and is_known_unit(own["unit"].strip("[]()")):
-            stated[own["name"].lower()] = own["unit"]
+        match = _UNIT_OF_ONE.fullmatch(body)
+        if match is not None and is_known_unit(match["unit"].strip("[]()")):
+            stated[match["name"].lower()] = match["unit"]
         elif (label is not None and label["unit"]) or line.strip()[:1] in comments:
             cells = _fitting_cells(body[label.end() :] if label is not None else body, shape)
             if cells is not None and _units_in(cells):
@@ -406,12 +407,16 @@ def _units_apart(above: list[str], names: tuple[str, ...], shape: _Shape, commen
 
 def _other_header(lines: list[str], first: int, shape: _Shape, comments: str) -> tuple[list[str], list[str]]:
     """Look for a header in the comment lines, or the differently separated line, right above the data."""
-    labels = (one for text in lines[:first][::-1] for one in labelled(text, comments, units=False))
+    labels = (
+        cells_of_line
+        for text in lines[:first][::-1]
+        for cells_of_line in labelled(text, comments, units=False)
+    )
     for _, names in labels:  # JPK's and Qudi's
         cells = _fitting_cells(names.strip("'").replace(";;", ";"), shape)
         if cells is not None:
             return cells, []
-    found: list[list[str]] = []
+    headers: list[list[str]] = []
     for number in range(first - 1, max(-1, first - 4), -1):
         text = lines[number].strip()
         body = text.lstrip(comments).strip() if text and text[0] in comments else text
@@ -420,10 +425,10 @@ def _other_header(lines: list[str], first: int, shape: _Shape, comments: str) ->
         cells = _fitting_cells(body, shape) if body else None
         if cells is None:
             break
-        found.append(cells)
-    if len(found) > 1 and _units_in(found[0]) and not _units_in(found[1]):
-        return found[1], found[0]
-    return (found[0] if found else []), []
+        headers.append(cells)
+    if len(headers) > 1 and _units_in(headers[0]) and not _units_in(headers[1]):
+        return headers[1], headers[0]
+    return (headers[0] if headers else []), []
 
 
 def _fitting_cells(text: str, shape: _Shape) -> list[str] | None:
@@ -438,7 +443,9 @@ def _fitting_cells(text: str, shape: _Shape) -> list[str] | None:
         ways.append([cell.strip() for cell in re.findall(r"[^\s(\[]+\s*(?:[(\[][^)\]]{0,60}[)\]])?", text)])
         ways.append(text.split())
     fitting = (cells for cells in ways if len(cells) == shape.width and all(cells))
-    return next((cells for cells in fitting if not any(is_number(one, shape.decimal) for one in cells)), None)
+    return next(
+        (cells for cells in fitting if not any(is_number(cell, shape.decimal) for cell in cells)), None
+    )
 
 
 def _forced_layout(
@@ -497,9 +504,9 @@ def _late_decimal(place: str, lines: list[str], comments: str) -> str:
         return "."
     if any(re.search(r"\d,\d", _THOUSAND.sub("", line)) for line in commas):
         return ","
-    found = _THOUSAND.search(commas[0])
-    assert found is not None
+    match = _THOUSAND.search(commas[0])
+    assert match is not None
     raise InputError(
-        f"{place}: '{found[0]}' may be {found[0].replace(',', '')} or {found[0].replace(',', '.')} "
+        f"{place}: '{match[0]}' may be {match[0].replace(',', '')} or {match[0].replace(',', '.')} "
         "(`decimal` point or comma)"
     )

@@ -9,6 +9,7 @@ import datetime
 import itertools
 import re
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
@@ -17,7 +18,6 @@ from dbo_cli.logs.byte_source import ByteSource
 from dbo_cli.logs.plain_text import pattern, shortened
 from dbo_cli.logs.request import BLANKS
 from dbo_cli.logs.sample_block import FloatArray, is_overflow
-from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -62,10 +62,10 @@ def to_number(cell: str, decimal: str) -> float | None:
 
 def _ungrouped(cell: str, decimal: str) -> str:
     """Return a number without the marks between its thousands; empty where it has none."""
-    found = _GROUPED[decimal].fullmatch(cell)
-    if found is None or (decimal == "," and found[2] == "." and len(found[3]) == 3 and not found[4]):
+    match = _GROUPED[decimal].fullmatch(cell)
+    if match is None or (decimal == "," and match[2] == "." and len(match[3]) == 3 and not match[4]):
         return ""  # 1.234 among decimal commas is no whole number for sure
-    return re.sub(r"[^\d+-]", "", found[1] + found[3]) + (found[4] or "")
+    return re.sub(r"[^\d+-]", "", match[1] + match[3]) + (match[4] or "")
 
 
 def is_number(cell: str, decimal: str) -> bool:
@@ -182,16 +182,16 @@ def _exact(whole: int, fraction: str | None) -> float:
 
 
 def _clock_parts(text: str) -> tuple[int, str | None] | None:
-    found = _CLOCK.fullmatch(text)
-    if found is None:
+    match = _CLOCK.fullmatch(text)
+    if match is None:
         return None
-    hours = int(found["hours"])
-    if found["half"]:
+    hours = int(match["hours"])
+    if match["half"]:
         if not 1 <= hours <= 12:
             return None
-        hours = hours % 12 + (12 if found["half"] in "pP" else 0)
-    whole = int(found["days"] or 0) * DAY + hours * 3600
-    return whole + int(found["minutes"]) * 60 + int(found["seconds"]), found["fraction"] or found["millis"]
+        hours = hours % 12 + (12 if match["half"] in "pP" else 0)
+    whole = int(match["days"] or 0) * DAY + hours * 3600
+    return whole + int(match["minutes"]) * 60 + int(match["seconds"]), match["fraction"] or match["millis"]
 
 
 def clock_seconds(text: str) -> float | None:
@@ -202,18 +202,18 @@ def clock_seconds(text: str) -> float | None:
 
 def minute_seconds(text: str) -> float | None:
     """Read ``mm:ss.s``, a spreadsheet's habit, as seconds of the hour, or give None."""
-    found = _MINUTES.fullmatch(text)
-    if found is None:
+    match = _MINUTES.fullmatch(text)
+    if match is None:
         return None
-    return _exact(int(found["minutes"]) * 60 + int(found["seconds"]), found["fraction"])
+    return _exact(int(match["minutes"]) * 60 + int(match["seconds"]), match["fraction"])
 
 
 def stamp_seconds(text: str) -> float | None:
     """Read a date and a clock time in one cell (ISO 8601 and its relatives) as seconds since 1970."""
-    found = _STAMP.fullmatch(text)
-    if found is None:
+    match = _STAMP.fullmatch(text)
+    if match is None:
         return None
-    date, clock, zone = date_seconds(found["date"]), found["clock"], found["zone"]
+    date, clock, zone = date_seconds(match["date"]), match["clock"], match["zone"]
     if ":" not in clock:
         clock = f"{clock[:2]}:{clock[2:4]}:{clock[4:]}"
     parts = _clock_parts(clock)
@@ -256,11 +256,11 @@ _NUMBER = pattern(r"[+-]?(?P<whole>\d*)(?P<rest>[.,]\d*)?(?:[eEdD](?P<exponent>[
 
 def _digits(cell: str) -> tuple[int, int, int] | None:
     """Count a number's digits before and after the decimal sign (-1: no sign) and in the exponent."""
-    found = _NUMBER.fullmatch(cell)
-    if found is None:
+    match = _NUMBER.fullmatch(cell)
+    if match is None:
         return None
-    decimals = len(found["rest"]) - 1 if found["rest"] is not None else -1
-    return len(found["whole"]), decimals, len(found["exponent"] or "")
+    decimals = len(match["rest"]) - 1 if match["rest"] is not None else -1
+    return len(match["whole"]), decimals, len(match["exponent"] or "")
 
 
 def looks_cut(cell: str, above: Sequence[str], decimal: str) -> bool:
@@ -270,24 +270,28 @@ def looks_cut(cell: str, above: Sequence[str], decimal: str) -> bool:
     whole numbers do among numbers of varying length, and goes on from the one above. Fewer digits before the
     decimal sign alone mean nothing (99 follows 100), unless the value leaps as well.
     """
-    own = _digits(cell)
-    others = [one for one in map(_digits, above) if one is not None]
-    if own is None or not others:
+    counts = _digits(cell)
+    counts_above = [digits for digits in map(_digits, above) if digits is not None]
+    if counts is None or not counts_above:
         return False
-    whole, decimals, exponent = (min(counts) for counts in zip(*others, strict=True))
-    if own[2] < exponent:
+    whole, decimals, exponent = (min(column) for column in zip(*counts_above, strict=True))
+    if counts[2] < exponent:
         return True
-    if own[1] < decimals:
-        varying = len({one[1] for one in others}) > 1
+    if counts[1] < decimals:
+        varying = len({digits[1] for digits in counts_above}) > 1
         return not (varying and cell[-2:] in (".0", ",0") and not _leaps(cell, above, decimal))
-    shorter = len(cell) < min(map(len, above)) or own[0] < whole
+    shorter = len(cell) < min(map(len, above)) or counts[0] < whole
     return shorter and _leaps(cell, above, decimal)
 
 
 def _leaps(cell: str, above: Sequence[str], decimal: str) -> bool:
     """Return whether the last number is further from the one above than numbers above are from each other."""
     value = to_number(cell, decimal)
-    numbers = [number for number in (to_number(one, decimal) for one in above) if number is not None]
+    numbers = []
+    for cell_above in above:
+        number = to_number(cell_above, decimal)
+        if number is not None:
+            numbers.append(number)
     if value is None or len(numbers) < 2:
         return False
     steps = [abs(later - earlier) for earlier, later in itertools.pairwise(numbers)]

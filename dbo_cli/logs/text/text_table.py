@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -38,7 +38,6 @@ from dbo_cli.logs.sample_block import (
 )
 from dbo_cli.logs.text.dialect import Dialect, cause_of, detect, has_data
 from dbo_cli.logs.text.lines import LineBlocks, RepeatedHeader, complain, is_text, looks_cut, one_ahead
-from dbo_cli.records import dataclass
 
 PLAIN_BYTES = 1 << 20  # below this, importing polars costs more than it saves (benchmarks/text_speed.py)
 _NEIGHBOURS = 100  # rows above the last: enough to see how many digits a column has
@@ -71,18 +70,18 @@ class TextTable(Table):
         try:
             self._lines = LineBlocks(self.source, _LARGEST_BLOCK)
             head = self._lines.head(lambda text: live and has_data(text, options))
-            self.dialect = found = self._detected(head, options, live)
+            self.dialect = dialect = self._detected(head, options, live)
             self.doubtful = [
                 f"line {line + self._lines.empty_lines}: {shortened(text)!r} is neither a row nor a header"
-                for line, text in found.passed
+                for line, text in dialect.passed
             ]
         except BaseException:
             self.source.close()
             raise
-        units = found.units or ("",) * found.width
-        writings = found.writings or ("numbers",) * found.width
-        known = found.numeric | {number for number, how in enumerate(writings) if how != "numbers"}
-        names = found.headers or ["" if number in known else "(text)" for number in range(found.width)]
+        units = dialect.units or ("",) * dialect.width
+        writings = dialect.writings or ("numbers",) * dialect.width
+        known = dialect.numeric | {number for number, how in enumerate(writings) if how != "numbers"}
+        names = dialect.headers or ["" if number in known else "(text)" for number in range(dialect.width)]
         self.columns = [
             replace(column_info(name, number, unit), written=how)
             for number, (name, unit, how) in enumerate(zip(names, units, writings, strict=True), start=1)
@@ -130,12 +129,12 @@ class TextTable(Table):
         rows = options.block_rows if self.source.is_regular else min(options.block_rows, PIPE_ROWS)
         self._lines.block_bytes = min(_LARGEST_BLOCK, max(64, rows * self._bytes_per_row))
         parser = BlockParser(self.place, self.dialect, picks, options.rows, options.skip_bad, self.dropped)
-        found = parser.parse(self._data(parser), self._small)
+        blocks = parser.parse(self._data(parser), self._small)
         if self._ahead:
-            found = one_ahead(found)
+            blocks = one_ahead(blocks)
         if self.dialect.width == 1:
-            found = self._watched(found)
-        yield from found
+            blocks = self._watched(blocks)
+        yield from blocks
         if parser.repeated is not None and parser.repeated.count:
             self.notes.append(parser.repeated.note(TIME in picks))
         if self.dropped.count:
@@ -230,7 +229,8 @@ class BlockParser:
     next_row: int = 1
     next_line: int = 1
     repeated: RepeatedHeader | None = None
-    ahead: Iterator[bytes] = iter(())  # the lines that follow in a block that is taken line by line
+    # The lines that follow in a block that is taken line by line.
+    ahead: Iterator[bytes] = field(default_factory=lambda: iter(()))
 
     def __post_init__(self) -> None:
         """Prepare for headers among the data."""
@@ -401,12 +401,12 @@ def _without_empty_lines(block: bytes) -> tuple[bytes, NDArray[np.int64]]:
     text = np.frombuffer(block, dtype=np.uint8)
     ends = np.flatnonzero(text == 10)
     empty = np.diff(ends, prepend=-1) == 1
-    kept = np.ones(len(text), dtype=bool)
-    kept[ends[empty]] = False
+    stays = np.ones(len(text), dtype=bool)
+    stays[ends[empty]] = False
     filled = np.flatnonzero(~empty)
     if not block.endswith(b"\n"):
         filled = np.append(filled, len(ends))
-    return text[kept].tobytes(), filled.astype(np.int64)
+    return text[stays].tobytes(), filled.astype(np.int64)
 
 
 def _without_blanks(block: bytes, delimiter: str) -> bytes:
@@ -460,15 +460,15 @@ def _has_text_in(columns: Sequence[int], block: bytes, dialect: Dialect) -> bool
         return False
     text = np.frombuffer(block, dtype=np.uint8)
     letters = np.flatnonzero(text >= 64)  # no digit, sign or blank; nor an exponent's e (101) or a delimiter
-    found = text[letters]
-    letters = letters[((found | 32) != 101) & (found != ord(dialect.delimiter))]
+    characters = text[letters]
+    letters = letters[((characters | 32) != 101) & (characters != ord(dialect.delimiter))]
     if not len(letters):
         return False
     ends = np.flatnonzero((text == ord(dialect.delimiter)) | (text == 10))
-    asked, numeric = np.zeros((2, dialect.width), dtype=bool)
-    asked[columns], numeric[list(dialect.numeric)] = True, True
+    wanted, numeric = np.zeros((2, dialect.width), dtype=bool)
+    wanted[columns], numeric[list(dialect.numeric)] = True, True
     cells = np.searchsorted(ends, letters)
-    cells = cells[(np.diff(cells, prepend=-1) > 0) & asked[cells % dialect.width]]  # each cell once
+    cells = cells[(np.diff(cells, prepend=-1) > 0) & wanted[cells % dialect.width]]  # each cell once
     starts = np.where(cells > 0, ends[cells - 1] + 1, 0)
     digit = (text[starts] >= 48) & (text[starts] <= 57)
     doubtful = numeric[cells % dialect.width] | ~digit  # time stamps with a T are many, and no text

@@ -5,10 +5,10 @@
 #include <float.h>
 #include <stddef.h>
 
-#define ALL_ONES UINT32_MAX
-#define SINGLE 4 /* so many gears ahead cost less one by one than by runs; 3 and 8 cost more */
-#define LEAP 3U  /* runs shorter than this cost more as a run than gear by gear */
-#define FAR 32   /* where as many gears like the next one are to be travelled, whole blocks come first */
+/* So many gears are crossed one by one before they are looked up; where FAR times the next one is left to travel, they
+ * are looked up at once. */
+#define SINGLE 2U
+#define FAR 4
 
 #if defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD != 0 && !defined(DBO_Q31)
 #error "float must be computed as float: compile for hardware or software float32, not x87"
@@ -20,32 +20,15 @@
 #define THUMB_1 0
 #endif
 
-/* Kept apart from its caller: all in one, these loops find no room in the registers of a Cortex-M0+. */
+/* Parts of a look-up: in the place of their call, but for a Cortex-M0+, where all in one finds no room in the
+ * registers. */
 #if defined(__GNUC__) && THUMB_1
-#define APART static __attribute__((noinline))
+#define PART static __attribute__((noinline))
+#elif defined(__GNUC__) || defined(__clang__)
+#define PART static inline __attribute__((always_inline))
 #else
-#define APART static
+#define PART static
 #endif
-
-/* Place of the lowest one, by a de Bruijn sequence: every chip multiplies, few count zeros. */
-static uint32_t first_one(uint32_t word) {
-    static const uint8_t place[32] = {0,  1,  28, 2,  29, 14, 24, 3,  30, 22, 20, 15, 25, 17, 4,  8,
-                                      31, 27, 13, 23, 21, 19, 16, 7,  26, 12, 18, 6,  11, 5,  10, 9};
-    return place[((word & (~word + 1U)) * UINT32_C(0x077CB531)) >> 27];
-}
-
-/* Place of the highest one. */
-static uint32_t last_one(uint32_t word) {
-    for (uint32_t reach = 1U; reach < 32U; reach *= 2U) word |= word >> reach;
-    return first_one(word ^ word >> 1);
-}
-
-static uint32_t count_ones(uint32_t word) {
-    word -= word >> 1 & UINT32_C(0x55555555);
-    word = (word & UINT32_C(0x33333333)) + (word >> 2 & UINT32_C(0x33333333));
-    word = (word + (word >> 4)) & UINT32_C(0x0F0F0F0F);
-    return (word * UINT32_C(0x01010101)) >> 24;
-}
 
 /* ---- what differs between the arithmetics ------------------------------------------------------------ */
 
@@ -173,93 +156,11 @@ static void remember(const dbo_backlash *op, dbo_memory *memory, int64_t drive) 
     }
 }
 
-/* ---- the state's bits -------------------------------------------------------------------------------- */
+/* ---- the table and the state ------------------------------------------------------------------------- */
 
-static const dbo_gear *gear_at(const dbo_backlash *op, uint32_t i) {
-    return op->gears + ((i * op->row_factor) >> op->row_shift);
-}
+static uint32_t row_of(const dbo_backlash *op, uint32_t gear) { return (gear * op->row_factor) >> op->row_shift; }
 
-/* The lowest bit that is one, or zero where `inverted` is all ones, from word k on; n where there is none. */
-static uint32_t lowest(const uint32_t *words, uint32_t n, uint32_t k, uint32_t inverted) {
-    for (; 32U * k < n; k++)
-        if ((words[k] ^ inverted) != 0U) {
-            const uint32_t found = 32U * k + first_one(words[k] ^ inverted);
-            return found < n ? found : n;
-        }
-    return n;
-}
-
-/* Bits of word k whose gears can still be crossed. */
-static uint32_t open_bits(uint32_t word, uint32_t k, uint32_t n, int rising) {
-    const uint32_t open = rising ? ~word : word;
-    return n - 32U * k < 32U ? open & ~(ALL_ONES << (n - 32U * k)) : open;
-}
-
-/* Where the sums over the gears crossed of a block of 64 stand, behind the bits: x and y, two words each. They
- * count where some of its gears are crossed and some are open: else they would be 0, or what it adds up to. */
-static uint32_t *sums_of(const dbo_backlash *op, const dbo_backlash_state *state, uint32_t block) {
-    return state->words + (op->n + 31U) / 32U + 4U * block;
-}
-
-static dbo_position sum(const uint32_t *at) { return (dbo_position)((uint64_t)at[1] << 32 | at[0]); }
-
-static void set_sum(uint32_t *at, dbo_position value) {
-    at[0] = (uint32_t)((uint64_t)value & ALL_ONES);
-    at[1] = (uint32_t)((uint64_t)value >> 32);
-}
-
-void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state) {
-    state->x = 0;
-    state->y = 0;
-    for (uint32_t k = 0U; k < 4U * (op->n / 64U); k++) sums_of(op, state, 0U)[k] = 0U;
-    for (uint32_t i = 0U; i < op->n; i++) {
-        const dbo_gear *gear = gear_at(op, i);
-        uint32_t *sums = sums_of(op, state, i >> 6);
-        if ((state->words[i >> 5] >> (i & 31U) & 1U) == 0U) continue;
-        state->x += gear->width;
-        state->y += gear->height;
-        if (i >> 6 >= op->n / 64U) continue;
-        set_sum(sums, sum(sums) + gear->width);
-        set_sum(sums + 2, sum(sums + 2) + gear->height);
-    }
-    state->set = lowest(state->words, op->n, 0U, 0U);
-    state->zero = lowest(state->words, op->n, 0U, ALL_ONES);
-}
-
-/* ---- the procedure, steps 1 to 4 --------------------------------------------------------------------- */
-
-/* A way to go. What is left to travel, and of room on the output, falls with every gear crossed: below zero
- * only behind one that is crossed by the tolerance, and no gear is crossed after that. */
-typedef struct {
-    dbo_position left;
-    dbo_position room;
-    uint32_t nearly; /* the gear that is crossed by the tolerance; n: none */
-    int going;       /* 0: the next gear is not crossed */
-} dbo_way;
-
-/* Whether a gear is crossed, where `left` and `room` are what would remain behind it. */
-static int crosses(const dbo_backlash *op, const dbo_gear *gear, dbo_position left, dbo_position room) {
-    if (left >= 0 && room >= 0) return 1;
-    return left + (gear->width >> op->tolerance) >= 0 && room + (gear->height >> op->tolerance) >= 0;
-}
-
-/* Cross `open` gears of word k one by one, at most `most`; returns those that remain. */
-APART uint32_t walk(const dbo_backlash *op, dbo_way *way, uint32_t k, uint32_t open, uint32_t most) {
-    for (; open != 0U && most > 0U; most--) {
-        const uint32_t i = 32U * k + first_one(open);
-        const dbo_gear *gear = gear_at(op, i);
-        const dbo_position left = way->left - gear->width, room = way->room - gear->height;
-        if (left < 0 || room < 0) {
-            way->going = crosses(op, gear, left, room);
-            if (!way->going) break;
-            way->nearly = i;
-        }
-        way->left = left;
-        way->room = room;
-        open &= open - 1U;
-    }
-    return open;
-}
+static const dbo_gear *gear_at(const dbo_backlash *op, uint32_t gear) { return op->gears + row_of(op, gear); }
 
 /* count x width; in halves of 16 bits on a Cortex-M0+, which has no product of 64 bits. */
 static dbo_position times(uint32_t count, int32_t width) {
@@ -271,190 +172,166 @@ static dbo_position times(uint32_t count, int32_t width) {
 #endif
 }
 
-/* How many of up to 64 gears like one go into both ways: by halves. */
-static uint32_t fitting(const dbo_gear *gear, dbo_position across, dbo_position up) {
-    uint64_t wide = (uint64_t)(uint32_t)gear->width << 5, high = (uint64_t)(uint32_t)gear->height << 5;
+/* Where a gear begins with all gears below it crossed and no others; gear n where the last one ends. */
+PART void find_begin(const dbo_backlash *op, uint32_t gear, dbo_begin *begin) {
+    const uint32_t row = row_of(op, gear), before = gear - row * op->run;
+    begin->x = op->begins[row].x;
+    begin->y = op->begins[row].y;
+    if (before > 0U) {
+        begin->x += times(before, op->gears[row].width);
+        begin->y += times(before, op->gears[row].height);
+    }
+}
+
+/* The ones of gears from ... end - 1 are in the sums. */
+static void add_ones(const dbo_backlash *op, dbo_backlash_state *state, uint32_t from, uint32_t end) {
+    dbo_begin low, high;
+    find_begin(op, from, &low);
+    find_begin(op, end, &high);
+    state->x += high.x - low.x;
+    state->y += high.y - low.y;
+}
+
+static int bit_of(const uint32_t *words, uint32_t gear) { return (int)(words[gear >> 5] >> (gear & 31U) & 1U); }
+
+void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state, const uint32_t *words) {
+    uint32_t end = op->n;
+    int ones = words != NULL && bit_of(words, end - 1U);
+    state->depth = 0U;
+    state->x = 0;
+    state->y = 0;
+    for (uint32_t i = words != NULL ? end - 1U : 0U; i > 0U; i--) { /* from the highest place where a run may begin */
+        if (bit_of(words, i - 1U) == ones) continue;
+        if (ones) add_ones(op, state, i, end);
+        state->turns[state->depth++] = (dbo_place)end;
+        end = i;
+        ones = !ones;
+    }
+    if (ones) add_ones(op, state, 0U, end);
+    state->set = (dbo_place)(ones ? 0U : end);
+    state->zero = (dbo_place)(ones ? end : 0U);
+}
+
+/* ---- the procedure, steps 1 to 4 --------------------------------------------------------------------- */
+
+/* Whether a gear is crossed, where `left` and `room` are what would remain behind it. */
+static int crosses(const dbo_backlash *op, const dbo_gear *gear, dbo_position left, dbo_position room) {
+    if (left >= 0 && room >= 0) return 1;
+    return left + (gear->width >> op->tolerance) >= 0 && room + (gear->height >> op->tolerance) >= 0;
+}
+
+/* How many gears of one width go into a way, below 2 x half, a power of two: by halves. */
+static uint32_t fitting(dbo_position way, int32_t width, uint32_t half) {
+    dbo_position wide = times(half, width);
     uint32_t count = 0U;
-    for (uint32_t half = 32U; half > 0U; half /= 2U, wide /= 2U, high /= 2U)
-        if (across >= (dbo_position)wide && up >= (dbo_position)high) {
-            across -= (dbo_position)wide;
-            up -= (dbo_position)high;
+    for (;; wide /= 2) {
+        if (way >= wide) {
+            way -= wide;
             count += half;
         }
-    return count;
-}
-
-/* Bits of a word from a place on. */
-static uint32_t from_place(uint32_t word, uint32_t place) { return place < 32U ? word & ALL_ONES << place : 0U; }
-
-static uint32_t from_high(uint32_t word, uint32_t place) {
-    return place > 32U ? from_place(word, place - 32U) : word;
-}
-
-/* Cross gears of a block of 64 that are open in its two words, equal ones side by side at once. */
-APART void walk_rows(const dbo_backlash *op, dbo_way *way, uint32_t block, uint32_t *low, uint32_t *high) {
-    const uint64_t open = (uint64_t)*high << 32 | *low, beyond = open + (open & (~open + 1U));
-    const int gapless = (beyond & (beyond - 1U)) == 0U; /* one bit, or beyond all 64 */
-    dbo_position left = way->left, room = way->room;
-    uint32_t place = *low != 0U ? first_one(*low) : 32U + first_one(*high), crossed = 0U;
-    uint32_t more = gapless && beyond == 0U ? 64U - place : count_ones(*low) + count_ones(*high);
-    uint32_t row = ((64U * block + place) * op->row_factor) >> op->row_shift;
-    uint32_t row_end = (row + 1U) * op->run - 64U * block;
-    for (const dbo_gear *gear = op->gears + row; more > 0U; gear++, row_end += op->run) {
-        const uint32_t stop = row_end < 64U ? row_end : 64U, side = stop - place;
-        const uint32_t count = gapless ? (side < more ? side : more)
-                                       : count_ones(from_place(*low, place) & ~from_place(ALL_ONES, stop)) +
-                                             count_ones(from_high(*high, place) & ~from_high(ALL_ONES, stop));
-        const dbo_position across = left, up = room;
-        left -= times(count, gear->width);
-        room -= times(count, gear->height);
-        crossed = count;
-        if (!crosses(op, gear, left, room)) {
-            crossed = fitting(gear, across + (gear->width >> op->tolerance), up + (gear->height >> op->tolerance));
-            left = across - times(crossed, gear->width);
-            room = up - times(crossed, gear->height);
-        }
-        if (left < 0 && crossed > 0U) way->nearly = 64U * block + place;
-        if (crossed < count) break;
-        more -= count;
-        place = stop;
-    }
-    way->left = left;
-    way->room = room;
-    if (more == 0U)
-        place = 64U;
-    else if (gapless)
-        place += crossed;
-    *low = from_place(*low, place);
-    *high = from_high(*high, place);
-    if (more == 0U || gapless) return;
-    for (; crossed > 0U; crossed--) {
-        if (*low != 0U)
-            *low &= *low - 1U;
-        else
-            *high &= *high - 1U;
+        half /= 2U;
+        if (half == 0U) return count;
     }
 }
 
-/* Cross blocks of 64 gears, words `word` to `end`, while all of a block are `open` and its far end is within
- * the way: found by halves. They begin at `at`. Returns the word where that ends. */
-APART uint32_t *pass_open_blocks(uint32_t *word, const uint32_t *end, const dbo_block *at, dbo_way *way,
-                                 uint32_t open) {
-    const dbo_position x = way->left + at->x, y = way->room + at->y;
-    uint32_t within = 0U, beyond = (uint32_t)(end - word) / 2U + 1U;
-    while (within + 1U < beyond) {
-        const uint32_t middle = (within + beyond) / 2U;
-        if (at[middle].x <= x && at[middle].y <= y)
-            within = middle;
+/* The row from `row` to before `beyond` in which a way ends that is as long as that row begins, or longer: by halves. */
+static uint32_t row_by_halves(const dbo_backlash *op, const dbo_begin *way, uint32_t row, uint32_t beyond) {
+    while (beyond - row > 1U) {
+        const uint32_t middle = (row + beyond) / 2U;
+        if (op->begins[middle].x <= way->x && op->begins[middle].y <= way->y)
+            row = middle;
         else
             beyond = middle;
     }
-    for (end = word + 2U * within; word != end && word[0] == open && word[1] == open; word += 2)
-        word[0] = word[1] = ~open;
-    at += within - (uint32_t)(end - word) / 2U;
-    way->left = x - at->x;
-    way->room = y - at->y;
-    return word;
+    return row;
 }
 
-/* Cross whole blocks: all gears of one that are open, where the last one of them is crossed. Returns the first
- * block that is not crossed. */
-APART uint32_t pass_blocks(const dbo_backlash *op, const dbo_backlash_state *state, dbo_way *way, uint32_t block,
-                           int rising) {
-    const uint32_t closed = rising ? ALL_ONES : 0U, end = op->n / 64U;
-    for (; block < end; block++) {
-        uint32_t *word = state->words + 2U * block;
-        uint32_t low, high;
-        dbo_position left, room;
-        if (word[0] == closed && word[1] == closed) continue;
-        word = pass_open_blocks(word, state->words + 2U * end, op->blocks + block, way, ~closed);
-        block = (uint32_t)(word - state->words) / 2U;
-        if (block == end) break;
-        low = word[0] ^ closed;
-        high = word[1] ^ closed;
-        if ((low | high) != 0U) {
-            const dbo_block *at = op->blocks + block;
-            const uint32_t *sums = sums_of(op, state, block);
-            const int all = (low & high) == ALL_ONES;
-            const dbo_position x = all ? 0 : sum(sums), y = all ? 0 : sum(sums + 2);
-            left = way->left - (all || rising ? at[1].x - at->x - x : x);
-            room = way->room - (all || rising ? at[1].y - at->y - y : y);
-            if (left < 0 || room < 0) {
-                const uint32_t top = 64U * block + (high != 0U ? 32U + last_one(high) : last_one(low));
-                if (!crosses(op, gear_at(op, top), left, room)) break;
-                way->nearly = top;
-            }
-            way->left = left;
-            way->room = room;
-            word[0] = word[1] = closed;
-        }
+/* In which row a way ends that goes as far as gear `from` and not to gear `end`, which begins at `at`. */
+static uint32_t last_row(const dbo_backlash *op, uint32_t from, uint32_t end, const dbo_begin *way, const dbo_begin *at) {
+    const uint32_t first = row_of(op, from);
+    uint32_t row, beyond;
+    if (way->x >= at->x) return row_by_halves(op, way, first, row_of(op, end - 1U) + 1U); /* for want of room */
+    row = op->guide[(uint32_t)(way->x >> op->part_shift)];
+    beyond = op->guide[(uint32_t)(way->x >> op->part_shift) + 1U] + 1U;
+    while (beyond - row > 1U) {
+        const uint32_t middle = (row + beyond) / 2U;
+        if (op->begins[middle].x <= way->x)
+            row = middle;
+        else
+            beyond = middle;
     }
-    return block;
+    return op->begins[row].y <= way->y ? row : row_by_halves(op, way, first, row);
 }
 
-/* Gears of a block are crossed, up or down, x and y in all: the sums of the block, before its bits change. */
-static void note_crossed(const dbo_backlash *op, const dbo_backlash_state *state, uint32_t block, dbo_position x,
-                         dbo_position y, int rising) {
-    const uint32_t *word = state->words + 2U * block;
-    uint32_t *sums = sums_of(op, state, block);
-    const dbo_block *at = op->blocks + block;
-    if (block >= op->n / 64U) return;
-    if (rising) {
-        const int none = (word[0] | word[1]) == 0U;
-        set_sum(sums, (none ? 0 : sum(sums)) + x);
-        set_sum(sums + 2, (none ? 0 : sum(sums + 2)) + y);
-    } else {
-        const int all = (word[0] & word[1]) == ALL_ONES;
-        set_sum(sums, (all ? at[1].x - at->x : sum(sums)) - x);
-        set_sum(sums + 2, (all ? at[1].y - at->y : sum(sums + 2)) - y);
+/* The first of gears from ... end - 1 that is not crossed, or `end`, and where it begins (`at`; before: where `end`
+ * does). Gear `from` is crossed; `way` begins where gear 0 would. */
+PART uint32_t first_open(const dbo_backlash *op, uint32_t from, uint32_t end, const dbo_begin *way, dbo_begin *at) {
+    const uint32_t row = last_row(op, from, end, way, at);
+    const dbo_gear *gear = op->gears + row;
+    const dbo_position up = way->y - op->begins[row].y + (gear->height >> op->tolerance);
+    uint32_t count = fitting(way->x - op->begins[row].x + (gear->width >> op->tolerance), gear->width, op->half_run);
+    if (times(count, gear->height) > up) count = fitting(up, gear->height, op->half_run);
+    count += row * op->run;
+    if (count < end) {
+        find_begin(op, count, at);
+        return count;
     }
+    return end;
 }
 
-/* Cross gears one way, (6)-(9), while the input `u` is far enough and the output has room up to `bound`;
- * returns the one that the tolerance let pass, n where there was none. */
+/* Cross gears one way, (6)-(9), as long as the next one is crossed: the input `u` is far enough, and the output has
+ * room up to `bound`. Returns the last one crossed, n where there is none. The next one is the first of the lowest run
+ * that is open on this way: of the lowest of all, or of that above it; where it ends they melt into one. What is left
+ * to travel falls with every gear crossed: below zero only behind one that is crossed by the tolerance, and no gear is
+ * crossed after that. */
 static uint32_t pass_gears(const dbo_backlash *op, dbo_backlash_state *state, dbo_position u,
                            dbo_position bound, int rising) {
-    const uint32_t words = (op->n + 31U) / 32U;
-    uint32_t next = rising ? state->zero : state->set, block = next / 64U;
-    dbo_way way = {rising ? u - state->x : state->x - u, rising ? bound - state->y : state->y - bound, op->n,
-                   1};
+    dbo_position left = rising ? u - state->x : state->x - u, room = rising ? bound - state->y : state->y - bound;
+    uint32_t next = rising ? state->zero : state->set, depth = state->depth, end, last, single = SINGLE;
+    int turned = next == 0U;
     const dbo_gear *gear;
-    int far;
     if (next == op->n) return op->n;
     gear = gear_at(op, next);
-    if (!crosses(op, gear, way.left - gear->width, way.room - gear->height)) return op->n;
-    far = way.left >= FAR * (dbo_position)gear->width;
-    for (next = op->n; 64U * block < op->n; block++, far = 1) {
-        uint32_t *word, low, high, open_low, open_high;
-        dbo_position left, room;
-        if (far) block = pass_blocks(op, state, &way, block, rising);
-        if (64U * block >= op->n) break;
-        left = way.left;
-        room = way.room;
-        word = state->words + 2U * block;
-        low = open_low = open_bits(word[0], 2U * block, op->n, rising);
-        high = open_high = 2U * block + 1U < words ? open_bits(word[1], 2U * block + 1U, op->n, rising) : 0U;
-        if (op->run < LEAP || left < SINGLE * (dbo_position)gear->width) {
-            const uint32_t most = op->run < LEAP ? 32U : (uint32_t)SINGLE;
-            if (low != 0U) low = walk(op, &way, 2U * block, low, most);
-            if (low == 0U && way.going) high = walk(op, &way, 2U * block + 1U, high, most);
+    if (!crosses(op, gear, left - gear->width, room - gear->height)) return op->n;
+    end = turned ? (rising ? state->set : state->zero) : state->turns[depth - 1U];
+    if (left >= FAR * (dbo_position)gear->width) single = 0U;
+    do {
+        if (single > 0U || next + 1U == end) {
+            if (single > 0U) single--;
+            left -= gear->width;
+            room -= gear->height;
+            next++;
+        } else {
+            dbo_begin way = {0, 0}, at;
+            if (next > 0U) find_begin(op, next, &way);
+            way.x += left;
+            way.y += room;
+            find_begin(op, end, &at);
+            next = at.x <= way.x && at.y <= way.y ? end : first_open(op, next, end, &way, &at);
+            left = way.x - at.x;
+            room = way.y - at.y;
+            if (next < end) {
+                last = next - 1U;
+                break;
+            }
         }
-        if (way.going && (low | high) != 0U) walk_rows(op, &way, block, &low, &high);
-        if (low != open_low || high != open_high) {
-            note_crossed(op, state, block, left - way.left, room - way.room, rising);
-            word[0] ^= low ^ open_low;
-            if (high != open_high) word[1] ^= high ^ open_high;
+        last = next - 1U;
+        if (next == end) {
+            if (!turned) depth--;
+            turned = 0;
+            next = depth > 0U ? state->turns[--depth] : op->n;
+            end = depth > 0U ? state->turns[depth - 1U] : op->n;
+            if (next == op->n) break;
         }
-        if ((low | high) != 0U) {
-            next = 64U * block + (low != 0U ? first_one(low) : 32U + first_one(high));
-            break;
-        }
-    }
-    state->x = rising ? u - way.left : u + way.left;
-    state->y = rising ? bound - way.room : bound + way.room;
-    state->set = rising ? 0U : next;
-    state->zero = rising ? next : 0U;
-    return way.nearly;
+        gear = gear_at(op, next);
+    } while (crosses(op, gear, left - gear->width, room - gear->height));
+    if (turned) state->turns[depth++] = (dbo_place)end;
+    state->x = rising ? u - left : u + left;
+    state->y = rising ? bound - room : bound + room;
+    state->depth = (dbo_place)depth;
+    state->set = (dbo_place)(rising ? 0U : next);
+    state->zero = (dbo_place)(rising ? next : 0U);
+    return last;
 }
 
 /* Drive the operator with exchanged axes one way, to the output `y`. */
@@ -518,28 +395,45 @@ dbo_position dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *state
     return on_input ? y + remembered : y;
 }
 
-void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, uint32_t covered,
-                         const uint32_t *spare, dbo_signal drive) {
-    const dbo_position place = position_of(drive, op->memory_on_output ? op->y_shift : op->x_shift);
-    dbo_position low = 0, high = 0, slack, target;
-    for (uint32_t k = 0U; 32U * k < op->n; k++) state->words[k] = spare == NULL ? 0U : spare[k];
-    dbo_backlash_load(op, state);
-    target = place - (op->memory_on_output ? state->y : state->x);
-    for (uint32_t i = 0U; i < covered; i++)
-        high += op->memory_on_output ? gear_at(op, i)->height : gear_at(op, i)->width;
+/* The gears stop flipping from the highest to the lowest, so the runs come as they stand on the stack. With those up
+ * to i spanning low ... high, gear i stays 1 where the drive is as far from low as from high or farther. */
+static void decay(const dbo_backlash *op, dbo_backlash_state *state, uint32_t covered, dbo_position target) {
+    dbo_begin span;
+    dbo_position low = 0, high, slack;
+    uint32_t end = state->set;
+    int ones = 0;
+    find_begin(op, covered, &span);
+    high = op->memory_on_output ? span.y : span.x;
     slack = high / 1048576; /* a tie, as with even gears halfway, stays 1 */
     for (uint32_t i = covered; i > 0U && target > 0; i--) {
         const dbo_gear *gear = gear_at(op, i - 1U);
-        const dbo_position width = op->memory_on_output ? gear->height : gear->width;
-        if (target - low >= (high - target) - slack) {
-            state->words[(i - 1U) >> 5] |= (uint32_t)1 << ((i - 1U) & 31U);
-            low += width;
+        const int stays = target - low >= (high - target) - slack;
+        if (stays) {
+            low += op->memory_on_output ? gear->height : gear->width;
+            state->x += gear->width;
+            state->y += gear->height;
         } else {
-            high -= width;
+            high -= op->memory_on_output ? gear->height : gear->width;
+        }
+        if (stays == ones) continue;
+        ones = stays;
+        if (i < end) {
+            state->turns[state->depth++] = (dbo_place)end;
+            end = i;
+        } else if (state->depth > 0U) { /* a spare gear above is 1 */
+            end = state->turns[--state->depth];
         }
     }
+    state->set = (dbo_place)(ones ? 0U : end);
+    state->zero = (dbo_place)(ones ? end : 0U);
+}
+
+void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, uint32_t covered,
+                         const uint32_t *spare, dbo_signal drive) {
+    const dbo_position place = position_of(drive, op->memory_on_output ? op->y_shift : op->x_shift);
+    dbo_backlash_load(op, state, spare);
+    decay(op, state, covered, place - (op->memory_on_output ? state->y : state->x));
     for (uint32_t j = 0U; j < op->term_count; j++) state->memory[j] = drive_of(op, place) * ((int64_t)1 << 24);
-    dbo_backlash_load(op, state);
     if (op->memory_on_output)
         follow_output(op, state, place, place >= state->y);
     else

@@ -41,18 +41,24 @@ typedef struct {
     uint32_t rest_shift;
 } dbo_term;
 
-/* Where a block of 64 gears begins with all gears below it crossed: (X_B, Y_B). */
+/* The index of a gear; n is below 2^16. */
+typedef DBO_PLACE dbo_place;
+
+/* Where a row begins with all gears below it crossed and no others: (X_B - X_0, Y_B - Y_0). */
 typedef struct {
     dbo_position x;
     dbo_position y;
-} dbo_block;
+} dbo_begin;
 
 /* A backlash operator. Gear i stands in row (i * row_factor) >> row_shift: one row for a run of equal gears. */
 typedef struct {
     const dbo_gear *gears;
-    const dbo_block *blocks; /* n / 64 of them, and where the last one ends */
+    const dbo_begin *begins; /* one a row, and where the last gear ends */
+    const dbo_place *guide;  /* in which row each part of the input's range begins; a part is 2^part_shift positions */
+    uint32_t part_shift;
     uint32_t n;
     uint32_t run; /* equal gears that share a row */
+    uint32_t half_run; /* the greatest power of two that is no greater */
     uint32_t row_factor;
     uint32_t row_shift;
     uint32_t tolerance; /* a gear counts as crossed when all but 2^-tolerance of it is travelled */
@@ -69,15 +75,15 @@ typedef struct {
     dbo_position most;
 } dbo_backlash;
 
-/* (n + 31) / 32 words of bits, and for each 64 gears two sums of 64 bits: the widths and heights of those
- * crossed. So 64 gears take 24 bytes, and a jump crosses them at once. */
-#define DBO_WORDS(n) (((n) + 31U) / 32U + 4U * ((n) / 64U))
-
+/* The state. Its bits are runs of ones and zeros, whose ends are a stack: going on changes the lowest end, turning adds
+ * one, and a run that is crossed melts into the next. The lowest run ends at S or Z, the greater of the two, and those
+ * above it at turns[depth - 1], turns[depth - 2] and so on, the highest at n. */
 typedef struct {
-    uint32_t *words; /* DBO_WORDS(n) of them: bit i % 32 of word i / 32 is b_i; the rest the kernel keeps */
+    dbo_place *turns; /* n places */
     dbo_memory *memory;
-    uint32_t set;  /* S (4) */
-    uint32_t zero; /* Z (5) */
+    dbo_place depth;
+    dbo_place set;  /* S (4) */
+    dbo_place zero; /* Z (5) */
     dbo_position x; /* X_B - X_0 (2) */
     dbo_position y; /* Y_B - Y_0 (3) */
     dbo_position last;
@@ -97,8 +103,8 @@ typedef struct {
     dbo_number slope;
 } dbo_segment;
 
-/* X_B, Y_B, S and Z from the words. */
-void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state);
+/* The state B (1) from its (n + 31) / 32 words of bits, bit i % 32 of word i / 32 being b_i; NULL: B = 0. */
+void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state, const uint32_t *words);
 
 /* The state of an actuator that was switched on and trimmed to `drive` and rests there;
  * `covered` gears take part, others stay as `spare` has them (NULL: open). */

@@ -6,17 +6,13 @@
 /*+ tables */
 
 void NAME_init(NAME_state *state) {
-    for (uint32_t k = 0U; k < WORDSU; k++) state->words[k] = 0U;
     for (uint32_t k = 0U; k < 3U; k++) state->segments[k] = 0U;
 /*? terms */
     for (uint32_t k = 0U; k < TERMSU; k++) state->memory[k] = 0;
 /*: terms */
-/*? spare */
-    for (uint32_t k = 0U; k < SPARE_WORDSU; k++) state->words[k] = spare[k];
-/*: spare */
-    state->gears.words = state->words;
+    state->gears.turns = state->turns;
     state->gears.memory = MEMORY;
-    dbo_backlash_load(&op, &state->gears);
+    dbo_backlash_load(&op, &state->gears, SPARE);
     state->gears.last = state->gears.y;
 /*? delay */
     state->delay_at = 0U;
@@ -51,7 +47,7 @@ NUMBER NAME_step(NAME_state *state, NUMBER input) {
 /*: counts */
     dbo_signal u;
     dbo_position y;
-    state->gears.words = state->words;
+    state->gears.turns = state->turns;
     state->gears.memory = MEMORY;
     u = dbo_segments_step(before, BEFORE_ROWSU, BEFORE_SHIFTU, &state->segments[0], x);
     y = dbo_backlash_step(&op, &state->gears, u, LIMITS);

@@ -1,0 +1,60 @@
+"""docs/architecture.md: the two walks are what the program does, in that order."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+from types import FrameType
+
+import pytest
+
+import dbo_cli
+from dbo_cli.cli.app import main
+
+pytestmark = pytest.mark.whole
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = Path(dbo_cli.__file__).parent
+Step = tuple[str, str]
+
+
+def walk(command: str) -> list[Step]:
+    """Return file and function of each line of a command's walk."""
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    screen = re.search(rf"### `{command}` on one screen\n.*?```text\n(.*?)```", page, re.DOTALL)
+    assert screen is not None
+    lines = [line.split() for line in screen[1].splitlines()]
+    return [(words[0], words[1]) for words in lines]
+
+
+def calls_of(words: list[str]) -> list[Step]:
+    """Run a command line and return its functions, each where it is first called."""
+    calls: dict[Step, None] = {}
+
+    def note(frame: FrameType, event: str, _: object) -> None:
+        code = frame.f_code
+        if event == "call" and code.co_filename.startswith(str(PACKAGE)):
+            file = Path(code.co_filename).relative_to(PACKAGE).as_posix()
+            calls.setdefault((file, code.co_qualname))
+
+    sys.setprofile(note)
+    try:
+        assert main(words) == 0
+    finally:
+        sys.setprofile(None)
+    return list(calls)
+
+
+def in_order(steps: list[Step], calls: list[Step]) -> None:
+    places = [calls.index(step) for step in steps]
+    assert places == sorted(places)
+    assert len({file for file, _ in steps}) <= 16
+
+
+def test_the_walks_are_what_the_commands_do(tmp_path: Path) -> None:
+    model = str(tmp_path / "model.json")
+    log = str(ROOT / "sample_data" / "identification.csv")
+    trajectory = str(ROOT / "sample_data" / "trajectory.csv")
+    in_order(walk("identify"), calls_of(["identify", log, "--rows", "1:2400", "-o", model]))
+    drive = str(tmp_path / "drive.csv")
+    in_order(walk("compensate"), calls_of(["compensate", model, trajectory, "-o", drive]))
