@@ -100,7 +100,7 @@ def test_what_was_found_is_said(dbo: Any, small_log: Path) -> None:
     assert (done.code, done.out) == (0, "")
     assert all(line.startswith("dbo: ") for line in done.err.splitlines())
     found = [line.removeprefix("dbo: ") for line in done.err.splitlines() if "warning: " not in line]
-    begins = ["log.csv: rows 1 to 58 left out", "expected on new moves inside the range: "]
+    begins = ["expected on new moves inside the range: "]
     begins += ["of that ", "loop ", "lag ", "dbo show model.json says more; "]
     assert [line[: len(one)] for line, one in zip(found, begins, strict=True)] == begins
     assert max(map(len, found)) < 160
