@@ -277,6 +277,7 @@ class JoinedTable(Table):
         target = self._target
         own = next((columns for address, columns in wanted.items() if self.files[address] is target), {})
         rows = self._read(target, own)
+        _require_forward(target.place, rows)
         keep = np.ones(len(rows.block), dtype=bool)
         values = dict(rows.block.values)
         for address, columns in wanted.items():
@@ -290,8 +291,7 @@ class JoinedTable(Table):
             inside = self._covered(rows, file, given)
             keep &= inside
             for role in columns:
-                signal, _ = interpolated(given.time, given.block.values[role], rows.time)
-                values[role] = signal
+                values[role] = _between_gaps(given, role, rows.time)
             names = ", ".join(f"'{column.name}'" for column in columns.values())
             self.notes.append(
                 f"{file.place}: {names} joined by time: interpolated onto the rows of {target.place}"
@@ -329,13 +329,7 @@ class JoinedTable(Table):
             Its time goes backwards, or the offset that is asked for cannot be found.
         """
         asked = self._options.clock_offset
-        back = np.flatnonzero(np.diff(given.time) < 0.0)
-        if len(back):
-            raise InputError(
-                f"{given.block.place(file.place, int(back[0]) + 1)}: time goes backwards, so its "
-                f"rows cannot be "
-                "joined by time (`rows` A:B cuts all files)"
-            )
+        _require_forward(file.place, given)
         if asked is None and (_same_rows(rows, given) or len(given.time) < 2):
             return given
         given = _each_stamp_once(given)
@@ -402,13 +396,9 @@ class JoinedTable(Table):
                 f"{self._target.place} and {file.place} have no time in common: {_span(rows.time)} and "
                 f"{_span(given.time)} (`clock_offset` {apart:.12g} lets both begin together, auto finds it)"
             )
-        steps = np.diff(given.time)
-        missing = np.diff(np.asarray(given.block.rows)) > 1  # rows that were left out as they were read
-        if len(steps):
-            missing |= steps > GAP_STEPS * median_step(steps)
         place = np.searchsorted(given.time, rows.time, side="right") - 1
         exact = given.time[np.clip(place, 0, None)] == rows.time
-        gaps = np.isin(place, np.flatnonzero(missing)) & ~exact
+        gaps = np.isin(place, np.flatnonzero(_gaps(given))) & ~exact
         for left, why in ((before, "before it begins"), (behind, "after it ends"), (gaps, "in its gaps")):
             if left.any():
                 self.notes.append(
@@ -456,6 +446,41 @@ def _same_rows(rows: _Timed, given: _Timed) -> bool:
         return bool(np.array_equal(rows.time, given.time))
     step = median_step(np.abs(np.diff(rows.time)))
     return bool((np.abs(rows.time - given.time) <= JITTER * step).all())
+
+
+def _require_forward(place: str, given: _Timed) -> None:
+    """Refuse a clock that goes backwards (InputError)."""
+    back = np.flatnonzero(np.diff(given.time) < 0.0)
+    if len(back):
+        raise InputError(
+            f"{given.block.place(place, int(back[0]) + 1)}: time goes backwards, so its rows cannot be joined by "
+            "time (`rows` A:B cuts all files)"
+        )
+
+
+def _gaps(given: _Timed) -> NDArray[np.bool_]:
+    """Return after which rows at least one is missing."""
+    missing = np.diff(np.asarray(given.block.rows)) > 1  # rows that were left out as they were read
+    steps = np.diff(given.time)
+    if len(steps):
+        missing |= steps > GAP_STEPS * median_step(steps)
+    return missing
+
+
+def _between_gaps(given: _Timed, role: str, wanted: FloatArray) -> FloatArray:
+    """Return a signal at other times, made of the samples on the same side of every gap."""
+    values = given.block.values[role]
+    found = np.empty(len(wanted))
+    ends = [*(np.flatnonzero(_gaps(given)) + 1).tolist(), len(values)]
+    begin = done = 0
+    for end in ends:
+        last = len(wanted)
+        if end < len(values):
+            last = int(np.searchsorted(wanted, given.time[end], side="left"))
+        piece = slice(begin, end)
+        found[done:last], _ = interpolated(given.time[piece], values[piece], wanted[done:last])
+        begin, done = end, last
+    return found
 
 
 def _each_stamp_once(given: _Timed) -> _Timed:
