@@ -17,7 +17,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DBO := $(BIN)/dbo
 BENCH := $(BIN)/python sample_data/virtual_actuator.py
-KERNEL := $(wildcard dbo_cli/hysteresis/*.c dbo_cli/hysteresis/*.h)
+KERNEL := $(wildcard dbo_cli/hysteresis/*.c dbo_cli/hysteresis/*.h dbo_cli/interpolation/*.c dbo_cli/interpolation/*.h)
 
 .PHONY: help demo picture figures test site package paper compare fuzz attack mutants bench clean
 .DELETE_ON_ERROR:

@@ -28,6 +28,7 @@ NAMES = "dbo_cli"
 PLACES: dict[str, tuple[int, float, float, str]] = {
     # level from below, left and right end of the box, what the room is for
     "errors": (0, 0.0, 3.4, "what users meet: one class a kind"),
+    "interpolation": (0, 4.5, 7.5, "between samples"),
     "version": (0, 8.5, 10.0, ""),
     "extensions": (1, 0.0, 10.0, "the table where core and extras meet"),
     "hysteresis": (2, 0.0, 4.8, "operators, model, states, their files"),

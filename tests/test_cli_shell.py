@@ -330,7 +330,7 @@ def test_show_tells_on_which_side_of_the_gears_the_points_stand(dbo: Any, tmp_pa
     assert dbo("invert", "model.json", "-o", "inverse.json").code == 0
     for name in ("model.json", "inverse.json"):
         told = " ".join(dbo("show", name).out.split())
-        assert "2 gears, 3 segments of asymmetry on the drive's side and 2 on the displacement's" in told
+        assert "2 gears, bent by 3 straight pieces on the drive's side and 2 on the displacement's" in told
 
 
 @pytest.mark.whole
@@ -341,7 +341,9 @@ def test_show_tells_what_is_in_a_model(dbo: Any) -> None:
     lines = done.out.splitlines()
     assert lines[0] == "forward model: voltage 0 to 100 V to displacement 0.798299 to 12.6191 um"
     assert lines[1] == "displacement rises as voltage rises"
-    assert lines[2].startswith("40 gears, 8 segments of asymmetry; lag and creep with time constants of ")
+    assert lines[2].startswith(
+        "40 gears, bent by a curve of 8 straight pieces; lag and creep with time constants of "
+    )
     assert any(line.startswith("fit: RMSE 0.0") and "um" in line for line in lines)
     assert any(line.startswith("from identification.csv (5,786 rows), by dbo 0.1.0") for line in lines)
     told = json.loads(dbo("show", old, "--format", "json", "--figures", "curves").out)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.cascade import read_ahead
 from dbo_cli.hysteresis.excitation import Excitation, swing_samples, swings
 from dbo_cli.hysteresis.model import DriveLimits
+from dbo_cli.interpolation.smooth import interpolated
 
 
 def test_swings_turn_exactly_where_they_say() -> None:
@@ -140,12 +142,14 @@ def test_reading_ahead_does_not_depend_on_blocks() -> None:
     rng = np.random.default_rng(0)
     time = np.cumsum(rng.uniform(1e-4, 0.02, 600))
     values = rng.normal(size=600)
-    for seconds in (0.0, 0.003, 0.1, 100.0):
+    for seconds, between in product((0.0, 0.003, 0.1, 100.0), ("linear", "smooth")):
         expected = np.interp(time + seconds, time, values)
+        if between == "smooth":
+            expected, _ = interpolated(time, values, time + seconds)
         whole = None
         for size in (600, 1, 7, 64):
             blocks = [(k, time[k : k + size], values[k : k + size]) for k in range(0, 600, size)]
-            shifted = list(read_ahead(blocks, seconds))
+            shifted = list(read_ahead(blocks, seconds, between))
             assert [payload for payload, _ in shifted] == [payload for payload, _, _ in blocks]
             found = np.concatenate([part for _, part in shifted])
             np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-12)
@@ -163,6 +167,8 @@ def test_reading_ahead_keeps_only_what_it_needs() -> None:
             yield k, np.arange(10.0) + 10.0 * k, np.arange(10.0)
 
     for payload, _ in read_ahead(blocks(), 25.0):
+        assert given <= min(payload + 3, 99)
+    for payload, _ in read_ahead(blocks(), 25.0, "linear"):
         assert given <= min(payload + 3, 99)
 
 

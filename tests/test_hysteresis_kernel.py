@@ -160,6 +160,8 @@ def firmware(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """The extension with the kernel as small chips have it."""
     if COMPILED is None or not COMPILERS:
         pytest.skip("no C compiler, or the compiled kernel was not built")
+    if not (SOURCE / "_kernel.c").exists():
+        pytest.skip("the sources of the extension are not installed, as from a wheel")
     folder = tmp_path_factory.mktemp("firmware")
     library = folder / "_kernel.so"
     compile_c(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from dbo_cli.hysteresis.model import (
 )
 from dbo_cli.hysteresis.model_state import OutsideError, start_drive, start_state
 from dbo_cli.hysteresis.operators import BacklashState
+from dbo_cli.interpolation.smooth import shifted_by_part
 
 VOLTAGE = Quantity("voltage", "V", 0.0, 3.6)
 OUTPUT = Quantity("displacement", "um", 0.0, 3.5)
@@ -300,6 +302,10 @@ def test_delay_shifts_whole_samples_exactly_and_interpolates_between() -> None:
     np.testing.assert_allclose(by_time, y, rtol=0.0, atol=1e-12)
     half = ActuatorModel("forward", VOLTAGE, plain.output, (GEARS, DelayStage(0.0125)))
     y = half.simulate(x, half.start(x[0]), time_step=0.005).y
+    between = shifted_by_part(undelayed, 2, 0.5)
+    np.testing.assert_allclose(y[5:], between, rtol=0.0, atol=1e-12)
+    linear = dataclasses.replace(half, stages=(GEARS, DelayStage(0.0125, "linear")))
+    y = linear.simulate(x, linear.start(x[0]), time_step=0.005).y
     np.testing.assert_allclose(y[3:], 0.5 * (undelayed[1:-2] + undelayed[:-3]), rtol=0.0, atol=1e-12)
     assert late.delay_seconds == late.inverse().delay_seconds == 0.015
     assert late.inverse().inverse().stages[-1] == DelayStage(0.015)

@@ -43,44 +43,56 @@ def test_columns_of_two_files(
     drive = [("CH1 (V)", V)] if drive_time is None else [(drive_time, stamps[drive_time]), ("CH1 (V)", V)]
     first = write(tmp_path / "sensor.csv", ",".join(name for name, _ in sensor), *(v for _, v in sensor))
     other = write(tmp_path / "drive.csv", ",".join(name for name, _ in drive), *(v for _, v in drive))
-    with joined(first, f"{other}::CH1", block_rows=block_rows) as log:
+    known = {}
+    if drive_time is None or sensor_time is None:
+        without = first if sensor_time is None else other
+        with (
+            pytest.raises(InputError) as raised,
+            joined(first, f"{other}::CH1", block_rows=block_rows) as log,
+        ):
+            log.read()
+        assert str(raised.value) == (
+            f"{without}: has no clock, and rows of two files belong together by time (`time` COLUMN names "
+            "it; where both were recorded row by row, `sample_rate` HZ or `time` FILE::COLUMN is the clock "
+            "of both)"
+        )
+        known = {"sample_rate": 1000.0}
+    with joined(first, f"{other}::CH1", block_rows=block_rows, **known) as log:
         block = log.read()
     assert block.values["voltage"].tolist() == list(V)
     assert block.values["displacement"].tolist() == list(D)
     assert (log.columns["voltage"].unit, log.columns["displacement"].unit) == ("V", "um")
     assert log.columns["voltage"].name == f"{other}::CH1 (V)"
-    if drive_time is None and sensor_time is None:
-        assert block.time is None
-    else:
-        assert block.time is not None and block.time.tolist() == list(T)
+    assert block.time is not None and block.time.tolist() == list(T)
 
 
-def test_clocks_that_disagree_are_refused_at_the_row(tmp_path: Path) -> None:
+def test_clocks_that_disagree_are_joined_by_time(tmp_path: Path) -> None:
     first = write(tmp_path / "sensor.csv", "time_s,displacement_um", T, D)
-    other = write(tmp_path / "drive.csv", "time_s,voltage_V", (*T[:2], 0.0025, 0.0035), V)
-    with pytest.raises(InputError) as raised, joined(first, f"{other}::voltage") as log:
-        log.read()
-    assert str(raised.value) == (
-        f"{first}: row 3: its time 0.002 s is 0.0025 s in {other} "
-        "(bring both to one clock; `sample_rate` HZ takes them row by row)"
-    )
+    other = write(tmp_path / "drive.csv", "time_s,voltage_V", (*T[:2], 0.0025, 0.0035), (0.0, 1.0, 2.5, 3.5))
+    with joined(first, f"{other}::voltage") as log:
+        block = log.read()
+    assert block.values["voltage"].tolist() == pytest.approx([0.0, 1.0, 2.0, 3.0], rel=1e-12)
+    assert log.notes == [
+        f"{other}: 'voltage_V' joined by time: interpolated onto the rows of {first}",
+    ]
     with joined(first, f"{other}::voltage", sample_rate=1000.0) as log:
         block = log.read()
-    assert block.values["voltage"].tolist() == list(V)
+    assert block.values["voltage"].tolist() == [0.0, 1.0, 2.5, 3.5]
     assert block.time is not None and block.time.tolist() == list(T)
 
 
 @pytest.mark.whole
-def test_rates_that_disagree_are_refused(tmp_path: Path) -> None:
+def test_rates_that_disagree_are_joined_by_time(tmp_path: Path) -> None:
     first, other = tmp_path / "sensor.csv", tmp_path / "drive.csv"
     first.write_text("\n".join(["Sample rate: 1 kHz", "displacement_um,error_um", *rows(",", (D, D))]) + "\n")
-    other.write_text("\n".join(["Sample rate: 2 kHz", "voltage_V,current_A", *rows(",", (V, V))]) + "\n")
-    with pytest.raises(InputError) as raised:
-        joined(first, f"{other}::voltage", "displacement")
-    assert str(raised.value) == (
-        f"{first} has 1000 samples a second from 0 s on, {other} 2000 from 0 s on "
-        "(`sample_rate` HZ takes them row by row)"
+    ramp = tuple(float(k) for k in range(8))
+    other.write_text(
+        "\n".join(["Sample rate: 2 kHz", "voltage_V,current_A", *rows(",", (ramp, ramp))]) + "\n"
     )
+    with joined(first, f"{other}::voltage", "displacement") as log:
+        block = log.read()
+    assert block.values["voltage"].tolist() == [0.0, 2.0, 4.0, 6.0]
+    assert block.time is not None and block.time.tolist() == list(T)
 
 
 @pytest.mark.parametrize("short", ["sensor", "drive"])
@@ -91,11 +103,12 @@ def test_files_of_unequal_length_are_refused(short: str, block_rows: int, tmp_pa
     first = write(tmp_path / "sensor.csv", "x_um,displacement_um", d, d)
     other = write(tmp_path / "drive.csv", "y_um,voltage_V", v, v)
     selector = f"{other}::voltage"
-    with pytest.raises(InputError) as raised, joined(first, selector, block_rows=block_rows) as log:
+    known = {"block_rows": block_rows, "sample_rate": 1000.0}
+    with pytest.raises(InputError) as raised, joined(first, selector, **known) as log:
         log.read()
     told = f"{first} {lengths['sensor']}, {other} {lengths['drive']}"
     assert str(raised.value) == f"the files are not equally long: {told} rows (`rows` A:B cuts all of them)"
-    with joined(first, f"{other}::voltage", block_rows=block_rows, rows=(1, 2)) as log:
+    with joined(first, f"{other}::voltage", rows=(1, 2), **known) as log:
         assert log.read().values["voltage"].tolist() == list(V[:2])
 
 
@@ -110,7 +123,7 @@ def test_a_bad_row_of_one_file_is_dropped_from_both(block_rows: int, tmp_path: P
     assert block.values["displacement"].tolist() == [10.25, 8.0]
     assert list(block.rows) == [1, 4]
     assert block.lines is not None and list(block.lines) == [2, 5]
-    assert len(log.notes) == 2
+    assert len(log.notes) == 4  # and that the drive was joined by time, and lacks row 3
 
 
 def test_an_hdf5_dataset_beside_a_text_file(tmp_path: Path) -> None:
@@ -118,7 +131,7 @@ def test_an_hdf5_dataset_beside_a_text_file(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "drive.h5", "w") as file:
         file["run/a/voltage"], file["run/b/voltage"] = V, D
     for path in ("/run/a/voltage", "/run/a::voltage"):
-        with joined(first, f"{tmp_path}/drive.h5::{path}") as log:
+        with joined(first, f"{tmp_path}/drive.h5::{path}", sample_rate=1000.0) as log:
             assert log.read().values["voltage"].tolist() == list(V)
 
 
@@ -146,7 +159,7 @@ def test_the_time_lies_in_another_file(where: str, block_rows: int, tmp_path: Pa
 def test_a_unit_of_time_where_only_the_other_file_has_a_clock(tmp_path: Path) -> None:
     first = write(tmp_path / "sensor.csv", "displacement_um", D)
     other = write(tmp_path / "drive.csv", "time,voltage", [1000 * t for t in T], V)
-    with joined(first, f"{other}::voltage", time_unit="ms") as log:
+    with joined(first, f"{other}::voltage", time=f"{other}::time", time_unit="ms") as log:
         block = log.read()
     assert block.time is not None and block.time.tolist() == list(T)
 

@@ -15,8 +15,8 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "dbo_cli"
 ORDER = [
-    "version", "errors", "extensions", "hysteresis", "logs", "drives", "reports", "runs", "cli",
-    "extras",
+    "version", "errors", "interpolation", "extensions", "hysteresis", "logs", "drives",
+    "reports", "runs", "cli", "extras",
 ]  # fmt: skip
 SIBLINGS = [
     {"hysteresis", "logs"}, {"drives", "reports"},

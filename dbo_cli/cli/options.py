@@ -6,7 +6,17 @@ import inspect
 import keyword
 from typing import Any, NamedTuple
 
-from dbo_cli.cli.values import PARSERS, Parser, choice, figure_above_0, number_or_word, positive, text, whole
+from dbo_cli.cli.values import (
+    PARSERS,
+    Parser,
+    choice,
+    figure_above_0,
+    number_or_word,
+    offset,
+    positive,
+    text,
+    whole,
+)
 
 OPTIONS = "Options"
 READING_LOGS = "Reading logs"
@@ -135,6 +145,11 @@ READING = (
     ),
     _reading("--time-unit UNIT", "What time counts: s, ms, us, ns, min, h, d, 10us; before the header."),
     _reading("--sample-rate HZ", "Rate of a log without a time column."),
+    _reading(
+        "--clock-offset SECONDS|auto",
+        "Of two recorders: added to the clock of the drive's file; auto finds it.",
+        parse=offset,
+    ),
     _reading(
         "--scale ROLE=FACTOR", "Multiply: voltage=20, or displacement=10um/V; repeatable.", repeated=True
     ),

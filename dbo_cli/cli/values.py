@@ -104,7 +104,7 @@ def auto_or(parse: Parser) -> Parser:
 
 def times(option: str, text: str) -> tuple[float, ...]:
     """Return time constants in seconds, given as ``T1,T2,…``; ``0`` means none."""
-    values = tuple(not_negative(option, part) for part in text.split(","))
+    values = tuple(not_negative(option, in_seconds(option, part)) for part in text.split(","))
     if values == (0.0,):
         return ()
     if 0.0 in values or len(set(values)) < len(values):
@@ -139,7 +139,61 @@ def rows(option: str, text: str) -> tuple[int, int | None]:
 
 def seconds_or_auto(option: str, text: str) -> float | str:
     """Return seconds above 0, or ``auto``."""
-    return text if text == "auto" else positive(option, text)
+    return text if text == "auto" else positive(option, in_seconds(option, text))
+
+
+def offset(option: str, text: str) -> float | str:
+    """Return seconds of either sign, or ``auto``."""
+    return text if text == "auto" else number(option, in_seconds(option, text))
+
+
+_FIGURE_AND_UNIT = pattern(r"\s*([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([^\W\d][^\d]*|/s)\s*")
+
+
+def in_seconds(option: str, text: str) -> str:
+    """Return a time with a unit (``2.4ms``) as a figure in seconds; a figure alone as it is.
+
+    Raises
+    ------
+    UsageError
+        The unit is none of time.
+    """
+    match = _FIGURE_AND_UNIT.fullmatch(text)
+    if match is None:
+        return text
+    from dbo_cli.logs.units import FACTORS, time_unit
+
+    unit = time_unit(match[2].strip())
+    if unit is None:
+        raise UsageError(
+            f"`{option}` {shown(text)}: '{match[2]}' is no unit of time (s, ms, us, ns, min, h, d)"
+        )
+    factor = FACTORS[unit]
+    return repr(number(option, match[1]) * factor.numerator / factor.denominator)
+
+
+def in_hertz(option: str, text: str) -> str:
+    """Return a rate with a unit (``5kHz``) as a figure in hertz; a figure alone as it is.
+
+    Raises
+    ------
+    UsageError
+        The unit is none of a rate.
+    """
+    match = _FIGURE_AND_UNIT.fullmatch(text)
+    if match is None:
+        return text
+    from dbo_cli.logs.clock import hertz
+
+    factor = hertz(match[2])
+    if factor is None:
+        raise UsageError(f"`{option}` {shown(text)}: '{match[2]}' is no unit of a rate (Hz, kHz, MHz, S/s)")
+    return repr(number(option, match[1]) * factor)
+
+
+def of_unit(parse: Parser, in_unit: Callable[[str, str], str]) -> Parser:
+    """Return a parser of figures that may have a unit, which is converted."""
+    return lambda option, text: parse(option, in_unit(option, text))
 
 
 def names(option: str, text: str) -> tuple[str, ...]:
@@ -189,9 +243,11 @@ def shown(text: str) -> str:
 figure, figure_above_0 = with_unit(number), with_unit(positive)
 PARSERS: dict[str, Parser] = {
     "A:B": rows, "AMPERE": figure_above_0, "DRIVE": address, "FACTOR": number, "FARAD": figure_above_0,
-    "FILE": address, "HZ": positive, "LOG": address, "LOW:HIGH": span, "M|auto|0": auto_or(whole(0)),
+    "FILE": address, "HZ": of_unit(positive, in_hertz), "LOG": address, "LOW:HIGH": span,
+    "M|auto|0": auto_or(whole(0)),
     "N": whole(1), "N|auto": auto_or(whole(1)), "NAME,...": names, "PERCENT": not_negative,
-    "SECONDS": not_negative, "SECONDS|auto": seconds_or_auto, "SECONDS|auto|0": auto_or(not_negative),
+    "SECONDS": of_unit(not_negative, in_seconds), "SECONDS|auto": seconds_or_auto,
+    "SECONDS|auto|0": auto_or(of_unit(not_negative, in_seconds)),
     "TRAJECTORY": address, "VALUE": not_negative, "VOLT": figure, "VOLT/S": figure_above_0,
     "0|1|2": header_lines, "auto|0|1|2": auto_or(whole(0)), "auto|0|T1,T2,...": auto_or(times),
     "auto|growing|falling|free": auto_or(choice(("auto", "growing", "falling", "free"))),

@@ -114,8 +114,9 @@ class BeforeMove:
             return np.full(require_rows("`lead`", rows, self.step), first)
         dynamics = self.model.dynamics
         ahead = 0 if dynamics is None else dynamics.inverter(self.step).ahead
-        delay = math.ceil(self.model.delay_seconds / self.step - WHOLE_ROW)
-        return np.full(ahead + delay, first)
+        delay = self.model.delay
+        late = 0 if delay is None else delay.rows_ahead(self.step)
+        return np.full(ahead + late, first)
 
     def _inside(self) -> float:
         """Return the voltage inside the limits at which the way to the first value, or the sweep, begins."""

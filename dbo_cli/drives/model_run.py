@@ -14,7 +14,7 @@ import numpy as np
 
 from dbo_cli.errors import InputError, Remarks
 from dbo_cli.hysteresis import kernel, model_state
-from dbo_cli.hysteresis.cascade import read_ahead
+from dbo_cli.hysteresis.cascade import DelayStage, read_ahead
 from dbo_cli.hysteresis.dynamics import (
     DynamicsInverter,
     DynamicsStage,
@@ -52,8 +52,8 @@ class Inputs:
         Where the signal comes from.
     input : Quantity
         What the model takes of it; its name is the signal's role in the blocks.
-    delay : float
-        Seconds to be read ahead by.
+    delay : DelayStage, or None
+        What is read ahead for.
     dynamics : DynamicsStage, or None
         Dynamics to be undone.
     bandwidth : float, or None
@@ -68,7 +68,7 @@ class Inputs:
 
     source: Source
     input: Quantity
-    delay: float = 0.0
+    delay: DelayStage | None = None
     dynamics: DynamicsStage | None = None
     bandwidth: float | None = None
     last_row: int | None = None
@@ -97,7 +97,7 @@ class Inputs:
         role, last, dynamics = self.input.quantity, self.last_row, self.dynamics
         self.start, step = begun or self.start, 0.0
         blocks = read if last is None else _split(read, last)
-        if last is None and dynamics is None and self.bandwidth is None and self.delay == 0.0:
+        if last is None and dynamics is None and self.bandwidth is None and not self.delay:
             for block in blocks:
                 yield block, block.values[role]
             return
@@ -108,9 +108,9 @@ class Inputs:
         taken: Iterable[Taken] = ((block, block.values[role]) for block in blocks)
         if self.bandwidth is not None:
             taken = self._rounded(taken, ZeroPhaseLowPass(self.bandwidth, step), step)
-        if self.delay > 0.0:
+        if self.delay:
             timed = ((block, block.time, x) for block, x in taken if block.time is not None)
-            taken = read_ahead(timed, self.delay)
+            taken = read_ahead(timed, abs(self.delay.seconds), self.delay.between)
         if dynamics is not None:
             taken = self._undone(taken, dynamics.inverter(step))
         for block, x in taken:
@@ -440,7 +440,8 @@ class ModelRun:
         why = LAG_DEPENDS if needed else self.why_time
         self.steps = TimeSteps(self.source, why, begun.time if begun else None)
         self._run = functools.partial(model.simulate, outside=self.outside)
-        delay, dynamics = (model.delay_seconds, model.dynamics) if inverting else (0.0, None)
+        delay = model.delay if inverting and model.delay_seconds > 0.0 else None
+        dynamics = model.dynamics if inverting else None
         self.inputs = Inputs(self.source, self.input, delay, dynamics, self.bandwidth, self.last_row, begun)
 
     @property

@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -19,8 +19,10 @@ from dbo_cli.hysteresis import kernel, operators
 from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.kernel import Floats
 from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator, DiscretePointOperator
+from dbo_cli.interpolation import smooth
 
 Payload = TypeVar("Payload")
+Between = Literal["smooth", "linear"]
 MOST_DELAYED = 10_000_000  # samples: 80 MB; a delay of 100 s at 100 kHz
 WHOLE = 1e-9  # samples: a time this close to a whole number of them is that; rounding leaves less
 
@@ -82,37 +84,63 @@ def late_by(values: Floats, part: float) -> Floats:
 
 @dataclass(frozen=True)
 class DelayHistory:
-    """What a delay remembers: the samples still to come out, each with its time; the last is the newest."""
+    """What a delay remembers: the samples still needed, each with its time; the last is the newest."""
 
     times: tuple[float, ...]
     values: tuple[float, ...]
+
+
+BETWEEN: tuple[Between, ...] = ("smooth", "linear")
+"""How a delay takes a value between two samples; model files before version 3 mean ``linear``."""
 
 
 @dataclass(frozen=True)
 class DelayStage:
     """A pure delay of the output, in seconds; negative in an inverse model, which reads ahead by it.
 
+    Parameters
+    ----------
+    seconds
+        How late the output is.
+    between
+        How a value between two samples is taken. ``smooth``: from six samples (``interpolation.smooth``), of
+        those alone that have come; a delay of less than two samples has fewer of them behind the time wanted.
+
     Raises
     ------
     ModelError
-        ``seconds`` is not a finite number.
+        ``seconds`` is not a finite number, or ``between`` is no such word.
     """
 
     seconds: float
+    between: Between = "smooth"
 
     def __post_init__(self) -> None:
         """Refuse what is not a time."""
         if not math.isfinite(self.seconds):
             raise ModelError(f"seconds: {self.seconds!r} is not a finite number")
+        if self.between not in BETWEEN:
+            raise ModelError(f"between: {self.between!r} is not smooth or linear")
 
     def inverse(self) -> DelayStage:
         """Return the stage that undoes this one."""
-        return DelayStage(-self.seconds)
+        return DelayStage(-self.seconds, self.between)
+
+    def rows_ahead(self, step: float) -> int:
+        """Return how many rows of an even clock (s) reading ahead by this delay takes at most.
+
+        The first row of a signal already has six samples.
+        """
+        samples = abs(self.seconds) / step
+        late = math.ceil(samples - WHOLE)
+        if self.between == "linear" or not whole_and_part(samples)[1]:
+            return late
+        return max(late + smooth.AFTER - 1, smooth.WINDOW - 1)
 
     def lag(
         self, x: Floats, time_step: float | Floats, history: DelayHistory | None
     ) -> tuple[Floats, DelayHistory | None]:
-        """Return one block delayed, interpolated linearly between samples, and the history after it.
+        """Return one block delayed, and the history after it.
 
         Before the first sample ever the first value holds. With a single ``time_step`` (s) the delay is
         counted in samples, so that a whole number of them shifts exactly; with one step for each sample
@@ -138,12 +166,23 @@ class DelayStage:
         all_values = np.concatenate([past_values, x])
         if np.ndim(time_step) == 0:
             return self._by_count(float(np.asarray(time_step)), all_times, all_values, x.size)
-        y, begin = interpolated(all_times, all_values, all_times[now + 1 :] - self.seconds)
-        return y, DelayHistory(tuple(all_times[begin:].tolist()), tuple(all_values[begin:].tolist()))
+        return self._by_time(all_times, all_values, x.size)
+
+    def _by_time(self, times: Floats, values: Floats, count: int) -> tuple[Floats, DelayHistory]:
+        """Delay the last ``count`` samples, looked up by time."""
+        if self.between == "linear":
+            y, begin = interpolated(times, values, times[-count:] - self.seconds)
+        else:
+            times, values = _with_rest_before(times, values, count)
+            newest = values.size - count
+            y, before = smooth.interpolated(times, values, times[-count:] - self.seconds, newest)
+            begin = max(before - (smooth.WINDOW - 1), 0)
+        return y, DelayHistory(tuple(times[begin:].tolist()), tuple(values[begin:].tolist()))
 
     def _by_count(
         self, step: float, times: Floats, values: Floats, count: int
     ) -> tuple[Floats, DelayHistory]:
+        """Delay the last ``count`` samples, counted in steps."""
         if not step > 0.0:
             raise InputError(f"time step: {step!r} s is not greater than 0")
         whole, part = whole_and_part(self.seconds / step)
@@ -152,38 +191,116 @@ class DelayStage:
                 f"time step: {step:g} s is {whole:,} times in the delay of {self.seconds:g} s, and more than "
                 f"{MOST_DELAYED:,} samples are not held back (a lower sample rate, or a shorter delay)"
             )
-        missing = whole + 1 - (values.size - count)
+        place = window_place(whole) if part and self.between == "smooth" else 0
+        needed = whole + 1 + place  # samples before the one that has just come
+        missing = needed - (values.size - count)
         if missing > 0:
             values = np.concatenate([np.full(missing, values[0]), values])
             times = np.concatenate([times[0] - step * np.arange(missing, 0, -1), times])
-        begin = values.size - count - whole - 1
-        y = late_by(values[begin : begin + count + 1], part)
-        behind = slice(-(whole + 1), None)
+        begin = values.size - count - needed
+        if place:
+            y = smooth.shifted_by_part(values[begin : begin + count + smooth.WINDOW - 1], place, 1.0 - part)
+        else:
+            y = late_by(values[begin : begin + count + 1], part)
+        behind = slice(-needed, None)
         return y, DelayHistory(tuple(times[behind].tolist()), tuple(values[behind].tolist()))
 
 
+def late_loop(x: Floats, samples: float) -> Floats:
+    """Return one period of a loop as a smooth delay makes it late by so many samples."""
+    whole, part = whole_and_part(samples)
+    if not part:
+        return np.roll(x, whole)
+    return _from_six(x, -whole - 1, window_place(whole), 1.0 - part)
+
+
+def early_loop(x: Floats, samples: float) -> Floats:
+    """Return one period of a loop, read ahead smoothly by so many samples."""
+    whole, part = whole_and_part(samples)
+    if not part:
+        return np.roll(x, -whole)
+    return _from_six(x, whole, 2, part)
+
+
+def _from_six(x: Floats, first: int, place: int, part: float) -> Floats:
+    """Return the values of a loop a part behind the samples from ``first`` on, one for each sample."""
+    rows = np.arange(first - place, first - place + x.size + smooth.WINDOW - 1)
+    return smooth.shifted_by_part(x[rows % x.size], place, part)
+
+
+def window_place(whole: int) -> int:
+    """Return which step of six samples a delay of ``whole`` samples and a part lies in.
+
+    Three of the six come after the time wanted (place 2) where they have come already, else two or one.
+    """
+    return max(2, 4 - whole)
+
+
+def _with_rest_before(times: Floats, values: Floats, count: int) -> tuple[Floats, Floats]:
+    """Put five samples of the first value before a signal that has just begun, at its first step."""
+    past = values.size - count
+    if past > 1 or values.size < 2:
+        return times, values
+    first = times[1:] if times.size > 2 and times[1] == times[0] else times
+    step = float(first[1] - first[0])
+    rest = first[0] - step * np.arange(smooth.WINDOW - 1.0, 0.0, -1.0)
+    return np.concatenate([rest, times]), np.concatenate([np.full(rest.size, values[0]), values])
+
+
 def read_ahead(
-    blocks: Iterable[tuple[Payload, Floats, Floats]], seconds: float
+    blocks: Iterable[tuple[Payload, Floats, Floats]], seconds: float, between: Between = "smooth"
 ) -> Iterator[tuple[Payload, Floats]]:
     """Shift a signal to earlier by ``seconds``: the value wanted at t + seconds, for every sample at t.
 
     Takes (payload, time, values) and yields (payload, values) for the same blocks, each as soon as enough of
-    the future is known; interpolates linearly, and the last value holds. The result does not depend on how
+    the future is known; the last value holds. The result does not depend on how
     the signal is cut into blocks; empty blocks are dropped.
     """
+    ahead = _linear_ahead if between == "linear" else _smooth_ahead
+    after = 1 if between == "linear" else smooth.AFTER  # samples needed behind the last time wanted
+    fewest = 2 if between == "linear" else smooth.WINDOW  # the first samples are made of the first six, too
     waiting: deque[tuple[Payload, Floats, Floats]] = deque()
+    past_times, past_values = np.zeros(0), np.zeros(0)
     for block in chain(blocks, [None]):
         if block is not None and block[1].size == 0:
             continue
         waiting.extend([block] if block is not None else [])
-        while waiting and (block is None or block[1][-1] > waiting[0][1][-1] + seconds):
-            time = np.concatenate([block[1] for block in waiting])
-            values = np.concatenate([block[2] for block in waiting])
+        while waiting:
+            if block is not None and past_times.size + sum(entry[1].size for entry in waiting) < fewest:
+                break
+            if block is not None and not _reaches(waiting, float(waiting[0][1][-1]) + seconds, after):
+                break
+            time = np.concatenate([past_times, *(entry[1] for entry in waiting)])
+            values = np.concatenate([past_values, *(entry[2] for entry in waiting)])
             payload, block_time, _ = waiting.popleft()
-            # Mirrored in time, so that the sample after takes the part of the one before: lagging the result
-            # by the delay again finds the same pairs of samples.
-            ahead, _ = interpolated(-time[::-1], values[::-1], -(block_time + seconds)[::-1])
-            yield payload, ahead[::-1]
+            yield payload, ahead(time, values, block_time + seconds)
+            gone = slice(past_times.size + block_time.size)
+            past_times, past_values = time[gone][-smooth.WINDOW :], values[gone][-smooth.WINDOW :]
+
+
+def _reaches(waiting: Iterable[tuple[Any, Floats, Floats]], wanted: float, after: int) -> bool:
+    """Tell whether so many samples are known behind a time."""
+    beyond = 0
+    for _, time, _ in reversed(list(waiting)):
+        beyond += int(np.count_nonzero(time > wanted))
+        if beyond >= after or time[0] <= wanted:
+            break
+    return beyond >= after
+
+
+def _linear_ahead(time: Floats, values: Floats, wanted: Floats) -> Floats:
+    """Return a signal at later times, linearly.
+
+    Mirrored in time, so that the sample after takes the part of the one before: lagging the result by the
+    delay again finds the same pairs of samples.
+    """
+    found, _ = interpolated(-time[::-1], values[::-1], -wanted[::-1])
+    return found[::-1]
+
+
+def _smooth_ahead(time: Floats, values: Floats, wanted: Floats) -> Floats:
+    """Return a signal at later times, smoothly."""
+    return smooth.interpolated(time, values, wanted)[0]
 
 
 class OtherHysteresis(ABC):
@@ -294,7 +411,7 @@ def digest_of(stages: Sequence[Stage]) -> str:
         if isinstance(stage, ScaleStage):
             parts.append([f"{stage.gain:.9e}", f"{stage.offset:.9e}"])
         elif isinstance(stage, DelayStage):
-            parts.append(stage.seconds)
+            parts.append(stage.seconds if stage.between == "linear" else [stage.seconds, stage.between])
         elif isinstance(stage, DynamicsStage):
             parts.append([dataclasses.asdict(section) for section in stage.sections])
         elif isinstance(stage, OtherHysteresis):

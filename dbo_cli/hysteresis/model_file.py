@@ -31,8 +31,11 @@ from dbo_cli.hysteresis.operators import Axis, BacklashState, Relaxation
 MODEL_FORMAT = "dbo-model"
 STATE_FORMAT = "dbo-state"
 SET_FORMAT = "dbo-model-set"
-VERSION = 2
-"""Of both files. Version 1 had every width written out, and states that did not know their time."""
+VERSION = 3
+"""The newest of model files. Version 1 had every width written out; up to version 2 a delay is linear between
+samples, from version 3 on smooth. A model without a delay, or with a linear one, is written as version 2."""
+STATE_VERSION = 2
+"""Of state files. States of version 1 did not know their time."""
 
 MOST_STAGES = 16  # twice what identification makes; 400 of a million segments took minutes to be refused
 MOST_GEARS = 1_000_000  # a file of some bytes must not ask for more memory than a machine has
@@ -433,6 +436,8 @@ def model_of(root: Node) -> ActuatorModel:
     if direction not in {"forward", "inverse"}:
         raise root.refuse("direction", f"{direction!r} is neither 'forward' nor 'inverse'")
     cascade = _stages(root, "stages")
+    if root.values["version"] < 3:
+        cascade = tuple(_with_linear_delay(stage) for stage in cascade)
     notes = {key: root.node(key) for key in ("fit", "provenance") if key in root.values}
     for note in notes.values():
         note.check_notes(_NOTE_DEPTH)
@@ -442,6 +447,19 @@ def model_of(root: Node) -> ActuatorModel:
     make: Callable[..., ActuatorModel] = ActuatorModel if brought is None else brought.model
     model: ActuatorModel = root.build(lambda: make(direction, source, result, cascade, **carried))
     return model
+
+
+def _with_linear_delay(stage: Stage) -> Stage:
+    """Return a stage as files before version 3 mean it."""
+    if isinstance(stage, DelayStage):
+        return DelayStage(stage.seconds, "linear")
+    return stage
+
+
+def _version(model: ActuatorModel) -> int:
+    """Return the oldest version of the model file that says what a model is."""
+    smooth = any(isinstance(stage, DelayStage) and stage.between == "smooth" for stage in model.stages)
+    return VERSION if smooth else 2
 
 
 def load_document(path: str, wanted: str, noun: str, newest: int = VERSION) -> Node:
@@ -464,8 +482,7 @@ def load_document(path: str, wanted: str, noun: str, newest: int = VERSION) -> N
     if not text.strip():
         raise ModelError(f"{name}: is empty; this is no {noun} file")
     try:
-        values = json.loads(text, object_pairs_hook=functools.partial(_distinct, name))
-        json.dumps(values, ensure_ascii=False).encode()  # half a surrogate pair could not be written again
+        values = parsed(name, text)
     except json.JSONDecodeError as problem:
         log = "" if text.lstrip()[:1] in "{[" else " (identify makes a model from a log)"
         raise ModelError(f"{name}:{problem.lineno}: is not JSON: {problem.msg}{log}") from None
@@ -479,6 +496,22 @@ def load_document(path: str, wanted: str, noun: str, newest: int = VERSION) -> N
     if not isinstance(values, dict) or values.get("format") != wanted:
         raise ModelError(f'{name}: is not a {noun} file ("format" must be "{wanted}")')
     return checked_version(Node(name, "", values), newest)
+
+
+def parsed(name: str, text: str) -> Any:
+    """Return the values of JSON text; keys that occur twice and half surrogate pairs are refused.
+
+    Raises
+    ------
+    ModelError
+        A key occurs twice.
+    ValueError, RecursionError
+        It is no JSON, or none that could be written again.
+    """
+    values = json.loads(text, object_pairs_hook=functools.partial(_distinct, name))
+    if "\\u" in text:
+        json.dumps(values, ensure_ascii=False).encode()  # raises at half a surrogate pair
+    return values
 
 
 def checked_version(root: Node, newest: int = VERSION) -> Node:
@@ -544,7 +577,7 @@ def model_values(model: ActuatorModel) -> Json:
     """Return the keys and values of a model file."""
     values: Json = {
         "format": MODEL_FORMAT,
-        "version": VERSION,
+        "version": _version(model),
         "direction": model.direction,
         "input": _written(model.input, QUANTITY),
         "output": _written(model.output, QUANTITY),
@@ -606,7 +639,7 @@ def state_to_bytes(state: ModelState, model: ActuatorModel) -> bytes:
     """Return the state file of a state; it names the gears it belongs to by a digest."""
     values: Json = {
         "format": STATE_FORMAT,
-        "version": VERSION,
+        "version": STATE_VERSION,
         "model": model.digest,
         **model.state_values(state.backlash),
         "time": state.time,
@@ -630,7 +663,7 @@ def read_state(path: str, model: ActuatorModel) -> ModelState:
     ModelError
         It is not a state, contradicts itself, or belongs to another model.
     """
-    root = load_document(path, STATE_FORMAT, "state")
+    root = load_document(path, STATE_FORMAT, "state", STATE_VERSION)
     timed = root.values["version"] > 1
     brought = _brought(model.stages)
     key, read = ("backlash", _bits_and_memory) if brought is None else ("plays", brought.read_state)

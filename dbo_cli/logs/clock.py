@@ -262,6 +262,11 @@ def agreed_rate(place: str, statements: Iterable[Statement], notes: list[str]) -
     return chosen.rate
 
 
+def hertz(unit: str) -> float | None:
+    """Return how many hertz a unit of a rate is (``kHz``, ``S/s``), or None where it is none."""
+    return _HERTZ.get(unit.strip().replace(" ", ""))
+
+
 def _taken_apart(value: object) -> tuple[int, float | None, str, str]:
     """Count a value, and return its one number (or None), the unit behind it, and how it is shown."""
     if isinstance(value, str | bytes):

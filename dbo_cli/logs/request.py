@@ -286,6 +286,9 @@ class ReadingOptions:
         Factors by role, ``voltage=20`` or ``displacement=10um/V``.
     sample_rate : float, optional
         Samples a second (Hz) of a log without a time column; replaces a column that was only guessed.
+    clock_offset : float or "auto", optional
+        Seconds to be added to the clock of the drive's file where columns of several files are joined by
+        time; auto: found from what both recorded.
     rows : tuple of int
         The first and the last data row to take, counted from 1 (last None: to the end).
     skip_bad : bool
@@ -314,6 +317,7 @@ class ReadingOptions:
     time_unit: str | None = None
     scale: tuple[str, ...] = ()
     sample_rate: float | None = None
+    clock_offset: float | str | None = None
     rows: Rows = ALL_ROWS
     skip_bad: bool = False
     resample: float | None = None

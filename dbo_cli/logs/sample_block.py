@@ -190,6 +190,7 @@ class Table:
     dropped: DroppedRows  # what ``skip_bad`` left out; complete after the last block
     doubtful: list[str]  # lines that were passed over in silence and may have been rows; likewise
     others: Sequence[str] = ()  # the addresses of further files that were joined
+    warnings: Sequence[str] = ()  # what may spoil a result; complete after the last block
     found_time: Any = None  # what ``clock.find_time_column`` found, where it looked already
 
     def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:

@@ -1,9 +1,8 @@
 """Recorded logs and trajectories: one way to read them, whatever their format.
 
 What a file is called matters less than what it is: its first bytes choose the reader, and a library is
-imported only then. A column of another file (``FILE::COLUMN``) stands beside those of the first. Rows belong
-together by number. Where both files have clocks, they must agree; where only one has, or none, the files must
-be equally long::
+imported only then. A column of another file (``FILE::COLUMN``) stands beside those of the first, joined by
+time (``logs.joined_files``)::
 
     with open_log("run.csv", {"voltage": ColumnWish(None, ("voltage", "drive"))}) as log:
         for block in log.blocks():
@@ -14,9 +13,8 @@ from __future__ import annotations
 
 import os
 import re
-from bisect import bisect_right
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,8 +22,9 @@ import numpy as np
 from dbo_cli import extensions
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.byte_source import HDF5, input_record
-from dbo_cli.logs.clock import FoundTime, TimeColumn, find_time_column, time_column
+from dbo_cli.logs.clock import FoundTime, find_time_column
 from dbo_cli.logs.columns import ColumnWish, choose_columns, contradicted_unit, find_column
+from dbo_cli.logs.joined_files import JoinedTable
 from dbo_cli.logs.request import (
     ALL_ROWS,
     Address,
@@ -37,15 +36,12 @@ from dbo_cli.logs.request import (
     without_folder,
 )
 from dbo_cli.logs.sample_block import (
-    JITTER,
-    TIME,
     ColumnInfo,
     DroppedRows,
     SampleBlock,
     Table,
     TimeCheck,
     joined,
-    median_step,
     resampled,
 )
 from dbo_cli.logs.sources import Source
@@ -114,223 +110,6 @@ def _open_hdf5(request: Request) -> Table:
     from dbo_cli.logs.hdf5.reader import open_hdf5
 
     return open_hdf5(request)
-
-
-# --- several files as one -------------------------------------------------------------------------
-
-
-@dataclass
-class _File:
-    """One of the files: the columns wanted of it, and its clock if it has one to compare."""
-
-    table: Table
-    columns: dict[int, ColumnInfo]  # number in the joined log to column in the file
-    clock: TimeColumn | None = None
-
-
-class _JoinedTable(Table):
-    """Several files as one: columns of others behind those of the first, which has the place and the notes.
-
-    Parameters
-    ----------
-    first
-        The first file.
-    options
-        How all files are to be read.
-    """
-
-    def __init__(self, first: Table, options: ReadingOptions) -> None:
-        self.place, self.notes = first.place, first.notes
-        self.dropped, self.doubtful = DroppedRows(), first.doubtful
-        self.columns = list(first.columns)
-        self.files = {"": _File(first, {column.number: column for column in first.columns})}
-        self._options = options
-        self._step = 0.0
-
-    def number_of(self, wish: ColumnWish) -> str | None:
-        """Return the selector of a wished column, by its number here where it is another file's.
-
-        Raises
-        ------
-        InputError
-            A file or a column is absent.
-        """
-        named = other_file(wish.selector)
-        if named is None:
-            path, mark, _ = (wish.selector or "").partition("::")
-            if mark and all(wish.selector not in (one.name, one.quantity) for one in self.columns):
-                takes = f"`{wish.option}` FILE::COLUMN takes a column of another file"
-                raise InputError(f"{path}: no such file ({takes})")
-            return wish.selector
-        address, selector = named
-        if address not in self.files:
-            there = replace(self._options, format=None, time=None)
-            self.others = [*self.others, address]
-            self.files[address] = _File(open_table(Request(parse_address(address), there, [selector])), {})
-        file = self.files[address]
-        self._append(file, find_column(file.table.place, file.table.columns, selector, wish.option))
-        return f"number={len(self.columns)}"
-
-    def _append(self, file: _File, found: ColumnInfo) -> None:
-        name, number = f"{file.table.place}::{found.name}", len(self.columns) + 1
-        self.columns.append(replace(found, name=name, number=number))
-        file.columns[number] = found
-
-    def find_clocks(self, options: ReadingOptions) -> None:
-        """Find the other files' clocks; where the first file has none, another's becomes that of the log."""
-        if options.sample_rate is not None:
-            return  # the clocks are replaced
-        first, *others = self.files.values()
-        mine = self.columns if options.time is not None else first.table.columns
-        own = find_time_column(self.place, list(mine), options, [])
-        for other in others:
-            wanted, plain = list(other.columns.values()), replace(options, time=None)
-            other.clock = find_time_column(other.table.place, other.table.columns, plain, wanted).clock
-            if own.clock is None and other.clock is not None:
-                for found in other.clock.picks.values():
-                    self._append(other, found)
-                own = find_time_column(self.place, self.columns, options, [])
-
-    def describe(self) -> str:
-        """Describe in one line how each file is written."""
-        return "; ".join(file.table.describe() for file in self.files.values())
-
-    def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
-        """Return the sample rate (Hz) on which all files that state one agree, and the first row's time (s).
-
-        Raises
-        ------
-        InputError
-            They do not agree.
-        """
-        first, *others = self.files.values()
-        rate, start = first.table.even_clock([one for one in columns if one.number in first.columns])
-        for other in others:
-            rate_there, start_there = other.table.even_clock(list(other.columns.values()))
-            if rate is None:
-                rate, start = rate_there, start_there
-            elif rate_there is not None and (abs(rate_there - rate) > 1e-6 * rate or start_there != start):
-                raise InputError(
-                    f"{self.place} has {rate:g} samples a second from {start:g} s on, {other.table.place} "
-                    f"{rate_there:g} from {start_there:g} s on (`sample_rate` HZ takes them row by row)"
-                )
-        return rate, start
-
-    def blocks(self, picks: Mapping[str, ColumnInfo]) -> Iterator[SampleBlock]:
-        """Read the wanted columns of all files in blocks; a row dropped in one is dropped in all.
-
-        Raises
-        ------
-        InputError
-            The files are not equally long, or their clocks do not agree.
-        """
-        first, *others = self.files.values()
-        timed = TIME in picks and picks[TIME].number in first.columns  # else there is nothing to compare
-        if timed:
-            column = first.columns[picks[TIME].number]
-            first.clock = time_column(self.place, column, first.table.columns, self._options.time_unit)
-        places, streams = [], []
-        for file in (first, *others):
-            own = {
-                role: replace(file.columns[pick.number], may_be_blank=pick.may_be_blank)
-                for role, pick in picks.items()
-                if pick.number in file.columns
-            }
-            clock = file.clock if timed else None
-            if own or clock is not None:
-                wanted = own if clock is None or file is first else own | clock.picks
-                found = file.table.blocks(wanted)
-                streams.append(found if clock is None else _timed(found, clock, own))
-                places.append(file.table.place)
-        unequal: list[str] = []
-        for parts in _in_step(places, streams, self._options.skip_bad, unequal):
-            yield self._merged(places, parts)
-        self.notes.extend(unequal)
-        self.doubtful.extend(unequal)
-        for file in (first, *others):
-            self.dropped.extend(file.table.dropped)
-        for other in others:
-            self.notes.extend(other.table.notes)
-            self.doubtful.extend(f"{other.table.place}: {text}" for text in other.table.doubtful)
-
-    def _merged(self, places: Sequence[str], parts: Sequence[SampleBlock]) -> SampleBlock:
-        """Put parts of several files beside each other; rows that one of them lacks are left out.
-
-        Raises
-        ------
-        InputError
-            Their times differ.
-        """
-        common = np.asarray(parts[0].rows)
-        for part in parts[1:]:
-            if len(part) != len(common) or not np.array_equal(part.rows, common):
-                common = np.intersect1d(common, np.asarray(part.rows), assume_unique=True)
-        parts = [one if len(one) == len(common) else one.chosen(np.isin(one.rows, common)) for one in parts]
-        here = parts[0].time
-        if here is not None and self._step == 0.0 and len(here) > 1:
-            self._step = median_step(np.abs(np.diff(here)))
-        for place, part in zip(places, parts, strict=True):
-            if here is None or part.time is None:
-                continue
-            apart = np.flatnonzero(~(np.abs(here - part.time) <= JITTER * self._step))
-            if len(apart):
-                index = int(apart[0])
-                raise InputError(
-                    f"{self.place}: row {common[index]}: its time {here[index]:.6g} s is "
-                    f"{part.time[index]:.6g} s in {place} (bring both to one clock; "
-                    "`sample_rate` HZ takes them row by row)"
-                )
-        values = {role: array for part in parts for role, array in part.values.items()}
-        return replace(parts[0], time=None, values=values)
-
-    def close(self) -> None:
-        """Close all files."""
-        for file in self.files.values():
-            file.table.close()
-
-    @property
-    def sha256(self) -> str | None:
-        """The digest of the first file, where it was asked for."""
-        return self.files[""].table.sha256
-
-
-def _timed(blocks: Iterator[SampleBlock], clock: TimeColumn, own: Collection[str]) -> Iterator[SampleBlock]:
-    """Give the blocks of a file the seconds of its clock; of the columns those are kept that are its own."""
-    for block in clock.held_back(blocks):
-        seconds = clock.seconds(dict(block.values))
-        yield replace(block, time=seconds, values={role: block.values[role] for role in own})
-
-
-def _in_step(
-    places: Sequence[str], found: Sequence[Iterator[SampleBlock]], skip_bad: bool, notes: list[str]
-) -> Iterator[list[SampleBlock]]:
-    """Cut the blocks of several files at common rows.
-
-    Raises
-    ------
-    InputError
-        The files are not equally long (with ``skip_bad`` that is a note).
-    """
-    streams = [filter(len, blocks) for blocks in found]  # a block may be empty
-    pending = [next(stream, None) for stream in streams]
-    last = [0] * len(streams)
-    while all(pending):
-        blocks = [block for block in pending if block is not None]
-        upto = min(int(block.rows[-1]) for block in blocks)
-        cuts = [bisect_right(block.rows, upto) for block in blocks]
-        yield [block.part(0, cut) for block, cut in zip(blocks, cuts, strict=True)]
-        last = [int(block.rows[-1]) for block in blocks]
-        rests = [block.part(cut, len(block)) for block, cut in zip(blocks, cuts, strict=True)]
-        pending = [rest if len(rest) else next(one, None) for rest, one in zip(rests, streams, strict=True)]
-    if not any(pending):
-        return
-    for number, block in enumerate(pending):
-        for rest in [block, *streams[number]] if block is not None else []:  # how far are they apart?
-            last[number] = int(rest.rows[-1])
-    counts = ", ".join(f"{name} {count}" for name, count in zip(places, last, strict=True))
-    if not skip_bad:
-        raise InputError(f"the files are not equally long: {counts} rows (`rows` A:B cuts all of them)")
-    notes.append(f"the files do not end at the same row: {counts}: the rows beyond the shortest are left out")
 
 
 # --- the log -----------------------------------------------------------------------------------------
@@ -541,6 +320,7 @@ class SignalLog(Source):
         if check is not None and clock is not None:
             self.notes.extend([*clock.notes, *check.notes()])
             self.warnings.extend(clock.warnings(check))
+        self.warnings.extend(self._table.warnings)
         self._check = check
         if not self.rows_read:
             raise InputError(f"{self.name}: {self._nothing()}")
@@ -607,6 +387,8 @@ def open_log(
     options = options or ReadingOptions()
     selectors = [one for one in (*(wish.selector for wish in wishes.values()), options.time) if one]
     named = [one for one in selectors if other_file(one) is None]
+    if options.clock_offset is not None and len(named) == len(selectors):
+        raise UsageError("`clock_offset` joins two files: name the other one's column, FILE::COLUMN")
     if isinstance(address, Address):
         target = address.or_format(options.format)
     else:
@@ -614,8 +396,10 @@ def open_log(
     table = open_table(Request(target, options, named, live, digest))
     try:
         if any("::" in one for one in selectors):
-            first, table = table, (joint := _JoinedTable(table, options))
-            wishes = {role: replace(wish, selector=joint.number_of(wish)) for role, wish in wishes.items()}
+            first, table = table, (joint := JoinedTable(table, options, open_table))
+            wishes = {
+                role: replace(wish, selector=joint.number_of(wish, role)) for role, wish in wishes.items()
+            }
             if options.time is not None:
                 options = replace(options, time=joint.number_of(ColumnWish(options.time, option="time")))
             joint.find_clocks(options)

@@ -168,7 +168,7 @@ class _LogView:
         _against_time(axes, measured, style.DASHED, self._offset, label=second)
         (left, right), (low, high) = self._finer(axes)
         corners = [left, right, right, left, left], [low, low, high, high, low]
-        axes.plot(*corners, label="drawn finer below", **style.DOTTED)
+        axes.plot(*corners, label="drawn finer", **style.DOTTED)
         finish(axes, self._time(), self._length(self._quantity))
 
     def worst(self, axes: Axes) -> None:
@@ -205,7 +205,7 @@ class _LogView:
         half = self._log.concentrated
         if half is not None:
             at = 1 if self._figure_data.has_time else 0
-            share = f"{100.0 * half.part_of_rows:.2g} % of the rows, half of the squared error"
+            share = "half of the squared error"
             begin, end = half.first[at], half.last[at]
             if begin is not None and end is not None:
                 axes.axvspan(begin, end, color=style.SECOND, alpha=0.25, label=share)

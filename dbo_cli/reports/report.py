@@ -537,18 +537,19 @@ def _with_concentration(log: LogReport) -> LogReport:
     """Return a log with a note on the few rows that make half of its error, where they are few."""
     if log.concentrated is None:
         return log
-    return replace(log, notes=(*log.notes, _concentrated(log.name, log.concentrated)))
+    note = _concentrated(log.name, log.concentrated, log.figures.rmse)
+    return replace(log, notes=(*log.notes, note))
 
 
-def _concentrated(name: str, half: HalfOfError) -> str:
+def _concentrated(name: str, half: HalfOfError, rmse: float) -> str:
     """Say which rows make half of the error, and what the others have."""
     (first, begin), (last, end) = half.first, half.last
     seconds = "" if begin is None or end is None else f" ({begin:.4g} to {end:.4g} s)"
     rows = f"rows {first} to {last}" if last > first else f"row {first}"
     return (
         f"{name}: {rows}{seconds}, {100.0 * half.part_of_rows:.2g} % of all, make "
-        f"{100.0 * half.part_of_error:.0f} % of the squared error; the RMSE of the others is "
-        f"{half.rmse_elsewhere:.4g}"
+        f"{100.0 * half.part_of_error:.0f} % of the squared error; without them the RMSE is "
+        f"{half.rmse_elsewhere / rmse:.2f} of it"
     )
 
 

@@ -216,8 +216,8 @@ def _asymmetry(content: Mapping[str, Any]) -> str:
     before, every = content["segments_at_the_drive"], sum(content["segments"])
     if 0 < before < every:
         behind = every - before
-        return f", {before} segments of asymmetry on the drive's side and {behind} on the displacement's"
-    return f", {every} segments of asymmetry" if every else ""
+        return f", bent by {before} straight pieces on the drive's side and {behind} on the displacement's"
+    return f", bent by a curve of {every} straight pieces" if every else ""
 
 
 def _lag(content: Mapping[str, Any]) -> str:

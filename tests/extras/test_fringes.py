@@ -285,7 +285,8 @@ def test_figures_are_drawn(dbo: Any, blank_figures: None, tmp_path: Any) -> None
 def test_excite_makes_a_drive_whose_fringes_can_be_counted(dbo: Any) -> None:
     done = dbo("excite", "--v-max", "100", "--sample-rate", "4000", "--frequency", "2", "--duration", "4",
                "--fringes", "632.8nm", "--stroke", "2um", "-o", "drive.csv")  # fmt: skip
-    assert (done.code, done.err) == (0, "")
+    assert done.code == 0
+    assert done.err == "dbo: 14,310 rows, 3.5775 s at 4000 rows a second, from 0 to 100 V, at most 628 V/s\n"
     drive = np.loadtxt("drive.csv", delimiter=",", skiprows=1)[:, 1]
     assert drive.min() == drive[0] == drive[-1] == 0.0
     assert drive.max() == 100.0

@@ -535,7 +535,11 @@ def test_the_command_writes_table_figures_and_models(dbo: Any) -> None:
         and "validated: RMSE 0.005" in shown
         and "from log.csv (2,400 rows)" in shown
     )
-    assert dbo("show", "inverse.json").out.splitlines()[2].startswith("50 plays, 8 segments of asymmetry")
+    assert (
+        dbo("show", "inverse.json")
+        .out.splitlines()[2]
+        .startswith("50 plays, bent by a curve of 8 straight pieces")
+    )
     assert "RMSE" in dbo("report", log, "--model", "models/pi.json").out
     assert dbo("report", log, "--model", "models/rate.json", "-o", "page.html").code == 0
     refused = dbo("export", "models/pi.json", "-o", "code", "--name", "pi", "--sample-rate", "500")

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from conftest import SMALL_MODEL, folder_content
 
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import InputError, ModelError, UsageError
 from dbo_cli.extras.channels.columns import ChannelReader
-from dbo_cli.extras.channels.model_set import set_to_bytes
+from dbo_cli.extras.channels.model_set import member_text, set_to_bytes
+from dbo_cli.hysteresis import model_file
 from dbo_cli.hysteresis.model_file import Node, model_of, model_to_bytes, read_model, read_set
 from dbo_cli.logs.columns import OutColumn
 from dbo_cli.logs.hdf5.store import matrix_writer
@@ -653,3 +654,59 @@ def test_some_thousand_channels_fit_into_an_output(tmp_path: Path) -> None:
     with h5py.File(path) as file:
         assert file["displacement"][:, 4099].tolist() == [1.0, 1.0]
         assert file["displacement"].attrs["channel_of_column"].split("\n") == channels
+
+
+def whole(path: str) -> dict[str, bytes]:
+    """Return the bytes of every model of a set, read as a whole."""
+    models = json.loads(Path(path).read_bytes())["models"]
+    return {name: model_to_bytes(model_of(Node("", "", values))) for name, values in models.items()}
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        [str(k) for k in range(1, 301)],
+        ["a", 'b"c', "d\\e", "é 1", "é 2", "é 10", "format"],
+        ["x"],
+    ],
+)
+def test_one_model_of_a_set_is_read_without_the_others(
+    names: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = str(tmp_path / "set.json")
+    models = {name: model_of(Node("", "", model_of_gain(1.0 + 0.01 * k))) for k, name in enumerate(names)}
+    Path(path).write_bytes(set_to_bytes(models))
+    expected = whole(path)
+
+    def refused(*_: object) -> None:
+        raise AssertionError("the file is read as a whole")
+
+    monkeypatch.setattr(model_file, "load_document", refused)
+    for name in names:
+        assert model_to_bytes(read_model(f"{path}::{name}")) == expected[name]
+    assert member_text(path, "none") is None
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda text: json.dumps(json.loads(text), indent=4),
+        lambda text: json.dumps(json.loads(text)),
+        lambda text: text + "\n",
+        lambda text: text.replace('\n    "2": {', '\n    "0": {'),  # no longer in order
+    ],
+)
+def test_a_set_of_another_layout_is_read_as_a_whole(change: Any, tmp_path: Path) -> None:
+    path = str(tmp_path / "set.json")
+    models = {str(k): model_of(Node("", "", model_of_gain(1.0 + 0.01 * k))) for k in range(1, 40)}
+    Path(path).write_text(change(set_to_bytes(models).decode()))
+    for name, expected in whole(path).items():
+        assert model_to_bytes(read_model(f"{path}::{name}")) == expected
+
+
+def test_a_set_that_was_cut_off_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "set.json"
+    models = {str(k): model_of(Node("", "", model_of_gain(1.0))) for k in range(1, 40)}
+    path.write_bytes(set_to_bytes(models)[:-200])
+    with pytest.raises(ModelError, match="is not JSON"):
+        read_model(f"{path}::3")

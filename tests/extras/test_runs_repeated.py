@@ -451,7 +451,7 @@ def test_a_rest_brings_the_creep_where_a_loop_needs_it(known: bool) -> None:
 def test_the_passes_until_a_loop_settles_are_the_model_s(dbo: Any) -> None:
     plant, wanted = actuator(), period()
     done = Model(plant).compensate(wanted, periodic=True, **WIDE)
-    (text,) = (text for text in done.notes if "by the model the loop settles" in text)
+    (text,) = (text for text in done.notes if "the loop settles in" in text)
     found = re.search(r"settles in ([\d,]+) passes, ([\d.]+) s: the mean of the first is (\S+) um off", text)
     assert found is not None
     passes = int(found[1].replace(",", ""))
@@ -461,6 +461,35 @@ def test_the_passes_until_a_loop_settles_are_the_model_s(dbo: Any) -> None:
     within = 1e-3 * float(np.ptp(wanted))
     last = int(np.flatnonzero(np.abs(means) > within)[-1]) + 1
     assert passes == pytest.approx(last, rel=0.1)
+
+
+def test_what_other_pasts_cost_the_first_pass_is_said_and_is_so() -> None:
+    """The model is the actuator: settled it is right from the first pass on, from either end it is not."""
+    plant, wanted, within = actuator(frequency=None), period(), 1e-3 * float(np.ptp(period()))
+    done = Model(plant).compensate(wanted, **WIDE | {"state": "auto"}, periodic=True, lead="auto")
+    notes = " ".join(done.notes)
+    assert "by the model, from the start assumed, the loop is settled from its first pass on" in notes
+    stated = re.search(r"first pass is (\S+) um off \(RMS\), from its upper end (\S+) um: ", notes)
+    assert stated is not None
+    for start, said in (("settled", None), ("empty", float(stated[1])), ("full", float(stated[2]))):
+        y, _ = played(plant, done.values, start=start)
+        came = rms(y[-wanted.size :] - wanted)
+        if said is None:
+            assert came < within
+        else:
+            assert came > within
+            assert came == pytest.approx(said, rel=0.05)
+
+
+@pytest.mark.parametrize("start", ["empty", "full"])
+def test_a_start_that_is_stated_has_no_other_past(start: str) -> None:
+    plant, wanted = actuator(frequency=None), period()
+    done = Model(plant).compensate(wanted, **WIDE | {"state": start}, periodic=True, lead="auto")
+    notes = " ".join(done.notes)
+    assert "by the model the loop is settled from its first pass on" in notes
+    assert "what was before is not known" not in notes
+    y, _ = played(plant, done.values, start=start)
+    assert rms(y[-wanted.size :] - wanted) < 1e-3 * float(np.ptp(wanted))
 
 
 @pytest.mark.parametrize(("distance", "frequency"), [(0.01, None), (0.05, 800.0), (1.0, 800.0)])

@@ -41,7 +41,7 @@ class ModelSet(Mapping[str, Model]):
     """
 
     def __init__(self, models: Mapping[str, Model], coupling: Coupling | None = None) -> None:
-        self._models = dict(models)
+        self._models = models if isinstance(models, _ModelsOfFile) else dict(models)
         self.coupling = None if coupling is None else coupling.of(list(self._models))
 
     def __getitem__(self, channel: str) -> Model:
@@ -195,9 +195,30 @@ class ModelSet(Mapping[str, Model]):
         return matrix
 
 
+class _ModelsOfFile(Mapping[str, Model]):
+    """The models of a set's file, each made when it is first asked for."""
+
+    def __init__(self, models: model_set.ModelSet) -> None:
+        self._file = models
+        self._made: dict[str, Model] = {}
+
+    def __getitem__(self, channel: str) -> Model:
+        if channel not in self._made:
+            if channel not in self._file:
+                raise KeyError(channel)
+            self._made[channel] = Model(self._file[channel])
+        return self._made[channel]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._file)
+
+    def __len__(self) -> int:
+        return len(self._file)
+
+
 def set_of(models: model_set.ModelSet) -> ModelSet:
     """Return the set of a file as Python knows it."""
-    return ModelSet({channel: Model(models[channel]) for channel in models}, models.coupling)
+    return ModelSet(_ModelsOfFile(models), models.coupling)
 
 
 def identify_set(run: IdentifyRun, jobs: int) -> ModelSet:

@@ -14,10 +14,11 @@ from __future__ import annotations
 import functools
 import json
 import os
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -179,35 +180,60 @@ _LISTED = 10  # channels that a message names at most
 
 
 class ModelSet(Mapping[str, ActuatorModel]):
-    """The models of a file by their channels, in the file's order; each is checked when it is asked for."""
+    """The models of a file by their channels, in the file's order.
 
-    def __init__(self, root: Node) -> None:
-        self.file = root.file
-        self._models = root.node("models")
-        self._coupling = root.node("coupling") if "coupling" in root.values else None
+    A model is made when it is asked for. The file is read as a whole when something else is asked for, or a
+    channel that ``member_text`` does not find.
+    """
+
+    def __init__(self, file: str) -> None:
+        self.file = file
         self._last: tuple[str, ActuatorModel] | None = None  # asked for a thousand times by as many files
+
+    @functools.cached_property
+    def _root(self) -> Node:
+        """The file, read as a whole (InputError, ModelError)."""
+        root = model_file.load_document(self.file, SET_FORMAT, "model set", SET_VERSION)
+        root.only(("format", "version", "models"), ("coupling",) if root.values["version"] > 1 else ())
+        if not root.node("models").values:
+            raise root.refuse("models", "holds no model")
+        return root
+
+    @functools.cached_property
+    def _models(self) -> Node:
+        """The models, not yet checked."""
+        return self._root.node("models")
 
     def __getitem__(self, channel: str) -> ActuatorModel:
         """Return the model of a channel (InputError where there is none, ModelError where it is wrong)."""
         if self._last is not None and self._last[0] == channel:
             return self._last[1]
-        if channel not in self._models.values:
-            raise InputError(
-                f"{self.file}: there is no model of channel '{channel}' ({shortened(list(self))})"
-            )
         # A channel may hold any sign: the place is spelled as JSON spells the key.
-        node = Node(self.file, f"models[{json.dumps(channel)}]", self._models.node(channel).values)
+        node = Node(self.file, f"models[{json.dumps(channel)}]", self._values_of(channel))
         if node.values.get("format") != MODEL_FORMAT:
             raise node.refuse("format", f'must be "{MODEL_FORMAT}"')
         self._last = channel, model_file.model_of(model_file.checked_version(node))
         return self._last[1]
 
+    def _values_of(self, channel: str) -> Any:
+        """Return the object of a channel's model, as the file has it."""
+        if "_root" not in self.__dict__:
+            text = member_text(self.file, channel)
+            if text is not None:
+                return model_file.parsed(self.file, text)
+        if channel not in self._models.values:
+            raise InputError(
+                f"{self.file}: there is no model of channel '{channel}' ({shortened(list(self))})"
+            )
+        return self._models.node(channel).values
+
     @functools.cached_property
     def coupling(self) -> Coupling | None:
         """How the channels show in each other, where that was identified (ModelError where it is wrong)."""
-        if self._coupling is None:
+        if "coupling" not in self._root.values:
             return None
-        return read_coupling(self._coupling, {channel: one.output.span for channel, one in self.items()})
+        strokes = {channel: model.output.span for channel, model in self.items()}
+        return read_coupling(self._root.node("coupling"), strokes)
 
     def __contains__(self, channel: object) -> bool:
         """Tell whether there is a model of a channel."""
@@ -234,16 +260,100 @@ def read_set(path: str) -> ModelSet:
         found = os.stat(path)
     except OSError as problem:
         raise InputError(f"{path}: cannot be read: {problem.strerror or problem}") from None
-    return _parsed(path, found.st_mtime_ns, found.st_size)
+    return _unchanged(path, found.st_mtime_ns, found.st_size)
 
 
 @functools.lru_cache(maxsize=1)
-def _parsed(path: str, changed: int, size: int) -> ModelSet:
-    root = model_file.load_document(path, SET_FORMAT, "model set", SET_VERSION)
-    root.only(("format", "version", "models"), ("coupling",) if root.values["version"] > 1 else ())
-    if not root.node("models").values:
-        raise root.refuse("models", "holds no model")
-    return ModelSet(root)
+def _unchanged(path: str, changed: int, size: int) -> ModelSet:
+    return ModelSet(path)
+
+
+# --- one model of a large file ---
+
+_HEAD = re.compile(rb'\{\n  "format": "dbo-model-set",\n  "version": 1,\n  "models": \{(?=\n)')
+_TAIL = b"\n  }\n}\n"
+_MEMBER = re.compile(rb'\n    ("(?:[^"\\\n]|\\.)*"): (?=\{\n      "format": "dbo-model",\n)')
+"""The beginning of a set that ``set_to_bytes`` wrote, its end, and the line with which a model begins."""
+
+_END_OF_MEMBER = re.compile(rb"\n    \}(?:,(?=\n    \")|(?=\n  \}\n\}\n))")
+_PIECE = 1 << 16
+"""Bytes: what is read at once of a file; a model of 80 slopes has 24,000."""
+
+
+def member_text(path: str, channel: str) -> str | None:
+    """Return the JSON text of one model of a set, without reading the others.
+
+    Looks by halves in a file that ``set_to_bytes`` wrote: a line with a channel begins with four spaces,
+    which no other line does, and the channels stand in their natural order (2 before 10).
+    None where the file is another, or the channel is not there: then it has to be read as a whole.
+    """
+    try:
+        with open(path, "rb") as file:
+            return _found_by_halves(file, channel)
+    except (OSError, ValueError):
+        return None
+
+
+def _found_by_halves(file: BinaryIO, channel: str) -> str | None:
+    size = file.seek(0, os.SEEK_END)
+    file.seek(0)
+    head = _HEAD.match(file.read(200))
+    file.seek(max(size - len(_TAIL), 0))
+    if head is None or file.read() != _TAIL:
+        return None
+    begin, end, wanted = head.end(), size - len(_TAIL), _natural(channel)
+    while begin < end:
+        middle = (begin + end) // 2 if end - begin > _PIECE else begin
+        member = _next_member(file, middle, end)
+        if member is None:
+            if middle == begin:
+                return None
+            end = middle
+            continue
+        name, place = member
+        if name == channel:
+            return _text_from(file, place)
+        if middle == begin or _natural(name) < wanted:
+            begin = place
+        else:
+            end = middle
+    return None
+
+
+def _next_member(file: BinaryIO, begin: int, end: int) -> tuple[str, int] | None:
+    """Return the name of the first model that begins between two places, and where its object begins."""
+    read, place = b"", begin
+    while place < end:
+        file.seek(place)
+        piece = file.read(_PIECE)
+        if not piece:
+            return None
+        read += piece
+        place += len(piece)
+        found = _MEMBER.search(read)
+        if found is not None:
+            if begin + found.start() >= end:
+                return None
+            return json.loads(found[1]), begin + found.end()
+    return None
+
+
+def _text_from(file: BinaryIO, begin: int) -> str | None:
+    """Return the text of the object that begins at a place."""
+    read = b""
+    file.seek(begin)
+    while piece := file.read(_PIECE):
+        read += piece
+        found = _END_OF_MEMBER.search(read)
+        if found is not None:
+            return read[: found.start()].decode("utf-8") + "\n    }"
+    return None
+
+
+def _natural(channel: str) -> list[tuple[bool, int, str]]:
+    """Return what sorts names so that 2 comes before 10."""
+    parts = re.split(r"([0-9]+)", channel)
+    return [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in parts]
 
 
 def set_to_bytes(models: Mapping[str, ActuatorModel], coupling: Coupling | None = None) -> bytes:

@@ -67,6 +67,14 @@ class CascadePlan:
         return whole_and_part(self.model.delay_seconds / self.time_step)
 
     @property
+    def delay_is_smooth(self) -> bool:
+        """Whether a forward model's delay takes values between samples, and smoothly."""
+        whole_and_rest = self.delay_samples
+        if whole_and_rest is None or not whole_and_rest[1]:
+            return False
+        return self.model.delay is not None and self.model.delay.between == "smooth"
+
+    @property
     def terms(self) -> int:
         """How many relaxation terms there are."""
         return self.gain.size

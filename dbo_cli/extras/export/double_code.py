@@ -72,8 +72,11 @@ def double_code(plan: CascadePlan, lookup: bool) -> c.ModelCode:
         members.append(f"size_t segments[{parts.segments}];")
     if plan.delay_samples is not None:
         whole, part = plan.delay_samples
-        between = f"later + {c.hex_double(part)} * (earlier - later)" if part else "later"
-        more, delay = c.delay_line(whole, "double", between)
+        if plan.delay_is_smooth:
+            more, delay = c.smooth_delay_line(whole, c.hex_double(1.0 - part), "double", "")
+        else:
+            between = f"later + {c.hex_double(part)} * (earlier - later)" if part else "later"
+            more, delay = c.delay_line(whole, "double", between)
         members += more
     dynamics, spare, covered = plan.model.dynamics is not None, plan.spare_words(64), plan.model.covered_gears
     values: dict[str, str | bool] = {
@@ -91,7 +94,11 @@ def double_code(plan: CascadePlan, lookup: bool) -> c.ModelCode:
         "tables": parts.tables, "drive_steps": parts.drive, "step": parts.undo + step + parts.dynamics,
         "delay_line": delay,
     }  # fmt: skip
-    headers = ("dbo_lookup.h", lookup), ("dbo_dynamics.h", dynamics or lag)
+    headers = (
+        ("dbo_lookup.h", lookup),
+        ("dbo_dynamics.h", dynamics or lag),
+        (c.INTERPOLATION, plan.delay_is_smooth),
+    )
     used = tuple(header for header, needed in headers if needed)
     return c.ModelCode("double", members, "double.c", values, _vectors(plan), used, parts.size, {})
 

@@ -221,8 +221,11 @@ def kernel_files(words: c.Values, arithmetic: str, headers: tuple[str, ...]) -> 
         resources.files("dbo_cli.hysteresis"),
         resources.files("dbo_cli.extras.export") / "firmware",
     )
-    files = {}
-    for file in ("dbo_kernel", *(header.removesuffix(".h") for header in headers)):
+    files: dict[str, str] = {}
+    if c.INTERPOLATION in headers:
+        files[c.INTERPOLATION] = c.interpolation_header(arithmetic)
+    kernels = [header.removesuffix(".h") for header in headers if header != c.INTERPOLATION]
+    for file in ("dbo_kernel", *kernels):
         for kind in ("c", "h"):
             path = (firmware if file == "dbo_lookup" else package) / f"{file}.{kind}"
             if arithmetic != "double":

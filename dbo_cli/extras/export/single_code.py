@@ -25,14 +25,16 @@ import numpy as np
 
 from dbo_cli.errors import ModelError
 from dbo_cli.extras.export.cascade_plan import CascadePlan, ignored_beyond, self_test_moves
-from dbo_cli.extras.export.single_kernel import F, Segments, SingleKernel, SingleTables, clamped
+from dbo_cli.extras.export.single_kernel import PARTS, F, Segments, SingleKernel, SingleTables, clamped
 from dbo_cli.extras.export.source_text import (
+    INTERPOLATION,
     ModelCode,
     Vectors,
     array,
     delay_line,
     hex_float,
     integer,
+    smooth_delay_line,
     struct_rows,
 )
 from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, through
@@ -52,6 +54,9 @@ MOST_GEARS = 46_340
 
 SLOWEST_REST = 2.0**-34
 """A memory that follows by less a step would stand still below 2^10 counts, 1e-6 of the range."""
+
+SMOOTH_GROWTH = 4.0
+"""An error of every sample grows by no more than 3.1 between samples: one-sided slopes weigh 128/12 of it."""
 
 EPS = 2.0**-24
 """Half a unit in the last place of a float32, as a part of the number."""
@@ -255,7 +260,10 @@ def single_tables(plan: CascadePlan, axes: Axes, q31: bool, tolerance: float) ->
     if clip is not None:
         first = min(max(first, clip[0]), clip[1])
     whole, part = plan.delay_samples or (-1, 0.0)
-    delay = whole, round(part * COUNTS) if q31 else F(part)
+    smooth = plan.delay_is_smooth
+    if smooth:
+        part = 1.0 - part  # of the step in which the value lies
+    delay = whole, round(part * (PARTS if smooth else COUNTS)) if q31 else F(part)
     drive_shift, drive_count, offset = _remembered(plan, axes)
     terms, carried_shift = _terms(plan, axes)
     span = sum(rows[i // gears.equal_run][0] for i in range(gears.n))
@@ -268,7 +276,7 @@ def single_tables(plan: CascadePlan, axes: Axes, q31: bool, tolerance: float) ->
         covered=plan.model.covered_gears.operator.n, spare_bits=plan.model.covered_gears.spare_bits,
         before=segments_of(before, q31, taken, (base, x_step)),
         behind=segments_of(behind, q31, (gears.y0, axes.y_count), given),
-        drive=drive, clip=clip, change=change, first=first, delay=delay,
+        drive=drive, clip=clip, change=change, first=first, delay=delay, smooth=smooth,
     )  # fmt: skip
 
 
@@ -445,6 +453,9 @@ def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> dict[str, float]:
     if plan.model.delay_seconds and not on_output and not q31:
         leaving += 3.0 * EPS * max(abs(result.minimum), abs(result.maximum))
     same = bend * inner + leaving
+    if plan.delay_is_smooth:
+        rounding = 4.0 * y_out if q31 else 8.0 * EPS * max(abs(result.minimum), abs(result.maximum))
+        same = SMOOTH_GROWTH * same + rounding
     found: dict[str, float] = {}
     for key, value in (("same_gears", same), ("after_close_turn", same + bend * hop)):
         found |= {key: value, f"{key}_percent": 100.0 * value / result.span}
@@ -494,7 +505,11 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
         members.append(f"dbo_memory memory[{len(t.terms)}];")
     delay = ""
     if t.delay[0] >= 0:
-        more, delay = delay_line(t.delay[0], number, _between(t, text))
+        if t.smooth:
+            suffix = "" if q31 else "F"
+            more, delay = smooth_delay_line(t.delay[0], text(t.delay[1]), number, suffix)
+        else:
+            more, delay = delay_line(t.delay[0], number, _between(t, text))
         members += more
     low, high = ("", "") if t.clip is None else map(text, t.clip)
     values: dict[str, str | bool] = {
@@ -516,7 +531,8 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
             f"{way}_MIDDLE": repr(middle), f"{way}_COUNT": repr(unit), f"{way}_COUNTS": repr(1.0 / unit),
             f"{way}_LABEL": f"{quantity.quantity}{f' ({quantity.unit})' if quantity.unit else ''}",
         }  # fmt: skip
-    return ModelCode(number, members, "single.c", values, _vectors(plan, t, text), (), size, bounds)
+    headers = (INTERPOLATION,) if t.smooth else ()
+    return ModelCode(number, members, "single.c", values, _vectors(plan, t, text), headers, size, bounds)
 
 
 def _tables(t: SingleTables, text: Text) -> tuple[str, int]:

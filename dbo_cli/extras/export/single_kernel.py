@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from dbo_cli.hysteresis.cascade import window_place
 from dbo_cli.hysteresis.kernel import find_first_one, find_first_zero
+from dbo_cli.interpolation.smooth import WINDOW, between, nearer
 
 F = np.float32
 FARTHEST = 1 << 60  # as in dbo_kernel_single.c: beyond every position, and a difference of two fits 64 bits
@@ -71,6 +73,7 @@ class SingleTables:
     change: Number | None
     first: Number
     delay: tuple[int, Number]
+    smooth: bool
 
 
 def scaled_down(value: int, shift: int) -> int:
@@ -81,6 +84,57 @@ def scaled_down(value: int, shift: int) -> int:
 def clamped(value: int, bounds: tuple[int, int] = INT32) -> int:
     """Return ``value`` within bounds."""
     return min(max(value, bounds[0]), bounds[1])
+
+
+WEIGHTS = (
+    (-25, 48, -36, 16, -3),
+    (-3, -10, 18, -6, 1),
+    (1, -8, 0, 8, -1),
+    (-1, 6, -18, 10, 3),
+    (3, -16, 36, -48, 25),
+)
+"""Twelve times the slope of the polynomial through five samples at each of them."""
+
+PARTS = 2**26
+"""Of a step, as ``dbo_interpolation_q31.h`` counts them."""
+
+
+def between_counts(y: list[int], k: int, part: int) -> int:
+    """Return the signal the part / 2^26 of a step behind sample k of six, as ``dbo_between`` does in q31."""
+    rise = y[k + 1] - y[k]
+    begins, ends = slope_of_counts(y, k) - rise, slope_of_counts(y, k + 1) - rise
+    rest = PARTS - part
+    bend = scaled_down(rest * scaled_down(rest * begins - part * ends, 26), 26)
+    return clamped(scaled_down(y[k] * PARTS + part * (rise + bend), 26))
+
+
+def slope_of_counts(y: list[int], a: int) -> int:
+    """Return the slope at sample a of six, limited, as ``dbo_slope`` does in q31."""
+    last = WINDOW - 1
+    start = 0 if a < 3 else 1
+    secant = [y[i + 1] - y[i] for i in range(last)]
+    curve = [secant[i + 1] - secant[i] for i in range(last - 1)]
+    slope = 0
+    for weight, value in zip(WEIGHTS[a - start], y[start : start + 5], strict=True):
+        slope += weight * value
+    left = right = 0
+    if a > 0:
+        before = curve[a - 2] if a > 1 else curve[a - 1]
+        here = curve[a - 1] if a < last else before
+        left = 2 * secant[a - 1] + int(nearer(before, here))
+    if a < last:
+        after = curve[a] if a < last - 1 else curve[a - 1]
+        here = curve[a - 1] if a > 0 else after
+        right = 2 * secant[a] - int(nearer(here, after))
+    if a == 0:
+        chord, parabola = secant[0], right
+    elif a == last:
+        chord, parabola = secant[last - 1], left
+    else:
+        chord, parabola = int(nearer(secant[a - 1], secant[a])), int(nearer(left, right))
+    slope = max(slope, min(0, 36 * chord, 9 * parabola))
+    slope = min(slope, max(0, 36 * chord, 9 * parabola))
+    return -((6 - slope) // 12) if slope < 0 else (slope + 6) // 12
 
 
 class SingleKernel:
@@ -268,6 +322,8 @@ class SingleKernel:
         whole, part = self.t.delay
         if whole < 0:
             return out
+        if self.t.smooth:
+            return self._smoothly_delayed(out, whole, part)
         if not self.delayed:
             self.delayed = [out] * (whole + 2)
         self.delayed = [*self.delayed[1:], out]
@@ -275,6 +331,18 @@ class SingleKernel:
         if self.t.q31:
             return later + scaled_down((earlier - later) * part, 30)
         return later + part * (earlier - later) if part else later
+
+    def _smoothly_delayed(self, out: Number, whole: int, part: Number) -> Number:
+        """Return what a smooth delay line gives for the newest sample."""
+        place = window_place(whole)
+        size = whole + 2 + place
+        if not self.delayed:
+            self.delayed = [out] * size
+        self.delayed = [*self.delayed[1:], out]
+        window = self.delayed[:WINDOW]
+        if self.t.q31:
+            return between_counts(window, place, part)
+        return F(between([float(k) for k in range(WINDOW)], window, place, part))
 
     def _kept(self, out: Number) -> Number:
         """Return an output within the limits."""

@@ -10,6 +10,7 @@ from importlib import resources
 import numpy as np
 
 from dbo_cli.errors import UsageError
+from dbo_cli.hysteresis.cascade import window_place
 from dbo_cli.hysteresis.model import Quantity
 from dbo_cli.hysteresis.model_file import filled
 
@@ -208,6 +209,39 @@ def delay_line(samples: int, number: str, between: str) -> tuple[list[str], str]
     }  # fmt: skip
     members = [f"{number} delayed[{size}];", "uint32_t delay_at;", "int delay_filled;"]
     return members, fill("delay_line.c", values)
+
+
+INTERPOLATION = "dbo_interpolation.h"
+"""The header of a smooth delay, beside the kernel's."""
+
+
+def interpolation_header(arithmetic: str) -> str:
+    """Return the header that a smooth delay needs, in an arithmetic."""
+    if arithmetic == "q31":
+        folder, name = resources.files("dbo_cli.extras.export") / "firmware", "dbo_interpolation_q31.h"
+    else:
+        folder, name = resources.files("dbo_cli.interpolation"), INTERPOLATION
+    text = (folder / name).read_text(encoding="utf-8")
+    if arithmetic == "float":
+        text = re.sub(r"(\d\.\d)", r"\1F", text.replace("double", "float"))
+    return text
+
+
+def smooth_delay_line(samples: int, part: str, number: str, suffix: str) -> tuple[list[str], str]:
+    """Return members and steps of a smooth delay of so many samples and a part.
+
+    ``part``, as C, is what is left of the step in which the value lies; ``suffix`` ends the literals.
+    """
+    place = window_place(samples)
+    size = samples + 2 + place
+    words = ("ZERO", "ONE", "TWO", "THREE", "FOUR", "FIVE")
+    literals = {word: f"{k}.0{suffix}" for k, word in enumerate(words)}
+    values: dict[str, str | bool] = {
+        "SLOTS": str(size), "PLACE_IN_WINDOW": str(place), "PART": part, "NUMBER": number,
+        "counts": number == "int32_t", **literals,
+    }  # fmt: skip
+    members = [f"{number} delayed[{size}];", "uint32_t delay_at;", "int delay_filled;"]
+    return members, fill("smooth_delay_line.c", values)
 
 
 def model_sources(words: Values, code: ModelCode) -> dict[str, str]:

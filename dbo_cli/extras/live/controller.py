@@ -37,9 +37,12 @@ from dbo_cli.hysteresis.kernel import Floats
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, StartName
 from dbo_cli.hysteresis.stepper import BacklashStepper, inwards, may_follow
+from dbo_cli.interpolation.smooth import AFTER, WINDOW, value_between
 from dbo_cli.logs.request import checked_rate
 
 Window = tuple[list[float], Floats, InverseMemory | None]
+PAST = WINDOW - 2
+"""Samples before the oldest one that is not past, of which a value between two samples may be made."""
 
 
 class LookAhead:
@@ -62,8 +65,8 @@ class LookAhead:
     samples : int
         That time in samples, rounded up.
     held : tuple, or None
-        What is wanted from the sample committed last on, the same with the delay undone, and what the inverse
-        of the dynamics remembers; None before the first.
+        What is wanted from ``PAST`` samples before the one committed last on, the same with the delay undone,
+        and what the inverse of the dynamics remembers; None before the first.
 
     Raises
     ------
@@ -81,8 +84,10 @@ class LookAhead:
         self._inverter = None if model.dynamics is None else model.dynamics.inverter(self._step)
         self._late = math.ceil(self._delay / self._step - WHOLE)
         self._ahead = 0 if self._inverter is None else self._inverter.ahead
+        self._between = "linear" if model.delay is None else model.delay.between
         needed = self._late + self._ahead
-        self.samples = needed if seconds == "auto" else math.ceil(seconds / self._step - WHOLE)
+        best = self._ahead + (0 if model.delay is None else model.delay.rows_ahead(self._step))
+        self.samples = best if seconds == "auto" else math.ceil(seconds / self._step - WHOLE)
         if self.samples < needed:
             raise UsageError(
                 f"`lookahead` {seconds:g} s is {self.samples} samples, and the inverse of this model reads "
@@ -98,7 +103,7 @@ class LookAhead:
         """
         memory: InverseMemory | None = None
         if self.held is None:
-            raw = [float(wanted)] * (self.samples - self._ahead + 1)
+            raw = [float(wanted)] * (PAST + self.samples - self._ahead + 1)
             shifted = np.full(self._ahead + 1, wanted)
             if self._inverter is not None:
                 memory = (state and state.memory_for(self._inverter)) or self._inverter.rest(wanted)
@@ -128,16 +133,31 @@ class LookAhead:
         self._count = 0
 
     def _shifted(self, raw: list[float]) -> float:
-        """Return what is wanted the delay after the oldest value; as ``cascade.interpolated`` does."""
+        """Return what is wanted the delay after the oldest value that is not past, as reading ahead does.
+
+        With less lookahead than ``auto`` takes, fewer of the six samples lie behind the time wanted.
+        """
         if not self._late:
-            return raw[0]
+            return raw[PAST]
         row = self._count + self._ahead
+        wanted = self._stamp(row) + self._delay
         newer, older = self._stamp(row + self._late), self._stamp(row + self._late - 1)
-        later, earlier = raw[self._late], raw[self._late - 1]
-        part = (newer - (self._stamp(row) + self._delay)) / (newer - older)
+        later, earlier = raw[PAST + self._late], raw[PAST + self._late - 1]
+        if self._between == "linear":
+            part = (newer - wanted) / (newer - older)
+            if part < WHOLE:
+                return later
+            return earlier if part > 1.0 - WHOLE else later + part * (earlier - later)
+        part = (wanted - older) / (newer - older)
         if part < WHOLE:
+            return earlier
+        if part > 1.0 - WHOLE:
             return later
-        return earlier if part > 1.0 - WHOLE else later + part * (earlier - later)
+        newest = self.samples - self._ahead
+        begin = min(self._late - AFTER, newest - (WINDOW - 1))
+        times = [self._stamp(row + begin + k) for k in range(WINDOW)]
+        values = raw[PAST + begin : PAST + begin + WINDOW]
+        return value_between(times, values, self._late - 1 - begin, part)
 
     def _stamp(self, row: int) -> float:
         """Return the time (s) of a row, counted from the first at the first value; 0 at the trajectory's."""

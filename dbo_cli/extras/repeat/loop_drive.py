@@ -35,6 +35,8 @@ from dbo_cli.extras.repeat.settled_loops import Settled
 from dbo_cli.hysteresis.dynamics import ZeroPhaseLowPass, undone
 from dbo_cli.hysteresis.kernel import towards
 from dbo_cli.hysteresis.model_state import ModelState
+from dbo_cli.hysteresis.move_error import rms
+from dbo_cli.interpolation.smooth import AFTER
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.sources import WholeSource
 
@@ -124,7 +126,7 @@ class LoopCompensation(LearnedCompensation):
         self._count(settled)
         if begun is None:
             begun = self.model.start(float(drive[0]), self.start)
-        self._require_loop(settled, begun)
+        self._require_loop(settled, begun, np.concatenate([before.voltage, run_in]))
         self.move_figures.see(desired, None)
         self._require_reached()
         if played:
@@ -154,7 +156,7 @@ class LoopCompensation(LearnedCompensation):
             f"inside {inside:.3g}{unit}"
         )
 
-    def _require_loop(self, settled: Settled, begun: ModelState) -> None:
+    def _require_loop(self, settled: Settled, begun: ModelState, led_in: FloatArray) -> None:
         """Say when the model, begun as it is, repeats the loop; refuse or warn where it never does."""
         away, move = self._away(settled, begun), float(np.ptp(self.period))
         if away > LOOP_ERROR * move:
@@ -166,7 +168,7 @@ class LoopCompensation(LearnedCompensation):
         elif not settled.converged:
             why = "the drive still changes from pass to pass within its limits"
         else:
-            self._note_settling(settled, begun)
+            self._note_settling(settled, begun, led_in)
             return
         text = f"{self.source.name}: the loop does not settle: {why}"
         much = away > ALLOWED_PART * move
@@ -174,8 +176,11 @@ class LoopCompensation(LearnedCompensation):
             raise LimitError(f"{text} (`on_limit` clip writes it all the same)")
         self.remarks_before.warn(text)
 
-    def _note_settling(self, settled: Settled, begun: ModelState) -> None:
-        """Say how many passes and seconds the mean of a pass takes to come within the expected error."""
+    def _note_settling(self, settled: Settled, begun: ModelState, led_in: FloatArray) -> None:
+        """Say how many passes and seconds the mean of a pass takes to come within the expected error.
+
+        That holds from the start which is assumed; of other pasts it is said what they cost the first pass.
+        """
         drive, unit = settled.done.y, self.input.suffix
         within, what = self._stated()
         first, passes = loops.settling(self.model, drive, self.step, begun, settled.before, within)
@@ -186,9 +191,29 @@ class LoopCompensation(LearnedCompensation):
                 f"{passes * (self.step * drive.size):.3g} s: the mean of the first is {first:.3g}{unit} off, "
                 "then within"
             )
+        lower, upper = self._from_either_end(settled, led_in)
+        known = self.start != "auto" or max(lower, upper) <= within
+        start = "" if known else ", from the start assumed,"
         self.remarks_before.notes.append(
-            f"{self.source.name}: by the model the loop {how} {what}, {within:.3g}{unit}"
+            f"{self.source.name}: by the model{start} the loop {how} {what}, {within:.3g}{unit}"
         )
+        if not known:
+            self.remarks_before.notes.append(
+                f"{self.source.name}: from its lower end the actuator's first pass is {lower:.3g}{unit} off "
+                f"(RMS), from its upper end {upper:.3g}{unit}: what was before is not known (`state` says "
+                "it, more `passes` bring it nearer)"
+            )
+
+    def _from_either_end(self, settled: Settled, led_in: FloatArray) -> tuple[float, float]:
+        """Return how far off the first pass is, RMS, where the actuator came from its lower or upper end."""
+        model, step, drive = self.model, self.step, settled.done.y
+        aim = loops.settled_run(model, drive, step, settled.before).y
+        played = np.concatenate([led_in, drive])
+        errors = []
+        for end in ("empty", "full"):
+            y = model.simulate(played, model.start(float(played[0]), end), time_step=step).y
+            errors.append(rms(y[-drive.size :] - aim))
+        return errors[0], errors[1]
 
     # --- what stands before the period ---
 
@@ -419,8 +444,8 @@ class LoopCompensation(LearnedCompensation):
         """Return what the gears are to follow before the period, delay and dynamics undone."""
         model, step = self.model, self.step
         inverter = None if model.dynamics is None else model.dynamics.inverter(step)
-        ahead = int(np.ceil(model.delay_seconds / step)) + 1 + (0 if inverter is None else inverter.ahead)
-        signal = loops.shifted(np.concatenate([desired, np.resize(loop, ahead)]), model.delay_seconds / step)
+        ahead = int(np.ceil(model.delay_seconds / step)) + AFTER + (0 if inverter is None else inverter.ahead)
+        signal = loops.read_ahead(model, np.concatenate([desired, np.resize(loop, ahead)]), step)
         if inverter is not None:
             memory = None if begun is None or begun.dynamics is None else inverter.memory_of(begun.dynamics)
             ((_, signal, _),) = undone([(None, signal)], inverter, memory)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dbo_cli.hysteresis.cascade import through, whole_and_part
+from dbo_cli.hysteresis.cascade import early_loop, late_loop, through, whole_and_part
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
 from dbo_cli.hysteresis.operators import BacklashState, Floats
@@ -39,15 +39,32 @@ class Settled(NamedTuple):
     converged: bool
 
 
-def shifted(x: Floats, samples: float) -> Floats:
+def read_ahead(model: ActuatorModel, x: Floats, step: float) -> Floats:
+    """Return one period of what a forward model's output is to be, read ahead by its delay."""
+    samples = model.delay_seconds / step
+    if model.delay is None or model.delay.between == "smooth":
+        return early_loop(x, samples)
+    return _linear_shift(x, samples)
+
+
+def undone_loop(model: ActuatorModel, desired: Floats, step: float) -> Floats:
+    """Return what a forward model's dynamics and delay are to be given for one period of their output."""
+    if model.delay is None or model.delay.between == "smooth":
+        ahead = read_ahead(model, desired, step)
+    else:
+        ahead = _linear_undone(desired, model.delay_seconds / step)
+    return ahead if model.dynamics is None else model.dynamics.inverter(step).loop(ahead)
+
+
+def _linear_shift(x: Floats, samples: float) -> Floats:
     """Return one period read ahead by so many samples (behind, where negative), linear between them."""
     whole, part = whole_and_part(samples)
     near = np.roll(x, -whole)
     return near + part * (np.roll(near, -1) - near) if part else near
 
 
-def _advanced(x: Floats, samples: float) -> Floats:
-    """Return one period of what ``shifted`` by so many samples delays to ``x``.
+def _linear_undone(x: Floats, samples: float) -> Floats:
+    """Return one period of what a linear delay by so many samples makes ``x`` of.
 
     Between samples the delay takes the mean of two; frequencies that come through that are restored.
     """
@@ -61,10 +78,12 @@ def _advanced(x: Floats, samples: float) -> Floats:
     return np.fft.irfft(np.fft.rfft(ahead) / gain, x.size)
 
 
-def undone_loop(model: ActuatorModel, desired: Floats, step: float) -> Floats:
-    """Return what a forward model's dynamics and delay are to be given for one period of their output."""
-    ahead = _advanced(desired, model.delay_seconds / step)
-    return ahead if model.dynamics is None else model.dynamics.inverter(step).loop(ahead)
+def _late(model: ActuatorModel, y: Floats, step: float) -> Floats:
+    """Return one period late by a forward model's delay."""
+    samples = model.delay_seconds / step
+    if model.delay is None or model.delay.between == "smooth":
+        return late_loop(y, samples)
+    return _linear_shift(y, -samples)
 
 
 def settled_drive(
@@ -137,7 +156,7 @@ def settled_run(model: ActuatorModel, drive: Floats, step: float, state: ModelSt
     if model.dynamics is not None:
         y, sections = model.dynamics.loop(y, step)
     after = dataclasses.replace(done.state, dynamics=sections, drive_lag=lagging)
-    return done._replace(y=shifted(y, -model.delay_seconds / step), state=after)
+    return done._replace(y=_late(model, y, step), state=after)
 
 
 def settling(

@@ -358,9 +358,9 @@ def fit_notes(
         )
     if forgets:
         notes.append(
-            "loops may not close: the logs are explained better by a memory that fades with the way gone, "
-            "which gears have not, so small moves repeated at one place may creep away from the model; the "
-            "error expected of a move holds that"
+            "loops may not close: in the logs the displacement forgets its past as the drive moves, which "
+            "this model does not, so that small moves repeated at one place may creep away from it; the "
+            "error expected of a move includes that"
         )
     return notes
 

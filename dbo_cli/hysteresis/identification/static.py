@@ -281,6 +281,13 @@ def _expected_figures(expected: Expectation, span: float, unit: str) -> dict[str
     }
 
 
+def asymmetry_words(segments: object) -> str:
+    """Return in words how many straight pieces bend the loop's two branches alike."""
+    if not segments:
+        return "no curve that bends the loop"
+    return f"a curve of {segments} straight pieces that bends the loop"
+
+
 def parts_words(figures: Mapping[str, Any], unit: str) -> str:
     """Return the two parts of the error expected on new moves, and under which condition they hold."""
     return (
@@ -375,7 +382,7 @@ def _summary(
     lines.extend(validated(checks, abs(prepared.scale), unit)[1])
     lines.append(
         f"loop {figures['loop_width_percent']:.1f} % of the model's range, drive {prepared.low:g} to "
-        f"{prepared.high:g}{volt}; {figures['gears']} gears, {figures['points']} segments of asymmetry"
+        f"{prepared.high:g}{volt}; {figures['gears']} gears, {asymmetry_words(figures['points'])}"
     )
     lag = figures["lag_seconds"]
     assert isinstance(lag, float)

@@ -1,0 +1,274 @@
+# ruff: noqa: E501  (a message of one line stands on one line here)
+"""What a report says first: limits kept or missed, expected beside actual, and the few rows that make the error."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dbo_cli.errors import UsageError
+from dbo_cli.logs.sample_block import SampleBlock
+from dbo_cli.reports import windows
+from dbo_cli.reports.renderers import to_json
+from dbo_cli.reports.report import Expected, Report, ReportOptions, evaluate
+
+RATE = 100.0
+ROWS = 2000
+CLOCK = np.arange(ROWS) / RATE
+WANTED = 5.0 - 4.0 * np.cos(2.0 * np.pi * 0.5 * CLOCK)  # a move of 8 um
+
+
+def write(name: str, measured: Any, wanted: Any = WANTED) -> None:
+    rows = zip(CLOCK.tolist(), wanted.tolist(), measured.tolist(), strict=True)
+    lines = "".join(f"{t!r},{d!r},{m!r}\n" for t, d, m in rows)
+    Path(name).write_text(f"time_s,desired_um,measured_um\n{lines}")
+
+
+@pytest.fixture
+def small_log() -> None:
+    """Write the log of a straight actuator with a little loop, which the runner works beside."""
+    clock = np.arange(600) / RATE
+    drive = 50.0 - 50.0 * np.cos(2.0 * np.pi * clock / 1.5) * np.where(clock < 3.0, 1.0, 0.6)
+    moved = 0.2 * drive + 0.6 * np.sin(2.0 * np.pi * clock / 1.5) * np.where(clock < 3.0, 1.0, 0.6)
+    rows = zip(clock.tolist(), drive.tolist(), moved.tolist(), strict=True)
+    lines = "".join(f"{t!r},{v!r},{y!r}\n" for t, v, y in rows)
+    Path("log.csv").write_text(f"time_s,voltage_V,displacement_um\n{lines}")
+
+
+def begun_wrong(size: float = 1.0) -> Any:
+    """Return what a scan shows that begins wrong: noise of 0.01 um, and ``size`` um that decay in 50 ms."""
+    noise = 0.01 * np.random.default_rng(5).normal(size=ROWS)
+    return WANTED + noise + size * np.exp(-CLOCK / 0.05)
+
+
+def test_a_limit_that_is_kept_is_the_first_line_in_words_and_in_green(dbo: Any) -> None:
+    write("run.csv", WANTED + 0.04)
+    done = dbo("report", "run.csv", "--max-nrmse-percent", "1")
+    assert done.code == 0
+    assert (
+        done.out.splitlines()[0] == "PASSED: RMSE 0.5000 % of the move, within the limit of 1 % of the move"
+    )
+    assert dbo("report", "run.csv", "--max-nrmse-percent", "1", "-o", "run.html").code == 0
+    page = Path("run.html").read_text(encoding="utf-8")
+    body = page[page.index("<h1>") :]
+    assert re.match(
+        r'<h1>[^<]*</h1>\s*<p class="verdict passed"><strong>PASSED: RMSE 0\.5000 % of the move', body
+    )
+    assert "FAILED" not in page
+
+
+def test_a_limit_that_is_missed_is_the_first_line_with_both_values(dbo: Any) -> None:
+    write("run.csv", WANTED + 0.04)
+    limits = ("--max-nrmse-percent", "0.4", "--max-rmse", "0.05")
+    done = dbo("report", "run.csv", *limits, "-o", "run.html")
+    assert done.code == 3
+    page = Path("run.html").read_text(encoding="utf-8")
+    assert '<p class="verdict failed"><strong>FAILED: 1 of 2 limits missed</strong>' in page
+    assert "RMSE 0.5000 % of the move, above the limit of 0.4 % of the move" in page
+    content = json.loads(dbo("report", "run.csv", *limits, "--format", "json").out)
+    assert content["passed"] is False
+    assert content["limits"] == [
+        {"name": "run.csv", "figure": "rmse", "limit": 0.05, "value": pytest.approx(0.04), "passed": True},
+        {
+            "name": "run.csv",
+            "figure": "nrmse_percent",
+            "limit": 0.4,
+            "value": pytest.approx(0.5),
+            "passed": False,
+        },
+    ]
+
+
+def test_without_a_limit_there_is_no_verdict(dbo: Any) -> None:
+    write("run.csv", WANTED + 0.04)
+    done = dbo("report", "run.csv")
+    assert done.out.startswith("run.csv: 0.040 um RMSE, 0.50 % of the move\n")
+    assert "PASSED" not in done.out and "FAILED" not in done.out
+    assert json.loads(dbo("report", "run.csv", "--format", "json").out)["passed"] is None
+
+
+def test_the_move_and_the_range_are_two_denominators(dbo: Any) -> None:
+    """A move of 8 um of a model of 40 um: one error of 0.04 um, two percentages."""
+    summary = {"format": "dbo-summary", "version": 1, "unit": "um", "model_range": [-10.0, 30.0]}
+    Path("s.json").write_text(json.dumps(summary | {"expected_rmse": None}))
+    write("run.csv", WANTED + 0.04)
+    log = json.loads(dbo("report", "run.csv", "--expected", "s.json", "--format", "json").out)["logs"][0]
+    assert log["nrmse_percent"] == log["rmse_percent_of_move"] == pytest.approx(0.5)
+    assert log["rmse_percent_of_range"] == pytest.approx(0.1)
+    by_move = dbo("report", "run.csv", "--max-nrmse-percent", "0.3", "--expected", "s.json")
+    by_range = dbo("report", "run.csv", "--max-percent-of-range", "0.3", "--expected", "s.json")
+    assert (by_move.code, by_range.code) == (3, 0)
+    assert by_range.out.startswith(
+        "PASSED: RMSE 0.1000 % of the model's range, within the limit of 0.3 % of the\n      model's range\n"
+    )
+    refused = dbo("report", "run.csv", "--max-percent-of-range", "1")
+    assert refused.code == 2
+    assert "--max-percent-of-range needs the range of a model (--model, or --expected MODEL)" in refused.err
+
+
+def test_expected_stands_beside_actual_out_of_a_summary(dbo: Any) -> None:
+    summary = {"format": "dbo-summary", "version": 1, "unit": "um", "model_range": [0.0, 40.0]}
+    Path("s.json").write_text(json.dumps(summary | {"expected_rmse": 0.05, "expected_shape_rmse": 0.03}))
+    write("run.csv", WANTED + 0.02 + np.where(np.arange(ROWS) % 2, 0.06, -0.06))
+    text = dbo("report", "run.csv", "--expected", "s.json").out
+    assert "Expected 0.050 um RMSE (by s.json for this move), actual 0.063 um, 1.3 times as" in text
+    shape = dbo("report", "run.csv", "--expected", "s.json", "--remove-offset").out
+    assert "Expected 0.030 um RMSE (by s.json for this move), actual 0.060 um, 2.0 times as" in shape
+    other = summary | {"expected_rmse": 0.05, "unit": "nm"}
+    Path("s.json").write_text(json.dumps(other))
+    refused = dbo("report", "run.csv", "--expected", "s.json")
+    assert refused.code == 1
+    assert "s.json: is in nm, the comparison in um" in refused.err
+
+
+def test_a_start_that_makes_half_of_the_error_is_said_with_its_rows(dbo: Any) -> None:
+    measured = begun_wrong()
+    write("run.csv", measured)
+    log = json.loads(dbo("report", "run.csv", "--format", "json").out)["logs"][0]
+    error = measured - WANTED
+    last = log["half_of_error_last_row"]
+    assert log["half_of_error_first_row"] == 1
+    assert float(np.sum(error[:last] ** 2)) >= 0.5 * float(np.sum(error**2))
+    assert float(np.sum(error[: last - 1] ** 2)) < 0.5 * float(np.sum(error**2))
+    assert log["half_of_error_percent_of_rows"] == pytest.approx(100.0 * last / ROWS)
+    assert log["rmse_elsewhere"] == pytest.approx(float(np.sqrt(np.mean(error[last:] ** 2))), rel=1e-9)
+    text = dbo("report", "run.csv").out
+    part = float(np.sqrt(np.mean(error[last:] ** 2) / np.mean(error**2)))
+    assert f"without them the RMSE is {part:.2f} of it" in " ".join(text.split())
+    assert "half of the squared error" in dbo("report", "run.csv", "--format", "html").out
+
+
+def test_even_errors_have_no_such_rows(dbo: Any) -> None:
+    write("run.csv", WANTED + np.where(np.arange(ROWS) % 2, 0.1, -0.1))
+    log = json.loads(dbo("report", "run.csv", "--format", "json").out)["logs"][0]
+    assert log["half_of_error_percent_of_rows"] == pytest.approx(50.0, abs=0.1)
+    assert log["rmse_elsewhere"] == pytest.approx(0.1)
+    assert "squared error" not in dbo("report", "run.csv").out
+
+
+@pytest.mark.parametrize("rows", [1, 500, 70_000])
+def test_half_of_the_error_does_not_hang_on_how_a_log_is_cut(rows: int) -> None:
+    rng = np.random.default_rng(rows)
+    wanted = np.sin(np.arange(rows) / 50.0)
+    measured = (
+        wanted
+        + 0.1 * rng.normal(size=rows)
+        + 3.0 * np.exp(-0.5 * ((np.arange(rows) - 0.3 * rows) / 9.0) ** 2)
+    )
+    halves = []
+    for cut in (rows, 997, 31):
+        blocks = [
+            SampleBlock(
+                range(first + 1, min(first + cut, rows) + 1),
+                None,
+                None,
+                {"desired": wanted[first : first + cut], "measured": measured[first : first + cut]},
+            )
+            for first in range(0, rows, cut)
+        ]
+        halves.append(evaluate("a", blocks, ReportOptions(remove_offset=True)).figures.half)
+    assert halves[0] == halves[1] == halves[2]
+    if rows == 70_000:
+        half = halves[0]
+        assert half is not None
+        error = measured - wanted - (measured - wanted).mean()
+        place = slice(half.first[0] - 1, half.last[0])
+        assert float(np.sum(error[place] ** 2)) == pytest.approx(
+            half.part_of_error * float(np.sum(error**2)), rel=1e-9
+        )
+
+
+def test_a_lag_in_seconds_is_its_samples_times_the_period() -> None:
+    blocks = SampleBlock(range(1, ROWS + 1), None, CLOCK, {"desired": WANTED, "measured": np.roll(WANTED, 3)})
+    log = evaluate("a", [blocks], ReportOptions(lag=3))
+    record = json.loads(to_json(Report.of([log], log_options := ReportOptions(lag=3), "um")))["logs"][0]
+    assert log_options.lag == 3
+    assert (record["lag_samples"], record["lag_s"]) == (3, pytest.approx(3.0 / RATE))
+    assert record["sample_period_s"] == pytest.approx(1.0 / RATE)
+    late = evaluate("a", [blocks], ReportOptions())
+    assert late.figures.lag_left == pytest.approx(3.0, rel=0.01)
+    assert late.figures.lag_left_seconds == pytest.approx(0.03, rel=0.01)
+
+
+def test_a_row_without_a_voltage_counts_for_the_error_and_not_for_the_loop(dbo: Any) -> None:
+    """NaN in the drive beside the two signals: the error is of all rows, the figures of those with a drive."""
+    volts = WANTED * 10.0
+    volts[7] = np.nan
+    rows = zip(CLOCK.tolist(), volts.tolist(), WANTED.tolist(), (WANTED + 0.1).tolist(), strict=True)
+    text = "".join(f"{t!r},{'nan' if v != v else repr(v)},{d!r},{m!r}\n" for t, v, d, m in rows)
+    Path("run.csv").write_text(f"time_s,voltage_V,desired_um,measured_um\n{text}")
+    done = dbo("report", "run.csv", "--format", "json", "--skip-bad")
+    assert done.code == 0, done.err
+    log = json.loads(done.out)["logs"][0]
+    assert (log["samples"], log["rmse"]) == (ROWS, pytest.approx(0.1)) or (
+        log["samples"] == ROWS - 1 and log["rmse"] == pytest.approx(0.1) and "1 " in done.err
+    )
+
+
+def test_expected_without_its_mean_where_the_offset_is_removed() -> None:
+    blocks = SampleBlock(range(1, ROWS + 1), None, CLOCK, {"desired": WANTED, "measured": WANTED + 0.5})
+    stated = Expected(0.5, 0.3, 40.0, "m")
+    for remove, figure in ((False, 0.5), (True, 0.3)):
+        log = evaluate("a", [blocks], ReportOptions(remove_offset=remove))
+        log = type(log)(log.name, log.figures, log.lag, expected=stated)
+        assert log.expected_rmse == figure
+
+
+def test_a_state_is_where_the_prediction_begins(dbo: Any, small_log: Path) -> None:
+    assert dbo("identify", "log.csv", "--gears", "64", "-o", "m.json", "-q").code == 0
+    rows = [line.split(",") for line in Path("log.csv").read_text().splitlines()]
+    middle = [row for row in rows[1:] if row][200:320]
+    Path("part.csv").write_text("\n".join(",".join(row) for row in [rows[0], *middle]) + "\n")
+    errors = {}
+    for start in ("auto", "empty", "full"):
+        done = dbo("report", "part.csv", "--model", "m.json", "--state", start, "--format", "json")
+        assert done.code == 0, done.err
+        errors[start] = json.loads(done.out)["logs"][0]["rmse"]
+    assert len({round(value, 9) for value in errors.values()}) > 1
+    alone = dbo("report", "part.csv", "--desired", "1", "--measured", "2", "--state", "empty")
+    assert (alone.code, alone.err.strip().splitlines()[-1]) == (
+        2,
+        "dbo: error: --state is where a model starts (--model)",
+    )
+
+
+def test_the_remedy_for_an_unknown_start_is_an_option_of_the_command(dbo: Any, small_log: Path) -> None:
+    assert dbo("identify", "log.csv", "--gears", "64", "-o", "m.json", "-q").code == 0
+    rows = [line.split(",") for line in Path("log.csv").read_text().splitlines()]
+    Path("part.csv").write_text("\n".join(",".join(row) for row in [rows[0], *rows[230:420]]) + "\n")
+    done = dbo("report", "part.csv", "--model", "m.json")
+    help_page = dbo("report", "--help-all").out
+    for option in re.findall(r"--[a-z-]+", done.err):
+        assert option in help_page
+
+
+def test_no_window_without_a_display(dbo: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(windows.sys, "platform", "linux")
+    write("run.csv", WANTED + 0.04)
+    done = dbo("report", "run.csv", "--show", "-o", "report.txt")
+    assert (done.code, done.out) == (2, "")
+    assert done.err.strip().splitlines()[-1] == (
+        "dbo: error: --show: there is no display to open a window on (--figures DIR writes files)"
+    )
+    assert not Path("report.txt").exists()
+
+
+def test_windows_are_refused_where_no_toolkit_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(windows, "TOOLKITS", ("NoSuchAgg",))
+    monkeypatch.setattr(windows.sys, "platform", "linux")
+    from matplotlib import pyplot
+
+    def missing(name: str) -> None:
+        raise ImportError(name)
+
+    monkeypatch.setattr(pyplot, "switch_backend", missing)
+    with pytest.raises(UsageError, match="nothing that opens windows is installed for matplotlib"):
+        windows.show_in_windows([])
