@@ -13,8 +13,13 @@ from dataclasses import dataclass
 KERNEL = ("hysteresis_operators", "hysteresis_kernel")
 MODEL = ("hysteresis_model", "hysteresis_operators", "runs_states", "runs_controller")
 IDENTIFICATION = ("hysteresis_identification_parts", "hysteresis_identification_rules")
-REPORTS = ("reports_figures_of_merit", "reports_loop_and_lag", "reports_sample_pairs", "reports_report",
-           "reports_trajectory_match")
+REPORTS = (
+    "reports_figures_of_merit",
+    "reports_loop_and_lag",
+    "reports_sample_pairs",
+    "reports_report",
+    "reports_trajectory_match",
+)
 FIGURES = ("reports_figures",)
 
 

@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+import dbo_cli
 from dbo_cli.errors import UsageError
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.reports import windows
+from dbo_cli.reports.accumulators import Curve, FigureData
 from dbo_cli.reports.renderers import to_json
 from dbo_cli.reports.report import Expected, Report, ReportOptions, evaluate
 
@@ -195,19 +197,40 @@ def test_a_lag_in_seconds_is_its_samples_times_the_period() -> None:
     assert late.figures.lag_left_seconds == pytest.approx(0.03, rel=0.01)
 
 
-def test_a_row_without_a_voltage_counts_for_the_error_and_not_for_the_loop(dbo: Any) -> None:
-    """NaN in the drive beside the two signals: the error is of all rows, the figures of those with a drive."""
+def test_a_row_without_a_voltage_is_refused_or_dropped_and_counted(dbo: Any) -> None:
     volts = WANTED * 10.0
     volts[7] = np.nan
     rows = zip(CLOCK.tolist(), volts.tolist(), WANTED.tolist(), (WANTED + 0.1).tolist(), strict=True)
     text = "".join(f"{t!r},{'nan' if v != v else repr(v)},{d!r},{m!r}\n" for t, v, d, m in rows)
     Path("run.csv").write_text(f"time_s,voltage_V,desired_um,measured_um\n{text}")
+    refused = dbo("report", "run.csv")
+    assert refused.code == 1
+    assert "run.csv:9: column 'voltage_V' is not finite: 'nan' (--skip-bad drops such rows)" in refused.err
     done = dbo("report", "run.csv", "--format", "json", "--skip-bad")
-    assert done.code == 0, done.err
     log = json.loads(done.out)["logs"][0]
-    assert (log["samples"], log["rmse"]) == (ROWS, pytest.approx(0.1)) or (
-        log["samples"] == ROWS - 1 and log["rmse"] == pytest.approx(0.1) and "1 " in done.err
+    assert (log["samples"], log["rmse"]) == (ROWS - 1, pytest.approx(0.1))
+    assert "run.csv:9: column 'voltage_V' is not finite: 'nan': 1 row dropped" in done.err
+
+
+def test_figures_leave_out_samples_whose_drive_is_no_number() -> None:
+    volts = WANTED * 10.0
+    volts[7] = np.nan
+    block = SampleBlock(
+        range(1, ROWS + 1), None, CLOCK, {"desired": WANTED, "measured": WANTED + 0.1, "voltage": volts}
     )
+    data = FigureData("V")
+    log = evaluate("a", [block], ReportOptions(), figure_data=data)
+    assert (log.figures.samples, data.samples) == (ROWS, ROWS - 1)
+    drawn = data.against("drive", "measured")
+    assert isinstance(drawn, Curve)
+    assert len(drawn.x) == ROWS - 1
+    assert np.isfinite(drawn.x).all() and np.isfinite(drawn.y).all()
+
+
+@pytest.mark.parametrize("rate", [np.inf, np.nan, 0.0, -5.0])
+def test_a_rate_that_is_none_is_refused(rate: float) -> None:
+    with pytest.raises(UsageError, match="sample_rate"):
+        dbo_cli.report(WANTED, WANTED + 0.1, sample_rate=rate)
 
 
 def test_expected_without_its_mean_where_the_offset_is_removed() -> None:

@@ -580,7 +580,7 @@ class Compensation(ModelRun):
         start = "settled at the first row" if self.start in ("auto", "settled") else self.start
         return (
             f"; that is from the start assumed ({start}){self.or_after_a_sweep}, from an unknown past "
-            f"{whole:.3g}{unit}"
+            f"{_rounded_up(whole):.3g}{unit}"
         )
 
     def _past_matters(self, error: MoveError) -> bool:
@@ -645,6 +645,14 @@ class Compensation(ModelRun):
         if limits.max_slew is not None:
             allowed += f", {limits.max_slew:.6g}{drive.suffix}/s"
         return f"{self._counted(self.clipped)} beyond what the limits of the drive allow ({allowed})"
+
+
+def _rounded_up(value: float) -> float:
+    """Return a bound to three digits, no smaller than it is."""
+    if not 0.0 < value < math.inf:
+        return value
+    unit = 10.0 ** (math.floor(math.log10(value)) - 2)
+    return math.ceil(value / unit * (1.0 - 1e-12)) * unit
 
 
 def _parts_words(error: MoveError, unit: str) -> str:

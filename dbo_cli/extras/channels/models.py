@@ -35,6 +35,7 @@ from dbo_cli.runs.identifying import (
     RecordedLog,
     Recordings,
     sign_line,
+    sign_warning,
     summary_of_model,
     with_sign,
 )
@@ -77,8 +78,9 @@ def identify_channels(run: IdentifyRun, output: Address, work: jobs.Work, listen
         read = next(iter(fits.values())).remarks.read
         read = [f"{line}; {len(fits):,} channels: {shown}" for line in read]
         outcome.remarks.read += with_sign(read, sign_line(models))
-        if len({model.sign for model in models.values()}) > 1:
-            outcome.remarks.warn(f"{sign_line(models)}: are leads exchanged, or does a sensor face away?")
+        exchanged = sign_warning(models, "channel")
+        if exchanged is not None:
+            outcome.remarks.warn(exchanged)
     say_found(fits, "channel", outcome.remarks)
     return outcome
 
