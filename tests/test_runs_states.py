@@ -88,8 +88,9 @@ def outputs(text: str) -> list[float]:
 
 def test_a_rate_that_begins_at_the_stamp_of_the_state_goes_on_one_step_later(dbo: Any) -> None:
     Path("model.json").write_text(json.dumps(lagging_model()))
-    for name, volts in (("first", (1,)), ("second", (6, 3, 4)), ("all", (1, 6, 3, 4))):
-        Path(f"{name}.csv").write_text("\n".join(["voltage_V", *map(str, volts)]) + "\n")
+    volts = [1.0, *(5.0 + 4.0 * np.sin(np.arange(30) / 3.0)).tolist()]  # the delay holds 8 rows back
+    for name, part in (("first", volts[:1]), ("second", volts[1:]), ("all", volts)):
+        Path(f"{name}.csv").write_text("\n".join(["voltage_V", *map(repr, part)]) + "\n")
     words = ("--sample-rate", "50", "-q")
     whole = outputs(dbo("simulate", "model.json", "all.csv", *words).out)
     dbo("simulate", "model.json", "first.csv", *words, "-o", "out.csv", "--save-state", "s.json")
