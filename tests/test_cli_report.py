@@ -58,6 +58,19 @@ def test_json(logs: Any) -> None:
     assert second["ratio_to_first"] == pytest.approx(0.2, rel=1e-12)
 
 
+def test_a_late_sensor_is_late_in_samples_seconds_and_milliseconds(dbo: Any) -> None:
+    late = np.roll(np.tile(DESIRED, 2), 3)[200:]  # 3 rows of 10 ms
+    write_log("late.csv", late - DESIRED)
+    (log,) = json.loads(dbo("report", "late.csv", "--format", "json").out)["logs"]
+    assert log["sample_period_s"] == pytest.approx(0.01, rel=1e-9)
+    assert log["lag_left_samples"] == pytest.approx(3.0, rel=0.02)
+    assert log["lag_left_s"] == pytest.approx(0.01 * log["lag_left_samples"], rel=1e-9)
+    (row,) = csv.DictReader(io.StringIO(dbo("report", "late.csv", "--format", "csv").out))
+    assert float(row["lag_left_s"]) == pytest.approx(log["lag_left_s"], rel=1e-4)
+    text = dbo("report", "late.csv").out.splitlines()[-1].split()
+    assert text[4:6] == ["3.00", "0.0300"]  # samples and seconds
+
+
 def test_csv_has_one_line_a_log(logs: Any) -> None:
     rows = list(csv.DictReader(io.StringIO(logs("report", "before.csv", "after.csv", "--format", "csv").out)))
     assert [row["name"] for row in rows] == ["before.csv", "after.csv"]

@@ -14,7 +14,7 @@ import numpy as np
 
 from dbo_cli.errors import InputError, Remarks
 from dbo_cli.hysteresis import kernel, model_state
-from dbo_cli.hysteresis.cascade import DelayLeft, DelayStage, read_ahead
+from dbo_cli.hysteresis.cascade import PIECE, DelayLeft, DelayStage, read_ahead
 from dbo_cli.hysteresis.dynamics import (
     DynamicsInverter,
     DynamicsStage,
@@ -507,14 +507,10 @@ class ModelRun:
         if not isinstance(fastest, float) or self.model.dynamics is not None:
             return
         before = drive[0] if self.last_drive is None else self.last_drive
-        changes = np.empty_like(drive)
-        changes[0] = drive[0] - before
-        np.subtract(drive[1:], drive[:-1], out=changes[1:])
-        np.abs(changes, out=changes)
         self.last_drive = float(drive[-1])
-        if float(changes.max()) <= FASTER * fastest * float(np.min(steps)):
+        if _largest_change(drive, before) <= FASTER * fastest * float(np.min(steps)):
             return
-        faster = changes > FASTER * fastest * steps
+        faster = np.abs(np.diff(drive, prepend=before)) > FASTER * fastest * steps
         if faster.any() and not block.before_move:
             self.fast.add(int(np.count_nonzero(faster)), int(np.argmax(faster)), block)
 
@@ -573,6 +569,15 @@ class ModelRun:
         if self.start == "auto" and not self.found_start:
             spread = self.model.start_spread(begun, first)
             self.assumed = spread if spread > ASSUMED_SPREAD * self.displacement.span else 0.0
+
+
+def _largest_change(values: FloatArray, before: float) -> float:
+    """Return the largest change from one value to the next, in pieces that caches hold."""
+    largest = abs(float(values[0]) - before)
+    for begin in range(0, values.size - 1, PIECE):
+        changes = np.diff(values[begin : begin + PIECE + 1])
+        largest = max(largest, float(changes.max()), -float(changes.min()))
+    return largest
 
 
 def found_start(model: ActuatorModel, name: str, first: float) -> StartName | None:

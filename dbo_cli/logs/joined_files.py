@@ -453,8 +453,8 @@ def _require_forward(place: str, given: _Timed) -> None:
     back = np.flatnonzero(np.diff(given.time) < 0.0)
     if len(back):
         raise InputError(
-            f"{given.block.place(place, int(back[0]) + 1)}: time goes backwards, so its rows cannot be joined by "
-            "time (`rows` A:B cuts all files)"
+            f"{given.block.place(place, int(back[0]) + 1)}: time goes backwards, so its rows cannot be "
+            "joined by time (`rows` A:B cuts all files)"
         )
 
 
