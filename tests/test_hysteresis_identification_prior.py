@@ -86,11 +86,24 @@ def test_a_lag_that_did_not_change_is_left_alone() -> None:
     assert "lag as it was (within " in done.summary[0]
 
 
+def test_an_unchanged_actuator_keeps_the_old_numbers() -> None:
+    """A prior that errs by what it states: what a short log of one small loop would change is that error."""
+    prior = known()
+    near = short_log(known(wide=1.02), top=30.0)
+    done = identify([near], prior=prior)
+    moved: Any = done.fit["prior"]
+    assert (moved["gain"], moved["offset"], moved["delay_seconds"]) == (1.0, 0.0, 0.0)
+    assert done.model.stages == prior.stages
+    other: Any = identify([short_log(known(), gain=0.99)], prior=prior).fit["prior"]
+    assert other["gain"] == pytest.approx(0.99, abs=5e-4)
+
+
 def test_a_changed_shape_is_refused_and_kept_by_force() -> None:
     log = short_log(known(wide=1.4))
     with pytest.raises(FitError, match=r"^short\.csv: the shape has changed: with gain, offset and lag found again the prior "
-                       r"leaves 0\.\d+ um beside noise, where 0\.0\d+ um is its expected error; identify again from a "
-                       r"whole log, without `prior` \(`force` keeps the shape\)$"):  # fmt: skip
+                       r"leaves 0\.\d+ um beside noise, where its own fit left 0\.01 um; identify again from a whole log, "
+                       r"without `prior`, or begin with a sweep over the whole range: what was before the log may be to "
+                       r"blame \(`force` keeps the shape\)$"):  # fmt: skip
         identify([log], prior=known())
     [warning] = identify([log], IdentificationOptions(force=True), prior=known()).warnings
     assert warning.startswith("short.csv: the shape has changed")

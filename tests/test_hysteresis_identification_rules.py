@@ -210,7 +210,7 @@ def judged(*kinds: tuple[str, list[float]]) -> Judged:
     """Return a candidate with these mean squares on the parts of each kind, of ten rows each."""
     errors = {name: Errors(10.0 * np.array(squares), np.full(len(squares), 10)) for name, squares in kinds}
     structure = Structure("growing", (), 1, 1e-8)
-    return Judged(Basis(6, 0.0, 10.0), Refined(structure, np.zeros(7), 1.0, 1.0), errors, 100)
+    return Judged(errors, 0.01, Basis(6, 0.0, 10.0), Refined(structure, np.zeros(7), 1.0, 1.0))
 
 
 def test_each_kind_of_parts_counts_once_and_by_its_ratio() -> None:
@@ -229,6 +229,15 @@ def test_a_candidate_is_beaten_beyond_its_error_bar_alone() -> None:
     assert not worse.beaten_by(steady, 0.5)
     single = judged(("levels", [1.0]))
     assert not judged(("levels", [2.0])).beaten_by(single, 0.0)  # one part has no scatter
+
+
+def test_what_is_surely_better_is_so_by_two_standard_errors_of_each_kind() -> None:
+    worse = judged(("cycles", [2.0, 2.0, 2.0, 1.8]), ("levels", [2.0, 2.0, 2.0, 1.8]))
+    better = judged(("cycles", [1.8, 1.8, 1.8, 2.0]), ("levels", [1.8, 1.8, 1.8, 2.0]))
+    assert worse.beaten_by(better, 0.0)  # by 0.0264; its error bar is 0.0259
+    assert not worse.surely_beaten_by(better)
+    assert worse.surely_beaten_by(judged(("cycles", [1.0, 1.0, 1.0, 0.9]), ("levels", [1.0, 1.0, 1.0, 0.9])))
+    assert not judged().surely_beaten_by(judged())
 
 
 def test_few_gears_are_not_flat_either() -> None:

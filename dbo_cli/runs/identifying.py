@@ -119,7 +119,7 @@ def identify_recordings(
     return IdentifyResult(dataclasses.replace(result.model, provenance=provenance), result.summary, remarks)
 
 
-def sign_line(models: Mapping[str, ActuatorModel]) -> str:
+def sign_line(models: Mapping[str, ActuatorModel], noun: str = "channel") -> str:
     """Return in words whether displacement rises or falls as voltage rises, of the models of channels."""
     names: dict[Sign, list[str]] = {}
     for name, model in models.items():
@@ -130,7 +130,7 @@ def sign_line(models: Mapping[str, ActuatorModel]) -> str:
     if len(ways) > 1:
         opposite = names[ways[1]]
         plural = "s" if len(opposite) > 1 else ""
-        line += f", but {SIGN_VERBS[ways[1]]} in channel{plural} {named(opposite)}"
+        line += f", but {SIGN_VERBS[ways[1]]} in {noun}{plural} {named(opposite)}"
     return line
 
 
@@ -139,9 +139,22 @@ def with_sign(read: Sequence[str], line: str) -> list[str]:
     return [f"{read[0]}; {line}", *read[1:]] if read else [line]
 
 
+def sign_warning(models: Mapping[str, ActuatorModel], noun: str) -> str | None:
+    """Return a warning where the displacement of some models rises with the voltage, and of others falls."""
+    if len({model.sign for model in models.values()}) < 2:
+        return None
+    return f"{sign_line(models, noun)}: are leads exchanged, or does a sensor face away?"
+
+
 def summary_of_model(result: IdentifyResult, command: str) -> dict[str, Any]:
-    """Return what was identified as plain values (``dbo-summary``); errors in the displacement's unit."""
+    """Return what was identified as plain values (``dbo-summary``).
+
+    Errors are in the displacement's unit; the gain is displacement per voltage, end to end, with its sign.
+    """
     model, fit = result.model, result.model.fit
+    gain = model.output.span / model.input.span
+    if model.sign == "falling":
+        gain = -gain
     inputs: Any = model.provenance["inputs"]
     figures = ["rmse", "rmse_percent", "expected_rmse", "expected_percent"]
     figures += ["expected_shape_rmse", "expected_zero"]
@@ -152,6 +165,7 @@ def summary_of_model(result: IdentifyResult, command: str) -> dict[str, Any]:
         "read": [read_record(log["name"], log.get("read", log)) for log in inputs],
         "rows": fit.get("samples"),
         "sign": model.sign,
+        "gain": gain,
         "range": [model.input.minimum, model.input.maximum],
         **{key: fit.get(key) for key in figures},
         "notes": [plain(text) for text in [*result.remarks.notes, *result.summary]],

@@ -72,12 +72,13 @@ class Failed:
 class Outcome:
     """What is to be said of a run or of all jobs, and the error to end with once the outputs are written.
 
-    ``last``: notes that come after all others.
+    ``last``: notes that come after all others. ``failures``: the errors of jobs by their names.
     """
 
     remarks: Remarks = field(default_factory=Remarks)
     failure: DboError | None = None
     last: list[str] = field(default_factory=list)
+    failures: dict[str, str] = field(default_factory=dict)
 
     def good(
         self,
@@ -118,6 +119,7 @@ class Outcome:
                     remedy = "" if work.all_needed else f" (`keep_going` writes the other {noun}s)"
                     raise type(end.problem)(text + remedy)
                 self.remarks.warn(text)
+                self.failures[end.name] = str(end.problem)
             if number < count:
                 listener.working(f"{noun} {number + 1:,} of {count:,}")
         if failed:

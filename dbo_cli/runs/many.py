@@ -5,14 +5,14 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from dbo_cli import extensions
-from dbo_cli.errors import InputError, Listener, Remarks, UsageError
+from dbo_cli.errors import InputError, Listener, Remarks, UsageError, plain
 from dbo_cli.logs.columns import is_pattern
-from dbo_cli.logs.request import Address, parse_address
+from dbo_cli.logs.request import Address, check_document, parse_address
 from dbo_cli.logs.whole_output import check_outputs, make_folder
-from dbo_cli.runs.files import Destination, SignalRun
+from dbo_cli.runs.files import Destination, SignalRun, write_json
 from dbo_cli.runs.jobs import (
     FILE,
     Outcome,
@@ -153,11 +153,17 @@ def wants_channels(output: Address, *selectors: str | None) -> bool:
 
 def identify_files(run: IdentifyRun, output: Address, work: Work, listener: Listener) -> Outcome:
     """Identify a model of each log by itself."""
+    from dbo_cli.runs.identifying import sign_warning
+
     check_names(output, run.logs)
-    if run.summary is not None and FILE not in run.summary.text:
-        raise UsageError(f"`summary` {run.summary.text}: each log has its own (put {FILE} into its name)")
     files = [of_file(output, log) for log in run.logs]
-    check_outputs(files, [*run.logs, *run.validation])
+    of_all = None
+    if run.summary is not None and FILE not in run.summary.text:
+        of_all = run.summary
+        check_document(of_all, "a summary", "json")
+        run = dataclasses.replace(run, summary=None)
+    documents = files if of_all is None else [*files, of_all]
+    check_outputs(documents, [*run.logs, *run.validation])
     calls = []
     for log, file in zip(run.logs, files, strict=True):
         summary = None if run.summary is None else of_file(run.summary, log)
@@ -165,10 +171,37 @@ def identify_files(run: IdentifyRun, output: Address, work: Work, listener: List
         calls.append((log, functools.partial(of_log.run, file)))
     results, outcome = each_file(calls, work, listener)
     outcome.remarks.read += summed_up({name: result.remarks.read for name, result in results.items()}, "file")
+    exchanged = sign_warning({name: result.model for name, result in results.items()}, "file")
+    if exchanged is not None:
+        outcome.remarks.warn(exchanged)
+    if of_all is not None:
+        write_json(of_all, _summaries_of_logs(run, results, outcome.failures))
     if len(run.logs) == 1 and results:
         outcome.remarks.notes += next(iter(results.values())).summary
     say_found(results, "file", outcome.remarks)
     return outcome
+
+
+def _summaries_of_logs(
+    run: IdentifyRun, results: Mapping[str, IdentifyResult], failures: Mapping[str, str]
+) -> list[dict[str, Any]]:
+    """Return for each log, in their order, what was identified, or why nothing was (``failed``)."""
+    from dbo_cli.runs.identifying import summary_of_model
+
+    summaries = []
+    for log in run.logs:
+        result = results.get(log.text)
+        if result is None:
+            what = {
+                "format": "dbo-summary",
+                "version": 1,
+                "command": run.command,
+                "failed": plain(failures[log.text]),
+            }
+        else:
+            what = {**summary_of_model(result, run.command), "failed": None}
+        summaries.append({"file": log.text, **what})
+    return summaries
 
 
 def say_found(results: Mapping[str, IdentifyResult], noun: str, remarks: Remarks) -> None:

@@ -15,10 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dbo_cli.errors import FitError
+from dbo_cli.hysteresis.identification.linear_response import linear_response
 from dbo_cli.hysteresis.identification.normal_equations import KNOT_SMOOTHNESS, Structure
 from dbo_cli.hysteresis.identification.output_error import (
     TINY,
     Judged,
+    LeftOut,
     OutputProblem,
     Refined,
     finer,
@@ -36,19 +38,29 @@ from dbo_cli.hysteresis.identification.statistics import (
 )
 
 JUDGED_ROWS = 4000  # of the logs
+JUDGED_GEARS = 64  # different slopes, at most; what is delivered begins with theirs and has all
+OUT_OF_REACH = 1.5  # times the least RMS error among candidates of as many segments: more are not tried
 SEGMENTS = ((1, KNOT_SMOOTHNESS), (2, KNOT_SMOOTHNESS), (4, KNOT_SMOOTHNESS), (8, KNOT_SMOOTHNESS),
             (16, KNOT_SMOOTHNESS), (32, 1e-7))  # fmt: skip
 """Segments and smoothness of the asymmetry; each begins where the one before ended."""
+FAR_BETTER = 0.5
+"""Of the model's error: a linear response that leaves less shows dynamics that no gears follow. A plant whose
+spring has hysteresis leaves a third; a servo with a current limit 0.7, and is followed well enough."""
 SMOOTHNESS = (1e-6, 1e-8, 1e-10, 1e-12, 1e-16)  # of the slopes
 
 
 @dataclass(frozen=True)
 class Finalist:
-    """What is delivered: basis, structure, and the unknowns from which the last refinement begins."""
+    """What is delivered: basis, structure, and the unknowns from which the last refinement begins.
+
+    ``beaten`` says in words what predicts parts left out better than all candidates do, and what the logs
+    lack; empty where nothing does.
+    """
 
     basis: Basis
     structure: Structure
     vector: Floats
+    beaten: str = ""
 
 
 def best_of(prepared: Prepared, choice: Choice, options: IdentificationOptions) -> Finalist:
@@ -66,9 +78,15 @@ class _Finalists:
     """The candidates beside a choice, on some rows of the logs."""
 
     def __init__(self, prepared: Prepared, choice: Choice, options: IdentificationOptions) -> None:
+        self._full_logs: Sequence[PreparedLog] = prepared.logs
         self._logs: Sequence[PreparedLog] = fewer_rows(prepared.logs, JUDGED_ROWS)
         self._one_amplitude = prepared.one_amplitude
-        self._choice, self._options = choice, options
+        self._gears = choice.basis.gears
+        few = replace(choice.basis, gears=min(self._gears, JUDGED_GEARS))
+        few = replace(few, split=choice.basis.gears * choice.basis.split // few.gears)
+        if few.gears * few.split != choice.basis.gears * choice.basis.split:
+            few = choice.basis  # a number of gears that the user fixed
+        self._choice, self._options = replace(choice, basis=few), options
         self._problems: dict[Basis, OutputProblem] = {}
 
     def _problem(self, basis: Basis) -> OutputProblem:
@@ -80,12 +98,13 @@ class _Finalists:
         """Return the winner."""
         chosen = self._judged_choice()
         if self._at_noise(chosen):
-            return Finalist(chosen.basis, chosen.structure, chosen.candidate.vector)
+            return self._finalist(chosen)
         refined: list[Refined] = []
+        least_squares: dict[int, float] = {}
         basis = chosen.basis  # the delay has been judged
-        for structure in self._starts(basis):
+        for structure in self._starts(basis, least_squares):
             try:
-                refined += self._chain(basis, structure)
+                refined += self._within_reach(self._chain(basis, structure), least_squares)
             except FitError:  # a candidate that cannot be solved is no reason to refuse the log
                 continue
         # What is left out is predicted no better than what is fitted: most need not be left out at all.
@@ -101,8 +120,88 @@ class _Finalists:
                 continue
             judged.append(one)
             least = min(least, one.score)
-        winner = self._winner(judged)
-        return Finalist(winner.basis, winner.structure, winner.candidate.vector)
+        winner = self._no_worse_than_simpler(self._winner(judged))
+        return self._finalist(winner, self._beaten(winner))
+
+    def _finalist(self, winner: Judged, beaten: str = "") -> Finalist:
+        """Return the winner with all the gears that were chosen."""
+        parts = self._gears // winner.basis.gears
+        basis = replace(winner.basis, gears=self._gears, split=winner.basis.split // parts)
+        heights, rest = np.split(winner.candidate.vector, [winner.basis.gears])
+        vector = np.concatenate((np.repeat(heights / parts, parts), rest))
+        return Finalist(basis, winner.structure, vector, beaten)
+
+    def _no_worse_than_simpler(self, winner: Judged) -> Judged:
+        """Return the winner, or what is simpler and has a smaller error.
+
+        That is: itself without its delay, and gears alone; where they predict what was left out surely
+        better, or fit the logs better by more than ``INDIFFERENCE``.
+        """
+        for structure in self._simpler(winner):
+            basis = replace(winner.basis, delay=self._options.delay or 0.0)
+            if structure.segments == 1:
+                basis = replace(basis, bend=0.0)
+            if (basis, structure) == (winner.basis, winner.structure):
+                continue
+            try:
+                simpler = self._judged(basis, structure)
+            except FitError:
+                continue
+            much_better = simpler.least_score < winner.least_score - math.log1p(INDIFFERENCE)
+            if much_better or winner.surely_beaten_by(simpler):
+                winner = simpler
+        return winner
+
+    def _simpler(self, winner: Judged) -> Iterator[Structure]:
+        """Yield the structures that are tried without a delay: the winner's, and gears alone."""
+        yield winner.structure
+        memories = winner.structure.memories if self._options.relaxation is not None else ()
+        alone = replace(winner.structure, segments=1, memories=memories)
+        if self._options.points in (None, 0, 1):
+            yield replace(alone, knot_smoothness=KNOT_SMOOTHNESS)
+
+    def _beaten(self, winner: Judged) -> str:
+        """Return what predicts parts left out better than the winner, in words; empty where nothing does."""
+        straight = replace(winner.basis, delay=0.0, bend=0.0)
+        line = self._problem(straight).line()
+        if winner.surely_beaten_by(line):
+            return (
+                "parts of the logs that were left out are predicted better by a straight line "
+                f"({_percent(line)}) than by any model of this class, gears alone among them "
+                f"({_percent(winner)})"
+            )
+        quarters = winner.errors.get("blocks")
+        fixed = (self._options.dynamics, self._options.delay, self._options.relaxation)
+        if quarters is None or any(value is not None for value in fixed):
+            return ""  # how the model behaves in time was the user's choice
+        ours = math.sqrt(quarters.mean_square)
+        linear = linear_response(self._full_logs, FAR_BETTER * ours)
+        if linear is None or math.sqrt(linear.mean_square) > FAR_BETTER * ours:
+            return ""
+        return (
+            "quarters of the logs that were left out are predicted far better by a linear frequency response "
+            f"({100.0 * math.sqrt(linear.mean_square):.3g} % of the range) than by gears "
+            f"({100.0 * ours:.3g} %): what swings is not of this class"
+        )
+
+    def _reaches(self, basis: Basis, alone: Structure, least: dict[int, float]) -> bool:
+        """Return whether gears alone, of a smoothness not yet chosen, are not far worse than the best."""
+        problem = self._problem(basis)
+        start = np.zeros(problem.rows.columns(1).total)
+        squares = problem.refined(alone, start, steps=1).squares
+        return squares <= OUT_OF_REACH**2 * least.get(1, np.inf)
+
+    def _within_reach(self, chain: Iterator[Refined], least: dict[int, float]) -> Iterator[Refined]:
+        """Yield the candidates of a chain until one is far worse than others of as many segments.
+
+        ``least`` holds the least sum of squares of each number of segments, and is brought up to date.
+        """
+        for refined in chain:
+            yield refined
+            segments = refined.structure.segments
+            least[segments] = min(least.get(segments, np.inf), refined.squares)
+            if refined.squares > OUT_OF_REACH**2 * least[segments]:
+                return
 
     def _needed(self) -> float:
         """Return the share of the error by which another candidate has to do better."""
@@ -143,22 +242,27 @@ class _Finalists:
         *_, last = self._chain(basis, structure, upto=structure)
         return self._problem(basis).judged(last)
 
-    def _starts(self, basis: Basis) -> Iterator[Structure]:
-        """Yield gears alone of every chain of candidates."""
+    def _starts(self, basis: Basis, least: dict[int, float]) -> Iterator[Structure]:
+        """Yield gears alone of every chain of candidates that is within reach of the first one's."""
         every = tuple(range(len(basis.time_constants)))
-        memories = [every] if self._options.relaxation is not None or not every else [(), every]
+        memories = [every] if self._options.relaxation is not None or not every else [every, ()]
         rules: tuple[str, ...] = ("growing", "falling")
         if swings_of_two_kinds(self._logs, basis):
             rules = (*rules, "free")
+        chosen = self._choice.structure.slopes
+        rules = (chosen, *(rule for rule in rules if rule != chosen))
         if self._options.slopes is not None or self._one_amplitude:
-            rules = (self._choice.structure.slopes,)
+            rules = (chosen,)
         for slopes in rules:
+            alone = Structure(slopes, memories[0], 1, self._choice.structure.smoothness)
+            if slopes != chosen and not self._reaches(basis, alone, least):
+                continue
+            try:
+                smoothest = self._problem(basis).smoothest(alone, SMOOTHNESS)
+            except FitError:
+                continue
             for some in memories:
-                alone = Structure(slopes, some, 1, self._choice.structure.smoothness)
-                try:
-                    yield self._problem(basis).smoothest(alone, SMOOTHNESS)
-                except FitError:
-                    continue
+                yield replace(smoothest, memories=some)
 
     def _chain(self, basis: Basis, structure: Structure, upto: Structure | None = None) -> Iterator[Refined]:
         """Yield the refined candidates of more and more segments, each begun where the last one ended."""
@@ -178,6 +282,11 @@ class _Finalists:
             vector, before = refined.vector, count
             if self._options.points is None or count == max(self._options.points, 1):
                 yield refined
+
+
+def _percent(one: LeftOut) -> str:
+    """Return the error left out, mean over the kinds, as a share of the range."""
+    return f"{100.0 * math.exp(one.score):.3g} % of the range"
 
 
 def _complexity(one: Judged) -> float:

@@ -306,7 +306,7 @@ class OutputProblem:
         for kind, some in self.rows.kinds.items():
             squares = [self._left_out(candidate, part, total, grams, states) for part in some]
             parts[kind] = Errors(np.array(squares), np.array([len(part.rows) for part in some]))
-        return Judged(self.rows.basis, candidate, parts, self.count)
+        return Judged(parts, candidate.squares / self.count, self.rows.basis, candidate)
 
     def _left_out(
         self, candidate: Refined, part: Part, total: Floats, grams: Sequence[Floats], states: States
@@ -322,6 +322,27 @@ class OutputProblem:
             vector = self._shortened(vector, candidate, part)
         left = self.rows.output[part.rows] - self.predicted(vector, segments, part.rows)
         return _free_of(left, self.rows.drift[part.rows, part.nuisance])
+
+    def line(self) -> LeftOut:
+        """Return the errors of a straight line with the same offset and drift: gears of equal slopes."""
+        rows = self.rows
+        drive = rows.drive[:, : rows.basis.gears].sum(axis=1)
+        table = np.column_stack((drive, rows.drift, rows.output))
+        grams = [np.einsum("ij,ik->jk", table[cell], table[cell]) for cell in rows.cells]
+        total = np.add.reduce(grams)
+        parts = {}
+        for kind, some in rows.kinds.items():
+            squares = []
+            for part in some:
+                mine = np.add.reduce([grams[k] for k in part.cells])
+                rest = total - mine
+                found = least_squares(rest[:-1, :-1], rest[:-1, -1])
+                left = table[part.rows, -1] - np.einsum("ij,j->i", table[part.rows, :-1], found)
+                squares.append(_free_of(left, rows.drift[part.rows, part.nuisance]))
+            parts[kind] = Errors(np.array(squares), np.array([len(part.rows) for part in some]))
+        found = least_squares(total[:-1, :-1], total[:-1, -1])
+        left = rows.output - np.einsum("ij,j->i", table[:, :-1], found)
+        return LeftOut(parts, float(np.mean(left * left)))
 
     def smoothest(self, structure: Structure, tried: Sequence[float]) -> Structure:
         """Return gears without an asymmetry with the smoothness that does best on parts left out."""
@@ -403,23 +424,14 @@ class Errors:
 
 
 @dataclass(frozen=True)
-class Judged:
-    """A refined candidate and its errors on parts left out, of every kind that the logs have."""
+class LeftOut:
+    """Errors on parts left out, of every kind that the logs have, and on all rows that were fitted.
 
-    basis: Basis
-    candidate: Refined
+    ``fitted`` is the mean square on all rows, in the square of the normalised output.
+    """
+
     errors: dict[str, Errors]
-    count: int
-
-    @property
-    def structure(self) -> Structure:
-        """Which unknowns take part."""
-        return self.candidate.structure
-
-    @property
-    def fitted(self) -> float:
-        """Mean square of the error on all rows."""
-        return self.candidate.squares / self.count
+    fitted: float
 
     @property
     def score(self) -> float:
@@ -432,24 +444,45 @@ class Judged:
         """Logarithm of the RMS error on all rows: what is left out is predicted no better."""
         return 0.5 * float(np.log(self.fitted + TINY))
 
-    def beaten_by(self, rival: Judged, least: float) -> bool:
+    def beaten_by(self, rival: LeftOut, least: float) -> bool:
         """Return whether a rival does better by more than the error bar, and by this share of the error."""
         return self.score - rival.score > max(self._error_bar(rival), math.log1p(least))
 
-    def _error_bar(self, rival: Judged) -> float:
-        """Return one standard error of the difference of the scores, from its scatter between the parts.
+    def surely_beaten_by(self, rival: LeftOut) -> bool:
+        """Return whether a rival does better by more than two standard errors.
 
-        Of a kind with a single part the scatter is not known: its whole difference may be chance.
+        All kinds leave out parts of the same rows, so their errors are taken as one.
         """
-        total = 0.0
-        for kind, mine in self.errors.items():
-            other = rival.errors[kind]
-            count = len(mine.rows)
-            if count > 1:
-                apart = mine.squares / (mine.squares.sum() + TINY) - other.squares / (
-                    other.squares.sum() + TINY
-                )
-                total += 0.25 * count / (count - 1.0) * float(np.sum(apart**2))
-            else:
-                total += 0.25 * float(np.log((mine.mean_square + TINY) / (other.mean_square + TINY))) ** 2
-        return float(np.sqrt(total)) / max(len(self.errors), 1)
+        bars = [_error_bar(mine, rival.errors[kind]) for kind, mine in self.errors.items()]
+        return self.score - rival.score > 2.0 * float(np.mean(bars)) if bars else False
+
+    def _error_bar(self, rival: LeftOut) -> float:
+        """Return one standard error of the difference of the scores, the kinds taken as independent."""
+        bars = [_error_bar(mine, rival.errors[kind]) for kind, mine in self.errors.items()]
+        return float(np.sqrt(np.sum(np.square(bars)))) / max(len(bars), 1)
+
+
+def _error_bar(mine: Errors, rival: Errors) -> float:
+    """Return one standard error of the logarithm of a ratio of RMS errors, from its scatter between parts.
+
+    Of a kind with a single part the scatter is not known: its whole difference may be chance.
+    """
+    count = len(mine.rows)
+    if count == 1:
+        return 0.5 * abs(math.log((mine.mean_square + TINY) / (rival.mean_square + TINY)))
+    shares = [one.squares / (one.squares.sum() + TINY) for one in (mine, rival)]
+    scatter = float(np.sum((shares[0] - shares[1]) ** 2))
+    return 0.5 * math.sqrt(scatter * count / (count - 1.0))
+
+
+@dataclass(frozen=True)
+class Judged(LeftOut):
+    """A refined candidate and its errors on parts left out."""
+
+    basis: Basis
+    candidate: Refined
+
+    @property
+    def structure(self) -> Structure:
+        """Which unknowns take part."""
+        return self.candidate.structure

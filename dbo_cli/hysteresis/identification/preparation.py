@@ -288,6 +288,12 @@ def _trial(
     return _Trial(float(np.sqrt(min(errors) / rows)), float(best.gains[slow].sum()), max(sizes))
 
 
+PROBE_FOLLOWS = 0.005
+"""Of the log's range, left on quarters that a probing fit was made without. Springs that slip from rest were
+told from gears at their lower end (1.2 times the error with the early rows) up to 0.0027, and not where a
+late sensor left 0.011."""
+EARLY_SHARE = 0.1  # of the log's rows: fewer are not worth the question
+QUARTERS = 4  # of the rows behind an unknown history: each is predicted with that history and without it
 FOLDS = 10
 """Most folds that the cycles are dealt into, and most stretches of a history that is left open. Measured:
 docs/choices.md."""
@@ -421,10 +427,12 @@ def prepare(
     skip_seconds: float,
     bad: Sequence[Booleans] | None = None,
     ends: tuple[float, float] | None = None,
+    at_rest: bool = True,
 ) -> Prepared:
     """Make logs ready: sign, rows to leave out, start states, drift taken out, output scaled to 0..1.
 
     ``ends`` are the least and the greatest voltage of the drive, where they are known from before cleaning.
+    ``at_rest``: whether a drive that begins at one of its ends may begin there at rest.
 
     Raises
     ------
@@ -437,7 +445,8 @@ def prepare(
     notes: list[str] = []
     faults = bad or [np.zeros(len(log.voltage), bool) for log in recordings]
     counted = [
-        _usable_rows(log, skip_seconds, faulty, notes) for log, faulty in zip(recordings, faults, strict=True)
+        _usable_rows(log, skip_seconds, faulty, at_rest, notes)
+        for log, faulty in zip(recordings, faults, strict=True)
     ]
     usable, transients, outlying, clipped = zip(*counted, strict=True)
     logs: list[PreparedLog] = []
@@ -479,7 +488,7 @@ def prepare(
 
 
 def _usable_rows(
-    log: Recording, skip_seconds: float, faulty: Booleans, notes: list[str]
+    log: Recording, skip_seconds: float, faulty: Booleans, at_rest: bool, notes: list[str]
 ) -> tuple[Booleans, int, int, int]:
     """Rows of one log that can take part, and how many do not: history unknown, faulty, sensor clipped."""
     samples = len(log.voltage)
@@ -495,8 +504,13 @@ def _usable_rows(
     wiped = first_wiped_row(log.voltage)
     transient = 0
     moving = samples - int(np.argmax(log.voltage != log.voltage[0]))
-    if wiped > skipped and samples - wiped >= (1.0 - KNOWN_PAST) * moving:
-        usable[:wiped] = False
+    early = np.arange(samples) < wiped
+    mostly_known = samples - wiped >= (1.0 - KNOWN_PAST) * moving
+    unknown = wiped > skipped and mostly_known
+    if unknown and at_rest:
+        unknown = not _predicts_later_rows(log, usable & ~faulty, early)
+    if unknown:
+        usable &= ~early
         transient = wiped - skipped
         notes.append(
             f"{log.name}: rows {skipped + 1} to {wiped} left out: before the drive had been at both ends of "
@@ -518,6 +532,51 @@ def _usable_rows(
             "skip less"
         )
     return usable, transient, left_out, int(stuck.sum())
+
+
+def _predicts_later_rows(log: Recording, usable: Booleans, early: Booleans) -> bool:
+    """Return whether rows from before both ends were visited help to predict those behind.
+
+    The drive begins at one of its ends, so all gears are known from the first row on. Whether the actuator
+    was at rest there, too, is asked of quarters of the later rows, each predicted by a fit to the rest with
+    the early rows and without them. A probing fit that follows the log badly (a sensor that is late, say)
+    cannot tell.
+    """
+    start = _start_at_an_end(log.voltage)
+    later = usable & ~early
+    if start is None or int((usable & early).sum()) < EARLY_SHARE * len(early):
+        return False
+    if int(later.sum()) < FEWEST_ROWS:
+        return False
+    fold = np.where(usable, 0, -1)
+    fold[later] = 1 + _stretches(later, QUARTERS)[later]
+    low, high = float(log.voltage.min()), float(log.voltage.max())
+    scale = signed_range([log])
+    output, drift = log.displacement / scale, np.ones((len(fold), 1))
+    probe = PreparedLog(log.name, log.voltage, output, log.seconds(), fold, drift, start)
+    statistics, structure = _probe(probe, low, high)
+    errors = np.zeros(2)
+    for quarter in range(1, QUARTERS + 1):
+        for place, left_out in enumerate(([quarter], [quarter, 0])):
+            kept = [k for k in range(QUARTERS + 1) if k not in left_out]
+            gram = np.sum([statistics.grams[k] for k in kept], axis=0)
+            rows = sum(statistics.rows[k] for k in kept)
+            try:
+                vector = solve(gram, statistics.columns, structure, rows).vector
+            except FitError:
+                return False
+            errors[place] += squared_error(statistics.grams[quarter], vector)
+    follows = errors[1] <= PROBE_FOLLOWS**2 * int(later.sum())
+    return bool(follows and errors[0] <= errors[1])
+
+
+def _start_at_an_end(voltage: Floats) -> StartName | None:
+    """Return the state of gears whose drive begins at one of its ends, None where it begins between them."""
+    low, high = float(voltage.min()), float(voltage.max())
+    near = SMALLEST_TURN / 4.0 * (high - low)
+    if voltage[0] <= low + near:
+        return "empty"
+    return "full" if voltage[0] >= high - near else None
 
 
 def _left_behind_gaps(log: Recording, usable: Booleans, notes: list[str]) -> Booleans:
@@ -595,13 +654,19 @@ def _probe_error(log: PreparedLog, low: float, high: float) -> float:
     Without memories a lag and creep passed for an unknown history, and the rows at new extremes were lost:
     after 60 logs of growing triangles new moves erred 1.1 times as much, after one of them 8 times.
     """
+    trial, structure = _probe(log, low, high)
+    _, error = trial.solved(structure)
+    return float(np.sqrt(error)) * float(np.ptp(log.output[log.used]))
+
+
+def _probe(log: PreparedLog, low: float, high: float) -> tuple[Statistics, Structure]:
+    """Return the products of one log, its output scaled to 0..1, and the structure of a probing fit."""
     taus = () if log.seconds is None else _time_constants([log])
     values = log.output[log.used]
     scaled = replace(log, output=(log.output - values.min()) / np.ptp(values))
     trial = gather(fewer_rows([scaled]), _trial_basis(low, high, taus), PROBE_SEGMENTS)
     memories = tuple(range(trial.columns.memories))
-    _, error = trial.solved(Structure("free", memories, PROBE_SEGMENTS, PROBE_SMOOTHNESS))
-    return float(np.sqrt(error)) * float(np.ptp(values))
+    return trial, Structure("free", memories, PROBE_SEGMENTS, PROBE_SMOOTHNESS)
 
 
 def _without_drift_and_spikes(

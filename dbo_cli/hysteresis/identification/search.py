@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -70,6 +70,8 @@ Measured: docs/choices.md."""
 
 FINEST_DELAY_STEP = 0.25  # of a sample: what a fit to noisy cycles can tell
 DELAY_TRIALS = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)  # sample periods
+FEWEST_DELAYS = 4  # tried before the trials may end
+FAR_BEYOND = 1.5  # times the least squared error; chosen
 
 
 @dataclass(frozen=True)
@@ -297,10 +299,11 @@ class _Search:
         """
         rules = ("growing",) if self._one else ("growing", "falling")
         either = [Structure(one, self._all, self._finest, TRIAL_SMOOTHNESS) for one in rules]
-        errors = {
-            step: min(fitted_rmse(self._late(basis, step), one) for one in either)
-            for step in self._steps_within(DELAY_TRIALS)
-        }
+        errors: dict[float, float] = {}
+        for step in self._steps_within(DELAY_TRIALS):
+            errors[step] = min(fitted_rmse(self._late(basis, step), one) for one in either)
+            if _far_beyond(errors[step], errors.values()):
+                break
         best = min(errors, key=lambda step: errors[step])
         return best * self._period if errors[best] < EARNED * errors[0.0] else 0.0
 
@@ -400,8 +403,7 @@ class _Search:
 
         for step in self._steps_within(DELAY_TRIALS):
             attempt(step)
-            far = tried[step].rmse ** 2 > 1.5 * min(score.rmse for score in tried.values()) ** 2
-            if len(tried) > 4 and far:  # chosen: far beyond the least
+            if _far_beyond(tried[step].rmse, [score.rmse for score in tried.values()]):
                 break
         while True:  # halve the gaps beside the best until they are a quarter of a sample
             best = min(tried, key=lambda step: tried[step].rmse)
@@ -472,6 +474,11 @@ class _Search:
 def _earned(score: Score, other: Score) -> bool:
     """Return whether a candidate does so much better than another that a larger model is worth it."""
     return bool(score.excess_over(other).mean() < np.log(EARNED))
+
+
+def _far_beyond(error: float, errors: Collection[float]) -> bool:
+    """Return whether the last delay tried is so far off the best that no longer one is worth a trial."""
+    return len(errors) > FEWEST_DELAYS and error**2 > FAR_BEYOND * min(errors) ** 2
 
 
 def _interval(tried: dict[float, Score]) -> tuple[float, float]:

@@ -110,10 +110,14 @@ def identify_static(
     logs = [cleaned(log) for log in recordings]
     recordings = within([one.recording for one in logs], ends)
     said += [note for one in logs for note in one.notes]
-    prepared = prepare(recordings, options.skip_seconds, [one.bad for one in logs], ends)
+    # Where dynamics are looked for, or left out, what swings at the beginning is no history.
+    at_rest = options.dynamics is None
+    prepared = prepare(recordings, options.skip_seconds, [one.bad for one in logs], ends, at_rest)
     choice = choose(prepared, options, cycle)
     finalist = best_of(prepared, choice, options)
     choice = dataclasses.replace(choice, basis=finalist.basis, structure=finalist.structure)
+    if finalist.beaten and not options.force:
+        raise FitError(f"{finalist.beaten}; {_lacking(prepared)} (`force` keeps the model)")
     fitted = fit(prepared.logs, finalist)
     model = model_of(fitted, prepared, recordings[0], options.zero, options.gears)
     pairs = list(zip(recordings, prepared.logs, strict=True))
@@ -130,8 +134,10 @@ def identify_static(
         *swapped_warnings(given, choice.clockwise),
         *([] if clocked else [NO_CLOCK]),
     ]
+    if finalist.beaten:
+        warnings.append(finalist.beaten)
     if rmse > NO_BETTER * line:
-        warnings.append(_no_loop(recordings, rmse, line, options.force))
+        warnings.append(_no_loop(recordings, prepared, rmse, line, options.force))
     checks = [validation_of(model, sensor.taken_off(log), options.skip_seconds) for log in validation]
     noise = white_noise([one.values for one in residuals]) / max(rmse, TINY) ** 2
     expected = expect(prepared, choice, model, rmse, noise, _zero_drift(residuals, recordings))
@@ -180,11 +186,28 @@ def _scales_apart(recordings: Sequence[Recording]) -> str | None:
     )
 
 
-def _no_loop(recordings: Sequence[Recording], rmse: float, line: float, force: bool) -> str:
+FEWEST_CYCLES = 3  # with fewer nothing can be left out that the rest holds, too
+
+
+def _lacking(prepared: Prepared) -> str:
+    """Return what the logs lack, and what to record."""
+    cycles = sum(shape.cycle_count for shape in prepared.shapes)
+    if cycles < FEWEST_CYCLES:
+        return f"the logs hold fewer than {FEWEST_CYCLES} whole cycles: record more"
+    if prepared.one_amplitude:
+        return "the logs hold one amplitude: record swings of several"
+    if any(log.seconds is None for log in prepared.logs):
+        return "the logs have no clock, so no lag could be looked for: name the time column (`time`)"
+    return "cycles, amplitudes and a clock are there: check the columns and the sensor"
+
+
+def _no_loop(
+    recordings: Sequence[Recording], prepared: Prepared, rmse: float, line: float, force: bool
+) -> str:
     """Refuse a model that is no better than a straight line (FitError), or say so where it is kept."""
     cause = _scales_apart(recordings) or (
-        "the log shows no loop that this class of models can follow, nor do gears alone; check the columns "
-        "and the sensor"
+        "the log shows no loop that this class of models can follow, nor do gears alone; "
+        + _lacking(prepared)
     )
     message = f"the model (RMSE {rmse:.4g}) is no better than a straight line (RMSE {line:.4g}): {cause}"
     if not force:
