@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import json
+import warnings
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_hysteresis_model import build
 
+import dbo_cli as dbo
 from dbo_cli.errors import DboError, InputError, ModelError
-from dbo_cli.hysteresis.model import ActuatorModel, ModelState
+from dbo_cli.hysteresis.model import ActuatorModel, DelayStage, ModelState
 from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, read_state, state_to_bytes
 from dbo_cli.hysteresis.operators import BacklashState
 
@@ -309,3 +313,74 @@ def test_files_of_version_1_stay_readable() -> None:
     state = read_state(str(OLD / "state-v1.json"), model)
     assert state.time is None
     assert state.drive == json.loads((OLD / "state-v1.json").read_text())["drive"]
+
+
+def test_a_linear_delay_of_version_2_keeps_its_bits(tmp_path: Path) -> None:
+    """A model of the version before, with what the program of that version made of it."""
+    model = dbo.read_model(str(OLD / "model-v2.json"))
+    x = 1.8 - 1.8 * np.cos(np.arange(12) / 2.0)
+    wanted = 10.0 * np.sin(np.arange(12) / 3.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        outputs = (
+            model.simulate(x, sample_rate=200.0),
+            model.simulate(x, time=0.005 * np.arange(12)),
+            model.compensate(wanted, sample_rate=200.0, on_limit="clip"),
+        )
+    assert [[float(value).hex() for value in output] for output in outputs] == LINEAR
+    again = model_to_bytes(model.actuator)
+    assert again == (OLD / "model-v2.json").read_bytes()
+    assert json.loads(model_to_bytes(model.actuator.inverse()))["version"] == 2
+    smooth = dataclasses.replace(model.actuator, stages=(*model.actuator.stages[:-1], DelayStage(0.0125)))
+    written = json.loads(model_to_bytes(smooth))
+    assert written["version"] == 3
+    (tmp_path / "new.json").write_bytes(model_to_bytes(smooth))
+    assert read_model(str(tmp_path / "new.json")) == smooth
+    assert smooth.digest != model.actuator.digest  # a state of the one is none of the other's
+
+
+LINEAR = [
+    [
+        "-0x1.6f851eb851eb8p+4",
+        "-0x1.6f851eb851eb8p+4",
+        "-0x1.6f851eb851eb8p+4",
+        "-0x1.6663e9a2b912ep+4",
+        "-0x1.437c4d8301ea6p+4",
+        "-0x1.fd84b2cda1084p+3",
+        "-0x1.413a249147296p+3",
+        "-0x1.020ccb8e972f8p+2",
+        "0x1.d6d89a2981a80p-3",
+        "0x1.45ca7ee3c4080p+0",
+        "-0x1.4794c9ff422e8p+0",
+        "-0x1.6134f83d95360p+2",
+    ],
+    [
+        "-0x1.6f851eb851eb8p+4",
+        "-0x1.6f851eb851eb8p+4",
+        "-0x1.6f851eb851eb8p+4",
+        "-0x1.6663e9a2b912ep+4",
+        "-0x1.437c4d8301ea6p+4",
+        "-0x1.fd84b2cda1084p+3",
+        "-0x1.413a249147297p+3",
+        "-0x1.020ccb8e972f6p+2",
+        "0x1.d6d89a2981a80p-3",
+        "0x1.45ca7ee3c4080p+0",
+        "-0x1.4794c9ff422f4p+0",
+        "-0x1.6134f83d9535cp+2",
+    ],
+    [
+        "0x1.ccccccccccccdp+1",
+        "0x1.ccccccccccccdp+1",
+        "0x1.ccccccccccccdp+1",
+        "0x1.ccccccccccccdp+1",
+        "0x1.ccccccccccccdp+1",
+        "0x1.ccccccccccccdp+1",
+        "0x1.ccccccccccccdp+1",
+        "0x1.993a9ca7fe698p+1",
+        "0x1.4f8373d8f6ab6p+1",
+        "0x1.2f5818cb571fcp+1",
+        "0x1.2f5818cb571fcp+1",
+        "0x1.2f5818cb571fcp+1",
+    ],
+]
+"""Simulated at an even rate, simulated along stamps, and compensated."""

@@ -295,7 +295,7 @@ class ReadingOptions:
     skip_bad : bool
         Drop and count rows with bad cells instead of refusing them.
     resample : float, optional
-        Interpolate linearly to this rate (Hz).
+        Interpolate to this rate (Hz).
     format : str, optional
         ``csv``, ``tsv`` or ``hdf5``, where no file name shows it.
     delimiter, decimal, comment : str, optional

@@ -5,6 +5,7 @@ Behind them the clock: what is odd about time stamps, and even sampling only whe
 
 from __future__ import annotations
 
+import itertools
 from bisect import bisect_left, bisect_right
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError
+from dbo_cli.interpolation.smooth import AFTER, WINDOW, interpolated
 
 FloatArray = NDArray[np.float64]
 Places = range | NDArray[np.int64]
@@ -415,11 +417,11 @@ _MOST_NEW_ROWS, _MOST_FACTOR = 20_000_000, 100  # more, and a rate or a time sta
 
 
 def resampled(place: str, blocks: Iterator[SampleBlock], rate: float) -> Iterator[SampleBlock]:
-    """Interpolate blocks linearly to ``rate`` (Hz), from the first time stamp to the last.
+    """Interpolate blocks to ``rate`` (Hz), from the first time stamp to the last.
 
-    The samples stand at first + k/rate and are computed from the two neighbours alone, so that the result
-    does not depend on the block size.  ``rows`` of the new blocks count the new samples; their ``lines`` are
-    None.
+    The samples stand at first + k/rate and are made of their six neighbours (``interpolation.smooth``), so
+    that the result does not depend on the block size. ``rows`` of the new blocks count the new samples; their
+    ``lines`` are None.
 
     Raises
     ------
@@ -429,27 +431,44 @@ def resampled(place: str, blocks: Iterator[SampleBlock], rate: float) -> Iterato
     start = None
     carried: list[SampleBlock] = []
     done = read = 0
-    for block in filter(len, blocks):
-        piece = joined([*carried, block])
+    filled = (block for block in blocks if len(block))
+    for block in itertools.chain(filled, [None]):
+        if block is None and not carried:
+            return
+        piece = joined(carried if block is None else [*carried, block])
         if piece.time is None:
             remedy = "`time` COLUMN or `sample_rate` HZ"
             raise InputError(f"{place}: there is no time to resample along ({remedy})")
+        _require_advance(place, piece, piece.time)
         start = float(piece.time[0]) if start is None else start
-        stuck = np.flatnonzero(np.diff(piece.time) <= 0.0)
-        if len(stuck):
-            index = int(stuck[0]) + 1
-            jump = f"from {_stamp(piece.time[index - 1])} s to {_stamp(piece.time[index])} s"
-            cannot = "so it cannot be resampled (cut the log with `rows` A:B)"
-            raise InputError(f"{place}: time does not advance at {piece.where(index)} ({jump}), {cannot}")
-        carried = [piece.part(len(piece) - 1, len(piece))]
-        read += len(block)
-        reached = int(np.floor((float(piece.time[-1]) - start) * rate * (1.0 + 1e-12))) + 1
+        carried = [piece.part(max(len(piece) - _KNOWN_BEFORE, 0), len(piece))]
+        read += 0 if block is None else len(block)
+        known = len(piece) if block is None else len(piece) - AFTER  # samples with enough behind them
+        if block is not None and len(piece) < _KNOWN_BEFORE:
+            continue
+        reached = int(np.floor((float(piece.time[known - 1]) - start) * rate * (1.0 + 1e-12))) + 1
         if reached > _MOST_NEW_ROWS + _MOST_FACTOR * read:
             raise InputError(
                 f"{place}: `resample` {rate:g} makes {reached:,} rows of {read:,}: give a lower rate"
             )
         for first in range(done, reached, _NEW_ROWS):
             time = start + np.arange(first, min(reached, first + _NEW_ROWS)) / rate
-            values = {role: np.interp(time, piece.time, known) for role, known in piece.values.items()}
+            values = {}
+            for role, signal in piece.values.items():
+                values[role], _ = interpolated(piece.time, signal, time)
             yield SampleBlock(range(first + 1, first + len(time) + 1), None, time, values)
         done = max(done, reached)
+
+
+_KNOWN_BEFORE = 2 * WINDOW
+"""Samples that are kept from block to block: those that any new row between the last ones is made of."""
+
+
+def _require_advance(place: str, piece: SampleBlock, time: FloatArray) -> None:
+    """Refuse time that stands still or goes backwards (InputError)."""
+    stuck = np.flatnonzero(np.diff(time) <= 0.0)
+    if len(stuck):
+        index = int(stuck[0]) + 1
+        jump = f"from {_stamp(time[index - 1])} s to {_stamp(time[index])} s"
+        cannot = "so it cannot be resampled (cut the log with `rows` A:B)"
+        raise InputError(f"{place}: time does not advance at {piece.where(index)} ({jump}), {cannot}")
