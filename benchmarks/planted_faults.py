@@ -519,7 +519,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "hysteresis/identification/prior.py",
         ("hysteresis_identification_prior",),
-        ("bound = BROKEN * expected", "bound = 10.0 * BROKEN * expected", "a changed shape is refused"),
+        ("worst, why = BROKEN * moved", "worst, why = 10.0 * BROKEN * moved", "a changed shape is refused"),
     ),
     *_faults(
         "hysteresis/move_error.py",

@@ -107,7 +107,19 @@ def _matches(
                 by_channel[channel] = column
             if by_channel:
                 return by_channel
+    alone = _only_column(before, after, free)
+    if alone is not None:
+        return {"1": alone}
     raise InputError(f"{place}: `{option}` '{pattern}' matches no column: {list_columns(columns)}")
+
+
+def _only_column(before: str, after: str, free: Sequence[ColumnInfo]) -> ColumnInfo | None:
+    """Return the column of a matrix that has no other, and so no number behind its name."""
+    if not before.endswith("[") or after != "]":
+        return None
+    matrix = before.removesuffix("[").lower()
+    named = [column for column in free if matrix in (column.name.lower(), column.quantity.lower())]
+    return named[0] if len(named) == 1 else None
 
 
 @dataclass(kw_only=True)
