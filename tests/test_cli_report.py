@@ -279,6 +279,74 @@ def test_refusals_are_one_line_and_leave_nothing(logs: Any, model_file: Path, li
     assert folder_content(Path()) == before
 
 
+def test_a_log_without_a_desired_column_is_told_of_the_trajectory_and_the_model(logs: Any) -> None:
+    Path("plain.csv").write_text("time_s,displacement_um\n0,1\n1,2\n")
+    assert logs("report", "plain.csv").err == (
+        "dbo: error: plain.csv: no column is recognised as the desired signal: it has 1 time_s, "
+        "2 displacement_um (choose with --desired NAME or NUMBER, or --trajectory FILE where it lies "
+        "elsewhere, or --model MODEL to compare with a model)\n"
+    )
+
+
+@pytest.mark.usefixtures("blank_figures")
+def test_notes_for_readers_spell_options_as_the_shell_does(dbo: Any) -> None:
+    write_log("off.csv", 0.5 + 0.0 * T)
+    text = " ".join(dbo("report", "off.csv").out.split())
+    assert "where the mean is the sensor's zero, --remove-offset takes it off" in text
+    page = dbo("report", "off.csv", "--format", "html").out
+    assert "--remove-offset takes it off" in page
+    assert "`remove_offset`" not in text + page
+    (note,) = json.loads(dbo("report", "off.csv", "--format", "json").out)["notes"]
+    assert "`remove_offset` takes it off" in note  # read by programs, as the Python call has it
+
+
+def write_track(header: str) -> None:
+    """Write desired, measured, and the desired signal again in every further column."""
+    more = header.count(",") - 2
+    rows = zip(T.tolist(), DESIRED.tolist(), strict=True)
+    lines = [f"{t!r},{d!r},{d + 0.1!r}" + f",{d!r}" * more for t, d in rows]
+    Path("track.csv").write_text("\n".join([header, *lines]) + "\n")
+
+
+@pytest.mark.usefixtures("blank_figures")
+@pytest.mark.parametrize("header", ["pressure_bar", "current_A", "Dev1/ao0"])
+def test_a_drive_of_any_quantity_is_drawn(dbo: Any, header: str) -> None:
+    write_track(f"time_s,desired_um,displacement_um,{header}")
+    done = dbo("report", "track.csv", "--figures", "figures", "-o", "r.txt")
+    assert done.code == 0
+    assert done.err.startswith(f"dbo: track.csv: '{header}' is taken for the drive: ")
+    assert {"track-drive.png", "track-loop.png"} <= folder_content(Path("figures"))
+
+
+def test_the_drive_of_a_page_is_called_by_its_quantity(dbo: Any) -> None:
+    write_track("time_s,desired_um,displacement_um,pressure_bar")
+    page = dbo("report", "track.csv", "--format", "html").out
+    assert "Hysteresis loop: displacement against drive pressure" in page
+    assert "Drive pressure (bar)" in page and "rive voltage" not in page.split("<section", 1)[1]
+
+
+@pytest.mark.usefixtures("blank_figures")
+@pytest.mark.parametrize(
+    "header", ["temperature_degC", "current_A,pressure_bar", "pressure target (bar)", "current monitor (A)"]
+)
+def test_what_may_not_be_the_drive_is_not_drawn(dbo: Any, header: str) -> None:
+    write_track(f"time_s,desired_um,displacement_um,{header}")
+    assert dbo("report", "track.csv", "--figures", "figures", "-o", "r.txt") == (0, "", "")
+    assert not {"track-drive.png", "track-loop.png"} & folder_content(Path("figures"))
+
+
+def test_the_only_analog_input_is_what_was_measured(logs: Any) -> None:
+    write_log("wanted.csv", 0.0 * T, "time_s,desired_um,x")
+    write_log("card.csv", 0.1 + 0.0 * T, "time_s,ao0,ai0")
+    done = logs("report", "card.csv", "--trajectory", "wanted.csv", "--format", "json")
+    assert json.loads(done.out)["logs"][0]["rmse"] == pytest.approx(0.1)
+    assert (
+        "dbo: card.csv: 'ai0' is taken for the measured signal: the only analog input (--measured names "
+        "another)\n" in done.err
+    )
+    assert "dbo: card.csv: 'ao0' is taken for the drive: the only analog output" in done.err
+
+
 # --- a recording as an oscilloscope writes it, beside the drive that was played ---
 
 

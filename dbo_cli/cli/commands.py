@@ -11,7 +11,16 @@ from collections.abc import Iterable, Sequence
 
 from dbo_cli import extensions
 from dbo_cli.cli import options
-from dbo_cli.cli.command import Command, Given, Progress, destination_of, finish, refuse_terminal, work_of
+from dbo_cli.cli.command import (
+    Command,
+    Given,
+    Progress,
+    destination_of,
+    finish,
+    refuse_terminal,
+    shell_line,
+    work_of,
+)
 from dbo_cli.cli.options import Option
 from dbo_cli.errors import UsageError
 
@@ -303,6 +312,7 @@ def report(arguments: Given) -> None:
         arguments.figures,
         limits,
         arguments.show,
+        shell_line,
     )
     finish(arguments, reported(run, work_of(arguments), Progress(arguments.reporter, "compared")))
 

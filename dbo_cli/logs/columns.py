@@ -92,6 +92,10 @@ class ColumnWish:
         Whether this cell may be empty. A row in which it is empty is left out; elsewhere it is refused.
     role
         The key of ``ROLES`` that this wish was made from, if any.
+    by_quantity
+        Whether a wish that is not required may be met by a unit, a quantity or a card's channel, too.
+    instead
+        What a message names beside the ``option`` where no column is recognised.
     """
 
     selector: str | None
@@ -106,6 +110,8 @@ class ColumnWish:
     preferred: tuple[str, ...] = ()
     may_be_blank: bool = False
     role: str = ""
+    by_quantity: bool = False
+    instead: str = ""
 
     @property
     def foreign(self) -> frozenset[str]:
@@ -679,7 +685,13 @@ def _guess_roles(
     for role, column in left.items():
         role_columns[role] = column
         reasons[role] = reason
+        free.remove(column)
         del unclear[role]
+    if "voltage" in wishes and "voltage" not in role_columns and wishes["voltage"].by_quantity:
+        drive = _only_drive(free, wishes["voltage"])
+        if drive is not None:
+            role_columns["voltage"] = drive
+            reasons["voltage"] = "no other column has such a quantity"
     return unclear
 
 
@@ -693,11 +705,11 @@ def _candidates(
 ) -> tuple[list[ColumnInfo], str]:
     """Find the columns that may be meant, and why, where no name says it (only with ``by_unit``)."""
     candidates = matching_columns(free, wish)
-    if candidates or not wish.required:
+    if candidates or not (wish.required or wish.by_quantity):
         return candidates, ""
     if wishes == 1 and len(free) == 1:
         candidates = _last_column(free, wish)
-    if not candidates and by_unit and role in ("voltage", "displacement"):
+    if not candidates and by_unit and role in ("voltage", *_RESULTS):
         return _only_candidate(free, columns, wish)
     return candidates, ""
 
@@ -789,6 +801,21 @@ def _the_rest(
     return rest[0], "no other column is left"
 
 
+def _only_drive(free: Sequence[ColumnInfo], wish: ColumnWish) -> ColumnInfo | None:
+    """Find the drive of a report, which can do without it: the only column of a quantity that drives.
+
+    A temperature is none: it stands beside the signals of many logs.
+    """
+    contrary_words = wish.contrary | _ORDERS | _READINGS | _TEMPERATURES
+    drives = []
+    for column in free:
+        if column.written != "numbers" or not _drives(column):
+            continue
+        if kind_of_unit(column.unit) != "temperature" and not contrary_words & set(_words(column.name)):
+            drives.append(column)
+    return drives[0] if len(drives) == 1 else None
+
+
 def _drives(column: ColumnInfo) -> bool:
     """Return whether a column is a quantity that drives actuators besides a voltage."""
     kind = kind_of_unit(column.unit)
@@ -859,7 +886,11 @@ def _not_unique(
         both_ways = f"`voltage` {first} `displacement` {second}, or `voltage` {second} `displacement` {first}"
         return f"{place}: {' '.join(questions)} ({both_ways})"
     options = [f"`{wishes[role].option}`" for role in unclear]
-    return f"{place}: {' '.join(questions)} (choose with {' and '.join(options)} NAME or NUMBER)"
+    remedy = f"choose with {' and '.join(options)} NAME or NUMBER"
+    for role in absent_roles:
+        if wishes[role].instead:
+            remedy += f", or {wishes[role].instead}"
+    return f"{place}: {' '.join(questions)} ({remedy})"
 
 
 def _order_instead(columns: Sequence[ColumnInfo], wish: ColumnWish) -> str:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dbo_cli.logs.units import quantity_name
 from dbo_cli.reports import drawing as style
 from dbo_cli.reports.accumulators import Band, Curve, FigureData, Raster
 from dbo_cli.reports.drawing import Plot, short_name
@@ -125,7 +126,7 @@ def plots_of_log(report: Report, log: LogReport, figure_data: FigureData) -> lis
     error += ", and the rows that make half of the squared error." if concentrated else "."
     worst = f"{first.capitalize()} and {second} about the largest error, both axes ten times finer."
     output = f"{second.capitalize()} against {first}"
-    loop = "Hysteresis loop: displacement against drive voltage"
+    loop = f"Hysteresis loop: {view.quantity.lower()} against {view.drive_name.lower()}"
     share = "Share of all samples against their error."
     density = "Amplitude density of the error against frequency, both axes logarithmic."
     speeds = "RMS error of each segment against the frequency of the desired signal, both logarithmic."
@@ -138,7 +139,10 @@ def plots_of_log(report: Report, log: LogReport, figure_data: FigureData) -> lis
         (has_drive, Plot("loop", loop, f"{loop}.", tall, view.loop)),
         (True, Plot("histogram", "Distribution of the error", share, wide, view.histogram)),
         (has_spectrum, Plot("spectrum", "Spectrum of the error", density, wide, view.spectrum)),
-        (has_drive, Plot("drive", "Drive against time", "Drive voltage against time.", wide, view.drive)),
+        (
+            has_drive,
+            Plot("drive", "Drive against time", f"{view.drive_name} against time.", wide, view.drive),
+        ),
         (by_frequency, Plot("frequency", "Error against frequency", speeds, wide, view.frequency)),
     ]
     return [plot for shown, plot in plots if shown]
@@ -155,11 +159,12 @@ class _LogView:
         self._offset = log.figures.offset
         self.by_frequency = _errors_by_frequency(log)
         known = report.unit is None or report.unit in LENGTH_UNITS
-        self._quantity = "Displacement" if known else "Voltage" if report.unit == "V" else "Signal"
+        self.drive_name = f"Drive {quantity_name('voltage', figure_data.drive_unit)}"
+        self.quantity = "Displacement" if known else "Voltage" if report.unit == "V" else "Signal"
 
     def drive(self, axes: Axes) -> None:
         _against_time(axes, self._figure_data.against_time("drive"), style.SOLID)
-        axes.set(xlabel=self._time(), ylabel=axis_label("Drive voltage", self._figure_data.drive_unit))
+        axes.set(xlabel=self._time(), ylabel=axis_label(self.drive_name, self._figure_data.drive_unit))
 
     def tracking(self, axes: Axes) -> None:
         first, second = self._report.options.labels
@@ -169,7 +174,7 @@ class _LogView:
         (left, right), (low, high) = self._finer(axes)
         corners = [left, right, right, left, left], [low, low, high, high, low]
         axes.plot(*corners, label="drawn finer", **style.DOTTED)
-        finish(axes, self._time(), self._length(self._quantity))
+        finish(axes, self._time(), self._length(self.quantity))
 
     def worst(self, axes: Axes) -> None:
         first, second = self._report.options.labels
@@ -183,7 +188,7 @@ class _LogView:
         _against_time(axes, cut_out(desired, across, up), style.SOLID, label=first)
         cut = cut_out(measured, across, up_measured)
         _against_time(axes, cut, style.DASHED, self._offset, label=second)
-        finish(axes, self._time(), self._length(self._quantity))
+        finish(axes, self._time(), self._length(self.quantity))
         axes.set(xlim=across, ylim=up)
 
     def _finer(self, axes: Axes) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -217,7 +222,7 @@ class _LogView:
         ends = [self._figures.desired_min, self._figures.desired_max]
         axes.plot(ends, ends, label="identity", zorder=3, **style.DOTTED)
         self._curve(axes, "desired", "measured", style.DASHED | {"linestyle": "-"}, second, self._offset)
-        x, y = (self._length(f"{name.capitalize()} {self._quantity.lower()}") for name in (first, second))
+        x, y = (self._length(f"{name.capitalize()} {self.quantity.lower()}") for name in (first, second))
         finish(axes, x, y)
 
     def loop(self, axes: Axes) -> None:
@@ -227,7 +232,7 @@ class _LogView:
         self._curve(axes, "drive", "measured", look, second, self._offset)
         if modelled:
             self._curve(axes, "drive", "desired", style.SOLID | {"linewidth": 0.9}, first, 0.0)
-        finish(axes, axis_label("Drive voltage", self._figure_data.drive_unit), self._length(self._quantity))
+        finish(axes, axis_label(self.drive_name, self._figure_data.drive_unit), self._length(self.quantity))
 
     def histogram(self, axes: Axes) -> None:
         values, counts = self._figure_data.distribution.values()

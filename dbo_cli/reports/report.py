@@ -12,7 +12,7 @@ To compare, for each log::
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import TYPE_CHECKING, Any, Literal
@@ -254,6 +254,14 @@ class Report:
                 if limit is not None:
                     judgements.append(Judgement(log.name, title, value, limit, suffix, option))
         return replace(self, judgements=tuple(judgements))
+
+    def spelled(self, spell: Callable[[str], str]) -> Report:
+        """Return the report with what ``spell`` makes of its notes."""
+        logs = []
+        for log in self.logs:
+            notes = tuple(spell(note) for note in log.notes)
+            logs.append(replace(log, notes=notes))
+        return replace(self, logs=tuple(logs))
 
     @property
     def missed(self) -> list[Judgement]:

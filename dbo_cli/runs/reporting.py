@@ -9,7 +9,7 @@ import contextlib
 import dataclasses
 import itertools
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     import pandas
 
 Match = Literal["auto", "time", "rows"]
+ELSEWHERE = "`trajectory` FILE where it lies elsewhere, or `model` MODEL to compare with a model"
 SLACK = 1e-9  # of the range: what rounding may add to a drive that ends at its limit
 
 
@@ -131,13 +132,24 @@ class TrackingOptions:
             raise UsageError("`dwell` and `model` exclude each other: a model's prediction is held nowhere")
         return ReportOptions(self.lag, self.remove_offset, segment, labels, self.dwell)
 
-    def wishes(self, with_model: bool) -> dict[str, ColumnWish]:
-        """Return the columns to be read of a log, as named or to be guessed."""
+    def wishes(self, model: ActuatorModel | None) -> dict[str, ColumnWish]:
+        """Return the columns to be read of a log, as named or to be guessed.
+
+        The drive is needed for a model alone; without one it is drawn where it is clear.
+        """
         want = {"measured": column_wish("measured", self.measured, option="measured")}
-        if not with_model and self.trajectory is None:
-            want["desired"] = column_wish("desired", self.desired, option="desired", may_be_blank=True)
-        needed = with_model or self.voltage is not None
-        want["voltage"] = column_wish("voltage", self.voltage, required=needed, option="voltage")
+        if model is None and self.trajectory is None:
+            desired = column_wish("desired", self.desired, option="desired", may_be_blank=True)
+            want["desired"] = dataclasses.replace(desired, instead=ELSEWHERE)
+        if model is not None:
+            quantity, unit = model.input.quantity, model.input.unit
+            want["voltage"] = column_wish(
+                "voltage", self.voltage, option="voltage", quantity=quantity, unit=unit
+            )
+        else:
+            needed = self.voltage is not None
+            drive = column_wish("voltage", self.voltage, required=needed, option="voltage")
+            want["voltage"] = dataclasses.replace(drive, by_quantity=True)
         return want
 
 
@@ -203,7 +215,7 @@ class TrackingRun:
             reading, reading_of_trajectory = _scaled_apart(reading)
         reading_of_log, score_rows = rows_to_score(reading, options.lag, from_first=from_first)
         with contextlib.ExitStack() as stack:
-            want = options.wishes(self.model is not None)
+            want = options.wishes(self.model)
             source = stack.enter_context(
                 contextlib.closing(opened(log, want, reading_of_log, listener, time=time))
             )
@@ -545,6 +557,7 @@ class ReportRun:
     """What is asked of ``report``: logs, the report's file and form, a folder for ``figures``, and limits.
 
     ``limits`` are the parameters of ``Report.judged``; ``show`` opens a window for each figure in the end.
+    ``spelled`` spells the parameters that notes name, in reports for people: a shell has options instead.
     """
 
     logs: Sequence[Address]
@@ -555,6 +568,7 @@ class ReportRun:
     figures: str | None
     limits: Mapping[str, float | None]
     show: bool = False
+    spelled: Callable[[str], str] = str
 
     def prepared(self) -> tuple[str, list[Given]]:
         """Return the report's form and the inputs; what cannot be written is refused before the long work."""
@@ -571,6 +585,10 @@ class ReportRun:
         if self.show:
             require_display()
         return chosen, inputs
+
+    def for_readers(self, report: Report, form: str) -> Report:
+        """Return what is written in a form: text and pages spell parameters as the caller does."""
+        return report.spelled(self.spelled) if form in ("text", "html") else report
 
     def write(self, content: bytes, inputs: Sequence[Given]) -> None:
         """Write the report; a reader who has seen enough of it does not do without the figures."""
@@ -606,7 +624,8 @@ def report_logs(run: ReportRun, listener: Listener = SILENT) -> Outcome:
     result = dataclasses.replace(result, report=result.report.judged(**run.limits))
     if figures is not None:
         result.figures(figures)
-    run.write(result.rendered(chosen), inputs)
+    shown = dataclasses.replace(result, report=run.for_readers(result.report, chosen))
+    run.write(shown.rendered(chosen), inputs)
     if run.show:
         result.show()
     return run.judged(result.report, chosen, Outcome(result.remarks))

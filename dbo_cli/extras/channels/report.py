@@ -101,6 +101,7 @@ def _write(run: ReportRun, report: Report, form: str, inputs: Sequence[Given]) -
         plots = plots_of_channels(report)
     if run.figures is not None:
         save(plots, Path(run.figures), "channels")
+    report = run.for_readers(report, form)
     if form == "html":
         none, program = [()] * len(report.logs), program_version_string()
         page = renderers.to_html(report, none, comparison_plots=plots, program=program).encode()
