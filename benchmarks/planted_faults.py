@@ -612,7 +612,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "drives/before.py",
         ("drives", "runs_cut_off"),
-        ("return np.full(ahead + delay, first)", "return np.full(ahead, first)", "a lead lasts as long as the delay"),
+        ("return np.full(ahead + late, first)", "return np.full(ahead, first)", "a lead lasts as long as the delay"),
     ),
     *_faults(
         "drives/model_run.py",
