@@ -421,6 +421,8 @@ def _scales_by_role(
         There is no such role here, or one is scaled twice.
     """
     names = {name: role for role, wish in wishes.items() for name in (wish.option.lower(), role.lower())}
+    if "measured" in wishes:
+        names.setdefault("displacement", "measured")
     found: dict[str, Scale] = {}
     for scale in options.scales:
         role = names.get(scale.role)
