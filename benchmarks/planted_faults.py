@@ -582,4 +582,64 @@ FAULTS: list[Fault] = [
         ("expected_rmse = rmse * float(str(ratio))", "expected_rmse = rmse",
          "what is expected of a relative is wider than its fit"),
     ),
+    # Values outside the mathematics: units, names, stamps, what is no number.
+    *_faults(
+        "reports/figures_of_merit.py",
+        ("cli_report",),
+        ("else lag * period", "else lag", "a lag in seconds is one in seconds"),
+    ),
+    *_faults(
+        "drives/check.py",
+        ("cli_check",),
+        ('"lag_seconds": late_seconds', '"lag_seconds": late', "a lag in seconds is one in seconds"),
+    ),
+    *_faults(
+        "runs/jobs.py",
+        ("runs_many_files",),
+        ("name = name[:-3]", "name = name", "{file} of a packed log has neither ending"),
+    ),
+    *_faults(
+        "runs/files.py",
+        ("cli_signals",),
+        ('"largest_step": figures.largest_step', '"largest_step": figures.fastest', "the largest step is no speed"),
+        ("clipped = run.clipped.count", "clipped = run.rows", "clipped rows are counted"),
+    ),
+    *_faults(
+        "extras/export/single_code.py",
+        ("export",),
+        ("if q31 and shift < 16:", "if q31 and shift < 0:", "a gear too steep for q31 is refused"),
+    ),
+    *_faults(
+        "drives/before.py",
+        ("drives", "runs_cut_off"),
+        ("return np.full(ahead + late, first)", "return np.full(ahead, first)", "a lead lasts as long as the delay"),
+    ),
+    *_faults(
+        "drives/model_run.py",
+        ("runs_states",),
+        (" or (self.step is not None and self.last == first)", "", "a state's stamp that comes again is no time"),
+        ("> SAME_STEP * self.step:", "> 1e9 * self.step:", "rows left out of a rate are a pause"),
+    ),
+    *_faults(
+        "drives/options.py",
+        ("runs_api",),
+        ("if self.max_slew == math.inf:", "if False:", "an infinite slew limit asks for no clock"),
+    ),
+    *_faults(
+        "logs/joined_files.py",
+        ("logs_values",),
+        ("start + (np.asarray(whole.rows", "(np.asarray(whole.rows", "joined files have their own start times"),
+    ),
+    *_faults(
+        "logs/request.py",
+        ("logs_times",),
+        ("if not 0.0 < rate < math.inf:", "if not 0.0 < rate:", "an infinite rate is none"),
+        ("if not _LOWEST_RATE <= rate <= _HIGHEST_RATE:", "if False:", "an absurd rate is refused"),
+    ),
+    *_faults(
+        "reports/accumulators.py",
+        FIGURES,
+        ('finite &= comparable(values["voltage"], values["voltage"])', "pass",
+         "a voltage that is no number is drawn nowhere"),
+    ),
 ]  # fmt: skip

@@ -10,7 +10,7 @@ import pytest
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.columns import column_wish
-from dbo_cli.logs.request import ReadingOptions
+from dbo_cli.logs.request import ReadingOptions, parse_address
 from dbo_cli.logs.signal_log import open_log
 
 WANT = {"voltage": column_wish("voltage"), "displacement": column_wish("displacement")}
@@ -85,3 +85,20 @@ def test_stamps_of_pandas_are_the_time(tmp_path: Path) -> None:
         block = log.read()
         assert block.time is not None and block.time.tolist() == [0.0, 1.5]
         assert log.time is not None and (log.time.name, log.time.unit) == ("time", "s")
+
+
+def test_files_that_begin_at_different_times_are_joined_at_their_own(tmp_path: Path) -> None:
+    """Two logs of one rate, the drive's 2 ms later: its first row belongs to the sensor's third."""
+    mat = pytest.importorskip("scipy.io")
+    sensor, drive = tmp_path / "sensor.mat", tmp_path / "drive.mat"
+    mat.savemat(sensor, {"displacement_um": np.arange(8.0), "Tinterval": 1e-3, "Tstart": 0.0})
+    mat.savemat(drive, {"voltage_V": 10.0 + np.arange(8.0), "Tinterval": 1e-3, "Tstart": 2e-3})
+    wishes = {
+        "displacement": column_wish("displacement"),
+        "voltage": column_wish("voltage", f"{drive}::voltage_V"),
+    }
+    with open_log(parse_address(str(sensor)), wishes, ReadingOptions()) as log:
+        block = log.read()
+    assert block.time is not None and block.time.tolist() == pytest.approx(np.arange(2, 8) / 1000.0)
+    assert block.values["displacement"].tolist() == [2.0, 3.0, 4.0, 5.0, 6.0, 7.0]
+    assert block.values["voltage"].tolist() == [10.0, 11.0, 12.0, 13.0, 14.0, 15.0]
