@@ -506,7 +506,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "extras/live/controller.py",
         ("runs_controller",),
-        ("self.samples = needed if seconds", "self.samples = needed + 1 if seconds",
+        ("self.samples = best if seconds", "self.samples = best + 1 if seconds",
          "the stated latency is the one that the drive has"),
         ("if self.samples < needed:", "if self.samples < needed - 1:", "a window too short is refused"),
     ),
@@ -519,7 +519,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "hysteresis/identification/prior.py",
         ("hysteresis_identification_prior",),
-        ("bound = BROKEN * expected", "bound = 10.0 * BROKEN * expected", "a changed shape is refused"),
+        ("worst, why = BROKEN * moved", "worst, why = 10.0 * BROKEN * moved", "a changed shape is refused"),
     ),
     *_faults(
         "hysteresis/move_error.py",

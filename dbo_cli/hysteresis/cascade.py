@@ -226,6 +226,50 @@ class DelayStage:
         return y, DelayHistory(tuple(times[behind].tolist()), tuple(values[behind].tolist()))
 
 
+class DelayLeft:
+    """What a delay leaves of a signal that was read ahead by it: the two interpolations, there and back.
+
+    A plant whose delay is its own leaves what reading ahead alone does, which is less.
+
+    Parameters
+    ----------
+    delay : DelayStage
+        The model's.
+    most_rows : int
+        So many rows are looked at.
+    """
+
+    def __init__(self, delay: DelayStage, most_rows: int) -> None:
+        self._delay = DelayStage(abs(delay.seconds), delay.between)
+        self._history: DelayHistory | None = None
+        self._begin = self._last = math.nan
+        self._rows_left = most_rows
+        self._squares, self._rows = 0.0, 0
+
+    def add(self, time: Floats, wanted: Floats, ahead: Floats) -> None:
+        """Add a block: its times (s), what is wanted there, and the same read ahead."""
+        if self._rows_left <= 0 or not time.size:
+            return
+        if math.isnan(self._begin):
+            self._begin = self._last = float(time[0])
+        steps = np.diff(time, prepend=self._last)
+        if (steps < 0.0).any():
+            self._rows_left = 0
+            return
+        late, self._history = self._delay.lag(ahead, steps, self._history)
+        known = time >= self._begin + self._delay.seconds  # before, what was is not of this signal
+        left = (late - wanted)[known]
+        self._squares += float(left @ left)
+        self._rows += left.size
+        self._rows_left -= time.size
+        self._last = float(time[-1])
+
+    @property
+    def rms(self) -> float:
+        """The root of the mean square of what is left, over the rows looked at."""
+        return math.sqrt(self._squares / max(self._rows, 1))
+
+
 def late_loop(x: Floats, samples: float) -> Floats:
     """Return one period of a loop as a smooth delay makes it late by so many samples."""
     whole, part = whole_and_part(samples)
