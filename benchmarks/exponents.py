@@ -19,6 +19,9 @@ from pathlib import Path
 
 import numpy as np
 
+import dbo_cli as dbo
+
+ROOT = Path(__file__).resolve().parent.parent
 FEW = 10
 """Rows that cost no more than a start."""
 
@@ -28,13 +31,13 @@ LARGEST = {"identify": 1_000_000}
 Words = list[str]
 
 
-def write_logs(folder: Path, rows: int) -> None:
-    """Write a drive with what came of it, and a move with what was measured of it, at 1 kHz."""
+def write_logs(folder: Path, model: dbo.Model, rows: int) -> None:
+    """Write a drive with what a model makes of it, and a move with what was measured of it, at 500 Hz."""
     rng = np.random.default_rng(rows)
-    time = np.arange(rows) * 1e-3
-    phase = 2.0 * np.pi * time * 2.0
-    volts = 50.0 - 50.0 * np.cos(phase) * (1.0 - 0.3 * np.sin(phase / 7.0) ** 2)
-    moved = 0.1 * volts + 0.6 * np.sin(phase) + rng.normal(0.0, 0.003, rows)
+    time = np.arange(rows) * 2e-3
+    phase = 2.0 * np.pi * time
+    volts = 50.0 - 50.0 * np.cos(phase) * (1.0 - 0.6 * np.sin(phase / 14.0) ** 2)
+    moved = model.simulate(volts, sample_rate=500.0) + rng.normal(0.0, 0.005, rows)
     wanted = 5.0 - 3.0 * np.cos(phase)
     followed = wanted + rng.normal(0.0, 0.01, rows)
     tables = {
@@ -91,10 +94,10 @@ def main() -> None:
     print("command           start-up" + "".join(f"  {size:>10,}      " for size in sizes))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
+        model = dbo.identify(str(ROOT / "sample_data" / "identification.csv"))
+        model.save(folder / "model.json")
         for rows in (FEW, *sizes):
-            write_logs(folder, rows)
-        log = str(folder / f"log_{min(10_000, sizes[-1])}.csv")
-        seconds(["identify", log, "-o", str(folder / "model.json")])
+            write_logs(folder, model, rows)
         for command in commands(folder, FEW):
             if options.only not in command:
                 continue
