@@ -140,12 +140,8 @@ attack: $(VENV)/installed-test
 mutants: $(VENV)/installed-test
 	$(BIN)/python benchmarks/mutants.py
 
-MEASURED := startup text_speed hdf5_speed format_speed large_files report_speed kernel_speed live_speed hops \
-            identification_cost relatives_cost drift round_trip dynamics_round_trip tracking
 bench: $(VENV)/installed-test
-	@for name in $(MEASURED); do \
-	  echo "== benchmarks/$$name.py"; $(BIN)/python benchmarks/$$name.py || exit 1; \
-	done
+	$(BIN)/python benchmarks/figures_page.py -o figures.md
 
 clean:
 	rm -rf demo paper site archives build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

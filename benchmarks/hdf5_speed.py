@@ -17,6 +17,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from machine import verdict
 from text_speed import MODEL, ROOT
 
 RUNS = 3
@@ -33,7 +34,7 @@ with h5py.File(sys.argv[2], "w") as out:
 
 
 def main() -> None:
-    """Measure, print, and exit with 1 where the promise is not kept."""
+    """Measure, print, and exit with 1 where the promise is not kept (2 on a busy machine)."""
     import h5py
 
     samples = int(1e6 * float(sys.argv[1])) if len(sys.argv) > 1 else 10_000_000
@@ -67,7 +68,7 @@ def main() -> None:
     ratio = best["dbo simulate"] / best["h5py, plain"]
     print(f"  dbo simulate / h5py, plain: {ratio:.2f}  (promised: at most {MOST:g})")
     print(f"  dbo simulate / h5py, gzipped: {best['dbo simulate'] / best['h5py, shuffled and gzipped']:.2f}")
-    sys.exit(0 if ratio <= MOST else 1)
+    sys.exit(verdict(ratio <= MOST))
 
 
 if __name__ == "__main__":

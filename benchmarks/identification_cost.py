@@ -16,6 +16,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from machine import verdict
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "sample_data"))
 from virtual_actuator import PRESETS, VirtualActuator
@@ -64,7 +65,7 @@ def main() -> None:
                 other = "  other version" if python == beside else ""
                 kept = kept and (bool(other) or (seconds <= promised and peak <= MOST_MB))
                 print(f"{samples:9,}  {seconds:8.2f}  {promised:8.1f}  {peak:8.0f}{other}", flush=True)
-    sys.exit(0 if kept else 1)
+    sys.exit(verdict(kept))
 
 
 if __name__ == "__main__":

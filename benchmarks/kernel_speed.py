@@ -1,15 +1,16 @@
 """How fast is the compiled kernel: against the fastest Prandtl-Ishlinskii loop found, and against a copy.
 
-    python benchmarks/kernel_speed.py [--samples N] [--repeats N] [--against CHECKOUT] [--only WORD]
+    python benchmarks/kernel_speed.py [--samples N] [--repeats N] [--against CHECKOUT] [--only WORD] [--plays]
 
 One run, one machine, ratios. 2,000 samples a cycle; times are the best of the repeats, in ns a sample.
 "dither" turns at every sample: every low bit is set and one of them toggles. Needs g++ (or CXX) for the
 competitor.
 A second table has the inputs that cross many gears in a sample (100 samples a cycle, random, jumps over the
-whole range) and the fastest plays on the same inputs. "identified" has 1,280 gears in 80 runs of equal ones,
-as identification makes them, and with 5,120 gears as many equal ones.
+whole range, nested turns) and the fastest plays on the same inputs. "identified" has 1,280 gears in 80 runs
+of equal ones, as identification makes them, and with 5,120 gears as many equal ones.
 With --against, the compiled kernel of another checkout of this project runs the same cases instead, turn by
-turn with this one, so that whatever else the machine does meets both; --only runs those whose name has WORD.
+turn with this one, so that whatever else the machine does meets both; --only runs those whose name has WORD;
+--plays has as many plays as gears beside the operators of n gears.
 """
 
 from __future__ import annotations
@@ -144,7 +145,15 @@ def inputs(operator: DiscreteBacklashOperator, samples: int) -> dict[str, Floats
         "100 a cycle": low + (high - low) * (0.5 - 0.5 * np.cos(2.0 * np.pi / 100.0 * ramp)),
         "random": rng.uniform(low, high, samples),
         "jumps": np.where(ramp % 2 == 0, high, low),
+        "nested turns": nested(low, high, samples),
     }
+
+
+def nested(low: float, high: float, samples: int) -> Floats:
+    """Return turns at every sample, each a little less far than the one before, 64 of them at a time."""
+    ramp = np.arange(samples)
+    reach = 0.5 * (1.0 - ramp % 64 / 64.0)
+    return low + (high - low) * (0.5 + np.where(ramp % 2 == 0, reach, -reach))
 
 
 def cases(samples: int) -> dict[str, tuple[DiscreteBacklashOperator, BacklashState, Floats, bool]]:
@@ -193,9 +202,9 @@ def prepared(
     raise SystemExit("the other kernel's arguments are not known here")
 
 
-def compare(other: ModuleType, samples: int, repeats: int, word: str) -> None:
+def compare(other: ModuleType, samples: int, repeats: int, word: str, library: ctypes.CDLL | None) -> None:
     """Print ns a sample of this kernel and of another, and their ratio; outputs must be the same bits."""
-    print("case                                      this ns  other ns  this/other")
+    print("case                                      this ns  other ns  this/other  plays ns")
     for name, case in cases(samples).items():
         if word not in name:
             continue
@@ -206,7 +215,11 @@ def compare(other: ModuleType, samples: int, repeats: int, word: str) -> None:
             for k, run in enumerate((own, old)):
                 times[k].append(best(run, 1) * 1e9 / samples)
         this, that = min(times[0]), min(times[1])
-        print(f"{name:40}  {this:8.2f}  {that:8.2f}  {this / that:10.2f}")
+        beside = ""
+        if library is not None and name.startswith("n = ") and name.count(",") == 1:
+            slow = fastest_plays(library, case[0].n, case[2], 2)[0] * 1e9 / samples
+            beside = f"  {slow:8.1f}"
+        print(f"{name:40}  {this:8.2f}  {that:8.2f}  {this / that:10.2f}{beside}", flush=True)
 
 
 def main() -> None:
@@ -215,11 +228,15 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--against", type=Path, metavar="CHECKOUT")
     parser.add_argument("--only", default="", metavar="WORD")
+    parser.add_argument("--plays", action="store_true")
     options = parser.parse_args()
     if kernel.KIND != "compiled":
         raise SystemExit("the compiled kernel is not there")
     if options.against:
-        compare(kernel_of(options.against), options.samples, 5 * options.repeats, options.only)
+        with tempfile.TemporaryDirectory() as folder:
+            library = competitor(Path(folder)) if options.plays else None
+            old = kernel_of(options.against)
+            compare(old, options.samples, 5 * options.repeats, options.only, library)
         return
     x = 1.8 - 1.8 * np.cos(2.0 * np.pi / 2000.0 * np.arange(options.samples))
     scale = 1e9 / options.samples
@@ -240,7 +257,7 @@ def main() -> None:
                 f"{n:5}  {own:6.2f}  {worst:9.2f}  {other:8.2f}  {layout:9}"
                 f"  {other / own:9.1f}  {own / copy:8.1f}"
             )
-        print("\nns a sample               smooth  100 a cycle    random     jumps")
+        print("\nns a sample               smooth  100 a cycle    random     jumps  nested turns")
         for name, operator in operators().items():
             signals = list(inputs(operator, options.samples).values())
             runs = [backlash(operator, operator.empty(), x) for x in signals]
@@ -252,7 +269,7 @@ def main() -> None:
 
 def line(name: str, costs: list[float]) -> str:
     """Return a row of the second table, in ns a sample."""
-    return f"{name:20}  {costs[0]:9.2f}  {costs[1]:11.1f}  {costs[2]:8.1f}  {costs[3]:8.1f}"
+    return f"{name:20}  {costs[0]:9.2f}  {costs[1]:11.1f}  {costs[2]:8.1f}  {costs[3]:8.1f}  {costs[4]:12.1f}"
 
 
 if __name__ == "__main__":

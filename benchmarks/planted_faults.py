@@ -13,8 +13,13 @@ from dataclasses import dataclass
 KERNEL = ("hysteresis_operators", "hysteresis_kernel")
 MODEL = ("hysteresis_model", "hysteresis_operators", "runs_states", "runs_controller")
 IDENTIFICATION = ("hysteresis_identification_parts", "hysteresis_identification_rules")
-REPORTS = ("reports_figures_of_merit", "reports_loop_and_lag", "reports_sample_pairs", "reports_report",
-           "reports_trajectory_match")
+REPORTS = (
+    "reports_figures_of_merit",
+    "reports_loop_and_lag",
+    "reports_sample_pairs",
+    "reports_report",
+    "reports_trajectory_match",
+)
 FIGURES = ("reports_figures",)
 
 
@@ -501,7 +506,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "extras/live/controller.py",
         ("runs_controller",),
-        ("self.samples = needed if seconds", "self.samples = needed + 1 if seconds",
+        ("self.samples = best if seconds", "self.samples = best + 1 if seconds",
          "the stated latency is the one that the drive has"),
         ("if self.samples < needed:", "if self.samples < needed - 1:", "a window too short is refused"),
     ),
@@ -514,7 +519,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "hysteresis/identification/prior.py",
         ("hysteresis_identification_prior",),
-        ("bound = BROKEN * expected", "bound = 10.0 * BROKEN * expected", "a changed shape is refused"),
+        ("worst, why = BROKEN * moved", "worst, why = 10.0 * BROKEN * moved", "a changed shape is refused"),
     ),
     *_faults(
         "hysteresis/move_error.py",

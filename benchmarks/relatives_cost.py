@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from machine import verdict
 from numpy.typing import NDArray
 
 from dbo_cli.extras.compare.judging import processor_ns
@@ -218,7 +219,7 @@ def main() -> int:
         ratio = counts["PI"][place].inverse / counts["DBO"][place].inverse
         holds &= ratio >= least
         print(f"inverse at n = {n}: {ratio:.1f} times faster than PI's (at least {least:g} wanted)")
-    return 0 if holds else 1
+    return verdict(holds)
 
 
 if __name__ == "__main__":

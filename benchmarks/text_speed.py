@@ -21,6 +21,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from machine import verdict
 
 ROOT = Path(__file__).resolve().parent.parent
 RUNS = 5
@@ -134,12 +135,12 @@ def parsers(rows: int) -> None:
 
 
 def main() -> None:
-    """Measure, print, and exit with 1 where a promise is not kept."""
+    """Measure, print, and exit with 1 where a promise is not kept (2 on a busy machine)."""
     rows = int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000
     with tempfile.TemporaryDirectory() as folder:
         kept = whole_processes(Path(folder), rows)
     parsers(min(rows, 200_000))
-    sys.exit(0 if kept else 1)
+    sys.exit(verdict(kept))
 
 
 if __name__ == "__main__":

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import gc
+import hashlib
 import json
 import os
+import pickle
 import re
 import shutil
 import sys
@@ -45,6 +47,37 @@ def pytest_configure(config: pytest.Config) -> None:
         compiler.write_text(f'#!/bin/sh\nexec "{sys.executable}" -SE "{CACHED_CC}" "$@"\n', encoding="utf-8")
         compiler.chmod(0o700)
         os.environ["CC"] = str(compiler)
+
+
+@pytest.fixture
+def identified_once(monkeypatch: pytest.MonkeyPatch, known_models: Path) -> None:
+    """Identify the same logs with the same options once in a run of the suite, whichever worker comes first.
+
+    For tests of what is done with a model. Those of identification itself do without.
+    """
+    from dbo_cli.runs import identifying
+
+    identify = identifying.identify_model
+
+    def known_or_identified(*arguments: Any) -> Any:
+        key = hashlib.sha256(pickle.dumps(arguments)).hexdigest()
+        file = known_models / f"{key}.pickle"
+        if not file.exists():
+            fresh = file.with_suffix(f".{os.getpid()}")
+            fresh.write_bytes(pickle.dumps(identify(*arguments)))
+            fresh.replace(file)
+        return pickle.loads(file.read_bytes())
+
+    monkeypatch.setattr(identifying, "identify_model", known_or_identified)
+
+
+@pytest.fixture(scope="session")
+def known_models(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder that all workers of this run share."""
+    own = tmp_path_factory.getbasetemp()
+    folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "known-models"
+    folder.mkdir(exist_ok=True)
+    return folder
 
 
 def pytest_collection_finish() -> None:

@@ -58,6 +58,19 @@ def test_json(logs: Any) -> None:
     assert second["ratio_to_first"] == pytest.approx(0.2, rel=1e-12)
 
 
+def test_a_late_sensor_is_late_in_samples_seconds_and_milliseconds(dbo: Any) -> None:
+    late = np.roll(np.tile(DESIRED, 2), 3)[200:]  # 3 rows of 10 ms
+    write_log("late.csv", late - DESIRED)
+    (log,) = json.loads(dbo("report", "late.csv", "--format", "json").out)["logs"]
+    assert log["sample_period_s"] == pytest.approx(0.01, rel=1e-9)
+    assert log["lag_left_samples"] == pytest.approx(3.0, rel=0.02)
+    assert log["lag_left_s"] == pytest.approx(0.01 * log["lag_left_samples"], rel=1e-9)
+    (row,) = csv.DictReader(io.StringIO(dbo("report", "late.csv", "--format", "csv").out))
+    assert float(row["lag_left_s"]) == pytest.approx(log["lag_left_s"], rel=1e-4)
+    text = dbo("report", "late.csv").out.splitlines()[-1].split()
+    assert text[4:6] == ["3.00", "0.0300"]  # samples and seconds
+
+
 def test_csv_has_one_line_a_log(logs: Any) -> None:
     rows = list(csv.DictReader(io.StringIO(logs("report", "before.csv", "after.csv", "--format", "csv").out)))
     assert [row["name"] for row in rows] == ["before.csv", "after.csv"]
@@ -264,3 +277,58 @@ def test_refusals_are_one_line_and_leave_nothing(logs: Any, model_file: Path, li
     assert done.err.startswith(f"dbo: error: {REFUSED[line]}")
     assert done.err.count("\n") == 1
     assert folder_content(Path()) == before
+
+
+# --- a recording as an oscilloscope writes it, beside the drive that was played ---
+
+
+def write_scope(start: float) -> None:
+    """Write a drive with 20 rows before the move, and a recording of it in volts whose clock begins at ``start``."""
+    rows = np.arange(-20, 200)
+    wanted = np.where(rows < 0, 1.0, 5.0 - 4.0 * np.cos(2 * np.pi * rows / 100.0))
+    drive = "".join(
+        f"{row / 100.0!r},{y!r},{10 * y!r}\n" for row, y in zip(rows.tolist(), wanted.tolist(), strict=True)
+    )
+    Path("drive.csv").write_text("time_s,desired_um,voltage_V\n" + drive)
+    lines = []
+    for k, y in enumerate(wanted.tolist()):
+        lines.append(f"{start + k / 100.0!r},{y!r},{(y + 0.1) / 10.0!r}\n")
+    Path("scope.csv").write_text("time_s,CH1 (V),CH2 (V)\n" + "".join(lines))
+
+
+SCOPE = ["report", "scope.csv", "--trajectory", "drive.csv", "--measured", "CH2", "--format", "json"]
+
+
+def test_a_recorder_that_starts_its_own_clock_is_asked_about(dbo: Any) -> None:
+    write_scope(0.0)
+    done = dbo(*SCOPE, "--scale", "measured=10um/V")
+    assert (done.code, done.out) == (1, "")
+    assert done.err.splitlines()[-1] == (
+        "dbo: error: scope.csv: it begins at 0 s, and drive.csv at -0.2 s, with rows before the move: did the "
+        "recorder start its clock with the first of them (--match rows), or do both have one clock (--match time)?"
+    )
+    report = json.loads(dbo(*SCOPE, "--scale", "measured=10um/V", "--match", "rows").out)
+    assert report["logs"][0]["rmse"] == pytest.approx(0.1, rel=1e-9)
+    write_scope(-0.2)
+    report = json.loads(dbo(*SCOPE, "--scale", "measured=10um/V").out)
+    assert report["logs"][0]["rmse"] == pytest.approx(0.1, rel=1e-9)
+
+
+@pytest.mark.parametrize("role", ["measured", "displacement"])
+def test_a_scale_belongs_to_the_recording_and_not_to_the_trajectory(dbo: Any, role: str) -> None:
+    write_scope(-0.2)
+    done = dbo(*SCOPE, "--scale", f"{role}=10um/V", "--voltage", "CH1", "--scale", "voltage=10")
+    assert done.code == 0, done.err
+    report = json.loads(done.out)
+    assert report["unit"] == "um"
+    assert report["logs"][0]["rmse"] == pytest.approx(0.1, rel=1e-9)
+    doubled = json.loads(dbo(*SCOPE, "--scale", "measured=20um/V", "--scale", "desired=2").out)
+    assert doubled["logs"][0]["rmse"] == pytest.approx(0.2, rel=1e-9)
+
+
+def test_what_was_played_is_scaled_and_the_drive_is_not(dbo: Any) -> None:
+    write_scope(-0.2)
+    words = ["check", "scope.csv", "--voltage", "CH1", "--scale", "voltage=10", "--against", "drive.csv"]
+    done = dbo(*words, "--v-min", 0, "--v-max", 100)
+    assert done.code == 0, done.err
+    assert "gain 1, offset" in done.out

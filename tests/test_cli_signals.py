@@ -541,3 +541,19 @@ def test_whose_volts_a_drive_is_in_is_said_where_the_logs_were_scaled(dbo: Any, 
     ) in done.err
     with h5py.File("drive.h5") as file:
         assert file.attrs["voltage_scale"] == "times 20, of the voltages in the model's logs"
+
+
+def test_a_summary_has_the_figures_of_the_drive(dbo: Any, model_file: Path) -> None:
+    """In volts, whatever the clock: the largest step is no speed, and the range is in order."""
+    moves = 5.0 + 3.0 * np.sin(np.arange(40) / 4.0) ** 3
+    rows = [f"{0.01 * k:.2f},{float(x)!r}" for k, x in enumerate(moves)]
+    Path("move.csv").write_text("\n".join(["time_s,displacement_um", *rows]) + "\n")
+    words = ("compensate", "model.json", "move.csv", "-o", "drive.csv", "--summary", "s.json")
+    assert dbo(*words, "--v-max", "6", "--on-limit", "clip").code == 0
+    drive = np.loadtxt("drive.csv", delimiter=",", skiprows=1)[:, -1]
+    summary = json.loads(Path("s.json").read_text())
+    assert (summary["rows"], summary["range"]) == (40, [drive.min(), drive.max()])
+    assert summary["largest_step"] == np.abs(np.diff(drive)).max()
+    assert summary["clipped"] == np.count_nonzero(drive == 6.0) > 0
+    (read,) = summary["read"]
+    assert (read["rows"], read["seconds"]) == (40, pytest.approx(0.39))

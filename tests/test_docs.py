@@ -55,6 +55,7 @@ def differs(shown: str, printed: str) -> bool:
 
 
 @pytest.mark.whole
+@pytest.mark.usefixtures("identified_once")
 def test_the_python_page_runs_as_it_stands_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("identification.csv", "trajectory.csv"):
         shutil.copy(ROOT / "sample_data" / name, tmp_path)
@@ -230,6 +231,7 @@ def test_the_ten_mistakes_print_what_the_page_shows(
         assert NUMBER.sub("#", line) in masked, "\n".join([command, line, *printed])
 
 
+@pytest.mark.usefixtures("identified_once")
 def test_the_picture_shows_the_numbers_of_the_demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """``make picture`` draws docs/demo.png; its description holds the errors that stand in it."""
     data = ROOT / "sample_data"

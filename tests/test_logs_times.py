@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.columns import ColumnWish
-from dbo_cli.logs.request import ReadingOptions, parse_rows
+from dbo_cli.logs.request import ReadingOptions, checked_rate, parse_rows
 from dbo_cli.logs.sample_block import SampleBlock, TimeCheck, even_step, require_even, resampled
 from dbo_cli.logs.signal_log import open_log
 
@@ -201,3 +202,19 @@ def test_a_sample_rate_replaces_a_guessed_time_column(tmp_path: Path) -> None:
     assert block.time is not None
     assert block.time.tolist() == [0.0, 0.25]
     assert log.notes == [f"{path}: `sample_rate` replaces the column 'time'"]
+
+
+@pytest.mark.parametrize(
+    ("rate", "said"),
+    [
+        (math.inf, "`sample_rate` inf: give a positive number of samples a second"),
+        (math.nan, "`sample_rate` nan: give a positive number of samples a second"),
+        (0.0, "`sample_rate` 0: give a positive number of samples a second"),
+        (1e13, "`sample_rate` 1e+13: give between 1e-09 and 1e+12 samples a second"),
+        (1e-10, "`sample_rate` 1e-10: give between 1e-09 and 1e+12 samples a second"),
+    ],
+)
+def test_a_rate_that_no_clock_has_is_refused(rate: float, said: str) -> None:
+    with pytest.raises(UsageError) as raised:
+        checked_rate(rate)
+    assert str(raised.value) == said

@@ -27,6 +27,7 @@ from dbo_cli.reports.accumulators import (
     Band,
     Curve,
     Envelope,
+    ErrorDistribution,
     FigureData,
     Pixels,
     Raster,
@@ -635,3 +636,19 @@ def test_few_or_named_channels_are_bars_in_their_order():
 
 def test_rows_of_a_map_are_full_where_they_can_be():
     assert [row_width(count) for count in (12, 25, 97, 127, 128, 5000)] == [4, 5, 10, 12, 16, 100]
+
+
+def test_rows_whose_drive_is_no_number_are_drawn_nowhere() -> None:
+    """A pause that a log's voltage shows as NaN leaves the other rows where they are."""
+    desired = np.linspace(0.0, 9.9, 100)
+    voltage = 10.0 * desired
+    voltage[[0, 3, 50]] = np.nan
+    data = FigureData("V")
+    data.add(pairs(np.arange(1, 101), desired, desired + 0.1, 0.01 * np.arange(100), voltage))
+    data.finish(ErrorDistribution())
+    assert (data.samples, data.has_drive) == (97, True)
+    assert data.start == 0.01
+    drive = data.against_time("drive")
+    assert isinstance(drive, Curve)
+    assert drive.y.tolist() == np.delete(voltage, [0, 3, 50]).tolist()
+    assert data.against_time("measured").y.tolist() == np.delete(desired + 0.1, [0, 3, 50]).tolist()

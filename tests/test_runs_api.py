@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import re
 import subprocess
 import sys
@@ -349,3 +350,16 @@ def test_every_public_name_is_there() -> None:
     for name in dbo_api.__all__:
         assert getattr(dbo_api, name).__doc__
     assert set(dbo_api.__all__) <= set(dir(dbo_api))
+
+
+def test_an_infinite_slew_limit_asks_for_no_clock(small: dbo_api.Model) -> None:
+    move = [2.0, 4.0, 3.0]
+    assert small.compensate(move, max_slew=math.inf).tolist() == small.compensate(move).tolist()
+    with pytest.raises(dbo_api.DboError, match=r"`max_slew` depends on it"):
+        small.compensate(move, max_slew=5.0)
+
+
+@pytest.mark.parametrize("limit", ["v_min", "v_max"])
+def test_a_limit_that_is_no_number_is_refused(small: dbo_api.Model, limit: str) -> None:
+    with pytest.raises(dbo_api.UsageError, match=f"^`{limit}`: is not a number$"):
+        small.compensate([2.0, 4.0], **{limit: math.nan})

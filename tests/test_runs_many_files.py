@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 from pathlib import Path
 from typing import Any
@@ -41,6 +42,15 @@ def test_each_file_is_what_it_would_be_alone(folder: Any) -> None:
         folder("simulate", "model.json", log, "-q", "--save-state", "one.json", "-o", "one.csv")
         assert Path("one.csv").read_bytes() == Path(f"out/{name}.csv").read_bytes()
         assert Path("one.json").read_bytes() == Path(f"out/{name}.state.json").read_bytes()
+
+
+def test_a_packed_log_gives_its_name_without_both_endings(folder: Any) -> None:
+    Path("logs/d.csv.gz").write_bytes(gzip.compress(Path("logs/a.csv").read_bytes()))
+    words = ("simulate", "model.json", "logs/b.csv", "logs/d.csv.gz", "-q")
+    assert folder(*words, "--summary", "out/{file}.json", "-o", "out/{file}.csv.gz").code == 0
+    assert folder_content(Path("out")) == {"b.csv.gz", "d.csv.gz", "b.json", "d.json"}
+    alone = folder("simulate", "model.json", "logs/a.csv", "-q")
+    assert gzip.decompress(Path("out/d.csv.gz").read_bytes()).decode() == alone.out
 
 
 def test_comments_are_written_by_every_process(folder: Any) -> None:

@@ -81,6 +81,39 @@ def test_a_clock_that_began_anew_goes_on_one_step_later(dbo: Any) -> None:
     assert got == pytest.approx([float(line.split(",")[2]) for line in whole], abs=1e-12)
 
 
+def outputs(text: str) -> list[float]:
+    """Return the last column of a table."""
+    return [float(line.split(",")[-1]) for line in body(text)]
+
+
+def test_a_rate_that_begins_at_the_stamp_of_the_state_goes_on_one_step_later(dbo: Any) -> None:
+    Path("model.json").write_text(json.dumps(lagging_model()))
+    volts = [1.0, *(5.0 + 4.0 * np.sin(np.arange(30) / 3.0)).tolist()]  # the delay holds 8 rows back
+    for name, part in (("first", volts[:1]), ("second", volts[1:]), ("all", volts)):
+        Path(f"{name}.csv").write_text("\n".join(["voltage_V", *map(repr, part)]) + "\n")
+    words = ("--sample-rate", "50", "-q")
+    whole = outputs(dbo("simulate", "model.json", "all.csv", *words).out)
+    dbo("simulate", "model.json", "first.csv", *words, "-o", "out.csv", "--save-state", "s.json")
+    assert json.loads(Path("s.json").read_text())["time"] == 0.0
+    rest = outputs(dbo("simulate", "model.json", "second.csv", *words, "--state", "s.json").out)
+    assert rest == pytest.approx(whole[1:], abs=1e-12)
+
+
+def test_rows_left_out_of_a_rate_are_a_pause(dbo: Any) -> None:
+    """What creeps and lags settles meanwhile, as after the same pause of a clock of stamps."""
+    Path("model.json").write_text(json.dumps(lagging_model()))
+    volts = 5.0 + 4.0 * np.sin(np.arange(150) / 7.0)
+    Path("rate.csv").write_text("\n".join(["voltage_V", *map(repr, volts.tolist())]) + "\n")
+    kept = [k for k in range(150) if not 50 <= k < 100]
+    stamped = [f"{0.02 * k:.6f},{float(volts[k])!r}" for k in kept]
+    Path("stamps.csv").write_text("\n".join(["time_s,voltage_V", *stamped]) + "\n")
+    words = ("simulate", "model.json", "rate.csv", "--sample-rate", "50", "-q")
+    dbo(*words, "--rows", "1:50", "-o", "out.csv", "--save-state", "s.json")
+    rest = outputs(dbo(*words, "--rows", "101:", "--state", "s.json").out)
+    stamps = outputs(dbo("simulate", "model.json", "stamps.csv", "-q").out)
+    assert rest == pytest.approx(stamps[50:], abs=1e-9)
+
+
 @pytest.mark.parametrize("kind", ["even", "rate"])
 @pytest.mark.parametrize("command", ["simulate", "compensate"])
 def test_a_model_with_dynamics_goes_on_as_one_run(dbo: Any, command: str, kind: str) -> None:

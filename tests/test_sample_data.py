@@ -103,6 +103,7 @@ def test_a_drive_carries_what_was_desired(tmp_path: Path) -> None:
     assert columns["desired"].tolist() == [1.0, 2.0]
 
 
+@pytest.mark.usefixtures("identified_once")
 def test_the_whole_road(dbo: Any, tmp_path: Path) -> None:
     """From the sample log to a compensated move: at most 0.06 of the straight line's error."""
     log, trajectory = SAMPLES / "identification.csv", SAMPLES / "trajectory.csv"
@@ -137,6 +138,7 @@ def test_the_bench_of_the_closed_loop_is_the_actuator_a_sample_at_a_time() -> No
     assert [bench.step(one)[0] for one in drive] == pytest.approx(whole.tolist(), abs=1e-9)
 
 
+@pytest.mark.usefixtures("identified_once")
 def test_the_page_about_closed_loops_shows_what_is_printed() -> None:
     import closed_loop
 

@@ -9,7 +9,9 @@ from typing import Any, NamedTuple
 from dbo_cli.cli.values import (
     PARSERS,
     Parser,
+    address,
     choice,
+    expanded,
     figure_above_0,
     number_or_word,
     offset,
@@ -85,7 +87,10 @@ class Option(NamedTuple):
         parse, name = self.parser, self.key if self.names else ""
         if parse is None or typed is None:
             return typed
-        return [parse(name, word) for word in typed] if self.repeated else parse(name, typed)
+        if not self.repeated:
+            return parse(name, typed)
+        words = expanded(typed) if parse is address else typed
+        return [parse(name, word) for word in words]
 
 
 def _reading(spelled: str, meaning: str, parse: Parser | None = None, repeated: bool = False) -> Option:

@@ -6,7 +6,9 @@ shell shows as the option.
 
 from __future__ import annotations
 
+import glob
 import math
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -128,6 +130,24 @@ def address(option: str, text: str) -> Address:
     from dbo_cli.logs.request import parse_address
 
     return parse_address(text)
+
+
+def expanded(words: Sequence[str]) -> list[str]:
+    """Return files with patterns (``run*.csv``) expanded, in order, where the shell did not.
+
+    PowerShell never does. What is a file's own name, or fits no file, stays as it is.
+    """
+    found: list[str] = []
+    for word in words:
+        path, separator, inner = word.partition("::")
+        if os.path.exists(path) or not any(sign in path for sign in "*?["):
+            found.append(word)
+            continue
+        files = sorted(glob.glob(path))
+        found.extend(f"{file}{separator}{inner}" for file in files)
+        if not files:
+            found.append(word)
+    return found
 
 
 def rows(option: str, text: str) -> tuple[int, int | None]:

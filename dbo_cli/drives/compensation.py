@@ -598,7 +598,7 @@ class Compensation(ModelRun):
         values["expected_from_any_past"] = None
         if error is not None:
             past = error.from_any_past if self._past_matters(error) else error.rmse
-            values["expected_from_any_past"] = math.hypot(past, self._lost_rms())
+            values["expected_from_any_past"] = math.hypot(past, self._lost_rms(), self._delay_left_rms())
         return values
 
     def expected_rmse(self) -> tuple[float | None, float | None]:
@@ -615,11 +615,16 @@ class Compensation(ModelRun):
         error = self._move_error()
         if error is not None:
             rmse = error.rmse
-        rmse = math.hypot(rmse, self._lost_rms())
+        rmse = math.hypot(rmse, self._lost_rms(), self._delay_left_rms())
         span = self.move_figures.high - self.move_figures.low
         if span > 0.0:
             return rmse, 100.0 * rmse / span
         return rmse, None
+
+    def _delay_left_rms(self) -> float:
+        """Return what interpolating between samples leaves of the move, RMS, where the model has a delay."""
+        left = self.inputs.delay_left
+        return 0.0 if left is None else left.rms
 
     def _move_error(self) -> MoveError | None:
         """Return what error to expect of the first rows of the drive, worked out once for them."""

@@ -90,6 +90,9 @@ class DelayHistory:
     values: tuple[float, ...]
 
 
+PIECE = 8192
+"""Samples that are delayed at once: 64 kB. Four times as many or as few take as long."""
+
 BETWEEN: tuple[Between, ...] = ("smooth", "linear")
 """How a delay takes a value between two samples; model files before version 3 mean ``linear``."""
 
@@ -138,10 +141,11 @@ class DelayStage:
         return max(late + smooth.AFTER - 1, smooth.WINDOW - 1)
 
     def lag(
-        self, x: Floats, time_step: float | Floats, history: DelayHistory | None
+        self, x: Floats, time_step: float | Floats, history: DelayHistory | None, overwrite: bool = False
     ) -> tuple[Floats, DelayHistory | None]:
-        """Return one block delayed, and the history after it.
+        """Return one block delayed, and the history after it; ``overwrite``: ``x`` is not needed any more.
 
+        A long block is delayed in pieces: what they take of memory stays in the processor's caches.
         Before the first sample ever the first value holds. With a single ``time_step`` (s) the delay is
         counted in samples, so that a whole number of them shifts exactly; with one step for each sample
         (that of the very first does not matter) it is looked up by time.
@@ -155,6 +159,22 @@ class DelayStage:
         """
         if self.seconds < 0.0:
             raise ModelError("a delay below 0 reads ahead and has no place in a forward model")
+        if x.size <= PIECE:
+            return self._lag_piece(x, time_step, history)
+        y = x if overwrite else np.empty_like(x)
+        begin = 0
+        while begin < x.size:
+            waiting = 0 if history is None else len(history.times)
+            end = begin + max(PIECE, 2 * waiting)
+            steps = time_step[begin:end] if isinstance(time_step, np.ndarray) else time_step
+            y[begin:end], history = self._lag_piece(x[begin:end], steps, history)
+            begin = end
+        return y, history
+
+    def _lag_piece(
+        self, x: Floats, time_step: float | Floats, history: DelayHistory | None
+    ) -> tuple[Floats, DelayHistory | None]:
+        """Return what ``lag`` does."""
         if x.size == 0:
             return x, history
         past_times, past_values = (history.times, history.values) if history else ((0.0,), (float(x[0]),))
@@ -204,6 +224,50 @@ class DelayStage:
             y = late_by(values[begin : begin + count + 1], part)
         behind = slice(-needed, None)
         return y, DelayHistory(tuple(times[behind].tolist()), tuple(values[behind].tolist()))
+
+
+class DelayLeft:
+    """What a delay leaves of a signal that was read ahead by it: the two interpolations, there and back.
+
+    A plant whose delay is its own leaves what reading ahead alone does, which is less.
+
+    Parameters
+    ----------
+    delay : DelayStage
+        The model's.
+    most_rows : int
+        So many rows are looked at.
+    """
+
+    def __init__(self, delay: DelayStage, most_rows: int) -> None:
+        self._delay = DelayStage(abs(delay.seconds), delay.between)
+        self._history: DelayHistory | None = None
+        self._begin = self._last = math.nan
+        self._rows_left = most_rows
+        self._squares, self._rows = 0.0, 0
+
+    def add(self, time: Floats, wanted: Floats, ahead: Floats) -> None:
+        """Add a block: its times (s), what is wanted there, and the same read ahead."""
+        if self._rows_left <= 0 or not time.size:
+            return
+        if math.isnan(self._begin):
+            self._begin = self._last = float(time[0])
+        steps = np.diff(time, prepend=self._last)
+        if (steps < 0.0).any():
+            self._rows_left = 0
+            return
+        late, self._history = self._delay.lag(ahead, steps, self._history)
+        known = time >= self._begin + self._delay.seconds  # before, what was is not of this signal
+        left = (late - wanted)[known]
+        self._squares += float(left @ left)
+        self._rows += left.size
+        self._rows_left -= time.size
+        self._last = float(time[-1])
+
+    @property
+    def rms(self) -> float:
+        """The root of the mean square of what is left, over the rows looked at."""
+        return math.sqrt(self._squares / max(self._rows, 1))
 
 
 def late_loop(x: Floats, samples: float) -> Floats:

@@ -409,7 +409,7 @@ class ActuatorModel:
                 y, sections = self.dynamics.run(y, steps, state.dynamics)
                 after = dataclasses.replace(after, dynamics=sections)
             if steps is not None and self.delay and self.delay.seconds > 0.0:
-                y, history = self.delay.lag(y, steps, state.history)
+                y, history = self.delay.lag(y, steps, state.history, overwrite=y is not given)
                 after = dataclasses.replace(after, history=history)
         return Simulated(y, after, *counts, missed)
 

@@ -61,8 +61,10 @@ class PythonStepper:
     them, and ``step``, the largest change of the output, or NaN.
     """
 
-    def __init__(self, *given: Any) -> None:
-        gears, guide, n, run, x0, y0, extend, gain, reference, memory_on_output, self._decay, *limits = given
+    def __init__(self, *numbers: Any) -> None:
+        gears, guide, n, run, x0, y0, extend, gain, reference, memory_on_output, self._decay, *limits = (
+            numbers
+        )
         self._table = gears, guide, n, run, x0, y0, extend, gain, reference, memory_on_output
         limited, low, high, slack, step = limits
         exchanged = np.ascontiguousarray(gears[:, [1, 0, 2, 3, 5, 4]])
@@ -175,8 +177,8 @@ class BacklashStepper:
     def state(self) -> BacklashState:
         """The committed state."""
         self.inner.get(self._words, self._memory)
-        held = tuple(self._memory.tolist()) if self._operator.relaxation is not None else None
-        return BacklashState(self._operator._bits(self._words), held)
+        memory = tuple(self._memory.tolist()) if self._operator.relaxation is not None else None
+        return BacklashState(self._operator._bits(self._words), memory)
 
     @property
     def last(self) -> float:
@@ -303,9 +305,9 @@ def packed(stages: Sequence[MemoryFree]) -> tuple[Floats, Words]:
     A scale is ``0, gain, offset``; points are ``1, m, x0, y0`` and three numbers a segment.
     """
     rows: list[Floats] = []
-    for one in stages:
+    for group in stages:
         parts = [np.empty(0)]
-        for stage in one:
+        for stage in group:
             if isinstance(stage, ScaleStage):
                 parts.append(np.array([0.0, stage.gain, stage.offset]))
             else:
@@ -334,6 +336,6 @@ def make_bank(
         As ``PythonBank`` has them.
     """
     make: Any = PythonBank if kernel.CHOSEN is kernel.PythonKernel else kernel.CHOSEN.Bank
-    back = [tuple(stage.inverse() for stage in reversed(one)) for one in after]
+    back = [tuple(stage.inverse() for stage in reversed(group)) for group in after]
     curves: list[Any] = [part for stages in (before, after, back) for part in packed(stages)]
-    return make(tuple(one.inner for one in steppers), *curves, np.ascontiguousarray(limits))
+    return make(tuple(stepper.inner for stepper in steppers), *curves, np.ascontiguousarray(limits))

@@ -15,7 +15,7 @@ import numpy as np
 from dbo_cli.errors import InputError
 from dbo_cli.logs.clock import Statement, agreed_rate, read_statements
 from dbo_cli.logs.columns import column_info, column_label
-from dbo_cli.logs.plain_text import counted
+from dbo_cli.logs.plain_text import clean_text, counted
 from dbo_cli.logs.request import Request, remedy_for
 from dbo_cli.logs.sample_block import (
     MOST_NAMED,
@@ -37,6 +37,10 @@ MATLAB_OBJECTS = (
     " (MATLAB objects (table, timetable, timeseries, string) can be taken apart by MATLAB only: save plain "
     "vectors, t, voltage and displacement, with save('run.mat', 't', 'voltage', 'displacement'))"
 )
+
+
+_LOOKED_AT = 20
+"""Rows of a column of texts, by which it is known whether they write time stamps; as text files' are."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +69,8 @@ class ColumnSource:
         Notes for the user where this column is used.
     problem
         Why this column cannot be used, or an empty text.
+    written
+        ``numbers``, or how its texts write time stamps (``stamp``, ``clock``, ``minutes``, ``date``).
     """
 
     label: str
@@ -78,10 +84,13 @@ class ColumnSource:
     start: float = 0.0
     remarks: tuple[str, ...] = ()
     problem: str = ""
+    written: str = "numbers"
 
     def read(self, start: int, stop: int) -> FloatArray:
         """Read rows start..stop (from 0, stop not included) as float64; what is missing as NaN."""
         stored = np.asarray(self.fetch(start, stop))
+        if self.written != "numbers":
+            return _stamps_of(stored, self.written)
         values = np.ascontiguousarray(stored, dtype=np.float64)
         if self.missing:
             absent = np.logical_or.reduce([stored == code for code in self.missing])
@@ -90,6 +99,26 @@ class ColumnSource:
         if self.scale != 1.0:
             values = values * self.scale
         return values + self.offset if self.offset != 0.0 else values
+
+
+def _stamps_of(cells: Any, written: str) -> FloatArray:
+    """Return texts that write time stamps as seconds; what writes none as NaN."""
+    from dbo_cli.logs.text.lines import READERS
+
+    read = READERS[written]
+    seconds = [read(clean_text(cell).strip()) for cell in cells.tolist()]
+    return np.array([np.nan if second is None else second for second in seconds], dtype=np.float64)
+
+
+def text_source(label: str, length: int, fetch: Fetch) -> ColumnSource | None:
+    """Make a column of texts that write time stamps, by the first rows; None where they write none."""
+    from dbo_cli.logs.text.lines import writing_of
+
+    cells = np.asarray(fetch(0, min(length, _LOOKED_AT))).tolist()
+    if not all(isinstance(cell, str | bytes) for cell in cells):
+        return None
+    written = writing_of([clean_text(cell).strip() for cell in cells])
+    return None if written is None else ColumnSource(label, length, fetch, written=written)
 
 
 def from_first_row(source: ColumnSource, unit: str) -> ColumnSource:
@@ -265,7 +294,7 @@ class ColumnTable(Table):
         self.dropped, self.doubtful = DroppedRows(), []
         for number, source in enumerate(self.sources, start=1):
             info = column_info(source.label.rsplit("/", 1)[-1], number, source.unit)
-            self.columns.append(replace(info, name=source.label))
+            self.columns.append(replace(info, name=source.label, written=source.written))
 
     def describe(self) -> str:
         """Describe in one line how the log is written, for ``verbose``."""

@@ -9,6 +9,7 @@ the files must be equally long.
 from __future__ import annotations
 
 import itertools
+import os
 from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,7 +22,7 @@ from dbo_cli.errors import InputError
 from dbo_cli.interpolation.smooth import interpolated
 from dbo_cli.logs.clock import FoundTime, TimeColumn, find_time_column, time_column
 from dbo_cli.logs.clock_offset import ClockOffset, find_offset
-from dbo_cli.logs.columns import ColumnWish, find_column
+from dbo_cli.logs.columns import ColumnWish, choose_columns, find_column
 from dbo_cli.logs.request import ReadingOptions, Request, other_file, parse_address
 from dbo_cli.logs.sample_block import (
     GAP_STEPS,
@@ -110,6 +111,8 @@ class JoinedTable(Table):
         InputError
             A file or a column is absent.
         """
+        if names_file(wish.selector, self.columns):
+            return self._guessed_in(wish, role)
         named = other_file(wish.selector)
         if named is None:
             path, mark, _ = (wish.selector or "").partition("::")
@@ -126,6 +129,21 @@ class JoinedTable(Table):
         file = self.files[address]
         file.wishes.append(role)
         self._append(file, find_column(file.place, file.table.columns, selector, wish.option))
+        return f"number={len(self.columns)}"
+
+    def _guessed_in(self, wish: ColumnWish, role: str) -> str:
+        """Return the selector of the column that a role takes in a file of which only the name is given."""
+        address = wish.selector or ""
+        if address not in self.files:
+            there = replace(self._options, format=None, time=None)
+            self.others = [*self.others, address]
+            self.files[address] = _File(self._open_table(Request(parse_address(address), there, [])), {})
+        file = self.files[address]
+        file.wishes.append(role)
+        columns = file.table.columns
+        time = find_time_column(file.place, columns, replace(self._options, time=None), [])
+        guessed = choose_columns(file.place, columns, {role: replace(wish, selector=None)}, time.taken)
+        self._append(file, guessed[role])
         return f"number={len(self.columns)}"
 
     def _append(self, file: _File, column: ColumnInfo) -> ColumnInfo:
@@ -259,6 +277,7 @@ class JoinedTable(Table):
         target = self._target
         own = next((columns for address, columns in wanted.items() if self.files[address] is target), {})
         rows = self._read(target, own)
+        _require_forward(target.place, rows)
         keep = np.ones(len(rows.block), dtype=bool)
         values = dict(rows.block.values)
         for address, columns in wanted.items():
@@ -272,8 +291,7 @@ class JoinedTable(Table):
             inside = self._covered(rows, file, given)
             keep &= inside
             for role in columns:
-                signal, _ = interpolated(given.time, given.block.values[role], rows.time)
-                values[role] = signal
+                values[role] = _between_gaps(given, role, rows.time)
             names = ", ".join(f"'{column.name}'" for column in columns.values())
             self.notes.append(
                 f"{file.place}: {names} joined by time: interpolated onto the rows of {target.place}"
@@ -311,13 +329,7 @@ class JoinedTable(Table):
             Its time goes backwards, or the offset that is asked for cannot be found.
         """
         asked = self._options.clock_offset
-        back = np.flatnonzero(np.diff(given.time) < 0.0)
-        if len(back):
-            raise InputError(
-                f"{given.block.place(file.place, int(back[0]) + 1)}: time goes backwards, so its "
-                f"rows cannot be "
-                "joined by time (`rows` A:B cuts all files)"
-            )
+        _require_forward(file.place, given)
         if asked is None and (_same_rows(rows, given) or len(given.time) < 2):
             return given
         given = _each_stamp_once(given)
@@ -384,13 +396,9 @@ class JoinedTable(Table):
                 f"{self._target.place} and {file.place} have no time in common: {_span(rows.time)} and "
                 f"{_span(given.time)} (`clock_offset` {apart:.12g} lets both begin together, auto finds it)"
             )
-        steps = np.diff(given.time)
-        missing = np.diff(np.asarray(given.block.rows)) > 1  # rows that were left out as they were read
-        if len(steps):
-            missing |= steps > GAP_STEPS * median_step(steps)
         place = np.searchsorted(given.time, rows.time, side="right") - 1
         exact = given.time[np.clip(place, 0, None)] == rows.time
-        gaps = np.isin(place, np.flatnonzero(missing)) & ~exact
+        gaps = np.isin(place, np.flatnonzero(_gaps(given))) & ~exact
         for left, why in ((before, "before it begins"), (behind, "after it ends"), (gaps, "in its gaps")):
             if left.any():
                 self.notes.append(
@@ -412,6 +420,13 @@ class JoinedTable(Table):
         return self.files[""].table.sha256
 
 
+def names_file(selector: str | None, columns: Sequence[ColumnInfo]) -> bool:
+    """Tell whether a selector is the name of a file alone, and of no column."""
+    if selector is None or "::" in selector or not os.path.isfile(selector):
+        return False
+    return all(selector not in (column.name, column.quantity) for column in columns)
+
+
 def _span(time: FloatArray) -> str:
     """Write from when to when a clock goes."""
     digits = "15g" if abs(float(time[0])) > LOST_ZERO else "6g"
@@ -431,6 +446,41 @@ def _same_rows(rows: _Timed, given: _Timed) -> bool:
         return bool(np.array_equal(rows.time, given.time))
     step = median_step(np.abs(np.diff(rows.time)))
     return bool((np.abs(rows.time - given.time) <= JITTER * step).all())
+
+
+def _require_forward(place: str, given: _Timed) -> None:
+    """Refuse a clock that goes backwards (InputError)."""
+    back = np.flatnonzero(np.diff(given.time) < 0.0)
+    if len(back):
+        raise InputError(
+            f"{given.block.place(place, int(back[0]) + 1)}: time goes backwards, so its rows cannot be "
+            "joined by time (`rows` A:B cuts all files)"
+        )
+
+
+def _gaps(given: _Timed) -> NDArray[np.bool_]:
+    """Return after which rows at least one is missing."""
+    missing = np.diff(np.asarray(given.block.rows)) > 1  # rows that were left out as they were read
+    steps = np.diff(given.time)
+    if len(steps):
+        missing |= steps > GAP_STEPS * median_step(steps)
+    return missing
+
+
+def _between_gaps(given: _Timed, role: str, wanted: FloatArray) -> FloatArray:
+    """Return a signal at other times, made of the samples on the same side of every gap."""
+    values = given.block.values[role]
+    found = np.empty(len(wanted))
+    ends = [*(np.flatnonzero(_gaps(given)) + 1).tolist(), len(values)]
+    begin = done = 0
+    for end in ends:
+        last = len(wanted)
+        if end < len(values):
+            last = int(np.searchsorted(wanted, given.time[end], side="left"))
+        piece = slice(begin, end)
+        found[done:last], _ = interpolated(given.time[piece], values[piece], wanted[done:last])
+        begin, done = end, last
+    return found
 
 
 def _each_stamp_once(given: _Timed) -> _Timed:

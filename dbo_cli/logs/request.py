@@ -229,7 +229,8 @@ def other_file(selector: str | None) -> tuple[str, str] | None:
 def selected_files(*selectors: str | None) -> list[str]:
     """List the files that ``FILE::COLUMN`` names: no output may overwrite them."""
     named = [other_file(selector) for selector in selectors]
-    return [match[0].partition("::")[0] for match in named if match is not None]
+    alone = [selector for selector in selectors if selector is not None and os.path.isfile(selector)]
+    return [*(match[0].partition("::")[0] for match in named if match is not None), *alone]
 
 
 def without_folder(selector: str) -> str:

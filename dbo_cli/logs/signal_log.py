@@ -24,7 +24,7 @@ from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.byte_source import HDF5, input_record
 from dbo_cli.logs.clock import FoundTime, find_time_column
 from dbo_cli.logs.columns import ColumnWish, choose_columns, contradicted_unit, find_column
-from dbo_cli.logs.joined_files import JoinedTable
+from dbo_cli.logs.joined_files import JoinedTable, names_file
 from dbo_cli.logs.request import (
     ALL_ROWS,
     Address,
@@ -319,7 +319,7 @@ class SignalLog(Source):
                 yield block
         if check is not None and clock is not None:
             self.notes.extend([*clock.notes, *check.notes()])
-            self.warnings.extend(clock.warnings(check))
+            self.warnings[:0] = clock.warnings(check)  # a clock in another unit makes all else wrong
         self.warnings.extend(self._table.warnings)
         self._check = check
         if not self.rows_read:
@@ -386,7 +386,7 @@ def open_log(
     """
     options = options or ReadingOptions()
     selectors = [one for one in (*(wish.selector for wish in wishes.values()), options.time) if one]
-    named = [one for one in selectors if other_file(one) is None]
+    named = [one for one in selectors if other_file(one) is None and not os.path.isfile(one)]
     if options.clock_offset is not None and len(named) == len(selectors):
         raise UsageError("`clock_offset` joins two files: name the other one's column, FILE::COLUMN")
     if isinstance(address, Address):
@@ -395,7 +395,7 @@ def open_log(
         target = parse_address(address, options.format)
     table = open_table(Request(target, options, named, live, digest))
     try:
-        if any("::" in one for one in selectors):
+        if any("::" in one or names_file(one, table.columns) for one in selectors):
             first, table = table, (joint := JoinedTable(table, options, open_table))
             wishes = {
                 role: replace(wish, selector=joint.number_of(wish, role)) for role, wish in wishes.items()
@@ -421,6 +421,8 @@ def _scales_by_role(
         There is no such role here, or one is scaled twice.
     """
     names = {name: role for role, wish in wishes.items() for name in (wish.option.lower(), role.lower())}
+    if "measured" in wishes:
+        names.setdefault("displacement", "measured")
     found: dict[str, Scale] = {}
     for scale in options.scales:
         role = names.get(scale.role)

@@ -81,25 +81,25 @@ class Source:
         InputError
             The units measure unlike things, or one of them is not known.
         """
-        own = self.columns[role].unit
+        unit = self.columns[role].unit
         called = f"{self.name}: column '{self.columns[role].name}'"
-        factor = unit_factor(own, wanted)
-        if own == wanted:
+        factor = unit_factor(unit, wanted)
+        if unit == wanted:
             return
-        if own is None or wanted is None:
+        if unit is None or wanted is None:
             unlike = (
                 f"has no unit, but {taker} in {wanted}: its figures are taken as {wanted} "
                 "(name the unit in the header, or convert with `scale`)"
-                if own is None
-                else f"is in {own}, but {taker} without a unit: the figures are used as they are "
+                if unit is None
+                else f"is in {unit}, but {taker} without a unit: the figures are used as they are "
                 "(convert with `scale` if they are not alike)"
             )
             self.warnings.extend([f"{called} {unlike}"] if self.warns_of_units else [])
             return
         if factor is None:
-            remedy = f"`scale` ROLE=FACTOR{wanted}/{own} converts it"
-            raise InputError(f"{called} is in {own}, but {taker} in {wanted} ({remedy})")
-        self.notes.append(f"{called} is converted from {own} to {wanted}")
+            remedy = f"`scale` ROLE=FACTOR{wanted}/{unit} converts it"
+            raise InputError(f"{called} is in {unit}, but {taker} in {wanted} ({remedy})")
+        self.notes.append(f"{called} is converted from {unit} to {wanted}")
         if factor != ONE:
             self.columns[role] = replace(self.columns[role], unit=wanted)
             self._factors[role] = self._factors.get(role, ONE).times(*factor)
@@ -141,11 +141,11 @@ def samples(name: str, values: ArrayLike) -> FloatArray:
         row = int(np.argmax(np.ma.getmaskarray(values)))
         raise InputError(f"`{name}`: sample {row + 1} is masked (leave it out, or fill it with what it was)")
     try:
-        given = np.asarray(values)
-        objects = given.reshape(-1) if given.dtype.kind == "O" else ()
-        if given.dtype.kind not in "iufO" or any(isinstance(one, bool | np.bool_) for one in objects):
+        array = np.asarray(values)
+        objects = array.reshape(-1) if array.dtype.kind == "O" else ()
+        if array.dtype.kind not in "iufO" or any(isinstance(value, bool | np.bool_) for value in objects):
             raise TypeError
-        signal = np.ascontiguousarray(given, dtype=np.float64)
+        signal = np.ascontiguousarray(array, dtype=np.float64)
     except (TypeError, ValueError):
         raise InputError(f"`{name}`: is no array of numbers") from None
     if signal.ndim == 0 or signal.size == 0:
@@ -166,17 +166,17 @@ def stamps(values: ArrayLike) -> FloatArray:
     InputError
         See ``samples``; or a date is missing (NaT).
     """
-    given = values if np.ma.isMaskedArray(values) else np.asarray(values)
-    if given.dtype.kind == "O" and given.size and hasattr(given.reshape(-1)[0], "isoformat"):
-        given = given.astype("datetime64[us]")
-    elif given.dtype.kind == "O" and given.size and hasattr(given.reshape(-1)[0], "total_seconds"):
-        given = given.astype("timedelta64[us]")
-    if given.dtype.kind not in "mM":
+    array = values if np.ma.isMaskedArray(values) else np.asarray(values)
+    if array.dtype.kind == "O" and array.size and hasattr(array.reshape(-1)[0], "isoformat"):
+        array = array.astype("datetime64[us]")
+    elif array.dtype.kind == "O" and array.size and hasattr(array.reshape(-1)[0], "total_seconds"):
+        array = array.astype("timedelta64[us]")
+    if array.dtype.kind not in "mM":
         return samples("time", values)
-    if np.isnat(given).any():
-        row = int(np.argmax(np.isnat(given)))
+    if np.isnat(array).any():
+        row = int(np.argmax(np.isnat(array)))
         raise InputError(f"`time`: sample {row + 1} is missing (NaT) (leave it out)")
-    count, second = given.astype(f"{given.dtype.kind}8[ns]").astype(np.int64), 1_000_000_000
+    count, second = array.astype(f"{array.dtype.kind}8[ns]").astype(np.int64), 1_000_000_000
     return samples("time", count // second + (count % second) / 1e9)
 
 
@@ -244,8 +244,10 @@ class ArraySource(Source):
         for role, signal in [*self.values.items(), *([] if self.time is None else [("time", self.time)])]:
             if signal.size != count:
                 raise InputError(f"`{role}` has {signal.size} samples where `{first}` has {count}")
-        own = [replace(column_info(role, n), unit=units.get(role)) for n, role in enumerate(values, start=1)]
-        columns = columns or dict(zip(values, own, strict=True))
+        infos = [
+            replace(column_info(role, n), unit=units.get(role)) for n, role in enumerate(values, start=1)
+        ]
+        columns = columns or dict(zip(values, infos, strict=True))
         has_time = self.time is not None or self.sample_rate is not None
         super().__init__(name, dict(columns), has_time, self.sample_rate, self.sample_rate)
 
@@ -329,23 +331,25 @@ def table_source(
     """
     units: Mapping[str, str | None] = table.attrs.get("units", {})
     infos = [column_info(str(name), k, units.get(name)) for k, name in enumerate(table.columns, start=1)]
-    given = table.attrs.get("sample_rate") if sample_rate is None and time is None else sample_rate
+    rate = table.attrs.get("sample_rate") if sample_rate is None and time is None else sample_rate
     warnings: list[str] = []
     taken: list[ColumnInfo] = []
     if sample_rate is None and (time is None or isinstance(time, str)):
-        named = [find_column(TABLE, infos, one.selector, one.option) for one in want.values() if one.selector]
-        found = find_time_column(TABLE, infos, ReadingOptions(time=time), named)
-        taken = found.taken
-        if found.clock is not None:
-            column = table.iloc[:, found.clock.column.number - 1]
+        named = [
+            find_column(TABLE, infos, wish.selector, wish.option) for wish in want.values() if wish.selector
+        ]
+        time_column = find_time_column(TABLE, infos, ReadingOptions(time=time), named)
+        taken = time_column.taken
+        if time_column.clock is not None:
+            column = table.iloc[:, time_column.clock.column.number - 1]
             if column.dtype.kind in "mM" or column.dtype.kind == "O":
-                time, given = stamps(column.to_numpy()), None
+                time, rate = stamps(column.to_numpy()), None
             else:
-                time, given = found.clock.whole(samples("time", column.to_numpy()), warnings), None
+                time, rate = time_column.clock.whole(samples("time", column.to_numpy()), warnings), None
     columns = choose_columns(TABLE, infos, want, taken)
     values = {role: table.iloc[:, column.number - 1].to_numpy() for role, column in columns.items()}
     stamped = None if time is None or isinstance(time, str) else time
-    source = ArraySource(values, stamped, given if stamped is None else None, columns, TABLE, rows)
+    source = ArraySource(values, stamped, rate if stamped is None else None, columns, TABLE, rows)
     source.warnings.extend(warnings)
     source.clock_was_judged = isinstance(time, str) or bool(taken)
     return source

@@ -263,8 +263,8 @@ def _for_page(svg: str, plot: Plot, prefix: str) -> str:
     """Turn a whole SVG file into an element of a page: own ids, colours as variables, no fixed size."""
     svg = svg[svg.index("<svg") :]
     used = set(re.findall(r"(?:url\(#|href=\"#)([^)\"]+)", svg))
-    svg = re.sub(r' id="([^"]+)"', lambda found: f' id="{prefix}{found[1]}"' if found[1] in used else "", svg)
-    svg = re.sub(r"(url\(#|href=\"#)", lambda found: found[1] + prefix, svg)
+    svg = re.sub(r' id="([^"]+)"', lambda match: f' id="{prefix}{match[1]}"' if match[1] in used else "", svg)
+    svg = re.sub(r"(url\(#|href=\"#)", lambda match: match[1] + prefix, svg)
     for color, name in SCHEME.items():
         svg = svg.replace(color, f"var(--{name})")
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
@@ -374,8 +374,8 @@ def _family_for(signs: str) -> list[str]:
     from matplotlib.font_manager import fontManager
 
     installed = {font.name for font in fontManager.ttflist}
-    found = [(len(_missing(signs, name)), name) for name in _MORE_FONTS if name in installed]
-    fewest = min(found, default=(len(signs), ""), key=lambda pair: pair[0])
+    fonts = [(len(_missing(signs, name)), name) for name in _MORE_FONTS if name in installed]
+    fewest = min(fonts, default=(len(signs), ""), key=lambda pair: pair[0])
     return [fewest[1]] if fewest[0] < len(signs) else []
 
 

@@ -281,8 +281,8 @@ class _LogView:
 
 def _errors_by_frequency(log: LogReport) -> tuple[Floats, Floats] | None:
     """Return frequency (Hz) and RMS error of the segments; None where they are all about as fast."""
-    found = [(part.figures.frequency, part.figures.rmse) for part in log.segments]
-    known = np.array([pair for pair in found if pair[0] is not None and pair[1] > 0.0], dtype=np.float64)
+    pairs = [(part.figures.frequency, part.figures.rmse) for part in log.segments]
+    known = np.array([pair for pair in pairs if pair[0] is not None and pair[1] > 0.0], dtype=np.float64)
     if not known.size or known[:, 0].max() < WIDE_BAND * known[:, 0].min():
         return None
     return known[:, 0], known[:, 1]
@@ -375,17 +375,17 @@ def plots_of_channels(report: Report) -> list[Plot]:
     order = sorted(range(len(names)), key=numbers.__getitem__) if numbers else range(len(names))
     names, numbers = [names[k] for k in order], sorted(numbers)
     figures = [report.logs[k].figures for k in order]
-    rmse = np.array([one.rmse for one in figures])
-    percent = np.array([one.nrmse_percent for one in figures], dtype=np.float64)  # None becomes NaN
+    rmse = np.array([merits.rmse for merits in figures])
+    percent = np.array([merits.nrmse_percent for merits in figures], dtype=np.float64)  # None becomes NaN
     both = {"percent": (percent, "% of the move"), "rmse": (rmse, report.unit or "")}
-    found = {key: one for key, one in both.items() if np.isfinite(one[0]).any()}
+    shown = {key: series for key, series in both.items() if np.isfinite(series[0]).any()}
     words = "Number of channels against their RMSE, {}; median and worst are marked."
     plots = []
-    for key, (values, unit) in found.items():
+    for key, (values, unit) in shown.items():
         title = f"RMSE of the channels{f', {shown_unit(unit)}' if unit else ''}"
         paint = partial(_histogram, names, values, unit)
         plots.append(Plot(f"histogram-{key}", title, words.format(unit), style.WIDE, paint))
-    values, unit = next(iter(found.values()))
+    values, unit = next(iter(shown.values()))
     worst = int(np.nanargmax(values))
     head = f"worst: {short_name(names[worst], 20)}, {_amount(values[worst], unit)}"
     if unit != (report.unit or ""):

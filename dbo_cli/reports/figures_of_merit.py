@@ -152,17 +152,17 @@ class DirectionTracker:
     def _turns(self, values: Floats, least: float, low: float, high: float) -> tuple[list[Turn], int]:
         """Return the turns of a batch, and how many samples of it are settled. Every turning point is met."""
         turns: list[Turn] = []
-        way, furthest, settled = self._way, self._furthest, 0
+        direction, furthest, settled = self._way, self._furthest, 0
         begin = 0  # of the monotone stretch that ends at ``place``
         places = monotone_ends(values)
         for place, value in zip(places.tolist(), values[places].tolist(), strict=True):
             turned = 0
-            if way:
-                ahead = way * (value - furthest)
+            if direction:
+                ahead = direction * (value - furthest)
                 if ahead > 0.0:
                     furthest, settled = value, place + 1
                 elif -ahead > least:
-                    turned = -way
+                    turned = -direction
             else:
                 low, high = min(low, value), max(high, value)
                 turned = 1 if value - low > least else -1 if high - value > least else 0
@@ -171,9 +171,9 @@ class DirectionTracker:
                 # the stretch is monotone: its first sample that is further back than the least turn
                 back = turned * (values[begin : place + 1] - furthest)
                 turns.append((settled, begin + int(np.searchsorted(back, least, "right")), turned))
-                way, furthest, settled = turned, value, place + 1
+                direction, furthest, settled = turned, value, place + 1
             begin = place + 1
-        self._way, self._furthest = way, furthest
+        self._way, self._furthest = direction, furthest
         return turns, settled
 
 
@@ -236,13 +236,13 @@ class LoopWidth:
         """Return width and noise floor, or None where no bin was passed in both directions."""
         while self._sums.shape[1] > _MOST_BINS:
             self._sums = self._bins.double(self._sums)
-        found = self._largest()
+        loop = self._largest()
         while self._sums.shape[1] >= 2 * _FEWEST_BINS:
-            if found is not None and found.noise_floor <= _CLEAR * abs(found.width):
+            if loop is not None and loop.noise_floor <= _CLEAR * abs(loop.width):
                 break
             self._sums = self._bins.double(self._sums)
-            found = self._largest() or found
-        return found
+            loop = self._largest() or loop
+        return loop
 
     def _largest(self) -> Loop | None:
         up, down = self._sums[0], self._sums[2]
@@ -534,8 +534,8 @@ class TrackingMetrics:
         self._sums[0].add(float(np.add.reduce(shifted)))
         self._sums[1].add(float(np.add.reduce(shifted * shifted)))
         places = int(error.argmin()), int(error.argmax())
-        found = [*self._extremes, *((float(error[k]), int(pairs.rows[k]), float(time[k])) for k in places)]
-        self._extremes = [end(found, key=lambda extreme: extreme[0]) for end in (min, max)]
+        extremes = [*self._extremes, *((float(error[k]), int(pairs.rows[k]), float(time[k])) for k in places)]
+        self._extremes = [end(extremes, key=lambda extreme: extreme[0]) for end in (min, max)]
         self._take_motion(desired, measured)
 
     def _take_motion(self, desired: Floats, measured: Floats) -> None:
@@ -569,11 +569,11 @@ def hold_length(desired: Floats, measured: Floats) -> float | None:
     if typical < 2.0 or np.mean(alike) < _ALIKE:
         return 1.0
     starts = changes[:-1][alike]
-    way = np.sign(desired[starts] - desired[starts - 1])
+    direction = np.sign(desired[starts] - desired[starts - 1])
     # How far the measurement goes the desired signal's way in the 1st, 2nd ... sample of all plateaus.
     steps = np.diff(measured)
     places = range(int(lengths[alike].min()))
-    moved = np.array([float((way * steps[starts - 1 + place]).sum()) for place in places])
+    moved = np.array([float((direction * steps[starts - 1 + place]).sum()) for place in places])
     noise = NoiseLevel()
     noise.add(measured)
     unsure = _DEVIATIONS * noise.deviation * math.sqrt(2.0 * len(starts))

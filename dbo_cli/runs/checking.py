@@ -98,7 +98,8 @@ def check_file(
     remarks = read.remarks
     most, slack = None, 0.0
     if against is not None:
-        whole = dataclasses.replace(reading, rows=ALL_ROWS, time=None)
+        # The drive was written in the voltages that are meant: a scale belongs to the recording.
+        whole = dataclasses.replace(reading, rows=ALL_ROWS, time=None, scale=())
         meant = _read(against, None, whole, unit)
         remarks.add(meant.remarks)
         problems = read.dropped + [f"{against.name}: {problem}" for problem in meant.problems]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import itertools
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -197,6 +198,9 @@ class TrackingRun:
         """
         trajectory = options.trajectory
         from_first = self.model is not None or trajectory is not None
+        reading_of_trajectory = reading
+        if trajectory is not None:
+            reading, reading_of_trajectory = _scaled_apart(reading)
         reading_of_log, score_rows = rows_to_score(reading, options.lag, from_first=from_first)
         with contextlib.ExitStack() as stack:
             want = options.wishes(self.model is not None)
@@ -206,7 +210,9 @@ class TrackingRun:
             if trajectory is None:
                 wished = None
             else:
-                wished = stack.enter_context(open_trajectory(trajectory, options.desired, reading))
+                wished = stack.enter_context(
+                    open_trajectory(trajectory, options.desired, reading_of_trajectory)
+                )
                 listener.opened(wished.describe())
             self._bring_to_one_unit(source, wished or source)
             data = self._new_figure_data(source) if self.traced else None
@@ -270,15 +276,61 @@ class TrackingRun:
         return self._figure_data[-1]
 
 
+def _scaled_apart(reading: ReadingOptions) -> tuple[ReadingOptions, ReadingOptions]:
+    """Return how a log and its trajectory are read; a scale of what was wanted is the trajectory's."""
+    of_log, of_trajectory = [], []
+    for scale in reading.scale:
+        role = scale.partition("=")[0].strip().lower()
+        (of_trajectory if role == "desired" else of_log).append(scale)
+    return (
+        dataclasses.replace(reading, scale=tuple(of_log)),
+        dataclasses.replace(reading, scale=tuple(of_trajectory)),
+    )
+
+
 def _matched(
     source: Source, blocks: Iterator[SampleBlock], trajectory: Source, match: Match
 ) -> TrajectoryMatch:
     """Join a recording and a trajectory: by ``time``, by ``rows``, or by time where both have one."""
     by_time = match == "time" or (match == "auto" and source.has_time and trajectory.has_time)
+    wanted = trajectory.blocks()
     if by_time:
         for log in (source, trajectory):
             log.require_time("`match` by time depends on it")
-    return TrajectoryMatch(source.name, trajectory.name, blocks, trajectory.blocks(), by_time=by_time)
+        if match == "auto":
+            recorded, blocks = _first_time(blocks)
+            begin, wanted = _first_time(wanted)
+            _refuse_two_clocks(source.name, recorded, trajectory.name, begin)
+    return TrajectoryMatch(source.name, trajectory.name, blocks, wanted, by_time=by_time)
+
+
+def _first_time(blocks: Iterator[SampleBlock]) -> tuple[float | None, Iterator[SampleBlock]]:
+    """Return the time of the first sample (s; None where nothing comes), and all blocks again."""
+    for block in blocks:
+        if len(block):
+            assert block.time is not None
+            return float(block.time[0]), itertools.chain([block], blocks)
+    return None, blocks
+
+
+def _refuse_two_clocks(name: str, recorded: float | None, wanted_name: str, begin: float | None) -> None:
+    """Refuse to match by time where a recorder seems to have started its own clock with the drive.
+
+    A drive with rows before the move begins below time 0; a recording of it that begins at 0 has either
+    left these rows out or counts from the first of them. Which, nobody can tell.
+
+    Raises
+    ------
+    InputError
+        It is so.
+    """
+    if recorded is None or begin is None or begin >= 0.0 or recorded < 0.0:
+        return
+    raise InputError(
+        f"{name}: it begins at {recorded:g} s, and {wanted_name} at {begin:g} s, with rows before the move: "
+        "did the recorder start its clock with the first of them (`match` rows), or do both have one clock "
+        "(`match` time)?"
+    )
 
 
 class PredictedDrive:

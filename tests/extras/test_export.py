@@ -675,3 +675,20 @@ def test_slow_memories_do_not_stand_still_in_float(tmp_path: Path) -> None:
     crept = results[0][-1] - results[0][0]
     assert abs(crept) > 0.01 * model.output.span
     assert np.abs(results[1] - results[0]).max() <= summary.bounds["same_gears"]
+
+
+@pytest.mark.parametrize(("narrow", "fits"), [(1e-4, True), (1e-5, False)])
+def test_a_gear_too_steep_for_q31_is_refused(narrow: float, fits: bool, tmp_path: Path) -> None:
+    widths, heights = np.ones(8), np.full(8, 0.01)
+    widths[0], heights[0] = narrow, 1.0
+    gears = DiscreteBacklashOperator(widths, heights, 0.0, 0.0)
+    volts = Quantity("voltage", "V", 0.0, float(widths.sum()))
+    moved = Quantity("displacement", "um", 0.0, float(heights.sum()))
+    model = ActuatorModel("forward", volts, moved, (gears,))
+    words: dict[str, Any] = {"name": "x", "direction": "forward", "arithmetic": "q31"}
+    if fits:
+        assert export_model(model, str(tmp_path / "out"), **words).gears == 8
+        return
+    with pytest.raises(ModelError, match=r"^dy: a gear too steep for q31 \(`arithmetic` float or double\)$"):
+        export_model(model, str(tmp_path / "out"), **words)
+    assert not (tmp_path / "out").exists()

@@ -222,6 +222,7 @@ def test_dwells_alone_are_scored(dbo: Any) -> None:
         dbo_cli.report(wanted, wanted, sample_rate=1e3, dwell=0.01, model=Model(actuator()))
 
 
+@pytest.mark.usefixtures("identified_once")
 def test_the_page_on_stepping_runs_as_it_stands_there(dbo: Any) -> None:
     root = Path(__file__).resolve().parents[2]
     page = (root / "docs" / "stepping.md").read_text(encoding="utf-8")

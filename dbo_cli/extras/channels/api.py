@@ -62,7 +62,7 @@ class ModelSet(Mapping[str, Model]):
 
     def to_json(self) -> bytes:
         """Return the file of the set (docs/model-file.md): the same models give the same bytes."""
-        return set_to_bytes({channel: one.actuator for channel, one in self.items()}, self.coupling)
+        return set_to_bytes({channel: model.actuator for channel, model in self.items()}, self.coupling)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the file of the set, whole or not at all.
@@ -96,8 +96,8 @@ class ModelSet(Mapping[str, Model]):
         -------
         array of shape (samples, channels)
         """
-        found = self._over("simulate", "x", x, options)
-        return found if self.coupling is None else self.coupling.together(found)
+        results = self._over("simulate", "x", x, options)
+        return results if self.coupling is None else self.coupling.together(results)
 
     def compensate(self, wanted: ArrayLike, **options: Any) -> Floats:
         """Return the drives that make every actuator follow its column: ``Model.compensate`` of each.
@@ -159,7 +159,7 @@ class ModelSet(Mapping[str, Model]):
         ModelError, UsageError
             As for ``Model.controller``, with the channel's name.
         """
-        models = {channel: one.actuator for channel, one in self.items()}
+        models = {channel: model.actuator for channel, model in self.items()}
         limits = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew, "from_": from_}
         self._require_one_unit(limits)
         limits["extrapolate"] = extrapolate
@@ -173,19 +173,21 @@ class ModelSet(Mapping[str, Model]):
         columns, times, said = [], [], {}
         for place, (channel, model) in enumerate(self.items()):
             try:
-                found = getattr(model, verb)(matrix[:, place], details=True, **options)
+                result = getattr(model, verb)(matrix[:, place], details=True, **options)
             except DboError as problem:
                 raise type(problem)(f"channel {channel}: {problem}") from None
-            columns.append(found.values)
-            times.append(found.time)
-            said[channel] = found.warnings
+            columns.append(result.values)
+            times.append(result.time)
+            said[channel] = result.warnings
         for text in summed_up(said, "channel"):
             warnings.warn(text, DboWarning, stacklevel=3)
         if len({column.size for column in columns}) > 1:
             places = common_rows(times)
             if places is None or "state" in options:
                 raise InputError("the channels' drives have different rows: compensate them one by one")
-            columns = [np.pad(one, place, "edge") for one, place in zip(columns, places[1], strict=True)]
+            columns = [
+                np.pad(column, place, "edge") for column, place in zip(columns, places[1], strict=True)
+            ]
         return np.column_stack(columns)
 
     def _matrix(self, name: str, signals: ArrayLike) -> NDArray[Any]:

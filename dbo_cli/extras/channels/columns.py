@@ -63,19 +63,23 @@ def channels_of(
                 f"`{option}` '{pattern}': put {{}} once where the channel's name stands, as in every pattern"
                 " beside it"
             )
-    found = {option: _matches(place, columns, option, one, taken) for option, one in patterns.items()}
-    names = list(dict.fromkeys(channel for one in found.values() for channel in one))
-    for option, one in found.items():
-        first, *others = [channel for channel in names if channel not in one] or [""]
+    matches = {
+        option: _matches(place, columns, option, pattern, taken) for option, pattern in patterns.items()
+    }
+    names = list(dict.fromkeys(channel for by_channel in matches.values() for channel in by_channel))
+    for option, by_channel in matches.items():
+        first, *rest = [channel for channel in names if channel not in by_channel] or [""]
         if first:
-            counts = ", ".join(f"`{key}` {len(found[key]):,}" for key in found)
-            shown = [*others[: _LISTED - 1], *(["…"] if len(others) >= _LISTED else [])]
-            more = f" nor for {', '.join(shown)} ({len(others) + 1:,} channels)" if others else ""
+            counts = ", ".join(f"`{key}` {len(matches[key]):,}" for key in matches)
+            shown = [*rest[: _LISTED - 1], *(["…"] if len(rest) >= _LISTED else [])]
+            more = f" nor for {', '.join(shown)} ({len(rest) + 1:,} channels)" if rest else ""
             raise InputError(
                 f"{place}: no column '{column_of(patterns[option], first)}' (`{option}`) for channel"
                 f" '{first}'{more} (columns found: {counts})"
             )
-    return {channel: {option: one[channel] for option, one in found.items()} for channel in names}
+    return {
+        channel: {option: by_channel[channel] for option, by_channel in matches.items()} for channel in names
+    }
 
 
 def _matches(
@@ -83,27 +87,39 @@ def _matches(
 ) -> dict[str, ColumnInfo]:
     """Return the columns of one pattern by channel: by the name without its unit, else the whole name."""
     before, after = PLACE.split(pattern)
-    free = [one for one in columns if one.quantity and one.number not in taken]
+    free = [column for column in columns if column.quantity and column.number not in taken]
     for fold in (str, str.lower):
         shape = re.compile(re.escape(fold(before)) + "(.+)" + re.escape(fold(after)), re.DOTALL)
         for whole in (False, True):
-            found: dict[str, ColumnInfo] = {}
+            by_channel: dict[str, ColumnInfo] = {}
             for column in free:
                 name = column.name if whole else column.quantity
                 match = shape.fullmatch(fold(name))
                 if match is None:
                     continue
                 channel = name[match.start(1) : match.end(1)]
-                if channel in found:
-                    first = column_label(found[channel])
+                if channel in by_channel:
+                    first = column_label(by_channel[channel])
                     raise InputError(
                         f"{place}: `{option}` '{pattern}': {first} and {column_label(column)} are both "
                         f"channel '{channel}' (rename one, or make the pattern longer)"
                     )
-                found[channel] = column
-            if found:
-                return found
+                by_channel[channel] = column
+            if by_channel:
+                return by_channel
+    alone = _only_column(before, after, free)
+    if alone is not None:
+        return {"1": alone}
     raise InputError(f"{place}: `{option}` '{pattern}' matches no column: {list_columns(columns)}")
+
+
+def _only_column(before: str, after: str, free: Sequence[ColumnInfo]) -> ColumnInfo | None:
+    """Return the column of a matrix that has no other, and so no number behind its name."""
+    if not before.endswith("[") or after != "]":
+        return None
+    matrix = before.removesuffix("[").lower()
+    named = [column for column in free if matrix in (column.name.lower(), column.quantity.lower())]
+    return named[0] if len(named) == 1 else None
 
 
 @dataclass(kw_only=True)
@@ -139,10 +155,10 @@ class HeldTable(Table):
 
     def opened(self, options: ReadingOptions) -> HeldTable:
         """Return a table to read from, whose notes and clock are its own."""
-        found = self.found_time
-        if found.clock is not None:
-            found = found._replace(clock=replace(found.clock, notes=list(found.clock.notes)))
-        return replace(self, rows=options.rows, found_time=found, notes=list(self.remarks))
+        time = self.found_time
+        if time.clock is not None:
+            time = time._replace(clock=replace(time.clock, notes=list(time.clock.notes)))
+        return replace(self, rows=options.rows, found_time=time, notes=list(self.remarks))
 
     def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
         """Return the sample rate (Hz) that the file states, and the first row's time (s)."""
@@ -200,7 +216,7 @@ class ChannelReader:
 
     def __post_init__(self) -> None:
         """Open the log and find its channels."""
-        if any("::" in one for one in (*self.patterns.values(), self.options.time or "")):
+        if any("::" in name for name in (*self.patterns.values(), self.options.time or "")):
             all_of_one = "takes all of them, and the time, from one log: no FILE::COLUMN"
             raise UsageError(f"a pattern of columns {all_of_one}")
         self._table = self._open()
@@ -209,7 +225,9 @@ class ChannelReader:
             columns = self._table.columns
             times = {c.number for c in columns if c.quantity.lower() in (*TIME_NAMES, *MORE_TIME_NAMES)}
             self.channels = channels_of(self._table.place, columns, self.patterns, times)
-            named = [column for one in self.channels.values() for column in one.values()]
+            named: list[ColumnInfo] = []
+            for columns_of_channel in self.channels.values():
+                named += columns_of_channel.values()
             self._time = find_time_column(self._table.place, columns, self.options, named)
             self._timed = {} if self._time.clock is None else self._time.clock.picks
         except BaseException:
@@ -255,7 +273,7 @@ class ChannelReader:
 
     def _read(self, channels: Sequence[str]) -> dict[str, HeldTable | None]:
         """Return what channels hold; None for each where any of their rows is bad."""
-        picked = {column.number: column for one in channels for column in self.channels[one].values()}
+        picked = {column.number: column for channel in channels for column in self.channels[channel].values()}
         picks = {str(number): column for number, column in picked.items()}
         try:
             parts = list(self._table.blocks(picks | self._timed))
@@ -266,19 +284,19 @@ class ChannelReader:
         if not parts:
             return dict.fromkeys(channels)
         block = joined(parts)
-        times = {str(one.number): block.values[role] for role, one in self._timed.items()}
-        held = dict(block.values) | times
-        return {channel: self._table_of(channel, replace(block, values=held)) for channel in channels}
+        times = {str(column.number): block.values[role] for role, column in self._timed.items()}
+        values = dict(block.values) | times
+        return {channel: self._table_of(channel, replace(block, values=values)) for channel in channels}
 
     def _table_of(self, channel: str, block: SampleBlock) -> HeldTable:
         """Return the columns of one channel, and the time, as a table."""
         if self._sha256 is None and self.digest:
             self._sha256 = self._table.sha256 or file_sha256(self.address.path)
-        own = [*self._timed.values(), *self.channels[channel].values()]
-        values = {str(one.number): block.values[str(one.number)] for one in own}
+        columns = [*self._timed.values(), *self.channels[channel].values()]
+        values = {str(column.number): block.values[str(column.number)] for column in columns}
         return HeldTable(
             place=self._table.place,
-            columns=own,
+            columns=columns,
             described=self._table.describe(),
             block=replace(block, values=values),
             found_time=self._time,

@@ -58,7 +58,7 @@ def find_coupling(channels: Sequence[str], logs: Sequence[Frames]) -> Coupling:
         The gains cannot be undone.
     """
     moved = [np.vstack([getattr(log, name) for log in logs]) for name in ("voltage", "displacement")]
-    ranges, strokes = (np.ptp(one, axis=0) for one in moved)
+    ranges, strokes = (np.ptp(frames, axis=0) for frames in moved)
     for name, spans in (("drive", ranges), ("displacement", strokes)):
         if not spans.all():
             raise FitError(
@@ -69,9 +69,9 @@ def find_coupling(channels: Sequence[str], logs: Sequence[Frames]) -> Coupling:
     squares = [log.displacement.T @ log.displacement for log in logs]
     shown, least = np.zeros((2, len(channels), len(channels)))
     for place in range(len(channels)):
-        others = np.arange(len(channels)) != place
+        rest = np.arange(len(channels)) != place
         found = _gains_in(channels, place, logs, squares, AT_REST * ranges[place], strokes)
-        shown[place, others], least[place, others] = found
+        shown[place, rest], least[place, rest] = found
     everything = np.eye(len(channels)) - shown
     if not np.linalg.cond(everything * strokes / strokes[:, None]) < 1.0 / np.finfo(float).eps:
         gains = everything  # Coupling says what is wrong with it
@@ -79,8 +79,8 @@ def find_coupling(channels: Sequence[str], logs: Sequence[Frames]) -> Coupling:
         undone = np.asarray(np.linalg.inv(everything), dtype=np.float64)
         gains = undone / np.diag(undone)
     lowest = int(np.argmin((moved[0] / ranges).sum(axis=1)))  # most nearly at rest, all of them
-    kept = np.where(np.abs(gains) > least, gains, 0.0)
-    return Coupling(tuple(channels), kept, moved[1][lowest].copy(), strokes)
+    clear = np.where(np.abs(gains) > least, gains, 0.0)
+    return Coupling(tuple(channels), clear, moved[1][lowest].copy(), strokes)
 
 
 def _gains_in(
@@ -102,37 +102,38 @@ def _gains_in(
         moving = np.ones(len(log.seconds), dtype=bool)
         products += square
         for start, stop in stretches(log.voltage[:, place], still):
-            seconds, seen = log.seconds[start:stop], log.displacement[start:stop]
+            seconds, measured = log.seconds[start:stop], log.displacement[start:stop]
             creep = _creep(seconds - seconds[0])
-            crept = creep.T @ seen
+            crept = creep.T @ measured
             products -= crept.T @ crept
-            moved = np.maximum(moved, np.ptp(seen, axis=0))
+            moved = np.maximum(moved, np.ptp(measured, axis=0))
             freedom += stop - start - creep.shape[1]
             moving[start:stop] = False
         unused = log.displacement[moving]
         products -= unused.T @ unused
-    others = np.arange(count) != place
+    rest = np.arange(count) != place
     names = [channel for channel in channels if channel != channels[place]]
-    unmoved = moved[others] < LEAST_MOVED * strokes[others]
+    unmoved = moved[rest] < LEAST_MOVED * strokes[rest]
     if unmoved.any() or freedom < 1:
         raise FitError(
             f"coupling: channel {names[int(np.argmax(unmoved))]} hardly moves while the drive of channel "
             f"{channels[place]} rests, so that what the one does to the other is not known; {REMEDY}"
         )
-    scale = np.sqrt(np.diag(products)[others])
-    normal = products[np.ix_(others, others)] / np.outer(scale, scale)
+    scale = np.sqrt(np.diag(products)[rest])
+    normal = products[np.ix_(rest, rest)] / np.outer(scale, scale)
     inverse = np.linalg.pinv(normal, hermitian=True)
-    own = 1.0 / np.diag(inverse)
-    if own.min() < LEAST_OWN or np.linalg.matrix_rank(normal, hermitian=True) < count - 1:
+    own_part = 1.0 / np.diag(inverse)
+    if own_part.min() < LEAST_OWN or np.linalg.matrix_rank(normal, hermitian=True) < count - 1:
         raise FitError(
-            f"coupling: channel {names[int(np.argmin(own))]} moves like others while the drive of channel "
+            f"coupling: channel {names[int(np.argmin(own_part))]} moves like others while the drive of "
+            f"channel "
             f"{channels[place]} rests: which of them shows there cannot be told; {REMEDY}"
         )
-    seen_here = products[others, place] / scale
+    seen_here = products[rest, place] / scale
     gains = inverse @ seen_here
     noise = max(products[place, place] - float(gains @ seen_here), 0.0) / freedom
     rows = freedom + count - 1
-    least = np.sqrt(noise / own * (np.log(rows) + 2.0 * np.log(count)))
+    least = np.sqrt(noise / own_part * (np.log(rows) + 2.0 * np.log(count)))
     return gains / scale, least / scale
 
 

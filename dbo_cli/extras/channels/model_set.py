@@ -118,25 +118,28 @@ class Coupling:
         """Say in one line what it is."""
         if not self.count:
             return "coupling: no channel shows in another"
-        gain, moving, seen = self.largest
+        gain, moving, where = self.largest
         pairs = len(self.channels) * (len(self.channels) - 1)
         return (
             f"coupling: {self.count:,} of {pairs:,} gains are not 0; largest: "
-            f"{moving} shows in {seen}, {100.0 * gain:.3g} %; condition number {self.condition:.3g}"
+            f"{moving} shows in {where}, {100.0 * gain:.3g} %; condition number {self.condition:.3g}"
         )
 
     def values(self) -> dict[str, Any]:
         """Return the keys and values of a file: the gains in each channel by the actuators that move."""
         shown = {
             channel: {
-                other: float(self.gains[row, column])
-                for column, other in enumerate(self.channels)
+                moving: float(self.gains[row, column])
+                for column, moving in enumerate(self.channels)
                 if column != row and self.gains[row, column]
             }
             for row, channel in enumerate(self.channels)
         }
         reference = dict(zip(self.channels, self.reference.tolist(), strict=True))
-        return {"reference": reference, "gains": {channel: own for channel, own in shown.items() if own}}
+        return {
+            "reference": reference,
+            "gains": {channel: gains for channel, gains in shown.items() if gains},
+        }
 
 
 def read_coupling(root: Any, strokes: Mapping[str, float]) -> Coupling:
@@ -164,15 +167,15 @@ def read_coupling(root: Any, strokes: Mapping[str, float]) -> Coupling:
     rows = known(root.node("gains"), "gains")
     for channel in rows.values:
         shown = known(rows.node(channel), f"gains.{channel}")
-        for other in shown.values:
-            if other == channel:
-                raise shown.refuse(other, "is the gain of a channel in itself, which is 1")
-            gains[order[channel], order[other]] = shown.number(other)
+        for moving in shown.values:
+            if moving == channel:
+                raise shown.refuse(moving, "is the gain of a channel in itself, which is 1")
+            gains[order[channel], order[moving]] = shown.number(moving)
     at_rest = np.array([reference.number(channel) for channel in strokes])
-    found: Coupling = root.build(
+    coupling: Coupling = root.build(
         lambda: Coupling(tuple(strokes), gains, at_rest, np.array(list(strokes.values())))
     )
-    return found
+    return coupling
 
 
 SET_VERSION = 2  # of a set with a coupling; 1 of one without, which older programs read, too
@@ -257,10 +260,10 @@ def read_set(path: str) -> ModelSet:
         As for ``read_model``.
     """
     try:
-        found = os.stat(path)
+        status = os.stat(path)
     except OSError as problem:
         raise InputError(f"{path}: cannot be read: {problem.strerror or problem}") from None
-    return _unchanged(path, found.st_mtime_ns, found.st_size)
+    return _unchanged(path, status.st_mtime_ns, status.st_size)
 
 
 @functools.lru_cache(maxsize=1)
@@ -330,11 +333,11 @@ def _next_member(file: BinaryIO, begin: int, end: int) -> tuple[str, int] | None
             return None
         read += piece
         place += len(piece)
-        found = _MEMBER.search(read)
-        if found is not None:
-            if begin + found.start() >= end:
+        match = _MEMBER.search(read)
+        if match is not None:
+            if begin + match.start() >= end:
                 return None
-            return json.loads(found[1]), begin + found.end()
+            return json.loads(match[1]), begin + match.end()
     return None
 
 
@@ -344,9 +347,9 @@ def _text_from(file: BinaryIO, begin: int) -> str | None:
     file.seek(begin)
     while piece := file.read(_PIECE):
         read += piece
-        found = _END_OF_MEMBER.search(read)
-        if found is not None:
-            return read[: found.start()].decode("utf-8") + "\n    }"
+        match = _END_OF_MEMBER.search(read)
+        if match is not None:
+            return read[: match.start()].decode("utf-8") + "\n    }"
     return None
 
 
@@ -366,12 +369,12 @@ def set_to_bytes(models: Mapping[str, ActuatorModel], coupling: Coupling | None 
     """
     if not models:
         raise ModelError("a set of no models would be written")
-    held = {channel: model_file.model_values(model) for channel, model in models.items()}
+    values = {channel: model_file.model_values(model) for channel, model in models.items()}
     if coupling is None:
-        return model_file.document_bytes({"format": SET_FORMAT, "version": 1, "models": held})
+        return model_file.document_bytes({"format": SET_FORMAT, "version": 1, "models": values})
     shown = coupling.of(list(models)).values()
     return model_file.document_bytes(
-        {"format": SET_FORMAT, "version": SET_VERSION, "models": held, "coupling": shown}
+        {"format": SET_FORMAT, "version": SET_VERSION, "models": values, "coupling": shown}
     )
 
 

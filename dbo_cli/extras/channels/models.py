@@ -52,114 +52,112 @@ WORSE = 1.1
 may leave. Measured: docs/choices.md."""
 
 
-def identify_channels(
-    asked: IdentifyRun, output: Address, work: jobs.Work, listener: Listener
-) -> jobs.Outcome:
+def identify_channels(run: IdentifyRun, output: Address, work: jobs.Work, listener: Listener) -> jobs.Outcome:
     """Identify a model of each channel and write a set of them, or (``{channel}``) a file of each."""
-    patterns, inputs = asked_patterns(asked), [*asked.logs, *asked.validation]
-    if asked.brought.get("coupling", False) and CHANNEL in output.text:
+    patterns, inputs = asked_patterns(run), [*run.logs, *run.validation]
+    if run.brought.get("coupling", False) and CHANNEL in output.text:
         raise UsageError(f"`coupling` belongs to all channels: write one set, without {CHANNEL} in its name")
-    if asked.brought.get("coupling", False) and work.keep_going:
+    if run.brought.get("coupling", False) and work.keep_going:
         raise UsageError(
             "`coupling` and `keep_going` exclude each other: each channel is needed for the others"
         )
     check_document(output, "a model", "json")
-    asked.check_outputs([] if CHANNEL in output.text else [output], inputs)
-    outcome, work = jobs.Outcome(), dataclasses.replace(work, all_needed=asked.brought.get("coupling", False))
-    found, coupling = fits_of_channels(asked, work, outcome, listener)
-    if found:
+    run.check_outputs([] if CHANNEL in output.text else [output], inputs)
+    outcome, work = jobs.Outcome(), dataclasses.replace(work, all_needed=run.brought.get("coupling", False))
+    fits, coupling = fits_of_channels(run, work, outcome, listener)
+    if fits:
         with all_or_none():
-            models = {channel: one.model for channel, one in found.items()}
+            models = {channel: fit.model for channel, fit in fits.items()}
             _write_models(output, models, inputs, coupling)
-            if asked.summary is not None:
+            if run.summary is not None:
                 summaries = []
-                for channel, one in found.items():
-                    summaries.append({"channel": channel, **summary_of_model(one, asked.command)})
-                write_json(asked.summary, summaries)
-        shown = ", ".join(f"{option} '{one}'" for option, one in patterns.items())
-        read = next(iter(found.values())).remarks.read
-        read = [f"{line}; {len(found):,} channels: {shown}" for line in read]
+                for channel, fit in fits.items():
+                    summaries.append({"channel": channel, **summary_of_model(fit, run.command)})
+                write_json(run.summary, summaries)
+        shown = ", ".join(f"{option} '{pattern}'" for option, pattern in patterns.items())
+        read = next(iter(fits.values())).remarks.read
+        read = [f"{line}; {len(fits):,} channels: {shown}" for line in read]
         outcome.remarks.read += with_sign(read, sign_line(models))
         exchanged = sign_warning(models, "channel")
         if exchanged is not None:
             outcome.remarks.warn(exchanged)
-    say_found(found, "channel", outcome.remarks)
+    say_found(fits, "channel", outcome.remarks)
     return outcome
 
 
-def asked_patterns(asked: IdentifyRun) -> dict[str, str]:
+def asked_patterns(run: IdentifyRun) -> dict[str, str]:
     """Return the patterns of columns; UsageError for a single column, or a shape from two places."""
-    patterns = patterns_of(voltage=asked.voltage or "", displacement=asked.displacement or "")
-    if asked.brought.get("shared_shape", False) and asked.prior is not None:
+    patterns = patterns_of(voltage=run.voltage or "", displacement=run.displacement or "")
+    if run.brought.get("shared_shape", False) and run.prior is not None:
         raise UsageError("`shared_shape` and `prior` exclude each other: each is where the shape comes from")
     return patterns
 
 
 def fits_of_channels(
-    asked: IdentifyRun, work: jobs.Work, outcome: jobs.Outcome, listener: Listener = SILENT
+    run: IdentifyRun, work: jobs.Work, outcome: jobs.Outcome, listener: Listener = SILENT
 ) -> tuple[dict[str, IdentifyResult], Coupling | None]:
     """Identify a model of each channel, in the order of the log; return how they show in each other, too."""
-    patterns, reading, options = asked_patterns(asked), asked.reading, asked.options
+    patterns, reading, options = asked_patterns(run), run.reading, run.options
     whole, coupling = dataclasses.replace(reading, rows=ALL_ROWS), None
     apart: Mapping[str, Recordings] = {}  # where all have to be read before
-    seen: dict[bytes, dict[str, None]] = {}
+    channels_by_drive: dict[bytes, dict[str, None]] = {}
     with (
-        opened_readers(asked.logs, reading, patterns, digest=True) as readers,
-        opened_readers(asked.validation, whole, patterns, digest=True) as checks,
+        opened_readers(run.logs, reading, patterns, digest=True) as readers,
+        opened_readers(run.validation, whole, patterns, digest=True) as checks,
     ):
         channels = list(readers[0].channels)
-        kept = _priors(asked.prior, channels)
+        prior_of = _priors(run.prior, channels)
 
         def recordings(channel: str) -> Callable[[], Recordings]:
             """Return what reads one channel; two of the same displacements are kept in mind."""
             fit, judged = apart.get(channel) or (
-                [one.log(channel) for one in readers], [one.log(channel) for one in checks]
+                [reader.log(channel) for reader in readers], [reader.log(channel) for reader in checks]
             )  # fmt: skip
             number = readers[0].channels[channel]["displacement"].number
             if isinstance(fit[0], Address) and fit[0].table is not None:
                 values = fit[0].table.block.values[str(number)]
-                seen.setdefault(hashlib.sha256(values.tobytes()).digest(), {})[channel] = None
-            own: dict[str, Any] = columns_of(patterns, channel)
-            own |= {"logs": fit, "validation": judged, "prior": None}
-            return functools.partial(dataclasses.replace(asked, **own).read, prior=kept(channel))
+                channels_by_drive.setdefault(hashlib.sha256(values.tobytes()).digest(), {})[channel] = None
+            fields: dict[str, Any] = columns_of(patterns, channel)
+            fields |= {"logs": fit, "validation": judged, "prior": None}
+            return functools.partial(dataclasses.replace(run, **fields).read, prior=prior_of(channel))
 
-        if asked.brought.get("coupling", False):
+        if run.brought.get("coupling", False):
             listener.working("how the channels show in each other")
             readings = ((channel, recordings(channel)) for channel in channels)
             coupling, apart = recordings_apart(_all_of(readings, "channel", len(channels)))
             listener.finished()
             outcome.remarks.notes.append(coupling.summary())
-        if asked.brought.get("shared_shape", False):
+        if run.brought.get("shared_shape", False):
             listener.working("the shape that the channels share")
-            arguments = asked.arguments(patterns, checked=False)
-            words = (channels, lambda one: recordings(one)()[0], options, arguments)
+            arguments = run.arguments(patterns, checked=False)
+            words = (channels, lambda channel: recordings(channel)()[0], options, arguments)
             shape, note = shared_shape(*words, work.processes)
             listener.finished()
             outcome.remarks.notes.append(note)
-            kept, options = (lambda channel: shape), options_of_channel(options)
+            prior_of, options = (lambda channel: shape), options_of_channel(options)
 
         def call(channel: str) -> Callable[[], IdentifyResult]:
-            arguments = asked.arguments(columns_of(patterns, channel), kept(channel))
+            arguments = run.arguments(columns_of(patterns, channel), prior_of(channel))
             return functools.partial(
-                _identify_channel, recordings(channel), options, arguments, kept(channel)
+                _identify_channel, recordings(channel), options, arguments, prior_of(channel)
             )
 
         calls = ((channel, call(channel)) for channel in channels)
         good = outcome.good(calls, work, "channel", len(channels), listener)
-        found = {one.name: one.value for one in good}
-    for twins in seen.values():
+        fits = {done.name: done.value for done in good}
+    for twins in channels_by_drive.values():
         if len(twins) > 1:
             outcome.remarks.warn(
                 f"channels {jobs.named(list(twins))} hold the same displacements, sample by sample: is "
                 "one channel's log another's?"
             )
-    return found, coupling
+    return fits, coupling
 
 
 def _all_of(calls: jobs.Jobs[Value], noun: str, count: int, processes: int = 1) -> dict[str, Value]:
     """Return what came of jobs that are all needed; the first failure ends it, and is named."""
     good = jobs.Outcome().good(calls, jobs.Work(processes, all_needed=True), noun, count)
-    return {one.name: one.value for one in good}
+    return {done.name: done.value for done in good}
 
 
 def _priors(prior: Any, channels: Sequence[str]) -> Callable[[str], str | ActuatorModel | None]:
@@ -191,16 +189,17 @@ def recordings_apart(
     channels = list(recorded)
     logs = [list(of_all) for of_all in zip(*(fit for fit, _ in recorded.values()), strict=True)]
     checks = [list(of_all) for of_all in zip(*(check for _, check in recorded.values()), strict=True)]
-    coupling = find_coupling(channels, [_frames(channels, one) for one in logs])
-    for one in [*logs, *checks]:
-        own = coupling.apart(
-            matrix_of(channels, [log.recording.displacement for log in one], one[0].recording.name)
+    coupling = find_coupling(channels, [_frames(channels, frame) for frame in logs])
+    for frame in [*logs, *checks]:
+        apart = coupling.apart(
+            matrix_of(channels, [log.recording.displacement for log in frame], frame[0].recording.name)
         )
-        for place, log in enumerate(one):
-            changed = dataclasses.replace(log.recording, displacement=np.ascontiguousarray(own[:, place]))
-            one[place] = dataclasses.replace(log, recording=changed)
+        for place, log in enumerate(frame):
+            changed = dataclasses.replace(log.recording, displacement=np.ascontiguousarray(apart[:, place]))
+            frame[place] = dataclasses.replace(log, recording=changed)
     return coupling, {
-        channel: ([one[k] for one in logs], [one[k] for one in checks]) for k, channel in enumerate(channels)
+        channel: ([frame[k] for frame in logs], [frame[k] for frame in checks])
+        for k, channel in enumerate(channels)
     }
 
 
@@ -222,8 +221,8 @@ def _identify_channel(
 ) -> IdentifyResult:
     """Identify one channel, in whichever process; ``arguments`` say how the identification was called."""
     fitted, checks = read()
-    kept = read_model(prior) if isinstance(prior, str) else prior
-    return identifying.identify_recordings(fitted, options, checks, arguments, kept)
+    prior_model = read_model(prior) if isinstance(prior, str) else prior
+    return identifying.identify_recordings(fitted, options, checks, arguments, prior_model)
 
 
 def _write_models(
@@ -249,8 +248,8 @@ def _write_models(
 
 def options_of_channel(options: IdentificationOptions) -> IdentificationOptions:
     """Return what of the options goes with a shape that is kept."""
-    kept = {name: getattr(options, name) for name in ("skip_seconds", "rated", "force", "sign")}
-    return IdentificationOptions(**kept, sensor_delay=options.sensor_delay, sensor_lag=options.sensor_lag)
+    fields = {name: getattr(options, name) for name in ("skip_seconds", "rated", "force", "sign")}
+    return IdentificationOptions(**fields, sensor_delay=options.sensor_delay, sensor_lag=options.sensor_lag)
 
 
 def shared_shape(
@@ -285,31 +284,32 @@ def shared_shape(
     if len(channels) < FEWEST:
         raise UsageError(f"`shared_shape` needs {FEWEST} channels or more, and there are {len(channels)}")
     chosen = _spread(channels, MOST_POOLED + LEFT_OUT)
-    asked = _spread(chosen, min(LEFT_OUT, len(chosen) // FEWEST))
+    left_out = _spread(chosen, min(LEFT_OUT, len(chosen) // FEWEST))
     logs = {channel: read(channel) for channel in chosen}
-    others = {channel: logs[channel] for channel in chosen if channel not in asked}
-    alike = _are_driven_alike(others)
+    fitted = {channel: logs[channel] for channel in chosen if channel not in left_out}
+    alike = _are_driven_alike(fitted)
     if not alike:
-        others = {channel: others[channel] for channel in _spread(list(others), MOST_UNLIKE)}
-    mean = _mean_of(others) if alike else _of_one_gain(others, options)
+        fitted = {channel: fitted[channel] for channel in _spread(list(fitted), MOST_UNLIKE)}
+    mean = _mean_of(fitted) if alike else _of_one_gain(fitted, options)
     own_options = options_of_channel(options)
     fit = identifying.identify_recordings
     calls = {"the mean": functools.partial(fit, mean, options, (), arguments)}
-    calls |= {channel: functools.partial(fit, logs[channel], options) for channel in asked}
+    calls |= {channel: functools.partial(fit, logs[channel], options) for channel in left_out}
     fits = _all_of(calls.items(), "shared shape,", len(calls), processes)
     shape = fits.pop("the mean").model
-    ratios = {channel: _ratio(shape, logs[channel], own_options, fits[channel]) for channel in asked}
+    ratios = {channel: _ratio(shape, logs[channel], own_options, fits[channel]) for channel in left_out}
     middle = float(np.median(list(ratios.values())))
     if middle > WORSE and not options.force:
         raise FitError(
-            f"the channels have no common shape: on channels left out of it ({jobs.named(asked)}) one shape "
+            f"the channels have no common shape: on channels left out of it ({jobs.named(left_out)}) one "
+            f"shape "
             f"for all leaves {middle:.3g} times what their own models leave on cycles left out; leave "
             "`shared_shape` out, or identify like channels together (`force` keeps it)"
         )
     what = "the mean" if alike else "fitted to the logs"
     return (
         shape,
-        f"one shape, {what} of {len(others)} channels: on {jobs.named(asked)}, left out of it, it leaves "
+        f"one shape, {what} of {len(fitted)} channels: on {jobs.named(left_out)}, left out of it, it leaves "
         f"{middle:.3g} times what their own models leave on cycles left out",
     )
 
@@ -322,24 +322,24 @@ def _spread(channels: Sequence[str], count: int) -> list[str]:
 
 
 def _ratio(
-    shape: ActuatorModel, logs: Sequence[RecordedLog], options: IdentificationOptions, own: IdentifyResult
+    shape: ActuatorModel, logs: Sequence[RecordedLog], options: IdentificationOptions, own_fit: IdentifyResult
 ) -> float:
     """Return what the shape leaves on a channel over what its own model leaves on cycles left out."""
-    kept = identifying.identify_recordings(logs, dataclasses.replace(options, force=True), prior=shape)
-    error, left_out = kept.model.fit["rmse"], own.model.fit.get("cross_validated_rmse")
+    with_shape = identifying.identify_recordings(logs, dataclasses.replace(options, force=True), prior=shape)
+    error, left_out = with_shape.model.fit["rmse"], own_fit.model.fit.get("cross_validated_rmse")
     if not isinstance(left_out, float):
-        left_out = own.model.fit["rmse"]
+        left_out = own_fit.model.fit["rmse"]
     assert isinstance(error, float) and isinstance(left_out, float)
     return error / left_out
 
 
 def _are_driven_alike(logs: Mapping[str, Sequence[RecordedLog]]) -> bool:
     """Tell whether all channels have the same drive, so that their displacements have a mean."""
-    first, *others = logs.values()
+    first, *rest = logs.values()
     return all(
-        np.array_equal(one.recording.voltage, other.recording.voltage)
-        for own in others
-        for one, other in zip(first, own, strict=True)
+        np.array_equal(log.recording.voltage, same.recording.voltage)
+        for logs_of_channel in rest
+        for log, same in zip(first, logs_of_channel, strict=True)
     )
 
 
@@ -350,28 +350,38 @@ def _of_one_gain(
 
     A gain is the slope over the drive at first, then over what a model of all of them gives for that drive.
     """
-    explained = {channel: [one.recording.voltage for one in own] for channel, own in logs.items()}
+    explained = {}
+    for channel, logs_of_channel in logs.items():
+        explained[channel] = [log.recording.voltage for log in logs_of_channel]
     for last in (False, True):
-        slopes = {channel: _slope(explained[channel], own) for channel, own in logs.items()}
+        slopes = {
+            channel: _slope(explained[channel], logs_of_channel) for channel, logs_of_channel in logs.items()
+        }
         middle = float(np.median(list(slopes.values())))
-        logs = {channel: own for channel, own in logs.items() if slopes[channel] / middle > LEAST_GAIN}
+        logs = {
+            channel: logs_of_channel
+            for channel, logs_of_channel in logs.items()
+            if slopes[channel] / middle > LEAST_GAIN
+        }
         scaled = [
-            dataclasses.replace(one, recording=dataclasses.replace(
-                one.recording, displacement=one.recording.displacement * (middle / slopes[channel])
+            dataclasses.replace(log, recording=dataclasses.replace(
+                log.recording, displacement=log.recording.displacement * (middle / slopes[channel])
             ))
-            for channel, own in logs.items() for one in own
+            for channel, logs_of_channel in logs.items() for log in logs_of_channel
         ]  # fmt: skip
         if not last:
             model = identifying.identify_recordings(scaled, options).model
-            explained = {channel: [_predicted(model, one) for one in own] for channel, own in logs.items()}
+            explained = {}
+            for channel, logs_of_channel in logs.items():
+                explained[channel] = [_predicted(model, log) for log in logs_of_channel]
     return scaled
 
 
 def _slope(explained: Sequence[FloatArray], logs: Sequence[RecordedLog]) -> float:
     """Return the slope of a channel's displacements over something, each log with its own offset."""
-    pairs = zip(explained, (one.recording.displacement for one in logs), strict=True)
+    pairs = zip(explained, (log.recording.displacement for log in logs), strict=True)
     x, y = (
-        np.concatenate(one) for one in zip(*((a - a.mean(), b - b.mean()) for a, b in pairs), strict=True)
+        np.concatenate(parts) for parts in zip(*((a - a.mean(), b - b.mean()) for a, b in pairs), strict=True)
     )
     return float(x @ y) / float(x @ x)
 

@@ -29,9 +29,9 @@ from dbo_cli.version import program_version_string
 
 
 @all_or_none()
-def report_channels(asked: ReportRun, work: Work, listener: Listener) -> Outcome:
+def report_channels(run: ReportRun, work: Work, listener: Listener) -> Outcome:
     """Report on each channel of logs, a line each, and say how the channels' errors are spread."""
-    logs, options = asked.logs, asked.options
+    logs, options = run.logs, run.options
     if options.trajectory is not None:
         raise UsageError(
             "`trajectory` holds one desired signal: a pattern takes `desired` from the log itself"
@@ -39,13 +39,13 @@ def report_channels(asked: ReportRun, work: Work, listener: Listener) -> Outcome
     wanted = None if options.model is not None else options.desired or ""
     drive = (options.voltage or "") if options.model is not None else options.voltage
     patterns = patterns_of(desired=wanted, measured=options.measured or "", voltage=drive)
-    chosen, inputs = asked.prepared()
+    chosen, inputs = run.prepared()
     outcome = Outcome()
     merits: list[LogReport] = []
     units: list[tuple[str, str | None]] = []
     texts: dict[str, Remarks] = {}
     short = short_names(logs)
-    with opened_readers(logs, asked.reading, patterns) as readers:
+    with opened_readers(logs, run.reading, patterns) as readers:
         channels = list(readers[0].channels)
         models = None if options.model is None else models_by_channel(options.model, channels)
         if options.model is not None and is_set(options.model) and read_set(options.model).coupling:
@@ -58,24 +58,27 @@ def report_channels(asked: ReportRun, work: Work, listener: Listener) -> Outcome
             for reader, address in zip(readers, logs, strict=True):
                 for channel in channels:
                     name = channel if len(logs) == 1 else f"{short.get(address, address.text)} {channel}"
-                    own: dict[str, Any] = columns_of(patterns, channel)
-                    own |= {"model": models(channel) if models else None}
-                    one = dataclasses.replace(options, **own)
-                    yield name, functools.partial(_reported, reader.log(channel), name, asked.reading, one)
+                    fields: dict[str, Any] = columns_of(patterns, channel)
+                    fields |= {"model": models(channel) if models else None}
+                    of_channel = dataclasses.replace(options, **fields)
+                    yield (
+                        name,
+                        functools.partial(_reported, reader.log(channel), name, run.reading, of_channel),
+                    )
 
         count = len(channels) * len(logs)
-        for one in outcome.good(jobs(), work, "channel", count, listener):
-            found, texts[one.name] = one.value
-            merits += found.logs
-            units.append((one.name, found.unit))
+        for done in outcome.good(jobs(), work, "channel", count, listener):
+            merits_of_channel, texts[done.name] = done.value
+            merits += merits_of_channel.logs
+            units.append((done.name, merits_of_channel.unit))
     report = Report.of(merits, options.scoring(options.model is not None), common_unit(units))
-    report = report.judged(**asked.limits)
+    report = report.judged(**run.limits)
     if merits:
-        _write(asked, report, chosen, inputs)
+        _write(run, report, chosen, inputs)
     sum_up_remarks(texts, patterns["measured"], outcome.remarks)
-    drawn = asked.figures is not None or chosen == "html"
+    drawn = run.figures is not None or chosen == "html"
     outcome.remarks.notes += _summary(merits, patterns if drawn and len(logs) == 1 else None)
-    return asked.judged(report, chosen, outcome)
+    return run.judged(report, chosen, outcome)
 
 
 def _summary(merits: Sequence[LogReport], drawn: Mapping[str, str] | None) -> Iterator[str]:
@@ -85,25 +88,25 @@ def _summary(merits: Sequence[LogReport], drawn: Mapping[str, str] | None) -> It
         yield spread_line(percents, "channel", "RMSE of the move", {})
     if percents and drawn is not None:
         worst = max(percents, key=percents.__getitem__)
-        own = ", ".join(f"`{option}` '{name}'" for option, name in columns_of(drawn, worst).items())
-        yield f"the figures are of all channels; for those of one name its columns: {own}"
+        columns = ", ".join(f"`{option}` '{name}'" for option, name in columns_of(drawn, worst).items())
+        yield f"the figures are of all channels; for those of one name its columns: {columns}"
 
 
-def _write(asked: ReportRun, report: Report, form: str, inputs: Sequence[Given]) -> None:
+def _write(run: ReportRun, report: Report, form: str, inputs: Sequence[Given]) -> None:
     """Write the report; a page and figures show all channels together."""
     plots: list[Plot] = []
-    if asked.figures is not None or form == "html":
+    if run.figures is not None or form == "html":
         from dbo_cli.reports.figures import plots_of_channels
 
         plots = plots_of_channels(report)
-    if asked.figures is not None:
-        save(plots, Path(asked.figures), "channels")
+    if run.figures is not None:
+        save(plots, Path(run.figures), "channels")
     if form == "html":
         none, program = [()] * len(report.logs), program_version_string()
         page = renderers.to_html(report, none, comparison_plots=plots, program=program).encode()
     else:
         page = TrackingReport(report, (), None, Remarks()).rendered(form)
-    asked.write(page, inputs)
+    run.write(page, inputs)
 
 
 def _reported(

@@ -40,11 +40,11 @@ def _set_lines(models: Mapping[str, Mapping[str, Any]]) -> list[str]:
             "warnings",
         )
     ]
-    for channel, one in models.items():
-        fit, unit = one["fit"], one["output"]["unit"] or ""
+    for channel, content in models.items():
+        fit, unit = content["fit"], content["output"]["unit"] or ""
         ends = [
             f"{q['min']:.4g} to {q['max']:.4g} {q['unit'] or ''}".strip()
-            for q in (one["input"], one["output"])
+            for q in (content["input"], content["output"])
         ]
         errors = [
             ""
@@ -52,8 +52,8 @@ def _set_lines(models: Mapping[str, Mapping[str, Any]]) -> list[str]:
             else f"{fit[key]:.3g}{'' if key.endswith('percent') else f' {unit}'}".strip()
             for key in ("rmse", "rmse_percent", "expected_rmse")
         ]
-        gears, warned = str(one["gears"] or ""), str(len(one["warnings"]))
-        rows.append((channel, *ends, one["sign"], gears, *errors, warned))
+        gears, warned = str(content["gears"] or ""), str(len(content["warnings"]))
+        rows.append((channel, *ends, content["sign"], gears, *errors, warned))
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
     return [f"{len(models):,} models (FILE::CHANNEL names one)", "", *lines]

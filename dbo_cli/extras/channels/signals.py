@@ -47,18 +47,21 @@ def patterns_of(**selectors: str | None) -> dict[str, str]:
 
     A parameter of None takes no part; one of an empty text has to be given.
     """
-    given = {option: one for option, one in selectors.items() if one is not None}
-    pattern = next((f"`{option}` '{one}'" for option, one in given.items() if is_pattern(one)), "a pattern")
-    for option, one in given.items():
-        if not is_pattern(one):
-            found = f"is one column, '{one}'," if one else "is not given"
-            raise UsageError(f"`{option}` {found} where {pattern} is many: give a pattern for both")
-    return given
+    given_patterns = {option: selector for option, selector in selectors.items() if selector is not None}
+    pattern = next(
+        (f"`{option}` '{selector}'" for option, selector in given_patterns.items() if is_pattern(selector)),
+        "a pattern",
+    )
+    for option, selector in given_patterns.items():
+        if not is_pattern(selector):
+            problem = f"is one column, '{selector}'," if selector else "is not given"
+            raise UsageError(f"`{option}` {problem} where {pattern} is many: give a pattern for both")
+    return given_patterns
 
 
 def columns_of(patterns: Mapping[str, str], channel: str) -> dict[str, str]:
     """Return one channel's columns by parameter."""
-    return {option: column_of(one, channel) for option, one in patterns.items()}
+    return {option: column_of(pattern, channel) for option, pattern in patterns.items()}
 
 
 class TableReader:
@@ -67,15 +70,19 @@ class TableReader:
     def __init__(self, table: Any, patterns: Mapping[str, str]) -> None:
         self._table = table
         infos = [column_info(str(name), number) for number, name in enumerate(table.columns, 1)]
-        taken = {one.number for one in infos if one.quantity.lower() in TIME_NAMES}
+        taken = {column.number for column in infos if column.quantity.lower() in TIME_NAMES}
         self.channels = channels_of(TABLE, infos, patterns, taken)
 
     def log(self, channel: str) -> Any:
         """Return the table without the columns of other channels."""
-        own = self.channels[channel].values()
-        others = {one.number for found in self.channels.values() for one in found.values()}
-        others -= {one.number for one in own}
-        return self._table.iloc[:, [k - 1 for k in range(1, self._table.shape[1] + 1) if k not in others]]
+        columns = self.channels[channel].values()
+        others_columns = {
+            column.number for by_option in self.channels.values() for column in by_option.values()
+        }
+        others_columns -= {column.number for column in columns}
+        return self._table.iloc[
+            :, [k - 1 for k in range(1, self._table.shape[1] + 1) if k not in others_columns]
+        ]
 
 
 @contextlib.contextmanager
@@ -98,8 +105,12 @@ def opened_readers(
             missing = [name for name in first if name not in channels]
             missing += [name for name in channels if name not in first]
             if missing:
-                here, there = (TABLE if is_table(log) else parse_address(log).text for log in (one, logs[0]))
-                raise InputError(f"{here}: has other channels than {there}: {named(missing)} in one alone")
+                name, first_name = (
+                    TABLE if is_table(log) else parse_address(log).text for log in (one, logs[0])
+                )
+                raise InputError(
+                    f"{name}: has other channels than {first_name}: {named(missing)} in one alone"
+                )
         yield readers
 
 
@@ -115,16 +126,16 @@ def models_by_channel(model_file: str, channels: Sequence[str], matrix: bool = F
         return lambda channel: in_name(model_file, channel)
     if not is_set(model_file):
         return lambda channel: model_file
-    there = read_set(model_file)
-    missing = [channel for channel in channels if channel not in there]
-    if matrix and len(channels) < len(there):
+    models = read_set(model_file)
+    missing = [channel for channel in channels if channel not in models]
+    if matrix and len(channels) < len(models):
         raise InputError(
-            f"{model_file}: has {len(there):,} models, and the matrix {len(channels):,} columns; the longer"
+            f"{model_file}: has {len(models):,} models, and the matrix {len(channels):,} columns; the longer"
             " axis of a matrix is taken for time where no time stamps stand beside it"
         )
     if missing:
         raise InputError(
-            f"{model_file}: there is no model of channel {named(missing)} (it has {named(list(there))})"
+            f"{model_file}: there is no model of channel {named(missing)} (it has {named(list(models))})"
         )
     return lambda channel: f"{model_file}::{channel}"
 
@@ -135,26 +146,26 @@ def common_rows(times: Sequence[FloatArray | None]) -> tuple[FloatArray, list[tu
     An actuator rests where its drive begins until the longest approach has brought the others there, too, and
     rests again at the end. None where the rows in between are not the same.
     """
-    known = [one for one in times if one is not None]
+    known = [time for time in times if time is not None]
     if len(known) < len(times):
         return None
     everything = np.unique(np.concatenate(known))
     places = []
-    for one in known:
-        before = int(np.searchsorted(everything, one[0]))
-        if not np.array_equal(everything[before : before + len(one)], one):
+    for time in known:
+        before = int(np.searchsorted(everything, time[0]))
+        if not np.array_equal(everything[before : before + len(time)], time):
             return None
-        places.append((before, len(everything) - before - len(one)))
+        places.append((before, len(everything) - before - len(time)))
     return everything, places
 
 
-def sum_up_remarks(found: Mapping[str, Remarks], pattern: str, remarks: Remarks) -> None:
+def sum_up_remarks(remarks_of: Mapping[str, Remarks], pattern: str, remarks: Remarks) -> None:
     """Sum up what is to be said of all channels."""
-    if not found:
+    if not remarks_of:
         return
-    first = next(iter(found.values()))
-    remarks.read += [f"{line}; {len(found):,} channels: '{pattern}'" for line in first.read]
-    sum_up(remarks, found, "channel")
+    first = next(iter(remarks_of.values()))
+    remarks.read += [f"{line}; {len(remarks_of):,} channels: '{pattern}'" for line in first.read]
+    sum_up(remarks, remarks_of, "channel")
 
 
 def matrix_of(channels: Sequence[str], columns: Sequence[FloatArray], name: str) -> FloatArray:
@@ -171,26 +182,26 @@ def matrix_of(channels: Sequence[str], columns: Sequence[FloatArray], name: str)
 # --- simulate and compensate over channels ---
 
 
-def signals_of_channels(asked: SignalRun, work: Work, listener: Listener) -> Outcome:
+def signals_of_channels(run: SignalRun, work: Work, listener: Listener) -> Outcome:
     """Run ``simulate`` or ``compensate`` for each channel; write a table or a file of each.
 
     What is said of each channel is summed up.
     """
-    destination, reading = asked.destination, asked.reading
-    patterns = patterns_of(**{asked.option: asked.column or ""})
+    destination, reading = run.destination, run.reading
+    patterns = patterns_of(**{run.option: run.column or ""})
     each_own = CHANNEL in destination.output.text
-    _check_asked(asked)
+    _check_asked(run)
     outcome = Outcome()
     remarks: dict[str, Remarks] = {}
     summaries: list[dict[str, Any]] = []
-    with opened_readers([asked.log], reading, patterns) as (reader,):
+    with opened_readers([run.log], reading, patterns) as (reader,):
         channels = list(reader.channels)
         (pattern,) = patterns.values()
-        models = models_by_channel(asked.model, channels, is_matrix(pattern))
-        coupling, wanted = coupling_of(asked.model, channels, work), asked.drive is not None
-        if asked.drive is not None and asked.drive.typed_limits:
+        models = models_by_channel(run.model, channels, is_matrix(pattern))
+        coupling, wanted = coupling_of(run.model, channels, work), run.drive is not None
+        if run.drive is not None and run.drive.typed_limits:
             units = {channel: read_model(models(channel)).drive.unit for channel in channels}
-            asked.drive.require_one_unit(units)
+            run.drive.require_one_unit(units)
         work = dataclasses.replace(work, all_needed=coupling is not None)
         log_of: Callable[[str], Address] = reader.log
         if coupling is not None and wanted:
@@ -199,26 +210,26 @@ def signals_of_channels(asked: SignalRun, work: Work, listener: Listener) -> Out
 
         def jobs() -> Iterator[tuple[str, Callable[[], Remarks]]]:
             for channel in channels:
-                own = dataclasses.replace(
-                    asked, model=models(channel), log=log_of(channel), reading=reading,
+                run_of_channel = dataclasses.replace(
+                    run, model=models(channel), log=log_of(channel), reading=reading,
                     destination=destination.placed(functools.partial(address_of, channel=channel)),
-                    column=column_of(pattern, channel), state=in_name(asked.state, channel),
+                    column=column_of(pattern, channel), state=in_name(run.state, channel),
                 )  # fmt: skip
-                yield channel, own.run
+                yield channel, run_of_channel.run
 
         with whole_output.all_or_none():
             table = ChannelTable(destination, channels, pattern)
             if each_own:
                 make_folder_of(destination.output)
             good = outcome.good(jobs(), work, "channel", len(channels), listener)
-            pads = not each_own and _may_pad(asked)
-            for one in _together(good, coupling, pads, -2 if wanted else -1):
-                remarks[one.name] = one.value
+            pads = not each_own and _may_pad(run)
+            for done in _together(good, coupling, pads, -2 if wanted else -1):
+                remarks[done.name] = done.value
                 if each_own:
-                    write_kept(one.outputs, destination.protect)
+                    write_kept(done.outputs, destination.protect)
                 else:
-                    table.add(one.name, one.outputs)
-                    summaries += _other_documents(one, destination)
+                    table.add(done.name, done.outputs)
+                    summaries += _other_documents(done, destination)
             table.finish()
             if summaries and destination.summary is not None:
                 write_json(destination.summary, summaries)
@@ -226,12 +237,12 @@ def signals_of_channels(asked: SignalRun, work: Work, listener: Listener) -> Out
     return outcome
 
 
-def _check_asked(asked: SignalRun) -> None:
+def _check_asked(run: SignalRun) -> None:
     """Refuse what cannot be had of channels, or written for all of them at once (UsageError)."""
-    destination = asked.destination
+    destination = run.destination
     if destination.live:
         raise UsageError("`flush` follows a log row by row, and channels are read whole (leave one out)")
-    check_order(asked.model, asked.log.text)
+    check_order(run.model, run.log.text)
     if CHANNEL in destination.output.text:
         return
     if destination.save_state is not None and CHANNEL not in destination.save_state.text:
@@ -247,38 +258,38 @@ def _together(
     """Wait for all channels, where what is written of one depends on the others."""
     if coupling is None and not pads:
         return good
-    held = list(good)
+    all_done = list(good)
     if pads:
-        _pad([one.outputs for one in held])
+        _pad([done.outputs for done in all_done])
     if coupling is not None:
-        put_together({one.name: one.outputs for one in held}, coupling, result)
-    return held
+        put_together({done.name: done.outputs for done in all_done}, coupling, result)
+    return all_done
 
 
-def _may_pad(asked: SignalRun) -> bool:
+def _may_pad(run: SignalRun) -> bool:
     """Tell whether drives may have rows before and after the move, between which the actuator is at rest."""
-    around = asked.drive is not None and asked.drive.has_pieces
-    return around and asked.state in START_NAMES and not asked.reading.skip_bad
+    around = run.drive is not None and run.drive.has_pieces
+    return around and run.state in START_NAMES and not run.reading.skip_bad
 
 
 def _pad(outputs: Sequence[KeptOutputs]) -> None:
     """Let drives that begin later than others rest at their first row until then, and at their last."""
-    signals = [one.signals[0] for one in outputs]
-    timed = all(one.columns[0].header == "time_s" for one in signals)
-    found = common_rows([one.arrays[0] if timed else None for one in signals])
-    if found is None:
+    signals = [output.signals[0] for output in outputs]
+    timed = all(signal.columns[0].header == "time_s" for signal in signals)
+    common = common_rows([signal.arrays[0] if timed else None for signal in signals])
+    if common is None:
         return  # the table says which channel has other rows
-    for one, signal, (before, after) in zip(outputs, signals, found[1], strict=True):
+    for output, signal, (before, after) in zip(outputs, signals, common[1], strict=True):
         _, desired, drive = signal.arrays
         wanted = np.concatenate([np.full(before, desired[0]), desired, np.full(after, np.nan)])
-        arrays = (found[0], wanted, np.pad(drive, (before, after), "edge"))
-        one.signals[0] = dataclasses.replace(signal, arrays=arrays)
+        arrays = (common[0], wanted, np.pad(drive, (before, after), "edge"))
+        output.signals[0] = dataclasses.replace(signal, arrays=arrays)
 
 
 def write_kept(outputs: KeptOutputs, protect: Sequence[Given]) -> None:
     """Write outputs that were kept, as they would have been written."""
-    for one in outputs.signals:
-        _write_signal(one, protect, len(one.arrays[0]))
+    for signal in outputs.signals:
+        _write_signal(signal, protect, len(signal.arrays[0]))
     for name, data in outputs.documents:
         whole_output.write_whole(name, data, protect=protect)
 
@@ -293,15 +304,15 @@ def _write_signal(signal: KeptSignal, protect: Sequence[Given], rows: int) -> No
             writer.write(*(array[row : row + rows] for array in signal.arrays))
 
 
-def _other_documents(one: Done[Remarks], destination: Destination) -> list[dict[str, Any]]:
+def _other_documents(done: Done[Remarks], destination: Destination) -> list[dict[str, Any]]:
     """Write a channel's state; return its summary, which goes into one list with the others'."""
-    found = []
-    for name, data in one.outputs.documents:
+    documents = []
+    for name, data in done.outputs.documents:
         if destination.summary is not None and name == destination.summary.text:
-            found.append({"channel": one.name, **json.loads(data)})
+            documents.append({"channel": done.name, **json.loads(data)})
         else:
             whole_output.write_whole(name, data, protect=destination.protect)
-    return found
+    return documents
 
 
 @dataclass
@@ -352,16 +363,16 @@ class ChannelTable:
         timed = self._time is not None
         columns = list(first.columns[:1]) if timed else []
         arrays = [self._time] if timed else []
-        for channel, one in self._kept.items():
-            columns += [self._column(column, channel) for column in one.columns[timed:]]
-            arrays += one.arrays
+        for channel, signal in self._kept.items():
+            columns += [self._column(column, channel) for column in signal.columns[timed:]]
+            arrays += signal.arrays
         whole = dataclasses.replace(first, columns=columns, arrays=tuple(arrays))
         _write_signal(whole, self.destination.protect, _ROWS)
 
     def _column(self, column: OutColumn, channel: str) -> OutColumn:
         """Return a channel's column: an input keeps its own name, which holds the channel's."""
-        own = column_of(self.pattern, channel).removeprefix("name=")
-        if column.name.startswith(own):
+        stem = column_of(self.pattern, channel).removeprefix("name=")
+        if column.name.startswith(stem):
             return column
         quantity = column.quantity or column.name
         return dataclasses.replace(column, name=f"{column.name}_{channel}", quantity=quantity)
@@ -373,8 +384,8 @@ class ChannelTable:
             stem = PLACE.split(self.pattern)[0].removesuffix("[")
             quantities = signal.columns[len(signal.columns) - len(arrays) :]
             columns = [
-                dataclasses.replace(one, name=stem) if one.name.startswith(stem) else one
-                for one in quantities
+                dataclasses.replace(column, name=stem) if column.name.startswith(stem) else column
+                for column in quantities
             ]
             self._matrices = self._stack.enter_context(
                 matrix_writer(
@@ -391,12 +402,12 @@ class ChannelTable:
 
 def coupling_of(model_file: str, channels: Sequence[str], work: Work) -> Coupling | None:
     """Return the coupling that a set holds, in the order of channels, of which none may be missing."""
-    found = read_set(model_file).coupling if is_set(model_file) else None
-    if found is not None and work.keep_going:
+    coupling = read_set(model_file).coupling if is_set(model_file) else None
+    if coupling is not None and work.keep_going:
         raise UsageError(
             f"`keep_going`: the models of {model_file} are coupled: each is needed for the others"
         )
-    return None if found is None else found.of(channels)
+    return None if coupling is None else coupling.of(channels)
 
 
 def logs_apart(
@@ -420,16 +431,17 @@ def logs_apart(
         with open_log(logs[channel], want, whole) as opened:
             bring_to(opened, "wanted", model.output, models(channel))
             columns.append(joined(list(opened.blocks())).values["wanted"])
-    own = coupling.apart(matrix_of(coupling.channels, columns, reader.address.text))
+    apart = coupling.apart(matrix_of(coupling.channels, columns, reader.address.text))
     for place, (channel, log) in enumerate(logs.items()):
         assert log.table is not None  # a bad row was refused above
         table, number = log.table, reader.channels[channel]["displacement"].number
         unit = read_model(models(channel)).output.unit
         infos = [
-            dataclasses.replace(one, unit=unit) if one.number == number else one for one in table.columns
+            dataclasses.replace(column, unit=unit) if column.number == number else column
+            for column in table.columns
         ]
         block = dataclasses.replace(
-            table.block, values={**table.block.values, str(number): own[:, place].copy()}
+            table.block, values={**table.block.values, str(number): apart[:, place].copy()}
         )
         logs[channel] = dataclasses.replace(log, table=dataclasses.replace(table, columns=infos, block=block))
     return logs
@@ -437,10 +449,10 @@ def logs_apart(
 
 def put_together(outputs: Mapping[str, KeptOutputs], coupling: Coupling, result: int) -> None:
     """Let one column of all channels' kept signals (``result``: its place) be what the sensors show."""
-    signals = [one.signals[0] for one in outputs.values()]
+    signals = [output.signals[0] for output in outputs.values()]
     name = signals[0].address.text
-    shown = coupling.together(matrix_of(list(outputs), [one.arrays[result] for one in signals], name))
-    for place, (one, signal) in enumerate(zip(outputs.values(), signals, strict=True)):
+    shown = coupling.together(matrix_of(list(outputs), [signal.arrays[result] for signal in signals], name))
+    for place, (output, signal) in enumerate(zip(outputs.values(), signals, strict=True)):
         arrays = list(signal.arrays)
         arrays[result] = np.ascontiguousarray(shown[:, place])
-        one.signals[0] = dataclasses.replace(signal, arrays=tuple(arrays))
+        output.signals[0] = dataclasses.replace(signal, arrays=tuple(arrays))

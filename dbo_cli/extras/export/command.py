@@ -41,7 +41,7 @@ EXPORTING = (
 )
 
 
-def export(given: Given) -> None:
+def export(arguments: Given) -> None:
     """Write a model as C for a controller, with the tables, a self-test and a page to read.
 
     C99 without allocation, recursion or library calls. double gives the bits of dbo compensate; float and
@@ -69,11 +69,13 @@ def export(given: Given) -> None:
     from dbo_cli.runs.jobs import summed_up
 
     remarks = Remarks()
-    made = export_models(given.model, given.output, remarks, **given.of(EXPORTING))
-    remarks.note(summed_up({channel: _summary_lines(one) for channel, one in made.items()}, "channel"))
-    warnings = {channel: list(one.warnings) for channel, one in made.items()}
+    made = export_models(arguments.model, arguments.output, remarks, **arguments.of(EXPORTING))
+    remarks.note(
+        summed_up({channel: _summary_lines(summary) for channel, summary in made.items()}, "channel")
+    )
+    warnings = {channel: list(summary.warnings) for channel, summary in made.items()}
     remarks.warnings += summed_up(warnings, "channel")
-    given.reporter.remarks(remarks)
+    arguments.reporter.remarks(remarks)
 
 
 def _summary_lines(summary: ExportSummary) -> list[str]:

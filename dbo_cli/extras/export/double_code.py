@@ -280,11 +280,11 @@ def _lag_step(plan: CascadePlan, parts: _Parts, gear_members: Sequence[str]) -> 
         "RISE": float(numbers[0, 1]), "BEGUN": plan.model.outer_drive(plan.model.covered_gears.operator.x0),
         "INNER_LEAST": plan.inner_limits.v_min, "INNER_MOST": plan.inner_limits.v_max,
     }  # fmt: skip
-    kept = [_kept(member) for member in gear_members]
+    members = [_kept(member) for member in gear_members]
     texts: dict[str, str | bool] = {
         "slew": slew is not None, "once": parts.once, "once_again": _indented(parts.once),
-        "drive_steps": _indented(parts.drive), "keep": "".join(keep for keep, _ in kept),
-        "bring_back": _indented("".join(back for _, back in kept)),
+        "drive_steps": _indented(parts.drive), "keep": "".join(keep for keep, _ in members),
+        "bring_back": _indented("".join(back for _, back in members)),
     }  # fmt: skip
     return c.fill("lag_inverse.c", texts | {key: c.hex_double(value) for key, value in constants.items()})
 
@@ -309,15 +309,15 @@ def _kept(member: str) -> tuple[str, str]:
 
 
 def _vectors(plan: CascadePlan) -> list[c.Vectors]:
-    trimmed, found = plan.trimmed_drive, []
+    trimmed, vectors = plan.trimmed_drive, []
     for seed, reset in enumerate((None, trimmed), 1):
         state = plan.empty_state() if reset is None else plan.settled_state(reset)
         moves = self_test_moves(plan.model.input.minimum, plan.model.input.maximum, seed)
-        given = moves
+        played = moves
         if plan.inverter is not None:  # what reaches the other stages while the moves go into the window
-            held = np.concatenate([np.full(plan.inverter.ahead, moves[0]), moves])
-            given = plan.inverter.run(held, plan.inverter.rest(float(moves[0])))[0]
-        y = plan.model.simulate(given, state, time_step=plan.time_step, limits=plan.limits).y
+            extended = np.concatenate([np.full(plan.inverter.ahead, moves[0]), moves])
+            played = plan.inverter.run(extended, plan.inverter.rest(float(moves[0])))[0]
+        y = plan.model.simulate(played, state, time_step=plan.time_step, limits=plan.limits).y
         start = None if reset is None else c.hex_double(reset)
-        found.append(c.Vectors(start, *([c.hex_double(v) for v in values] for values in (moves, y))))
-    return found
+        vectors.append(c.Vectors(start, *([c.hex_double(v) for v in values] for values in (moves, y))))
+    return vectors

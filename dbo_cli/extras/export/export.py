@@ -71,12 +71,12 @@ def export_model(
     c.check_name(name)
     check_choices(arithmetic, direction, {"lookup": lookup, "fmu": fmu, "shared": shared}, arduino)
     project.check_folder(folder, overwrite)
-    one = translated(
+    translation = translated(
         model, folder, name=name, direction=direction, arithmetic=arithmetic, sample_rate=sample_rate,
         gears=gears, v_min=v_min, v_max=v_max, max_slew=max_slew, extrapolate=extrapolate, lookup=lookup,
     )  # fmt: skip
-    files = _files(one, arduino, fmu, shared)
-    summary = replace(one.summary, files=(*sorted(files), project.MANIFEST))
+    files = _files(translation, arduino, fmu, shared)
+    summary = replace(translation.summary, files=(*sorted(files), project.MANIFEST))
     figures = asdict(summary)
     del figures["folder"], figures["warnings"]
     project.write_folder(folder, files, figures, overwrite)
@@ -97,8 +97,8 @@ def translated(
     try:
         code = double_code(plan, lookup) if arithmetic == "double" else single_code(plan, arithmetic == "q31")
     except NarrowGearsError as problem:
-        other = f"`arithmetic` double{'' if arithmetic == 'q31' else ' or q31'}"
-        raise ModelError(f"{problem} ({_gears_that_do(model, plan, arithmetic)}{other})") from None
+        instead = f"`arithmetic` double{'' if arithmetic == 'q31' else ' or q31'}"
+        raise ModelError(f"{problem} ({_gears_that_do(model, plan, arithmetic)}{instead})") from None
     words = _words(plan, name, arithmetic)
     count, run = plan.model.backlash.n, plan.model.backlash.equal_run
     # Towards the input; an inverse then to its limits, and back to where a drive lag's own limits hold it.
@@ -110,7 +110,7 @@ def translated(
         folder=folder, name=name, direction=plan.model.direction, arithmetic=arithmetic, files=(),
         gears=count, table_rows=-(-count // run), run=run, table_bytes=code.table_bytes,
         state_bytes=code.state_bytes, worst_runs=most_runs(count) * passes,
-        vectors=sum(len(one.inputs) for one in code.vectors), bounds=code.bounds, gears_loss=loss,
+        vectors=sum(len(part.inputs) for part in code.vectors), bounds=code.bounds, gears_loss=loss,
         notes=tuple(_notes(plan, loss, words)), warnings=(f"the limits allow {beyond}",) if beyond else (),
     )  # fmt: skip
     return Translated(plan, code, summary, words)
@@ -183,30 +183,30 @@ def _words(plan: CascadePlan, name: str, arithmetic: str) -> c.Values:
 
 def _notes(plan: CascadePlan, loss: dict[str, float], words: c.Values) -> list[str]:
     """Return what the caller must know or do."""
-    found: dict[str, str | bool] = {"loss": bool(loss), "GEARS": str(plan.model.backlash.n)}
+    values: dict[str, str | bool] = {"loss": bool(loss), "GEARS": str(plan.model.backlash.n)}
     if plan.time_step is not None:
         steps = round(plan.read_ahead / plan.time_step, 6)
-        found["SHOWN_RATE"] = f"{1.0 / plan.time_step:.12g}"
-        found["SHOWN_AHEAD"] = f"{plan.read_ahead:.9g} s ({steps:.6g} sample{'s' if steps > 1 else ''})"
+        values["SHOWN_RATE"] = f"{1.0 / plan.time_step:.12g}"
+        values["SHOWN_AHEAD"] = f"{plan.read_ahead:.9g} s ({steps:.6g} sample{'s' if steps > 1 else ''})"
     if plan.limits is not None:
         slew, unit = plan.limits.max_slew, plan.model.drive.suffix
         slowly = "" if slew is None else f", changing by at most {slew!r}{unit} a second"
-        found["LEAST"], found["MOST_SLEW"] = repr(plan.limits.v_min), f"{plan.limits.v_max!r}{unit}{slowly}"
+        values["LEAST"], values["MOST_SLEW"] = repr(plan.limits.v_min), f"{plan.limits.v_max!r}{unit}{slowly}"
     if loss:
         unit = (plan.model.output if plan.model.direction == "forward" else plan.model.input).suffix
         most, percent, rms = loss["max"], loss["max_percent"], loss["rms"]
-        found["LOSS"] = f"{most:.3g}{unit} ({percent:.2g} % of the range) at most, {rms:.3g}{unit}"
-    return c.fill("notes.md", {**words, **found}).splitlines()
+        values["LOSS"] = f"{most:.3g}{unit} ({percent:.2g} % of the range) at most, {rms:.3g}{unit}"
+    return c.fill("notes.md", {**words, **values}).splitlines()
 
 
-def _files(one: Translated, arduino: bool, fmu: bool, shared: bool) -> dict[str, str | bytes]:
+def _files(translation: Translated, arduino: bool, fmu: bool, shared: bool) -> dict[str, str | bytes]:
     """Return the content of every file by its path in the folder."""
-    plan, code, summary, words = one
+    plan, code, summary, words = translation
     name = summary.name
-    own = c.model_sources(words, code)
-    test = own.pop(f"{name}_test.c")
-    sources = own | kernel_files(words, summary.arithmetic, code.headers)
-    files: dict[str, str | bytes] = {**project.project_files(one, sources, test, arduino)}
+    model_files = c.model_sources(words, code)
+    test = model_files.pop(f"{name}_test.c")
+    sources = model_files | kernel_files(words, summary.arithmetic, code.headers)
+    files: dict[str, str | bytes] = {**project.project_files(translation, sources, test, arduino)}
     if shared:
         files |= project.library_files(words, sources)
     if fmu:
@@ -268,11 +268,12 @@ def export_set(
     check_choices(arithmetic, direction, {"lookup": lookup})
     project.check_folder(folder, overwrite)
     made = {}
-    for channel, own in _names(models, name).items():
+    for channel, channel_name in _names(models, name).items():
         try:
-            c.check_name(own)
+            c.check_name(channel_name)
             made[channel] = translated(
-                models[channel], folder, name=own, direction=direction, arithmetic=arithmetic, lookup=lookup,
+                models[channel], folder, name=channel_name, direction=direction, arithmetic=arithmetic,
+                lookup=lookup,
                 **options,
             )  # fmt: skip
         except DboError as problem:
@@ -282,17 +283,19 @@ def export_set(
     figures = {
         "name": name, "direction": direction, "arithmetic": arithmetic, "files": listed,
         "channels": {
-            channel: {key: value for key, value in asdict(one.summary).items() if key not in _OF_THE_SET}
-            for channel, one in made.items()
+            channel: {key: value for key, value in asdict(member.summary).items() if key not in _OF_THE_SET}
+            for channel, member in made.items()
         },
     }  # fmt: skip
     project.write_folder(folder, files, figures, overwrite)
-    return {channel: replace(one.summary, files=tuple(listed)) for channel, one in made.items()}
+    return {
+        channel: replace(translation.summary, files=tuple(listed)) for channel, translation in made.items()
+    }
 
 
 def _names(channels: Iterable[str], name: str) -> dict[str, str]:
     """Return what begins each channel's names, never different in case alone: some disks do not see it."""
-    found, taken = {}, {"names", "test"}
+    channel_names, taken = {}, {"names", "test"}
     for channel in channels:
         word = re.sub(r"[^A-Za-z0-9_]", "_", channel)
         files = {word.lower(), f"{word.lower()}_test"}
@@ -302,18 +305,18 @@ def _names(channels: Iterable[str], name: str) -> dict[str, str]:
                 " called: rename the channel"
             )
         taken |= files
-        found[channel] = f"{name}_{word}"
-    return found
+        channel_names[channel] = f"{name}_{word}"
+    return channel_names
 
 
 def _set_files(made: Mapping[str, Translated], name: str) -> dict[str, str]:
     """Return the content of every file."""
-    one = next(iter(made.values()))
-    arithmetic = one.summary.arithmetic
+    first = next(iter(made.values()))
+    arithmetic = first.summary.arithmetic
     words: dict[str, str | bool] = {
-        **one.words, "NAME": name, "GUARD": name.upper(), "alone": False, "FIRST": one.summary.name,
+        **first.words, "NAME": name, "GUARD": name.upper(), "alone": False, "FIRST": first.summary.name,
         "PLACE": max(str(each.words["PLACE"]) for each in made.values()),
-        "TITLE": f"The {one.plan.model.direction} hysteresis models of {len(made)} actuators",
+        "TITLE": f"The {first.plan.model.direction} hysteresis models of {len(made)} actuators",
         "ORIGIN": "Written by dbo export from a model set.", "COUNT": str(len(made)),
         "VECTORS": str(sum(each.summary.vectors for each in made.values())), "ARITHMETIC": arithmetic,
         "moving": any(each.plan.model.dynamics is not None for each in made.values()),
@@ -321,14 +324,14 @@ def _set_files(made: Mapping[str, Translated], name: str) -> dict[str, str]:
     headers = tuple(dict.fromkeys(header for each in made.values() for header in each.code.headers))
     sources, tests = kernel_files(words, arithmetic, headers), {}
     for each in made.values():
-        own = c.model_sources({**each.words, "alone": False}, each.code)
+        channel_files = c.model_sources({**each.words, "alone": False}, each.code)
         test = f"{each.summary.name}_test.c"
-        tests[test] = own.pop(test)
-        sources |= own
+        tests[test] = channel_files.pop(test)
+        sources |= channel_files
     lines = _lines(made, name)
-    known = words | lines | {"NUMBER": one.code.number}
+    known = words | lines | {"NUMBER": first.code.number}
     sources |= {f"{name}.{kind}": c.fill(f"SET.{kind}", known) for kind in "hc"}
-    values = project.build_values(words, one.code.number, sources, [f"{name}_test.c", *tests]) | lines
+    values = project.build_values(words, first.code.number, sources, [f"{name}_test.c", *tests]) | lines
     pages = {"SET_main.c": "example_main.c", "SET_README.md": "README.md", "SET_test.c": f"{name}_test.c"}
     around = {file: c.fill(page, values) for page, file in pages.items()}
     return {**sources, **tests, **around, **project.build_files(values)}

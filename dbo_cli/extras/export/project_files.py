@@ -89,15 +89,17 @@ class Translated(NamedTuple):
     words: Values
 
 
-def project_files(one: Translated, sources: Mapping[str, str], test: str, arduino: bool) -> dict[str, str]:
+def project_files(
+    translation: Translated, sources: Mapping[str, str], test: str, arduino: bool
+) -> dict[str, str]:
     """Return every file by its path in the folder: the sources, and what stands around them."""
-    plan, code, summary, words = one
+    plan, code, summary, words = translation
     name = summary.name
     values = {
         **build_values(words, code.number, sources, [f"{name}_test.c"]), "SAMPLE": code.sample_input,
         "INPUT_TEXT": _capitalised(plan.model.input), "OUTPUT_TEXT": _capitalised(plan.model.output),
     }  # fmt: skip
-    page = fill("README.md", {**values, **shown_figures(one)})
+    page = fill("README.md", {**values, **shown_figures(translation)})
     if arduino:
         return {
             **{f"src/{file}": text for file, text in sources.items()},
@@ -150,9 +152,9 @@ def _capitalised(quantity: Quantity) -> str:
     return f"{quantity.quantity[:1].upper()}{quantity.quantity[1:]}{unit}"
 
 
-def shown_figures(one: Translated) -> Values:
+def shown_figures(translation: Translated) -> Values:
     """Return what README.md shows of an export's figures."""
-    plan, _, summary, _ = one
+    plan, _, summary, _ = translation
     drive, result = plan.model.drive, plan.model.output
     figures = {key.upper(): str(value) for key, value in asdict(summary).items()}
     for key in ("same_gears", "after_close_turn"):
@@ -160,9 +162,9 @@ def shown_figures(one: Translated) -> Values:
         figures[key.upper()] = f"{most:.3g}{result.suffix} ({percent:.3g} %"
     figures["CLOSE_TURN"] = f"{summary.bounds.get('close_turn_fraction', 0.0):.2g}"
     figures["LOWEST_DRIVE"] = f"{drive.minimum!r}{drive.suffix}"
-    for way, quantity in (("INPUT", plan.model.input), ("OUTPUT", result)):
+    for side, quantity in (("INPUT", plan.model.input), ("OUTPUT", result)):
         ends = f"{quantity.minimum:.9g} to {quantity.maximum:.9g}{quantity.suffix}"
-        figures |= {f"{way}_NAME": quantity.quantity, f"{way}_RANGE": ends}
+        figures |= {f"{side}_NAME": quantity.quantity, f"{side}_RANGE": ends}
     return {
         **figures, "moving": plan.model.dynamics is not None,
         "duties": "".join(f"- {note}\n" for note in (*summary.notes, *summary.warnings)),
@@ -195,8 +197,8 @@ def check_folder(folder: str, overwrite: bool) -> None:
         known |= made | {f"{listed['name']}_test", "example"}
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         known = set()
-    found = sorted(p.relative_to(target).as_posix() for p in target.rglob("*") if not p.is_dir())
-    if strangers := [path for path in found if path not in known]:
+    paths = sorted(p.relative_to(target).as_posix() for p in target.rglob("*") if not p.is_dir())
+    if strangers := [path for path in paths if path not in known]:
         raise OutputError(
             f"{folder}: holds '{strangers[0]}', which no export wrote: it is not overwritten"
             " (move it, or choose another folder)"

@@ -116,7 +116,7 @@ def fold(stages: MemoryFree, low: float, high: float) -> Folded:
         if isinstance(stage, ScaleStage):
             continue
         inner = stage.segments[1:, 0] + stage.x0
-        back = tuple(one.inverse() for one in reversed(stages[:place]))
+        back = tuple(stage.inverse() for stage in reversed(stages[:place]))
         nodes += through(back, np.ascontiguousarray(inner)).tolist()
     span = high - low
     found: list[float] = []
@@ -246,7 +246,7 @@ def single_tables(plan: CascadePlan, axes: Axes, q31: bool, tolerance: float) ->
     source, result = plan.model.input, plan.model.output
     rows, slope_shift = _rows(axes, q31)
     base = gears.x0 + (axes.kappa * (gears.y0 - plan.reference) if on_output else 0.0)
-    taken, given = (counts_of_range(source), counts_of_range(result)) if q31 else ((0.0, 1.0), (0.0, 1.0))
+    taken, goes_in = (counts_of_range(source), counts_of_range(result)) if q31 else ((0.0, 1.0), (0.0, 1.0))
     x_step, y_step = (axes.x_unit, axes.y_unit) if q31 else (axes.x_count, axes.y_count)
     before = fold(plan.model.head, source.minimum, source.maximum)
     behind = fold(plan.model.tail, gears.y0, gears.y0 + float(axes.high.sum()))
@@ -254,7 +254,7 @@ def single_tables(plan: CascadePlan, axes: Axes, q31: bool, tolerance: float) ->
         drive = segments_of(before, q31, taken, (gears.x0, x_step))
     else:
         undone = fold(plan.drive_stages, result.minimum, result.maximum)
-        drive = segments_of(undone, q31, given, (gears.y0, y_step))
+        drive = segments_of(undone, q31, goes_in, (gears.y0, y_step))
     clip, change, positions = _limits(plan, axes, q31)
     first = to_counts(plan.first_output, result) if q31 else F(plan.first_output)
     if clip is not None:
@@ -275,7 +275,7 @@ def single_tables(plan: CascadePlan, axes: Axes, q31: bool, tolerance: float) ->
         least=-span, most=2 * span, limits=positions,
         covered=plan.model.covered_gears.operator.n, spare_bits=plan.model.covered_gears.spare_bits,
         before=segments_of(before, q31, taken, (base, x_step)),
-        behind=segments_of(behind, q31, (gears.y0, axes.y_count), given),
+        behind=segments_of(behind, q31, (gears.y0, axes.y_count), goes_in),
         drive=drive, clip=clip, change=change, first=first, delay=delay, smooth=smooth,
     )  # fmt: skip
 
@@ -302,9 +302,9 @@ def _limits(
         raise ModelError("`v_min`, `v_max`: too close for this arithmetic (`arithmetic` double)")
     change, step = None, -1.0
     if limits.max_slew is not None and plan.slew_step is not None and plan.time_step is not None:
-        asked = limits.max_slew * plan.time_step
-        change, reached = _count_change(asked, plan.model.drive) if q31 else _float_change(asked, clip)
-        step = plan.slew_step * (reached / asked) / axes.y_unit
+        largest = limits.max_slew * plan.time_step
+        change, reached = _count_change(largest, plan.model.drive) if q31 else _float_change(largest, clip)
+        step = plan.slew_step * (reached / largest) / axes.y_unit
         if step < 4.0:
             raise ModelError(
                 "`max_slew`: less than this arithmetic resolves in one step (`sample_rate` lower)"
@@ -335,22 +335,22 @@ def _count_clip(limits: DriveLimits, drive: Quantity) -> tuple[int, int]:
     return low, high
 
 
-def _float_change(asked: float, clip: tuple[Any, Any]) -> tuple[Any, float]:
+def _float_change(largest: float, clip: tuple[Any, Any]) -> tuple[Any, float]:
     """Return the change that adding to an output may round up to the one asked for, and what is sure.
 
     A sum is off by half a unit in the last place of the largest output, and the change itself by as much.
     """
     place = float(np.spacing(max(abs(clip[0]), abs(clip[1]))))
-    change = F(max(asked - 0.5 * place, 0.0))
-    change = np.nextafter(change, F(0.0)) if float(change) > asked - 0.5 * place else change
-    return change, max(asked - 2.0 * place, 0.0)
+    change = F(max(largest - 0.5 * place, 0.0))
+    change = np.nextafter(change, F(0.0)) if float(change) > largest - 0.5 * place else change
+    return change, max(largest - 2.0 * place, 0.0)
 
 
-def _count_change(asked: float, drive: Quantity) -> tuple[int, float]:
+def _count_change(largest: float, drive: Quantity) -> tuple[int, float]:
     """Return the change in whole counts, and what that is."""
     unit = counts_of_range(drive)[1]
-    change = min(math.floor(asked / unit), 2**32)  # 2^32: more than from one end to the other
-    return change, min(change * unit, asked)
+    change = min(math.floor(largest / unit), 2**32)  # 2^32: more than from one end to the other
+    return change, min(change * unit, largest)
 
 
 def _function_error(
@@ -386,18 +386,18 @@ def _loop(plan: CascadePlan, axes: Axes, steepest: float) -> tuple[float, float,
     b, carried = 1.0 - a, (c * a if on_output else c)
     _, count, offset = _remembered(plan, axes)
     drive = float((axes.high if on_output else axes.wide).sum()) + abs(offset)
-    other = axes.x_unit if on_output else axes.y_unit
-    held = count * (2.0 + 2.0 * drive / count * 2.0**-30 + 2.0**-24 / b)
+    unit = axes.x_unit if on_output else axes.y_unit
+    rounded = count * (2.0 + 2.0 * drive / count * 2.0**-30 + 2.0**-24 / b)
     shift = shift_for(float(_carried(plan, axes).sum()))
-    recall = other * (0.5 + plan.terms * drive / count * 2.0 ** -(shift + 1))
-    own = float(np.sum(carried * held)) + recall
+    recall = unit * (0.5 + plan.terms * drive / count * 2.0 ** -(shift + 1))
+    rounding = float(np.sum(carried * rounded)) + recall
     if not on_output:
-        return own, float(np.sum(c)), 1.0
+        return rounding, float(np.sum(c)), 1.0
     loop = steepest * float(np.sum(carried))
     stiff = max(1.0 / steepest - axes.kappa, 0.0) + 0.5 * axes.kappa
     rho = float(np.min(2.0 * b * (1.0 - 0.5 * b)))
     energy = 1.0 + math.sqrt(float(np.sum(2.0 * b * c * a**2)) / (4.0 * stiff * rho))
-    return own, float(np.sum(carried)), min(1.0 / (1.0 - loop) if loop < 1.0 else math.inf, energy)
+    return rounding, float(np.sum(carried)), min(1.0 / (1.0 - loop) if loop < 1.0 else math.inf, energy)
 
 
 class NarrowGearsError(ModelError):
@@ -456,10 +456,10 @@ def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> dict[str, float]:
     if plan.delay_is_smooth:
         rounding = 4.0 * y_out if q31 else 8.0 * EPS * max(abs(result.minimum), abs(result.maximum))
         same = SMOOTH_GROWTH * same + rounding
-    found: dict[str, float] = {}
+    values: dict[str, float] = {}
     for key, value in (("same_gears", same), ("after_close_turn", same + bend * hop)):
-        found |= {key: value, f"{key}_percent": 100.0 * value / result.span}
-    return {**found, "close_turn_fraction": tolerance}
+        values |= {key: value, f"{key}_percent": 100.0 * value / result.span}
+    return {**values, "close_turn_fraction": tolerance}
 
 
 def _tolerance(place: float, narrow: float, rising: float, low: float, plan: CascadePlan) -> float:
@@ -525,11 +525,11 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
     }  # fmt: skip
     for label, segments in (("BEFORE", t.before), ("BEHIND", t.behind), ("DRIVE", t.drive)):
         values |= {f"{label}_ROWS": str(len(segments.rows)), f"{label}_SHIFT": str(segments.shift)}
-    for way, quantity in (("INPUT", plan.model.input), ("OUTPUT", plan.model.output)):
+    for side, quantity in (("INPUT", plan.model.input), ("OUTPUT", plan.model.output)):
         middle, unit = counts_of_range(quantity)
         values |= {
-            f"{way}_MIDDLE": repr(middle), f"{way}_COUNT": repr(unit), f"{way}_COUNTS": repr(1.0 / unit),
-            f"{way}_LABEL": f"{quantity.quantity}{f' ({quantity.unit})' if quantity.unit else ''}",
+            f"{side}_MIDDLE": repr(middle), f"{side}_COUNT": repr(unit), f"{side}_COUNTS": repr(1.0 / unit),
+            f"{side}_LABEL": f"{quantity.quantity}{f' ({quantity.unit})' if quantity.unit else ''}",
         }  # fmt: skip
     headers = (INTERPOLATION,) if t.smooth else ()
     return ModelCode(number, members, "single.c", values, _vectors(plan, t, text), headers, size, bounds)
@@ -583,8 +583,8 @@ def _guide(begins: list[tuple[int, int]]) -> tuple[int, list[int]]:
     span, rows = int(starts[-1]), len(begins) - 1
     shift = max((span // rows).bit_length() - 1, 0)
     parts = np.arange((span >> shift) + 2, dtype=np.int64) << shift
-    found = np.searchsorted(starts, parts, side="right") - 1
-    return shift, np.minimum(found, rows - 1).tolist()
+    rows_of_parts = np.searchsorted(starts, parts, side="right") - 1
+    return shift, np.minimum(rows_of_parts, rows - 1).tolist()
 
 
 def row_shift(n: int, run: int) -> int:
@@ -605,7 +605,7 @@ def _between(t: SingleTables, text: Text) -> str:
 
 def _vectors(plan: CascadePlan, t: SingleTables, text: Text) -> list[Vectors]:
     """Return two runs, computed by the readable twin of the kernel."""
-    source, found = plan.model.input, []
+    source, vectors = plan.model.input, []
     start = to_counts(plan.trimmed_drive, plan.model.drive) if t.q31 else F(plan.trimmed_drive)
     for seed, reset in enumerate((None, start), 1):
         moves = self_test_moves(source.minimum, source.maximum, seed)
@@ -616,5 +616,5 @@ def _vectors(plan: CascadePlan, t: SingleTables, text: Text) -> list[Vectors]:
                 kernel.reset(reset)
             outputs = [kernel.step(x) for x in inputs]
         texts = ([text(v) for v in values] for values in (inputs, outputs))
-        found.append(Vectors(None if reset is None else text(reset), *texts))
-    return found
+        vectors.append(Vectors(None if reset is None else text(reset), *texts))
+    return vectors

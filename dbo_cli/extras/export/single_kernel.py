@@ -120,12 +120,12 @@ def slope_of_counts(y: list[int], a: int) -> int:
     left = right = 0
     if a > 0:
         before = curve[a - 2] if a > 1 else curve[a - 1]
-        here = curve[a - 1] if a < last else before
-        left = 2 * secant[a - 1] + int(nearer(before, here))
+        inner = curve[a - 1] if a < last else before
+        left = 2 * secant[a - 1] + int(nearer(before, inner))
     if a < last:
         after = curve[a] if a < last - 1 else curve[a - 1]
-        here = curve[a - 1] if a > 0 else after
-        right = 2 * secant[a] - int(nearer(here, after))
+        inner = curve[a - 1] if a > 0 else after
+        right = 2 * secant[a] - int(nearer(inner, after))
     if a == 0:
         chord, parabola = secant[0], right
     elif a == last:
@@ -150,21 +150,21 @@ class SingleKernel:
 
     # ---- what differs between the arithmetics
 
-    def along(self, slope: Number, way: Number, shift: int) -> Number:
+    def along(self, slope: Number, distance: Number, shift: int) -> Number:
         """Return slope x way of a piecewise linear function."""
         if not self.t.q31:
-            return slope * way
-        if INT32[0] <= way <= INT32[1]:
-            return scaled_down(slope * way, shift)
-        return scaled_down(slope * clamped(scaled_down(way, 16)), shift - 16)
+            return slope * distance
+        if INT32[0] <= distance <= INT32[1]:
+            return scaled_down(slope * distance, shift)
+        return scaled_down(slope * clamped(scaled_down(distance, 16)), shift - 16)
 
-    def along_gear(self, slope: Number, way: int) -> int:
+    def along_gear(self, slope: Number, distance: int) -> int:
         """Return slope x way of a gear, in positions."""
         if self.t.q31:
-            return int(self.along(slope, way, self.t.slope_shift))
-        if INT32[0] <= way <= INT32[1]:
-            return self.position_of(slope * F(way), 0)
-        return self.position_of(slope * F(self.counts_of(way, self.t.y_shift)), self.t.y_shift)
+            return int(self.along(slope, distance, self.t.slope_shift))
+        if INT32[0] <= distance <= INT32[1]:
+            return self.position_of(slope * F(distance), 0)
+        return self.position_of(slope * F(self.counts_of(distance, self.t.y_shift)), self.t.y_shift)
 
     def position_of(self, signal: Number, shift: int) -> int:
         """Return a signal as positions."""

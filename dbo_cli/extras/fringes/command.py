@@ -31,7 +31,7 @@ FRINGES = (  # the fields of ``FringeOptions``
 )
 
 
-def fringes(given: Given) -> None:
+def fringes(arguments: Given) -> None:
     """Turn the fringes of an interferometer into the displacement that identify reads.
 
     One photodiode: the intensity gives the phase but for its direction; that is the drive's, and behind each
@@ -57,10 +57,12 @@ def fringes(given: Given) -> None:
     """
     from dbo_cli.extras.fringes.run import FringeOptions, write_displacement
 
-    asked = FringeOptions(**given.of(FRINGES))
-    destination = destination_of(given, [given.log])
-    progress = Progress(given.reporter, "read")
-    given.reporter.remarks(write_displacement(given.log, destination, given.reading, asked, progress))
+    options = FringeOptions(**arguments.of(FRINGES))
+    destination = destination_of(arguments, [arguments.log])
+    progress = Progress(arguments.reporter, "read")
+    arguments.reporter.remarks(
+        write_displacement(arguments.log, destination, arguments.reading, options, progress)
+    )
 
 
 COMMAND = Command(fringes, (LOG, *READING, *REPORTING, *FRINGES, HEADER, SUMMARY, OUTPUT))

@@ -73,21 +73,21 @@ def drive_for_fringes(
     return np.arange(voltage.size) / rate, {"voltage": voltage}
 
 
-def _turns(asked: Excitation, fringes: float) -> tuple[list[float], list[int]]:
+def _turns(drive: Excitation, fringes: float) -> tuple[list[float], list[int]]:
     """Return turns in parts of the range, and the steps from each to the next."""
-    chance = random.Random(asked.seed).random
-    slew = None if asked.max_slew is None else asked.max_slew / asked.span
-    step = 1.0 / asked.sample_rate
-    half = 0.5 / asked.frequency
+    chance = random.Random(drive.seed).random
+    slew = None if drive.max_slew is None else drive.max_slew / drive.span
+    step = 1.0 / drive.sample_rate
+    half = 0.5 / drive.frequency
 
     def steps(distance: float, slowness: float = 1.0) -> int:
         """Return the steps of a swing at the sweep's greatest speed, or slower."""
         return max(swing_samples(distance, step, half * distance * slowness, slew), 10)
 
-    rest = max(round(REST / asked.frequency / step), 1)
+    rest = max(round(REST / drive.frequency / step), 1)
     turns = [0.0, 1.0, 0.0]
     counts = [steps(1.0), steps(1.0)]
-    left = round(asked.duration * asked.sample_rate) - 1 - sum(counts) - rest
+    left = round(drive.duration * drive.sample_rate) - 1 - sum(counts) - rest
     place = 0
     while True:
         place += 1
@@ -102,9 +102,9 @@ def _turns(asked: Excitation, fringes: float) -> tuple[list[float], list[int]]:
         counts.append(count)
         left -= count
     if len(turns) - 3 < FEWEST_TURNS:
-        least = asked.duration * (FEWEST_TURNS + 5.0) / len(turns)
+        least = drive.duration * (FEWEST_TURNS + 5.0) / len(turns)
         raise UsageError(
-            f"`duration` {asked.duration:g}: room for {len(turns) - 3} turns besides the sweeps, and at "
+            f"`duration` {drive.duration:g}: room for {len(turns) - 3} turns besides the sweeps, and at "
             f"least {FEWEST_TURNS} are needed (some {math.ceil(least)})"
         )
     back = steps(turns[-1])

@@ -60,7 +60,9 @@ class Bank(LiveDrive[ArrayLike, Any]):
             except DboError as problem:
                 raise type(problem)(f"channel {channel}: {problem}") from None
         self._coupling = coupling
-        converters = [one.converter for one in self._controllers if one.converter is not None]
+        converters = [
+            controller.converter for controller in self._controllers if controller.converter is not None
+        ]
         self._codes = Codes(converters) if converters else None
         self._saved = np.zeros(len(self.channels))
         self._live: Any = None
@@ -78,7 +80,9 @@ class Bank(LiveDrive[ArrayLike, Any]):
     @property
     def states(self) -> dict[str, ModelState | None]:
         """The committed state of each channel, to go on from; None before the first."""
-        return {name: one.state for name, one in zip(self.channels, self._controllers, strict=True)}
+        return {
+            name: controller.state for name, controller in zip(self.channels, self._controllers, strict=True)
+        }
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle the committed states; what was planned stays behind."""
@@ -130,7 +134,7 @@ class Bank(LiveDrive[ArrayLike, Any]):
             except DboError as problem:
                 self._drop_all()
                 raise type(problem)(f"channel {channel}: {problem}") from None
-        held_back = np.array([one.held_back for one in self._controllers])
+        held_back = np.array([controller.held_back for controller in self._controllers])
         return np.array(planned), None, held_back, None, None
 
     def _drop_all(self) -> None:
@@ -163,7 +167,7 @@ class Bank(LiveDrive[ArrayLike, Any]):
             applied = [None] * len(self.channels) if volts is None else volts.tolist()
             for controller, value in zip(self._controllers, applied, strict=True):
                 controller.commit(value)
-            self.clipped[:] = [one.clipped for one in self._controllers]
+            self.clipped[:] = [controller.clipped for controller in self._controllers]
             self._begin()
             return
         self._live.commit()
@@ -177,13 +181,13 @@ class Bank(LiveDrive[ArrayLike, Any]):
 
         ``stand`` are the voltages that stand, where the bank is made again.
         """
-        parts = [one.begun for one in self._controllers]
-        begun = [one for one in parts if one is not None]
+        parts = [controller.begun for controller in self._controllers]
+        begun = [part for part in parts if part is not None]
         if len(begun) < len(parts):
             return
-        bounds = np.array([one.bounds for one in self._controllers]).T.copy()
+        bounds = np.array([controller.bounds for controller in self._controllers]).T.copy()
         if stand is None:
-            self._saved = np.array([one.saved for one in self._controllers])
+            self._saved = np.array([controller.saved for controller in self._controllers])
         else:
             bounds[3] = stand
         self._low, self._high, self._stand = bounds[0], bounds[1], bounds[3]
@@ -229,18 +233,18 @@ def _checked(values: ArrayLike, what: str) -> Floats:
     try:
         if np.ma.is_masked(values):
             raise TypeError
-        given = np.asarray(values, dtype=None if isinstance(values, np.ndarray) else object)
-        frame = np.empty(given.shape)
-        for place, value in enumerate(given.reshape(-1).tolist()):
+        array = np.asarray(values, dtype=None if isinstance(values, np.ndarray) else object)
+        frame = np.empty(array.shape)
+        for place, value in enumerate(array.reshape(-1).tolist()):
             frame.flat[place] = value if value.__class__ is float else number(what, value)
     except (TypeError, ValueError, InputError):
         raise InputError(f"{what} is no array of numbers") from None
     return frame
 
 
-def _require_channels(name: str, given: Mapping[str, Any], channels: Sequence[str]) -> None:
+def _require_channels(name: str, values: Mapping[str, Any], channels: Sequence[str]) -> None:
     """Refuse values of channels that are not there (UsageError)."""
-    for channel in given:
+    for channel in values:
         if channel not in channels:
             raise UsageError(f"`{name}`: there is no channel {channel!r}")
 

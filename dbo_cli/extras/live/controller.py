@@ -370,19 +370,19 @@ class Controller(LiveDrive[float, float | int]):
         check_seconds("seconds", seconds)
         rest = 0.0 if to is None else self._voltage("`to`", to)
         rest = min(max(rest, self._low), self._high)
-        way = ramp("seconds", self._last, rest, self._step_seconds, seconds, self.limits).tolist()
+        ramp_rows = ramp("seconds", self._last, rest, self._step_seconds, seconds, self.limits).tolist()
         if self.converter is not None:
-            codes = self._codes_along(way, self.converter)
+            codes = self._codes_along(ramp_rows, self.converter)
             for code in codes:
                 self.commit(code)
         else:
-            self._check_row_by_row(way)
-            for volts in way:
+            self._check_row_by_row(ramp_rows)
+            for volts in ramp_rows:
                 self.commit(volts)
         self._pending = None
         if self._ahead is not None:
             self._ahead.forget()
-        return way if self.converter is None else codes
+        return ramp_rows if self.converter is None else codes
 
     @property
     def held_back(self) -> bool:
@@ -394,8 +394,8 @@ class Controller(LiveDrive[float, float | int]):
         """The committed state, for ``simulate`` or ``compensate`` to go on from; None before the first."""
         if self._stepper is None:
             return self._start if isinstance(self._start, ModelState) else None
-        held = None if self._ahead is None else self._ahead.held
-        return dataclasses.replace(self._update(), undoing=held and held[2], model=self._model.digest)
+        undoing = None if self._ahead is None else self._ahead.held
+        return dataclasses.replace(self._update(), undoing=undoing and undoing[2], model=self._model.digest)
 
     @property
     def begun(self) -> tuple[BacklashStepper, MemoryFree, MemoryFree] | None:
@@ -446,10 +446,10 @@ class Controller(LiveDrive[float, float | int]):
         if self.converter is not None:
             return self._coded(self._stepped(wanted, inner), inner, self.converter)
         if not limit_low <= last <= limit_high:
-            way = inwards(last, limit_low, limit_high, self._most)
-            if way is not None:
-                self._follow(way, inner)
-                return way, way, 1, 0.0, None
+            inside = inwards(last, limit_low, limit_high, self._most)
+            if inside is not None:
+                self._follow(inside, inner)
+                return inside, inside, 1, 0.0, None
         if self._bent:
             volts = self._stepped(wanted, inner)
         else:
@@ -492,12 +492,12 @@ class Controller(LiveDrive[float, float | int]):
             wanted, window = self._ahead.plan(wanted, None if self._ahead.held else self.state)
         stepper = self._stepper
         most, saved, last = self._most, self.saved, self._last
-        way = inwards(last, self._low, self._high, most) if self.converter is None else None
+        inside = inwards(last, self._low, self._high, most) if self.converter is None else None
         if stepper is None:
-            volts, clipped, begun = self._first(wanted, way)
-        elif way is not None:
-            volts, clipped = way, 1
-            lag = self._follow(way, stepper)
+            volts, clipped, begun = self._first(wanted, inside)
+        elif inside is not None:
+            volts, clipped = inside, 1
+            lag = self._follow(inside, stepper)
         else:
             volts = self._stepped(wanted, stepper)
             clipped = stepper.clipped
@@ -515,14 +515,14 @@ class Controller(LiveDrive[float, float | int]):
         self._require_may_follow(volts, last, most)
         return planned, volts, clipped, saved, Beside(begun, window, lag)
 
-    def _first(self, wanted: float, way: float | None) -> tuple[float, int, ModelState]:
+    def _first(self, wanted: float, inside: float | None) -> tuple[float, int, ModelState]:
         """Return the first voltage, whether it is clipped, and the state after it.
 
         The start is found as ``compensate`` does; the stepper begins after it. ``way`` is the voltage of a
         drive that has to come inwards first.
         """
-        if way is not None:
-            return way, 1, self._state_after(way)
+        if inside is not None:
+            return inside, 1, self._state_after(inside)
         begin = self._model.start_compensation(wanted, self._start, self._planning)
         done = self._model.compensate([wanted], begin, limits=self._planning, time_step=self._step_seconds)
         return float(done.y[0]), min(done.clipped_count, 1), done.state
@@ -638,17 +638,17 @@ class Controller(LiveDrive[float, float | int]):
     def _update(self) -> ModelState:
         """Return the committed state; let what is behind the gears follow the drive up to now."""
         assert self._stepper is not None
-        held = ModelState(self._stepper.state, self._stepper.last)
+        state = ModelState(self._stepper.state, self._stepper.last)
         if self._lag is not None:
             late, last = self._lag.held
-            held = dataclasses.replace(held, drive_lag=((late, 0.0, last),))
+            state = dataclasses.replace(state, drive_lag=((late, 0.0, last),))
         past = self._past
         if past is not None:
             if self._since:
                 past = self._model.simulate(self._since, past, time_step=self._step_seconds).state
-            held = dataclasses.replace(held, dynamics=past.dynamics, history=past.history)
-            self._past, self._since = held, []
-        return held
+            state = dataclasses.replace(state, dynamics=past.dynamics, history=past.history)
+            self._past, self._since = state, []
+        return state
 
     def _codes_along(self, way: list[float], dac: Converter) -> list[int]:
         """Return the codes of a way, and those it takes until the last one is reached."""

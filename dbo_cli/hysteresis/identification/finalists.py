@@ -102,7 +102,7 @@ class _Finalists:
         refined: list[Refined] = []
         least_squares: dict[int, float] = {}
         basis = chosen.basis  # the delay has been judged
-        for structure in self._starts(basis):
+        for structure in self._starts(basis, least_squares):
             try:
                 refined += self._within_reach(self._chain(basis, structure), least_squares)
             except FitError:  # a candidate that cannot be solved is no reason to refuse the log
@@ -184,6 +184,13 @@ class _Finalists:
             f"({100.0 * ours:.3g} %): what swings is not of this class"
         )
 
+    def _reaches(self, basis: Basis, alone: Structure, least: dict[int, float]) -> bool:
+        """Return whether gears alone, of a smoothness not yet chosen, are not far worse than the best."""
+        problem = self._problem(basis)
+        start = np.zeros(problem.rows.columns(1).total)
+        squares = problem.refined(alone, start, steps=1).squares
+        return squares <= OUT_OF_REACH**2 * least.get(1, np.inf)
+
     def _within_reach(self, chain: Iterator[Refined], least: dict[int, float]) -> Iterator[Refined]:
         """Yield the candidates of a chain until one is far worse than others of as many segments.
 
@@ -235,8 +242,8 @@ class _Finalists:
         *_, last = self._chain(basis, structure, upto=structure)
         return self._problem(basis).judged(last)
 
-    def _starts(self, basis: Basis) -> Iterator[Structure]:
-        """Yield gears alone of every chain of candidates."""
+    def _starts(self, basis: Basis, least: dict[int, float]) -> Iterator[Structure]:
+        """Yield gears alone of every chain of candidates that is within reach of the first one's."""
         every = tuple(range(len(basis.time_constants)))
         memories = [every] if self._options.relaxation is not None or not every else [every, ()]
         rules: tuple[str, ...] = ("growing", "falling")
@@ -248,6 +255,8 @@ class _Finalists:
             rules = (chosen,)
         for slopes in rules:
             alone = Structure(slopes, memories[0], 1, self._choice.structure.smoothness)
+            if slopes != chosen and not self._reaches(basis, alone, least):
+                continue
             try:
                 smoothest = self._problem(basis).smoothest(alone, SMOOTHNESS)
             except FitError:

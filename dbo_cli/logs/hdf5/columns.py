@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
+import h5py
 import numpy as np
 
 from dbo_cli.errors import InputError
@@ -26,6 +27,7 @@ from dbo_cli.logs.column_table import (
     array_source,
     from_first_row,
     number_in,
+    text_source,
     unpacked,
     without_scalars,
 )
@@ -39,6 +41,9 @@ _UNUSED_FACTORS = ("gain", "factor", "multiplier", "sensitivity", "calibration",
 _MATLAB_NUMBERS = {"double", "single", "logical"} | {  # whole numbers of 1 to 8 bytes besides
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
+
+
+LONGEST_STAMP = 80  # bytes of a text that may be a date and a time of day; twice what any program writes
 
 
 def is_dataset(node: Any) -> bool:
@@ -94,6 +99,10 @@ def columns_of(dataset: Any, name: str, stamps: frozenset[int] = frozenset()) ->
         return []
     if kind.names is not None:
         return _fields_of(dataset, name) if len(shape) == 1 else []
+    if kind.kind in "SO" and len(shape) == 1 and _is_short_text(kind):
+        label = name or clean_text(dataset.name.rsplit("/", 1)[-1])
+        stamps_source = text_source(label, shape[0], slicer(dataset, 0, 0))
+        return [] if stamps_source is None else [stamps_source]
     if kind.kind not in "fiub" or len(shape) not in (1, 2) or 0 in shape:
         return []
     label = name or clean_text(dataset.name.rsplit("/", 1)[-1])
@@ -156,7 +165,16 @@ def field_sources(dataset: Any, field: str, label: str, names: list[str] | None)
             ColumnSource(column_label, length, _field(dataset, field, (slice(None), index)))
             for index, column_label in enumerate(names)
         ]
+    if kind.kind in "SO" and _is_short_text(kind):
+        stamps_source = text_source(label, length, _field(dataset, field, ...))
+        return [] if stamps_source is None else [stamps_source]
     return [ColumnSource(label, length, _field(dataset, field, ...))] if kind.kind in "fiub" else []
+
+
+def _is_short_text(kind: Any) -> bool:
+    """Tell whether a dataset or a field holds texts that may be time stamps."""
+    text = h5py.check_string_dtype(kind)
+    return text is not None and (text.length is None or text.length <= LONGEST_STAMP)
 
 
 def _field(dataset: Any, field: str, place: Any) -> Fetch:
