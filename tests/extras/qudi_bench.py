@@ -13,7 +13,7 @@ import time
 from qudi.hardware.dummy.finite_sampling_io_dummy import FiniteSamplingIODummy
 from qudi.hardware.dummy.process_control_dummy import ProcessSetpointDummy
 
-PATIENCE = 40.0  # s
+PATIENCE = 120.0  # s
 BEGUN = 0.3  # s, by when what was asked for has begun
 
 

@@ -179,13 +179,18 @@ def test_a_scan_by_qudi_goes_where_it_is_wanted(model_file: str, tmp_path: Path)
         assert abs(volts[-1] - volts[0]) < 10.0
 
 
+@pytest.mark.filterwarnings("ignore")
 def test_coupled_axes_are_played_by_a_set(tmp_path: Path) -> None:
     """Each axis shows a hundredth in the other: a set that was identified with its coupling takes it off."""
     mirror = VirtualMirror(2)
-    words = ["excite", "--v-max", "100", "--sample-rate", "500", "--channels", "2", "-o", "drives.csv", "-q"]
+    asked = "excite --v-max 100 --sample-rate 1000 --frequency 2 --channels 2 -o drives.csv -q"
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     subprocess.run(
-        [sys.executable, "-m", "dbo_cli", *words], cwd=tmp_path, env=environment, check=True, timeout=300
+        [sys.executable, "-m", "dbo_cli", *asked.split()],
+        cwd=tmp_path,
+        env=environment,
+        check=True,
+        timeout=300,
     )
     time, *volts = np.loadtxt(tmp_path / "drives.csv", delimiter=",", skiprows=1).T
     volts = np.column_stack(volts)
