@@ -30,7 +30,6 @@ from dbo_cli.hysteresis.identification.normal_equations import (
     States,
     Structure,
     minimum,
-    quadratic,
     solve,
     squared_error,
     squared_error_free_of,
@@ -321,14 +320,30 @@ class Statistics(FoldProducts):
     columns: Columns
 
     @cached_property
-    def _summed(self) -> dict[tuple[str, int], dict[int | None, Floats]]:
+    def _whole(self) -> tuple[Floats, int]:
+        return self.total()
+
+    @cached_property
+    def _whole_signed(self) -> dict[tuple[str, int], tuple[SignedUnknowns, Floats]]:
+        return {}
+
+    @cached_property
+    def _without(self) -> dict[tuple[str, int], dict[int, Floats]]:
         return {}
 
     @cached_property
     def _signed(self) -> dict[tuple[str, int], tuple[SignedUnknowns, list[Floats]]]:
         return {}
 
-    def signed(self, structure: Structure) -> tuple[SignedUnknowns, list[Floats]]:
+    def _signed_whole(self, structure: Structure) -> tuple[SignedUnknowns, Floats]:
+        """Return the unknowns that have a sign, and the products of all rows in them."""
+        key = structure.slopes, structure.segments
+        if key not in self._whole_signed:
+            unknowns = SignedUnknowns(self.columns, *key)
+            self._whole_signed[key] = unknowns, unknowns.products(self._whole[0])
+        return self._whole_signed[key]
+
+    def _signed_folds(self, structure: Structure) -> tuple[SignedUnknowns, list[Floats]]:
         """Return the unknowns that have a sign, and the products of each fold in them."""
         key = structure.slopes, structure.segments
         if key not in self._signed:
@@ -336,33 +351,37 @@ class Statistics(FoldProducts):
             self._signed[key] = unknowns, [unknowns.products(gram) for gram in self.grams]
         return self._signed[key]
 
-    def minimum(
-        self, structure: Structure, states: States | None = None, leave_out: int | None = None
-    ) -> tuple[Floats, States]:
-        """Return the signed unknowns fitted to all folds or all but one, and which of them are zero."""
-        unknowns, folds = self.signed(structure)
-        guess = unknowns.states(structure.memories) if states is None else states.copy()
-        kept = [k for k in range(len(folds)) if k != leave_out]
+    def minimum(self, structure: Structure) -> tuple[Floats, States]:
+        """Return the signed unknowns fitted to all rows, and which of them are zero."""
+        unknowns, products = self._signed_whole(structure)
+        guess = unknowns.states(structure.memories)
+        return minimum(products, unknowns, structure, self._whole[1], guess), guess
+
+    def _minimum_without(self, structure: Structure, states: States, fold: int) -> Floats:
+        """Return the signed unknowns fitted to all folds but one; ``states`` are a guess."""
+        unknowns, folds = self._signed_folds(structure)
+        kept = [k for k in range(len(folds)) if k != fold]
         key = structure.slopes, structure.segments
-        if key not in self._summed:
-            self._summed.clear()  # candidates alike in these follow each other; keeping all took 13 MB more
-            self._summed[key] = {}
-        sums = self._summed[key]
-        if leave_out not in sums:
-            sums[leave_out] = np.add.reduce([folds[k] for k in kept], axis=0)
+        if key not in self._without:
+            self._without.clear()  # candidates alike in these follow each other; keeping all took 13 MB more
+            self._without[key] = {}
+        sums = self._without[key]
+        if fold not in sums:
+            sums[fold] = np.add.reduce([folds[k] for k in kept], axis=0)
         rows = sum(self.rows[k] for k in kept)
-        return minimum(sums[leave_out], unknowns, structure, rows, guess), guess
+        return minimum(sums[fold], unknowns, structure, rows, states.copy())
 
     def solved(self, structure: Structure) -> tuple[Solution, float]:
         """Return the unknowns fitted to all rows, and the mean square of the equation error left."""
-        gram, rows = self.total()
-        solution = solve(gram, self.columns, structure, rows)
+        gram, rows = self._whole
+        found, _ = self.minimum(structure)
+        solution = self._signed_whole(structure)[0].solution(found)
         return solution, squared_error(gram, solution.vector) / rows
 
-    def left_out(self, structure: Structure, fold: int, states: States | None = None) -> float:
-        """Return the sum of squared errors on a fold of a fit to the others."""
-        unknowns, folds = self.signed(structure)
-        found, _ = self.minimum(structure, states, fold)
+    def left_out(self, structure: Structure, fold: int, states: States) -> float:
+        """Return the sum of squared errors on a fold of a fit to the others; ``states`` are a guess."""
+        unknowns, folds = self._signed_folds(structure)
+        found = self._minimum_without(structure, states, fold)
         moved = unknowns.total - self.columns.total
         own = slice(self.nuisance[fold].start + moved, self.nuisance[fold].stop + moved)
         return squared_error_free_of(folds[fold], found, own, 1.0)
@@ -521,14 +540,13 @@ def cross_validate(statistics: Statistics, structure: Structure) -> Score:
 
 def fitted_squares(statistics: Statistics, structure: Structure) -> Floats:
     """Sum of squared errors on each fold of a fit to all of them; shape (folds,)."""
-    found, _ = statistics.minimum(structure)
-    full = np.append(found, 1.0)
-    return np.array([max(quadratic(one, full), 0.0) for one in statistics.signed(structure)[1]])
+    solution, _ = statistics.solved(structure)
+    return np.array([squared_error(gram, solution.vector) for gram in statistics.grams])
 
 
 def fitted_rmse(statistics: Statistics, structure: Structure) -> float:
     """RMS error over all rows of a fit to all of them."""
-    return float(np.sqrt(fitted_squares(statistics, structure).sum() / sum(statistics.rows)))
+    return float(np.sqrt(statistics.solved(structure)[1]))
 
 
 def no_worse(candidate: Score, best: Score, indifference: float = INDIFFERENCE) -> bool:
