@@ -18,13 +18,12 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* The index of a gear, and n. DBO_PLACE: a smaller type that holds them, where there is little memory. DBO_SPACING:
- * so many turns share a checkpoint. */
+/* The index of a gear, and n. DBO_PLACE: a smaller type that holds them, where there is little memory. */
 #if !defined(DBO_PLACE)
 #define DBO_PLACE uint32_t
 #endif
 #if !defined(DBO_SPACING)
-#define DBO_SPACING 64
+#define DBO_SPACING 64 /* turns that share a checkpoint; chosen: 0.25 bytes a gear */
 #endif
 typedef DBO_PLACE dbo_place;
 
