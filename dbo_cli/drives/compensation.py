@@ -29,7 +29,7 @@ from dbo_cli.drives.pieces import Before, ramp, sweep_range
 from dbo_cli.errors import InputError, LimitError, Remarks, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
-from dbo_cli.hysteresis.move_error import MOST_ROWS, UNLIKE, MoveError, move_error
+from dbo_cli.hysteresis.move_error import MOST_ROWS, UNLIKE, ZERO_STAYS, MoveError, move_error
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock, even_step, median_step
 from dbo_cli.logs.sources import Source
 
@@ -575,9 +575,11 @@ class Compensation(ModelRun):
         """Return shape and zero of the error, and what the zero depends on; nothing of an older model."""
         if error.shape is None or error.zero is None:
             return ""
-        holds = self.model.fit.get("zero_from", "where it stays as it was in the logs")
+        holds = self.model.fit.get("zero_from", ZERO_STAYS)
         if error.unlike > UNLIKE:
             holds = f"{holds}; the move's swings are unlike the logs', and it may be off by more"
+        elif error.repeats_small:
+            holds = f"{holds}; small swings that repeat may wander towards the middle of the loop"
         return f": shape {error.shape:.3g}{unit}, zero {error.zero:.3g}{unit} ({holds})"
 
     def _start_words(self, error: MoveError) -> str:

@@ -175,6 +175,22 @@ def with_its_error(value: float, error: float, sign: bool = False) -> tuple[str,
     return f"{rounded:{form}.{places}f}", f"{shown:.{places}f}"
 
 
+def outward(interval: Sequence[float], digits: int) -> str:
+    """Return an interval as "low to high", its ends rounded outwards to so many digits."""
+    low, high = interval
+    above = 0.0 - _rounded_down(-high, digits)
+    return f"{_rounded_down(low, digits):.{digits}g} to {above:.{digits}g}"
+
+
+def _rounded_down(value: float, digits: int) -> float:
+    """Return the next value of so many digits below, or the value where it has no more."""
+    if value == 0.0 or not math.isfinite(value):
+        return value
+    places = digits - 1 - math.floor(math.log10(abs(value)))
+    unit = 10.0**-places
+    return round(math.floor(value / unit + 1e-9) * unit, places)
+
+
 def white_noise(left: Sequence[Floats]) -> float:
     """Return the mean square of what is white in what is left over, by its second differences."""
     noise = [np.diff(part, 2) for part in left]

@@ -48,6 +48,7 @@ from dbo_cli.hysteresis.identification.statistics import (
 from dbo_cli.hysteresis.model import ActuatorModel, Relaxation, ScaleStage
 from dbo_cli.hysteresis.move_error import (
     STILL,
+    ZERO_STAYS,
     Alternative,
     StatedError,
     ZeroDrift,
@@ -131,7 +132,7 @@ class Expectation:
             return f"it moved by {moved} along a log, which may go on and is not in the whole"
         if self.one_level:
             return "logs at one mean level hardly tell creep from a moving zero"
-        return "where it stays as it was in the logs"
+        return ZERO_STAYS
 
     def words(self) -> str:
         """Say what the figure rests on, or why there is none."""

@@ -43,7 +43,7 @@ from dbo_cli.hysteresis.identification.recordings import (
 from dbo_cli.hysteresis.identification.static import BROKEN, Identification
 from dbo_cli.hysteresis.identification.statistics import drift_columns, row_weights, weighted
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage, ScaleStage
-from dbo_cli.hysteresis.move_error import Alternative, alternatives_of
+from dbo_cli.hysteresis.move_error import ZERO_STAYS, Alternative, alternatives_of
 
 Booleans = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 
@@ -396,7 +396,7 @@ def _parts_of_prior(prior: ActuatorModel, gain: float, rmse: float) -> dict[str,
     shape = prior.fit.get("expected_shape_rmse")
     if isinstance(shape, float):
         parts["expected_shape_rmse"] = max(gain * shape, rmse)
-        parts["zero_from"] = prior.fit.get("zero_from", "where it stays as it was in the logs")
+        parts["zero_from"] = prior.fit.get("zero_from", ZERO_STAYS)
     return parts
 
 
