@@ -87,9 +87,18 @@ def identify_channels(run: IdentifyRun, output: Address, work: jobs.Work, listen
 
 def asked_patterns(run: IdentifyRun) -> dict[str, str]:
     """Return the patterns of columns; UsageError for a single column, or a shape from two places."""
-    patterns = patterns_of(voltage=run.voltage or "", displacement=run.displacement or "")
-    if run.brought.get("shared_shape", False) and run.prior is not None:
-        raise UsageError("`shared_shape` and `prior` exclude each other: each is where the shape comes from")
+    patterns = patterns_of(
+        voltage=run.voltage or "", displacement=run.displacement or "", uncertainty=run.uncertainty
+    )
+    if run.brought.get("shared_shape", False):
+        if run.prior is not None:
+            raise UsageError(
+                "`shared_shape` and `prior` exclude each other: each is where the shape comes from"
+            )
+        if run.uncertainty is not None:
+            raise UsageError(
+                "`shared_shape` and `uncertainty` exclude each other: the shape is of the mean channel"
+            )
     return patterns
 
 
@@ -99,11 +108,12 @@ def fits_of_channels(
     """Identify a model of each channel, in the order of the log; return how they show in each other, too."""
     patterns, reading, options = asked_patterns(run), run.reading, run.options
     whole, coupling = dataclasses.replace(reading, rows=ALL_ROWS), None
+    judged = {role: pattern for role, pattern in patterns.items() if role != "uncertainty"}
     apart: Mapping[str, Recordings] = {}  # where all have to be read before
     channels_by_drive: dict[bytes, dict[str, None]] = {}
     with (
         opened_readers(run.logs, reading, patterns, digest=True) as readers,
-        opened_readers(run.validation, whole, patterns, digest=True) as checks,
+        opened_readers(run.validation, whole, judged, digest=True) as checks,
     ):
         channels = list(readers[0].channels)
         prior_of = _priors(run.prior, channels)

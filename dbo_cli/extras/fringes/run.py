@@ -248,7 +248,8 @@ def write_displacement(
             save(plots, Path(options.figures), stem if len(made) == 1 else f"{stem}-{number}")
     if options.scale_uncertainty > 0.0:
         known = f"a fringe of {1000.0 * fringe:.6g} nm is known to {options.scale_uncertainty:g} %"
-        remarks.note([f"{known}: so is the gain of every model from this log, beside what its fit says"])
+        said = f"identify --scale-uncertainty {options.scale_uncertainty:g} states it with the gain"
+        remarks.note([f"{known}, which no row's standard deviation contains: {said}"])
     return remarks
 
 

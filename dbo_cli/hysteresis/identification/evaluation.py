@@ -24,7 +24,7 @@ from dbo_cli.hysteresis.identification.recordings import (
     known_behind_gaps,
 )
 from dbo_cli.hysteresis.identification.search import ROWS_PER_SLOPE, Choice
-from dbo_cli.hysteresis.identification.statistics import PreparedLog
+from dbo_cli.hysteresis.identification.statistics import PreparedLog, weighted
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import StartName
 
@@ -39,7 +39,7 @@ class Residual:
 
     ``values`` measured minus predicted displacement, offset and drift taken off, for the rows used only;
     ``rows`` their indices; ``drift_span`` the drift's peak to peak; ``mean_predicted`` of them. All are in
-    the unit of the displacement.
+    the unit of the displacement. ``weights`` are the roots of the rows' weights, None where all count alike.
     """
 
     name: str
@@ -47,11 +47,17 @@ class Residual:
     rows: Integers
     drift_span: float
     mean_predicted: float = 0.0
+    weights: Floats | None = None
+
+    @property
+    def weighted(self) -> Floats:
+        """The values times the roots of their weights."""
+        return weighted(self.values, self.weights)
 
     @property
     def rmse(self) -> float:
-        """Root mean square of the values."""
-        return float(np.sqrt(np.mean(self.values**2)))
+        """Root mean square of the values, by their weights."""
+        return float(np.sqrt(np.mean(self.weighted**2)))
 
 
 def predict(model: ActuatorModel, recording: Recording, start: StartName = "auto") -> Floats:
@@ -74,12 +80,13 @@ def residual_of(model: ActuatorModel, recording: Recording, log: PreparedLog) ->
     rows = np.flatnonzero(log.used)
     predicted = predict(model, recording, log.start)[rows]
     left = recording.displacement[rows] - predicted
-    columns = log.drift[rows]
-    terms = np.linalg.lstsq(columns, left, rcond=None)[0]
+    columns, weights = log.drift[rows], log.weights_at(rows)
+    terms = np.linalg.lstsq(weighted(columns, weights), weighted(left, weights), rcond=None)[0]
     drifting = slice(1, columns.shape[1] - log.stretches)
     drift = columns[:, drifting] @ terms[drifting]
     span = float(np.ptp(drift)) if drift.size else 0.0
-    return Residual(log.name, left - columns @ terms, rows, span, float(predicted.mean()))
+    mean = float(predicted.mean())
+    return Residual(log.name, left - columns @ terms, rows, span, mean, weights)
 
 
 def known_rows(recording: Recording, skip_seconds: float) -> NDArray[np.bool_]:
@@ -209,7 +216,9 @@ def straight_line(recording: Recording, log: PreparedLog) -> float:
     voltage, target = (
         signal[rows] - signal[rows].mean() for signal in (recording.voltage, recording.displacement)
     )
-    columns = np.column_stack((voltage, log.drift[rows]))
+    weights = log.weights_at(rows)
+    columns = weighted(np.column_stack((voltage, log.drift[rows])), weights)
+    target = weighted(target, weights)
     left = target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
     return float(np.sqrt(np.mean(left**2)))
 
@@ -391,7 +400,7 @@ def fit_warnings(
     warnings = []
     span = abs(prepared.scale)
     rows = sum(len(one.values) for one in residuals)
-    rmse = float(np.sqrt(sum(float(one.values @ one.values) for one in residuals) / rows))
+    rmse = float(np.sqrt(sum(float(one.weighted @ one.weighted) for one in residuals) / rows))
     if rows < ROWS_PER_SLOPE * choice.basis.gears:
         warnings.append(
             f"{rows} rows for {choice.basis.gears} unknown slopes are fewer than the {ROWS_PER_SLOPE} for "
