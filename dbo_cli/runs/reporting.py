@@ -252,16 +252,13 @@ class TrackingRun:
             if matched is not None:
                 merits = dataclasses.replace(merits, notes=(*matched.notes(), *merits.notes))
             if run is not None:
-                expected = drive.expected(self.model_name, score_rows)
-                merits = judged_by_expected(merits, expected)
+                merits = judged_by_expected(merits, drive.expected(self.model_name, score_rows))
             elif options.expected is not None:
-                expected = stated_in(options.expected.text, self._units[-1][1])
-                merits = judged_by_expected(merits, expected)
+                merits = judged_by_expected(merits, stated_in(options.expected.text, self._units[-1][1]))
             self._merits.append(merits)
             listener.finished()
             self.remarks.add(remarks_of(source) if run is None else run.remarks())
-            for warning in merits.warnings:
-                self.remarks.warn(warning)
+            self.remarks.add(Remarks(warnings=list(merits.warnings)))
 
     def result(self) -> TrackingReport:
         """Return the report on all sources."""
