@@ -126,6 +126,8 @@ def verdict_lines(report: Report) -> list[str]:
     if not report.judgements:
         return []
     missed = report.missed
+    if missed and len(report.judgements) == 1:
+        return [f"FAILED: {_judgement_words(report, missed[0])}"]
     if missed:
         count = f"{len(missed)} of {len(report.judgements)} limits missed"
         return [f"FAILED: {count}", *[_judgement_words(report, judgement) for judgement in missed]]
