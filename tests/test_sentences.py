@@ -23,6 +23,7 @@ from dbo_cli.errors import plain
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, identify
 from dbo_cli.hysteresis.identification.evaluation import predict
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, ScaleStage
+from dbo_cli.hysteresis.move_error import move_error
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.reports.report import ReportOptions, evaluate
 from dbo_cli.runs.api import Model
@@ -163,6 +164,24 @@ def clockwise() -> list[Recording]:
     return [logged(drive, moved)]
 
 
+def duhem(drive: Floats) -> Floats:
+    """Coleman and Hodgdon's actuator: y' = 0.06 |u'| (0.2 u - y) + 0.07 u', whose small loops do not close."""
+    moved, y, last = np.empty(len(drive)), 0.0, float(drive[0])
+    for k, value in enumerate(drive.tolist()):
+        step = value - last
+        y += 0.06 * abs(step) * (0.2 * (last + 0.5 * step) - y) + 0.07 * step
+        moved[k], last = y, value
+    return moved
+
+
+def duhem_log(drive: Floats) -> Recording:
+    return logged(drive, duhem(drive))
+
+
+def forgets() -> list[Recording]:
+    return [duhem_log(swings(TURNS))]
+
+
 def warming() -> list[Recording]:
     log = logged(swings(TURNS))
     grown = 1.0 + 0.02 * CLOCK / CLOCK[-1]
@@ -294,6 +313,11 @@ TABLE = [
     ),
     Sentence(
         r"the loop runs clockwise: the displacement leads the voltage", "falling slopes fit better", clockwise
+    ),
+    Sentence(
+        r"loops may not close: in the logs the displacement forgets its past as the drive moves",
+        "memories of the distance explain a fifth more of the error",
+        forgets,
     ),
     Sentence(
         r"the gain changes by ([+-][\d.]+) % along the log",
@@ -429,6 +453,38 @@ def test_the_error_from_an_unknown_past_holds_from_every_one() -> None:
     errors = [truth_of(done, move(), start) for start in ("settled", "empty", "full")]
     assert errors[0] < 1e-9
     assert 0.5 * float(found[1]) < max(errors) <= float(found[1])
+
+
+def test_an_actuator_that_never_moved_errs_more_until_it_is_swept() -> None:
+    """Domains that switch for good where the drive goes for the first time."""
+    never_moved = "; an actuator that never went over its range may err more (`condition` sweeps it)"
+    wanted = move(0.0, 8.0)
+    for condition in (False, True):
+        done = compensated(wanted, condition=condition)
+        assert (never_moved in "\n".join(done.notes)) is not condition
+        drive = done.values
+        unswitched = 0.008 * (100.0 - np.maximum.accumulate(drive))
+        y = actuator().simulate(drive, actuator().start(float(drive[0]), "empty")).y - unswitched
+        error = float(np.sqrt(np.mean((y[-len(wanted) :] - wanted) ** 2)))
+        stated = re.search(r"expected error of the move (\S+) um", texts_of(done))
+        assert stated is not None
+        assert (error > 3.0 * float(stated[1])) is not condition
+    assert never_moved not in "\n".join(compensated(wanted, state="empty").notes)
+
+
+def test_small_swings_of_a_loop_that_forgets_leave_the_stated_zero() -> None:
+    """Duhem's actuator: a small swing that repeats wanders towards the middle of the loop."""
+    model = Model(identify([duhem_log(swings(TURNS))], OPTIONS).model)
+    small = swings((0, 100, 0, 45, *[55, 45] * 8))
+    wander = "small swings that repeat may wander towards the middle of the loop"
+    for drive, repeats in ((small, True), (swings((0, 100, 0, *TURNS[3:])), False)):
+        wanted = model.simulate(drive, sample_rate=RATE)[-len(drive) + 301 :]
+        done = model.compensate(wanted, sample_rate=RATE, condition=True, details=True)
+        assert (wander in texts_of(done)) is repeats
+    left = (duhem(small) - model.simulate(small, sample_rate=RATE))[400:]
+    stated = move_error(model.actuator, small, 1.0 / RATE, 400)
+    assert stated is not None and stated.zero is not None
+    assert abs(float(left.mean())) > stated.zero
 
 
 def test_after_a_sweep_the_past_is_no_longer_said_and_no_longer_matters() -> None:

@@ -129,6 +129,9 @@ class Compensation(ModelRun):
     among_them = ""
     remedies = "`condition` sweeps it there, "
     or_after_a_sweep = " or after `condition`"
+    before_its_first_sweep = (
+        "; an actuator that never went over its range may err more (`condition` sweeps it)"
+    )
 
     def __post_init__(self) -> None:
         """Take the options apart."""
@@ -583,9 +586,12 @@ class Compensation(ModelRun):
         return f": shape {error.shape:.3g}{unit}, zero {error.zero:.3g}{unit} ({holds})"
 
     def _start_words(self, error: MoveError) -> str:
-        """Say from which start the error is to be expected, where the past makes more than a fifth of it."""
-        if not self._past_matters(error):
+        """Say from which start the error is to be expected, where the past matters or cannot be known."""
+        if self._past_is_known:
             return ""
+        if not error.past_matters:
+            # From the lower end a model knows one past alone: what an actuator at rest does, it cannot say.
+            return self.before_its_first_sweep if self.start == "auto" else ""
         unit = self.model.output.suffix
         whole = math.hypot(error.from_any_past, self._lost_rms())
         start = "settled at the first row" if self.start in ("auto", "settled") else self.start
@@ -596,8 +602,12 @@ class Compensation(ModelRun):
 
     def _past_matters(self, error: MoveError) -> bool:
         """Whether what was before the first row is not known, and makes more than a fifth of the error."""
-        known = self.options.condition or isinstance(self.start, ModelState)
-        return error.past_matters and not known
+        return error.past_matters and not self._past_is_known
+
+    @property
+    def _past_is_known(self) -> bool:
+        """Whether a sweep before the move, or a saved state, says where the actuator comes from."""
+        return self.options.condition or isinstance(self.start, ModelState)
 
     def summary_of_error(self) -> dict[str, Any]:
         """Return the parts of the expected error and what belongs to them as plain values."""

@@ -139,7 +139,9 @@ def repeats_small_swings(drive: Floats, span: float, begin: int = 0) -> bool:
         return False
     small = np.abs(swings[:, 1] - swings[:, 0]) < SMALL * span
     again = np.abs(swings[2:] - swings[:-2]).max(axis=1) < NEAREST * span
-    rows = np.diff(edges)[2:][small[2:] & again].sum()
+    again &= small[2:]
+    repeats = np.concatenate((again, [False, False])) | np.concatenate(([False, False], again))
+    rows = np.diff(edges)[repeats].sum()
     return bool(rows > MOSTLY * (len(drive) - begin))
 
 
