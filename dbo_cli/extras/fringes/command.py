@@ -34,6 +34,7 @@ FRINGES = (  # the fields of ``FringeOptions``
         parse=choice(("rising", "falling")),
     ),
     SCALE_UNCERTAINTY._replace(meaning="Of the wavelength, common to all rows; said beside the result."),
+    Option("--splice", "Parts between breaks as one log, as if nothing had moved meanwhile."),
     Option("--figures DIR", "Draw the figures, PNG and SVG, into this folder."),
 )
 
@@ -48,8 +49,9 @@ def fringes(arguments: Given) -> None:
 
     Writes
     ------
-    Time, voltage, displacement (um, 0 at the first row) and its standard deviation (um). Where the beam was
-    interrupted, -o 'recorded-{part}.csv' writes a log of each part.
+    Time, voltage, displacement (um, 0 at the first row) and its standard deviation (um). Where fringes could
+    not be counted for a while (a dark beam, a gap in the record, a rest of the drive in which the mirror
+    moved by itself), -o 'recorded-{part}.csv' writes a log of each part, or --splice one of all.
 
     Usual options
     -------------
