@@ -457,8 +457,8 @@ class Compensation(ModelRun):
         if self.first_value_missed:
             missed = f"{abs(self.first_value_missed):.3g}{self.input.suffix}"
             remarks.warn(
-                f"{self.source.name}: the drive starts {missed} off the "
-                "first value, which the actuator does not pass when it settles (`state` empty or `condition`)"
+                f"{self.source.name}: the displacement starts {missed} off its first value, at which an "
+                "actuator that has settled does not stand (`state` empty or `condition`)"
             )
         beyond = beyond_range(self.model.input, self.drive_figures.low, self.drive_figures.high)
         if beyond and self.options.extrapolate:  # else the amplifier stood there, and only came inwards
