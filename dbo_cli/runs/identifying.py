@@ -173,6 +173,8 @@ def summary_of_model(result: IdentifyResult, command: str) -> dict[str, Any]:
     if model.sign == "falling":
         gain = -gain
     inputs: Any = model.provenance["inputs"]
+    checks: Any = fit.get("validation", ())
+    fitted = inputs[: len(inputs) - len(checks)]
     figures = ["rmse", "rmse_percent", "expected_rmse", "expected_percent"]
     figures += ["expected_shape_rmse", "expected_zero"]
     return {
@@ -180,7 +182,8 @@ def summary_of_model(result: IdentifyResult, command: str) -> dict[str, Any]:
         "version": 1,
         "command": command,
         "read": [read_record(log["name"], log.get("read", log)) for log in inputs],
-        "rows": fit.get("samples"),
+        "rows": sum(log["rows"] for log in fitted),
+        "samples": fit.get("samples"),
         "sign": model.sign,
         "gain": gain,
         "gain_uncertainty": fit.get("gain_uncertainty"),
