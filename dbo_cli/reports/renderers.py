@@ -108,14 +108,13 @@ def to_text(report: Report) -> str:
     parts = ["\n".join(wrapped(line)) for line in verdict_lines(report)]
     parts += ["\n".join(wrapped(headline(report)))]
     parts += ["\n".join(wrapped(line)) for line in expected_lines(report)]
+    parts += ["\n".join(wrapped(f"Warning: {warning}")) for warning in report.warnings]
     parts += ["\n".join(wrapped(settings_line(report)))]
     parts += [_table_of(errors, report.logs), f"{LEFT}\n{_table_of(left, report.logs)}"]
     for log in report.logs:
         if log.segments:
             title = "\n".join(wrapped(f"{log.name}, {segment_words(report)}"))
             parts.append(f"{title}\n{_table_of(segment_table(report), log.segments)}")
-    for warning in report.warnings:
-        parts.append("\n".join(wrapped(f"Warning: {warning}")))
     if report.notes:
         parts.append("\n".join(line for note in report.notes for line in wrapped(f"Note: {note}")))
     return "\n\n".join(parts) + "\n"
@@ -353,6 +352,8 @@ def to_html(
     together = drawn_figures(comparison_plots, "all")
     parts = [_html_verdict(report), f'<p class="headline">{found}.</p>']
     parts += [f"<p>{escape(line)}.</p>" for line in expected_lines(report)]
+    for warning in report.warnings:
+        parts.append(f'<div class="notes"><p><strong>Warning:</strong> {escape(warning)}</p></div>')
     parts += [
         f"<p>{escape(settings_line(report).replace(' - ', ' − ', 1))}.</p>",
         *([] if any(plots) else [together]),
@@ -361,8 +362,6 @@ def to_html(
     parts += ["<h2>What is left of hysteresis and delay</h2>", _html_table(left, report.logs, chief=1)]
     first, second = map(escape, report.options.labels)
     parts.append(filled("glossary.html", first=first, second=second))
-    for warning in report.warnings:
-        parts.append(f'<div class="notes"><p><strong>Warning:</strong> {escape(warning)}</p></div>')
     if report.notes:
         parts.append(
             '<div class="notes">' + "".join(f"<p>{escape(note)}</p>" for note in report.notes) + "</div>"
