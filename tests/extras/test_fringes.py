@@ -310,6 +310,8 @@ def test_parts_on_both_sides_of_a_gap_are_spliced_where_that_is_asked_for(dbo: A
         "own (-o 'recorded-{part}.csv' writes a log of each, --splice takes them for one, or --rows "
         f"1:{row} or {row + 1}:{log.time.size})\n"
     )
+    rows = slice(row - 1, row + 1)
+    assert np.ptp(log.drive[rows]) < 2.0
     done = dbo(*words, "--splice", "--figures", "f")
     assert done.code == 0
     assert f"{gap}: the 2 parts are spliced, as if neither drive nor mirror had moved meanwhile" in done.err
@@ -319,6 +321,23 @@ def test_parts_on_both_sides_of_a_gap_are_spliced_where_that_is_asked_for(dbo: A
     assert np.std(table[:row, 2] - log.displacement[:row]) < 0.004
     assert np.std(table[row:, 2] - log.displacement[row:]) < 0.004
     assert table[row, 2] == table[row - 1, 2]
+
+
+def test_a_drive_that_moved_meanwhile_is_not_spliced(dbo: Any) -> None:
+    log = simulated()
+    signal = log.signal.copy()
+    begin, end = 1500, 1560
+    signal[begin:end] = -1.0
+    write("run.csv", time_s=log.time, voltage_V=log.drive, signal_V=signal)
+    done = dbo("fringes", "run.csv", "--wavelength", "632.8nm", "--splice", "-o", "out.csv")
+    between = log.drive[begin - 1 : end + 1]
+    when = f"from {log.time[begin - 1]:.6g} s to {log.time[end]:.6g} s"
+    moved = f"between {between.min():.6g} V and {between.max():.6g} V"
+    assert (done.code, done.err.splitlines()[-1]) == (
+        1,
+        f"dbo: error: run.csv: while nobody counted, {when}, the drive moved {moved}: --splice takes it for "
+        "still (-o 'recorded-{part}.csv' writes a log of each part)",
+    )
 
 
 def test_figures_are_drawn(dbo: Any, blank_figures: None, tmp_path: Any) -> None:

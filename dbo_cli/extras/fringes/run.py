@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -313,6 +314,8 @@ def write_displacement(
         made, why = displacements(signals, options, name, remarks)
     finally:
         listener.finished()
+    if options.splice:
+        _refuse_moved_drive(signals, made, options, name)
     outputs = _as_asked(made, why, destination, options, name, remarks)
     for number, part in enumerate(outputs, start=1):
         _write(_output_of(destination, number), part, unit, destination, reading)
@@ -328,6 +331,24 @@ def write_displacement(
         said = f"identify --scale-uncertainty {options.scale_uncertainty:g} states it with the gain"
         remarks.note([f"{known}, which no row's standard deviation contains: {said}"])
     return remarks
+
+
+def _refuse_moved_drive(
+    signals: Signals, made: Sequence[Displacement], options: FringeOptions, name: str
+) -> None:
+    """Refuse to splice parts between which the drive went as far as half a fringe takes (InputError)."""
+    um_a_volt = max(float(np.ptp(part.values) / np.ptp(part.signals.drive)) for part in made)
+    for before, behind in pairwise(made):
+        last = before.signals.first_row + before.signals.time.size - 1 - signals.first_row
+        first = behind.signals.first_row - signals.first_row
+        between = signals.drive[last : first + 1]
+        if um_a_volt * float(np.ptp(between)) > 0.5 * options.fringe():
+            when = f"from {signals.time[last]:.6g} s to {signals.time[first]:.6g} s"
+            moved = f"between {between.min():.6g} V and {between.max():.6g} V"
+            raise InputError(
+                f"{name}: while nobody counted, {when}, the drive moved {moved}: `splice` takes it for still "
+                f"(-o 'recorded-{PART}.csv' writes a log of each part)"
+            )
 
 
 def _as_asked(
