@@ -471,7 +471,7 @@ def _slew_warnings(recordings: Sequence[Recording], residuals: Sequence[Residual
 
 
 SCATTER = 0.25
-"""Of the displacement's variance, what may be left at one place and direction of the drive where a curve turns;
+"""Of the displacement's variance, what a curve that turns may leave at one place and direction of the drive;
 chosen (butterflies leave 0.02, amplifiers that slew 0.3, a log of another drive 0.7)."""
 
 
