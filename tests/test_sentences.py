@@ -566,6 +566,14 @@ def test_the_clean_log_has_no_warning_and_its_figures_are_true() -> None:
     assert float(width[1]) == near(100.0 * float(np.max(walked[501:][::-1] - walked[:501])) / 20.0, 0.05)
 
 
+def test_a_displacement_of_another_drive_is_no_butterfly() -> None:
+    other = swings(np.random.default_rng(3).permutation(TURNS))
+    moved = predict(actuator(), logged(other, np.zeros(len(other))))
+    done = identify([logged(swings(TURNS), moved)], dataclasses.replace(OPTIONS, force=True))
+    assert any("of its range unexplained" in text for text in done.warnings)
+    assert not any("rises and falls again" in text for text in done.warnings)
+
+
 def test_another_log_is_predicted_to_what_its_sensor_hides() -> None:
     other = logged(swings(TURNS[::-1]), seed=5, name="other.csv")
     done = identify(clean(), OPTIONS, validation=[other])

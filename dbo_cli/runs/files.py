@@ -343,6 +343,7 @@ def summary_of(
         "largest_step": figures.largest_step,
         "expected_rmse": expected,
         "expected_percent": percent,
+        "expected_percent_of_move": percent,
         **of_pieces,
         "notes": [plain(text) for text in remarks.notes],
         "warnings": [plain(text) for text in remarks.warnings],

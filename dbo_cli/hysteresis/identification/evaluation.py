@@ -470,6 +470,11 @@ def _slew_warnings(recordings: Sequence[Recording], residuals: Sequence[Residual
     return warnings
 
 
+SCATTER = 0.25
+"""Of the displacement's variance, what a curve that turns may leave at one place and direction of the drive;
+chosen (butterflies leave 0.02, amplifiers that slew 0.3, a log of another drive 0.7)."""
+
+
 def _near_greatest(steps: Floats) -> float:
     """Return the share of steps within a tenth of the greatest, the largest 0.5 % aside."""
     return float(np.mean(steps > 0.9 * np.percentile(steps, 99.5))) if len(steps) >= FEWEST_ROWS else 0.0
@@ -493,13 +498,14 @@ def _shape_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list
         if len(climbs) < 8:
             continue
         falls = -float(climbs[climbs < 0.0].sum())
-        if falls > 0.25 * float(climbs[climbs > 0.0].sum()):
+        turns = falls > 0.25 * float(climbs[climbs > 0.0].sum())
+        if turns and _follows(log.displacement[ready.used], place[ready.used]):
             warnings.append(
                 f"{log.name}: the displacement rises and falls again as the voltage rises (a butterfly, or a "
                 "turning direction of motion): no invertible model follows that; stay on one side of the "
                 "turn"
             )
-        elif min(float(climbs[1:3].mean()), float(climbs[-3:-1].mean())) < SATURATION * float(
+        elif not turns and min(float(climbs[1:3].mean()), float(climbs[-3:-1].mean())) < SATURATION * float(
             np.median(climbs)
         ):
             warnings.append(
@@ -507,6 +513,13 @@ def _shape_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list
                 "an end stop): the inverse asks for large voltages there; keep trajectories away from it"
             )
     return warnings
+
+
+def _follows(displacement: Floats, place: NDArray[np.int64]) -> bool:
+    """Whether a displacement is a matter of the drive's place and direction, but for ``SCATTER``."""
+    counts = np.maximum(np.bincount(place), 1)
+    mean = np.bincount(place, displacement) / counts
+    return bool(np.var(displacement - mean[place]) < SCATTER * np.var(displacement))
 
 
 def _speed_correlation(recordings: Sequence[Recording], residuals: Sequence[Residual]) -> float:
