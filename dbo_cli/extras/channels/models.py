@@ -22,6 +22,7 @@ from dbo_cli.extras.channels.signals import (
     patterns_of,
 )
 from dbo_cli.hysteresis.identification import IdentificationOptions
+from dbo_cli.hysteresis.identification.prior import OF_OTHERS
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes, read_model
 from dbo_cli.logs.request import ALL_ROWS, Address, Given, check_document
@@ -307,6 +308,7 @@ def shared_shape(
     calls |= {channel: functools.partial(fit, logs[channel], options) for channel in left_out}
     fits = _all_of(calls.items(), "shared shape,", len(calls), processes)
     shape = fits.pop("the mean").model
+    shape = dataclasses.replace(shape, fit={**shape.fit, OF_OTHERS: True})
     ratios = {channel: _ratio(shape, logs[channel], own_options, fits[channel]) for channel in left_out}
     middle = float(np.median(list(ratios.values())))
     if middle > WORSE and not options.force:

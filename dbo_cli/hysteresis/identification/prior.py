@@ -57,6 +57,10 @@ KEPT = ("gears", "different_slopes", "points", "drive_bend", "slopes", "smoothne
 """What a prior's file says of its shape."""
 
 
+OF_OTHERS = "of_other_actuators"
+"""Key of a prior's ``fit``: it is the shape of several actuators, so that no number of it is an old one."""
+
+
 @dataclass(frozen=True)
 class _Moved:
     """What moved, and by how much the log may err: gain, offset, and the change of the lag in s.
@@ -152,7 +156,8 @@ def refresh(
         for one, keep, roots in zip(mended, rows, weights, strict=True)
     ]
     of_shape = _gain_of_shape(prior, logs, recordings)
-    moved = _moved(logs, prior.delay_seconds, cycle, _own_error(prior), of_shape)
+    may_hold = not prior.fit.get(OF_OTHERS, False)
+    moved = _moved(logs, prior.delay_seconds, cycle, _own_error(prior), of_shape, may_hold)
     if moved.gain <= 0.0:
         raise FitError(
             f"the displacement runs against the prior's (gain {moved.gain:.3g}): check `voltage` and "
@@ -243,17 +248,23 @@ def _own_error(prior: ActuatorModel) -> float:
 
 
 def _moved(
-    logs: Sequence[_Log], held: float, cycle: float | None, own_error: float, of_shape: float
+    logs: Sequence[_Log],
+    held: float,
+    cycle: float | None,
+    own_error: float,
+    of_shape: float,
+    may_hold: bool,
 ) -> _Moved:
     """Return gain, offset and change of the lag from ``held`` (s); no change without a clock.
 
     An old number holds unless the log speaks against it by more than it can know: the interval of its own
     blocks, and what the prior's own error can feign: ``of_shape`` of a gain whose
     swings err apart (``_gain_of_shape``), and ``own_error`` (RMS, of the displacement) where all err alike.
+    Without ``may_hold`` the numbers are those that fit best.
     """
     lag, lag_error = (0.0, 0.0) if cycle is None else _lag(logs, held, LONGEST_DELAY / 2.0 * cycle)
     fitted_lag = lag
-    if max(log.shifted_by(lag) for log in logs) <= own_error:
+    if may_hold and max(log.shifted_by(lag) for log in logs) <= own_error:
         lag = 0.0
     products = _products(logs, max(held + lag, 0.0))
     total = products.sum(axis=0)
@@ -262,7 +273,7 @@ def _moved(
     gain_error = math.hypot(interval, of_shape)
     rows = sum(int(log.keep.sum()) for log in logs)
     feigned = own_error / math.sqrt(total[0, 0] / rows)
-    gain_holds = abs(gain - 1.0) <= max(gain_error, feigned)
+    gain_holds = may_hold and abs(gain - 1.0) <= max(gain_error, feigned)
     if gain_holds:
         gain = 1.0
     first = logs[0]
