@@ -31,11 +31,13 @@ from dbo_cli.extras.export.source_text import (
     ModelCode,
     Vectors,
     array,
+    checkpoints_of,
     delay_line,
     hex_float,
     integer,
     smooth_delay_line,
     struct_rows,
+    turns_members,
 )
 from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, through
 from dbo_cli.hysteresis.kernel import Floats
@@ -500,7 +502,7 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
     tables, size = _tables(t, text)
     if spare:
         tables += array("uint32_t", "spare", spare)
-    members = [f"dbo_place turns[{t.n}];", "uint32_t segments[3];", "dbo_backlash_state gears;"]
+    members = [*turns_members(t.n), "uint32_t segments[3];", "dbo_backlash_state gears;"]
     if t.terms:
         members.append(f"dbo_memory memory[{len(t.terms)}];")
     delay = ""
@@ -517,6 +519,7 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
         "spare": bool(spare), "delay": bool(delay), "tables": tables, "delay_line": delay,
         "TERMS": str(len(t.terms)), "COVERED": str(plan.model.covered_gears.operator.n),
         "MEMORY": "state->memory" if t.terms else "0", "SPARE": "spare" if spare else "0",
+        "CHECKPOINTS": checkpoints_of(t.n),
         "LIMITS": "0" if t.limits is None else "&limits", "LOWEST_OUTPUT": low, "HIGHEST_OUTPUT": high,
         "FIRST_OUTPUT": text(t.first), "slew": t.change is not None,
         "CHANGE": "" if t.change is None else text(t.change), "REACH": f"{ignored_beyond(plan.model.input)}F",

@@ -43,6 +43,7 @@ from dbo_cli.hysteresis.identification.statistics import (
     drive_rows,
     groupings,
     hat_functions,
+    weighted,
 )
 
 TINY = 1e-30  # beside squares of the normalised output: a logarithm of nothing
@@ -81,7 +82,8 @@ class JudgedRows:
     """The used rows of all logs for one basis, sorted by cells: what is left out together lies together.
 
     ``drive`` has shape (rows, gears + memories), ``drift`` (rows, terms of all logs); ``kinds`` maps each way
-    to leave parts out to its parts; ``in_time`` puts the rows into the order in which they were recorded.
+    to leave parts out to its parts; ``in_time`` puts the rows into the order in which they were recorded;
+    ``weights`` are the roots of the rows' weights, None where all count alike.
     """
 
     basis: Basis
@@ -91,6 +93,11 @@ class JudgedRows:
     cells: tuple[slice, ...]
     kinds: dict[str, tuple[Part, ...]]
     in_time: Integers
+    weights: Floats | None = None
+
+    def weighted(self, values: Floats, some: Integers | slice = slice(None)) -> Floats:
+        """Return values of some rows times the roots of the rows' weights."""
+        return weighted(values, None if self.weights is None else self.weights[some])
 
     def columns(self, segments: int) -> Columns:
         """Return where the unknowns of a candidate with so many segments stand."""
@@ -103,6 +110,7 @@ def judged_rows(logs: Sequence[PreparedLog], basis: Basis) -> JudgedRows:
     terms = [log.drift.shape[1] for log in logs]
     begins = np.concatenate(([0], np.cumsum(terms)))
     drives, outputs, drifts, owner = [], [], [], []
+    weights: list[Floats] = []
     for place, log in enumerate(logs):
         used = log.used
         for first, last, drive in drive_rows(
@@ -110,6 +118,8 @@ def judged_rows(logs: Sequence[PreparedLog], basis: Basis) -> JudgedRows:
         ):
             drives.append(drive[used[first:last]])
         outputs.append(log.output[used])
+        if log.weights is not None:
+            weights.append(log.weights[used])
         table = np.zeros((int(used.sum()), int(begins[-1])))
         table[:, begins[place] : begins[place + 1]] = log.drift[used]
         drifts.append(table)
@@ -131,7 +141,8 @@ def judged_rows(logs: Sequence[PreparedLog], basis: Basis) -> JudgedRows:
         if kept and (len(kept) > 1 or name not in ("cycles", "blocks")):
             kinds[name] = kept
     drive, output, drift = np.vstack(drives)[order], np.concatenate(outputs)[order], np.vstack(drifts)[order]
-    return JudgedRows(basis, drive, output, drift, cells, kinds, np.argsort(order, kind="stable"))
+    roots = np.concatenate(weights)[order] if weights else None
+    return JudgedRows(basis, drive, output, drift, cells, kinds, np.argsort(order, kind="stable"), roots)
 
 
 def _labels(logs: Sequence[PreparedLog], basis: Basis) -> dict[str, Integers]:
@@ -201,8 +212,8 @@ class OutputProblem:
         return y
 
     def left_over(self, vector: Floats, segments: int) -> Floats:
-        """Return the errors of the output; shape (rows,)."""
-        return self.rows.output - self.predicted(vector, segments)
+        """Return the weighted errors of the output; shape (rows,)."""
+        return self.rows.weighted(self.rows.output - self.predicted(vector, segments))
 
     def squares(self, vector: Floats, segments: int) -> float:
         """Return the sum of the squared errors of the output."""
@@ -225,7 +236,7 @@ class OutputProblem:
             table[:, :shared] = rows.drive
             table[:, origin] = 1.0
             table[:, -1] = rows.output
-            return table
+            return rows.weighted(table)
         moved = vector[shared:origin]
         w = np.einsum("ij,j->i", rows.drive, vector[:shared]) + vector[origin]
         y, slope = asymmetry(w, corners(moved, segments))
@@ -234,7 +245,7 @@ class OutputProblem:
         table[:, shared:origin] = -hats
         table[:, origin] = slope
         table[:, -1] = rows.output - y + slope * w - np.einsum("ij,j->i", hats, moved)
-        return table
+        return rows.weighted(table)
 
     def products(self, table: Floats, rows: slice = slice(None)) -> Floats:
         """Return the products of the columns over some rows."""
@@ -338,13 +349,14 @@ class OutputProblem:
             left = self._shortened(vector, candidate, part, own)
         else:
             left = self.left_over(vector, segments)
-        return _free_of(left[part.rows], self.rows.drift[part.rows, part.nuisance])
+        drift = self.rows.drift[part.rows, part.nuisance]
+        return _free_of(left[part.rows], self.rows.weighted(drift, part.rows))
 
     def line(self) -> LeftOut:
         """Return the errors of a straight line with the same offset and drift: gears of equal slopes."""
         rows = self.rows
         drive = rows.drive[:, : rows.basis.gears].sum(axis=1)
-        table = np.column_stack((drive, rows.drift, rows.output))
+        table = rows.weighted(np.column_stack((drive, rows.drift, rows.output)))
         grams = [np.einsum("ij,ik->jk", table[cell], table[cell]) for cell in rows.cells]
         total = np.add.reduce(grams)
         parts = {}
@@ -355,10 +367,11 @@ class OutputProblem:
                 rest = total - mine
                 found = least_squares(rest[:-1, :-1], rest[:-1, -1])
                 left = table[part.rows, -1] - np.einsum("ij,j->i", table[part.rows, :-1], found)
-                squares.append(_free_of(left, rows.drift[part.rows, part.nuisance]))
+                drift = rows.drift[part.rows, part.nuisance]
+                squares.append(_free_of(left, rows.weighted(drift, part.rows)))
             parts[kind] = Errors(np.array(squares), np.array([len(part.rows) for part in some]))
         found = least_squares(total[:-1, :-1], total[:-1, -1])
-        left = rows.output - np.einsum("ij,j->i", table[:, :-1], found)
+        left = table[:, -1] - np.einsum("ij,j->i", table[:, :-1], found)
         return LeftOut(parts, float(np.mean(left * left)))
 
     def smoothest(self, structure: Structure, tried: Sequence[float]) -> Structure:

@@ -256,6 +256,39 @@ SWING_ROWS = 500  # between turns, on average, are kept: the fastest swings of a
 Linearise = Callable[[Floats, Floats], tuple[Floats, Floats]]
 
 
+def row_weights(
+    uncertainties: Sequence[Floats | None], used: Sequence[NDArray[np.bool_]]
+) -> list[Floats | None]:
+    """Return the roots of the weights of logs' rows, 1 over each standard deviation, in one scale.
+
+    Their mean square over the used rows is 1, so that a weighted error is one of the displacement. Where all
+    used rows are equally uncertain there are no weights: they count alike.
+    """
+    alike: list[Floats | None] = [None] * len(uncertainties)
+    present = [one for one in uncertainties if one is not None]
+    if len(present) < len(alike):
+        return alike
+    together = np.concatenate([one[rows] for one, rows in zip(present, used, strict=True)])
+    if float(np.ptp(together)) == 0.0:
+        return alike
+    scale = float(np.mean(together**-2.0)) ** -0.5
+    return [scale / one for one in present]
+
+
+def equal_rows(roots: Floats) -> float:
+    """Return how many rows of equal weight tell as much as rows of these: (sum w)^2 / sum w^2."""
+    weights = roots**2
+    return float(np.sum(weights)) ** 2 / float(np.sum(weights**2))
+
+
+def weighted(values: Floats, weights: Floats | None) -> Floats:
+    """Return rows of values times the roots of their weights; the values where all count alike."""
+    if weights is None:
+        return values
+    product: Floats = values * (weights if values.ndim == 1 else weights[:, None])
+    return product
+
+
 @dataclass(frozen=True)
 class PreparedLog:
     """One log made ready for the fit.
@@ -264,7 +297,8 @@ class PreparedLog:
     logs); ``seconds`` from the first sample or None; ``fold`` the fold of each row, -1 where the row is left
     out; ``drift`` the columns of offset and drift, shape (samples, terms); ``start`` the state before the
     first sample. The last ``stretches`` of the drift's columns are offsets of stretches of a history left
-    open, not drift. All arrays have shape (samples, ...).
+    open, not drift. ``weights`` are the roots of the rows' weights, None where all rows count alike. All
+    arrays have shape (samples, ...).
     """
 
     name: str
@@ -275,12 +309,17 @@ class PreparedLog:
     drift: Floats
     start: StartName
     stretches: int = 0
+    weights: Floats | None = None
     _lags: dict[object, Floats] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def used(self) -> NDArray[np.bool_]:
         """Rows that take part in the fit; shape (samples,)."""
         return self.fold >= 0
+
+    def weights_at(self, rows: slice | NDArray[np.bool_] | Integers) -> Floats | None:
+        """Return the roots of the weights of some rows, None where all count alike."""
+        return None if self.weights is None else self.weights[rows]
 
     def lags(self, basis: Basis) -> Floats:
         """Return the drive as the memories of a basis see it (``basis.lags``).
@@ -435,6 +474,7 @@ def _thinned(log: PreparedLog, every: int) -> PreparedLog:
         seconds=seconds,
         fold=log.fold[rows],
         drift=log.drift[rows],
+        weights=log.weights_at(rows),
         _lags={},
     )
 
@@ -470,6 +510,7 @@ def gather(
         for first, last, drive in made:
             known, target = rows_of(drive, log.output[first:last])
             table = np.hstack((known, log.drift[first:last], target[:, None]))
+            table = weighted(table, log.weights_at(slice(first, last)))
             for k, part in _runs(log.fold[first:last]):
                 CHOSEN.add_products(table[part], own, mine[k])
                 rows[k] += part.stop - part.start
