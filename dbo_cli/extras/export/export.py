@@ -166,7 +166,7 @@ def most_runs(gears: int, arithmetic: str) -> int:
     the way goes on from a checkpoint, and every other turn up to the next checkpoint ends a run.
     """
     first_gears = 8 if arithmetic == "double" else 2  # SINGLE of the kernels
-    return min((gears + 1) // 2, first_gears + c.checkpoint_spacing(gears) // 2 + 1)
+    return min((gears + 1) // 2, first_gears + c.checkpoint_spacing(gears, arithmetic) // 2 + 1)
 
 
 def _words(plan: CascadePlan, name: str, arithmetic: str) -> c.Values:
@@ -181,14 +181,14 @@ def _words(plan: CascadePlan, name: str, arithmetic: str) -> c.Values:
         f" the {'drive' if inverse else 'displacement'} out",
         "timed": plan.time_step is not None, "ahead": plan.read_ahead > 0.0, "inverse": inverse,
         "alone": True, "counts": arithmetic == "q31", "AHEAD": repr(plan.read_ahead),
-        **_places(model.backlash.n),
+        **_places(model.backlash.n, arithmetic),
         "RATE": repr(0.0 if plan.time_step is None else 1.0 / plan.time_step),
     }  # fmt: skip
 
 
-def _places(gears: int) -> dict[str, str]:
+def _places(gears: int, arithmetic: str) -> dict[str, str]:
     """Return how the kernel counts gears and turns, where one operator has so many gears and none more."""
-    return {"PLACE": f"uint{c.place_bits(gears)}_t", "SPACING": str(c.checkpoint_spacing(gears))}
+    return {"PLACE": f"uint{c.place_bits(gears)}_t", "SPACING": str(c.checkpoint_spacing(gears, arithmetic))}
 
 
 def _notes(plan: CascadePlan, loss: dict[str, float], words: c.Values) -> list[str]:
@@ -329,7 +329,7 @@ def _set_files(made: Mapping[str, Translated], name: str) -> dict[str, str]:
     arithmetic = first.summary.arithmetic
     words: dict[str, str | bool] = {
         **first.words, "NAME": name, "GUARD": name.upper(), "alone": False, "FIRST": first.summary.name,
-        **_places(max(each.summary.gears for each in made.values())),
+        **_places(max(each.summary.gears for each in made.values()), arithmetic),
         "TITLE": f"The {first.plan.model.direction} hysteresis models of {len(made)} actuators",
         "ORIGIN": "Written by dbo export from a model set.", "COUNT": str(len(made)),
         "VECTORS": str(sum(each.summary.vectors for each in made.values())), "ARITHMETIC": arithmetic,

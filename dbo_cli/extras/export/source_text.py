@@ -207,26 +207,29 @@ def place_bits(gears: int) -> int:
     return 32
 
 
-def checkpoint_spacing(gears: int) -> int:
+def checkpoint_spacing(gears: int, arithmetic: str) -> int:
     """Return how many turns share a checkpoint, ``DBO_SPACING``: a power of two.
 
-    A checkpoint takes 16 bytes, and a turn one with few gears, else two: 2.25 bytes a gear at most.
+    A checkpoint takes 16 bytes, and a turn one with few gears, else two: 2.5 bytes a gear at most. In double,
+    where to cross a run takes most time, checkpoints stand closer.
     """
-    return 16 if place_bits(gears) == 8 else 64
+    if place_bits(gears) == 8:
+        return 16
+    return 32 if arithmetic == "double" else 64
 
 
-def turns_members(gears: int) -> list[str]:
+def turns_members(gears: int, arithmetic: str) -> list[str]:
     """Return the members of a state that hold the turns of so many gears and their checkpoints."""
     members = [f"dbo_place turns[{gears}];"]
-    checkpoints = (gears - 1) // checkpoint_spacing(gears)
+    checkpoints = (gears - 1) // checkpoint_spacing(gears, arithmetic)
     if checkpoints:
         members.insert(0, f"dbo_checkpoint checkpoints[{checkpoints}];")
     return members
 
 
-def checkpoints_of(gears: int) -> str:
+def checkpoints_of(gears: int, arithmetic: str) -> str:
     """Return the place of the checkpoints in the state."""
-    return "state->checkpoints" if gears > checkpoint_spacing(gears) else "0"
+    return "state->checkpoints" if gears > checkpoint_spacing(gears, arithmetic) else "0"
 
 
 def declared(member: str) -> tuple[str, str, int]:
