@@ -13,7 +13,7 @@ does not grow with the log, and gathered once, by folds, so that cycles or swing
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -209,14 +209,25 @@ def drive_rows(
         keep = min(max(int(before[min(last, samples - 1)]), done), end)
         early, state = operator.engagement(drive[done:keep], state, group_size=split)
         late, _ = operator.engagement(drive[keep:end], state, group_size=split)
-        columns = np.hstack((np.vstack((early, late)), memory[done:end]))
+        columns = np.empty((end - begin, early.shape[1] + memory.shape[1]))
+        columns[: keep - begin, : early.shape[1]] = early
+        columns[keep - begin :, : early.shape[1]] = late
+        columns[:, early.shape[1] :] = memory[begin:end]
         done = keep
-        rows, part = before[first:last] - begin, share[first:last, None]
-        if part.any():
-            after = np.minimum(rows + 1, len(columns) - 1)
-            yield first, last, (1.0 - part) * columns[rows] + part * columns[after]
-        else:
-            yield first, last, columns[rows]
+        if basis.delay > 0.0:
+            columns = _between(columns, before[first:last] - begin, share[first:last, None])
+        yield first, last, columns[: last - first]
+
+
+def _between(columns: Floats, rows: Integers, part: Floats) -> Floats:
+    """Return columns a share ``part`` behind some rows, on the straight line to the next one."""
+    made: Floats = columns[rows]
+    if part.any():
+        made *= 1.0 - part
+        late = columns[np.minimum(rows + 1, len(columns) - 1)]
+        late *= part
+        made += late
+    return made
 
 
 def _wanted_rows(wanted: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
@@ -252,8 +263,6 @@ GOLDEN_RATIO = (5.0**0.5 - 1.0) / 2.0  # its multiples fill an interval most eve
 SELECTION_ROWS = 20_000  # for choosing orders: more rows move the error left out by less than 1 %
 FIT_ROWS = 50_000  # for the model itself: five hundred for each unknown, which scatter by 4 % of the noise
 SWING_ROWS = 500  # between turns, on average, are kept: the fastest swings of a drive then have 50
-
-Linearise = Callable[[Floats, Floats], tuple[Floats, Floats]]
 
 
 def row_weights(
@@ -479,20 +488,11 @@ def _thinned(log: PreparedLog, every: int) -> PreparedLog:
     )
 
 
-def equation_rows(segments: int) -> Linearise:
-    """Rows of the equation error: the asymmetry is a function of the *measured* output."""
+def gather(logs: Sequence[PreparedLog], basis: Basis, segments: int) -> Statistics:
+    """Run over all logs in blocks and gather the products of their rows, fold by fold.
 
-    def rows(drive: Floats, output: Floats) -> tuple[Floats, Floats]:
-        return np.hstack((drive, -hat_functions(output, segments))), output
-
-    return rows
-
-
-def gather(
-    logs: Sequence[PreparedLog], basis: Basis, segments: int, linearise: Linearise | None = None
-) -> Statistics:
-    """Run over all logs in blocks and gather the products of their rows, fold by fold."""
-    rows_of = linearise or equation_rows(segments)
+    They are rows of the equation error: the asymmetry is a function of the *measured* output.
+    """
     drift = sum(log.drift.shape[1] for log in logs)
     columns = Columns(basis.gears, len(basis.time_constants) + len(basis.lengths), segments, drift)
     shared = columns.total - drift
@@ -508,8 +508,9 @@ def gather(
         mine = {int(k): np.zeros((own, own)) for k in np.flatnonzero(np.bincount(log.fold[log.used]))}
         made = drive_rows(basis, log.voltage, log.seconds, log.start, log.used, log.lags(basis))
         for first, last, drive in made:
-            known, target = rows_of(drive, log.output[first:last])
-            table = np.hstack((known, log.drift[first:last], target[:, None]))
+            output = log.output[first:last]
+            hats = hat_functions(output, segments)
+            table = np.hstack((drive, -hats, log.drift[first:last], output[:, None]))
             table = weighted(table, log.weights_at(slice(first, last)))
             for k, part in _runs(log.fold[first:last]):
                 CHOSEN.add_products(table[part], own, mine[k])
