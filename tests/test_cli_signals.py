@@ -415,6 +415,22 @@ def test_excite_stays_inside_and_starts_and_ends_at_the_bottom(dbo: Any) -> None
     assert table[-1, 1] == pytest.approx(-20.0, abs=0.1)
 
 
+def test_what_drives_is_named_by_the_unit_of_its_limit(dbo: Any) -> None:
+    done = dbo("excite", "--v-max", "4bar", "--v-min", "500mbar", "--max-slew", "0.02bar/ms", "-o", "e.csv")
+    assert done.code == 0
+    header, *rows = Path("e.csv").read_text().splitlines()
+    assert header == "time_s,pressure_bar"
+    pressure = np.array([float(row.partition(",")[2]) for row in rows])
+    assert (pressure.min(), pressure.max()) == (0.5, 4.0)
+    assert np.abs(np.diff(pressure)).max() * 1000.0 <= 20.0
+    assert " from 0.5 to 4 bar, at most " in done.err
+    assert "dbo: it begins and ends at 0.5 bar: bring the amplifier there slowly first\n" in done.err
+    done = dbo("excite", "--v-max", "4bar", "--v-min", "1V", "-o", "other.csv")
+    assert done.code == 2
+    assert done.err == "dbo: error: --v-min 1V: cannot be converted; a figure in bar is needed\n"
+    assert not Path("other.csv").exists()
+
+
 def test_excite_is_chosen_by_its_seed(dbo: Any) -> None:
     words = ["excite", "--v-max", "120", "--sample-rate", "200"]
     first = dbo(*words).out

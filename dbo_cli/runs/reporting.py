@@ -290,10 +290,14 @@ class TrackingRun:
 
 def _scaled_apart(reading: ReadingOptions) -> tuple[ReadingOptions, ReadingOptions]:
     """Return how a log and its trajectory are read; a scale of what was wanted is the trajectory's."""
-    of_log, of_trajectory = [], []
+    of_log: list[str] = []
+    of_trajectory: list[str] = []
     for scale in reading.scale:
         role = scale.partition("=")[0].strip().lower()
-        (of_trajectory if role == "desired" else of_log).append(scale)
+        if role == "desired":
+            of_trajectory.append(scale)
+        else:
+            of_log.append(scale)
     return (
         dataclasses.replace(reading, scale=tuple(of_log)),
         dataclasses.replace(reading, scale=tuple(of_trajectory)),
