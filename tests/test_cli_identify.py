@@ -294,7 +294,7 @@ def test_a_batch_of_logs_has_one_summary_whatever_happens(dbo: Any, small_log: P
     assert [one["file"] for one in (good, spoiled, turned)] == list(logs)
     assert spoiled["failed"].startswith("spoiled.csv:101: column 'displacement_um' is not a number: 'OVLD' (")
     assert "sign" not in spoiled
-    assert (good["failed"], good["sign"], good["rows"]) == (None, "rising", 422)
+    assert (good["failed"], good["sign"], good["rows"]) == (None, "rising", 480)
     assert (turned["failed"], turned["sign"]) == (None, "falling")
     model = json.loads(Path("log.json").read_text())
     gain = (model["output"]["max"] - model["output"]["min"]) / 100.0

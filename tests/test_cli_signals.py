@@ -184,7 +184,7 @@ BAD_INPUT = {
     "depends on it (--time COLUMN or --sample-rate HZ)",
     "invert drive.csv": "drive.csv:1: is not JSON: Expecting value (identify makes a model from a log)",
     "invert other.json": 'other.json: is not a model file ("format" must be "dbo-model")',
-    "invert newer.json": "newer.json: version: 3 is newer than this program reads, 2; upgrade dbo-cli",
+    "invert newer.json": "newer.json: version: 4 is newer than this program reads, 3; upgrade dbo-cli",
     "invert uneven.json": "uneven.json: stages[0].d",
     "invert negative.json": "negative.json: stages[0].dx[1]: ",
     "invert unknown.json": "unknown.json: colour: is not a known key",
@@ -226,7 +226,7 @@ def bench(dbo: Any, model_file: Path) -> Any:
     write("amps.csv", "time_s,voltage_mA\n0,0\n0.1,1\n")
     write("lagging.json", json.dumps(lagging_model()))
     write("other.json", '{"format": "something"}')
-    write("newer.json", json.dumps(SMALL_MODEL | {"version": 3}))
+    write("newer.json", json.dumps(SMALL_MODEL | {"version": 4}))
     write("uneven.json", json.dumps(with_stage(dx=[1.0, 2.0])))
     write("negative.json", json.dumps(with_stage(dx=[1.0, -2.0, 3.0, 4.0])))
     write("unknown.json", json.dumps(SMALL_MODEL | {"colour": "red"}))
