@@ -8,7 +8,8 @@ actual error, offset and the sensor's noise included, over the one stated for th
 
     python benchmarks/foreign_plants.py [--only TEXT] [--processes N] [--held-out] [--without-rivals]
 
-The errors are judged in two parts: shape, less the mean error, and zero, the mean error's size. The kinds of
+The errors are judged in two parts: shape, less the mean error, and zero, the mean error's size, with or
+without a word of doubt behind it. The kinds of
 ``held_out_plants.py`` took no part in any choice; only --held-out judges them, and them alone.
 """
 
@@ -33,7 +34,7 @@ from dbo_cli.extras.compare.judging import compare
 from dbo_cli.hysteresis.identification import Recording
 from dbo_cli.hysteresis.identification.evaluation import predict
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.move_error import move_error
+from dbo_cli.hysteresis.move_error import UNLIKE, ZERO_STAYS, MoveError, move_error
 from dbo_cli.runs.api import Model
 
 Floats = NDArray[np.float64]
@@ -260,6 +261,7 @@ class Line:
     stated_shape: float
     stated_zero: float
     warned: str
+    zero_doubted: bool
 
     @property
     def ratio(self) -> float:
@@ -300,9 +302,11 @@ def lines_of(task: tuple[str, str, int, tuple[str, ...]]) -> list[Line] | str:
             ((_error(model, test, begin), label) for label, model in rivals), default=(ours, "none")
         )
         stated, warnings = stated_error(own, test, begin)
+        doubted = stated.unlike > UNLIKE or stated.repeats_small or own.fit["zero_from"] != ZERO_STAYS
+        parts = [100.0 / STROKE * part for part in (stated.rmse, stated.shape, stated.zero)]
         warned = "model" if own.fit["warnings"] else "use" if warnings else ""
         errors = ours, rival, rival_name, float(left.std()), abs(float(left.mean()))
-        found.append(Line(name, log, move, *errors, *stated, warned))
+        found.append(Line(name, log, move, *errors, *parts, warned, doubted))
     return found
 
 
@@ -317,16 +321,12 @@ def _error(model: ActuatorModel, test: Recording, begin: int) -> float:
     return float(np.sqrt(np.mean(_left(model, test, begin) ** 2)))
 
 
-def stated_error(
-    model: ActuatorModel, test: Recording, begin: int
-) -> tuple[tuple[float, float, float], bool]:
-    """Return what is stated of this move, whole, shape and zero (% of the stroke), and if it is warned of."""
+def stated_error(model: ActuatorModel, test: Recording, begin: int) -> tuple[MoveError, bool]:
+    """Return what is stated of this move, and whether it is warned of."""
     found = move_error(model, test.voltage, STEP, begin)
     assert found is not None and found.shape is not None and found.zero is not None
     used = Model(model).simulate(test.voltage, time=test.seconds(), details=True)
-    scale = 100.0 / STROKE
-    stated = scale * found.rmse, scale * found.shape, scale * found.zero
-    return stated, bool(used.warnings) or found.form >= found.straight_line
+    return found, bool(used.warnings) or found.form >= found.straight_line
 
 
 def main() -> None:
@@ -387,6 +387,11 @@ def summary(lines: list[Line]) -> None:
         if ratios:
             shown = "/".join(f"{value:.2f}" for value in np.percentile(ratios, [10.0, 50.0, 90.0]))
             print(f"  {part}: actual over stated 10/50/90 % {shown}, {sum(r > 2.0 for r in ratios)} beyond 2")
+    unsaid = [one for one in unwarned if one.zero_ratio > 2.0 and not one.zero_doubted]
+    for one in unsaid:
+        print(f"    zero {one.zero_ratio:.2f} times what was stated: {one.kind}, {one.log}, {one.move}")
+    doubted = sum(one.zero_doubted for one in unwarned)
+    print(f"  doubt stands behind {doubted} zeros; {len(unsaid)} are beyond 2 without a doubt")
 
 
 if __name__ == "__main__":

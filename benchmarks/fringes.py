@@ -1,6 +1,6 @@
 """Displacement from fringes: simulated logs, tracking, a real recording.
 
-    python benchmarks/fringes.py [--logs 60] [--recording FOLDER] [--picture FILE]
+    python benchmarks/fringes.py [--logs 60] [--recording FOLDER [--pictures FOLDER]]
 
 Simulated: five virtual actuators (hysteresis, asymmetry, creep, lag) before a helium-neon interferometer;
 strokes of 4 to 60 fringes, any start phase, noise of 1 to 10 % of the amplitude, offset and contrast that
@@ -14,7 +14,8 @@ Tracking: a model from the fringes beside one from a sensor whose white noise is
 compensate a move, and the ratio of the errors of what the actuator then does is at most 1.5.
 
 The recording (FOLDER has up_intensity.csv, up_voltage.csv, down_...): a photodiode at 100 Hz and a voltmeter
-at 1 Hz, each with its own clock, joined onto the photodiode's.
+at 1 Hz, each with its own clock: one log of both ways, by the command alone; its pictures and files go to
+the second FOLDER.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import os
+import subprocess
 import sys
+import warnings
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,10 +37,10 @@ from virtual_actuator import PRESETS, ActuatorParameters, VirtualActuator
 
 from dbo_cli.errors import DboError, Remarks
 from dbo_cli.extras.fringes.run import Displacement, FringeOptions, Signals, displacement_of
-from dbo_cli.extras.fringes.swings import crossings
 from dbo_cli.hysteresis.excitation import swings
 from dbo_cli.hysteresis.identification import Recording, identify
-from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits
+from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.runs.api import Model
 
 FRINGE = 0.3164  # um
 NOISES = (0.01, 0.02, 0.05, 0.1)
@@ -186,10 +189,9 @@ def tracked(model: ActuatorModel, plant: VirtualActuator, low: float, high: floa
     wave = (wave - wave.min()) / np.ptp(wave)
     rise = np.minimum(time, 1.0)
     desired = low + (high - low) * (0.1 + 0.75 * wave) * rise * rise * (3.0 - 2.0 * rise)
-    limits = DriveLimits(model.input.minimum, model.input.maximum)
-    start = model.start_compensation(float(desired[0]), "auto", limits)
-    steps = np.diff(time, prepend=time[0])
-    drive = model.compensate(desired, start, limits=limits, time_step=steps).y
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a few clipped rows
+        drive = Model(model).compensate(desired, time=time)
     error = 1000.0 * (plant.displacement(time, drive) - desired)
     return float(np.std(error[500:]))
 
@@ -218,88 +220,48 @@ def tracking(numbers: tuple[int, ...]) -> bool:
     return bool(ratios) and max(ratios) <= 1.5
 
 
-def one_way(folder: Path, way: str) -> Signals:
-    """Return one way of the recording on the photodiode's clock; the voltmeter has a row a second.
+def recording(folder: Path, pictures: Path) -> None:
+    """Make one log of both ways of the recording by the command alone, and identify from it.
 
-    Several rows share a stamp: the clock is the stamps' mean over a second. The ends, at which the supply
-    rested and the setup moved by itself, are left out.
+    The ways are put behind each other on the voltmeter's clock, on which the photodiode's is taken to begin.
     """
-    light = np.genfromtxt(folder / f"{way}_intensity.csv", delimiter=",", skip_header=1)
-    volts = np.genfromtxt(folder / f"{way}_voltage.csv", delimiter=",", skip_header=1, usecols=1)
-    rows = np.arange(light.shape[0])
-    even = np.polyval(np.polyfit(rows, light[:, 0], 1), rows)
-    rest = np.convolve(np.pad(light[:, 0] - even, 50, mode="edge"), np.full(101, 1.0 / 101), mode="valid")
-    time = np.maximum.accumulate(even + rest) + 1e-9 * rows
-    drive = np.interp(time, np.arange(volts.size), volts)
-    moving = np.flatnonzero(np.abs(np.diff(volts)) > 0.1)
-    inside = (time > moving[0] + 2.0) & (time < moving[-1] + 2.0)
-    middle = np.full(rows.size, 0.5 * (light[:, 1].min() + light[:, 1].max()))
-    count = crossings(light[:, 1], middle, np.full(rows.size, 0.5 * np.ptp(light[:, 1])))[0].size
-    print(f"{way}: the middle is crossed {count} times in the whole file")
-    return Signals(time[inside], drive[inside], light[inside, 1], None, 1)
-
-
-def recording(folder: Path, picture: str | None) -> None:
-    """Count both ways of the recording, join them to one log, identify from it."""
-    ways = {}
-    for way in ("up", "down"):
-        signals = one_way(folder, way)
-        made = read(signals)
-        if isinstance(made, str):
-            print(f"{way}: {made}")
-            return
-        halves = np.ptp(made.values) / (0.5 * FRINGE)
-        volts = f"{signals.drive[0]:.2f} to {signals.drive[-1]:.2f} V"
-        print(f"{way}: {halves:.2f} half fringes, {np.ptp(made.values):.3f} um, {volts}; noise "
-              f"{100.0 * made.track.noise:.2g} %")  # fmt: skip
-        ways[way] = made
-    up, down = ways["up"], ways["down"]
-    left = float(np.ptp(down.values) - np.ptp(up.values))
-    print(f"down goes {left:+.3f} um ({left / FRINGE:+.2f} fringes) further than up: the supply stood for "
-          "minutes at the top, unrecorded, where the actuator creeps upwards")  # fmt: skip
-    down_values = down.values + up.values[-1]
-    time = np.concatenate(
-        [up.signals.time, down.signals.time - down.signals.time[0] + up.signals.time[-1] + 1.0]
-    )
-    drive = np.concatenate([up.signals.drive, down.signals.drive])
-    values = np.concatenate([up.values, down_values])
-    try:
-        found = identify([Recording("both", drive, values, time, None, "V", "um")])
-        print(f"model of both ways: fit {found.model.fit['rmse']:.4f} um; " + "; ".join(found.summary[:2]))
-        for text in found.warnings:
-            print(f"  warning: {text}")
-    except DboError as problem:
-        print(f"no model of both ways: {problem}")
-    if picture is not None:
-        draw(picture, drive, values, up.signals.time.size)
-
-
-def draw(picture: str, drive: Any, values: Any, turn: int) -> None:
-    """Draw the loop of both ways."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6.0, 4.0), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots()
-    axes.plot(drive[:turn], values[:turn], label="up")
-    axes.plot(drive[turn:], values[turn:], label="down")
-    axes.set(xlabel="Voltage (V)", ylabel="Displacement (µm)")
-    axes.legend()
-    figure.savefig(picture, dpi=100)
+    volts = [(folder / f"{way}_voltage.csv").read_text().splitlines() for way in ("up", "down")]
+    begins = [np.datetime64(lines[1].split(",")[0]) for lines in volts]
+    later = float((begins[1] - begins[0]) / np.timedelta64(1, "s"))
+    pictures.mkdir(parents=True, exist_ok=True)
+    (pictures / "volts.csv").write_text("\n".join([*volts[0], *volts[1][1:]]) + "\n")
+    rows = ["time_s,photodiode_V"]
+    for way, shift in (("up", 0.0), ("down", later)):
+        for line in (folder / f"{way}_intensity.csv").read_text().splitlines()[1:]:
+            seconds, light = line.split(",")
+            rows.append(f"{float(seconds) + shift:.6f},{light}")
+    (pictures / "light.csv").write_text("\n".join(rows) + "\n")
+    offset = -float(begins[0].astype("datetime64[s]").astype(np.int64))
+    for words in (
+        f"fringes light.csv --voltage volts.csv::voltage_V --signal photodiode_V --clock-offset={offset:.0f} "
+        "--wavelength 632.8nm --splice --figures . --summary counted.json -o both.csv",
+        "identify both.csv --uncertainty standard_deviation -o model.json",
+    ):
+        print("dbo " + words, flush=True)
+        subprocess.run([sys.executable, "-m", "dbo_cli", *words.split()], cwd=pictures, check=True)
+    values = np.loadtxt(pictures / "both.csv", delimiter=",", skiprows=1)[:, 2]
+    opened = values[-1] - values[0]
+    print(f"the loop is open by {opened:+.3f} um ({opened / FRINGE:+.2f} fringes): the supply stood for")
+    print("minutes at the top, unrecorded, where the actuator creeps upwards")
 
 
 def main() -> int:
     """Run what was asked for; 1 where a bound is missed."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--logs", type=int, default=60)
+    parser.add_argument("--tracking", action="store_true", help="tracking alone")
     parser.add_argument("--recording", type=Path)
-    parser.add_argument("--picture")
+    parser.add_argument("--pictures", type=Path, default=Path("fringes"))
     asked = parser.parse_args()
     if asked.recording is not None:
-        recording(asked.recording, asked.picture)
+        recording(asked.recording, asked.pictures)
         return 0
-    holds = simulated(asked.logs)
+    holds = True if asked.tracking else simulated(asked.logs)
     return 0 if tracking((5, 8, 21, 27, 44)) and holds else 1
 
 

@@ -3,8 +3,8 @@
  *     cc -std=c99 -O3 -ffp-contract=off -Idbo_cli/hysteresis benchmarks/kernel_reference.c -lm -o kernel_reference
  *     ./kernel_reference STEPS SEED
  *
- * Add -DDBO_SMALL for the kernel as chips have it. Every block compares the outputs, the state and the counts, and ends
- * with 1 at the first difference. */
+ * Add -DDBO_SMALL for the kernel as chips have it, -DDBO_SPACING=4 for many checkpoints. Every block compares the
+ * outputs, the state and the counts, and ends with 1 at the first difference. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -155,6 +155,7 @@ static double slow_step(const dbo_backlash *op, slow_state *s, double x, const d
 static dbo_gear table[MOST_GEARS + 1];
 static dbo_place guide[2 * MOST_GEARS + 3], turns[MOST_GEARS], fixed_guide[2 * MOST_GEARS + 3];
 static dbo_fixed_gear fixed_gears[MOST_GEARS];
+static dbo_checkpoint checkpoints[MOST_GEARS / DBO_SPACING];
 static double gain[TERMS], rest[TERMS];
 
 /* Onto the grid that makes every sum exact, as operators.py does it; 0 where a width is too narrow for that. */
@@ -322,6 +323,7 @@ static size_t run_case(void) {
     s.last = below(2) ? NAN : op.y0;
     for (size_t j = 0; j < op.terms; j++) s.memory[j] = uniform(-1.0, 1.0);
     state.turns = turns;
+    state.checkpoints = checkpoints;
     state.memory = memory;
     for (size_t blocks = 1 + below(30); blocks > 0; blocks--) {
         const size_t count = 1 + below(MOST_BLOCK), rows = row_of(&op, op.n - 1, 1) + 1;

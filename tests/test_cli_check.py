@@ -171,9 +171,10 @@ def test_the_pieces_of_a_drive_from_the_command_line(bench: Any) -> None:
     summary = json.loads(Path("s.json").read_text())
     assert set(summary) >= {
         "format", "version", "command", "read", "rows", "clipped", "range", "largest_step", "expected_rmse",
-        "expected_percent", "expected_shape_rmse", "before", "notes", "warnings",
+        "expected_percent", "expected_percent_of_move", "expected_shape_rmse", "before", "notes", "warnings",
     }  # fmt: skip
     assert (summary["format"], summary["version"], summary["rows"]) == ("dbo-summary", 1, len(table))
+    assert summary["expected_percent_of_move"] == summary["expected_percent"]
     assert summary["range"] == [table[:, 1].min(), table[:, 1].max()] and summary["clipped"] == 0
     assert summary["largest_step"] == pytest.approx(np.abs(np.diff(table[:, 1])).max())
     before = table[table[:, 0] < -5e-4]

@@ -624,8 +624,8 @@ def test_the_expected_error_is_what_comes_on_new_moves() -> None:
         assert 0.35 < came / result.fit["expected_shape_rmse"] < 2.0  # type: ignore[operator]
         percent = 100.0 * result.fit["expected_rmse"] / result.fit["expected_percent"]  # type: ignore[operator]
         assert percent == pytest.approx(100.0 * result.fit["rmse"] / result.fit["rmse_percent"])  # type: ignore[operator]
-    assert one.fit["expected_rmse"] > 2.0 * one.fit["rmse"]  # type: ignore[operator]
-    assert many.fit["expected_rmse"] < 3.0 * many.fit["rmse"]  # type: ignore[operator]
+    assert one.fit["expected_shape_rmse"] > 2.0 * one.fit["rmse"]  # type: ignore[operator]
+    assert many.fit["expected_shape_rmse"] < 3.0 * many.fit["rmse"]  # type: ignore[operator]
     assert str(many.fit["expected_from"]).startswith("amplitudes and levels")
     assert str(one.fit["expected_from"]).startswith(
         "whole cycles left out of the fit (nothing else could be)"

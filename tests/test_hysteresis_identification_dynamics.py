@@ -13,6 +13,7 @@ from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, Lag, Resonance, Section
 from dbo_cli.hysteresis.excitation import Excitation, sweep
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, dynamics, identify
+from dbo_cli.hysteresis.identification.evaluation import outward
 from dbo_cli.hysteresis.identification.recordings import split
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, ScaleStage, Stage
 from dbo_cli.hysteresis.model_file import model_to_bytes
@@ -282,3 +283,19 @@ def test_a_log_that_is_one_sweep_from_end_to_end_is_read_whole() -> None:
     swept_only = replace(log, voltage=log.voltage[rows], displacement=log.displacement[rows])
     (whole,), parts = split([swept_only])
     assert whole is swept_only and parts == []
+
+
+@pytest.mark.parametrize(
+    ("interval", "digits", "text"),
+    [
+        ([99.99949, 100.00051], 5, "99.999 to 100.01"),
+        ([0.02996, 0.03004], 3, "0.0299 to 0.0301"),
+        ([0.03, 0.031], 3, "0.03 to 0.031"),
+        ([1234567.0, 1234568.0], 5, "1.2345e+06 to 1.2346e+06"),
+        ([0.0, 0.0], 3, "0 to 0"),
+    ],
+)
+def test_an_interval_is_printed_no_narrower_than_it_is(interval: list[float], digits: int, text: str) -> None:
+    assert outward(interval, digits) == text
+    low, high = (float(part) for part in text.split(" to "))
+    assert low <= interval[0] and interval[1] <= high

@@ -73,8 +73,8 @@ def test_gain_offset_and_lag_come_back_with_their_intervals() -> None:
     assert "validation_rmse" not in done.fit
     assert done.warnings == []
     assert done.summary == [
-        "the prior's shape was kept; moved: gain 0.9301 times the prior's (within 0.0018), offset +1.5 um, lag +4.008 ms (within 0.028)",
-        "fit RMSE 0.009899 um (0.05 % of the model's range) on 1,809 rows from 0 to 100 V; the prior covers 0 to 100 V",
+        "the prior's shape was kept; moved: gain 0.9301 times the prior's (within 0.0018), offset +1.5 um, lag +4.007 ms (within 0.030)",
+        "fit RMSE 0.0099 um (0.05 % of the model's range) on 1,809 rows from 0 to 100 V; the prior covers 0 to 100 V",
         "expected on new moves inside the range: 0.0186 um (0.10 % of the model's range), from the prior's expectation, or what is left on these logs where that is more",
     ]
 

@@ -523,7 +523,9 @@ def test_environment_selects_the_python_twin() -> None:
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
-@pytest.mark.parametrize("flags", [["-O2"], ["-O1", "-DDBO_SMALL", "-DDBO_PLACE=uint16_t"]])
+@pytest.mark.parametrize(
+    "flags", [["-O2"], ["-O2", "-DDBO_SPACING=4"], ["-O1", "-DDBO_SMALL", "-DDBO_PLACE=uint16_t"]]
+)
 def test_random_blocks_give_the_bits_of_single_gears(flags: list[str], tmp_path: Path) -> None:
     """All kinds of widths, inputs, memories, limits and cuts, in short; the benchmark goes on for ever."""
     program = tmp_path / "kernel_reference"
@@ -549,7 +551,8 @@ HARNESS = """
 #include "dbo_kernel.c"
 void drive(const dbo_gear *gears, size_t n, dbo_place *turns, const double *x, double *y, size_t count) {
     dbo_backlash op = {gears, n, 1, DBO_ROW_FACTOR(1), 0, 0, 0.0, 0.0, 0.0, 1, 0, 0, 0.0, 0};
-    dbo_backlash_state state = {turns, 0, 0.0, 0, 0, 0, 0.0, 0.0};
+    dbo_checkpoint checkpoints[150 / DBO_SPACING];
+    dbo_backlash_state state = {turns, checkpoints, 0, 0, 0, 0, 0.0, 0.0, 0.0};
     dbo_counts counts = {0, 0, 0, 0};
     dbo_backlash_load(&op, &state, 0);
     for (size_t k = 0; k < count; k++) y[k] = dbo_backlash_step(&op, &state, x[k], 0, 0, &counts);
@@ -565,7 +568,8 @@ def test_single_steps_with_small_places(tmp_path: Path) -> None:
     operator = DiscreteBacklashOperator(rng.uniform(0.1, 1.0, 150), rng.uniform(0.1, 1.0, 150))
     x = random_trajectory(rng, operator, 300)
     expected, _, _ = operator.run(x, operator.empty())
-    for flags in (["-O1"], ["-O1", "-DDBO_PLACE=uint16_t"], ["-O1", "-DDBO_PLACE=uint16_t", "-DDBO_SMALL"]):
+    few = "-DDBO_PLACE=uint8_t", "-DDBO_SPACING=16"
+    for flags in (["-O1"], ["-O1", "-DDBO_PLACE=uint16_t"], ["-O1", *few, "-DDBO_SMALL"]):
         library = tmp_path / f"kernel{''.join(flags)}.so"
         subprocess.run(
             ["cc", "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror",

@@ -10,7 +10,7 @@ import pytest
 from trials import Floats
 
 from dbo_cli.errors import ModelError
-from dbo_cli.hysteresis.cascade import read_ahead
+from dbo_cli.hysteresis.cascade import covered_gears, read_ahead
 from dbo_cli.hysteresis.model import (
     ActuatorModel,
     BacklashStage,
@@ -24,7 +24,7 @@ from dbo_cli.hysteresis.model import (
     slow_output_range,
 )
 from dbo_cli.hysteresis.model_state import OutsideError, start_drive, start_state
-from dbo_cli.hysteresis.operators import BacklashState
+from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator
 from dbo_cli.interpolation.smooth import shifted_by_part
 
 VOLTAGE = Quantity("voltage", "V", 0.0, 3.6)
@@ -456,3 +456,19 @@ def test_digest_tells_models_of_another_gain_or_curve_apart() -> None:
     straight = ActuatorModel("forward", model.input, model.output, (model.stages[0], model.stages[2]))
     assert len({model.digest, louder.digest, straight.digest}) == 3
     assert model.inverse().digest == model.digest
+
+
+def test_gears_to_spare_are_told_whatever_the_range_is() -> None:
+    """The edges of gears are sums of rounded widths, which no start may hang on."""
+    chance = np.random.default_rng(1)
+    for _ in range(60):
+        low = float(chance.uniform(-50.0, 50.0)) * float(chance.random() < 0.5)
+        span = float(chance.uniform(1.0, 300.0))
+        count = int(chance.choice([1024, 4096]))
+        spare = count // 8
+        widths = np.full(count + 2 * spare, span / count)
+        heights = np.full(widths.size, 1.0 / count)
+        gears = DiscreteBacklashOperator(widths, heights, low - spare * widths[0], -spare / count)
+        covered = covered_gears(gears, low, low + span)
+        assert covered.spare_bits == ((1 << spare) - 1) << count
+        assert (covered.operator.x0, covered.operator.n) == (low, count)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -31,6 +32,7 @@ from dbo_cli.hysteresis.move_error import (
     alternatives_of,
     move_error,
     played,
+    repeats_small_swings,
     spread,
     thinned,
     travelled,
@@ -283,3 +285,32 @@ def test_compensate_says_what_to_expect_of_the_very_move(dbo: Any) -> None:
     both_parts = np.hypot(0.3 * LEFT_OUT, 0.3)
     apart = APART * 0.1 * 2.0 * 8.0 / np.sqrt(3.0)
     assert stated[2] == stated[3] == pytest.approx(np.hypot(both_parts, apart), rel=0.01)
+
+
+def zigzag(*turns: float) -> Any:
+    """Return a drive in even steps of 0.05 V from turn to turn."""
+    parts = [np.zeros(1)]
+    for begin, end in itertools.pairwise(turns):
+        count = round(abs(end - begin) / 0.05)
+        parts.append(begin + (end - begin) * np.arange(1, count + 1) / count)
+    return np.concatenate(parts)
+
+
+@pytest.mark.parametrize(
+    ("turns", "repeats"),
+    [
+        ([0.0, *[4.0, 5.0] * 6], True),
+        ([0.0, *[2.0, 8.0] * 6], False),  # large swings
+        ([0.0, 4.0, 5.0, 3.0, 4.5, 2.5, 4.2, 5.8], False),  # small, and none like the one before
+        ([0.0, 10.0, 0.0, 10.0, 0.0, 4.0, 5.0, 4.0, 5.0], False),  # most of it is large
+        ([0.0, 10.0], False),
+    ],
+)
+def test_small_swings_that_repeat_are_known(turns: list[float], repeats: bool) -> None:
+    assert repeats_small_swings(zigzag(*turns), 10.0) is repeats
+
+
+def test_only_rows_from_the_move_on_repeat() -> None:
+    drive = np.concatenate((zigzag(0.0, 10.0, 0.0, 10.0, 0.0), zigzag(0.0, *[4.0, 5.0] * 6)))
+    assert not repeats_small_swings(drive, 10.0)
+    assert repeats_small_swings(drive, 10.0, 801)

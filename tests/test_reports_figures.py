@@ -652,3 +652,31 @@ def test_rows_whose_drive_is_no_number_are_drawn_nowhere() -> None:
     assert isinstance(drive, Curve)
     assert drive.y.tolist() == np.delete(voltage, [0, 3, 50]).tolist()
     assert data.against_time("measured").y.tolist() == np.delete(desired + 0.1, [0, 3, 50]).tolist()
+
+
+@pytest.mark.parametrize("name", ["run.csv", "scan_of_sample_17_after_conditioning_2026-11-24.csv"])
+def test_a_file_name_and_a_legend_never_lie_on_one_another(name):
+    report, figure_data = log_of(2000, spike=3)
+    with drawing.styled():
+        for plot in plots_of_log(report, report.logs[0], figure_data):
+            figure = drawing._painted(plot, name, as_outlines=True)
+            figure.canvas.draw()
+            axes = figure.axes[0]
+            note = axes.title if axes.title.get_text() else axes._right_title
+            legend, bounds = axes.get_legend(), figure.bbox
+            box = note.get_window_extent()
+            assert bounds.x0 <= box.x0 and box.x1 <= bounds.x1 and box.y1 <= bounds.y1, plot.key
+            if legend is not None:
+                named = legend.get_window_extent()
+                assert not box.overlaps(named), plot.key
+                assert named.x1 <= bounds.x1 and named.y1 <= bounds.y1, plot.key
+
+
+def test_the_finer_figure_shows_the_log_and_nothing_beside_it():
+    report, figure_data = log_of(2000, spike=3)
+    plots = {plot.key: plot for plot in plots_of_log(report, report.logs[0], figure_data)}
+    with drawing.styled():
+        finer = drawing._painted(plots["worst"], "", as_outlines=True).axes[0].get_xlim()
+    margin = 0.02  # s, of a log of 2 s
+    assert -margin < finer[0] < 0.003
+    assert finer[1] - finer[0] == pytest.approx((2.0 + 2.0 * margin) / 10.0, rel=0.02)

@@ -88,7 +88,7 @@ def test_json_keys_are_a_contract():
     report = report_of({"a.csv": 1.0, "b.csv": 0.25}, ReportOptions(segment="cycles"))
     content = json.loads(to_json(report))
     assert list(content) == ["format", "version", "unit", "compared", "offset_removed", "logs", "notes",
-                             "limits", "passed"]  # fmt: skip
+                             "limits", "passed", "warnings"]  # fmt: skip
     assert (content["format"], content["version"], content["unit"]) == ("dbo-report", 1, "um")
     assert content["compared"] == ["desired", "measured"]
     assert list(content["logs"][0]) == LOG_KEYS

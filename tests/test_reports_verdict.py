@@ -295,3 +295,44 @@ def test_windows_are_refused_where_no_toolkit_is_installed(monkeypatch: pytest.M
     monkeypatch.setattr(pyplot, "switch_backend", missing)
     with pytest.raises(UsageError, match="nothing that opens windows is installed for matplotlib"):
         windows.show_in_windows([])
+
+
+def noisy(size: float) -> Any:
+    return WANTED + np.where(np.arange(ROWS) % 2, size, -size)
+
+
+def expected_of(rmse: float, shape: float) -> None:
+    summary = {"format": "dbo-summary", "version": 1, "unit": "um", "model_range": [0.0, 40.0]}
+    Path("s.json").write_text(json.dumps(summary | {"expected_rmse": rmse, "expected_shape_rmse": shape}))
+
+
+def test_far_more_than_was_expected_is_a_warning_with_a_remedy(dbo: Any) -> None:
+    expected_of(0.02, 0.01)
+    write("run.csv", noisy(0.05))
+    done = dbo("report", "run.csv", "--expected", "s.json", "-o", "run.html")
+    remedy = (
+        "run.csv: 2.5 times as much came as was expected: the actuator came from elsewhere than the model takes it "
+        "to (a sweep before the move, --condition), it has changed (identify it again, or with --prior), or the "
+        "logs of the identification had no such moves"
+    )
+    assert f"dbo: warning: {remedy}" in done.err
+    assert f"<strong>Warning:</strong> {remedy}" in Path("run.html").read_text(encoding="utf-8")
+    text = " ".join(dbo("report", "run.csv", "--expected", "s.json").out.split())
+    assert f"Warning: {remedy}" in text
+    content = json.loads(dbo("report", "run.csv", "--expected", "s.json", "--format", "json").out)
+    assert content["warnings"] == [remedy.replace("--condition", "`condition`").replace("--prior", "`prior`")]
+
+
+def test_a_mean_error_far_beyond_what_was_expected_names_the_zero(dbo: Any) -> None:
+    expected_of(0.02, 0.01)
+    write("run.csv", noisy(0.012) + 0.08)
+    done = dbo("report", "run.csv", "--expected", "s.json")
+    assert (
+        "4 times as much came as was expected: most of it is the mean error, so the zero has moved"
+        in done.err
+    )
+    assert "--remove-offset takes the mean off; a sweep before the move, --condition" in done.err
+    taken_off = dbo("report", "run.csv", "--expected", "s.json", "--remove-offset")
+    assert "was expected:" not in taken_off.err
+    write("run.csv", noisy(0.039))
+    assert "was expected:" not in dbo("report", "run.csv", "--expected", "s.json").err

@@ -17,12 +17,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from test_hysteresis_identification_dynamics import plant, recorded
 
 import dbo_cli
 from dbo_cli.errors import plain
+from dbo_cli.hysteresis.dynamics import Lag, Resonance
+from dbo_cli.hysteresis.excitation import Excitation
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, identify
 from dbo_cli.hysteresis.identification.evaluation import predict
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, ScaleStage
+from dbo_cli.hysteresis.move_error import move_error
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.reports.report import ReportOptions, evaluate
 from dbo_cli.runs.api import Model
@@ -163,6 +167,24 @@ def clockwise() -> list[Recording]:
     return [logged(drive, moved)]
 
 
+def duhem(drive: Floats) -> Floats:
+    """Coleman and Hodgdon's actuator: y' = 0.06 |u'| (0.2 u - y) + 0.07 u', whose small loops do not close."""
+    moved, y, last = np.empty(len(drive)), 0.0, float(drive[0])
+    for k, value in enumerate(drive.tolist()):
+        step = value - last
+        y += 0.06 * abs(step) * (0.2 * (last + 0.5 * step) - y) + 0.07 * step
+        moved[k], last = y, value
+    return moved
+
+
+def duhem_log(drive: Floats) -> Recording:
+    return logged(drive, duhem(drive))
+
+
+def forgets() -> list[Recording]:
+    return [duhem_log(swings(TURNS))]
+
+
 def warming() -> list[Recording]:
     log = logged(swings(TURNS))
     grown = 1.0 + 0.02 * CLOCK / CLOCK[-1]
@@ -210,11 +232,84 @@ def narrow() -> list[Recording]:
     return [logged(0.5 * swings(TURNS))]
 
 
+def noisy_read_back() -> list[Recording]:
+    def add(voltage: Floats, _: Floats) -> None:
+        voltage += 0.4 * np.random.default_rng(3).normal(size=len(voltage))
+
+    return changed(add)
+
+
+def hum_beside_noisy_read_back() -> list[Recording]:
+    log = noisy_read_back()[0]
+    return [dataclasses.replace(log, displacement=hum()[0].displacement)]
+
+
+LATE = 6  # rows, 30 ms
+
+
+def late() -> list[Recording]:
+    moved = predict(actuator(), clean()[0])
+    return [logged(swings(TURNS), np.concatenate([np.full(LATE, moved[0]), moved[:-LATE]]))]
+
+
+def cost_of_lateness() -> float:
+    """Return the error, RMS in % of the range, of a displacement that is 30 ms late."""
+    log = late()[0]
+    return 100.0 * float(np.std(log.displacement - clean()[0].displacement)) / 20.0
+
+
+def wider_with_speed() -> list[Recording]:
+    drive = swings(TURNS)
+    speed = RATE * np.gradient(drive)
+    moved = predict(actuator(), clean()[0])
+    return [logged(drive, moved - 0.8 * np.sign(speed) * np.log1p(np.abs(speed) / 30.0))]
+
+
+def uncertain() -> list[Recording]:
+    log = clean()[0]
+    return [dataclasses.replace(log, uncertainty=np.where(np.arange(len(log.voltage)) % 2, 0.005, 0.02))]
+
+
+def with_gap() -> list[Recording]:
+    log = clean()[0]
+    keep = np.concatenate([np.arange(820), np.arange(980, len(log.voltage))])
+    kept = {"voltage": log.voltage[keep], "displacement": log.displacement[keep], "time": CLOCK[keep]}
+    return [dataclasses.replace(log, **kept)]
+
+
+FOREIGN = 1.8  # um, of an oscillation that the drive has not
+
+
+def shaken() -> list[Recording]:
+    drive = swings(TURNS)
+    moved = predict(actuator(), clean()[0])
+    return [logged(drive, moved + FOREIGN * np.sin(2.0 * np.pi * 1.37 * CLOCK))]
+
+
+def straight() -> list[Recording]:
+    drive = swings(TURNS)
+    return [logged(drive, 0.2 * drive)]
+
+
+def two_scales() -> list[Recording]:
+    log = clean()[0]
+    return [log, dataclasses.replace(log, displacement=0.001 * log.displacement, name="other.csv")]
+
+
+def slewed() -> list[Recording]:
+    """An amplifier that falls by 100 V a second at most."""
+    drive = swings(TURNS, 0.25)
+    followed, at = np.empty(len(drive)), 0.0
+    for k, value in enumerate(drive.tolist()):
+        at = max(value, at - 100.0 / RATE)
+        followed[k] = at
+    return [logged(drive, predict(actuator(), logged(followed, np.zeros(len(drive)))))]
+
+
 @functools.cache
-def said(case: Callable[[], list[Recording]], rated: tuple[float, float] | None = None) -> tuple[str, ...]:
+def said(case: Callable[[], list[Recording]], options: tuple[tuple[str, Any], ...] = ()) -> tuple[str, ...]:
     """Return all that identification says of a case."""
-    options = dataclasses.replace(OPTIONS, rated=rated, force=True)
-    done = identify(case(), options)
+    done = identify(case(), dataclasses.replace(OPTIONS, force=True, **dict(options)))
     return tuple([*done.summary, *done.warnings])
 
 
@@ -225,7 +320,7 @@ class Sentence(NamedTuple):
     condition: str
     case: Callable[[], list[Recording]]
     true: Sequence[Any] = ()
-    rated: tuple[float, float] | None = None
+    options: tuple[tuple[str, Any], ...] = ()
 
 
 def near(value: float, part: float = 0.1) -> Any:
@@ -296,6 +391,11 @@ TABLE = [
         r"the loop runs clockwise: the displacement leads the voltage", "falling slopes fit better", clockwise
     ),
     Sentence(
+        r"loops may not close: in the logs the displacement forgets its past as the drive moves",
+        "memories of the distance explain a fifth more of the error",
+        forgets,
+    ),
+    Sentence(
         r"the gain changes by ([+-][\d.]+) % along the log",
         "a gain that drifts makes most of the error",
         warming,
@@ -347,22 +447,95 @@ TABLE = [
         "less than 95 % of the rating",
         narrow,
         (near(0.0, 0.1), near(50.0, 0.01), 50),
-        (0.0, 100.0),
+        (("rated", (0.0, 100.0)),),
     ),
     Sentence(
         r"the logs go from (\S+) to (\S+), beyond the rated range",
         "more than the rating",
         clean,
         (near(0.0, 0.1), near(100.0, 0.01)),
-        (0.0, 60.0),
+        (("rated", (0.0, 60.0)),),
+    ),
+    Sentence(
+        r"log\.csv: the voltage's read-back is noisy \((\S+) % of its range\)",
+        "white noise on the voltage",
+        noisy_read_back,
+        (near(0.4, 0.2),),
+    ),
+    Sentence(
+        r"log\.csv: hum of (\S+) um at (\S+) Hz",
+        "hum beside a noisy read-back",
+        hum_beside_noisy_read_back,
+        (near(0.2, 0.2), near(50.0, 0.01)),
+    ),
+    Sentence(
+        r"late by a pure delay of (\S+) ms, .* compensating it costs (\S+) % of a move at the logs' speed",
+        "a delay that may be the sensor's",
+        late,
+        (near(30.0, 0.05), near(cost_of_lateness(), 0.15)),
+        (("delay", None),),
+    ),
+    Sentence(
+        r"^lag (\S+) ms, compensated too",
+        "a lag that is the model's",
+        late,
+        (near(30.0, 0.05),),
+        (("delay", None),),
+    ),
+    Sentence(
+        r"the sensor's delay of (\S+) ms and lag of (\S+) ms were taken off before and are not compensated",
+        "a delay that is said to be the sensor's",
+        late,
+        (30, 0),
+        (("delay", None), ("sensor_delay", 0.03)),
+    ),
+    Sentence(
+        r"what is left over follows the drive's speed \(correlation -",
+        "loops that widen with the speed",
+        wider_with_speed,
+    ),
+    Sentence(
+        r"rows weighted by their uncertainty, which differs by up to (\S+) times: they tell as much as (\S+) of",
+        "rows of two uncertainties",
+        uncertain,
+        (4, near(0.5 * (len(CLOCK) - 96) * (1.0 + 1.0 / 16.0) ** 2 / (1.0 + 1.0 / 256.0), 0.01)),
+    ),
+    Sentence(
+        r"log\.csv: a gap before row (\d+), in which the drive may have turned: (\d+) rows left out",
+        "a pause in the log",
+        with_gap,
+        (821, near(116, 0.1)),  # until the drive has been at 0 and, with the pause over, at 100
+    ),
+    Sentence(
+        r"the model leaves (\S+) % of its range unexplained",
+        "more than 5 % of the range is left over",
+        shaken,
+        (near(100.0 * FOREIGN / np.sqrt(2.0) / 20.0, 0.15),),
+    ),
+    Sentence(
+        r"is no better than a straight line \(RMSE (\S+)\): the log shows no loop",
+        "no loop",
+        straight,
+        (near(NOISE, 0.1),),
+    ),
+    Sentence(
+        r"the gain of other\.csv is (\S+) of that of log\.csv: bring the logs to one scale",
+        "gains a thousand times apart",
+        two_scales,
+        (near(0.001, 0.01),),
+    ),
+    Sentence(
+        r"log\.csv: the displacement falls at one greatest speed",
+        "an amplifier that slews",
+        slewed,
     ),
 ]
 
 
 @pytest.mark.parametrize("row", TABLE, ids=[row.pattern[:48] for row in TABLE])
 def test_what_a_sentence_claims_is_so(row: Sentence) -> None:
-    matches = [found for text in said(row.case, row.rated) if (found := re.search(row.pattern, text))]
-    assert matches, (row.condition, said(row.case, row.rated))
+    matches = [found for text in said(row.case, row.options) if (found := re.search(row.pattern, text))]
+    assert matches, (row.condition, said(row.case, row.options))
     figures = [float(text.replace(",", "")) for text in matches[0].groups()[: len(row.true)]]
     assert figures == list(row.true)
 
@@ -391,6 +564,68 @@ def test_the_clean_log_has_no_warning_and_its_figures_are_true() -> None:
     slow = np.concatenate([np.linspace(0.0, 100.0, 501), np.linspace(100.0, 0.0, 501)])
     walked = predict(actuator(), logged(slow, np.zeros(1002)))
     assert float(width[1]) == near(100.0 * float(np.max(walked[501:][::-1] - walked[:501])) / 20.0, 0.05)
+
+
+def test_a_displacement_of_another_drive_is_no_butterfly() -> None:
+    other = swings(np.random.default_rng(3).permutation(TURNS))
+    moved = predict(actuator(), logged(other, np.zeros(len(other))))
+    done = identify([logged(swings(TURNS), moved)], dataclasses.replace(OPTIONS, force=True))
+    assert any("of its range unexplained" in text for text in done.warnings)
+    assert not any("rises and falls again" in text for text in done.warnings)
+
+
+def test_another_log_is_predicted_to_what_its_sensor_hides() -> None:
+    other = logged(swings(TURNS[::-1]), seed=5, name="other.csv")
+    done = identify(clean(), OPTIONS, validation=[other])
+    [stated] = [
+        found for text in done.summary if (found := re.search(r"^other\.csv: predicts it to (\S+) um", text))
+    ]
+    assert float(stated[1]) == near(NOISE, 0.1)
+    wider = dataclasses.replace(other, displacement=1.02 * other.displacement)
+    worse = identify(clean(), OPTIONS, validation=[wider])
+    [stated] = [
+        found for text in worse.summary if (found := re.search(r"^other\.csv: predicts it to (\S+) um", text))
+    ]
+    assert float(stated[1]) == near(0.02 * float(np.std(other.displacement)), 0.1)
+
+
+def test_what_has_moved_since_the_prior_lies_within_what_is_printed() -> None:
+    prior = identify(clean(), OPTIONS).model
+    later = logged(swings(TURNS), seed=8)
+    later = dataclasses.replace(later, displacement=1.03 * later.displacement + 0.7)
+    [line] = [text for text in identify([later], prior=prior).summary if "moved: gain" in text]
+    found = re.search(
+        r"gain (\S+) times the prior's \(within (\S+)\), offset (\S+) um, lag as it was \(within (\S+) ms",
+        line,
+    )
+    assert found is not None, line
+    gain, within, offset = (float(text) for text in found.groups()[:3])
+    assert abs(gain - 1.03) <= within < 0.01
+    assert offset == pytest.approx(0.7, abs=20.0 * within)
+    [same] = [
+        text for text in identify([logged(swings(TURNS), seed=9)], prior=prior).summary if "moved" in text
+    ]
+    assert "gain 1.000" in same and "offset +0 um" in same
+
+
+def test_a_resonance_lies_in_the_interval_that_is_printed() -> None:
+    drive = Excitation(0.0, 100.0, 2_000.0, 6.0, 1.0, sweep_to=200.0).drive()[1]
+    few = IdentificationOptions(gears=24, points=0, relaxation=(), delay=0.0)
+    shown = re.compile(r"resonance at \S+ Hz \((\S+) to (\S+)\), damping \S+ \((\S+) to (\S+)\)")
+    whole = identify([recorded(plant(Lag(0.001), Resonance(61.0, 0.03)), drive)], few)
+    [found] = [found for text in whole.summary if (found := shown.search(text))]
+    low, high, thin, wide = (float(text) for text in found.groups())
+    assert low <= 61.0 <= high <= 1.01 * low
+    assert thin <= 0.03 <= wide <= 1.2 * thin
+    [trusted] = [found for text in whole.summary if (found := re.match(r"trust the model to (\S+) Hz", text))]
+    phase = 2.0 * np.pi * float(trusted[1]) * np.arange(4_000) / 2_000.0
+    fast = 50.0 - 20.0 * np.cos(phase)
+    moved = [
+        model.simulate(fast, model.start(30.0), time_step=0.0005).y[2_000:]
+        for model in (plant(Lag(0.001), Resonance(61.0, 0.03)), whole.model)
+    ]
+    assert float(np.std(moved[1] - moved[0])) < 0.1 * float(np.std(moved[0]))
+    assert not [text for text in said(clean) if "resonance at" in text or "trust the model" in text]
 
 
 # --- what is said of a move ---
@@ -429,6 +664,38 @@ def test_the_error_from_an_unknown_past_holds_from_every_one() -> None:
     errors = [truth_of(done, move(), start) for start in ("settled", "empty", "full")]
     assert errors[0] < 1e-9
     assert 0.5 * float(found[1]) < max(errors) <= float(found[1])
+
+
+def test_an_actuator_that_never_moved_errs_more_until_it_is_swept() -> None:
+    """Domains that switch for good where the drive goes for the first time."""
+    never_moved = "; an actuator that never went over its range may err more (`condition` sweeps it)"
+    wanted = move(0.0, 8.0)
+    for condition in (False, True):
+        done = compensated(wanted, condition=condition)
+        assert (never_moved in "\n".join(done.notes)) is not condition
+        drive = done.values
+        unswitched = 0.008 * (100.0 - np.maximum.accumulate(drive))
+        y = actuator().simulate(drive, actuator().start(float(drive[0]), "empty")).y - unswitched
+        error = float(np.sqrt(np.mean((y[-len(wanted) :] - wanted) ** 2)))
+        stated = re.search(r"expected error of the move (\S+) um", texts_of(done))
+        assert stated is not None
+        assert (error > 3.0 * float(stated[1])) is not condition
+    assert never_moved not in "\n".join(compensated(wanted, state="empty").notes)
+
+
+def test_small_swings_of_a_loop_that_forgets_leave_the_stated_zero() -> None:
+    """Duhem's actuator: a small swing that repeats wanders towards the middle of the loop."""
+    model = Model(identify([duhem_log(swings(TURNS))], OPTIONS).model)
+    small = swings((0, 100, 0, 45, *[55, 45] * 8))
+    wander = "small swings that repeat may wander towards the middle of the loop"
+    for drive, repeats in ((small, True), (swings((0, 100, 0, *TURNS[3:])), False)):
+        wanted = model.simulate(drive, sample_rate=RATE)[-len(drive) + 301 :]
+        done = model.compensate(wanted, sample_rate=RATE, condition=True, details=True)
+        assert (wander in texts_of(done)) is repeats
+    left = (duhem(small) - model.simulate(small, sample_rate=RATE))[400:]
+    stated = move_error(model.actuator, small, 1.0 / RATE, 400)
+    assert stated is not None and stated.zero is not None
+    assert abs(float(left.mean())) > stated.zero
 
 
 def test_after_a_sweep_the_past_is_no_longer_said_and_no_longer_matters() -> None:
@@ -475,6 +742,26 @@ def test_a_first_row_that_steps_is_said_with_both_voltages() -> None:
     ramped = compensated(move(), from_=0.0, approach=1.0)
     assert "the first row steps" not in texts_of(ramped)
     assert abs(float(np.diff(ramped.values, prepend=0.0).max())) < 3.0
+
+
+def test_a_first_value_at_which_nothing_settles_is_missed_by_what_is_said() -> None:
+    """Four gears: where the drive settles, the displacement goes by steps."""
+    gears = BacklashStage(np.full(4, 25.0), np.array([0.1, 0.2, 0.3, 0.4]))
+    few = dataclasses.replace(actuator(), stages=(gears, ScaleStage(20.0, 0.0)))
+    missed = re.compile(r"the displacement starts (\S+) um off its first value")
+    seen = 0
+    for first in np.linspace(4.0, 16.0, 13).tolist():
+        done = Model(few).compensate(move(first, first + 2.0), sample_rate=RATE, details=True)
+        start = float(done.values[0])
+        reached = float(few.simulate(np.array([start]), few.start(start)).y[0])
+        found = missed.search(texts_of(done))
+        if found is None:
+            assert reached == pytest.approx(first, abs=1e-6)
+            continue
+        seen += 1
+        assert float(found[1]) == near(abs(reached - first), 0.01)
+    assert 0 < seen < 13
+    assert not missed.search(texts_of(compensated(move())))
 
 
 def test_rows_faster_than_the_logs_are_counted() -> None:

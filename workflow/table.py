@@ -28,7 +28,7 @@ STEPS = {
 }
 """What is made of a log, in this order, and the command that makes it."""
 
-OF_THE_MODEL = ("failed", "sign", "gain", "rows")
+OF_THE_MODEL = ("failed", "sign", "gain", "rows", "model_expected_rmse")
 OF_THE_DRIVE = ("clipped", "expected_rmse", "expected_percent")
 
 
@@ -66,14 +66,22 @@ def content(file: Path) -> dict[str, Any]:
 
 
 def of_model(file: Path) -> dict[str, Any]:
-    """Return what the table says of a model: sign, gain (displacement per voltage, end to end) and rows."""
+    """Return what the table says of a model: sign, gain (displacement per voltage, end to end), rows, error.
+
+    The error is the one to expect of any new move; that of the trajectory stands with the drive.
+    """
     model = content(file)
     if not model:
         return {}
     sign = model["fit"]["sign"]
     gain = (model["output"]["max"] - model["output"]["min"]) / (model["input"]["max"] - model["input"]["min"])
     rows = sum(log["rows"] for log in model["provenance"]["inputs"])
-    return {"sign": sign, "gain": gain if sign == "rising" else -gain, "rows": rows}
+    return {
+        "sign": sign,
+        "gain": gain if sign == "rising" else -gain,
+        "rows": rows,
+        "model_expected_rmse": model["fit"]["expected_rmse"],
+    }
 
 
 def lines_of(logs: Path, results: Path) -> Iterator[dict[str, Any]]:

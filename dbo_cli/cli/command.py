@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from dbo_cli.cli import options
 from dbo_cli.cli.options import Option
 from dbo_cli.errors import Listener, Remarks, UsageError
-from dbo_cli.logs.plain_text import cleaned, pattern
+from dbo_cli.logs.plain_text import as_options, cleaned
 
 if TYPE_CHECKING:
     from dbo_cli.logs.request import Address, ReadingOptions
@@ -33,15 +33,13 @@ EXIT_CODES = (
     ("130", "Interrupted."),
 )
 
-_PARAMETER = pattern(r"`([a-z]\w*)`")
-
 
 def shell_line(text: str) -> str:
     """Return a message of the library as the shell shows it: one line, parameters spelled as options.
 
     Names out of files hold no command that a terminal would obey.
     """
-    return _PARAMETER.sub(lambda match: "--" + match[1].rstrip("_").replace("_", "-"), cleaned(text))
+    return as_options(cleaned(text))
 
 
 @dataclass(frozen=True)

@@ -173,6 +173,14 @@ READING = (
 READING_OF_LOGS = tuple(LOG_FORMAT if option is FILE_FORMAT else option for option in READING)
 
 # --- identify: mostly the fields of ``IdentificationOptions`` ---
+UNCERTAINTY = Option(
+    "--uncertainty COLUMN", "Standard deviation of the displacement, row by row: weights of the fit."
+)
+SCALE_UNCERTAINTY = Option(
+    "--scale-uncertainty PERCENT|PPM",
+    "Of the displacement's scale, common to all rows (wavelength, calibration): stated with the gain; 5ppm.",
+    "0",
+)
 IDENTIFICATION = (
     Option(
         "--gears N|auto", "Gears: steps into which the loop is cut; more are finer and cost nothing.", "auto"
@@ -200,6 +208,7 @@ IDENTIFICATION = (
         "0",
     ),
     Option("--slopes auto|growing|falling|free", "How the gears' slopes may run.", "auto"),
+    SCALE_UNCERTAINTY,
 )
 SIGN = Option(
     "--sign rising|falling",
@@ -220,7 +229,7 @@ VALIDATE = Option(
 PRIOR = Option(
     "--prior MODEL", "Keep the shape of this model, and find its gain, offset and lag again from a short log."
 )
-FITTED = (VOLTAGE, DISPLACEMENT, PRIOR, SUMMARY)  # of the fields of ``IdentifyRun``
+FITTED = (VOLTAGE, DISPLACEMENT, UNCERTAINTY, PRIOR, SUMMARY)  # of the fields of ``IdentifyRun``
 RATED_MIN = Option(
     "--v-min VOLT", "The rating's lower end, with --v-max; logs of another range are warned of."
 )
@@ -379,7 +388,7 @@ EXCITATION = (  # of ``excitation_of``
 OPTIONS_OF: dict[str, tuple[Option, ...]] = {
     "identify": (
         LOGS, *READING, *REPORTING, *IDENTIFICATION, SIGN, SKIP, ZERO, METHOD, VALIDATE, PRIOR,
-        RATED_MIN, RATED_MAX, FORCE, *WORK, VOLTAGE, DISPLACEMENT, SUMMARY, OUTPUT,
+        RATED_MIN, RATED_MAX, FORCE, *WORK, VOLTAGE, DISPLACEMENT, UNCERTAINTY, SUMMARY, OUTPUT,
     ),
     "show": (MODEL, *REPORTING, SHOW_FORMAT, MODEL_FIGURES, OUTPUT),
     "invert": (MODEL, *REPORTING, OUTPUT),

@@ -68,6 +68,14 @@ def not_negative(option: str, text: str) -> float:
     return value
 
 
+def percentage(option: str, text: str) -> float:
+    """Return a share in %, from a plain number, one with ``%`` or one in ``ppm``."""
+    plain = text.strip()
+    if plain.endswith("ppm"):
+        return 1e-4 * not_negative(option, plain.removesuffix("ppm").strip())
+    return not_negative(option, plain.removesuffix("%").strip())
+
+
 def whole(least: int) -> Parser:
     """Return a parser of whole numbers of at least ``least``."""
 
@@ -266,6 +274,7 @@ PARSERS: dict[str, Parser] = {
     "FILE": address, "HZ": of_unit(positive, in_hertz), "LOG": address, "LOW:HIGH": span,
     "M|auto|0": auto_or(whole(0)),
     "N": whole(1), "N|auto": auto_or(whole(1)), "NAME,...": names, "PERCENT": not_negative,
+    "PERCENT|PPM": percentage,
     "SECONDS": of_unit(not_negative, in_seconds), "SECONDS|auto": seconds_or_auto,
     "SECONDS|auto|0": auto_or(of_unit(not_negative, in_seconds)),
     "TRAJECTORY": address, "VALUE": not_negative, "VOLT": figure, "VOLT/S": figure_above_0,

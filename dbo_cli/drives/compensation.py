@@ -29,7 +29,7 @@ from dbo_cli.drives.pieces import Before, ramp, sweep_range
 from dbo_cli.errors import InputError, LimitError, Remarks, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
-from dbo_cli.hysteresis.move_error import MOST_ROWS, UNLIKE, MoveError, move_error
+from dbo_cli.hysteresis.move_error import MOST_ROWS, UNLIKE, ZERO_STAYS, MoveError, move_error
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock, even_step, median_step
 from dbo_cli.logs.sources import Source
 
@@ -129,6 +129,9 @@ class Compensation(ModelRun):
     among_them = ""
     remedies = "`condition` sweeps it there, "
     or_after_a_sweep = " or after `condition`"
+    before_its_first_sweep = (
+        "; an actuator that never went over its range may err more (`condition` sweeps it)"
+    )
 
     def __post_init__(self) -> None:
         """Take the options apart."""
@@ -454,8 +457,8 @@ class Compensation(ModelRun):
         if self.first_value_missed:
             missed = f"{abs(self.first_value_missed):.3g}{self.input.suffix}"
             remarks.warn(
-                f"{self.source.name}: the drive starts {missed} off the "
-                "first value, which the actuator does not pass when it settles (`state` empty or `condition`)"
+                f"{self.source.name}: the displacement starts {missed} off its first value, at which an "
+                "actuator that has settled does not stand (`state` empty or `condition`)"
             )
         beyond = beyond_range(self.model.input, self.drive_figures.low, self.drive_figures.high)
         if beyond and self.options.extrapolate:  # else the amplifier stood there, and only came inwards
@@ -575,15 +578,20 @@ class Compensation(ModelRun):
         """Return shape and zero of the error, and what the zero depends on; nothing of an older model."""
         if error.shape is None or error.zero is None:
             return ""
-        holds = self.model.fit.get("zero_from", "where it stays as it was in the logs")
+        holds = self.model.fit.get("zero_from", ZERO_STAYS)
         if error.unlike > UNLIKE:
             holds = f"{holds}; the move's swings are unlike the logs', and it may be off by more"
+        elif error.repeats_small:
+            holds = f"{holds}; small swings that repeat may wander towards the middle of the loop"
         return f": shape {error.shape:.3g}{unit}, zero {error.zero:.3g}{unit} ({holds})"
 
     def _start_words(self, error: MoveError) -> str:
-        """Say from which start the error is to be expected, where the past makes more than a fifth of it."""
-        if not self._past_matters(error):
+        """Say from which start the error is to be expected, where the past matters or cannot be known."""
+        if self._past_is_known:
             return ""
+        if not error.past_matters:
+            # From the lower end a model knows one past alone: what an actuator at rest does, it cannot say.
+            return self.before_its_first_sweep if self.start == "auto" else ""
         unit = self.model.output.suffix
         whole = math.hypot(error.from_any_past, self._lost_rms())
         start = "settled at the first row" if self.start in ("auto", "settled") else self.start
@@ -594,8 +602,12 @@ class Compensation(ModelRun):
 
     def _past_matters(self, error: MoveError) -> bool:
         """Whether what was before the first row is not known, and makes more than a fifth of the error."""
-        known = self.options.condition or isinstance(self.start, ModelState)
-        return error.past_matters and not known
+        return error.past_matters and not self._past_is_known
+
+    @property
+    def _past_is_known(self) -> bool:
+        """Whether a sweep before the move, or a saved state, says where the actuator comes from."""
+        return self.options.condition or isinstance(self.start, ModelState)
 
     def summary_of_error(self) -> dict[str, Any]:
         """Return the parts of the expected error and what belongs to them as plain values."""

@@ -34,14 +34,22 @@ static int assemble(dbo_backlash *op, const Py_buffer *gears, const Py_buffer *g
 
 #define STATE_WORDS(n) (((size_t)(n) + 63) / 64)
 
-/* Room for the turns of a state, which the caller frees, and its bits in it; 0 with an error set. */
-static int take_state(const dbo_backlash *op, dbo_backlash_state *state, const Py_buffer *words) {
-    if ((size_t)words->len < STATE_WORDS(op->n) * sizeof(uint64_t)) return !too_short("words");
-    state->turns = PyMem_Malloc(op->n * sizeof(dbo_place));
-    if (!state->turns) {
+/* Room for the checkpoints of a state, which the caller frees, and behind them its turns; 0 with an error set. */
+static int take_turns(const dbo_backlash *op, dbo_backlash_state *state) {
+    const size_t checkpoints = op->n / DBO_SPACING;
+    state->checkpoints = PyMem_Malloc(checkpoints * sizeof(dbo_checkpoint) + op->n * sizeof(dbo_place));
+    if (!state->checkpoints) {
         PyErr_NoMemory();
         return 0;
     }
+    state->turns = (dbo_place *)(void *)(state->checkpoints + checkpoints);
+    return 1;
+}
+
+/* Room for a state, as above, and its bits in it; 0 with an error set. */
+static int take_state(const dbo_backlash *op, dbo_backlash_state *state, const Py_buffer *words) {
+    if ((size_t)words->len < STATE_WORDS(op->n) * sizeof(uint64_t)) return !too_short("words");
+    if (!take_turns(op, state)) return 0;
     dbo_backlash_load(op, state, words->buf);
     return 1;
 }
@@ -69,7 +77,7 @@ static PyObject *backlash_run(PyObject *module, PyObject *args) {
     int limited, ready = 0;
     size_t count, rows;
     (void)module;
-    state.turns = NULL;
+    state.checkpoints = NULL;
     if (!PyArg_ParseTuple(args, "y*y*nnddpy*dpw*w*dy*w*y*pdddy*", &gears, &guide, &n, &run, &op.x0, &op.y0, &op.extend,
                           &gain, &op.reference, &op.memory_on_output, &words, &memory, &state.last, &x, &y,
                           &decay, &limited, &limits.low, &limits.high, &limits.slack, &step))
@@ -101,7 +109,7 @@ static PyObject *backlash_run(PyObject *module, PyObject *args) {
     Py_END_ALLOW_THREADS
     PyMem_Free(table);
 done:
-    PyMem_Free(state.turns);
+    PyMem_Free(state.checkpoints);
     PyBuffer_Release(&gears);
     PyBuffer_Release(&guide);
     PyBuffer_Release(&words);
@@ -124,7 +132,7 @@ static PyObject *backlash_decay(PyObject *module, PyObject *args) {
     Py_ssize_t n, run;
     int ready = 0;
     (void)module;
-    state.turns = NULL;
+    state.checkpoints = NULL;
     state.memory = NULL;
     if (!PyArg_ParseTuple(args, "y*y*nnddpy*dpw*d", &gears, &guide, &n, &run, &op.x0, &op.y0, &op.extend, &gain,
                           &op.reference, &op.memory_on_output, &words, &drive))
@@ -137,7 +145,7 @@ static PyObject *backlash_decay(PyObject *module, PyObject *args) {
     dbo_backlash_bits(&op, &state, words.buf);
     ready = 1;
 done:
-    PyMem_Free(state.turns);
+    PyMem_Free(state.checkpoints);
     PyBuffer_Release(&gears);
     PyBuffer_Release(&guide);
     PyBuffer_Release(&gain);
@@ -161,15 +169,14 @@ static int take_rested(rested *r) {
     r->op.terms = terms;
     r->op.gain = r->gain.buf;
     r->memory = PyMem_Calloc(2 * terms + 1, sizeof(double));
-    r->state.turns = PyMem_Malloc(r->op.n * sizeof(dbo_place));
-    if (r->memory && r->state.turns) return 1;
+    if (r->memory) return take_turns(&r->op, &r->state);
     PyErr_NoMemory();
     return 0;
 }
 
 static void release_rested(rested *r) {
     PyMem_Free(r->memory);
-    PyMem_Free(r->state.turns);
+    PyMem_Free(r->state.checkpoints);
     PyBuffer_Release(&r->gears);
     PyBuffer_Release(&r->guide);
     PyBuffer_Release(&r->gain);
@@ -178,8 +185,15 @@ static void release_rested(rested *r) {
 /* The output at rest for an input, from a state of this operator or the `exchanged` one, which stays as it is. */
 static double output_at_rest(const rested *r, const dbo_backlash_state *from, int exchanged, double x) {
     dbo_backlash_state state = *from;
-    state.x = exchanged ? from->y : from->x;
-    state.y = exchanged ? from->x : from->y;
+    if (exchanged) {
+        state.x = from->y;
+        state.y = from->x;
+        state.checkpoints = r->state.checkpoints;
+        for (size_t k = 0; k < from->depth / DBO_SPACING; k++) {
+            state.checkpoints[k].x = from->checkpoints[k].y;
+            state.checkpoints[k].y = from->checkpoints[k].x;
+        }
+    }
     state.memory = r->memory;
     return dbo_backlash_step(&r->op, &state, x, r->memory + r->op.terms, NULL, NULL);
 }
@@ -203,7 +217,7 @@ static PyObject *backlash_start(PyObject *module, PyObject *args) {
     int found = 0, ready = 0;
     (void)module;
     forward.memory = inverse.memory = NULL;
-    forward.state.turns = inverse.state.turns = again.state.turns = NULL;
+    forward.state.checkpoints = inverse.state.checkpoints = NULL;
     if (!PyArg_ParseTuple(args, "(y*y*nnddpy*dp)(y*y*nnddpy*dp)ddd", &forward.gears, &forward.guide, &forward.n,
                           &forward.run, &forward.op.x0, &forward.op.y0, &forward.op.extend, &forward.gain,
                           &forward.op.reference, &forward.op.memory_on_output, &inverse.gears, &inverse.guide, &inverse.n,
@@ -214,6 +228,7 @@ static PyObject *backlash_start(PyObject *module, PyObject *args) {
     if (inverse.op.n != forward.op.n && too_short("gears")) goto done;
     again = forward;
     again.state.turns = inverse.state.turns; /* which the steps of the inverse do without */
+    again.state.checkpoints = inverse.state.checkpoints;
     ready = 1;
     Py_BEGIN_ALLOW_THREADS
     for (int tries = 0; tries < MOST_HALVINGS && !found; tries++) {
@@ -242,7 +257,7 @@ static void stepper_dealloc(PyObject *object) {
     PyTypeObject *type = Py_TYPE(object);
     PyBuffer_Release(&self->gears);
     PyBuffer_Release(&self->guide);
-    PyMem_Free(self->turns);
+    PyMem_Free(self->now.checkpoints);
     PyMem_Free(self->memory);
     PyMem_Free(self->table);
     PyObject_Free(object);
@@ -254,12 +269,13 @@ static int stepper_room(stepper *self, const Py_buffer *gain, const Py_buffer *d
     const size_t terms = NUMBERS(*gain);
     double *numbers = PyMem_Calloc(4 * terms + 1, sizeof(double));
     self->memory = numbers;
-    self->turns = PyMem_Malloc(self->op.n * sizeof(dbo_place));
-    if (!numbers || !self->turns) {
+    if (!numbers) {
         PyErr_NoMemory();
         return 0;
     }
-    self->now.turns = self->next.turns = self->turns;
+    if (!take_turns(&self->op, &self->now)) return 0;
+    self->next.turns = self->now.turns;
+    self->next.checkpoints = self->now.checkpoints;
     self->now.memory = numbers;
     self->next.memory = numbers + terms;
     memcpy(numbers + 2 * terms, gain->buf, terms * sizeof(double));
@@ -438,7 +454,7 @@ static PyObject *backlash_engagement(PyObject *module, PyObject *args) {
     size_t columns;
     int ready = 0;
     (void)module;
-    state.turns = NULL;
+    state.checkpoints = NULL;
     if (!PyArg_ParseTuple(args, "y*y*nndpw*y*w*w*n", &gears, &guide, &n, &run, &op.x0, &op.extend, &words, &x,
                           &rows, &crossed, &group_size))
         return NULL;
@@ -455,7 +471,7 @@ static PyObject *backlash_engagement(PyObject *module, PyObject *args) {
     dbo_backlash_bits(&op, &state, words.buf);
     Py_END_ALLOW_THREADS
 done:
-    PyMem_Free(state.turns);
+    PyMem_Free(state.checkpoints);
     PyBuffer_Release(&gears);
     PyBuffer_Release(&guide);
     PyBuffer_Release(&words);

@@ -21,7 +21,6 @@ typedef struct {
     dbo_backlash_state next;
     int planned;
     size_t clipped;
-    dbo_place *turns; /* of both states */
     double *memory;   /* of both, then gains and decay */
 } stepper;
 

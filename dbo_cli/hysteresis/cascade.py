@@ -437,6 +437,10 @@ class CoveredGears(NamedTuple):
         return BacklashState(state.bits | self.spare_bits, state.memory)
 
 
+ROUNDED = 1e-6
+"""Of a gear: the ends of the covered range may be so far off its edges, which are sums of rounded widths."""
+
+
 def covered_gears(gears: DiscreteBacklashOperator, low: float, top: float) -> CoveredGears:
     """Return the gears of a forward operator that a drive from ``low`` to ``top`` moves.
 
@@ -447,7 +451,9 @@ def covered_gears(gears: DiscreteBacklashOperator, low: float, top: float) -> Co
     core, bits, x0, y0 = gears, 0, gears.x0, gears.y0
     if low > gears.x0 + 0.5 * float(gears.dx[-1]):
         at_once = np.zeros((1, len(gears.relaxation.tau))) if gears.relaxation else None
-        _, state, _ = gears.run([top, low], gears.empty(), decay=at_once)  # relaxation plays no part
+        beyond = ROUNDED * float(gears.dx.min())
+        ends = [top + beyond, low - beyond]
+        _, state, _ = gears.run(ends, gears.empty(), decay=at_once)  # relaxation plays no part
         count = _gears_within(gears, top - low)
         if state.bits & ((1 << count) - 1) == 0:  # else the gears do not divide the range: nothing to spare
             bits, x0 = state.bits, low

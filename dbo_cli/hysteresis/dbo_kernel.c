@@ -56,6 +56,7 @@ typedef struct {
     const dbo_backlash *op;
     int grouped;
     dbo_place *turns;
+    dbo_checkpoint *checkpoints;
     size_t depth;
     size_t set;
     size_t zero;
@@ -68,6 +69,7 @@ INLINE walk begin(const dbo_backlash *op, const dbo_backlash_state *state, int g
     w.op = op;
     w.grouped = grouped;
     w.turns = state->turns;
+    w.checkpoints = state->checkpoints;
     w.depth = state->depth;
     w.set = state->set;
     w.zero = state->zero;
@@ -109,11 +111,29 @@ INLINE point begin_of(const dbo_backlash *op, size_t gear, int grouped) {
     return begin;
 }
 
-/* The ones of gears from ... end - 1 are in the sums. */
-static void add_ones(const dbo_backlash *op, dbo_backlash_state *state, size_t from, size_t end) {
-    const point low = begin_of(op, from, 1), high = begin_of(op, end, 1);
-    state->x += high.x - low.x;
-    state->y += high.y - low.y;
+/* The turn of a checkpoint. */
+INLINE size_t turn_of(size_t checkpoint) { return checkpoint * DBO_SPACING + DBO_SPACING - 1; }
+
+/* X_B, Y_B and the checkpoints from the ends of the runs, from the highest run on. */
+static void add_up(const dbo_backlash *op, dbo_backlash_state *state) {
+    const size_t depth = state->depth, lowest = state->set > state->zero ? state->set : state->zero;
+    int ones = (state->set == 0) == (depth % 2 == 0);
+    point high = begin_of(op, op->n, 1);
+    state->x = state->y = 0.0;
+    for (size_t k = 1; k <= depth + 1; k++) {
+        const size_t end = k == depth ? lowest : 0;
+        const point low = begin_of(op, k < depth ? state->turns[k] : end, 1);
+        if (ones) {
+            state->x += high.x - low.x;
+            state->y += high.y - low.y;
+        }
+        if (k < depth && k % DBO_SPACING == DBO_SPACING - 1) {
+            state->checkpoints[k / DBO_SPACING].x = state->x;
+            state->checkpoints[k / DBO_SPACING].y = state->y;
+        }
+        high = low;
+        ones = !ones;
+    }
 }
 
 INLINE int bit_of(const uint64_t *words, size_t gear) { return (int)(words[gear >> 6] >> (gear & 63) & 1); }
@@ -122,20 +142,18 @@ void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state, const 
     size_t end = op->n;
     int ones = words && bit_of(words, end - 1);
     state->depth = 0;
-    state->x = state->y = 0.0;
     for (size_t i = words ? end : 1; i-- > 1;) { /* from the highest place where a run may begin */
         if ((i & 63) == 0 && words[i / 64 - 1] == (ones ? UINT64_MAX : 0)) {
             i -= 63;
         } else if (bit_of(words, i - 1) != ones) {
-            if (ones) add_ones(op, state, i, end);
             state->turns[state->depth++] = (dbo_place)end;
             end = i;
             ones = !ones;
         }
     }
-    if (ones) add_ones(op, state, 0, end);
     state->set = ones ? 0 : end;
     state->zero = ones ? end : 0;
+    add_up(op, state);
 }
 
 void dbo_backlash_bits(const dbo_backlash *op, const dbo_backlash_state *state, uint64_t *words) {
@@ -307,6 +325,36 @@ INLINE landing first_open(const walk *w, const goal *to, size_t from, size_t end
     return at;
 }
 
+/* The farthest turn with a checkpoint to which a way and the room reach, or `depth` where they reach to none: by
+ * halves. All gears below it are crossed, since neither is below zero behind any of them. */
+static size_t farthest_turn(const dbo_backlash *op, const dbo_place *turns, const dbo_checkpoint *checkpoints,
+                            size_t depth, goal to, int rising, int plain) {
+    size_t far = 0, near = depth / DBO_SPACING, turn = depth;
+    while (far < near) {
+        const size_t middle = far + (near - far) / 2;
+        point at = {0.0, 0.0};
+        if (rising) at = begin_of(op, turns[turn_of(middle)], 1);
+        at.x += checkpoints[middle].x;
+        at.y += checkpoints[middle].y;
+        if (left_at(&to, at.x, at.y, rising, plain) >= 0.0 && (plain || room_at(&to, at.y, rising) >= 0.0)) {
+            near = middle;
+            turn = turn_of(middle);
+        } else {
+            far = middle + 1;
+        }
+    }
+    return turn;
+}
+
+/* What the gears above `end` add to X_B and Y_B, where the lowest run ends at `next` and the one above it there. */
+static dbo_checkpoint checkpoint_of(const dbo_backlash *op, double x, double y, size_t next, size_t end, int rising) {
+    const point middle = begin_of(op, next, 1), high = begin_of(op, end, 1);
+    dbo_checkpoint above;
+    above.x = x - (rising ? middle.x : high.x - middle.x);
+    above.y = y - (rising ? middle.y : high.y - middle.y);
+    return above;
+}
+
 /* Cross gears one way as long as the next one is crossed; returns the last, n where there was none. The next one is
  * the first of the lowest run that is open on this way: of the lowest of all, or of that above it; where it ends
  * they melt into one. With `column`, every gear adds one to that of its group, or takes it away. */
@@ -314,20 +362,36 @@ INLINE size_t pass_gears(walk *w, const goal *to, const int rising, const int pl
                          size_t group_size) {
     const size_t n = w->op->n;
     size_t next = rising ? w->zero : w->set, end, last, single = SINGLE;
-    int turned = next == 0, landed = 0;
+    int turned = next == 0, landed = 0, searched = w->depth < DBO_SPACING || column;
     if (next == n || !crosses_next(w, to, next, rising, plain)) return n;
     end = turned ? (rising ? w->set : w->zero) : w->turns[w->depth - 1];
     if (exponent_of(left_at(to, w->x, w->y, rising, plain)) >
         exponent_of(w->op->gears[row_of(w->op, next, w->grouped)].dx) + FAR)
         single = 0;
     do {
-        if (single > 0 || column) {
+        if (single == 0 && !searched) {
+            const size_t turn = farthest_turn(w->op, w->turns, w->checkpoints, w->depth, *to, rising, plain);
+            searched = 1;
+            if (turn < w->depth) {
+                const int melts = ((w->depth - turn) % 2 != 0) != turned; /* into the run above the turn */
+                const point begin = begin_of(w->op, w->turns[turn], w->grouped);
+                w->x = w->checkpoints[turn / DBO_SPACING].x + (rising ? begin.x : 0.0);
+                w->y = w->checkpoints[turn / DBO_SPACING].y + (rising ? begin.y : 0.0);
+                w->depth = melts ? turn - 1 : turn;
+                turned = 0;
+                next = w->turns[w->depth];
+                end = w->turns[w->depth - 1];
+                last = next - 1;
+                continue;
+            }
+        }
+        if (single > 0 || next + 1 == end || column) {
             const dbo_gear *gear = w->op->gears + row_of(w->op, next, w->grouped);
             if (column) column[next / group_size] += rising ? 1.0 : -1.0;
             w->x += rising ? gear->dx : -gear->dx;
             w->y += rising ? gear->dy : -gear->dy;
             next++;
-            single--;
+            if (single > 0) single--;
         } else {
             const landing found = first_open(w, to, next, end, rising, plain);
             w->x = found.x;
@@ -343,7 +407,11 @@ INLINE size_t pass_gears(walk *w, const goal *to, const int rising, const int pl
             end = w->depth > 0 ? w->turns[w->depth - 1] : n;
         }
     } while (!landed && next < n && crosses_next(w, to, next, rising, plain));
-    if (turned) w->turns[w->depth++] = (dbo_place)end;
+    if (turned) {
+        if (w->depth % DBO_SPACING == DBO_SPACING - 1)
+            w->checkpoints[w->depth / DBO_SPACING] = checkpoint_of(w->op, w->x, w->y, next, end, rising);
+        w->turns[w->depth++] = (dbo_place)end;
+    }
     w->set = rising ? 0 : next;
     w->zero = rising ? next : 0;
     return last;
@@ -670,13 +738,10 @@ void dbo_backlash_decay(const dbo_backlash *op, dbo_backlash_state *state, size_
         const dbo_gear *gear = op->gears + row_of(op, i - 1, 1);
         const double width = on_output ? gear->dy : gear->dx;
         const int stays = target - low >= (high - target) - slack;
-        if (stays) {
+        if (stays)
             low += width;
-            state->x += gear->dx;
-            state->y += gear->dy;
-        } else {
+        else
             high -= width;
-        }
         if (stays == ones) continue;
         ones = stays;
         if (i < end) {
@@ -688,6 +753,7 @@ void dbo_backlash_decay(const dbo_backlash *op, dbo_backlash_state *state, size_
     }
     state->set = ones ? 0 : end;
     state->zero = ones ? end : 0;
+    add_up(op, state);
     for (size_t j = 0; j < op->terms; j++) state->memory[j] = drive - op->reference;
     state->last = drive;
 }

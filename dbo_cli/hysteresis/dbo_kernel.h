@@ -18,9 +18,12 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* The index of a gear. DBO_PLACE: a smaller type, where there is little memory and n is below 2^16. */
+/* The index of a gear, and n. DBO_PLACE: a smaller type that holds them, where there is little memory. */
 #if !defined(DBO_PLACE)
 #define DBO_PLACE uint32_t
+#endif
+#if !defined(DBO_SPACING)
+#define DBO_SPACING 64 /* turns that share a checkpoint; chosen: 0.25 bytes a gear */
 #endif
 typedef DBO_PLACE dbo_place;
 
@@ -60,19 +63,28 @@ typedef struct {
     int memory_on_output; /* 0: L_j follows the input (forward); 1: it follows the output (inverse) */
 } dbo_backlash;
 
+/* What the gears above a turn add to X_B - X_0 and to Y_B - Y_0. */
+typedef struct {
+    double x;
+    double y;
+} dbo_checkpoint;
+
 /* The state. Its bits are runs of ones and zeros, since a move changes the lowest first, and the ends of the runs
  * are a stack: going on changes the lowest end, turning adds one, and a run that is crossed melts into the next.
  * The lowest run ends at S or Z, the greater of the two, and those above it at turns[depth - 1], turns[depth - 2]
- * and so on, the highest at n. A step writes to `turns` at `depth` alone: a copy of the structure, with memory of
- * its own, may share them and be dropped.
- * Point `turns` to n places and `memory` to its own, fill the memory, and call dbo_backlash_load. */
+ * and so on, the highest at n. Every DBO_SPACING-th turn has a checkpoint: a move that wipes out many turns looks up
+ * there how far it goes. A step writes to `turns` and `checkpoints` at `depth` alone: a copy of the structure, with
+ * memory of its own, may share them and be dropped.
+ * Point `turns` to n places, `checkpoints` to (n - 1) / DBO_SPACING and `memory` to its own, fill the memory, and call
+ * dbo_backlash_load. */
 typedef struct {
     dbo_place *turns;
+    dbo_checkpoint *checkpoints;
     double *memory; /* L_j, one per term */
-    double last;    /* the output before, for the slew limit; NaN where there is none */
     size_t depth;
     size_t set;     /* S (4) */
     size_t zero;    /* Z (5) */
+    double last;    /* the output before, for the slew limit; NaN where there is none */
     double x;       /* X_B - X_0 (2) */
     double y;       /* Y_B - Y_0 (3) */
 } dbo_backlash_state;

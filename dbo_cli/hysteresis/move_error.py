@@ -51,6 +51,9 @@ LINE = 4.0 / 3.0
 """Times the error that a straight line leaves of what was left out: no shape is stated to err by more.
 Chosen: docs/choices.md."""
 UNLIKE = 0.2  # of the range: swings further from the logs' own are said to be unlike them; chosen
+ZERO_STAYS = "where it stays as it was in the logs"  # the zero: under this condition it is as stated
+SMALL = 0.25  # of the range: swings below it stay inside the loop; chosen
+MOSTLY = 0.5  # of a move's rows: from which share of small repeated swings on they are spoken of; chosen
 PASTS: tuple[StartName, ...] = ("empty", "full", "settled")  # what may have been before the first row
 PAST_MATTERS = 1.2  # times the expected error: from which on it is said that the past makes it so much larger
 
@@ -125,6 +128,23 @@ def unlike(drive: Floats, known: Floats, span: float, begin: int = 0) -> float:
     return float(np.sqrt(rows @ squares / rows.sum())) / span
 
 
+def repeats_small_swings(drive: Floats, span: float, begin: int = 0) -> bool:
+    """Whether a drive mostly swings to and fro within a small part of the range, from the row ``begin`` on.
+
+    Where a loop forgets, as those of Duhem and of Bouc and Wen do, such a swing does not close, and wanders
+    towards the middle of the large loop as it repeats.
+    """
+    edges, swings = swings_between_turns(drive[begin:], span)
+    if len(swings) < 3:
+        return False
+    small = np.abs(swings[:, 1] - swings[:, 0]) < SMALL * span
+    again = np.abs(swings[2:] - swings[:-2]).max(axis=1) < NEAREST * span
+    again &= small[2:]
+    repeats = np.concatenate((again, [False, False])) | np.concatenate(([False, False], again))
+    rows = np.diff(edges)[repeats].sum()
+    return bool(rows > MOSTLY * (len(drive) - begin))
+
+
 @dataclass(frozen=True)
 class Alternative:
     """A model that explains the logs about as well: what it has changed, and how much it counts (0 to 1).
@@ -191,6 +211,7 @@ class MoveError:
     the model takes it to; ``shape`` and ``zero`` are its parts (``StatedError``; None where only the whole is
     known). ``from_any_past`` is the RMS where it may have been anywhere before, ``straight_line`` the error
     of a straight line, and ``unlike`` how far the swings are from the logs' own, in units of the range.
+    ``repeats_small`` says whether the move goes to and fro within a small part of the range.
     """
 
     rmse: float
@@ -199,6 +220,7 @@ class MoveError:
     zero: float | None
     from_any_past: float
     unlike: float = 0.0
+    repeats_small: bool = False
 
     @property
     def form(self) -> float:
@@ -303,7 +325,9 @@ def move_error(
         error = capped(error, model.fit.get("line_left_out_rmse"))
         expected, shape, zero = error.rmse, error.shape, error.zero
     past = _past(model, drive, steps, begin, own)
-    return MoveError(expected, straight, shape, zero, float(np.hypot(expected, past)), distance)
+    from_any_past = float(np.hypot(expected, past))
+    small = repeats_small_swings(drive, model.input.span, begin)
+    return MoveError(expected, straight, shape, zero, from_any_past, distance, small)
 
 
 def _seconds(steps: float | Floats | None, rows: int, begin: int) -> float:

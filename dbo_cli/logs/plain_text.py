@@ -70,3 +70,11 @@ def clean_text(value: object) -> str:
     """Turn what another program stored (a name, a unit, a remark) into text, in whatever encoding it is."""
     text = decoded(value) if isinstance(value, bytes) else str(value)
     return (text if text.isascii() else _unescaped(text)).rstrip("\0")
+
+
+_PARAMETER = pattern(r"`([a-z]\w*)`")
+
+
+def as_options(text: str) -> str:
+    """Return a message with its parameters spelled as the shell's options."""
+    return _PARAMETER.sub(lambda match: "--" + match[1].rstrip("_").replace("_", "-"), text)

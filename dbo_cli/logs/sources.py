@@ -251,6 +251,16 @@ class ArraySource(Source):
         has_time = self.time is not None or self.sample_rate is not None
         super().__init__(name, dict(columns), has_time, self.sample_rate, self.sample_rate)
 
+    def add(self, role: str, signal: ArrayLike, unit: str | None) -> None:
+        """Take one more signal (InputError where it is of another length, or not of finite numbers)."""
+        values = samples(role, signal)
+        if values.size != self.count:
+            raise InputError(
+                f"`{role}` has {values.size} samples where `{next(iter(self.values))}` has {self.count}"
+            )
+        self.values[role] = values
+        self.columns[role] = replace(column_info(role, len(self.values)), unit=unit)
+
     @property
     def count(self) -> int:
         """How many samples there are, whichever rows are handed out."""

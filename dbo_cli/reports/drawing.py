@@ -34,6 +34,7 @@ from dbo_cli.logs.whole_output import make_folder, write_whole
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.legend import Legend
     from matplotlib.text import Text
 
 SCHEME = {
@@ -71,6 +72,9 @@ FILES: tuple[Kind, ...] = ("png", "svg")
 _ENDINGS = re.compile(r"\.(?:csv|tsv|txt|dat|lvm|asc|log|h5|hdf5?|nxs|mat|npy|npz|parquet|feather|xlsx?|tdms)"
                       r"(?:\.(?:gz|bz2|xz|zst))?$", re.IGNORECASE)  # fmt: skip
 _NOTE_WIDTH = 40  # letters; beside a legend of two names they fill the width of a figure
+_NOTE_PAD = 5.0  # points between the axes and a note
+_NOTE_LINE = 0.22  # inches of a line of its own, for a note that has no room beside the legend
+_NOTE_GAP = 0.1  # inches between a legend and a note in the same line
 _LONGEST_STEM = 100  # bytes: of the 255 of a file name, 60 are for the figure's key and a temporary ending
 # Left alone: what the host has chosen for its own windows.
 _OF_THE_HOST = ("backend", "backend_fallback", "interactive", "toolbar", "webagg.", "timezone")
@@ -140,13 +144,33 @@ def _painted(plot: Plot, note: str, *, as_outlines: bool) -> Figure:
     axes.set_position(frame)
     if note:
         shown = short_name(cleaned(note), _NOTE_WIDTH)
-        title = axes.set_title(shown, loc="right", color=MUTED, fontsize=8.0, pad=5.0)
+        title = axes.set_title(shown, loc="right", color=MUTED, fontsize=8.0, pad=_NOTE_PAD)
         _show_plainly([title], as_outlines=as_outlines)
     legend = axes.get_legend()
     named = [axes.xaxis.label, axes.yaxis.label, *axes.texts, *(legend.get_texts() if legend else ())]
     _show_plainly(named, as_outlines=as_outlines)  # what is on the ticks are numbers
     _fit_left(figure, axes)
+    if note and legend is not None and _meet(figure, title, legend):
+        _add_line_above(figure, axes)
+        above = _NOTE_PAD + 72.0 * _NOTE_LINE
+        axes.set_title(title.get_text(), loc="right", color=MUTED, fontsize=8.0, pad=above)
     return figure
+
+
+def _meet(figure: Figure, note: Text, legend: Legend) -> bool:
+    """Whether a note at the right and a legend at the left have too little room in one line."""
+    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
+    gap = _NOTE_GAP * figure.dpi
+    return bool(legend.get_window_extent(renderer).x1 + gap > note.get_window_extent(renderer).x0)
+
+
+def _add_line_above(figure: Figure, axes: Axes) -> None:
+    """Make a figure higher by a line for its note; the axes keep their size and their place from below."""
+    width, height = figure.get_size_inches()
+    place = axes.get_position()
+    part = height / (height + _NOTE_LINE)
+    figure.set_size_inches(width, height + _NOTE_LINE)
+    axes.set_position((place.x0, part * place.y0, place.width, part * place.height))
 
 
 def _saved(figure: Figure, kind: Kind) -> bytes:

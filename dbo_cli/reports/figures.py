@@ -200,6 +200,7 @@ class _LogView:
         ends = axes.get_xlim(), axes.get_ylim()
         half_width = (ends[0][1] - ends[0][0]) / (2.0 * FINER)
         half_height = max((ends[1][1] - ends[1][0]) / (2.0 * FINER), 0.7 * (high - low))
+        time = min(max(time, ends[0][0] + half_width), ends[0][1] - half_width)  # the log, and nothing beside
         middle = 0.5 * (low + high)
         return (time - half_width, time + half_width), (middle - half_height, middle + half_height)
 

@@ -29,11 +29,11 @@ def to_json(report: Report) -> str:
 
     Keys, always all of them and in this order: ``format``, ``version``, ``unit`` (null: not known),
     ``compared`` (what was compared with what; the error is the second less the first), ``offset_removed``,
-    ``logs``, ``notes``, ``limits`` (a list of ``name``, ``figure``, ``limit``, ``value``, ``passed``) and
-    ``passed`` (whether all limits are kept; null where none was set). Each log: ``name``, ``samples``,
-    ``rmse``, ``nrmse_percent`` (of desired_max - desired_min; null for a constant), ``max_abs``,
-    ``max_abs_row``
-    (data row from 1), ``max_abs_time_s``, ``mean``, ``p95_abs`` (95 % of all |errors| are no larger),
+    ``logs``, ``notes``, ``limits`` (a list of ``name``, ``figure``, ``limit``, ``value``, ``passed``),
+    ``passed`` (whether all limits are kept; null where none was set) and ``warnings``. Each log: ``name``,
+    ``samples``, ``rmse``, ``nrmse_percent`` (of desired_max - desired_min; null for a constant), ``max_abs``,
+    ``max_abs_row`` (data row from 1), ``max_abs_time_s``, ``mean``, ``p95_abs`` (95 % of all |errors| are no
+    larger),
     ``loop_width`` (signed, see ``figures_of_merit.LoopWidth``), ``loop_width_percent``, ``lag_left_samples``,
     ``lag_left_s``, ``phase_left_degrees``, ``desired_min``, ``desired_max``, ``lag_samples`` (taken out
     beforehand), ``lag_s``, ``offset_removed`` (subtracted from the error), ``sample_period_s``,
@@ -60,6 +60,7 @@ def to_json(report: Report) -> str:
         "notes": report.notes,
         "limits": [judgement.record() for judgement in report.judgements],
         "passed": not report.missed if report.judgements else None,
+        "warnings": report.warnings,
     }
     return json_text(content)
 
@@ -107,6 +108,7 @@ def to_text(report: Report) -> str:
     parts = ["\n".join(wrapped(line)) for line in verdict_lines(report)]
     parts += ["\n".join(wrapped(headline(report)))]
     parts += ["\n".join(wrapped(line)) for line in expected_lines(report)]
+    parts += ["\n".join(wrapped(f"Warning: {warning}")) for warning in report.warnings]
     parts += ["\n".join(wrapped(settings_line(report)))]
     parts += [_table_of(errors, report.logs), f"{LEFT}\n{_table_of(left, report.logs)}"]
     for log in report.logs:
@@ -123,6 +125,8 @@ def verdict_lines(report: Report) -> list[str]:
     if not report.judgements:
         return []
     missed = report.missed
+    if missed and len(report.judgements) == 1:
+        return [f"FAILED: {_judgement_words(report, missed[0])}"]
     if missed:
         count = f"{len(missed)} of {len(report.judgements)} limits missed"
         return [f"FAILED: {count}", *[_judgement_words(report, judgement) for judgement in missed]]
@@ -348,6 +352,8 @@ def to_html(
     together = drawn_figures(comparison_plots, "all")
     parts = [_html_verdict(report), f'<p class="headline">{found}.</p>']
     parts += [f"<p>{escape(line)}.</p>" for line in expected_lines(report)]
+    for warning in report.warnings:
+        parts.append(f'<div class="notes"><p><strong>Warning:</strong> {escape(warning)}</p></div>')
     parts += [
         f"<p>{escape(settings_line(report).replace(' - ', ' − ', 1))}.</p>",
         *([] if any(plots) else [together]),

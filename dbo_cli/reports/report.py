@@ -115,6 +115,7 @@ class LogReport:
     segments: tuple[Segment, ...] = ()
     notes: tuple[str, ...] = ()
     expected: Expected | None = None
+    warnings: tuple[str, ...] = ()
 
     @property
     def percent_of_range(self) -> float | None:
@@ -256,11 +257,12 @@ class Report:
         return replace(self, judgements=tuple(judgements))
 
     def spelled(self, spell: Callable[[str], str]) -> Report:
-        """Return the report with what ``spell`` makes of its notes."""
+        """Return the report with what ``spell`` makes of its notes and warnings."""
         logs = []
         for log in self.logs:
             notes = tuple(spell(note) for note in log.notes)
-            logs.append(replace(log, notes=notes))
+            warnings = tuple(spell(warning) for warning in log.warnings)
+            logs.append(replace(log, notes=notes, warnings=warnings))
         return replace(self, logs=tuple(logs))
 
     @property
@@ -272,6 +274,11 @@ class Report:
     def notes(self) -> list[str]:
         """What a reader of the figures has to know, a line each, all logs together."""
         return [note for log in self.logs for note in log.notes]
+
+    @property
+    def warnings(self) -> list[str]:
+        """What is wrong with the logs, a line each, all logs together."""
+        return [warning for log in self.logs for warning in log.warnings]
 
     def to_frame(self) -> pandas.DataFrame:
         """Return one row a log under the keys of the JSON form, the log's name as index."""
@@ -366,6 +373,8 @@ def check_limits(report: Report, **limits: float | None) -> None:
         raise LimitError(missed[0].words() + more)
 
 
+BEYOND_EXPECTED = 2.0  # times the expected error: from which on more came than an expectation may miss
+MOSTLY_ZERO = 0.7  # of the RMSE is the mean error: half of its square
 OFFSET_ALONE = 1.0 / 3.0  # of the RMSE is left, at most, without the mean: nine tenths of the square are its
 
 
@@ -539,6 +548,28 @@ class _Turns:
         if not self._falling:
             self.candidate = self._seen
         return found
+
+
+def judged_by_expected(log: LogReport, expected: Expected) -> LogReport:
+    """Return a log with what was expected of it, and a warning where far more came."""
+    log = replace(log, expected=expected)
+    rmse, figures = log.expected_rmse, log.figures
+    if rmse is None or not figures.rmse > BEYOND_EXPECTED * rmse > 0.0:
+        return log
+    text = f"{log.name}: {figures.rmse / rmse:.2g} times as much came as was expected: "
+    if abs(figures.mean) > MOSTLY_ZERO * figures.rmse:
+        text += (
+            "most of it is the mean error, so the zero has moved, or the actuator came from elsewhere "
+            "(`remove_offset` takes the mean off; a sweep before the move, `condition`, puts the actuator "
+            "where the model takes it to be)"
+        )
+    else:
+        text += (
+            "the actuator came from elsewhere than the model takes it to (a sweep before the move, "
+            "`condition`), it has changed (identify it again, or with `prior`), or the logs of the "
+            "identification had no such moves"
+        )
+    return replace(log, warnings=(*log.warnings, text))
 
 
 def _with_concentration(log: LogReport) -> LogReport:

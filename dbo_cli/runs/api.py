@@ -521,6 +521,7 @@ def identify(
     prior: Any = None,
     voltage_unit: str | None = None,
     displacement_unit: str | None = None,
+    uncertainty: Any = None,
     jobs: int = 1,
     shared_shape: bool = False,
     coupling: bool = False,
@@ -545,6 +546,9 @@ def identify(
         a ``ModelSet`` or the file of one.
     voltage_unit, displacement_unit : str, optional
         Units of arrays, for the model to carry.
+    uncertainty : array_like of shape (samples,), or str
+        The displacement's standard deviation row by row, in its unit (of tables and files the column): rows
+        count by 1 over its square.
     jobs, shared_shape, coupling
         For channels: processes (change no result; a script that asks for several needs the usual
         ``if __name__ == "__main__":``); one loop shape for all; and how much each shows in the others, from a
@@ -567,9 +571,21 @@ def identify(
 
     fixed = record_of(IdentificationOptions, options, "is no parameter of identify")
     logs, columns = _given(log, displacement, voltage, time, sample_rate, voltage_unit, displacement_unit)
+    if uncertainty is not None:
+        uncertainty = _column_of_uncertainty(logs, uncertainty)
     reading = ReadingOptions(time=_column(time), sample_rate=sample_rate)
     switches = _chosen(shared_shape=shared_shape, coupling=coupling)
-    run = IdentifyRun(logs, _addressed(validate), reading, fixed, *columns, prior, switches, time)
+    run = IdentifyRun(
+        logs,
+        _addressed(validate),
+        reading,
+        fixed,
+        *columns,
+        uncertainty=uncertainty,
+        prior=prior,
+        brought=switches,
+        time=time,
+    )
     return _identify_model_or_set(run, jobs)
 
 
@@ -588,6 +604,27 @@ def _given(
     named = dict(zip(roles, units, strict=True))
     source = ArraySource(dict(zip(roles, (log, displacement), strict=True)), time, sample_rate, units=named)
     return [source], (None, None)
+
+
+def _column_of_uncertainty(logs: Sequence[Any], uncertainty: Any) -> str | None:
+    """Return the column of logs' standard deviations; of a log of arrays, add them to it.
+
+    Raises
+    ------
+    InputError
+        Arrays of other lengths, or with samples that are no standard deviation.
+    UsageError
+        A column of arrays, or an array beside tables and files.
+    """
+    arrays = logs[0] if isinstance(logs[0], ArraySource) else None
+    if isinstance(uncertainty, str):
+        if arrays is not None:
+            raise UsageError("`uncertainty`: beside arrays of voltage and displacement it is an array, too")
+        return uncertainty
+    if arrays is None:
+        raise UsageError("`uncertainty`: of tables and files it is the name of a column")
+    arrays.add("uncertainty", uncertainty, arrays.columns["displacement"].unit)
+    return None
 
 
 def _identify_model_or_set(run: IdentifyRun, jobs: int) -> Any:

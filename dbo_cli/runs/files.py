@@ -349,6 +349,7 @@ def summary_of(
         "largest_step": figures.largest_step,
         "expected_rmse": expected,
         "expected_percent": percent,
+        "expected_percent_of_move": percent,
         **of_pieces,
         "notes": [plain(text) for text in remarks.notes],
         "warnings": [plain(text) for text in remarks.warnings],
@@ -425,12 +426,17 @@ def quantity_wish(
     return column_wish(role, selector, option=option, quantity=quantity.quantity, unit=quantity.unit)
 
 
-def recording_wishes(voltage: str | None, displacement: str | None) -> dict[str, ColumnWish]:
+def recording_wishes(
+    voltage: str | None, displacement: str | None, uncertainty: str | None = None
+) -> dict[str, ColumnWish]:
     """Return the columns that an identification reads, as named or to be guessed."""
-    return {
+    wishes = {
         "voltage": column_wish("voltage", voltage, option="voltage"),
         "displacement": column_wish("displacement", displacement, option="displacement"),
     }
+    if uncertainty is not None:
+        wishes["uncertainty"] = ColumnWish(uncertainty, option="uncertainty")
+    return wishes
 
 
 def short_names(logs: Sequence[Any]) -> dict[Address, str]:

@@ -10,16 +10,18 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from dbo_cli.errors import SILENT, InputError, Listener, Remarks, UsageError, plain
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording
 from dbo_cli.hysteresis.identification import identify as identify_model
 from dbo_cli.hysteresis.model import SIGN_VERBS, ActuatorModel, Sign
 from dbo_cli.hysteresis.model_file import model_to_bytes, read_model
 from dbo_cli.logs import request
-from dbo_cli.logs.columns import is_order
+from dbo_cli.logs.columns import ColumnWish, is_order
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.request import ALL_ROWS, Address, ReadingOptions
-from dbo_cli.logs.sample_block import joined
+from dbo_cli.logs.sample_block import SampleBlock, joined
 from dbo_cli.logs.signal_log import SignalLog
 from dbo_cli.logs.sources import ArraySource, Source, is_table, remarks_of
 from dbo_cli.logs.units import in_unit, kind_of_unit, quantity_name
@@ -55,6 +57,7 @@ def recording_of(source: Source, name: str | None = None, listener: Listener = S
     """Read a source whole."""
     blocks = []
     for block in source.blocks():
+        _check_uncertainty(block, source)
         blocks.append(block)
         listener.progressed(len(block))
     whole = joined(blocks)
@@ -70,6 +73,20 @@ def recording_of(source: Source, name: str | None = None, listener: Listener = S
         displacement_unit=units["displacement"],
         voltage_quantity=quantity_name("voltage", units["voltage"]),
         displacement_quantity=quantity_name("displacement", units["displacement"]),
+        uncertainty=whole.values.get("uncertainty"),
+    )
+
+
+def _check_uncertainty(block: SampleBlock, source: Source) -> None:
+    """Refuse standard deviations that are none (InputError), naming the first by its row."""
+    values = block.values.get("uncertainty")
+    if values is None or bool((values > 0.0).all()):
+        return
+    place = int(np.argmin(values > 0.0))
+    column = source.columns["uncertainty"].name
+    raise InputError(
+        f"{block.place(source.name, place)}: column '{column}' is {values[place]:g}: a standard deviation is "
+        "a number above 0 (`rows` leaves such rows out)"
     )
 
 
@@ -174,6 +191,8 @@ def summary_of_model(result: IdentifyResult, command: str) -> dict[str, Any]:
     if model.sign == "falling":
         gain = -gain
     inputs: Any = model.provenance["inputs"]
+    checks: Any = fit.get("validation", ())
+    fitted = inputs[: len(inputs) - len(checks)]
     figures = ["rmse", "rmse_percent", "expected_rmse", "expected_percent"]
     figures += ["expected_shape_rmse", "expected_zero"]
     return {
@@ -181,9 +200,11 @@ def summary_of_model(result: IdentifyResult, command: str) -> dict[str, Any]:
         "version": 1,
         "command": command,
         "read": [read_record(log["name"], log.get("read", log)) for log in inputs],
-        "rows": fit.get("samples"),
+        "rows": sum(log["rows"] for log in fitted),
+        "samples": fit.get("samples"),
         "sign": model.sign,
         "gain": gain,
+        "gain_uncertainty": fit.get("gain_uncertainty"),
         "range": [model.input.minimum, model.input.maximum],
         **{key: fit.get(key) for key in figures},
         "notes": [plain(text) for text in [*result.remarks.notes, *result.summary]],
@@ -228,6 +249,8 @@ class IdentifyRun:
         What is fixed beforehand.
     voltage, displacement
         The columns, guessed where not given; patterns (``V{}``) name those of many channels.
+    uncertainty
+        The column of the displacement's standard deviation in what is fitted; None: all rows count alike.
     prior
         The file of a model whose shape is kept; from Python a mapping of models by channel, too.
     brought
@@ -244,6 +267,7 @@ class IdentifyRun:
     options: IdentificationOptions
     voltage: str | None = None
     displacement: str | None = None
+    uncertainty: str | None = None
     prior: Any = None
     brought: Mapping[str, Any] = field(default_factory=dict)
     time: Any = None
@@ -274,9 +298,10 @@ class IdentifyRun:
         prior_model = read_model(prior) if isinstance(prior, str) else prior
         names = short_names([*self.logs, *self.validation])
         units: dict[str, str | None] = {}
-        wishes = recording_wishes(self.voltage, self.displacement)
+        judged = recording_wishes(self.voltage, self.displacement)
+        fitted = recording_wishes(self.voltage, self.displacement, self.uncertainty)
 
-        def read(log: Any, reading: ReadingOptions) -> RecordedLog:
+        def read(log: Any, reading: ReadingOptions, wishes: Mapping[str, ColumnWish]) -> RecordedLog:
             if isinstance(log, RecordedLog):
                 return log
             opened_log = opened(log, wishes, reading, listener, time=self.time, digest=True)
@@ -290,8 +315,11 @@ class IdentifyRun:
                 if prior_model is not None:
                     bring_to(source, "voltage", prior_model.input, "the prior")
                     bring_to(source, "displacement", prior_model.output, "the prior")
-                for role, unit in units.items():
-                    source.convert(role, unit, "the first log is")
+                for role in ("voltage", "displacement"):
+                    if role in units:
+                        source.convert(role, units[role], "the first log is")
+                if "uncertainty" in source.columns:
+                    source.convert("uncertainty", source.columns["displacement"].unit, "the displacement is")
                 named = names.get(log) if isinstance(log, Address) else _name_of(log)
                 recording = recording_of(source, named, listener)
                 units.update({role: column.unit for role, column in source.columns.items()})
@@ -301,19 +329,27 @@ class IdentifyRun:
                 return RecordedLog(recording, _record_of(source, log), remarks)
 
         whole = dataclasses.replace(self.reading, rows=ALL_ROWS)
-        return [read(log, self.reading) for log in self.logs], [read(log, whole) for log in self.validation]
+        return (
+            [read(log, self.reading, fitted) for log in self.logs],
+            [read(log, whole, judged) for log in self.validation],
+        )
 
     def run(self, output: Address, listener: Listener = SILENT) -> IdentifyResult:
         """Identify a model of one actuator from logs and write it."""
         request.check_document(output, "a model", "json")
-        beside = request.selected_files(self.voltage, self.displacement, self.reading.time)
+        selectors = self.voltage, self.displacement, self.uncertainty, self.reading.time
+        beside = request.selected_files(*selectors)
         known = [] if self.prior is None else [self.prior]
         inputs = [*self.logs, *self.validation]
         self.check_outputs([output], [*inputs, *beside, *known])
         request.check_format(self.reading.format, inputs)
         prior = None if self.prior is None else read_model(self.prior)
         fitted, checks = self.read(listener, prior)
-        columns = {"voltage": self.voltage, "displacement": self.displacement}
+        columns = {
+            "voltage": self.voltage,
+            "displacement": self.displacement,
+            "uncertainty": self.uncertainty,
+        }
         arguments = self.arguments(
             {key: column for key, column in columns.items() if column is not None}, self.prior
         )

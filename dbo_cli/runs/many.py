@@ -8,8 +8,9 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from dbo_cli import extensions
-from dbo_cli.errors import InputError, Listener, Remarks, UsageError, plain
+from dbo_cli.errors import InputError, Listener, Remarks, UsageError
 from dbo_cli.logs.columns import is_pattern
+from dbo_cli.logs.plain_text import as_options
 from dbo_cli.logs.request import Address, check_document, parse_address
 from dbo_cli.logs.whole_output import check_outputs, make_folder
 from dbo_cli.runs.files import Destination, SignalRun, write_json
@@ -196,7 +197,7 @@ def _summaries_of_logs(
                 "format": "dbo-summary",
                 "version": 1,
                 "command": run.command,
-                "failed": plain(failures[log.text]),
+                "failed": as_options(failures[log.text]),
             }
         else:
             what = {**summary_of_model(result, run.command), "failed": None}

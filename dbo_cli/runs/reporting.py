@@ -40,6 +40,7 @@ from dbo_cli.reports.report import (
     check_limits,
     common_unit,
     evaluate,
+    judged_by_expected,
 )
 from dbo_cli.reports.sample_pairs import TrajectoryMatch, rows_to_read, with_values
 from dbo_cli.reports.windows import require_display, show_in_windows
@@ -251,14 +252,13 @@ class TrackingRun:
             if matched is not None:
                 merits = dataclasses.replace(merits, notes=(*matched.notes(), *merits.notes))
             if run is not None:
-                expected = drive.expected(self.model_name, score_rows)
-                merits = dataclasses.replace(merits, expected=expected)
+                merits = judged_by_expected(merits, drive.expected(self.model_name, score_rows))
             elif options.expected is not None:
-                expected = stated_in(options.expected.text, self._units[-1][1])
-                merits = dataclasses.replace(merits, expected=expected)
+                merits = judged_by_expected(merits, stated_in(options.expected.text, self._units[-1][1]))
             self._merits.append(merits)
             listener.finished()
             self.remarks.add(remarks_of(source) if run is None else run.remarks())
+            self.remarks.add(Remarks(warnings=list(merits.warnings)))
 
     def result(self) -> TrackingReport:
         """Return the report on all sources."""

@@ -270,6 +270,76 @@ def test_parts_of_an_interrupted_log_have_their_own_zero(dbo: Any) -> None:
         assert np.std(values - log.displacement[rows]) < 0.004
 
 
+def resting(log: Simulated) -> Simulated:
+    """Return a log before and behind which the drive rests, and warmth moves the mirror by a fringe."""
+    rows = 600
+    away = np.linspace(0.0, 1.2 * FRINGE, rows)
+    ends = (log.displacement[0] - away[::-1], log.displacement, log.displacement[-1] + away)
+    displacement = np.concatenate(ends)
+    drive = np.concatenate([np.full(rows, log.drive[0]), log.drive, np.full(rows, log.drive[-1])])
+    noise = 0.02 * np.random.default_rng(3).standard_normal(drive.size)
+    signal = 1.4 + np.cos(2.0 * np.pi * displacement / FRINGE + 1.0) + noise
+    return Simulated(np.arange(drive.size) / 2000.0, drive, displacement, signal, signal)
+
+
+def test_rests_in_which_the_mirror_moved_by_itself_are_left_out(dbo: Any) -> None:
+    log = resting(simulated())
+    write("run.csv", time_s=log.time, voltage_V=log.drive, signal_V=log.signal)
+    done = dbo("fringes", "run.csv", "--wavelength", "632.8nm", "-o", "out.csv")
+    assert done.code == 0
+    why = "the mirror moved by itself by some 2 half fringes while the drive stood still, 0 s to 0."
+    assert f"dbo: warning: run.csv: {why}" in done.err
+    table = np.loadtxt("out.csv", delimiter=",", skiprows=1)
+    first = int(np.searchsorted(log.time, table[0, 0]))
+    assert 500 < first < 620
+    error = table[:, 2] - log.displacement[first : first + len(table)]
+    assert np.std(error) < 0.004
+
+
+def test_parts_on_both_sides_of_a_gap_are_spliced_where_that_is_asked_for(dbo: Any) -> None:
+    log = simulated()
+    row = 1500
+    time = log.time + np.where(np.arange(log.time.size) < row, 0.0, 60.0)
+    write("run.csv", time_s=time, voltage_V=log.drive, signal_V=log.signal)
+    words = ("fringes", "run.csv", "--wavelength", "632.8nm", "-o", "out.csv")
+    done = dbo(*words)
+    assert done.code == 1
+    gap = f"nothing was recorded from {log.time[row - 1]:.6g} s to {log.time[row] + 60.0:.6g} s"
+    assert done.err.endswith(
+        f"dbo: error: run.csv: {gap}, and nobody counted the fringes meanwhile: each part has a zero of its "
+        "own (-o 'recorded-{part}.csv' writes a log of each, --splice takes them for one, or --rows "
+        f"1:{row} or {row + 1}:{log.time.size})\n"
+    )
+    rows = slice(row - 1, row + 1)
+    assert np.ptp(log.drive[rows]) < 2.0
+    done = dbo(*words, "--splice", "--figures", "f")
+    assert done.code == 0
+    assert f"{gap}: the 2 parts are spliced, as if neither drive nor mirror had moved meanwhile" in done.err
+    table = np.loadtxt("out.csv", delimiter=",", skiprows=1)
+    assert len(table) == log.time.size
+    np.testing.assert_allclose(table[:, 0], log.time, atol=1e-9)
+    assert np.std(table[:row, 2] - log.displacement[:row]) < 0.004
+    assert np.std(table[row:, 2] - log.displacement[row:]) < 0.004
+    assert table[row, 2] == table[row - 1, 2]
+
+
+def test_a_drive_that_moved_meanwhile_is_not_spliced(dbo: Any) -> None:
+    log = simulated()
+    signal = log.signal.copy()
+    begin, end = 1500, 1560
+    signal[begin:end] = -1.0
+    write("run.csv", time_s=log.time, voltage_V=log.drive, signal_V=signal)
+    done = dbo("fringes", "run.csv", "--wavelength", "632.8nm", "--splice", "-o", "out.csv")
+    between = log.drive[begin - 1 : end + 1]
+    when = f"from {log.time[begin - 1]:.6g} s to {log.time[end]:.6g} s"
+    moved = f"between {between.min():.6g} V and {between.max():.6g} V"
+    assert (done.code, done.err.splitlines()[-1]) == (
+        1,
+        f"dbo: error: run.csv: while nobody counted, {when}, the drive moved {moved}: --splice takes it for "
+        "still (-o 'recorded-{part}.csv' writes a log of each part)",
+    )
+
+
 def test_figures_are_drawn(dbo: Any, blank_figures: None, tmp_path: Any) -> None:
     log = simulated()
     write("run.csv", time_s=log.time, voltage_V=log.drive, signal_V=log.signal)

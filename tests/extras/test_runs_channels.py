@@ -139,6 +139,28 @@ def test_identify_makes_the_models_that_the_columns_alone_give(mirror: Any) -> N
     assert "fit, RMSE of the model's range: 3 of 3 channels below 1 %; worst: a, " in said.err
 
 
+def test_each_channel_has_its_own_uncertainty(mirror: Any) -> None:
+    lines = Path("log.csv").read_text().splitlines()
+    deviations = 0.01 + 0.02 * (np.arange(ROWS) % 7)
+    wide = [lines[0] + "".join(f",S_{c} (um)" for c in CHANNELS)]
+    for line, deviation in zip(lines[1:], deviations.tolist(), strict=True):
+        wide.append(line + f",{deviation!r}" * len(CHANNELS))
+    Path("wide.csv").write_text("\n".join(wide) + "\n")
+    words = ("identify", "wide.csv", *QUICK)
+    patterns = ("--voltage", "V_{}", "--displacement", "D_{}", "--uncertainty", "S_{}")
+    assert mirror(*words, *patterns, "-o", "all.json").code == 0
+    first = CHANNELS[0]
+    columns = ("--voltage", f"V_{first}", "--displacement", f"D_{first}", "--uncertainty", f"S_{first}")
+    assert mirror(*words, *columns, "-o", "one.json").code == 0
+    one, of_set = (json.loads(Path(name).read_text()) for name in ("one.json", "all.json"))
+    assert of_set["models"][first]["fit"] == one["fit"]
+    done = mirror(*words, *patterns, "--shared-shape", "-o", "shared.json")
+    assert (done.code, done.err) == (
+        2,
+        "dbo: error: --shared-shape and --uncertainty exclude each other: the shape is of the mean channel\n",
+    )
+
+
 def test_the_bytes_do_not_depend_on_the_number_of_processes(mirror: Any) -> None:
     words = ("identify", "log.csv", *QUICK, "--voltage", "V_{}", "--displacement", "D_{}", "-q", "-o")
     assert mirror(*words, "one.json").code == mirror(*words, "two.json", "-j", 2).code == 0

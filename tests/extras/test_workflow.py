@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -69,6 +70,15 @@ def finished(words: list[str], folder: Path, code: int = 0) -> str:
 
 needs_make = pytest.mark.skipif(MAKE is None, reason="make is not here")
 needs_snakemake = pytest.mark.skipif(SNAKEMAKE is None, reason="Snakemake is not here")
+
+
+def listed_by_one_command(folder: Path) -> dict[str, dict[str, Any]]:
+    """Identify from all logs by one command, of which one fails, and return the list by file."""
+    logs = sorted(f"logs/{path.name}" for path in (folder / "logs").iterdir())
+    words = [*DBO.split(), "identify", *logs, *OPTIONS.split(), "--keep-going", "-o", "models/{file}.json"]
+    finished([*words, "--summary", "all.json"], folder, code=1)
+    lines = json.loads((folder / "all.json").read_text())
+    return {Path(line["file"]).name: line for line in lines}
 
 
 def made_at(folder: Path) -> dict[str, int]:
@@ -153,6 +163,19 @@ def test_a_batch_ends_in_a_table_whatever_happens(engine, bench: Path) -> None: 
     assert float(table["turned.csv"]["gain"]) == pytest.approx(-1.2, rel=0.01)
     assert table["clockless.csv"]["rows"] == "600"
     assert "results/summary.csv: 6 logs, 2 failed\n" in said
+    by_one_command = listed_by_one_command(bench)
+    assert list(by_one_command) == list(table)
+    for name, line in table.items():
+        one = by_one_command[name]
+        if line["failed"].startswith("identify: "):
+            assert line["failed"] == f"identify: {one['failed']}"
+            continue
+        assert one["failed"] is None
+        assert (line["sign"], line["rows"]) == (one["sign"], str(one["rows"]))
+        assert float(line["gain"]) == one["gain"]
+        assert line["model_expected_rmse"] == (
+            "" if one["expected_rmse"] is None else str(one["expected_rmse"])
+        )
     assert (
         "warning: displacement is rising with the voltage in 4 logs, and falling in turned.csv: "
         "are leads exchanged, or does a sensor face away?\n"

@@ -22,6 +22,7 @@ from dbo_cli.extras.channels.signals import (
     patterns_of,
 )
 from dbo_cli.hysteresis.identification import IdentificationOptions
+from dbo_cli.hysteresis.identification.prior import OF_OTHERS
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes, read_model
 from dbo_cli.logs.request import ALL_ROWS, Address, Given, check_document
@@ -87,9 +88,18 @@ def identify_channels(run: IdentifyRun, output: Address, work: jobs.Work, listen
 
 def asked_patterns(run: IdentifyRun) -> dict[str, str]:
     """Return the patterns of columns; UsageError for a single column, or a shape from two places."""
-    patterns = patterns_of(voltage=run.voltage or "", displacement=run.displacement or "")
-    if run.brought.get("shared_shape", False) and run.prior is not None:
-        raise UsageError("`shared_shape` and `prior` exclude each other: each is where the shape comes from")
+    patterns = patterns_of(
+        voltage=run.voltage or "", displacement=run.displacement or "", uncertainty=run.uncertainty
+    )
+    if run.brought.get("shared_shape", False):
+        if run.prior is not None:
+            raise UsageError(
+                "`shared_shape` and `prior` exclude each other: each is where the shape comes from"
+            )
+        if run.uncertainty is not None:
+            raise UsageError(
+                "`shared_shape` and `uncertainty` exclude each other: the shape is of the mean channel"
+            )
     return patterns
 
 
@@ -99,11 +109,12 @@ def fits_of_channels(
     """Identify a model of each channel, in the order of the log; return how they show in each other, too."""
     patterns, reading, options = asked_patterns(run), run.reading, run.options
     whole, coupling = dataclasses.replace(reading, rows=ALL_ROWS), None
+    judged = {role: pattern for role, pattern in patterns.items() if role != "uncertainty"}
     apart: Mapping[str, Recordings] = {}  # where all have to be read before
     channels_by_drive: dict[bytes, dict[str, None]] = {}
     with (
         opened_readers(run.logs, reading, patterns, digest=True) as readers,
-        opened_readers(run.validation, whole, patterns, digest=True) as checks,
+        opened_readers(run.validation, whole, judged, digest=True) as checks,
     ):
         channels = list(readers[0].channels)
         prior_of = _priors(run.prior, channels)
@@ -297,6 +308,7 @@ def shared_shape(
     calls |= {channel: functools.partial(fit, logs[channel], options) for channel in left_out}
     fits = _all_of(calls.items(), "shared shape,", len(calls), processes)
     shape = fits.pop("the mean").model
+    shape = dataclasses.replace(shape, fit={**shape.fit, OF_OTHERS: True})
     ratios = {channel: _ratio(shape, logs[channel], own_options, fits[channel]) for channel in left_out}
     middle = float(np.median(list(ratios.values())))
     if middle > WORSE and not options.force:

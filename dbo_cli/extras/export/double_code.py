@@ -84,6 +84,7 @@ def double_code(plan: CascadePlan, lookup: bool) -> c.ModelCode:
         "moving": dynamics, "terms": plan.terms > 0, "points": parts.segments > 0, "spare": bool(spare),
         "delay": bool(delay),
         "TERMS": str(plan.terms), "SEGMENTS": str(parts.segments), "COVERED": str(covered.operator.n),
+        "CHECKPOINTS": c.checkpoints_of(plan.model.backlash.n, "double"),
         "MEMORY": "state->memory" if plan.terms else "0", "SPARE": "spare" if spare else "0",
         "SPARE_STATE": str(covered.spare_bits),
         "LOWEST_DRIVE": c.hex_double(covered.operator.x0),
@@ -126,7 +127,7 @@ def _gears(plan: CascadePlan, parts: _Parts, lookup: bool) -> None:
         parts.size += 17 * 2**gears.n
         parts.members = ["dbo_lookup_state gears;"]
     else:
-        parts.members = [f"dbo_place turns[{gears.n}];", "dbo_backlash_state gears;"]
+        parts.members = [*c.turns_members(gears.n, "double"), "dbo_backlash_state gears;"]
     spare = [] if lookup else plan.spare_words(64)
     lagging = plan.model.drive_lag is not None  # then the limits are made anew for each sample
     values: dict[str, str | bool] = {

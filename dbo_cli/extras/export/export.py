@@ -109,7 +109,7 @@ def translated(
     summary = ExportSummary(
         folder=folder, name=name, direction=plan.model.direction, arithmetic=arithmetic, files=(),
         gears=count, table_rows=-(-count // run), run=run, table_bytes=code.table_bytes,
-        state_bytes=code.state_bytes, worst_runs=most_runs(count) * passes,
+        state_bytes=code.state_bytes(count), worst_runs=most_runs(count, arithmetic) * passes,
         vectors=sum(len(part.inputs) for part in code.vectors), bounds=code.bounds, gears_loss=loss,
         notes=tuple(_notes(plan, loss, words)), warnings=(f"the limits allow {beyond}",) if beyond else (),
     )  # fmt: skip
@@ -159,9 +159,14 @@ def _limits(
     return drive_limits(model.drive, v_min, v_max, max_slew, extrapolate=extrapolate)
 
 
-def most_runs(gears: int) -> int:
-    """Return the most runs of gears that are crossed one way: every other gear is one at most."""
-    return (gears + 1) // 2
+def most_runs(gears: int, arithmetic: str) -> int:
+    """Return the most runs of gears that are crossed one way, one by one.
+
+    Every other gear is a run at most. Behind the first gears, which are crossed before anything is looked up,
+    the way goes on from a checkpoint, and every other turn up to the next checkpoint ends a run.
+    """
+    first_gears = 8 if arithmetic == "double" else 2  # SINGLE of the kernels
+    return min((gears + 1) // 2, first_gears + c.checkpoint_spacing(gears, arithmetic) // 2 + 1)
 
 
 def _words(plan: CascadePlan, name: str, arithmetic: str) -> c.Values:
@@ -176,9 +181,14 @@ def _words(plan: CascadePlan, name: str, arithmetic: str) -> c.Values:
         f" the {'drive' if inverse else 'displacement'} out",
         "timed": plan.time_step is not None, "ahead": plan.read_ahead > 0.0, "inverse": inverse,
         "alone": True, "counts": arithmetic == "q31", "AHEAD": repr(plan.read_ahead),
-        "PLACE": "uint16_t" if model.backlash.n < 2**16 else "uint32_t",
+        **_places(model.backlash.n, arithmetic),
         "RATE": repr(0.0 if plan.time_step is None else 1.0 / plan.time_step),
     }  # fmt: skip
+
+
+def _places(gears: int, arithmetic: str) -> dict[str, str]:
+    """Return how the kernel counts gears and turns, where one operator has so many gears and none more."""
+    return {"PLACE": f"uint{c.place_bits(gears)}_t", "SPACING": str(c.checkpoint_spacing(gears, arithmetic))}
 
 
 def _notes(plan: CascadePlan, loss: dict[str, float], words: c.Values) -> list[str]:
@@ -238,7 +248,7 @@ def kernel_files(words: c.Values, arithmetic: str, headers: tuple[str, ...]) -> 
         files[file] = c.fill("kernel_header.h", {"NAME": name, **guards, "text": files[file]})
     defined = "".join(f"#undef {word}\n#define {word} {name}_{word}\n" for word in names)
     chosen = {key: arithmetic == key for key in ("float", "q31")}
-    known = {**chosen, "names": defined, "PLACE": words["PLACE"]}
+    known = {**chosen, "names": defined, "PLACE": words["PLACE"], "SPACING": words["SPACING"]}
     return {**files, f"{name}_names.h": c.fill("NAME_names.h", known)}
 
 
@@ -278,6 +288,10 @@ def export_set(
             )  # fmt: skip
         except DboError as problem:
             raise type(problem)(f"channel {channel}: {problem}") from None
+    most = max(translation.summary.gears for translation in made.values())
+    for channel, translation in made.items():
+        size = translation.code.state_bytes(most)
+        made[channel] = translation._replace(summary=replace(translation.summary, state_bytes=size))
     files = _set_files(made, name)
     listed = [*sorted(files), project.MANIFEST]
     figures = {
@@ -315,7 +329,7 @@ def _set_files(made: Mapping[str, Translated], name: str) -> dict[str, str]:
     arithmetic = first.summary.arithmetic
     words: dict[str, str | bool] = {
         **first.words, "NAME": name, "GUARD": name.upper(), "alone": False, "FIRST": first.summary.name,
-        "PLACE": max(str(each.words["PLACE"]) for each in made.values()),
+        **_places(max(each.summary.gears for each in made.values()), arithmetic),
         "TITLE": f"The {first.plan.model.direction} hysteresis models of {len(made)} actuators",
         "ORIGIN": "Written by dbo export from a model set.", "COUNT": str(len(made)),
         "VECTORS": str(sum(each.summary.vectors for each in made.values())), "ARITHMETIC": arithmetic,

@@ -49,8 +49,7 @@ class ExportSummary:
     table_bytes, state_bytes : int
         Constant tables (flash), and the state (RAM) on a 32-bit target.
     worst_runs : int
-        A bound on the work of one step: the most runs of gears it crosses, one for each turn of the drive
-        that it wipes out.
+        A bound on the work of one step: the most runs of gears it crosses one by one.
     bounds : mapping
         Derived bounds on the error against the float64 model, in the output's unit and in % of its range;
         empty for double, which gives the same bits.

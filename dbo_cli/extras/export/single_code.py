@@ -31,11 +31,13 @@ from dbo_cli.extras.export.source_text import (
     ModelCode,
     Vectors,
     array,
+    checkpoints_of,
     delay_line,
     hex_float,
     integer,
     smooth_delay_line,
     struct_rows,
+    turns_members,
 )
 from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, through
 from dbo_cli.hysteresis.kernel import Floats
@@ -496,11 +498,12 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
     t = single_tables(plan, axes, q31, bounds["close_turn_fraction"])
     text: Text = integer if q31 else hex_float
     number = "int32_t" if q31 else "float"
+    arithmetic = "q31" if q31 else "float"
     spare = plan.spare_words(32)
     tables, size = _tables(t, text)
     if spare:
         tables += array("uint32_t", "spare", spare)
-    members = [f"dbo_place turns[{t.n}];", "uint32_t segments[3];", "dbo_backlash_state gears;"]
+    members = [*turns_members(t.n, arithmetic), "uint32_t segments[3];", "dbo_backlash_state gears;"]
     if t.terms:
         members.append(f"dbo_memory memory[{len(t.terms)}];")
     delay = ""
@@ -517,6 +520,7 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
         "spare": bool(spare), "delay": bool(delay), "tables": tables, "delay_line": delay,
         "TERMS": str(len(t.terms)), "COVERED": str(plan.model.covered_gears.operator.n),
         "MEMORY": "state->memory" if t.terms else "0", "SPARE": "spare" if spare else "0",
+        "CHECKPOINTS": checkpoints_of(t.n, arithmetic),
         "LIMITS": "0" if t.limits is None else "&limits", "LOWEST_OUTPUT": low, "HIGHEST_OUTPUT": high,
         "FIRST_OUTPUT": text(t.first), "slew": t.change is not None,
         "CHANGE": "" if t.change is None else text(t.change), "REACH": f"{ignored_beyond(plan.model.input)}F",

@@ -171,14 +171,17 @@ class ModelCode:
         """An input for the examples: one of the self-test, from its beginning."""
         return self.vectors[0].inputs[SAMPLE_ROW]
 
-    @property
-    def state_bytes(self) -> int:
-        """The size of the state on a 32-bit chip, its members at their natural alignment."""
-        place = 2 if max(count for *_, count in map(declared, self.members)) < 2**16 else 4
-        gears = 48 if self.number == "double" else 40
+    def state_bytes(self, gears: int) -> int:
+        """Return the size of the state on a 32-bit chip, where the kernel knows so many gears.
+
+        Members stand at their natural alignment.
+        """
+        place = place_bits(gears) // 8
+        operator = operator_state_bytes(self.number, place)
         sizes = {
             "double": (8, 8), "float": (4, 4), "int32_t": (4, 4), "uint32_t": (4, 4), "size_t": (4, 4),
-            "int": (4, 4), "dbo_place": (place, place), "dbo_backlash_state": (gears, 8),
+            "int": (4, 4), "dbo_place": (place, place), "dbo_backlash_state": (operator, 8),
+            "dbo_checkpoint": (16, 8),
             "dbo_lookup_state": (16, 8), "dbo_section_state": (24, 8), "dbo_inverse_state": (24, 8),
             "dbo_memory": (8, 8),
         }  # fmt: skip
@@ -187,6 +190,46 @@ class ModelCode:
             size, alignment = sizes[kind]
             total = -(-total // alignment) * alignment + size * (count or 1)
         return -(-total // 8) * 8
+
+
+def operator_state_bytes(number: str, place: int) -> int:
+    """Return the size of a ``dbo_backlash_state``: pointers, depth, S and Z, and three numbers of 64 bits."""
+    index = 4 if number == "double" else place  # size_t, or dbo_place
+    pointers_and_indices = 3 * 4 + 3 * index
+    return -(-pointers_and_indices // 8) * 8 + 3 * 8
+
+
+def place_bits(gears: int) -> int:
+    """Return the bits of a ``dbo_place``: the index of a gear, or how many there are."""
+    for bits in (8, 16):
+        if gears < 2**bits:
+            return bits
+    return 32
+
+
+def checkpoint_spacing(gears: int, arithmetic: str) -> int:
+    """Return how many turns share a checkpoint, ``DBO_SPACING``: a power of two.
+
+    A checkpoint takes 16 bytes, and a turn one with few gears, else two: 2.5 bytes a gear at most. In double,
+    where to cross a run takes most time, checkpoints stand closer.
+    """
+    if place_bits(gears) == 8:
+        return 16
+    return 32 if arithmetic == "double" else 64
+
+
+def turns_members(gears: int, arithmetic: str) -> list[str]:
+    """Return the members of a state that hold the turns of so many gears and their checkpoints."""
+    members = [f"dbo_place turns[{gears}];"]
+    checkpoints = (gears - 1) // checkpoint_spacing(gears, arithmetic)
+    if checkpoints:
+        members.insert(0, f"dbo_checkpoint checkpoints[{checkpoints}];")
+    return members
+
+
+def checkpoints_of(gears: int, arithmetic: str) -> str:
+    """Return the place of the checkpoints in the state."""
+    return "state->checkpoints" if gears > checkpoint_spacing(gears, arithmetic) else "0"
 
 
 def declared(member: str) -> tuple[str, str, int]:

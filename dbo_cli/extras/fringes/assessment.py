@@ -102,7 +102,7 @@ def refuse_noise(track: Track, name: str) -> None:
 
 
 def refuse_miscounted(time: Floats, track: Track, name: str) -> None:
-    """Refuse a phase that does not go half a fringe from crossing to crossing of the signal (InputError).
+    """Refuse a phase that does not go half a fringe from crossing to crossing (InputError).
 
     The crossings are counted without any model; those around a turn of the drive take no part.
     """

@@ -3,8 +3,17 @@
 from __future__ import annotations
 
 from dbo_cli.cli.command import Command, Given, Progress, destination_of
-from dbo_cli.cli.options import HEADER, OUTPUT, READING, REPORTING, SUMMARY, VOLTAGE, Option
-from dbo_cli.cli.values import choice, figure_above_0, not_negative
+from dbo_cli.cli.options import (
+    HEADER,
+    OUTPUT,
+    READING,
+    REPORTING,
+    SCALE_UNCERTAINTY,
+    SUMMARY,
+    VOLTAGE,
+    Option,
+)
+from dbo_cli.cli.values import choice, figure_above_0
 
 LOG = Option("LOG", "The recording; FILE::/group in HDF5; - is stdin.")
 FRINGES = (  # the fields of ``FringeOptions``
@@ -24,9 +33,8 @@ FRINGES = (  # the fields of ``FringeOptions``
         "How the displacement runs with the voltage [default: rising; --quadrature: as it is seen].",
         parse=choice(("rising", "falling")),
     ),
-    Option(
-        "--scale-uncertainty PERCENT", "Of the wavelength; said beside the result.", "0", parse=not_negative
-    ),
+    SCALE_UNCERTAINTY._replace(meaning="Of the wavelength, common to all rows; said beside the result."),
+    Option("--splice", "Parts between breaks as one log, as if nothing had moved meanwhile."),
     Option("--figures DIR", "Draw the figures, PNG and SVG, into this folder."),
 )
 
@@ -41,8 +49,9 @@ def fringes(arguments: Given) -> None:
 
     Writes
     ------
-    Time, voltage, displacement (um, 0 at the first row) and its standard deviation (um). Where the beam was
-    interrupted, -o 'recorded-{part}.csv' writes a log of each part.
+    Time, voltage, displacement (um, 0 at the first row) and its standard deviation (um). Where fringes could
+    not be counted for a while (a dark beam, a gap in the record, a rest of the drive in which the mirror
+    moved by itself), -o 'recorded-{part}.csv' writes a log of each part, or --splice one of all.
 
     Usual options
     -------------

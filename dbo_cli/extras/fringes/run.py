@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,12 @@ import numpy as np
 from dbo_cli.errors import SILENT, InputError, Listener, Remarks, UsageError
 from dbo_cli.extras.fringes import assessment
 from dbo_cli.extras.fringes.branches import TURN
+from dbo_cli.extras.fringes.breaks import Break, record_breaks, rest_breaks
 from dbo_cli.extras.fringes.figures import plots_of_track
-from dbo_cli.extras.fringes.light import dark_parts
 from dbo_cli.extras.fringes.one_signal import track_one_signal
 from dbo_cli.extras.fringes.quadrature import track_quadrature
 from dbo_cli.extras.fringes.swings import Floats
-from dbo_cli.extras.fringes.track import Track
+from dbo_cli.extras.fringes.track import Track, joined
 from dbo_cli.logs.columns import ColumnWish, OutColumn, column_wish
 from dbo_cli.logs.request import Address, ReadingOptions, check_format, parse_address
 from dbo_cli.logs.signal_log import SignalLog, open_log
@@ -50,6 +51,9 @@ class FringeOptions:
         photodiode, the interferometer's for two.
     scale_uncertainty
         Of the wavelength, in %: common to all rows, so that it is said and no row's deviation has it.
+    splice
+        Where fringes could not be counted for a while, go on where the displacement was; else each part has
+        its own zero.
     figures
         A folder for figures.
     """
@@ -61,6 +65,7 @@ class FringeOptions:
     per_fringe: float | str | None = None
     sign: str | None = None
     scale_uncertainty: float = 0.0
+    splice: bool = False
     figures: str | None = None
 
     def fringe(self) -> float:
@@ -149,20 +154,93 @@ def _with_sign(track: Track, signals: Signals, options: FringeOptions, remarks: 
     return replace(track, phase=-track.phase)
 
 
-def parts_of(signals: Signals) -> list[Signals]:
-    """Return the parts of a log between interruptions of the beam."""
-    dark = dark_parts(signals.signal)
-    if signals.quadrature is not None:
-        dark = sorted([*dark, *dark_parts(signals.quadrature)])
+def parts_between(signals: Signals, breaks: Sequence[Break]) -> list[Signals]:
+    """Return the parts of a log between breaks; those that are too short to count are left out."""
     parts = []
     begin = 0
-    for first, behind in dark:
-        if first > begin:
-            parts.append(signals.part(begin, first))
-        begin = max(begin, behind)
-    if begin < signals.time.size:
-        parts.append(signals.part(begin, signals.time.size))
+    for one in [*breaks, Break(signals.time.size, signals.time.size, "")]:
+        if one.first - begin >= assessment.FEWEST_ROWS:
+            parts.append(signals.part(begin, one.first))
+        begin = max(begin, one.behind)
     return parts
+
+
+def displacements(
+    signals: Signals, options: FringeOptions, name: str, remarks: Remarks
+) -> tuple[list[Displacement], list[str]]:
+    """Return the displacement of each part of a log between breaks, and why there are breaks.
+
+    Rests in which the mirror moved by itself are breaks only where the count fails with them: a creep that
+    the model follows is counted like any other move.
+
+    Raises
+    ------
+    InputError
+        A part cannot be counted, or none is long enough.
+    """
+    both = [signals.signal] if signals.quadrature is None else [signals.signal, signals.quadrature]
+    breaks = record_breaks(signals.time, both)
+    why = [one.why for one in breaks]
+    made: list[Displacement] = []
+    for part in parts_between(signals, breaks):
+        counted, rests = _counted(part, options, name, part.time.size == signals.time.size, remarks)
+        made += counted
+        why += [one.why for one in rests]
+    if not made:
+        raise InputError(f"{name}: {'; '.join(why)}, and no part is long enough")
+    return made, why
+
+
+def _counted(
+    part: Signals, options: FringeOptions, name: str, whole: bool, remarks: Remarks
+) -> tuple[list[Displacement], list[Break]]:
+    """Return the displacement of a part, or of what is between its rests where it fails with them."""
+    try:
+        made = displacement_of(part, options, name if whole else f"{name} ({rows_of(part)})", remarks)
+        return [made], []
+    except InputError:
+        rests = rest_breaks(part.time, part.drive, part.signal)
+        if part.quadrature is not None or not rests:
+            raise
+        of_pieces = Remarks()
+        pieces = []
+        try:
+            for piece in parts_between(part, rests):
+                pieces.append(displacement_of(piece, options, f"{name} ({rows_of(piece)})", of_pieces))
+        except InputError:
+            pieces = []
+        if not pieces:
+            raise
+        remarks.add(of_pieces)
+        return pieces, rests
+
+
+def rows_of(part: Signals) -> str:
+    """Return the rows of a part in words."""
+    return f"rows {part.first_row}:{part.first_row + part.time.size - 1}"
+
+
+def spliced(made: Sequence[Displacement]) -> Displacement:
+    """Return parts as one: each begins a row later where the one before it ended."""
+    step = float(np.median(np.diff(made[0].signals.time)))
+    times, values = [], []
+    clock = float(made[0].signals.time[0])
+    level = 0.0
+    for part in made:
+        times.append(part.signals.time - part.signals.time[0] + clock)
+        values.append(part.values - part.values[0] + level)
+        clock, level = float(times[-1][-1]) + step, float(values[-1][-1])
+    first = made[0].signals
+    quadrature = [part.signals.quadrature for part in made if part.signals.quadrature is not None]
+    signals = Signals(
+        np.concatenate(times),
+        np.concatenate([part.signals.drive for part in made]),
+        np.concatenate([part.signals.signal for part in made]),
+        np.concatenate(quadrature) if quadrature else None,
+        first.first_row,
+    )
+    deviation = np.concatenate([part.deviation for part in made])
+    return Displacement(signals, np.concatenate(values), deviation, joined([part.track for part in made]))
 
 
 def read_signals(log: SignalLog) -> Signals:
@@ -231,51 +309,82 @@ def write_displacement(
         remarks.note(log.notes)
         for text in log.warnings:
             remarks.warn(text)
-    parts = parts_of(signals)
     listener.working(f"counting the fringes of {signals.time.size:,} rows")
     try:
-        made = _displacements(parts, destination, options, name, remarks)
+        made, why = displacements(signals, options, name, remarks)
     finally:
         listener.finished()
-    for number, part in enumerate(made, start=1):
+    if options.splice:
+        _refuse_moved_drive(signals, made, options, name)
+    outputs = _as_asked(made, why, destination, options, name, remarks)
+    for number, part in enumerate(outputs, start=1):
         _write(_output_of(destination, number), part, unit, destination, reading)
     if destination.summary is not None:
-        write_summary(destination.summary, [_summary(part, destination, read, remarks) for part in made])
+        write_summary(destination.summary, [_summary(part, destination, read, remarks) for part in outputs])
     if options.figures is not None:
         stem = file_stems([name])[0]
-        for number, part in enumerate(made, start=1):
+        for number, part in enumerate(outputs, start=1):
             plots = plots_of_track(part.signals, part.values, part.deviation, part.track)
-            save(plots, Path(options.figures), stem if len(made) == 1 else f"{stem}-{number}")
+            save(plots, Path(options.figures), stem if len(outputs) == 1 else f"{stem}-{number}")
     if options.scale_uncertainty > 0.0:
         known = f"a fringe of {1000.0 * fringe:.6g} nm is known to {options.scale_uncertainty:g} %"
-        remarks.note([f"{known}: so is the gain of every model from this log, beside what its fit says"])
+        said = f"identify --scale-uncertainty {options.scale_uncertainty:g} states it with the gain"
+        remarks.note([f"{known}, which no row's standard deviation contains: {said}"])
     return remarks
 
 
-def _displacements(
-    parts: Sequence[Signals], destination: Destination, options: FringeOptions, name: str, remarks: Remarks
-) -> list[Displacement]:
-    """Return the displacement of each part, each with a zero of its own."""
-    if len(parts) == 1:
-        return [displacement_of(parts[0], options, name, remarks)]
-    rows = [f"{part.first_row}:{part.first_row + part.time.size - 1}" for part in parts]
-    long_enough = [part for part in parts if part.time.size >= assessment.FEWEST_ROWS]
-    dark = ", ".join(f"{one.time[-1]:.6g} s" for one in parts[:-1])
-    if not long_enough:
-        raise InputError(f"{name}: the beam was interrupted at {dark}, and no part is long enough")
-    if PART not in destination.output.text:
-        raise InputError(
-            f"{name}: the beam was interrupted at {dark}, and nobody counted the fringes meanwhile: each "
-            f"part has a zero of its own (-o 'recorded-{PART}.csv' writes a log of each, or `rows` "
-            f"{' or '.join(rows)})"
+def _refuse_moved_drive(
+    signals: Signals, made: Sequence[Displacement], options: FringeOptions, name: str
+) -> None:
+    """Refuse to splice parts between which the drive went as far as half a fringe takes (InputError)."""
+    um_a_volt = max(float(np.ptp(part.values) / np.ptp(part.signals.drive)) for part in made)
+    for before, behind in pairwise(made):
+        last = before.signals.first_row + before.signals.time.size - 1 - signals.first_row
+        first = behind.signals.first_row - signals.first_row
+        between = signals.drive[last : first + 1]
+        if um_a_volt * float(np.ptp(between)) > 0.5 * options.fringe():
+            when = f"from {signals.time[last]:.6g} s to {signals.time[first]:.6g} s"
+            moved = f"between {between.min():.6g} V and {between.max():.6g} V"
+            raise InputError(
+                f"{name}: while nobody counted, {when}, the drive moved {moved}: `splice` takes it for still "
+                f"(-o 'recorded-{PART}.csv' writes a log of each part)"
+            )
+
+
+def _as_asked(
+    made: Sequence[Displacement],
+    why: Sequence[str],
+    destination: Destination,
+    options: FringeOptions,
+    name: str,
+    remarks: Remarks,
+) -> Sequence[Displacement]:
+    """Return the parts of a log as they are to be written, each with its own zero or spliced to one.
+
+    Raises
+    ------
+    InputError
+        There are several, and neither a name for each nor a splice was asked for.
+    """
+    if not why:
+        return made
+    breaks = "; ".join(why)
+    if len(made) == 1:
+        remarks.warn(f"{name}: {breaks}: only {rows_of(made[0].signals)} are read")
+        return made
+    if options.splice:
+        remarks.warn(
+            f"{name}: {breaks}: the {len(made)} parts are spliced, as if neither drive nor mirror had moved "
+            "meanwhile, and the pauses are cut out of the time"
         )
-    remarks.warn(
-        f"{name}: the beam was interrupted at {dark}: each of the {len(long_enough)} parts has its own zero"
-    )
-    made = []
-    for part in long_enough:
-        last = part.first_row + part.time.size - 1
-        made.append(displacement_of(part, options, f"{name} (rows {part.first_row}:{last})", remarks))
+        return [spliced(made)]
+    if PART not in destination.output.text:
+        rows = " or ".join(rows_of(part.signals).removeprefix("rows ") for part in made)
+        raise InputError(
+            f"{name}: {breaks}, and nobody counted the fringes meanwhile: each part has a zero of its own "
+            f"(-o 'recorded-{PART}.csv' writes a log of each, `splice` takes them for one, or `rows` {rows})"
+        )
+    remarks.warn(f"{name}: {breaks}: each of the {len(made)} parts has its own zero")
     return made
 
 

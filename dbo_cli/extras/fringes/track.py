@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
 
 from dbo_cli.extras.fringes.phase_smoother import Channel
 from dbo_cli.extras.fringes.swings import Floats
@@ -44,3 +47,34 @@ class Track:
     channels: list[Channel]
     rounds: int
     clipped: int
+
+
+def joined(tracks: Sequence[Track]) -> Track:
+    """Return the tracks of parts as one; each begins within half a turn of where the one before ended."""
+    phases = [tracks[0].phase]
+    turns = list(tracks[0].turns)
+    rows = tracks[0].phase.size
+    for track in tracks[1:]:
+        whole = np.round((phases[-1][-1] - track.phase[0]) / (2.0 * np.pi))
+        phases.append(track.phase + 2.0 * np.pi * whole)
+        turns += [replace(turn, row=turn.row + rows) for turn in track.turns]
+        rows += track.phase.size
+    channels = [_joined_channel(same) for same in zip(*(track.channels for track in tracks), strict=True)]
+    return Track(
+        np.concatenate(phases),
+        np.concatenate([track.deviation for track in tracks]),
+        turns,
+        max(track.noise for track in tracks),
+        channels,
+        min(track.rounds for track in tracks),
+        sum(track.clipped for track in tracks),
+    )
+
+
+def _joined_channel(parts: Sequence[Channel]) -> Channel:
+    """Return what a photodiode shows in parts as one, with the largest noise."""
+    arrays = {}
+    for field in fields(Channel):
+        if field.name != "noise":
+            arrays[field.name] = np.concatenate([getattr(part, field.name) for part in parts])
+    return Channel(**arrays, noise=max(part.noise for part in parts))

@@ -84,6 +84,7 @@ class LoopCompensation(LearnedCompensation):
     first_what = "period"
     remedies = ""  # a loop is run in instead of swept
     or_after_a_sweep = ""
+    before_its_first_sweep = ""
 
     def responses(self) -> Iterator[Response]:
         """Return the way there and the run-in, where they are asked for, and one period of the settled drive.

@@ -305,6 +305,7 @@ class Sensor:
             voltage=recording.voltage[:known],
             displacement=displacement[:known],
             time=None if recording.time is None else recording.time[:known],
+            uncertainty=None if recording.uncertainty is None else recording.uncertainty[:known],
         )
 
 

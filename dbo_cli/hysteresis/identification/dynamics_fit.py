@@ -26,6 +26,7 @@ from dbo_cli.hysteresis.identification.evaluation import (
     TINY,
     WHOSE_LAG,
     beyond_noise,
+    outward,
     white_noise,
 )
 from dbo_cli.hysteresis.identification.recordings import MOST, FastPart, Floats
@@ -568,11 +569,10 @@ def said(figures: dict[str, object], chosen: Candidate, trusted: float, why: str
     """Return the lines about the dynamics."""
     parts = []
     for k, one in enumerate(chosen.resonances):
-        low, high = interval(one.frequency, chosen.spread[2 * k])
-        thin, wide = interval(one.damping, chosen.spread[2 * k + 1])
+        frequency = outward(interval(one.frequency, chosen.spread[2 * k]), 5)
+        damping = outward(interval(one.damping, chosen.spread[2 * k + 1]), 3)
         parts.append(
-            f"resonance at {one.frequency:.5g} Hz ({low:.5g} to {high:.5g}), damping {one.damping:.3g} "
-            f"({thin:.3g} to {wide:.3g})"
+            f"resonance at {one.frequency:.5g} Hz ({frequency}), damping {one.damping:.3g} ({damping})"
         )
         if one.antiresonance:
             parts[-1] += f" with an antiresonance at {one.antiresonance.frequency:.5g} Hz"

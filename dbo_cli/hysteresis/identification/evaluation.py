@@ -24,7 +24,7 @@ from dbo_cli.hysteresis.identification.recordings import (
     known_behind_gaps,
 )
 from dbo_cli.hysteresis.identification.search import ROWS_PER_SLOPE, Choice
-from dbo_cli.hysteresis.identification.statistics import PreparedLog
+from dbo_cli.hysteresis.identification.statistics import PreparedLog, weighted
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import StartName
 
@@ -39,7 +39,7 @@ class Residual:
 
     ``values`` measured minus predicted displacement, offset and drift taken off, for the rows used only;
     ``rows`` their indices; ``drift_span`` the drift's peak to peak; ``mean_predicted`` of them. All are in
-    the unit of the displacement.
+    the unit of the displacement. ``weights`` are the roots of the rows' weights, None where all count alike.
     """
 
     name: str
@@ -47,11 +47,17 @@ class Residual:
     rows: Integers
     drift_span: float
     mean_predicted: float = 0.0
+    weights: Floats | None = None
+
+    @property
+    def weighted(self) -> Floats:
+        """The values times the roots of their weights."""
+        return weighted(self.values, self.weights)
 
     @property
     def rmse(self) -> float:
-        """Root mean square of the values."""
-        return float(np.sqrt(np.mean(self.values**2)))
+        """Root mean square of the values, by their weights."""
+        return float(np.sqrt(np.mean(self.weighted**2)))
 
 
 def predict(model: ActuatorModel, recording: Recording, start: StartName = "auto") -> Floats:
@@ -74,12 +80,13 @@ def residual_of(model: ActuatorModel, recording: Recording, log: PreparedLog) ->
     rows = np.flatnonzero(log.used)
     predicted = predict(model, recording, log.start)[rows]
     left = recording.displacement[rows] - predicted
-    columns = log.drift[rows]
-    terms = np.linalg.lstsq(columns, left, rcond=None)[0]
+    columns, weights = log.drift[rows], log.weights_at(rows)
+    terms = np.linalg.lstsq(weighted(columns, weights), weighted(left, weights), rcond=None)[0]
     drifting = slice(1, columns.shape[1] - log.stretches)
     drift = columns[:, drifting] @ terms[drifting]
     span = float(np.ptp(drift)) if drift.size else 0.0
-    return Residual(log.name, left - columns @ terms, rows, span, float(predicted.mean()))
+    mean = float(predicted.mean())
+    return Residual(log.name, left - columns @ terms, rows, span, mean, weights)
 
 
 def known_rows(recording: Recording, skip_seconds: float) -> NDArray[np.bool_]:
@@ -168,6 +175,22 @@ def with_its_error(value: float, error: float, sign: bool = False) -> tuple[str,
     return f"{rounded:{form}.{places}f}", f"{shown:.{places}f}"
 
 
+def outward(interval: Sequence[float], digits: int) -> str:
+    """Return an interval as "low to high", its ends rounded outwards to so many digits."""
+    low, high = interval
+    above = 0.0 - _rounded_down(-high, digits)
+    return f"{_rounded_down(low, digits):.{digits}g} to {above:.{digits}g}"
+
+
+def _rounded_down(value: float, digits: int) -> float:
+    """Return the next value of so many digits below, or the value where it has no more."""
+    if value == 0.0 or not math.isfinite(value):
+        return value
+    places = digits - 1 - math.floor(math.log10(abs(value)))
+    unit = 10.0**-places
+    return round(math.floor(value / unit + 1e-9) * unit, places)
+
+
 def white_noise(left: Sequence[Floats]) -> float:
     """Return the mean square of what is white in what is left over, by its second differences."""
     noise = [np.diff(part, 2) for part in left]
@@ -193,7 +216,9 @@ def straight_line(recording: Recording, log: PreparedLog) -> float:
     voltage, target = (
         signal[rows] - signal[rows].mean() for signal in (recording.voltage, recording.displacement)
     )
-    columns = np.column_stack((voltage, log.drift[rows]))
+    weights = log.weights_at(rows)
+    columns = weighted(np.column_stack((voltage, log.drift[rows])), weights)
+    target = weighted(target, weights)
     left = target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
     return float(np.sqrt(np.mean(left**2)))
 
@@ -375,7 +400,7 @@ def fit_warnings(
     warnings = []
     span = abs(prepared.scale)
     rows = sum(len(one.values) for one in residuals)
-    rmse = float(np.sqrt(sum(float(one.values @ one.values) for one in residuals) / rows))
+    rmse = float(np.sqrt(sum(float(one.weighted @ one.weighted) for one in residuals) / rows))
     if rows < ROWS_PER_SLOPE * choice.basis.gears:
         warnings.append(
             f"{rows} rows for {choice.basis.gears} unknown slopes are fewer than the {ROWS_PER_SLOPE} for "
@@ -445,6 +470,11 @@ def _slew_warnings(recordings: Sequence[Recording], residuals: Sequence[Residual
     return warnings
 
 
+SCATTER = 0.25
+"""Of the displacement's variance, what a curve that turns may leave at one place and direction of the drive;
+chosen (butterflies leave 0.02, amplifiers that slew 0.3, a log of another drive 0.7)."""
+
+
 def _near_greatest(steps: Floats) -> float:
     """Return the share of steps within a tenth of the greatest, the largest 0.5 % aside."""
     return float(np.mean(steps > 0.9 * np.percentile(steps, 99.5))) if len(steps) >= FEWEST_ROWS else 0.0
@@ -468,13 +498,14 @@ def _shape_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list
         if len(climbs) < 8:
             continue
         falls = -float(climbs[climbs < 0.0].sum())
-        if falls > 0.25 * float(climbs[climbs > 0.0].sum()):
+        turns = falls > 0.25 * float(climbs[climbs > 0.0].sum())
+        if turns and _follows(log.displacement[ready.used], place[ready.used]):
             warnings.append(
                 f"{log.name}: the displacement rises and falls again as the voltage rises (a butterfly, or a "
                 "turning direction of motion): no invertible model follows that; stay on one side of the "
                 "turn"
             )
-        elif min(float(climbs[1:3].mean()), float(climbs[-3:-1].mean())) < SATURATION * float(
+        elif not turns and min(float(climbs[1:3].mean()), float(climbs[-3:-1].mean())) < SATURATION * float(
             np.median(climbs)
         ):
             warnings.append(
@@ -482,6 +513,13 @@ def _shape_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list
                 "an end stop): the inverse asks for large voltages there; keep trajectories away from it"
             )
     return warnings
+
+
+def _follows(displacement: Floats, place: NDArray[np.int64]) -> bool:
+    """Whether a displacement is a matter of the drive's place and direction, but for ``SCATTER``."""
+    counts = np.maximum(np.bincount(place), 1)
+    mean = np.bincount(place, displacement) / counts
+    return bool(np.var(displacement - mean[place]) < SCATTER * np.var(displacement))
 
 
 def _speed_correlation(recordings: Sequence[Recording], residuals: Sequence[Residual]) -> float:

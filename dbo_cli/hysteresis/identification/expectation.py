@@ -43,10 +43,12 @@ from dbo_cli.hysteresis.identification.statistics import (
     groupings,
     groups_left_out,
     swings_of,
+    weighted,
 )
 from dbo_cli.hysteresis.model import ActuatorModel, Relaxation, ScaleStage
 from dbo_cli.hysteresis.move_error import (
     STILL,
+    ZERO_STAYS,
     Alternative,
     StatedError,
     ZeroDrift,
@@ -130,7 +132,7 @@ class Expectation:
             return f"it moved by {moved} along a log, which may go on and is not in the whole"
         if self.one_level:
             return "logs at one mean level hardly tell creep from a moving zero"
-        return "where it stays as it was in the logs"
+        return ZERO_STAYS
 
     def words(self) -> str:
         """Say what the figure rests on, or why there is none."""
@@ -232,8 +234,9 @@ def _free_of_drift(log: PreparedLog, voltage: Floats, rows: NDArray[np.bool_]) -
     """Return voltage and output of some rows of a log without the offset and drift of those rows."""
     if not rows.any():
         return np.zeros(0), np.zeros(0)
-    table = np.column_stack((voltage[rows], log.output[rows]))
-    columns = log.drift[rows]
+    weights = log.weights_at(rows)
+    table = weighted(np.column_stack((voltage[rows], log.output[rows])), weights)
+    columns = weighted(log.drift[rows], weights)
     left: Floats = table - columns @ np.linalg.lstsq(columns, table, rcond=None)[0]
     return left[:, 0], left[:, 1]
 

@@ -88,6 +88,7 @@ class _Finalists:
             few = choice.basis  # a number of gears that the user fixed
         self._choice, self._options = replace(choice, basis=few), options
         self._problems: dict[Basis, OutputProblem] = {}
+        self._alone: dict[tuple[Basis, Structure], Judged] = {}
 
     def _problem(self, basis: Basis) -> OutputProblem:
         if basis not in self._problems:
@@ -239,8 +240,11 @@ class _Finalists:
 
     def _judged(self, basis: Basis, structure: Structure) -> Judged:
         """Return one candidate, refined from gears alone and judged."""
-        *_, last = self._chain(basis, structure, upto=structure)
-        return self._problem(basis).judged(last)
+        key = basis, structure
+        if key not in self._alone:
+            *_, last = self._chain(basis, structure, upto=structure)
+            self._alone[key] = self._problem(basis).judged(last)
+        return self._alone[key]
 
     def _starts(self, basis: Basis, least: dict[int, float]) -> Iterator[Structure]:
         """Yield gears alone of every chain of candidates that is within reach of the first one's."""

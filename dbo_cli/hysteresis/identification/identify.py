@@ -13,6 +13,7 @@ can be inverted.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -92,8 +93,38 @@ def identify(
         _refuse_other_sign(recordings, options.sign)
     found = _identify_by_method(widest_first(recordings), options, validation, prior)
     sign: dict[str, object] = {"sign": found.model.sign}
-    model = dataclasses.replace(found.model, fit=sign | dict(found.model.fit))
-    return dataclasses.replace(found, model=model, fit=sign | found.fit)
+    stated: dict[str, object] = {}
+    lines: list[str] = []
+    if options.scale_uncertainty > 0.0:
+        stated, lines = _stated_gain(found.model, options.scale_uncertainty)
+    model = dataclasses.replace(found.model, fit=sign | dict(found.model.fit) | stated)
+    return dataclasses.replace(
+        found, model=model, fit=sign | found.fit | stated, summary=[*found.summary, *lines]
+    )
+
+
+def _stated_gain(model: ActuatorModel, percent: float) -> tuple[dict[str, object], list[str]]:
+    """Return the gain from end to end with its standard uncertainty, as figures and as a line.
+
+    The shape's error is met at both ends, and the scale's ``percent`` in all rows alike; squares add.
+    """
+    span = model.output.span
+    gain = span / model.input.span
+    shape = model.fit.get("expected_shape_rmse")
+    of_ends = math.sqrt(2.0) * shape / span if isinstance(shape, float) else 0.0
+    uncertainty = gain * math.hypot(of_ends, percent / 100.0)
+    if model.sign == "falling":
+        gain = -gain
+    unit = f" {model.output.unit}/{model.input.unit}" if model.output.unit and model.input.unit else ""
+    figures: dict[str, object] = {
+        "gain": gain,
+        "gain_uncertainty": uncertainty,
+        "scale_uncertainty_percent": percent,
+    }
+    return figures, [
+        f"gain {gain:.6g}{unit} from end to end, standard uncertainty {uncertainty:.2g}{unit}: "
+        f"{percent:.3g} % of the displacement's scale, {100.0 * of_ends:.3g} % of the shape"
+    ]
 
 
 def _refuse_other_sign(recordings: Sequence[Recording], sign: str) -> None:
@@ -146,6 +177,8 @@ def _paper(
     if len(recordings) > 1:
         raise UsageError("`method` paper takes one log of one cycle (`rows` A:B cuts it out)")
     log = recordings[0]
+    if log.uncertainty is not None:
+        raise UsageError("`uncertainty` does not go with `method` paper, where all rows count alike")
     model, cycle = identify_as_in_paper(log, options.gears, options.points, options.zero)
     again = dataclasses.replace(
         log, time=None, sample_period=None, voltage=cycle.voltage, displacement=np.tile(log.displacement, 2)

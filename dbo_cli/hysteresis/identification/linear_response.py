@@ -15,7 +15,7 @@ import numpy as np
 from dbo_cli.hysteresis.identification.normal_equations import least_squares
 from dbo_cli.hysteresis.identification.output_error import BLOCKS, Errors
 from dbo_cli.hysteresis.identification.recordings import EVEN, Floats, Integers, drive_shape
-from dbo_cli.hysteresis.identification.statistics import PreparedLog
+from dbo_cli.hysteresis.identification.statistics import PreparedLog, weighted
 
 TAPS = (16, 64, 256)  # rows of the responses tried, shortest first
 ROWS_PER_TAP = 8  # fewer rows than this are no evidence of so long a response
@@ -60,12 +60,13 @@ def _even(log: PreparedLog) -> bool:
 
 @dataclass(frozen=True)
 class _Rows:
-    """Neighbouring rows of one log: drive before the first, output, drift and the quarter of each row."""
+    """Neighbouring rows of one log: drive before the first, output, drift, quarter and weight of each row."""
 
     drive: Floats
     output: Floats
     drift: Floats
     quarter: Integers
+    weights: Floats | None
 
 
 def _few_rows(log: PreparedLog, span: float) -> _Rows:
@@ -82,14 +83,14 @@ def _few_rows(log: PreparedLog, span: float) -> _Rows:
     count = int(used.sum())
     quarter[used] = np.arange(count) * BLOCKS // max(count, 1)
     drive = (log.voltage[chosen] - log.voltage[0]) / span
-    return _Rows(drive, log.output[chosen], log.drift[chosen], quarter)
+    return _Rows(drive, log.output[chosen], log.drift[chosen], quarter, log.weights_at(chosen))
 
 
 def _table(log: _Rows, taps: int) -> Floats:
-    """Return the drive of the last ``taps`` rows, offset and drift, and (last) the output."""
+    """Return the drive of the last ``taps`` rows, offset and drift, and (last) the output, weighted."""
     padded = np.concatenate((np.zeros(taps - 1), log.drive))
     past = np.lib.stride_tricks.sliding_window_view(padded, taps)[:, ::-1]
-    return np.column_stack((past, log.drift, log.output))
+    return weighted(np.column_stack((past, log.drift, log.output)), log.weights)
 
 
 def _errors(logs: Sequence[_Rows], taps: int) -> Errors:

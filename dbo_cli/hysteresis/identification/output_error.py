@@ -43,6 +43,7 @@ from dbo_cli.hysteresis.identification.statistics import (
     drive_rows,
     groupings,
     hat_functions,
+    weighted,
 )
 
 TINY = 1e-30  # beside squares of the normalised output: a logarithm of nothing
@@ -81,7 +82,8 @@ class JudgedRows:
     """The used rows of all logs for one basis, sorted by cells: what is left out together lies together.
 
     ``drive`` has shape (rows, gears + memories), ``drift`` (rows, terms of all logs); ``kinds`` maps each way
-    to leave parts out to its parts; ``in_time`` puts the rows into the order in which they were recorded.
+    to leave parts out to its parts; ``in_time`` puts the rows into the order in which they were recorded;
+    ``weights`` are the roots of the rows' weights, None where all count alike.
     """
 
     basis: Basis
@@ -91,6 +93,11 @@ class JudgedRows:
     cells: tuple[slice, ...]
     kinds: dict[str, tuple[Part, ...]]
     in_time: Integers
+    weights: Floats | None = None
+
+    def weighted(self, values: Floats, some: Integers | slice = slice(None)) -> Floats:
+        """Return values of some rows times the roots of the rows' weights."""
+        return weighted(values, None if self.weights is None else self.weights[some])
 
     def columns(self, segments: int) -> Columns:
         """Return where the unknowns of a candidate with so many segments stand."""
@@ -103,6 +110,7 @@ def judged_rows(logs: Sequence[PreparedLog], basis: Basis) -> JudgedRows:
     terms = [log.drift.shape[1] for log in logs]
     begins = np.concatenate(([0], np.cumsum(terms)))
     drives, outputs, drifts, owner = [], [], [], []
+    weights: list[Floats] = []
     for place, log in enumerate(logs):
         used = log.used
         for first, last, drive in drive_rows(
@@ -110,6 +118,8 @@ def judged_rows(logs: Sequence[PreparedLog], basis: Basis) -> JudgedRows:
         ):
             drives.append(drive[used[first:last]])
         outputs.append(log.output[used])
+        if log.weights is not None:
+            weights.append(log.weights[used])
         table = np.zeros((int(used.sum()), int(begins[-1])))
         table[:, begins[place] : begins[place + 1]] = log.drift[used]
         drifts.append(table)
@@ -131,7 +141,8 @@ def judged_rows(logs: Sequence[PreparedLog], basis: Basis) -> JudgedRows:
         if kept and (len(kept) > 1 or name not in ("cycles", "blocks")):
             kinds[name] = kept
     drive, output, drift = np.vstack(drives)[order], np.concatenate(outputs)[order], np.vstack(drifts)[order]
-    return JudgedRows(basis, drive, output, drift, cells, kinds, np.argsort(order, kind="stable"))
+    roots = np.concatenate(weights)[order] if weights else None
+    return JudgedRows(basis, drive, output, drift, cells, kinds, np.argsort(order, kind="stable"), roots)
 
 
 def _labels(logs: Sequence[PreparedLog], basis: Basis) -> dict[str, Integers]:
@@ -186,27 +197,31 @@ class OutputProblem:
     def __init__(self, rows: JudgedRows) -> None:
         self.rows = rows
         self.count = len(rows.output)
+        self._bending: dict[tuple[int, float, float], Floats] = {}
 
-    def predicted(self, vector: Floats, segments: int, some: Integers | slice = slice(None)) -> Floats:
+    def predicted(self, vector: Floats, segments: int) -> Floats:
         """Return what the unknowns predict of the rows, drift and all."""
         rows = self.rows
         shared, drift = rows.drive.shape[1], rows.drift.shape[1]
         origin = len(vector) - drift
-        y: Floats = np.einsum("ij,j->i", rows.drive[some], vector[:shared]) + vector[origin]
+        y: Floats = np.einsum("ij,j->i", rows.drive, vector[:shared]) + vector[origin]
         if segments > 1:
             y, _ = asymmetry(y, corners(vector[shared:origin], segments))
         if drift > 1:
-            y = y + np.einsum("ij,j->i", rows.drift[some, 1:], vector[origin + 1 :])
+            y = y + np.einsum("ij,j->i", rows.drift[:, 1:], vector[origin + 1 :])
         return y
 
-    def squares(self, vector: Floats, segments: int, some: Integers | slice = slice(None)) -> float:
+    def left_over(self, vector: Floats, segments: int) -> Floats:
+        """Return the weighted errors of the output; shape (rows,)."""
+        return self.rows.weighted(self.rows.output - self.predicted(vector, segments))
+
+    def squares(self, vector: Floats, segments: int) -> float:
         """Return the sum of the squared errors of the output."""
-        left = self.rows.output[some] - self.predicted(vector, segments, some)
-        return float(np.sum(left * left))
+        return _sum_of_squares(self.left_over(vector, segments))
 
     def noise(self, candidate: Refined) -> float:
         """Return the mean square of what is white in what a candidate leaves, by its second differences."""
-        left = self.rows.output - self.predicted(candidate.vector, candidate.structure.segments)
+        left = self.left_over(candidate.vector, candidate.structure.segments)
         bends = np.diff(left[self.rows.in_time], 2)
         return float(np.sum(bends * bends)) / (6.0 * max(len(bends), 1))
 
@@ -221,7 +236,7 @@ class OutputProblem:
             table[:, :shared] = rows.drive
             table[:, origin] = 1.0
             table[:, -1] = rows.output
-            return table
+            return rows.weighted(table)
         moved = vector[shared:origin]
         w = np.einsum("ij,j->i", rows.drive, vector[:shared]) + vector[origin]
         y, slope = asymmetry(w, corners(moved, segments))
@@ -230,7 +245,7 @@ class OutputProblem:
         table[:, shared:origin] = -hats
         table[:, origin] = slope
         table[:, -1] = rows.output - y + slope * w - np.einsum("ij,j->i", hats, moved)
-        return table
+        return rows.weighted(table)
 
     def products(self, table: Floats, rows: slice = slice(None)) -> Floats:
         """Return the products of the columns over some rows."""
@@ -250,9 +265,11 @@ class OutputProblem:
 
     def penalty(self, vector: Floats, structure: Structure) -> float:
         """Return what the smoothness of slopes and asymmetry adds to the squares."""
-        slopes, kinks = penalties(self.rows.columns(structure.segments))
-        form = structure.smoothness * slopes + structure.knot_smoothness * kinks
-        return self.count * quadratic(form, np.append(vector, -1.0))
+        key = structure.segments, structure.smoothness, structure.knot_smoothness
+        if key not in self._bending:
+            slopes, kinks = penalties(self.rows.columns(structure.segments))
+            self._bending[key] = structure.smoothness * slopes + structure.knot_smoothness * kinks
+        return self.count * quadratic(self._bending[key], np.append(vector, -1.0))
 
     def refined(self, structure: Structure, start: Floats, steps: int = STEPS) -> Refined:
         """Return the candidate at the least error that Gauss-Newton steps from ``start`` reach."""
@@ -302,16 +319,26 @@ class OutputProblem:
         grams = [self.products(table, cell) for cell in self.rows.cells]
         total = np.add.reduce(grams)
         _, states = self.solved(total, structure, self.count)
+        own = self.left_over(candidate.vector, segments)
         parts = {}
         for kind, some in self.rows.kinds.items():
-            squares = [self._left_out(candidate, part, total, grams, states) for part in some]
+            squares = [self._left_out(candidate, part, total, grams, states, own) for part in some]
             parts[kind] = Errors(np.array(squares), np.array([len(part.rows) for part in some]))
         return Judged(parts, candidate.squares / self.count, self.rows.basis, candidate)
 
     def _left_out(
-        self, candidate: Refined, part: Part, total: Floats, grams: Sequence[Floats], states: States
+        self,
+        candidate: Refined,
+        part: Part,
+        total: Floats,
+        grams: Sequence[Floats],
+        states: States,
+        own: Floats,
     ) -> float:
-        """Return the sum of squared errors on a part of the fit without it."""
+        """Return the sum of squared errors on a part of the fit without it.
+
+        ``own`` is what the candidate leaves of all rows.
+        """
         segments = candidate.structure.segments
         kept = total - np.add.reduce([grams[k] for k in part.cells])
         try:
@@ -319,15 +346,17 @@ class OutputProblem:
         except FitError:
             vector = candidate.vector
         if segments > 1:
-            vector = self._shortened(vector, candidate, part)
-        left = self.rows.output[part.rows] - self.predicted(vector, segments, part.rows)
-        return _free_of(left, self.rows.drift[part.rows, part.nuisance])
+            left = self._shortened(vector, candidate, part, own)
+        else:
+            left = self.left_over(vector, segments)
+        drift = self.rows.drift[part.rows, part.nuisance]
+        return _free_of(left[part.rows], self.rows.weighted(drift, part.rows))
 
     def line(self) -> LeftOut:
         """Return the errors of a straight line with the same offset and drift: gears of equal slopes."""
         rows = self.rows
         drive = rows.drive[:, : rows.basis.gears].sum(axis=1)
-        table = np.column_stack((drive, rows.drift, rows.output))
+        table = rows.weighted(np.column_stack((drive, rows.drift, rows.output)))
         grams = [np.einsum("ij,ik->jk", table[cell], table[cell]) for cell in rows.cells]
         total = np.add.reduce(grams)
         parts = {}
@@ -338,10 +367,11 @@ class OutputProblem:
                 rest = total - mine
                 found = least_squares(rest[:-1, :-1], rest[:-1, -1])
                 left = table[part.rows, -1] - np.einsum("ij,j->i", table[part.rows, :-1], found)
-                squares.append(_free_of(left, rows.drift[part.rows, part.nuisance]))
+                drift = rows.drift[part.rows, part.nuisance]
+                squares.append(_free_of(left, rows.weighted(drift, part.rows)))
             parts[kind] = Errors(np.array(squares), np.array([len(part.rows) for part in some]))
         found = least_squares(total[:-1, :-1], total[:-1, -1])
-        left = rows.output - np.einsum("ij,j->i", table[:, :-1], found)
+        left = table[:, -1] - np.einsum("ij,j->i", table[:, :-1], found)
         return LeftOut(parts, float(np.mean(left * left)))
 
     def smoothest(self, structure: Structure, tried: Sequence[float]) -> Structure:
@@ -373,32 +403,35 @@ class OutputProblem:
         first = self.rows.drive.shape[1]
         return slice(first + part.nuisance.start, first + part.nuisance.stop)
 
-    def _shortened(self, vector: Floats, candidate: Refined, part: Part) -> Floats:
-        """Return the step without a part, shortened where it raises the error on what is kept."""
-        segments = candidate.structure.segments
+    def _shortened(self, vector: Floats, candidate: Refined, part: Part, own: Floats) -> Floats:
+        """Return what the step without a part leaves, shortened where it leaves more of the rows kept.
+
+        ``own`` is what the candidate leaves.
+        """
+        structure = candidate.structure
         kept = np.ones(self.count, bool)
         kept[part.rows] = False
-        some = np.flatnonzero(kept)
-
-        def error(trial: Floats) -> float:
-            return self.squares(trial, segments, some) + self.penalty(trial, candidate.structure)
-
-        least = error(candidate.vector)
+        least = _sum_of_squares(own[kept]) + self.penalty(candidate.vector, structure)
         for halving in range(HALVINGS + 1):
             trial = candidate.vector + 0.5**halving * (vector - candidate.vector)
-            if error(trial) < least:
-                return trial
-        return candidate.vector
+            left = self.left_over(trial, structure.segments)
+            if _sum_of_squares(left[kept]) + self.penalty(trial, structure) < least:
+                return left
+        return own
+
+
+def _sum_of_squares(values: Floats) -> float:
+    return float(np.sum(values * values))
 
 
 def _free_of(left: Floats, columns: Floats) -> float:
     """Return the sum of squares that these columns leave."""
     if not columns.shape[1]:
-        return float(np.sum(left * left))
+        return _sum_of_squares(left)
     gram = np.einsum("ij,ik->jk", columns, columns)
     products = np.einsum("ij,i->j", columns, left)
     rest = left - np.einsum("ij,j->i", columns, least_squares(gram, products))
-    return float(np.sum(rest * rest))
+    return _sum_of_squares(rest)
 
 
 def finer(vector: Floats, columns: Columns, segments: int, to: int) -> Floats:

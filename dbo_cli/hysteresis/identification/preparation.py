@@ -46,9 +46,12 @@ from dbo_cli.hysteresis.identification.statistics import (
     Statistics,
     drift_columns,
     drive_rows,
+    equal_rows,
     fewer_rows,
     gather,
     relaxed_drive,
+    row_weights,
+    weighted,
     with_folds,
 )
 from dbo_cli.hysteresis.model_state import StartName
@@ -449,9 +452,11 @@ def prepare(
         for log, faulty in zip(recordings, faults, strict=True)
     ]
     usable, transients, outlying, clipped = zip(*counted, strict=True)
+    weights = row_weights([log.uncertainty for log in recordings], usable)
+    _check_weights(weights, usable, notes)
     logs: list[PreparedLog] = []
     fold = 0
-    for log, shape, rows in zip(recordings, shapes, usable, strict=True):
+    for log, shape, rows, roots in zip(recordings, shapes, usable, weights, strict=True):
         seconds = log.seconds()
         clock = np.arange(len(log.voltage), dtype=float) if seconds is None else seconds
         order = drift_order(shape, seconds is not None, level_moves(shape, log.voltage))
@@ -459,7 +464,7 @@ def prepare(
         folds = folds_of(shape, rows, fold, min(share, FOLDS))
         fold = int(folds.max()) + 1
         drift, output = drift_columns(clock, order), log.displacement / scale
-        unopened = PreparedLog(log.name, log.voltage, output, seconds, folds, drift, "settled")
+        unopened = PreparedLog(log.name, log.voltage, output, seconds, folds, drift, "settled", weights=roots)
         logs.append(_with_offsets_behind_gaps(log, unopened, low, high))
     # Where the rows under the unknown history are left out anyway, the start state makes no difference.
     chosen = [
@@ -484,6 +489,25 @@ def prepare(
         clipped_rows=clipped,
         doubtful_drift=doubtful,
         notes=notes,
+    )
+
+
+def _check_weights(weights: Sequence[Floats | None], used: Sequence[Booleans], notes: list[str]) -> None:
+    """Say what the rows' weights come to, or refuse (FitError) where a few rows outweigh all others."""
+    roots = [one[rows] for one, rows in zip(weights, used, strict=True) if one is not None]
+    if not roots:
+        return
+    together = np.concatenate(roots)
+    worth = equal_rows(together)
+    ratio = float(together.max() / together.min())
+    if worth < FEWEST_ROWS:
+        raise FitError(
+            f"`uncertainty`: a few rows outweigh all others ({together.size:,} rows tell as much as "
+            f"{worth:.0f} of equal uncertainty): their standard deviations are {ratio:.3g} times apart"
+        )
+    notes.append(
+        f"rows weighted by their uncertainty, which differs by up to {ratio:.3g} times: they tell as much as "
+        f"{worth:,.0f} of equal uncertainty, and the fit's RMSE is weighted, too"
     )
 
 
@@ -553,7 +577,8 @@ def _predicts_later_rows(log: Recording, usable: Booleans, early: Booleans) -> b
     low, high = float(log.voltage.min()), float(log.voltage.max())
     scale = signed_range([log])
     output, drift = log.displacement / scale, np.ones((len(fold), 1))
-    probe = PreparedLog(log.name, log.voltage, output, log.seconds(), fold, drift, start)
+    roots = row_weights([log.uncertainty], [usable])[0]
+    probe = PreparedLog(log.name, log.voltage, output, log.seconds(), fold, drift, start, weights=roots)
     statistics, structure = _probe(probe, low, high)
     errors = np.zeros(2)
     for quarter in range(1, QUARTERS + 1):
@@ -708,6 +733,7 @@ def _leave_out_spikes(
     found = np.zeros(len(logs), np.int64)
     for place, (log, residual) in enumerate(zip(logs, residuals, strict=True)):
         used = log.used
+        residual = weighted(residual, log.weights)
         values = residual[used]
         centre = float(np.median(values))
         sigma = OF_NORMAL * float(np.median(np.abs(values - centre)))

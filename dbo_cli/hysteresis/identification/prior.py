@@ -41,9 +41,9 @@ from dbo_cli.hysteresis.identification.recordings import (
     without_voltage_glitches,
 )
 from dbo_cli.hysteresis.identification.static import BROKEN, Identification
-from dbo_cli.hysteresis.identification.statistics import drift_columns
+from dbo_cli.hysteresis.identification.statistics import drift_columns, row_weights, weighted
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage, ScaleStage
-from dbo_cli.hysteresis.move_error import Alternative, alternatives_of
+from dbo_cli.hysteresis.move_error import ZERO_STAYS, Alternative, alternatives_of
 
 Booleans = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 
@@ -55,6 +55,10 @@ KEPT = ("gears", "different_slopes", "points", "drive_bend", "slopes", "smoothne
         "relaxation_seconds", "fastest_drive", "swings", "dynamics", "trusted_hz",
         "interpretation")  # fmt: skip
 """What a prior's file says of its shape."""
+
+
+OF_OTHERS = "of_other_actuators"
+"""Key of a prior's ``fit``: it is the shape of several actuators, so that no number of it is an old one."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +82,8 @@ class _Moved:
 class _Log:
     """One log beside what the prior predicts without its delay; ``keep`` are the rows that count.
 
-    ``levels_apart`` is how far the history before the log can shift the prediction's mean.
+    ``levels_apart`` is how far the history before the log can shift the prediction's mean; ``weights`` are
+    the roots of the weights of the rows that count, None where they count alike.
     """
 
     name: str
@@ -88,6 +93,7 @@ class _Log:
     drift: Floats
     keep: Booleans
     levels_apart: float
+    weights: Floats | None
 
     def late(self, delay: float) -> Floats:
         """Return the prediction ``delay`` seconds later, for the rows that count."""
@@ -101,8 +107,8 @@ class _Log:
         return float(np.sqrt(np.mean((self.late(seconds) - self.late(0.0)) ** 2)))
 
     def free_of_drift(self, values: Floats) -> Floats:
-        """Return values of the rows that count without offset and drift."""
-        columns = self.drift[self.keep]
+        """Return values of the rows that count without offset and drift, weighted."""
+        columns, values = weighted(self.drift[self.keep], self.weights), weighted(values, self.weights)
         free: Floats = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
         return free
 
@@ -143,9 +149,15 @@ def refresh(
     mended = [cleaned(log) for log in recordings]
     notes += [note for one in mended for note in one.notes]
     bare = _with_delay(prior, 0.0)
-    logs = [_beside(bare, one.recording, one.bad, options.skip_seconds) for one in mended]
+    rows = [_rows_that_count(one.recording, one.bad, options.skip_seconds) for one in mended]
+    weights = row_weights([one.recording.uncertainty for one in mended], rows)
+    logs = [
+        _beside(bare, one.recording, keep, roots)
+        for one, keep, roots in zip(mended, rows, weights, strict=True)
+    ]
     of_shape = _gain_of_shape(prior, logs, recordings)
-    moved = _moved(logs, prior.delay_seconds, cycle, _own_error(prior), of_shape)
+    may_hold = not prior.fit.get(OF_OTHERS, False)
+    moved = _moved(logs, prior.delay_seconds, cycle, _own_error(prior), of_shape, may_hold)
     if moved.gain <= 0.0:
         raise FitError(
             f"the displacement runs against the prior's (gain {moved.gain:.3g}): check `voltage` and "
@@ -180,23 +192,29 @@ def _sensor_of(fit: Mapping[str, object]) -> Sensor:
     return Sensor(float(kept["delay"]), float(kept["lag"])) if isinstance(kept, Mapping) else Sensor()
 
 
-def _beside(prior: ActuatorModel, log: Recording, bad: Booleans, skip_seconds: float) -> _Log:
-    """Return a log beside the prediction from the start that explains it best."""
-    seconds, keep = log.seconds(), known_rows(log, skip_seconds) & ~bad
+def _rows_that_count(log: Recording, bad: Booleans, skip_seconds: float) -> Booleans:
+    """Return the rows of a log that tell what moved (FitError where they are too few)."""
+    keep = known_rows(log, skip_seconds) & ~bad
     wiped = first_wiped_row(log.voltage)
     if wiped <= MOST * len(keep):
         keep[:wiped] = False  # on a way up from rest no start may follow the actuator
     if int(keep.sum()) < FEWEST_ROWS:
         raise FitError(f"{log.name}: {int(keep.sum())} usable rows are too few: record longer, or skip less")
+    return keep
+
+
+def _beside(prior: ActuatorModel, log: Recording, keep: Booleans, weights: Floats | None) -> _Log:
+    """Return a log beside the prediction from the start that explains it best."""
+    seconds = log.seconds()
+    roots = None if weights is None else weights[keep]
     clock = np.arange(len(keep), dtype=float) if seconds is None else np.maximum.accumulate(seconds)
     order = min(drift_order(drive_shape(log.voltage), seconds is not None, False), 1)
     drift = drift_columns(clock, order)
     found = []
     for start in STARTS:
         predicted = predict(prior, log, start)
-        one = _Log(
-            log.name, None if seconds is None else clock, predicted, log.displacement, drift, keep, 0.0
-        )
+        known = None if seconds is None else clock
+        one = _Log(log.name, known, predicted, log.displacement, drift, keep, 0.0, roots)
         found.append((_gain_and_error(one.products(0.0).sum(axis=0))[1], one))
     levels = [float(one.late(0.0).mean()) for _, one in found]
     best = min(found, key=lambda pair: pair[0])[1]
@@ -230,17 +248,23 @@ def _own_error(prior: ActuatorModel) -> float:
 
 
 def _moved(
-    logs: Sequence[_Log], held: float, cycle: float | None, own_error: float, of_shape: float
+    logs: Sequence[_Log],
+    held: float,
+    cycle: float | None,
+    own_error: float,
+    of_shape: float,
+    may_hold: bool,
 ) -> _Moved:
     """Return gain, offset and change of the lag from ``held`` (s); no change without a clock.
 
     An old number holds unless the log speaks against it by more than it can know: the interval of its own
     blocks, and what the prior's own error can feign: ``of_shape`` of a gain whose
     swings err apart (``_gain_of_shape``), and ``own_error`` (RMS, of the displacement) where all err alike.
+    Without ``may_hold`` the numbers are those that fit best.
     """
     lag, lag_error = (0.0, 0.0) if cycle is None else _lag(logs, held, LONGEST_DELAY / 2.0 * cycle)
     fitted_lag = lag
-    if max(log.shifted_by(lag) for log in logs) <= own_error:
+    if may_hold and max(log.shifted_by(lag) for log in logs) <= own_error:
         lag = 0.0
     products = _products(logs, max(held + lag, 0.0))
     total = products.sum(axis=0)
@@ -249,11 +273,13 @@ def _moved(
     gain_error = math.hypot(interval, of_shape)
     rows = sum(int(log.keep.sum()) for log in logs)
     feigned = own_error / math.sqrt(total[0, 0] / rows)
-    gain_holds = abs(gain - 1.0) <= max(gain_error, feigned)
+    gain_holds = may_hold and abs(gain - 1.0) <= max(gain_error, feigned)
     if gain_holds:
         gain = 1.0
     first = logs[0]
-    offset = float(np.mean(first.measured[first.keep] - gain * first.late(max(held + lag, 0.0))))
+    apart = first.measured[first.keep] - gain * first.late(max(held + lag, 0.0))
+    weights = None if first.weights is None else first.weights**2
+    offset = float(np.average(apart, weights=weights))
     if gain_holds and abs(offset) <= own_error:
         offset = 0.0
     return _Moved(gain, gain_error, offset, lag, lag_error, fitted_gain, fitted_lag)
@@ -381,7 +407,7 @@ def _parts_of_prior(prior: ActuatorModel, gain: float, rmse: float) -> dict[str,
     shape = prior.fit.get("expected_shape_rmse")
     if isinstance(shape, float):
         parts["expected_shape_rmse"] = max(gain * shape, rmse)
-        parts["zero_from"] = prior.fit.get("zero_from", "where it stays as it was in the logs")
+        parts["zero_from"] = prior.fit.get("zero_from", ZERO_STAYS)
     return parts
 
 

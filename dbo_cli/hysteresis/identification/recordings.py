@@ -41,6 +41,7 @@ class Recording:
     ``voltage`` and ``displacement`` have shape (samples,), in the units named; ``time`` is in seconds with
     the same shape, or None where the log has no clock; ``sample_period`` in seconds serves in its place.
     What drives may be another quantity than a voltage, and what comes out another than a displacement.
+    ``uncertainty`` is the displacement's standard deviation row by row, in its unit; None: all rows alike.
     """
 
     name: str
@@ -52,6 +53,7 @@ class Recording:
     displacement_unit: str | None = None
     voltage_quantity: str = "voltage"
     displacement_quantity: str = "displacement"
+    uncertainty: Floats | None = None
 
     def seconds(self) -> Floats | None:
         """Time of each sample in seconds from the first, or None where the log has no clock."""
@@ -105,6 +107,9 @@ class IdentificationOptions:
         Whether the displacement rises or falls as the voltage rises; logs of the other sign are refused.
     sensor_delay, sensor_lag : float
         What the sensor adds, in seconds: taken off the logs, kept in the model's ``fit``, not compensated.
+    scale_uncertainty : float
+        Of the displacement's scale (a wavelength, a calibration), standard, in %: common to all rows, so that
+        no log shows it. It is stated with the gain.
 
     Raises
     ------
@@ -126,6 +131,7 @@ class IdentificationOptions:
     sensor_lag: float = 0.0
     dynamics: int | None = None
     sign: str | None = None
+    scale_uncertainty: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse what is not of its kind or contradicts the rest."""
@@ -138,6 +144,9 @@ class IdentificationOptions:
         for name in ("skip_seconds", "sensor_delay", "sensor_lag", "delay"):
             if name != "delay" or self.delay is not None:
                 _seconds(name.removesuffix("_seconds"), getattr(self, name))
+        share = self.scale_uncertainty
+        if not (_is_number(share) and 0.0 <= float(share) < 100.0):
+            raise UsageError(f"`scale_uncertainty` {share!r}: is a share in %, from 0 to below 100")
         if self.relaxation is not None:
             self._check_relaxation(self.relaxation)
         self._check_choices()
@@ -279,6 +288,7 @@ def check_recordings(recordings: Sequence[Recording]) -> None:
                 f"whole cycle with {FEWEST_ROWS} rows or more"
             )
         _check_sizes(log)
+        _check_uncertainty(log)
         if log.time is not None and not log.time[-1] > log.time[0]:
             raise FitError(
                 f"{log.name}: time does not advance from the first row ({log.time[0]:.6g} s) to the last "
@@ -318,6 +328,19 @@ def widest_first(recordings: Sequence[Recording]) -> list[Recording]:
     """
     widest = max(float(np.ptp(log.voltage)) for log in recordings)
     return sorted(recordings, key=lambda log: float(np.ptp(log.voltage)) < (1.0 - AMPLITUDE_SCATTER) * widest)
+
+
+def _check_uncertainty(log: Recording) -> None:
+    """Refuse standard deviations that are none, naming the first."""
+    if log.uncertainty is None:
+        return
+    valid = (log.uncertainty > 0.0) & (log.uncertainty < LARGEST)
+    if not valid.all():
+        row = int(np.argmin(valid))
+        raise FitError(
+            f"{log.name}: the uncertainty in row {row + 1} is {log.uncertainty[row]:g}: a standard deviation "
+            "is a number above 0"
+        )
 
 
 def _check_sizes(log: Recording) -> None:
@@ -592,4 +615,5 @@ def _rows_of(log: Recording, rows: slice) -> Recording:
         voltage=log.voltage[rows],
         displacement=log.displacement[rows],
         time=None if log.time is None else log.time[rows],
+        uncertainty=None if log.uncertainty is None else log.uncertainty[rows],
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
@@ -257,16 +258,23 @@ class _Search:
                     raise
         return found[simplest_of([score for _, score in found], self._indifference)]
 
+    def _least(self, basis: Basis, candidates: Sequence[Structure]) -> float:
+        """Return the least error on data left out among candidates; infinite where none can be solved."""
+        statistics = self._statistics(basis)
+        least = np.inf
+        for structure in reversed(candidates):
+            with contextlib.suppress(FitError):
+                if fitted_rmse(statistics, structure) <= least * (1.0 + INDIFFERENCE):
+                    least = min(least, cross_validate(statistics, structure).rmse)
+        return least
+
     def direction(self, basis: Basis) -> tuple[str, float]:
         """Return the rule for the slopes that the loop's sense asks for, and how much worse the other is.
 
         A loop whose output lags needs slopes that grow, one that leads slopes that fall. Memories and a delay
         make loops, too, at the logs' own frequency, so none take part.
         """
-        errors = {
-            slopes: min(self._score(basis, one).rmse for one in self._listed(slopes, [()]))
-            for slopes in ("growing", "falling")
-        }
+        errors = {slopes: self._least(basis, self._listed(slopes, [()])) for slopes in ("growing", "falling")}
         ratio = errors["growing"] / max(errors["falling"], np.finfo(float).tiny)
         return self._options.slopes or ("growing" if ratio <= 1.0 else "falling"), ratio
 
@@ -334,9 +342,10 @@ class _Search:
 
         def attempt(bend: float) -> float:
             bent = replace(basis, bend=bend)
-            if error(bent) <= needed:
+            left = error(bent)
+            if left <= needed:
                 found.append((bent, *self._best(bent, listed)))
-            return error(bent)
+            return left
 
         for side in (-BEND_STEP, BEND_STEP):
             errors = [error(basis)]

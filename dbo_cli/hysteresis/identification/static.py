@@ -139,7 +139,7 @@ def identify_static(
     if rmse > NO_BETTER * line:
         warnings.append(_no_loop(recordings, prepared, rmse, line, options.force))
     checks = [validation_of(model, sensor.taken_off(log), options.skip_seconds) for log in validation]
-    noise = white_noise([one.values for one in residuals]) / max(rmse, TINY) ** 2
+    noise = white_noise([one.weighted for one in residuals]) / max(rmse, TINY) ** 2
     expected = expect(prepared, choice, model, rmse, noise, _zero_drift(residuals, recordings))
     figures = _figures(prepared, choice, fitted, model, residuals, checks, rmse, line, cycle, expected, given)
     warnings += _drift_warnings(residuals, abs(prepared.scale), model.output.unit)

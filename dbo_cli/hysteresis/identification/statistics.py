@@ -13,7 +13,7 @@ does not grow with the log, and gathered once, by folds, so that cycles or swing
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -30,7 +30,6 @@ from dbo_cli.hysteresis.identification.normal_equations import (
     States,
     Structure,
     minimum,
-    quadratic,
     solve,
     squared_error,
     squared_error_free_of,
@@ -210,14 +209,25 @@ def drive_rows(
         keep = min(max(int(before[min(last, samples - 1)]), done), end)
         early, state = operator.engagement(drive[done:keep], state, group_size=split)
         late, _ = operator.engagement(drive[keep:end], state, group_size=split)
-        columns = np.hstack((np.vstack((early, late)), memory[done:end]))
+        columns = np.empty((end - begin, early.shape[1] + memory.shape[1]))
+        columns[: keep - begin, : early.shape[1]] = early
+        columns[keep - begin :, : early.shape[1]] = late
+        columns[:, early.shape[1] :] = memory[begin:end]
         done = keep
-        rows, part = before[first:last] - begin, share[first:last, None]
-        if part.any():
-            after = np.minimum(rows + 1, len(columns) - 1)
-            yield first, last, (1.0 - part) * columns[rows] + part * columns[after]
-        else:
-            yield first, last, columns[rows]
+        if basis.delay > 0.0:
+            columns = _between(columns, before[first:last] - begin, share[first:last, None])
+        yield first, last, columns[: last - first]
+
+
+def _between(columns: Floats, rows: Integers, part: Floats) -> Floats:
+    """Return columns a share ``part`` behind some rows, on the straight line to the next one."""
+    made: Floats = columns[rows]
+    if part.any():
+        made *= 1.0 - part
+        late = columns[np.minimum(rows + 1, len(columns) - 1)]
+        late *= part
+        made += late
+    return made
 
 
 def _wanted_rows(wanted: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
@@ -254,7 +264,38 @@ SELECTION_ROWS = 20_000  # for choosing orders: more rows move the error left ou
 FIT_ROWS = 50_000  # for the model itself: five hundred for each unknown, which scatter by 4 % of the noise
 SWING_ROWS = 500  # between turns, on average, are kept: the fastest swings of a drive then have 50
 
-Linearise = Callable[[Floats, Floats], tuple[Floats, Floats]]
+
+def row_weights(
+    uncertainties: Sequence[Floats | None], used: Sequence[NDArray[np.bool_]]
+) -> list[Floats | None]:
+    """Return the roots of the weights of logs' rows, 1 over each standard deviation, in one scale.
+
+    Their mean square over the used rows is 1, so that a weighted error is one of the displacement. Where all
+    used rows are equally uncertain there are no weights: they count alike.
+    """
+    alike: list[Floats | None] = [None] * len(uncertainties)
+    present = [one for one in uncertainties if one is not None]
+    if len(present) < len(alike):
+        return alike
+    together = np.concatenate([one[rows] for one, rows in zip(present, used, strict=True)])
+    if float(np.ptp(together)) == 0.0:
+        return alike
+    scale = float(np.mean(together**-2.0)) ** -0.5
+    return [scale / one for one in present]
+
+
+def equal_rows(roots: Floats) -> float:
+    """Return how many rows of equal weight tell as much as rows of these: (sum w)^2 / sum w^2."""
+    weights = roots**2
+    return float(np.sum(weights)) ** 2 / float(np.sum(weights**2))
+
+
+def weighted(values: Floats, weights: Floats | None) -> Floats:
+    """Return rows of values times the roots of their weights; the values where all count alike."""
+    if weights is None:
+        return values
+    product: Floats = values * (weights if values.ndim == 1 else weights[:, None])
+    return product
 
 
 @dataclass(frozen=True)
@@ -265,7 +306,8 @@ class PreparedLog:
     logs); ``seconds`` from the first sample or None; ``fold`` the fold of each row, -1 where the row is left
     out; ``drift`` the columns of offset and drift, shape (samples, terms); ``start`` the state before the
     first sample. The last ``stretches`` of the drift's columns are offsets of stretches of a history left
-    open, not drift. All arrays have shape (samples, ...).
+    open, not drift. ``weights`` are the roots of the rows' weights, None where all rows count alike. All
+    arrays have shape (samples, ...).
     """
 
     name: str
@@ -276,12 +318,17 @@ class PreparedLog:
     drift: Floats
     start: StartName
     stretches: int = 0
+    weights: Floats | None = None
     _lags: dict[object, Floats] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def used(self) -> NDArray[np.bool_]:
         """Rows that take part in the fit; shape (samples,)."""
         return self.fold >= 0
+
+    def weights_at(self, rows: slice | NDArray[np.bool_] | Integers) -> Floats | None:
+        """Return the roots of the weights of some rows, None where all count alike."""
+        return None if self.weights is None else self.weights[rows]
 
     def lags(self, basis: Basis) -> Floats:
         """Return the drive as the memories of a basis see it (``basis.lags``).
@@ -321,14 +368,30 @@ class Statistics(FoldProducts):
     columns: Columns
 
     @cached_property
-    def _summed(self) -> dict[tuple[str, int], dict[int | None, Floats]]:
+    def _whole(self) -> tuple[Floats, int]:
+        return self.total()
+
+    @cached_property
+    def _whole_signed(self) -> dict[tuple[str, int], tuple[SignedUnknowns, Floats]]:
+        return {}
+
+    @cached_property
+    def _without(self) -> dict[tuple[str, int], dict[int, Floats]]:
         return {}
 
     @cached_property
     def _signed(self) -> dict[tuple[str, int], tuple[SignedUnknowns, list[Floats]]]:
         return {}
 
-    def signed(self, structure: Structure) -> tuple[SignedUnknowns, list[Floats]]:
+    def _signed_whole(self, structure: Structure) -> tuple[SignedUnknowns, Floats]:
+        """Return the unknowns that have a sign, and the products of all rows in them."""
+        key = structure.slopes, structure.segments
+        if key not in self._whole_signed:
+            unknowns = SignedUnknowns(self.columns, *key)
+            self._whole_signed[key] = unknowns, unknowns.products(self._whole[0])
+        return self._whole_signed[key]
+
+    def _signed_folds(self, structure: Structure) -> tuple[SignedUnknowns, list[Floats]]:
         """Return the unknowns that have a sign, and the products of each fold in them."""
         key = structure.slopes, structure.segments
         if key not in self._signed:
@@ -336,33 +399,37 @@ class Statistics(FoldProducts):
             self._signed[key] = unknowns, [unknowns.products(gram) for gram in self.grams]
         return self._signed[key]
 
-    def minimum(
-        self, structure: Structure, states: States | None = None, leave_out: int | None = None
-    ) -> tuple[Floats, States]:
-        """Return the signed unknowns fitted to all folds or all but one, and which of them are zero."""
-        unknowns, folds = self.signed(structure)
-        guess = unknowns.states(structure.memories) if states is None else states.copy()
-        kept = [k for k in range(len(folds)) if k != leave_out]
+    def minimum(self, structure: Structure) -> tuple[Floats, States]:
+        """Return the signed unknowns fitted to all rows, and which of them are zero."""
+        unknowns, products = self._signed_whole(structure)
+        guess = unknowns.states(structure.memories)
+        return minimum(products, unknowns, structure, self._whole[1], guess), guess
+
+    def _minimum_without(self, structure: Structure, states: States, fold: int) -> Floats:
+        """Return the signed unknowns fitted to all folds but one; ``states`` are a guess."""
+        unknowns, folds = self._signed_folds(structure)
+        kept = [k for k in range(len(folds)) if k != fold]
         key = structure.slopes, structure.segments
-        if key not in self._summed:
-            self._summed.clear()  # candidates alike in these follow each other; keeping all took 13 MB more
-            self._summed[key] = {}
-        sums = self._summed[key]
-        if leave_out not in sums:
-            sums[leave_out] = np.add.reduce([folds[k] for k in kept], axis=0)
+        if key not in self._without:
+            self._without.clear()  # candidates alike in these follow each other; keeping all took 13 MB more
+            self._without[key] = {}
+        sums = self._without[key]
+        if fold not in sums:
+            sums[fold] = np.add.reduce([folds[k] for k in kept], axis=0)
         rows = sum(self.rows[k] for k in kept)
-        return minimum(sums[leave_out], unknowns, structure, rows, guess), guess
+        return minimum(sums[fold], unknowns, structure, rows, states.copy())
 
     def solved(self, structure: Structure) -> tuple[Solution, float]:
         """Return the unknowns fitted to all rows, and the mean square of the equation error left."""
-        gram, rows = self.total()
-        solution = solve(gram, self.columns, structure, rows)
+        gram, rows = self._whole
+        found, _ = self.minimum(structure)
+        solution = self._signed_whole(structure)[0].solution(found)
         return solution, squared_error(gram, solution.vector) / rows
 
-    def left_out(self, structure: Structure, fold: int, states: States | None = None) -> float:
-        """Return the sum of squared errors on a fold of a fit to the others."""
-        unknowns, folds = self.signed(structure)
-        found, _ = self.minimum(structure, states, fold)
+    def left_out(self, structure: Structure, fold: int, states: States) -> float:
+        """Return the sum of squared errors on a fold of a fit to the others; ``states`` are a guess."""
+        unknowns, folds = self._signed_folds(structure)
+        found = self._minimum_without(structure, states, fold)
         moved = unknowns.total - self.columns.total
         own = slice(self.nuisance[fold].start + moved, self.nuisance[fold].stop + moved)
         return squared_error_free_of(folds[fold], found, own, 1.0)
@@ -416,24 +483,16 @@ def _thinned(log: PreparedLog, every: int) -> PreparedLog:
         seconds=seconds,
         fold=log.fold[rows],
         drift=log.drift[rows],
+        weights=log.weights_at(rows),
         _lags={},
     )
 
 
-def equation_rows(segments: int) -> Linearise:
-    """Rows of the equation error: the asymmetry is a function of the *measured* output."""
+def gather(logs: Sequence[PreparedLog], basis: Basis, segments: int) -> Statistics:
+    """Run over all logs in blocks and gather the products of their rows, fold by fold.
 
-    def rows(drive: Floats, output: Floats) -> tuple[Floats, Floats]:
-        return np.hstack((drive, -hat_functions(output, segments))), output
-
-    return rows
-
-
-def gather(
-    logs: Sequence[PreparedLog], basis: Basis, segments: int, linearise: Linearise | None = None
-) -> Statistics:
-    """Run over all logs in blocks and gather the products of their rows, fold by fold."""
-    rows_of = linearise or equation_rows(segments)
+    They are rows of the equation error: the asymmetry is a function of the *measured* output.
+    """
     drift = sum(log.drift.shape[1] for log in logs)
     columns = Columns(basis.gears, len(basis.time_constants) + len(basis.lengths), segments, drift)
     shared = columns.total - drift
@@ -449,8 +508,10 @@ def gather(
         mine = {int(k): np.zeros((own, own)) for k in np.flatnonzero(np.bincount(log.fold[log.used]))}
         made = drive_rows(basis, log.voltage, log.seconds, log.start, log.used, log.lags(basis))
         for first, last, drive in made:
-            known, target = rows_of(drive, log.output[first:last])
-            table = np.hstack((known, log.drift[first:last], target[:, None]))
+            output = log.output[first:last]
+            hats = hat_functions(output, segments)
+            table = np.hstack((drive, -hats, log.drift[first:last], output[:, None]))
+            table = weighted(table, log.weights_at(slice(first, last)))
             for k, part in _runs(log.fold[first:last]):
                 CHOSEN.add_products(table[part], own, mine[k])
                 rows[k] += part.stop - part.start
@@ -521,14 +582,13 @@ def cross_validate(statistics: Statistics, structure: Structure) -> Score:
 
 def fitted_squares(statistics: Statistics, structure: Structure) -> Floats:
     """Sum of squared errors on each fold of a fit to all of them; shape (folds,)."""
-    found, _ = statistics.minimum(structure)
-    full = np.append(found, 1.0)
-    return np.array([max(quadratic(one, full), 0.0) for one in statistics.signed(structure)[1]])
+    solution, _ = statistics.solved(structure)
+    return np.array([squared_error(gram, solution.vector) for gram in statistics.grams])
 
 
 def fitted_rmse(statistics: Statistics, structure: Structure) -> float:
     """RMS error over all rows of a fit to all of them."""
-    return float(np.sqrt(fitted_squares(statistics, structure).sum() / sum(statistics.rows)))
+    return float(np.sqrt(statistics.solved(structure)[1]))
 
 
 def no_worse(candidate: Score, best: Score, indifference: float = INDIFFERENCE) -> bool:

@@ -183,13 +183,32 @@ PART void find_begin(const dbo_backlash *op, uint32_t gear, dbo_begin *begin) {
     }
 }
 
-/* The ones of gears from ... end - 1 are in the sums. */
-static void add_ones(const dbo_backlash *op, dbo_backlash_state *state, uint32_t from, uint32_t end) {
+/* The turn of a checkpoint. */
+static uint32_t turn_of(uint32_t checkpoint) { return checkpoint * DBO_SPACING + DBO_SPACING - 1U; }
+
+/* X_B, Y_B and the checkpoints from the ends of the runs, from the highest run on. */
+static void add_up(const dbo_backlash *op, dbo_backlash_state *state) {
+    const uint32_t depth = state->depth, lowest = state->set > state->zero ? state->set : state->zero;
+    int ones = (state->set == 0U) == (depth % 2U == 0U);
     dbo_begin low, high;
-    find_begin(op, from, &low);
-    find_begin(op, end, &high);
-    state->x += high.x - low.x;
-    state->y += high.y - low.y;
+    state->x = 0;
+    state->y = 0;
+    find_begin(op, op->n, &high);
+    for (uint32_t k = 1U; k <= depth + 1U; k++) {
+        uint32_t from = k == depth ? lowest : 0U;
+        if (k < depth) from = state->turns[k];
+        find_begin(op, from, &low);
+        if (ones) {
+            state->x += high.x - low.x;
+            state->y += high.y - low.y;
+        }
+        if (k < depth && k % DBO_SPACING == DBO_SPACING - 1U) {
+            state->checkpoints[k / DBO_SPACING].x = state->x;
+            state->checkpoints[k / DBO_SPACING].y = state->y;
+        }
+        high = low;
+        ones = !ones;
+    }
 }
 
 static int bit_of(const uint32_t *words, uint32_t gear) { return (int)(words[gear >> 5] >> (gear & 31U) & 1U); }
@@ -198,18 +217,15 @@ void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state, const 
     uint32_t end = op->n;
     int ones = words != NULL && bit_of(words, end - 1U);
     state->depth = 0U;
-    state->x = 0;
-    state->y = 0;
     for (uint32_t i = words != NULL ? end - 1U : 0U; i > 0U; i--) { /* from the highest place where a run may begin */
         if (bit_of(words, i - 1U) == ones) continue;
-        if (ones) add_ones(op, state, i, end);
         state->turns[state->depth++] = (dbo_place)end;
         end = i;
         ones = !ones;
     }
-    if (ones) add_ones(op, state, 0U, end);
     state->set = (dbo_place)(ones ? 0U : end);
     state->zero = (dbo_place)(ones ? end : 0U);
+    add_up(op, state);
 }
 
 /* ---- the procedure, steps 1 to 4 --------------------------------------------------------------------- */
@@ -279,6 +295,43 @@ PART uint32_t first_open(const dbo_backlash *op, uint32_t from, uint32_t end, co
     return end;
 }
 
+/* The farthest turn with a checkpoint to which the way to `u` and the room up to `bound` reach, or `depth` where they
+ * reach to none: by halves. All gears below it are crossed, since something is left behind each of them. `behind` is
+ * what is left there. */
+PART uint32_t farthest_turn(const dbo_backlash *op, const dbo_backlash_state *state, dbo_position u, dbo_position bound,
+                            int rising, dbo_begin *behind) {
+    uint32_t far = 0U, near = state->depth / DBO_SPACING, turn = state->depth;
+    while (far < near) {
+        const uint32_t middle = (far + near) / 2U;
+        const dbo_checkpoint *checkpoint = state->checkpoints + middle;
+        dbo_begin at = {0, 0};
+        if (rising) find_begin(op, state->turns[turn_of(middle)], &at);
+        at.x = rising ? u - (checkpoint->x + at.x) : checkpoint->x - u;
+        at.y = rising ? bound - (checkpoint->y + at.y) : checkpoint->y - bound;
+        if (at.x >= 0 && at.y >= 0) {
+            near = middle;
+            turn = turn_of(middle);
+            *behind = at;
+        } else {
+            far = middle + 1U;
+        }
+    }
+    return turn;
+}
+
+/* Keep the end of the run above the lowest one, which ends at `next`. */
+PART void add_turn(const dbo_backlash *op, dbo_backlash_state *state, uint32_t next, uint32_t end, int rising) {
+    if (state->depth % DBO_SPACING == DBO_SPACING - 1U) {
+        dbo_checkpoint *checkpoint = state->checkpoints + state->depth / DBO_SPACING;
+        dbo_begin low = {0, 0}, high; /* of the ones: up to `next`, or from there to `end` */
+        if (!rising) find_begin(op, next, &low);
+        find_begin(op, rising ? next : end, &high);
+        checkpoint->x = state->x - (high.x - low.x);
+        checkpoint->y = state->y - (high.y - low.y);
+    }
+    state->turns[state->depth++] = (dbo_place)end;
+}
+
 /* Cross gears one way, (6)-(9), as long as the next one is crossed: the input `u` is far enough, and the output has
  * room up to `bound`. Returns the last one crossed, n where there is none. The next one is the first of the lowest run
  * that is open on this way: of the lowest of all, or of that above it; where it ends they melt into one. What is left
@@ -288,7 +341,7 @@ static uint32_t pass_gears(const dbo_backlash *op, dbo_backlash_state *state, db
                            dbo_position bound, int rising) {
     dbo_position left = rising ? u - state->x : state->x - u, room = rising ? bound - state->y : state->y - bound;
     uint32_t next = rising ? state->zero : state->set, depth = state->depth, end, last, single = SINGLE;
-    int turned = next == 0U;
+    int turned = next == 0U, searched = depth < DBO_SPACING;
     const dbo_gear *gear;
     if (next == op->n) return op->n;
     gear = gear_at(op, next);
@@ -296,6 +349,23 @@ static uint32_t pass_gears(const dbo_backlash *op, dbo_backlash_state *state, db
     end = turned ? (rising ? state->set : state->zero) : state->turns[depth - 1U];
     if (left >= FAR * (dbo_position)gear->width) single = 0U;
     do {
+        if (single == 0U && !searched) {
+            dbo_begin behind = {0, 0};
+            const uint32_t turn = farthest_turn(op, state, u, bound, rising, &behind);
+            searched = 1;
+            if (turn < depth) {
+                const int melts = ((depth - turn) % 2U != 0U) != turned; /* into the run above the turn */
+                depth = melts ? turn - 1U : turn;
+                turned = 0;
+                left = behind.x;
+                room = behind.y;
+                next = state->turns[depth];
+                end = state->turns[depth - 1U];
+                last = next - 1U;
+                gear = gear_at(op, next);
+                continue;
+            }
+        }
         if (single > 0U || next + 1U == end) {
             if (single > 0U) single--;
             left -= gear->width;
@@ -325,12 +395,12 @@ static uint32_t pass_gears(const dbo_backlash *op, dbo_backlash_state *state, db
         }
         gear = gear_at(op, next);
     } while (crosses(op, gear, left - gear->width, room - gear->height));
-    if (turned) state->turns[depth++] = (dbo_place)end;
     state->x = rising ? u - left : u + left;
     state->y = rising ? bound - room : bound + room;
     state->depth = (dbo_place)depth;
     state->set = (dbo_place)(rising ? 0U : next);
     state->zero = (dbo_place)(rising ? next : 0U);
+    if (turned) add_turn(op, state, next, end, rising);
     return last;
 }
 
@@ -408,13 +478,10 @@ static void decay(const dbo_backlash *op, dbo_backlash_state *state, uint32_t co
     for (uint32_t i = covered; i > 0U && target > 0; i--) {
         const dbo_gear *gear = gear_at(op, i - 1U);
         const int stays = target - low >= (high - target) - slack;
-        if (stays) {
+        if (stays)
             low += op->memory_on_output ? gear->height : gear->width;
-            state->x += gear->width;
-            state->y += gear->height;
-        } else {
+        else
             high -= op->memory_on_output ? gear->height : gear->width;
-        }
         if (stays == ones) continue;
         ones = stays;
         if (i < end) {
@@ -426,6 +493,7 @@ static void decay(const dbo_backlash *op, dbo_backlash_state *state, uint32_t co
     }
     state->set = (dbo_place)(ones ? 0U : end);
     state->zero = (dbo_place)(ones ? end : 0U);
+    add_up(op, state);
 }
 
 void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, uint32_t covered,

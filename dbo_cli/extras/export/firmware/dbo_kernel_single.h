@@ -41,7 +41,7 @@ typedef struct {
     uint32_t rest_shift;
 } dbo_term;
 
-/* The index of a gear; n is below 2^16. */
+/* The index of a gear, and n: DBO_PLACE is as small a type as holds them. */
 typedef DBO_PLACE dbo_place;
 
 /* Where a row begins with all gears below it crossed and no others: (X_B - X_0, Y_B - Y_0). */
@@ -75,11 +75,19 @@ typedef struct {
     dbo_position most;
 } dbo_backlash;
 
+/* What the gears above a turn add to X_B - X_0 and to Y_B - Y_0. */
+typedef struct {
+    dbo_position x;
+    dbo_position y;
+} dbo_checkpoint;
+
 /* The state. Its bits are runs of ones and zeros, whose ends are a stack: going on changes the lowest end, turning adds
  * one, and a run that is crossed melts into the next. The lowest run ends at S or Z, the greater of the two, and those
- * above it at turns[depth - 1], turns[depth - 2] and so on, the highest at n. */
+ * above it at turns[depth - 1], turns[depth - 2] and so on, the highest at n. Every DBO_SPACING-th turn has a
+ * checkpoint: a move that wipes out many turns looks up there how far it goes. */
 typedef struct {
-    dbo_place *turns; /* n places */
+    dbo_place *turns;            /* n places */
+    dbo_checkpoint *checkpoints; /* (n - 1) / DBO_SPACING */
     dbo_memory *memory;
     dbo_place depth;
     dbo_place set;  /* S (4) */

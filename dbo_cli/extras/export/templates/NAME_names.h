@@ -3,7 +3,9 @@
 #undef DBO_FLOAT
 #undef DBO_Q31
 #undef DBO_PLACE
+#undef DBO_SPACING
 #define DBO_PLACE PLACE
+#define DBO_SPACING SPACING
 /*? float */
 #define DBO_FLOAT
 /*: float */

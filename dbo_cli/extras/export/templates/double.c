@@ -25,6 +25,7 @@ void NAME_init(NAME_state *state) {
 /*: lookup */
 /*? !lookup */
     state->gears.turns = state->turns;
+    state->gears.checkpoints = CHECKPOINTS;
     state->gears.memory = MEMORY;
     dbo_backlash_load(&op, &state->gears, SPARE);
     state->gears.last = LOWEST_DRIVE;
@@ -62,6 +63,7 @@ double NAME_step(NAME_state *state, double input) {
     if (!(x >= -REACH && x <= REACH)) return state->output;
 /*? !lookup */
     state->gears.turns = state->turns;
+    state->gears.checkpoints = CHECKPOINTS;
 /*: lookup */
     state->gears.memory = MEMORY;
 /*+ step */

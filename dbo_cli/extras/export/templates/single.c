@@ -11,6 +11,7 @@ void NAME_init(NAME_state *state) {
     for (uint32_t k = 0U; k < TERMSU; k++) state->memory[k] = 0;
 /*: terms */
     state->gears.turns = state->turns;
+    state->gears.checkpoints = CHECKPOINTS;
     state->gears.memory = MEMORY;
     dbo_backlash_load(&op, &state->gears, SPARE);
     state->gears.last = state->gears.y;
@@ -48,6 +49,7 @@ NUMBER NAME_step(NAME_state *state, NUMBER input) {
     dbo_signal u;
     dbo_position y;
     state->gears.turns = state->turns;
+    state->gears.checkpoints = CHECKPOINTS;
     state->gears.memory = MEMORY;
     u = dbo_segments_step(before, BEFORE_ROWSU, BEFORE_SHIFTU, &state->segments[0], x);
     y = dbo_backlash_step(&op, &state->gears, u, LIMITS);
