@@ -331,6 +331,21 @@ def test_compensate_clips_counts_and_says(bench: Any) -> None:
     assert folder_content(Path()) == before
 
 
+@pytest.mark.parametrize("block_rows", [1, 3, 1000])
+def test_the_first_unusual_row_is_that_of_the_file_where_rows_were_dropped(bench: Any, block_rows: int) -> None:
+    words = ["--skip-bad", "--block-rows", block_rows]
+    write("far.csv", "time_s,displacement_um\n0,2\n0.1,5\n0.2,nan\n0.3,nan\n0.4,10\n0.5,3\n0.6,10\n")
+    done = bench("compensate", "model.json", "far.csv", "-o", "drive.csv", "--on-limit", "clip", *words)
+    limits = "beyond what the limits of the drive allow (voltage 0 to 10 V): clipped"
+    assert done.code == 0
+    assert f"dbo: warning: far.csv: 2 of 5 samples (first in row 5) {limits}" in done.err
+    write("drive_far.csv", "voltage_V\n0\nnan\n10\n12\nnan\n11\n")
+    done = bench("simulate", "model.json", "drive_far.csv", *words)
+    where = "outside the range of the model (voltage 0 to 10 V): extended with the last slope"
+    assert done.code == 0
+    assert f"dbo: warning: drive_far.csv: 2 of 4 samples (first in row 4) {where}\n" in done.err
+
+
 def test_compensate_keeps_tighter_limits_and_slew(bench: Any) -> None:
     write("far.csv", "time_s,displacement_um\n0,2\n0.1,5\n0.2,8\n0.3,3\n")
     done = bench("compensate", "model.json", "far.csv", "--v-min", "2", "--v-max", "7", "--max-slew", "20",

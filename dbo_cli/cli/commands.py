@@ -341,8 +341,6 @@ def excite(arguments: Given) -> None:
         dbo excite --v-max 100 --sample-rate 5000 -o excitation.csv
     For fast moves, with a sweep for the resonances:
         dbo excite --v-max 100 --sample-rate 20000 --sweep-to 1000 -o excitation.csv
-    A valve instead of an amplifier:
-        dbo excite --v-max 4bar --frequency 0.2 --duration 75 -o excitation.csv
     """
     from dbo_cli.hysteresis.excitation import excitation_of
     from dbo_cli.logs.units import drive_unit, in_unit
