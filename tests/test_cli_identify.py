@@ -260,6 +260,19 @@ def test_the_other_sign_is_refused_before_anything_is_written(dbo: Any, small_lo
     assert done.code == 2 and "--sign" in done.err
 
 
+@pytest.mark.parametrize("words", [("--skip-bad",), ("--rows", "4:"), ()])
+def test_rows_are_named_as_the_file_counts_them(dbo: Any, small_log: Path, words: tuple[str, ...]) -> None:
+    """Where rows before them were dropped or not read, too."""
+    header, *lines = small_log.read_text().splitlines()
+    lines[300] = lines[300].rpartition(",")[0] + ",99"
+    if words:
+        lines[:3] = [line.rpartition(",")[0] + ",nan" for line in lines[:3]]
+    Path("spike.csv").write_text("\n".join([header, *lines]) + "\n")
+    done = dbo("identify", "spike.csv", *QUICK, *words, "-o", "m.json")
+    assert done.code == 0, done.err
+    assert "1 outlying rows left out (spikes of the displacement; first at row 301)" in done.err
+
+
 def test_columns_whose_units_are_swapped_are_refused(dbo: Any, small_log: Path) -> None:
     swapped = ("--voltage", "displacement_um", "--displacement", "voltage_V")
     before = folder_content(Path())

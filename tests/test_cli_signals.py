@@ -332,7 +332,8 @@ def test_compensate_clips_counts_and_says(bench: Any) -> None:
 
 
 @pytest.mark.parametrize("block_rows", [1, 3, 1000])
-def test_the_first_unusual_row_is_that_of_the_file_where_rows_were_dropped(bench: Any, block_rows: int) -> None:
+def test_the_first_unusual_row_is_that_of_the_file(bench: Any, block_rows: int) -> None:
+    """Rows that were dropped before it count."""
     words = ["--skip-bad", "--block-rows", block_rows]
     write("far.csv", "time_s,displacement_um\n0,2\n0.1,5\n0.2,nan\n0.3,nan\n0.4,10\n0.5,3\n0.6,10\n")
     done = bench("compensate", "model.json", "far.csv", "-o", "drive.csv", "--on-limit", "clip", *words)

@@ -73,6 +73,7 @@ def recording_of(source: Source, name: str | None = None, listener: Listener = S
         displacement_unit=units["displacement"],
         voltage_quantity=quantity_name("voltage", units["voltage"]),
         displacement_quantity=quantity_name("displacement", units["displacement"]),
+        rows=np.asarray(whole.rows),
         uncertainty=whole.values.get("uncertainty"),
     )
 
