@@ -260,6 +260,34 @@ def test_the_other_sign_is_refused_before_anything_is_written(dbo: Any, small_lo
     assert done.code == 2 and "--sign" in done.err
 
 
+@pytest.mark.parametrize("words", [("--skip-bad",), ("--rows", "4:"), ()])
+def test_rows_are_named_as_the_file_counts_them(dbo: Any, small_log: Path, words: tuple[str, ...]) -> None:
+    """Where rows before them were dropped or not read, too."""
+    header, *lines = small_log.read_text().splitlines()
+    lines[300] = lines[300].rpartition(",")[0] + ",99"
+    if words:
+        lines[:3] = [line.rpartition(",")[0] + ",nan" for line in lines[:3]]
+    Path("spike.csv").write_text("\n".join([header, *lines]) + "\n")
+    done = dbo("identify", "spike.csv", *QUICK, *words, "-o", "m.json")
+    assert done.code == 0, done.err
+    assert "1 outlying rows left out (spikes of the displacement; first at row 301)" in done.err
+
+
+def test_columns_whose_units_are_swapped_are_refused(dbo: Any, small_log: Path) -> None:
+    swapped = ("--voltage", "displacement_um", "--displacement", "voltage_V")
+    before = folder_content(Path())
+    done = dbo("identify", "log.csv", *QUICK, *swapped, "-o", "m.json")
+    assert done.code == 1
+    assert done.err == (
+        "dbo: error: log.csv: the drive is in um and the displacement in V: --voltage and --displacement seem "
+        "to be swapped (--force takes them as they are)\n"
+    )
+    assert folder_content(Path()) == before
+    assert dbo("identify", "log.csv", *QUICK, *swapped, "--force", "-o", "m.json").code == 0
+    model = json.loads(Path("m.json").read_text())
+    assert (model["input"]["unit"], model["output"]["unit"]) == ("um", "V")
+
+
 def test_a_batch_of_logs_has_one_summary_whatever_happens(dbo: Any, small_log: Path) -> None:
     """Of each log what was found, or why nothing was; and a log whose sign is not that of the others."""
     _, voltage, displacement = np.loadtxt(small_log, delimiter=",", skiprows=1).T

@@ -331,6 +331,22 @@ def test_compensate_clips_counts_and_says(bench: Any) -> None:
     assert folder_content(Path()) == before
 
 
+@pytest.mark.parametrize("block_rows", [1, 3, 1000])
+def test_the_first_unusual_row_is_that_of_the_file(bench: Any, block_rows: int) -> None:
+    """Rows that were dropped before it count."""
+    words = ["--skip-bad", "--block-rows", block_rows]
+    write("far.csv", "time_s,displacement_um\n0,2\n0.1,5\n0.2,nan\n0.3,nan\n0.4,10\n0.5,3\n0.6,10\n")
+    done = bench("compensate", "model.json", "far.csv", "-o", "drive.csv", "--on-limit", "clip", *words)
+    limits = "beyond what the limits of the drive allow (voltage 0 to 10 V): clipped"
+    assert done.code == 0
+    assert f"dbo: warning: far.csv: 2 of 5 samples (first in row 5) {limits}" in done.err
+    write("drive_far.csv", "voltage_V\n0\nnan\n10\n12\nnan\n11\n")
+    done = bench("simulate", "model.json", "drive_far.csv", *words)
+    where = "outside the range of the model (voltage 0 to 10 V): extended with the last slope"
+    assert done.code == 0
+    assert f"dbo: warning: drive_far.csv: 2 of 4 samples (first in row 4) {where}\n" in done.err
+
+
 def test_compensate_keeps_tighter_limits_and_slew(bench: Any) -> None:
     write("far.csv", "time_s,displacement_um\n0,2\n0.1,5\n0.2,8\n0.3,3\n")
     done = bench("compensate", "model.json", "far.csv", "--v-min", "2", "--v-max", "7", "--max-slew", "20",
@@ -413,6 +429,22 @@ def test_excite_stays_inside_and_starts_and_ends_at_the_bottom(dbo: Any) -> None
     assert len(table) == 2400
     assert (table[0, 1], table[:, 1].min(), table[:, 1].max()) == (-20.0, -20.0, 120.0)
     assert table[-1, 1] == pytest.approx(-20.0, abs=0.1)
+
+
+def test_what_drives_is_named_by_the_unit_of_its_limit(dbo: Any) -> None:
+    done = dbo("excite", "--v-max", "4bar", "--v-min", "500mbar", "--max-slew", "0.02bar/ms", "-o", "e.csv")
+    assert done.code == 0
+    header, *rows = Path("e.csv").read_text().splitlines()
+    assert header == "time_s,pressure_bar"
+    pressure = np.array([float(row.partition(",")[2]) for row in rows])
+    assert (pressure.min(), pressure.max()) == (0.5, 4.0)
+    assert np.abs(np.diff(pressure)).max() * 1000.0 <= 20.0
+    assert " from 0.5 to 4 bar, at most " in done.err
+    assert "dbo: it begins and ends at 0.5 bar: bring the amplifier there slowly first\n" in done.err
+    done = dbo("excite", "--v-max", "4bar", "--v-min", "1V", "-o", "other.csv")
+    assert done.code == 2
+    assert done.err == "dbo: error: --v-min 1V: cannot be converted; a figure in bar is needed\n"
+    assert not Path("other.csv").exists()
 
 
 def test_excite_is_chosen_by_its_seed(dbo: Any) -> None:

@@ -329,7 +329,7 @@ def excite(arguments: Given) -> None:
 
     Writes
     ------
-    Time and drive voltage.
+    Time and drive voltage, or what else drives the actuator: the unit of --v-max says which (4bar, 500mA).
 
     Usual options
     -------------
@@ -343,25 +343,25 @@ def excite(arguments: Given) -> None:
         dbo excite --v-max 100 --sample-rate 20000 --sweep-to 1000 -o excitation.csv
     """
     from dbo_cli.hysteresis.excitation import excitation_of
-    from dbo_cli.logs.units import in_unit
+    from dbo_cli.logs.units import drive_unit, in_unit
     from dbo_cli.runs.files import excitation_drives, write_excitation
 
     words = arguments.of(options.EXCITATION)
-    volts = {
-        key: None if words[key] is None else in_unit(key, words[key], "V", "s" if key == "max_slew" else None)
-        for key in ("v_min", "v_max", "max_slew", "sweep_amplitude")
-    }
-    drive = excitation_of(**words | volts)
+    unit = drive_unit(words["v_max"])
+    for key in ("v_min", "v_max", "max_slew", "sweep_amplitude"):
+        if words[key] is not None:
+            words[key] = in_unit(key, words[key], unit, "s" if key == "max_slew" else None)
+    drive = excitation_of(**words)
     drives = excitation_drives(drive, arguments.points, arguments.brought)
-    fastest = write_excitation(arguments.output, drive, arguments.format, drives)
+    fastest = write_excitation(arguments.output, drive, arguments.format, drives, unit)
     rows = len(drives[0])
     arguments.reporter.note(
         f"{rows:,} rows, {rows / drive.sample_rate:g} s at {drive.sample_rate:g} rows a second, from"
-        f" {drive.v_min:g} to {drive.v_max:g} V, at most {fastest:.3g} V/s"
+        f" {drive.v_min:g} to {drive.v_max:g} {unit}, at most {fastest:.3g} {unit}/s"
     )
-    if arguments.v_min:
+    if drive.v_min:
         arguments.reporter.note(
-            f"it begins and ends at {arguments.v_min:g} V: bring the amplifier there slowly first"
+            f"it begins and ends at {drive.v_min:g} {unit}: bring the amplifier there slowly first"
         )
     if not arguments.brought:
         arguments.reporter.note(

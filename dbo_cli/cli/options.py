@@ -371,7 +371,7 @@ MODEL_FIGURES = Option("--figures DIR", "Draw the model's curves, PNG and SVG, i
 
 # --- excite: the parameters of ``write_excitation`` ---
 EXCITATION = (  # of ``excitation_of``
-    Option("--v-max VOLT", "Highest drive voltage: the actuator's rating.", REQUIRED),
+    Option("--v-max VOLT", "Highest drive voltage: the actuator's rating; 4bar or 500mA as well.", REQUIRED),
     Option("--v-min VOLT", "Lowest drive voltage.", "0"),
     Option("--sample-rate HZ", "Rows per second [default: 1000]."),
     Option("--points N", "So many rows in all, for a generator's memory; the rate follows.", parse=whole(2)),

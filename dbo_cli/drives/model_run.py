@@ -306,13 +306,16 @@ LAG_DEPENDS = "this model's lag, creep or delay depends on it"
 
 @dataclass
 class Tally:
-    """How many samples were unusual, and the data row of the first."""
+    """How many samples were unusual, and the first one's row in the file; 0 where it has none."""
 
     count: int = 0
     first_row: int = 0
 
     def add(self, count: int, index: int, block: SampleBlock | None) -> None:
-        """Count what one block had, at least one; without a block, in rows before row 1."""
+        """Count samples of a block, of which the first is sample ``index`` of it, from 0.
+
+        Without a block they come before the move, where rows have no number.
+        """
         if not self.count and block is not None:
             self.first_row = int(block.rows[index])
         self.count += count

@@ -155,6 +155,7 @@ _TEMPERATURES = frozenset(
      "температура", "温度", "thermocouple", "thermistor")
 )  # fmt: skip
 """Words of a temperature, which is no voltage and no displacement whatever else its name says."""
+_VOLTAGE_WORDS = frozenset(("voltage", "volt", "volts", "spannung"))
 _DRIVING_WORDS = frozenset(
     ("pressure", "current", "force", "field", "temperature", "temp", "charge", "power", "pwm", "duty",
      "druck", "strom", "kraft", "feld", "temperatur", "ladung", "leistung")
@@ -761,6 +762,8 @@ def _by_what_is_left(
     if not set(absent) <= {"voltage", *_RESULTS}:
         return {}, ""
     numbered = [column for column in free if column.written == "numbers" and column.quantity]
+    if any(_is_called_a_voltage_in_vain(column) for column in numbered):
+        return {}, ""
     measured = [column for column in numbered if not _ORDERS & set(_words(column.name))]
     if len(absent) == 1:
         column, reason = _the_rest(numbered, wishes[absent[0]], absent[0], len(wishes))
@@ -822,6 +825,12 @@ def _drives(column: ColumnInfo) -> bool:
     if kind is not None:
         return kind in DRIVING_KINDS
     return column.quantity.lower() in _DRIVING_WORDS
+
+
+def _is_called_a_voltage_in_vain(column: ColumnInfo) -> bool:
+    """Return whether a column is called a voltage, and its unit is that of something else."""
+    called = _VOLTAGE_WORDS & set(_words(column.name))
+    return bool(called) and kind_of_unit(column.unit) not in (None, "voltage")
 
 
 def _is_moved(column: ColumnInfo) -> bool:

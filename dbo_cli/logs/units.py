@@ -165,6 +165,15 @@ def quantity_name(role: str, unit: str | None) -> str:
     return kind if kind in kinds else role
 
 
+def drive_unit(figure: float | str) -> str:
+    """Return the unit of a drive that goes up to a figure: bar for ``4bar``; V for volts and numbers."""
+    match = _FIGURE.fullmatch(figure) if isinstance(figure, str) else None
+    unit, _ = _unit_and_time(match)
+    if unit is not None and kind_of_unit(unit) in DRIVING_KINDS:
+        return unit
+    return "V"
+
+
 def without_prefix(unit: str | None) -> str | None:
     """Return a unit without its SI prefix (``V`` for ``kV``), or None where it has none."""
     if unit is None or unit in _BASES or unit not in _SIZES:

@@ -33,6 +33,7 @@ from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, Rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.sources import ArraySource, Source, is_file, is_log, is_table, table_source
+from dbo_cli.logs.units import quantity_name
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 
 if TYPE_CHECKING:
@@ -280,13 +281,16 @@ def write_excitation(
     excitation: Excitation,
     form: str | None,
     timed_drives: tuple[Floats, Mapping[str, Floats]],
+    unit: str = "V",
 ) -> float:
     """Write the drives that identify well, as ``excitation_drives`` returns them.
+
+    A drive in another unit than volts is called by what the unit measures (``pressure_bar``).
 
     Returns
     -------
     float
-        The greatest slew of them all in V/s.
+        The greatest slew of them all, in the drive's unit per second.
     """
     time, drives = timed_drives
     limits = DriveLimits(excitation.v_min, excitation.v_max, excitation.max_slew)
@@ -296,7 +300,9 @@ def write_excitation(
         DriveGate(limits).admit(drive, 1.0 / rate)
         fastest = max(fastest, float(np.abs(np.diff(drive)).max()) * rate)
     request.check_format(form, [output])
-    columns = [OutColumn("time", "s"), *(OutColumn(name, "V") for name in drives)]
+    quantity = quantity_name("voltage", unit)
+    columns = [OutColumn("time", "s")]
+    columns += [OutColumn(name.replace("voltage", quantity), unit) for name in drives]
     with signal_writer(output.or_format(form), columns, attributes=lambda: {"sample_rate": rate}) as writer:
         for row in range(0, len(time), _ROWS):
             writer.write(*(column[row : row + _ROWS] for column in (time, *drives.values())))

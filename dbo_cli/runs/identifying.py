@@ -24,7 +24,7 @@ from dbo_cli.logs.request import ALL_ROWS, Address, ReadingOptions
 from dbo_cli.logs.sample_block import SampleBlock, joined
 from dbo_cli.logs.signal_log import SignalLog
 from dbo_cli.logs.sources import ArraySource, Source, is_table, remarks_of
-from dbo_cli.logs.units import in_unit, quantity_name
+from dbo_cli.logs.units import in_unit, kind_of_unit, quantity_name
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.runs.files import bring_to, opened, read_record, recording_wishes, short_names, write_summary
 from dbo_cli.runs.jobs import named
@@ -73,6 +73,7 @@ def recording_of(source: Source, name: str | None = None, listener: Listener = S
         displacement_unit=units["displacement"],
         voltage_quantity=quantity_name("voltage", units["voltage"]),
         displacement_quantity=quantity_name("displacement", units["displacement"]),
+        rows=np.asarray(whole.rows),
         uncertainty=whole.values.get("uncertainty"),
     )
 
@@ -114,10 +115,15 @@ def identify_recordings(
     ------
     FitError
         Nothing trustworthy can be identified.
+    InputError
+        The units of a recording say that its columns are swapped.
     UsageError
         The options contradict each other or the recordings.
     """
     tests = [log.recording for log in validation]
+    for log in [*logs, *validation]:
+        if not options.force:
+            _refuse_swapped_units(log.recording)
     if options.rated is not None:
         unit, (low, high) = logs[0].recording.voltage_unit, options.rated
         rated = in_unit("v_min", low, unit), in_unit("v_max", high, unit)
@@ -134,6 +140,19 @@ def identify_recordings(
     for log in [*logs, *validation]:
         remarks.add(log.remarks)
     return IdentifyResult(dataclasses.replace(result.model, provenance=provenance), result.summary, remarks)
+
+
+def _refuse_swapped_units(recording: Recording) -> None:
+    """Refuse a drive in a length or an angle beside an output in volts."""
+    if kind_of_unit(recording.voltage_unit) not in ("length", "angle"):
+        return
+    if kind_of_unit(recording.displacement_unit) != "voltage":
+        return
+    raise InputError(
+        f"{recording.name}: the drive is in {recording.voltage_unit} and the displacement in "
+        f"{recording.displacement_unit}: `voltage` and `displacement` seem to be swapped (`force` takes "
+        "them as they are)"
+    )
 
 
 def sign_line(models: Mapping[str, ActuatorModel], noun: str = "channel") -> str:

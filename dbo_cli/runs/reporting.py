@@ -294,7 +294,10 @@ def _scaled_apart(reading: ReadingOptions) -> tuple[ReadingOptions, ReadingOptio
     of_trajectory: list[str] = []
     for scale in reading.scale:
         role = scale.partition("=")[0].strip().lower()
-        (of_trajectory if role == "desired" else of_log).append(scale)
+        if role == "desired":
+            of_trajectory.append(scale)
+        else:
+            of_log.append(scale)
     return (
         dataclasses.replace(reading, scale=tuple(of_log)),
         dataclasses.replace(reading, scale=tuple(of_trajectory)),

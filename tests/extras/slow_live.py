@@ -16,6 +16,7 @@ import numpy as np
 from dbo_cli.hysteresis.dynamics import InverseMemory
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState
+from dbo_cli.interpolation.smooth import WINDOW, interpolated
 
 
 @dataclass
@@ -138,10 +139,12 @@ class SlowChannel:
         assert samples is not None
         inverter = None if model.dynamics is None else model.dynamics.inverter(step)
         ahead = 0 if inverter is None else inverter.ahead
-        known = np.array([wanted[0]] * samples + wanted)
+        before = WINDOW  # rows of what was wanted first, so that no window of samples is cut off
+        known = np.array([wanted[0]] * (before + samples) + wanted)
         count = len(wanted) + ahead
-        places = np.arange(count) + model.delay_seconds / step
-        later = np.interp(places, np.arange(known.size), known)
+        places = before + np.arange(count) + model.delay_seconds / step
+        newest = before + samples - ahead
+        later, _ = interpolated(np.arange(known.size, dtype=float), known, places, newest)
         if inverter is None:
             return later.tolist(), None
         memory = self.memory

@@ -68,13 +68,13 @@ def cleaned(recording: Recording) -> Cleaned:
     if spikes.any():
         notes.append(
             f"{recording.name}: {int(spikes.sum())} outlying rows left out (spikes of the displacement; "
-            f"first at row {int(np.argmax(spikes)) + 1})"
+            f"first at row {recording.row(int(np.argmax(spikes)))})"
         )
     stuck = stuck_rows(recording.displacement, recording.voltage)
     if stuck.any():
         notes.append(
             f"{recording.name}: {int(stuck.sum())} rows left out: the displacement stands still while the "
-            f"drive moves (first at row {int(np.argmax(stuck)) + 1}): check the sensor"
+            f"drive moves (first at row {recording.row(int(np.argmax(stuck)))}): check the sensor"
         )
     bad = spikes | stuck
     step = regular_step(recording)
@@ -306,6 +306,7 @@ class Sensor:
             displacement=displacement[:known],
             time=None if recording.time is None else recording.time[:known],
             uncertainty=None if recording.uncertainty is None else recording.uncertainty[:known],
+            rows=None if recording.rows is None else recording.rows[:known],
         )
 
 

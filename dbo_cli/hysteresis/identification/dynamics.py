@@ -131,8 +131,10 @@ def _unexplained(signals: Sequence[Signals], chosen: Candidate, fast: Sequence[F
         white = float(np.mean(np.diff(rest, 2) ** 2)) / 6.0  # noise is no move that a model could explain
         share = math.sqrt(max(float(np.var(rest)) - white, 0.0)) / float(np.std(one.measured))
         if share > TRUSTED:
+            first = part.recording.row(part.rows.start)
+            last = part.recording.row(part.rows.stop - 1)
             warnings.append(
-                f"{part.recording.name}: rows {part.rows.start + 1} to {part.rows.stop} move at "
+                f"{part.recording.name}: rows {first} to {last} move at "
                 f"{part.lowest:.3g} to {part.highest:.3g} Hz, and {100.0 * share:.0f} % of what they do is "
                 "not explained: no resonance fits them; the model is for slow moves only (a sweep of more "
                 "volts, or to a higher frequency, may show what moves)"

@@ -464,7 +464,9 @@ def prepare(
         folds = folds_of(shape, rows, fold, min(share, FOLDS))
         fold = int(folds.max()) + 1
         drift, output = drift_columns(clock, order), log.displacement / scale
-        unopened = PreparedLog(log.name, log.voltage, output, seconds, folds, drift, "settled", weights=roots)
+        unopened = PreparedLog(
+            log.name, log.voltage, output, seconds, folds, drift, "settled", weights=roots, rows=log.rows
+        )
         logs.append(_with_offsets_behind_gaps(log, unopened, low, high))
     # Where the rows under the unknown history are left out anyway, the start state makes no difference.
     chosen = [
@@ -536,9 +538,10 @@ def _usable_rows(
     if unknown:
         usable &= ~early
         transient = wiped - skipped
+        left_rows = f"rows {log.row(skipped)} to {log.row(wiped - 1)} left out"
         notes.append(
-            f"{log.name}: rows {skipped + 1} to {wiped} left out: before the drive had been at both ends of "
-            "its range, the actuator's history is unknown"
+            f"{log.name}: {left_rows}: before the drive had been at both ends of its range, the actuator's "
+            "history is unknown"
         )
     usable = _left_behind_gaps(log, usable, notes)
     left_out = int((usable & faulty).sum())
@@ -610,7 +613,7 @@ def _left_behind_gaps(log: Recording, usable: Booleans, notes: list[str]) -> Boo
     lost = int(usable.sum() - known.sum())
     if pieces:
         gaps = f"{len(pieces)} gaps, the first" if len(pieces) > 1 else "a gap"
-        turned = f"{log.name}: {gaps} before row {pieces[0][0] + 1}, in which the drive may have turned"
+        turned = f"{log.name}: {gaps} before row {log.row(pieces[0][0])}, in which the drive may have turned"
         unknown = "the actuator's history is unknown behind it; record without pauses"
         until = f"{lost} rows left out, until it had been at both ends of its range again"
         notes.append(f"{turned}: {until if lost else unknown}")
@@ -745,7 +748,7 @@ def _leave_out_spikes(
             found[place] = int(far.sum())
             notes.append(
                 f"{log.name}: {found[place]} outlying rows left out (more than {SPIKE_SIGMAS:g} standard "
-                f"deviations from the fit; first at row {int(np.argmax(far)) + 1})"
+                f"deviations from the fit; first at row {log.row(int(np.argmax(far)))})"
             )
             log = replace(log, fold=np.where(far, -1, log.fold))
         kept.append(log)

@@ -42,6 +42,7 @@ class Recording:
     the same shape, or None where the log has no clock; ``sample_period`` in seconds serves in its place.
     What drives may be another quantity than a voltage, and what comes out another than a displacement.
     ``uncertainty`` is the displacement's standard deviation row by row, in its unit; None: all rows alike.
+    ``rows`` are the numbers of the samples in the file; None: from 1 on, without gaps.
     """
 
     name: str
@@ -54,6 +55,11 @@ class Recording:
     voltage_quantity: str = "voltage"
     displacement_quantity: str = "displacement"
     uncertainty: Floats | None = None
+    rows: Integers | None = None
+
+    def row(self, index: int) -> int:
+        """Return the number in the file, from 1, of a sample, from 0."""
+        return index + 1 if self.rows is None else int(self.rows[index])
 
     def seconds(self) -> Floats | None:
         """Time of each sample in seconds from the first, or None where the log has no clock."""
@@ -338,8 +344,8 @@ def _check_uncertainty(log: Recording) -> None:
     if not valid.all():
         row = int(np.argmin(valid))
         raise FitError(
-            f"{log.name}: the uncertainty in row {row + 1} is {log.uncertainty[row]:g}: a standard deviation "
-            "is a number above 0"
+            f"{log.name}: the uncertainty in row {log.row(row)} is {log.uncertainty[row]:g}: a standard "
+            "deviation is a number above 0"
         )
 
 
@@ -350,8 +356,8 @@ def _check_sizes(log: Recording) -> None:
         if huge.any():
             row = int(np.argmax(huge))
             raise FitError(
-                f"{log.name}: the {what} in row {row + 1} is {values[row]:g}, which no instrument measured: "
-                "correct it, or cut the log with `rows`"
+                f"{log.name}: the {what} in row {log.row(row)} is {values[row]:g}, which no instrument "
+                "measured: correct it, or cut the log with `rows`"
             )
 
 
@@ -373,7 +379,7 @@ def without_voltage_glitches(recordings: Sequence[Recording]) -> tuple[list[Reco
             repaired[rows] = (v[rows - 1] + v[rows + 1]) / 2.0
             notes.append(
                 f"{log.name}: {len(rows)} single voltages that jump away and back replaced by the mean of "
-                f"their neighbours (first at row {rows[0] + 1}: {v[rows[0]]:g})"
+                f"their neighbours (first at row {log.row(rows[0])}: {v[rows[0]]:g})"
             )
             log = replace(log, voltage=repaired)
         cleaned.append(log)
@@ -616,4 +622,5 @@ def _rows_of(log: Recording, rows: slice) -> Recording:
         displacement=log.displacement[rows],
         time=None if log.time is None else log.time[rows],
         uncertainty=None if log.uncertainty is None else log.uncertainty[rows],
+        rows=None if log.rows is None else log.rows[rows],
     )

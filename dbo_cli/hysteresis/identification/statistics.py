@@ -305,9 +305,9 @@ class PreparedLog:
     ``voltage`` in its unit; ``output`` the displacement with its sign and scale taken out (0..1 over all
     logs); ``seconds`` from the first sample or None; ``fold`` the fold of each row, -1 where the row is left
     out; ``drift`` the columns of offset and drift, shape (samples, terms); ``start`` the state before the
-    first sample. The last ``stretches`` of the drift's columns are offsets of stretches of a history left
-    open, not drift. ``weights`` are the roots of the rows' weights, None where all rows count alike. All
-    arrays have shape (samples, ...).
+    first sample; ``rows`` the numbers of the samples in the file, None from 1 on. The last ``stretches`` of
+    the drift's columns are offsets of stretches of a history left open, not drift. ``weights`` are the roots
+    of the rows' weights, None where all rows count alike. All arrays have shape (samples, ...).
     """
 
     name: str
@@ -319,7 +319,12 @@ class PreparedLog:
     start: StartName
     stretches: int = 0
     weights: Floats | None = None
+    rows: Integers | None = None
     _lags: dict[object, Floats] = field(default_factory=dict, repr=False, compare=False)
+
+    def row(self, index: int) -> int:
+        """Return the number in the file, from 1, of a sample, from 0."""
+        return index + 1 if self.rows is None else int(self.rows[index])
 
     @property
     def used(self) -> NDArray[np.bool_]:
