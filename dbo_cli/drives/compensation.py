@@ -270,7 +270,7 @@ class Compensation(ModelRun):
             return
         unit = self.model.output.suffix
         raise LimitError(
-            f"{self._clipping()}: the move would miss {lost:.3g}{unit} RMS ({100.0 * lost / size:.2g} % of "
+            f"{self._clipping_words()}: the move would miss {lost:.3g}{unit} RMS ({100.0 * lost / size:.2g} % of "
             f"{of_what}), {self.loss.most:.3g}{unit} at worst; more than {100.0 * ALLOWED_PART:g} % is "
             "not written (`on_limit` clip writes it)"
         )
@@ -286,7 +286,7 @@ class Compensation(ModelRun):
         """Say why a stream ends: its rows so far miss too much."""
         unit, size = self.model.output.suffix, self.model.output.span
         return (
-            f"{self._clipping()}: the move misses more than {ALLOWED_PART * size:.3g}{unit} "
+            f"{self._clipping_words()}: the move misses more than {ALLOWED_PART * size:.3g}{unit} "
             f"RMS, {100.0 * ALLOWED_PART:g} % of the model's range; the stream ends (`on_limit` clip goes "
             "on)"
         )
@@ -396,7 +396,7 @@ class Compensation(ModelRun):
                 reached = self.model.without_dynamics_and_delay.follow(done.y, before, steps).y
                 self._add_lost(x - reached, steps)
                 if self.stream_ends is not None:
-                    self._count_part(done, self.stream_ends + 1, x, before, steps)
+                    self._uncount_behind_end(done, self.stream_ends + 1, x, before, steps)
         else:
             self.lead_in_figures.see(done.y, None)
         self.first_value_missed = self.first_value_missed or done.first_missed
@@ -413,7 +413,7 @@ class Compensation(ModelRun):
         if done.clipped_count:
             self.clipped.add(done.clipped_count, done.first_clipped, block)
         if self.options.on_limit == "error" and self.clipped.count:
-            raise LimitError(f"{self._clipping()} (`on_limit` clip goes on)")
+            raise LimitError(f"{self._clipping_words()} (`on_limit` clip goes on)")
 
     def _add_lost(self, lost: FloatArray, steps: float | FloatArray | None) -> None:
         """Add up what rows of the move lose, from the block of the first clipped row on."""
@@ -424,10 +424,10 @@ class Compensation(ModelRun):
             allowed = ALLOWED_PART * self.model.output.span
             self.stream_ends = first_beyond(squares, rows, lost, allowed)
 
-    def _count_part(
+    def _uncount_behind_end(
         self, done: Simulated, count: int, x: FloatArray, before: ModelState, steps: float | FloatArray | None
     ) -> None:
-        """Count the first rows of a block alone, with which a stream ends, as it was cut there."""
+        """Take back what was counted of a block behind its first ``count`` rows, where a stream ends."""
         part = steps[:count] if isinstance(steps, np.ndarray) else steps
         begun = self._run(x[:count], before, time_step=part)
         self.clipped.count += begun.clipped_count - done.clipped_count
@@ -449,7 +449,7 @@ class Compensation(ModelRun):
         if self.clipped.count:
             unit = self.model.output.suffix
             remarks.warn(
-                f"{self._clipping()}: clipped, by which the move misses {self._lost_rms():.3g}{unit} RMS, "
+                f"{self._clipping_words()}: clipped, by which the move misses {self._lost_rms():.3g}{unit} RMS, "
                 f"{self.loss.most:.3g}{unit} at worst (`on_limit` error refuses this)"
             )
         elif self.beyond.count:
@@ -664,7 +664,7 @@ class Compensation(ModelRun):
         start = "auto" if isinstance(self.start, ModelState) else self.start
         return move_error(self.model, drive, steps, begin, start)
 
-    def _clipping(self) -> str:
+    def _clipping_words(self) -> str:
         """Say how much of a trajectory the drive's limits do not allow."""
         drive, limits = self.model.input, self.limits
         allowed = f"{drive.quantity} {limits.v_min:.6g} to {limits.v_max:.6g}{drive.suffix}"

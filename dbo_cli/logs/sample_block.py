@@ -63,11 +63,12 @@ def are_measured(values: FloatArray) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class SampleBlock:
-    """Consecutive samples of a log.
+    """Samples of a log in their order; rows may be missing between them.
 
-    ``rows`` are data row numbers from 1 (a gap where bad rows were dropped), ``lines`` the line numbers in
-    the file (None for formats that have none); ``time`` is in seconds, None where it is not known or not yet
-    separated from the other columns; ``values`` holds one float64 array of the same length a role.
+    ``rows`` are data row numbers from 1, with gaps where bad rows were dropped: ``rows[index]`` is the row of
+    a sample, and ``rows[0] + index`` need not be. ``lines`` are the line numbers in the file (None for
+    formats that have none); ``time`` is in seconds, None where it is not known or not yet separated from the
+    other columns; ``values`` holds one float64 array of the same length a role.
     """
 
     rows: Places
