@@ -270,8 +270,8 @@ class Compensation(ModelRun):
             return
         unit = self.model.output.suffix
         raise LimitError(
-            f"{self._clipping_words()}: the move would miss {lost:.3g}{unit} RMS ({100.0 * lost / size:.2g} % of "
-            f"{of_what}), {self.loss.most:.3g}{unit} at worst; more than {100.0 * ALLOWED_PART:g} % is "
+            f"{self._clipping_words()}: the move would miss {lost:.3g}{unit} RMS "
+            f"({100.0 * lost / size:.2g} % of {of_what}), {self.loss.most:.3g}{unit} at worst; more than {100.0 * ALLOWED_PART:g} % is "
             "not written (`on_limit` clip writes it)"
         )
 
@@ -449,8 +449,8 @@ class Compensation(ModelRun):
         if self.clipped.count:
             unit = self.model.output.suffix
             remarks.warn(
-                f"{self._clipping_words()}: clipped, by which the move misses {self._lost_rms():.3g}{unit} RMS, "
-                f"{self.loss.most:.3g}{unit} at worst (`on_limit` error refuses this)"
+                f"{self._clipping_words()}: clipped, by which the move misses {self._lost_rms():.3g}{unit} "
+                f"RMS, {self.loss.most:.3g}{unit} at worst (`on_limit` error refuses this)"
             )
         elif self.beyond.count:
             super()._add_limits(remarks)
