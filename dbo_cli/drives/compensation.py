@@ -271,8 +271,8 @@ class Compensation(ModelRun):
         unit = self.model.output.suffix
         raise LimitError(
             f"{self._clipping_words()}: the move would miss {lost:.3g}{unit} RMS "
-            f"({100.0 * lost / size:.2g} % of {of_what}), {self.loss.most:.3g}{unit} at worst; more than {100.0 * ALLOWED_PART:g} % is "
-            "not written (`on_limit` clip writes it)"
+            f"({100.0 * lost / size:.2g} % of {of_what}), {self.loss.most:.3g}{unit} at worst; more than "
+            f"{100.0 * ALLOWED_PART:g} % is not written (`on_limit` clip writes it)"
         )
 
     def move_size(self) -> tuple[float, str]:
