@@ -16,12 +16,13 @@ from trials import pairs
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.reports import report as report_module
 from dbo_cli.reports.accumulators import FigureData
-from dbo_cli.reports.renderers import digits, headline, to_csv, to_json, to_text
+from dbo_cli.reports.renderers import headline, to_csv, to_json, to_text
 from dbo_cli.reports.report import (
     Report,
     ReportOptions,
     check_limits,
     common_unit,
+    digits,
     evaluate,
 )
 from dbo_cli.reports.sample_pairs import rows_to_read

@@ -22,6 +22,10 @@ from dbo_cli.reports.report import Expected, Report, ReportOptions, evaluate
 RATE = 100.0
 ROWS = 2000
 CLOCK = np.arange(ROWS) / RATE
+SUMMARY = {
+    **{"format": "dbo-summary", "version": 1, "unit": "um"},
+    **{"model_range": [0.0, 40.0], "move_range": [1.0, 9.0]},
+}
 WANTED = 5.0 - 4.0 * np.cos(2.0 * np.pi * 0.5 * CLOCK)  # a move of 8 um
 
 
@@ -96,7 +100,7 @@ def test_without_a_limit_there_is_no_verdict(dbo: Any) -> None:
 
 def test_the_move_and_the_range_are_two_denominators(dbo: Any) -> None:
     """A move of 8 um of a model of 40 um: one error of 0.04 um, two percentages."""
-    summary = {"format": "dbo-summary", "version": 1, "unit": "um", "model_range": [-10.0, 30.0]}
+    summary = SUMMARY | {"model_range": [-10.0, 30.0]}
     Path("s.json").write_text(json.dumps(summary | {"expected_rmse": None}))
     write("run.csv", WANTED + 0.04)
     log = json.loads(dbo("report", "run.csv", "--expected", "s.json", "--format", "json").out)["logs"][0]
@@ -114,14 +118,13 @@ def test_the_move_and_the_range_are_two_denominators(dbo: Any) -> None:
 
 
 def test_expected_stands_beside_actual_out_of_a_summary(dbo: Any) -> None:
-    summary = {"format": "dbo-summary", "version": 1, "unit": "um", "model_range": [0.0, 40.0]}
-    Path("s.json").write_text(json.dumps(summary | {"expected_rmse": 0.05, "expected_shape_rmse": 0.03}))
+    Path("s.json").write_text(json.dumps(SUMMARY | {"expected_rmse": 0.05, "expected_shape_rmse": 0.03}))
     write("run.csv", WANTED + 0.02 + np.where(np.arange(ROWS) % 2, 0.06, -0.06))
     text = dbo("report", "run.csv", "--expected", "s.json").out
     assert "Expected 0.050 um RMSE (by s.json for this move), actual 0.063 um, 1.3 times as" in text
     shape = dbo("report", "run.csv", "--expected", "s.json", "--remove-offset").out
     assert "Expected 0.030 um RMSE (by s.json for this move), actual 0.060 um, 2.0 times as" in shape
-    other = summary | {"expected_rmse": 0.05, "unit": "nm"}
+    other = SUMMARY | {"expected_rmse": 0.05, "unit": "nm"}
     Path("s.json").write_text(json.dumps(other))
     refused = dbo("report", "run.csv", "--expected", "s.json")
     assert refused.code == 1
@@ -302,8 +305,7 @@ def noisy(size: float) -> Any:
 
 
 def expected_of(rmse: float, shape: float) -> None:
-    summary = {"format": "dbo-summary", "version": 1, "unit": "um", "model_range": [0.0, 40.0]}
-    Path("s.json").write_text(json.dumps(summary | {"expected_rmse": rmse, "expected_shape_rmse": shape}))
+    Path("s.json").write_text(json.dumps(SUMMARY | {"expected_rmse": rmse, "expected_shape_rmse": shape}))
 
 
 def test_far_more_than_was_expected_is_a_warning_with_a_remedy(dbo: Any) -> None:
@@ -328,11 +330,115 @@ def test_a_mean_error_far_beyond_what_was_expected_names_the_zero(dbo: Any) -> N
     write("run.csv", noisy(0.012) + 0.08)
     done = dbo("report", "run.csv", "--expected", "s.json")
     assert (
-        "4 times as much came as was expected: most of it is the mean error, so the zero has moved"
-        in done.err
-    )
-    assert "--remove-offset takes the mean off; a sweep before the move, --condition" in done.err
+        "run.csv: 4.0 times as much came as was expected: most of it is the mean error: the zero has moved (--remove-offset "
+        "takes the mean off), the gain has changed (identify it again, or with --prior), or the actuator came from "
+        "elsewhere than the model takes it to (a sweep before the move, --condition)"
+    ) in done.err
     taken_off = dbo("report", "run.csv", "--expected", "s.json", "--remove-offset")
     assert "was expected:" not in taken_off.err
     write("run.csv", noisy(0.039))
     assert "was expected:" not in dbo("report", "run.csv", "--expected", "s.json").err
+
+
+def test_as_many_times_in_the_warning_as_in_the_report(dbo: Any) -> None:
+    expected_of(0.0002, 0.0001)
+    write("run.csv", noisy(0.05))
+    done = dbo("report", "run.csv", "--expected", "s.json")
+    assert "warning: run.csv: 250 times as much came as was expected" in done.err
+    assert "250 times as much came" in " ".join(done.out.split()).replace("Warning: run.csv: 250 times", "")
+
+
+@pytest.mark.parametrize(
+    ("stated", "move"),
+    [
+        ({"move_range": [1.0, 5.0]}, "a move from 1 to 5 um, the one compared has 1 to 9 um"),
+        ({"move_range": [3.0, 11.0]}, "a move from 3 to 11 um, the one compared has 1 to 9 um"),
+        ({"expected_percent_of_move": 1.0}, "a move of 5 um, the one compared has 8 um"),
+        ({}, "a move that it does not describe, the one compared has 1 to 9 um"),
+    ],
+)
+def test_the_summary_of_another_move_is_not_taken_for_this_one(dbo: Any, stated: Any, move: str) -> None:
+    summary = {key: value for key, value in SUMMARY.items() if key != "move_range"}
+    Path("s.json").write_text(json.dumps(summary | {"expected_rmse": 0.05} | stated))
+    write("run.csv", noisy(0.3))
+    done = dbo("report", "run.csv", "--expected", "s.json")
+    warning = (
+        f"run.csv: s.json states the error of {move}: the expected error may be another move's (give the summary "
+        "of this move)"
+    )
+    assert f"dbo: warning: {warning}\n" in done.err
+    assert "for this move" not in done.out + done.err
+    assert f"(by s.json for {move.partition(',')[0]})" in " ".join(done.out.split())
+
+
+@pytest.mark.parametrize("stated", [{"move_range": [1.05, 9.05]}, {"expected_percent_of_move": 0.627}])
+def test_the_summary_of_this_move_to_a_hundredth(dbo: Any, stated: Any) -> None:
+    summary = {key: value for key, value in SUMMARY.items() if key != "move_range"}
+    Path("s.json").write_text(json.dumps(summary | {"expected_rmse": 0.05} | stated))
+    write("run.csv", noisy(0.05))
+    done = dbo("report", "run.csv", "--expected", "s.json")
+    assert "by s.json for this move" in done.out and "warning" not in done.err
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("version", 9, "'version' is 9, this program reads 1"),
+        ("unit", 5, "'unit' is 5, a text is needed"),
+        ("model_range", "x", "'model_range' is \"x\", two numbers are needed, the lesser one first"),
+        ("model_range", [5], "'model_range' is [5], two numbers are needed, the lesser one first"),
+        (
+            "model_range",
+            [None, 3],
+            "'model_range' is [null, 3], two numbers are needed, the lesser one first",
+        ),
+        ("model_range", [5, 1], "'model_range' is [5, 1], two numbers are needed, the lesser one first"),
+        ("model_range", [1, 1], "'model_range' is [1, 1], two different numbers are needed"),
+        ("move_range", [9, 1], "'move_range' is [9, 1], two numbers are needed, the lesser one first"),
+        ("expected_rmse", "a", "'expected_rmse' is \"a\", a number of at least 0 or null is needed"),
+        ("expected_rmse", -1, "'expected_rmse' is -1, a number of at least 0 or null is needed"),
+        ("expected_rmse", 0, "'expected_rmse' is 0, a number above 0 or null is needed"),
+        ("expected_rmse", np.inf, "'expected_rmse' is Infinity, a number of at least 0 or null is needed"),
+        ("expected_rmse", True, "'expected_rmse' is true, a number of at least 0 or null is needed"),
+        (
+            "expected_shape_rmse",
+            "b",
+            "'expected_shape_rmse' is \"b\", a number of at least 0 or null is needed",
+        ),
+        (
+            "expected_percent_of_move",
+            [],
+            "'expected_percent_of_move' is [], a number of at least 0 or null is needed",
+        ),
+    ],
+)
+def test_a_summary_that_states_nonsense_is_refused_by_its_key(
+    dbo: Any, key: str, value: Any, words: str
+) -> None:
+    Path("s.json").write_text(json.dumps(SUMMARY | {"expected_rmse": 0.05} | {key: value}))
+    write("run.csv", noisy(0.05))
+    done = dbo("report", "run.csv", "--expected", "s.json")
+    assert (done.code, done.out) == (1, "")
+    assert done.err.strip().splitlines()[-1].startswith(f"dbo: error: s.json: {words}")
+
+
+def test_a_summary_without_an_expected_error_is_said_to_have_none(dbo: Any) -> None:
+    Path("s.json").write_text(json.dumps(SUMMARY | {"expected_rmse": None}))
+    write("run.csv", noisy(0.05))
+    done = dbo("report", "run.csv", "--expected", "s.json")
+    assert done.code == 0
+    assert "dbo: warning: run.csv: s.json states no expected error\n" in done.err
+
+
+def test_limits_of_the_error_take_a_unit(dbo: Any) -> None:
+    write("run.csv", WANTED + 0.04)
+    assert dbo("report", "run.csv", "--max-rmse", "41nm", "--max-abs", "4.1e-5mm").code == 0
+    missed = dbo("report", "run.csv", "--max-rmse", "10nm")
+    assert missed.code == 3
+    assert "RMSE 0.04 um is above the limit of 0.01 um by 0.03 (--max-rmse)" in missed.err
+    volts = dbo("report", "run.csv", "--max-abs", "10mV")
+    assert (volts.code, volts.out) == (2, "")
+    assert "--max-abs 10mV: cannot be converted; a figure in um is needed" in volts.err
+    for option in ("--max-rmse", "--max-abs"):
+        below = dbo("report", "run.csv", f"{option}=-1nm")
+        assert below.code == 2 and "must not be below 0" in below.err

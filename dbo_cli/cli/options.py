@@ -13,6 +13,7 @@ from dbo_cli.cli.values import (
     choice,
     expanded,
     figure_above_0,
+    limit,
     number_or_word,
     offset,
     positive,
@@ -349,8 +350,8 @@ TRACKING = (  # with the columns, the fields of ``TrackingOptions``
     ),
 )
 LIMITS = (
-    Option("--max-rmse VALUE", "Exit 3 where the RMSE of a log is above this."),
-    Option("--max-abs VALUE", "Exit 3 where the largest error is above this."),
+    Option("--max-rmse VALUE", "Exit 3 where the RMSE of a log is above this; 10nm as well.", parse=limit),
+    Option("--max-abs VALUE", "Exit 3 where the largest error is above this; 10nm as well.", parse=limit),
     Option(
         "--max-nrmse-percent VALUE",
         "Exit 3 where the RMSE is above this, in % of the move (greatest less least desired value).",

@@ -268,7 +268,7 @@ def shown(text: str) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-figure, figure_above_0 = with_unit(number), with_unit(positive)
+figure, figure_above_0, limit = with_unit(number), with_unit(positive), with_unit(not_negative)
 PARSERS: dict[str, Parser] = {
     "A:B": rows, "AMPERE": figure_above_0, "DRIVE": address, "FACTOR": number, "FARAD": figure_above_0,
     "FILE": address, "HZ": of_unit(positive, in_hertz), "LOG": address, "LOW:HIGH": span,

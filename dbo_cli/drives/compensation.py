@@ -613,6 +613,9 @@ class Compensation(ModelRun):
         """Return the parts of the expected error and what belongs to them as plain values."""
         output = self.model.output
         values: dict[str, Any] = {"unit": output.unit, "model_range": [output.minimum, output.maximum]}
+        move = self.move_figures
+        if move.low <= move.high:
+            values["move_range"] = [move.low, move.high]
         error = self._move_error() if self.expected_rmse()[0] is not None else None
         values["expected_shape_rmse"] = None if error is None else error.shape
         values["expected_zero"] = None if error is None else error.zero

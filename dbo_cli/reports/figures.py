@@ -19,8 +19,8 @@ from dbo_cli.logs.units import quantity_name
 from dbo_cli.reports import drawing as style
 from dbo_cli.reports.accumulators import Band, Curve, FigureData, Raster
 from dbo_cli.reports.drawing import Plot, short_name
-from dbo_cli.reports.renderers import digits, shown_unit
-from dbo_cli.reports.report import LogReport, Report
+from dbo_cli.reports.renderers import shown_unit
+from dbo_cli.reports.report import LogReport, Report, digits
 from dbo_cli.reports.sample_pairs import Floats
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from string import Template
 from typing import Any, NamedTuple
 
 from dbo_cli.reports.drawing import Plot, draw, short_name, text_width
-from dbo_cli.reports.report import Judgement, Report
+from dbo_cli.reports.report import Judgement, Report, digits
 
 JSON_VERSION = 1  # of the form dbo-report; a change of meaning would need another
 WIDTH = 80  # columns of the narrowest usual terminal
@@ -257,19 +257,6 @@ def _table_of(columns: Sequence[Column], parts: Sequence[Any]) -> str:
     shown = [column for column in columns if column.short]
     rows = [[column.cell(part) for column in shown] for part in parts]
     return text_table([column.short for column in shown], rows)
-
-
-def digits(value: float | None, places: int = 4, factor: float = 1.0) -> str:
-    """Return a number to ``places`` significant digits, without an exponent in 1e-3 to 1e6; None is ``-``."""
-    if value is None:
-        return "-"
-    value *= factor
-    if value == 0.0:
-        return "0"
-    if not 1e-3 <= abs(value) < 1e6:
-        return f"{value:.{places - 1}e}"
-    text = f"{value:#.{places}g}"
-    return f"{value:.0f}" if "e" in text else text.rstrip(".")
 
 
 def settings_line(report: Report) -> str:

@@ -23,6 +23,7 @@ from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.logs.plain_text import cleaned, counted
 from dbo_cli.logs.request import Rows
 from dbo_cli.logs.sample_block import SampleBlock
+from dbo_cli.logs.units import in_unit
 from dbo_cli.reports import sample_pairs
 from dbo_cli.reports.accumulators import HalfOfError
 from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics, monotone_ends, percent_of
@@ -102,6 +103,47 @@ class Expected:
     shape: float | None
     span: float
     source: str
+
+
+@dataclass(frozen=True)
+class SummaryExpected(Expected):
+    """What a summary of ``compensate`` states for its move; ``source`` is the file.
+
+    ``move_range`` holds the least and the greatest desired value of that move, ``move_span`` their difference
+    where the ends are not known; None where the file does not say.
+    """
+
+    move_range: tuple[float, float] | None = None
+    move_span: float | None = None
+
+    def of_move(self, low: float, high: float, unit: str) -> tuple[Expected, str | None]:
+        """Return what is expected, saying of which move, and a warning where that is not this one.
+
+        Parameters
+        ----------
+        low, high
+            The least and the greatest desired value of what is compared.
+        unit
+            What follows the numbers.
+        """
+        here = f"{low:.5g} to {high:.5g}{unit}"
+        slack = SAME_MOVE * (high - low) + EQUAL * max(abs(low), abs(high))
+        if self.move_range is not None:
+            first, last = self.move_range
+            same = abs(first - low) <= slack and abs(last - high) <= slack
+            move = f"a move from {first:.5g} to {last:.5g}{unit}"
+        elif self.move_span is not None:
+            same = abs(self.move_span - (high - low)) <= slack
+            move = f"a move of {self.move_span:.4g}{unit}"
+            here = f"{high - low:.4g}{unit}"
+        else:
+            same, move = False, "a move that it does not describe"
+        if same:
+            return replace(self, source=f"{self.source} for this move"), None
+        return replace(self, source=f"{self.source} for {move}"), (
+            f"{self.source} states the error of {move}, the one compared has {here}: the expected error may "
+            "be another move's (give the summary of this move)"
+        )
 
 
 @dataclass(frozen=True)
@@ -219,19 +261,23 @@ class Report:
     def judged(
         self,
         *,
-        max_rmse: float | None = None,
-        max_abs: float | None = None,
+        max_rmse: float | str | None = None,
+        max_abs: float | str | None = None,
         max_nrmse_percent: float | None = None,
         max_percent_of_range: float | None = None,
     ) -> Report:
         """Return the report with what comes of these limits.
 
+        ``max_rmse`` and ``max_abs`` are in the report's unit, or texts with a unit of their own (``10nm``).
+
         Raises
         ------
         UsageError
-            ``max_percent_of_range`` where no model says what the range is.
+            ``max_percent_of_range`` where no model says what the range is; a unit that cannot be converted.
         """
         unit = f" {self.unit}" if self.unit else ""
+        max_rmse = self._limit("max_rmse", max_rmse)
+        max_abs = self._limit("max_abs", max_abs)
         judgements = []
         for log in self.logs:
             if max_percent_of_range is not None and log.expected is None:
@@ -255,6 +301,15 @@ class Report:
                 if limit is not None:
                     judgements.append(Judgement(log.name, title, value, limit, suffix, option))
         return replace(self, judgements=tuple(judgements))
+
+    def _limit(self, name: str, limit: float | str | None) -> float | None:
+        """Return a limit of the error in the report's unit."""
+        if limit is None:
+            return None
+        value = in_unit(name, limit, self.unit)
+        if value < 0.0:
+            raise UsageError(f"`{name}`: must not be below 0, not {limit}")
+        return value
 
     def spelled(self, spell: Callable[[str], str]) -> Report:
         """Return the report with what ``spell`` makes of its notes and warnings."""
@@ -361,7 +416,7 @@ def evaluate(
     return replace(log, notes=(note, *log.notes))
 
 
-def check_limits(report: Report, **limits: float | None) -> None:
+def check_limits(report: Report, **limits: Any) -> None:
     """Raise LimitError, one line, for the first log that misses a limit; the others are counted in it.
 
     ``limits`` are the parameters of ``Report.judged``; without any, those it was judged by. A log whose
@@ -373,6 +428,8 @@ def check_limits(report: Report, **limits: float | None) -> None:
         raise LimitError(missed[0].words() + more)
 
 
+SAME_MOVE = 0.01  # of the move: what the ends of a summary's move may differ by from those of the log's
+EQUAL = 1e-6  # of the greater end besides: what figures written with few digits may differ by
 BEYOND_EXPECTED = 2.0  # times the expected error: from which on more came than an expectation may miss
 MOSTLY_ZERO = 0.7  # of the RMSE is the mean error: half of its square
 OFFSET_ALONE = 1.0 / 3.0  # of the RMSE is left, at most, without the mean: nine tenths of the square are its
@@ -550,18 +607,44 @@ class _Turns:
         return found
 
 
-def judged_by_expected(log: LogReport, expected: Expected) -> LogReport:
-    """Return a log with what was expected of it, and a warning where far more came."""
+def digits(value: float | None, places: int = 4, factor: float = 1.0) -> str:
+    """Return a number to ``places`` significant digits, without an exponent in 1e-3 to 1e6; None is ``-``."""
+    if value is None:
+        return "-"
+    value *= factor
+    if value == 0.0:
+        return "0"
+    if not 1e-3 <= abs(value) < 1e6:
+        return f"{value:.{places - 1}e}"
+    text = f"{value:#.{places}g}"
+    return f"{value:.0f}" if "e" in text else text.rstrip(".")
+
+
+def judged_by_expected(log: LogReport, expected: Expected, unit: str | None = None) -> LogReport:
+    """Return a log with what was expected of it, and a warning where far more came, or another move.
+
+    ``unit`` is that of the comparison.
+    """
+    figures = log.figures
+    another = None
+    if isinstance(expected, SummaryExpected):
+        if expected.rmse is None:
+            text = f"{log.name}: {expected.source} states no expected error"
+            return replace(log, expected=expected, warnings=(*log.warnings, text))
+        suffix = f" {unit}" if unit else ""
+        expected, another = expected.of_move(figures.desired_min, figures.desired_max, suffix)
     log = replace(log, expected=expected)
-    rmse, figures = log.expected_rmse, log.figures
+    if another is not None:
+        return replace(log, warnings=(*log.warnings, f"{log.name}: {another}"))
+    rmse = log.expected_rmse
     if rmse is None or not figures.rmse > BEYOND_EXPECTED * rmse > 0.0:
         return log
-    text = f"{log.name}: {figures.rmse / rmse:.2g} times as much came as was expected: "
+    text = f"{log.name}: {digits(figures.rmse / rmse, 2)} times as much came as was expected: "
     if abs(figures.mean) > MOSTLY_ZERO * figures.rmse:
         text += (
-            "most of it is the mean error, so the zero has moved, or the actuator came from elsewhere "
-            "(`remove_offset` takes the mean off; a sweep before the move, `condition`, puts the actuator "
-            "where the model takes it to be)"
+            "most of it is the mean error: the zero has moved (`remove_offset` takes the mean off), the gain "
+            "has changed (identify it again, or with `prior`), or the actuator came from elsewhere than the "
+            "model takes it to (a sweep before the move, `condition`)"
         )
     else:
         text += (

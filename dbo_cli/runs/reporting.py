@@ -24,6 +24,7 @@ from dbo_cli.hysteresis.model_state import START_NAMES, ModelState, StartName
 from dbo_cli.hysteresis.move_error import MOST_ROWS, move_error
 from dbo_cli.logs import request
 from dbo_cli.logs.columns import ColumnWish, column_wish
+from dbo_cli.logs.plain_text import shortened
 from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, Rows, selected_files
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log
@@ -37,6 +38,7 @@ from dbo_cli.reports.report import (
     LogReport,
     Report,
     ReportOptions,
+    SummaryExpected,
     check_limits,
     common_unit,
     evaluate,
@@ -254,7 +256,9 @@ class TrackingRun:
             if run is not None:
                 merits = judged_by_expected(merits, drive.expected(self.model_name, score_rows))
             elif options.expected is not None:
-                merits = judged_by_expected(merits, stated_in(options.expected.text, self._units[-1][1]))
+                unit = self._units[-1][1]
+                stated = stated_in(options.expected.text, unit)
+                merits = judged_by_expected(merits, stated, unit)
             self._merits.append(merits)
             listener.finished()
             self.remarks.add(remarks_of(source) if run is None else run.remarks())
@@ -428,21 +432,74 @@ def stated_in(path: str, unit: str | None) -> Expected:
     except (OSError, ValueError, RecursionError) as problem:
         raise InputError(f"{path}: cannot be read as a summary or a model: {problem}") from None
     if isinstance(content, dict) and content.get("format") == "dbo-summary":
-        ends, stated_unit = content.get("model_range"), content.get("unit")
-        if not isinstance(ends, list):
-            raise InputError(f"{path}: is no summary of compensate: it has no `model_range`")
-        rmse, shape = content.get("expected_rmse"), content.get("expected_shape_rmse")
-        span = abs(float(ends[1]) - float(ends[0]))
-        source = f"{path} for this move"
+        stated_unit, expected = content.get("unit"), _stated_by_summary(path, content)
     else:
         model = read_model(path)
         stated_unit, span = model.output.unit, model.output.span
         rmse, shape = model.fit.get("expected_rmse"), model.fit.get("expected_shape_rmse")
-        source = f"{path} for any move inside its range"
+        rmse = rmse if isinstance(rmse, float) else None
+        shape = shape if isinstance(shape, float) else None
+        expected = Expected(rmse, shape, span, f"{path} for any move inside its range")
     if stated_unit != unit:
         raise InputError(f"{path}: is in {stated_unit or 'no unit'}, the comparison in {unit or 'no unit'}")
-    rmse = rmse if isinstance(rmse, float) else None
-    return Expected(rmse, shape if isinstance(shape, float) else None, span, source)
+    return expected
+
+
+def _stated_by_summary(path: str, content: Mapping[str, Any]) -> Expected:
+    """Return what a summary of ``compensate`` says of its move (InputError where it says nonsense)."""
+    if content.get("version") != 1:
+        raise InputError(
+            f"{path}: 'version' is {_shown(content.get('version'))}, this program reads 1 "
+            "(write the summary again, or update the program)"
+        )
+    unit = content.get("unit")
+    if unit is not None and not isinstance(unit, str):
+        raise InputError(f"{path}: 'unit' is {_shown(unit)}, a text is needed")
+    ends = _ends_in(path, content, "model_range")
+    if ends is None or ends[0] == ends[1]:
+        raise InputError(
+            f"{path}: 'model_range' is {_shown(content.get('model_range'))}, two different numbers are "
+            "needed (a summary of compensate has them)"
+        )
+    rmse = _error_in(path, content, "expected_rmse")
+    if rmse == 0.0:
+        raise InputError(f"{path}: 'expected_rmse' is 0, a number above 0 or null is needed")
+    shape = _error_in(path, content, "expected_shape_rmse")
+    percent = _error_in(path, content, "expected_percent_of_move")
+    span = None
+    if rmse is not None and percent:
+        span = 100.0 * rmse / percent
+    return SummaryExpected(rmse, shape, ends[1] - ends[0], path, _ends_in(path, content, "move_range"), span)
+
+
+def _ends_in(path: str, content: Mapping[str, Any], key: str) -> tuple[float, float] | None:
+    """Return the two ends of a range in a summary, None where it has none."""
+    if key not in content:
+        return None
+    ends = content[key]
+    if isinstance(ends, list) and len(ends) == 2 and all(map(_is_number, ends)) and ends[0] <= ends[1]:
+        return float(ends[0]), float(ends[1])
+    raise InputError(f"{path}: '{key}' is {_shown(ends)}, two numbers are needed, the lesser one first")
+
+
+def _error_in(path: str, content: Mapping[str, Any], key: str) -> float | None:
+    """Return an error in a summary, None where it is null or absent."""
+    value = content.get(key)
+    if value is None:
+        return None
+    if not _is_number(value) or value < 0.0:
+        raise InputError(f"{path}: '{key}' is {_shown(value)}, a number of at least 0 or null is needed")
+    return float(value)
+
+
+def _is_number(value: object) -> bool:
+    """Return whether a value of a JSON file is a finite number; true and false are none."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
+
+
+def _shown(value: object) -> str:
+    """Return a value of a JSON file as a message repeats it."""
+    return shortened(json.dumps(value))
 
 
 def _counted(source: Source, listener: Listener) -> Iterator[SampleBlock]:
@@ -570,7 +627,7 @@ class ReportRun:
     options: TrackingOptions
     form: str | None
     figures: str | None
-    limits: Mapping[str, float | None]
+    limits: Mapping[str, Any]
     show: bool = False
     spelled: Callable[[str], str] = str
 

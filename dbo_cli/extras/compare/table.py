@@ -16,6 +16,7 @@ from dbo_cli.reports import renderers
 from dbo_cli.reports.drawing import Plot
 from dbo_cli.reports.figures import axis_label, finish, label_decades, legend_head
 from dbo_cli.reports.models import slow_loop
+from dbo_cli.reports.report import digits
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -132,9 +133,9 @@ def remark(row: Row) -> str:
 
 def _cells(row: Row, name: str, trip: str) -> list[str]:
     cells = [name]
-    cells += [renderers.digits(value) for value in (row.rmse, row.expected_rmse, row.validation_rmse)]
+    cells += [digits(value) for value in (row.rmse, row.expected_rmse, row.validation_rmse)]
     cells.append("-" if row.parameters is None else str(row.parameters))
-    cells += [renderers.digits(value, 3) for value in (row.fit_seconds, row.forward_ns, row.inverse_ns)]
+    cells += [digits(value, 3) for value in (row.fit_seconds, row.forward_ns, row.inverse_ns)]
     return [*cells, "-" if row.round_trip is None else trip.format(row.round_trip)]
 
 
