@@ -256,9 +256,7 @@ class TrackingRun:
             if run is not None:
                 merits = judged_by_expected(merits, drive.expected(self.model_name, score_rows))
             elif options.expected is not None:
-                unit = self._units[-1][1]
-                stated = stated_in(options.expected.text, unit)
-                merits = judged_by_expected(merits, stated, unit)
+                merits = self._judged_by(options.expected, merits)
             self._merits.append(merits)
             listener.finished()
             self.remarks.add(remarks_of(source) if run is None else run.remarks())
@@ -285,6 +283,11 @@ class TrackingRun:
             source.convert("measured", unit, "the comparison is")
             wanted.convert("desired", unit, "the comparison is")
         self._units.append((source.name, unit or source.columns["measured"].unit))
+
+    def _judged_by(self, summary_or_model: Address, merits: LogReport) -> LogReport:
+        """Return a log with what a file states of its error."""
+        unit = self._units[-1][1]
+        return judged_by_expected(merits, stated_in(summary_or_model.text, unit), unit)
 
     def _new_figure_data(self, source: Source) -> FigureData:
         drive = source.columns.get("voltage")
