@@ -99,11 +99,12 @@ def test_a_prior_is_moved_by_the_rows_that_are_known_best() -> None:
 def test_what_is_no_standard_deviation_is_refused() -> None:
     log = log_of_two_halves()
     assert log.uncertainty is not None
-    for bad in (0.0, -1.0, np.nan, np.inf):
+    for bad in (0.0, -1.0, 1e-300, 1e300, np.nan, np.inf):
         wrong = log.uncertainty.copy()
         wrong[7] = bad
         with pytest.raises(
-            FitError, match=r"^log: the uncertainty in row 8 is \S+: a standard deviation is "
+            FitError, match=r"^log: the uncertainty in row 8 is \S+: a standard deviation is a "
+            r"number from 1e-30 to 1e\+30$"
         ):
             identify([replace(log, uncertainty=wrong)], FEW)
     steep = log.uncertainty.copy()
@@ -156,8 +157,10 @@ def test_the_column_of_uncertainty_from_the_shell(whole_dbo: Any) -> None:
 
 
 @pytest.mark.parametrize(("text", "why"), [
-    ("0", "column 'deviation_um' is 0: a standard deviation is a number above 0 (--rows leaves such rows out)"),
-    ("-0.5", "column 'deviation_um' is -0.5: a standard deviation is a number above 0 (--rows leaves such rows out)"),
+    ("0", "column 'deviation_um' is 0: a standard deviation is a number from 1e-30 to 1e+30 (--rows leaves such rows out)"),
+    ("-0.5", "column 'deviation_um' is -0.5: a standard deviation is a number from 1e-30 to 1e+30 (--rows leaves such rows out)"),
+    ("1e-160", "column 'deviation_um' is 1e-160: a standard deviation is a number from 1e-30 to 1e+30 (--rows leaves such rows out)"),
+    ("1e300", "column 'deviation_um' is 1e+300: a standard deviation is a number from 1e-30 to 1e+30 (--rows leaves such rows out)"),
     ("nan", "column 'deviation_um' is not finite: 'nan' (--skip-bad drops such rows)"),
 ])  # fmt: skip
 def test_a_bad_uncertainty_is_refused_by_its_line(whole_dbo: Any, text: str, why: str) -> None:

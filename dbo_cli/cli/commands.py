@@ -351,7 +351,7 @@ def excite(arguments: Given) -> None:
     for key in ("v_min", "v_max", "max_slew", "sweep_amplitude"):
         if words[key] is not None:
             words[key] = in_unit(key, words[key], unit, "s" if key == "max_slew" else None)
-    drive = excitation_of(**words)
+    drive = excitation_of(unit=unit, **words)
     drives = excitation_drives(drive, arguments.points, arguments.brought)
     fastest = write_excitation(arguments.output, drive, arguments.format, drives, unit)
     rows = len(drives[0])

@@ -15,6 +15,7 @@ import numpy as np
 from dbo_cli.errors import SILENT, InputError, Listener, Remarks, UsageError, plain
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording
 from dbo_cli.hysteresis.identification import identify as identify_model
+from dbo_cli.hysteresis.identification.recordings import LARGEST, LEAST_DEVIATION
 from dbo_cli.hysteresis.model import SIGN_VERBS, ActuatorModel, Sign
 from dbo_cli.hysteresis.model_file import model_to_bytes, read_model
 from dbo_cli.logs import request
@@ -81,13 +82,16 @@ def recording_of(source: Source, name: str | None = None, listener: Listener = S
 def _check_uncertainty(block: SampleBlock, source: Source) -> None:
     """Refuse standard deviations that are none (InputError), naming the first by its row."""
     values = block.values.get("uncertainty")
-    if values is None or bool((values > 0.0).all()):
+    if values is None:
         return
-    place = int(np.argmin(values > 0.0))
+    valid = (values >= LEAST_DEVIATION) & (values <= LARGEST)
+    if valid.all():
+        return
+    place = int(np.argmin(valid))
     column = source.columns["uncertainty"].name
     raise InputError(
         f"{block.place(source.name, place)}: column '{column}' is {values[place]:g}: a standard deviation is "
-        "a number above 0 (`rows` leaves such rows out)"
+        f"a number from {LEAST_DEVIATION:g} to {LARGEST:g} (`rows` leaves such rows out)"
     )
 
 

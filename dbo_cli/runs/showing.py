@@ -165,8 +165,9 @@ def _goodness(content: Mapping[str, Any], unit: str | None) -> list[str]:
     fit: Mapping[str, Any] = content["fit"]
     suffix = f" {unit}" if unit else ""
     lines = []
-    if "rmse" in fit:
-        percent = f" ({fit['rmse_percent']:.2f} % of the model's range)" if "rmse_percent" in fit else ""
+    if fit.get("rmse") is not None:
+        share = fit.get("rmse_percent")
+        percent = "" if share is None else f" ({share:.2f} % of the model's range)"
         left_out = fit.get("cross_validated_rmse")
         more = "" if left_out is None else f", {left_out:.4g}{suffix} on cycles left out"
         line = fit.get("straight_line_rmse")
@@ -176,7 +177,7 @@ def _goodness(content: Mapping[str, Any], unit: str | None) -> list[str]:
     if fit.get("expected_rmse") is not None:
         rests = f", from {why}" if why else ""
         lines.append(f"expect: RMSE {fit['expected_rmse']:.4g}{suffix} on new moves inside the range{rests}")
-        if fit.get("expected_shape_rmse") is not None:
+        if fit.get("expected_shape_rmse") is not None and fit.get("expected_zero") is not None:
             lines.append(
                 f"in parts: {fit['expected_shape_rmse']:.3g}{suffix} shape (RMS of the error less its mean), "
                 f"{fit['expected_zero']:.3g}{suffix} zero (that mean; {fit['zero_from']})"
@@ -187,7 +188,7 @@ def _goodness(content: Mapping[str, Any], unit: str | None) -> list[str]:
         f"validated: RMSE {log['rmse']:.4g}{suffix} on {log['name']}, which took no part in the fit"
         for log in content["validation"]
     ]
-    if "loop_width_percent" in fit:
+    if fit.get("loop_width_percent") is not None:
         slopes = f"; {fit['slopes']} slopes" if fit.get("slopes") else ""
         bend = f", drive bent by {100.0 * fit['drive_bend']:.0f} %" if fit.get("drive_bend") else ""
         width = f"{fit['loop_width_percent']:.1f} % of the model's range"
