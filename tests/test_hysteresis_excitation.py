@@ -99,8 +99,10 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"v_min": 3.0, "v_max": 3.0}, "`v_min` 3V must be below `v_max` 3V"),
     ({"v_min": float("nan")}, "`v_min` nanV must be below `v_max` 3.6V"),
     ({"v_min": -1e308, "v_max": 1e308}, "`v_min` -1e+308V and `v_max` 1e+308V: give limits within 1e+60V"),
-    ({"v_min": 0.0, "v_max": 1e-320, "unit": "bar"},
-     "`v_min` 0bar and `v_max` 9.99989e-321bar: give limits at least 1e-60bar apart"),
+    (
+        {"v_min": 0.0, "v_max": 1e-320, "unit": "bar"},
+        "`v_min` 0bar and `v_max` 9.99989e-321bar: give limits at least 1e-60bar apart",
+    ),
     (
         {"sample_rate": 19.0},
         "`frequency` 1: fewer than 20 samples a cycle (raise `sample_rate` to 20, or lower it)",

@@ -120,8 +120,8 @@ class Excitation:
     Raises
     ------
     UsageError
-        The limits are not in order or no drive's, or the duration holds fewer than six periods, or a period fewer than 20
-        samples, or the slew limit does not allow the sweep; with the values that would do.
+        The limits are not in order or no drive's, or the duration holds fewer than six periods, or a period
+        fewer than 20 samples, or the slew limit does not allow the sweep; with the values that would do.
     """
 
     v_min: float
@@ -225,9 +225,7 @@ class Excitation:
         if self.sweep_to is None:
             return np.empty(0)
         ends = (self.v_min, self.v_max)
-        return sweep(
-            *ends, self.sample_rate, self.sweep_to, self.sweep_amplitude, self.max_slew, self.unit
-        )
+        return sweep(*ends, self.sample_rate, self.sweep_to, self.sweep_amplitude, self.max_slew, self.unit)
 
 
 SAMPLE_RATE = 1000.0  # rows a second where nothing is said: 50 in a swing of the fastest, at 1 Hz

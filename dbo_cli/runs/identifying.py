@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import itertools
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import closing
@@ -144,6 +145,27 @@ def identify_recordings(
     for log in [*logs, *validation]:
         remarks.add(log.remarks)
     return IdentifyResult(dataclasses.replace(result.model, provenance=provenance), result.summary, remarks)
+
+
+def _refuse_shared_columns(source: Source) -> None:
+    """Refuse one column in two roles (InputError)."""
+    for first, second in itertools.combinations(source.columns, 2):
+        if source.columns[first].number == source.columns[second].number:
+            raise _two_roles(source, second, first)
+
+
+def _refuse_one_signal(recording: Recording, source: Source) -> None:
+    """Refuse one column as drive and displacement, found by way of two names of its file (InputError)."""
+    names = [source.columns[role].name.rpartition("::")[2] for role in ("voltage", "displacement")]
+    if names[0] == names[1] and np.array_equal(recording.voltage, recording.displacement):
+        raise _two_roles(source, "voltage", "displacement")
+
+
+def _two_roles(source: Source, role: str, taken: str) -> InputError:
+    return InputError(
+        f"{source.name}: column '{source.columns[role].name}' cannot be the {role}: it is the {taken} "
+        f"(`{role}` or `{taken}` names another)"
+    )
 
 
 def _refuse_swapped_units(recording: Recording) -> None:
@@ -311,6 +333,7 @@ class IdentifyRun:
                 return log
             opened_log = opened(log, wishes, reading, listener, time=self.time, digest=True)
             with closing(opened_log) as source:
+                _refuse_shared_columns(source)
                 taken = source.columns["displacement"]
                 if isinstance(source, SignalLog) and is_order(taken, wishes["displacement"]):
                     source.warnings.append(
@@ -327,6 +350,7 @@ class IdentifyRun:
                     source.convert("uncertainty", source.columns["displacement"].unit, "the displacement is")
                 named = names.get(log) if isinstance(log, Address) else _name_of(log)
                 recording = recording_of(source, named, listener)
+                _refuse_one_signal(recording, source)
                 units.update({role: column.unit for role, column in source.columns.items()})
                 remarks = remarks_of(source)
                 if is_table(log):  # what ``read_log`` left in it

@@ -173,6 +173,7 @@ def _goodness(content: Mapping[str, Any], unit: str | None) -> list[str]:
         line = fit.get("straight_line_rmse")
         more += "" if line is None else f"; a straight line leaves {line:.4g}{suffix}"
         lines.append(f"fit: RMSE {fit['rmse']:.4g}{suffix}{percent} on the rows it was identified from{more}")
+    lines += _uncertainty(content)
     why = fit.get("expected_from")
     if fit.get("expected_rmse") is not None:
         rests = f", from {why}" if why else ""
@@ -194,6 +195,33 @@ def _goodness(content: Mapping[str, Any], unit: str | None) -> list[str]:
         width = f"{fit['loop_width_percent']:.1f} % of the model's range"
         lines.append(f"loop: {width} wide, which the model undoes{slopes}{bend}")
     return lines + _lateness(fit)
+
+
+def _uncertainty(content: Mapping[str, Any]) -> list[str]:
+    """Return what was known of the displacement's uncertainty: that of its rows, and that of its scale."""
+    lines = []
+    columns = []
+    for log in content["inputs"]:
+        column = log.get("read", {}).get("columns", {}).get("uncertainty")
+        if column is not None and column["column"] not in columns:
+            columns.append(column["column"])
+    if columns:
+        names = " and ".join(f"'{name}'" for name in columns)
+        lines.append(f"rows count by their uncertainty, column {names}, and do so in the RMSE")
+    fit = content["fit"]
+    percent, gain = fit.get("scale_uncertainty_percent"), fit.get("gain")
+    known = fit.get("gain_uncertainty")
+    if percent is None or gain is None or known is None:
+        return lines
+    drive, made = content["input"]["unit"], content["output"]["unit"]
+    if content["direction"] == "inverse":
+        drive, made = made, drive
+    unit = f" {made}/{drive}" if made and drive else ""
+    lines.append(
+        f"gain: {gain:.6g}{unit} from end to end, standard uncertainty {known:.2g}{unit}, of which the "
+        f"displacement's scale is {percent:.3g} %"
+    )
+    return lines
 
 
 def _lateness(fit: Mapping[str, Any]) -> list[str]:
