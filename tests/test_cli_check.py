@@ -681,3 +681,43 @@ def test_a_comparison_needs_no_scipy(bench: Any) -> None:
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert done.returncode == 0 and "  played: " in done.stdout, done.stderr
+
+
+# --- an amplifier that stands outside the limits ---
+
+
+@pytest.mark.parametrize(
+    ("rows", "words", "broken"),
+    [
+        ([150, 150, 150], ("--from", "150"), "row 2: 150 V is outside 5 to 100 V (2 rows in all)"),
+        ([0, 0, 50], ("--from", "0"), "row 2: 0 V is outside 5 to 100 V"),
+        ([0, 2, 1, 50], ("--from", "0"), "row 3: 1 V is outside 5 to 100 V"),
+        ([0, 2, 2, 50], ("--from", "0"), "row 3: 2 V is outside 5 to 100 V"),
+        ([-1, 50, 50], ("--from", "0"), "row 1: -1 V is outside 5 to 100 V"),
+        ([0, 2, 50], (), "row 1: 0 V is outside 5 to 100 V (2 rows in all)"),
+    ],
+)
+def test_only_what_comes_inwards_may_be_outside(
+    dbo: Any, rows: list[float], words: tuple[str, ...], broken: str
+) -> None:
+    Path("d.csv").write_text("voltage_V\n" + "".join(f"{row}\n" for row in rows))
+    done = dbo("check", "d.csv", "--v-min", "5", "--v-max", "100", *words)
+    assert done.code == 3
+    assert done.err.splitlines()[-1] == f"dbo: error: d.csv: {broken}"
+
+
+def test_rows_that_come_inwards_are_counted(dbo: Any) -> None:
+    Path("d.csv").write_text("voltage_V\n0\n2\n4\n50\n50\n")
+    done = dbo("check", "d.csv", "--v-min", "5", "--v-max", "100", "--from", "0")
+    assert done.code == 0
+    assert (
+        "dbo: warning: d.csv: the first 3 rows outside the limits, on the way inwards from where the "
+        "amplifier stands (--from)\n"
+    ) in done.err
+
+
+def test_the_first_row_has_the_time_up_to_the_second(dbo: Any) -> None:
+    """As in the drive of compensate, whose clock may be uneven."""
+    Path("d.csv").write_text("time_s,voltage_V\n0,12\n0.012,13\n0.022,14\n0.032,15\n0.042,16\n")
+    assert dbo("check", "d.csv", "--from", "0", "--max-slew", "1000").code == 0
+    assert dbo("check", "d.csv", "--from", "0", "--max-slew", "999").code == 3

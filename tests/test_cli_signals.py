@@ -447,6 +447,20 @@ def test_what_drives_is_named_by_the_unit_of_its_limit(dbo: Any) -> None:
     assert not Path("other.csv").exists()
 
 
+@pytest.mark.parametrize(("words", "message"), [
+    ("--v-max 4bar --max-slew 10bar/s", "--max-slew 10bar/s: the whole range at 1 Hz needs 12.5664 bar/s "
+     "(--frequency 0.795 and a --duration of at least 8)"),
+    ("--v-max 4bar --v-min 5bar", "--v-min 5bar must be below --v-max 4bar"),
+    ("--v-max 1e300bar --v-min -1e300bar", "--v-min -1e+300bar and --v-max 1e+300bar: give limits within "
+     "1e+60bar"),
+    ("--v-max 4bar --sweep-to 20 --sweep-amplitude 3bar", "--sweep-amplitude 3bar: give one above 0, at most 2bar"),
+])  # fmt: skip
+def test_excite_refuses_in_the_unit_of_the_drive(dbo: Any, words: str, message: str) -> None:
+    done = dbo("excite", *words.split(), "-o", "e.csv")
+    assert (done.code, done.err) == (2, f"dbo: error: {message}\n")
+    assert not Path("e.csv").exists()
+
+
 def test_excite_is_chosen_by_its_seed(dbo: Any) -> None:
     words = ["excite", "--v-max", "120", "--sample-rate", "200"]
     first = dbo(*words).out

@@ -96,9 +96,13 @@ def test_excitation_is_chosen_by_its_seed() -> None:
 TURNS_OF_SEED_1 = [120.0, -30.0, 97.115061, 37.42366, 120.0, -29.684092]
 
 REFUSED: list[tuple[dict[str, Any], str]] = [
-    ({"v_min": 3.0, "v_max": 3.0}, "`v_min` 3 must be below `v_max` 3"),
-    ({"v_min": float("nan")}, "`v_min` nan must be below `v_max` 3.6"),
-    ({"v_min": -1e308, "v_max": 1e308}, "`v_min` -1e+308 and `v_max` 1e+308: give finite limits"),
+    ({"v_min": 3.0, "v_max": 3.0}, "`v_min` 3V must be below `v_max` 3V"),
+    ({"v_min": float("nan")}, "`v_min` nanV must be below `v_max` 3.6V"),
+    ({"v_min": -1e308, "v_max": 1e308}, "`v_min` -1e+308V and `v_max` 1e+308V: give limits within 1e+60V"),
+    (
+        {"v_min": 0.0, "v_max": 1e-320, "unit": "bar"},
+        "`v_min` 0bar and `v_max` 9.99989e-321bar: give limits at least 1e-60bar apart",
+    ),
     (
         {"sample_rate": 19.0},
         "`frequency` 1: fewer than 20 samples a cycle (raise `sample_rate` to 20, or lower it)",
@@ -109,7 +113,7 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ),
     (
         {"max_slew": 1.0},
-        "`max_slew` 1: the whole range at 1 Hz needs 11.3097 V/s"
+        "`max_slew` 1V/s: the whole range at 1 Hz needs 11.3097 V/s"
         " (`frequency` 0.0884 and a `duration` of at least 68)",
     ),
     (

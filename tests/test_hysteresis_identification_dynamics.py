@@ -171,7 +171,7 @@ def test_the_sweep_is_small_ends_at_rest_and_is_refused_where_it_cannot_be() -> 
         ({"sweep_to": 300.0}, r"`sweep_to` 300: 2000 rows a second do not resolve it \(`sample_rate` 3000"),
         (
             {"sweep_to": 200.0, "sweep_amplitude": 60.0},
-            "`sweep_amplitude` 60: give volts above 0, at most 50",
+            "`sweep_amplitude` 60V: give one above 0, at most 50V",
         ),
         ({"sweep_amplitude": 1.0}, "`sweep_amplitude` is that of a sweep"),
         ({"sweep_to": 4.0}, "or `frequency` 0.4 and `duration` 15"),
@@ -180,7 +180,7 @@ def test_the_sweep_is_small_ends_at_rest_and_is_refused_where_it_cannot_be() -> 
         if "max_slew" in more:
             more["max_slew"] = 315.0
             more["sweep_amplitude"] = 2.0
-            text = r"`sweep_amplitude` 2: at 200 Hz it needs 628.319 V/s, `max_slew` allows 315"
+            text = r"`sweep_amplitude` 2V: at 200 Hz it needs 628.319 V/s, `max_slew` allows 315"
         with pytest.raises(UsageError, match=text):
             Excitation(0.0, 100.0, RATE, 6.0, 1.0, **more).drive()
 

@@ -99,11 +99,13 @@ def test_a_prior_is_moved_by_the_rows_that_are_known_best() -> None:
 def test_what_is_no_standard_deviation_is_refused() -> None:
     log = log_of_two_halves()
     assert log.uncertainty is not None
-    for bad in (0.0, -1.0, np.nan, np.inf):
+    for bad in (0.0, -1.0, 1e-300, 1e300, np.nan, np.inf):
         wrong = log.uncertainty.copy()
         wrong[7] = bad
         with pytest.raises(
-            FitError, match=r"^log: the uncertainty in row 8 is \S+: a standard deviation is "
+            FitError,
+            match=r"^log: the uncertainty in row 8 is \S+: a standard deviation is a "
+            r"number from 1e-30 to 1e\+30$",
         ):
             identify([replace(log, uncertainty=wrong)], FEW)
     steep = log.uncertainty.copy()
@@ -139,6 +141,8 @@ def test_the_column_of_uncertainty_from_the_shell(whole_dbo: Any) -> None:
     )
     model = json.loads(Path("um.json").read_text())
     assert model["provenance"]["arguments"][-2:] == ["--uncertainty", "deviation"]
+    shown = whole_dbo("show", "um.json").out
+    assert "\nrows count by their uncertainty, column 'deviation_um', and do so in the RMSE\n" in shown
     written(log, "nm.csv", "nm", 1000.0)
     done = whole_dbo("identify", "nm.csv", *words, "nm.json")
     assert "column 'deviation_nm' is converted from nm to um" in done.err
@@ -156,8 +160,10 @@ def test_the_column_of_uncertainty_from_the_shell(whole_dbo: Any) -> None:
 
 
 @pytest.mark.parametrize(("text", "why"), [
-    ("0", "column 'deviation_um' is 0: a standard deviation is a number above 0 (--rows leaves such rows out)"),
-    ("-0.5", "column 'deviation_um' is -0.5: a standard deviation is a number above 0 (--rows leaves such rows out)"),
+    ("0", "column 'deviation_um' is 0: a standard deviation is a number from 1e-30 to 1e+30 (--rows leaves such rows out)"),
+    ("-0.5", "column 'deviation_um' is -0.5: a standard deviation is a number from 1e-30 to 1e+30 (--rows leaves such rows out)"),
+    ("1e-160", "column 'deviation_um' is 1e-160: a standard deviation is a number from 1e-30 to 1e+30 (--rows leaves such rows out)"),
+    ("1e300", "column 'deviation_um' is 1e+300: a standard deviation is a number from 1e-30 to 1e+30 (--rows leaves such rows out)"),
     ("nan", "column 'deviation_um' is not finite: 'nan' (--skip-bad drops such rows)"),
 ])  # fmt: skip
 def test_a_bad_uncertainty_is_refused_by_its_line(whole_dbo: Any, text: str, why: str) -> None:
@@ -166,6 +172,21 @@ def test_a_bad_uncertainty_is_refused_by_its_line(whole_dbo: Any, text: str, why
     Path("log.csv").write_text("\n".join(lines) + "\n")
     done = whole_dbo("identify", "log.csv", "--uncertainty", "deviation", *QUICK, "-o", "m.json")
     assert (done.code, done.err.splitlines()[-1]) == (1, f"dbo: error: log.csv:41: {why}")
+    assert not Path("m.json").exists()
+
+
+@pytest.mark.parametrize(("words", "message"), [
+    ("--uncertainty displacement_um", "column 'displacement_um' is the displacement, not the uncertainty "
+     "(--displacement names another)"),
+    ("--uncertainty 3 --displacement 3", "column 'displacement_um' cannot be the uncertainty: it is the "
+     "displacement (--uncertainty or --displacement names another)"),
+    ("--voltage log.csv::displacement_um", "column 'log.csv::displacement_um' cannot be the voltage: it is "
+     "the displacement (--voltage or --displacement names another)"),
+])  # fmt: skip
+def test_no_column_has_two_roles(whole_dbo: Any, words: str, message: str) -> None:
+    written(log_of_two_halves(), "log.csv")
+    done = whole_dbo("identify", "log.csv", *words.split(), *QUICK, "-o", "m.json")
+    assert (done.code, done.err.splitlines()[-1]) == (1, f"dbo: error: log.csv: {message}")
     assert not Path("m.json").exists()
 
 
@@ -198,6 +219,9 @@ def test_the_uncertainty_of_the_scale_is_stated_with_the_gain(whole_dbo: Any) ->
         assert fit["gain_uncertainty"] == pytest.approx(fit["gain"] * np.hypot(ends, 0.005), rel=1e-9)
         assert summary["gain_uncertainty"] == fit["gain_uncertainty"]
         assert "um/V: 0.5 % of the displacement's scale, " in done.err
+        shown = " ".join(whole_dbo("show", "m.json").out.split())
+        assert f"gain: {fit['gain']:.6g} um/V from end to end, standard uncertainty " in shown
+        assert "of which the displacement's scale is 0.5 %" in shown
     assert whole_dbo(*words[:-1]).code == 0
     assert json.loads(Path("s.json").read_text())["gain_uncertainty"] is None
     done = whole_dbo(*words, "-1ppm")

@@ -18,8 +18,16 @@ from test_hysteresis_model import build
 import dbo_cli as dbo
 from dbo_cli.errors import DboError, InputError, ModelError
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage, ModelState
-from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, read_state, state_to_bytes
+from dbo_cli.hysteresis.model_file import (
+    AMOUNTS_OF_FIT,
+    SIGNED_OF_FIT,
+    model_to_bytes,
+    read_model,
+    read_state,
+    state_to_bytes,
+)
 from dbo_cli.hysteresis.operators import BacklashState
+from dbo_cli.runs.showing import as_text, contents
 
 EXAMPLE: dict[str, Any] = {
     "format": "dbo-model",
@@ -70,6 +78,14 @@ def test_random_models_and_their_inverses_keep_their_bytes(tmp_path: Path) -> No
         gears, exchanged = (json.loads(model_to_bytes(m))["stages"] for m in (model, model.inverse()))
         assert exchanged[-1]["dx"] == gears[0]["dy"]
         assert exchanged[-1]["dy"] == gears[0]["dx"]
+
+
+def test_figures_of_the_fit_may_be_null(tmp_path: Path) -> None:
+    values = copy.deepcopy(EXAMPLE)
+    values["fit"] = dict.fromkeys((*AMOUNTS_OF_FIT, *SIGNED_OF_FIT))
+    model = read_model(write(tmp_path, values))
+    assert json.loads(model_to_bytes(model)) == values
+    assert "fit: " not in as_text(contents(model))
 
 
 def test_fit_and_provenance_may_be_absent(tmp_path: Path) -> None:
@@ -156,6 +172,11 @@ REFUSED: list[tuple[dict[str, Any] | str, str]] = [
     (changed("fit.rmse", float("nan")), "fit.rmse: nan is not a finite number"),
     (changed("fit.notes.0", float("inf")), "fit.notes[0]: inf is not a finite number"),
     (changed("fit", []), "fit: is not an object"),
+    (changed("fit.rmse", "0.19"), 'fit.rmse: "0.19" is not a number'),
+    (changed("fit.expected_rmse", "small"), 'fit.expected_rmse: "small" is not a number'),
+    (changed("fit.expected_rmse", -1), "fit.expected_rmse: -1.0 is not a finite number of at least 0"),
+    (changed("fit.zero_drift", [1.0]), "fit.zero_drift: [1.0] is not a number"),
+    (changed("fit.lag_seconds", True), "fit.lag_seconds: true is not a number"),
 ]  # fmt: skip
 
 

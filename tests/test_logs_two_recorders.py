@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.clock_offset import find_offset
+from dbo_cli.logs.clock_offset import _Fit, _require_sure, find_offset
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock
@@ -163,3 +163,10 @@ def test_an_offset_needs_two_files(tmp_path: Path) -> None:
     wishes = {"displacement": ColumnWish(None, ("displacement",), option="displacement")}
     with pytest.raises(UsageError, match="`clock_offset` joins two files"):
         open_log(displacement, wishes, ReadingOptions(clock_offset=1.0))
+
+
+def test_an_unsure_offset_is_refused_with_the_fifth_it_is_measured_by() -> None:
+    fit = _Fit(offset=0.3, residual=0.0, deviation=0.0019, drift=0.0, drift_deviation=1.0, about=0.0)
+    message = r"two: .* 0.3 s, but uncertain by 0.0038 s, more than 0.002 s, a fifth of a sample \(give "
+    with pytest.raises(InputError, match=message):
+        _require_sure(fit, [], 0.01, "two")

@@ -287,3 +287,24 @@ def test_a_move_is_held_to_what_the_limits_leave(bench: Any) -> None:
     assert done.code == 2 and "model.json reaches 1 to 4.2 (another --range" in done.err
     done = bench(*words, "--unit", "um", "--v-max", "5")
     assert done.code == 2 and "are limits of a drive: give its --model\n" in done.err
+
+
+def test_an_amplifier_outside_the_limits_is_said_before_and_after_the_move(bench: Any) -> None:
+    words = ("--v-min", "1", "--from", "0", "--approach", "0.1", "--return", "0.1", "--on-limit", "clip")
+    done = bench("compensate", "model.json", "small.csv", *words, "-o", "d.csv")
+    assert done.code == 0
+    voltage = [float(line.split(",")[2]) for line in Path("d.csv").read_text().splitlines()[1:]]
+    outside = next(k for k, value in enumerate(voltage) if value >= 1.0)
+    assert outside > 1 and min(voltage[outside:]) == 1.0 == voltage[-1]
+    assert (
+        "dbo: warning: small.csv: the drive comes from 0 V, outside its limits, 1 to 10 V: the first "
+        f"{outside} rows on the way inwards outside them, too\n"
+    ) in done.err
+    assert (
+        "dbo: warning: small.csv: the drive returns to 1 V alone: 0 V, where the drive came from, is outside "
+        "its limits, 1 to 10 V\n"
+    ) in done.err
+    assert bench("check", "d.csv", "--v-min", "1", "--v-max", "10", "--from", "0").code == 0
+    assert bench("check", "d.csv", "--v-min", "1", "--v-max", "10").code == 3
+    inside = bench("compensate", "model.json", "small.csv", *words[2:], "-o", "inside.csv")
+    assert "outside its limits" not in inside.err

@@ -183,7 +183,8 @@ def compensate(arguments: Given) -> None:
 
     The forward model is inverted exactly and started in the state in which dbo simulate of the drive starts;
     a delay is made up for by reading the trajectory ahead. No row ever leaves the range on which the model
-    was identified, cut by --v-min and --v-max (beyond it only with --extrapolate). What cannot be reached
+    was identified, cut by --v-min and --v-max (beyond it only with --extrapolate); from an amplifier that
+    stands outside (--from) the drive comes straight inwards, and says so. What cannot be reached
     within the limits is cut off, counted and said, as long as it costs at most 1 % of the move: the RMS of
     what the move misses, over the difference between its largest and its least value. On standard output,
     where rows leave before that is known, a stream ends once it has lost more than 1 % of the model's range.
@@ -351,7 +352,7 @@ def excite(arguments: Given) -> None:
     for key in ("v_min", "v_max", "max_slew", "sweep_amplitude"):
         if words[key] is not None:
             words[key] = in_unit(key, words[key], unit, "s" if key == "max_slew" else None)
-    drive = excitation_of(**words)
+    drive = excitation_of(unit=unit, **words)
     drives = excitation_drives(drive, arguments.points, arguments.brought)
     fastest = write_excitation(arguments.output, drive, arguments.format, drives, unit)
     rows = len(drives[0])

@@ -282,7 +282,8 @@ DRIVING = (  # the fields of ``DriveOptions`` but for the state, which is read w
     ),
     Option(
         "--return SECONDS|auto",
-        "Ramp back at the end, to where the drive came from, else to 0; its rows have no desired value.",
+        "Ramp back at the end, to where the drive came from, else to 0, within the limits; its rows have no "
+        "desired value.",
     ),
     Option(
         "--bandwidth HZ",

@@ -37,11 +37,14 @@ class CheckedDrive:
         Limits that are broken, each with its first place; empty where none is.
     played : dict
         With a recording: rows, lag, gain, offset, largest difference.
+    outside : int
+        How many rows, the first ones, are outside the limits, on the way inwards from ``from_``.
     """
 
     figures: DriveFigures
     problems: list[str] = field(default_factory=list)
     played: dict[str, Any] = field(default_factory=dict)
+    outside: int = 0
 
 
 def check_drive(
@@ -89,9 +92,10 @@ def check_drive(
     waits = steps
     if steps is not None and limits.max_slew:  # both rows of a step may miss by the tolerance
         waits = steps + 2.0 * tolerance / limits.max_slew
-    gate = DriveGate(allowed, from_, suffix)
+    gate = DriveGate(allowed, from_, suffix, may_wait=False)
     before = np.concatenate([[drive[0] if from_ is None else from_], drive[:-1]])
     bad = gate.broken(drive, waits)
+    checked.outside = gate.outside
     if bad.any():
         row = int(np.argmax(bad))
         reason = DriveGate(limits, suffix=suffix).reason(float(drive[row]), float(before[row]))
@@ -128,7 +132,8 @@ def _check_clock(checked: CheckedDrive, time: Floats, place: Callable[[int], str
     steps = np.diff(time)
     forward = steps[steps > 0.0]
     usual = median_step(forward) if forward.size else 0.0
-    steps = np.concatenate([[usual], steps])
+    first = steps[0] if steps[0] > 0.0 else usual  # as ``compensate`` counts the row before the first
+    steps = np.concatenate([[first], steps])
     for what, odd in (
         ("time goes backwards", steps < 0.0),
         ("the time stamp repeats", steps == 0.0),

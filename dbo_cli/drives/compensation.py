@@ -30,6 +30,7 @@ from dbo_cli.errors import InputError, LimitError, Remarks, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
 from dbo_cli.hysteresis.move_error import MOST_ROWS, UNLIKE, ZERO_STAYS, MoveError, move_error
+from dbo_cli.logs.plain_text import counted
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock, even_step, median_step
 from dbo_cli.logs.sources import Source
 
@@ -353,11 +354,15 @@ class Compensation(ModelRun):
             self.gate.require_start(step, begin)
         return before
 
+    def _rest_after(self) -> tuple[float, float]:
+        """Return where the drive came from (0: not known), and what is nearest to it within limits."""
+        rest = 0.0 if self.came_from is None else self.came_from
+        return rest, min(max(rest, self.limits.v_min), self.limits.v_max)
+
     def _return(self, state: ModelState, last_time: float, step: float) -> Response:
         """Return the ramp after the move; nothing is desired there."""
         assert self.gate.last is not None
-        rest = 0.0 if self.came_from is None else self.came_from
-        target = min(max(rest, self.limits.v_min), self.limits.v_max)
+        _, target = self._rest_after()
         voltage = ramp("return_", self.gate.last, target, step, self.options.return_, self.limits)
         time = last_time + step * np.arange(1.0, voltage.size + 1.0)
         if voltage.size:
@@ -463,6 +468,24 @@ class Compensation(ModelRun):
         beyond = beyond_range(self.model.input, self.drive_figures.low, self.drive_figures.high)
         if beyond and self.options.extrapolate:  # else the amplifier stood there, and only came inwards
             remarks.warn(f"{self.source.name}: the drive goes {beyond}")
+        self._add_ends_outside(remarks)
+
+    def _add_ends_outside(self, remarks: Remarks) -> None:
+        """Say where the amplifier stood outside the limits, and what the drive therefore does there."""
+        name, unit, limits = self.source.name, self.model.input.suffix, self.limits
+        within = f"its limits, {limits.v_min:.6g} to {limits.v_max:.6g}{unit}"
+        if self.gate.outside:
+            remarks.warn(
+                f"{name}: the drive comes from {self.came_from:.6g}{unit}, outside {within}: the first "
+                f"{counted(self.gate.outside, 'row')} on the way inwards outside them, too"
+            )
+        rest, target = self._rest_after()
+        if self.options.return_ is not None and rest != target:
+            came = "where the drive came from" if self.came_from is not None else "where drives rest"
+            remarks.warn(
+                f"{name}: the drive returns to {target:.6g}{unit} alone: {rest:.6g}{unit}, {came}, is "
+                f"outside {within}"
+            )
 
     def remarks(self) -> Remarks:
         """Return what is to be said of the run so far, and what was said before."""

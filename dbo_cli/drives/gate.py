@@ -39,10 +39,22 @@ class DriveGate:
         come inwards.
     suffix : str
         The unit, behind a blank, for messages.
+    may_wait : bool
+        Whether a drive that comes from outside may stand still there: a converter does, which saves up for a
+        step larger than its slew limit. Otherwise its first row alone may be where it stood.
+
+    Attributes
+    ----------
+    outside : int
+        How many rows came from outside the range and were outside still.
     """
 
-    def __init__(self, limits: DriveLimits, last: float | None = None, suffix: str = "") -> None:
-        self.limits, self.last, self.suffix = limits, last, suffix
+    def __init__(
+        self, limits: DriveLimits, last: float | None = None, suffix: str = "", may_wait: bool = True
+    ) -> None:
+        self.limits, self.last, self.suffix, self.may_wait = limits, last, suffix, may_wait
+        self.outside = 0
+        self._begun = False
 
     def broken(self, drive: Floats, time_step: float | Floats | None = None) -> Bools:
         """Return which rows break a limit; the gate goes on behind the last row.
@@ -58,8 +70,9 @@ class DriveGate:
         low, high = max(limits.v_min, -LARGEST), min(limits.v_max, LARGEST)
         bad: Bools = ~((drive >= low) & (drive <= high))
         if last is not None and not low <= last <= high:
-            coming = _inwards(drive, last, limits)
+            coming = self._inwards(drive, last)
             bad[:coming] = ~np.isfinite(drive[:coming])
+            self.outside += coming
         step = limits.largest_step(time_step)
         if step is not None:
             before = _before(drive, last)
@@ -70,7 +83,19 @@ class DriveGate:
                 bad |= ~(change <= step + digits)
         if drive.size:
             self.last = float(drive[-1])
+            self._begun = True
         return bad
+
+    def _inwards(self, drive: Floats, last: float) -> int:
+        """Return how many rows, the first ones, come inwards from outside the range and are outside still."""
+        limits = self.limits
+        bound, sign = (limits.v_max, 1.0) if last > limits.v_max else (limits.v_min, -1.0)
+        moved = sign * (drive - _before(drive, last))
+        refused = moved > 0.0 if self.may_wait else moved >= 0.0
+        if not self._begun:
+            refused[:1] = moved[:1] > 0.0  # the first row may be where the drive stood
+        coming = (sign * drive > sign * bound) & ~refused
+        return drive.size if coming.all() else int(np.argmin(coming))
 
     def violation(self, drive: Floats, time_step: float | Floats | None = None) -> str:
         """Say why the first row that breaks a limit does so, nothing where none does; see ``broken``."""
@@ -136,14 +161,6 @@ class DriveGate:
 def _before(drive: Floats, last: float | None) -> Floats:
     """Return the row before each, ``last`` before the first one."""
     return np.concatenate([drive[:1] if last is None else [last], drive[:-1]])
-
-
-def _inwards(drive: Floats, last: float, limits: DriveLimits) -> int:
-    """Return how many rows, the first ones, come from outside the range without going further out."""
-    bound, sign = (limits.v_max, 1.0) if last > limits.v_max else (limits.v_min, -1.0)
-    outwards = sign * drive > sign * _before(drive, last)
-    coming = (sign * drive > sign * bound) & ~outwards
-    return drive.size if coming.all() else int(np.argmin(coming))
 
 
 @dataclass

@@ -27,6 +27,8 @@ SAMPLES_A_CYCLE = 20  # with fewer, interpolation between samples no longer show
 
 _FASTEST, _SLOWEST = -0.9, 0.6
 """log10 of a swing's time in that of the sweep's part between the same levels. Measured: docs/choices.md."""
+LARGEST = 1e60  # of a limit, in the drive's unit, as in model files
+SMALLEST = 1e-60  # from limit to limit; likewise
 AT_AN_END = 0.12  # chance that a turn lies at an end of the range: loops that hang there tell of asymmetry
 _HOLD_CHANCE = 0.15  # chance that a turn is held; chosen
 _HOLD = 0.4  # periods; only at rest does creep show apart from hysteresis
@@ -96,7 +98,7 @@ class Excitation:
     Parameters
     ----------
     v_min, v_max : float
-        The drive's range, V.
+        The drive's range, in ``unit``.
     sample_rate : float
         Rows a second.
     duration : float
@@ -104,20 +106,22 @@ class Excitation:
     frequency : float
         Sweeps over the whole range and back, a second; other swings are faster and slower than that.
     max_slew : float, optional
-        Fastest change, V/s: swings that would be faster take longer.
+        Fastest change, ``unit`` per second: swings that would be faster take longer.
     seed : int
         Chooses turns, speeds and holds; the same seed gives the same drive, byte for byte.
     sweep_to : float, optional
         Highest frequency, Hz, of a small sweep that follows in the middle of the range, for the dynamics; it
         takes 4 s more, below 60 Hz longer (see ``sweep``).
     sweep_amplitude : float, optional
-        Of the sweep, V.
+        Of the sweep, in ``unit``.
+    unit : str
+        Of the drive, for messages.
 
     Raises
     ------
     UsageError
-        The limits are not in order, or the duration holds fewer than six periods, or a period fewer than 20
-        samples, or the slew limit does not allow the sweep; with the values that would do.
+        The limits are not in order or no drive's, or the duration holds fewer than six periods, or a period
+        fewer than 20 samples, or the slew limit does not allow the sweep; with the values that would do.
     """
 
     v_min: float
@@ -129,13 +133,11 @@ class Excitation:
     seed: int = 1
     sweep_to: float | None = None
     sweep_amplitude: float | None = None
+    unit: str = "V"
 
     def __post_init__(self) -> None:
         """Refuse what cannot be made."""
-        if not self.v_min < self.v_max:
-            raise UsageError(f"`v_min` {self.v_min:g} must be below `v_max` {self.v_max:g}")
-        if not math.isfinite(self.span):
-            raise UsageError(f"`v_min` {self.v_min:g} and `v_max` {self.v_max:g}: give finite limits")
+        self._check_range()
         for name in ("sample_rate", "duration", "frequency", "max_slew"):
             value = getattr(self, name)
             if value is not None and not 0.0 < value < math.inf:
@@ -144,6 +146,22 @@ class Excitation:
             raise UsageError(f"`seed` {self.seed}: give a whole number of at least 0")
         self._check_pace()
         self._check_sweep()
+
+    def _check_range(self) -> None:
+        """Refuse limits that are not in order, and those that no model file could hold."""
+        low, high = self.with_unit(self.v_min), self.with_unit(self.v_max)
+        if not self.v_min < self.v_max:
+            raise UsageError(f"`v_min` {low} must be below `v_max` {high}")
+        if not max(abs(self.v_min), abs(self.v_max)) <= LARGEST:
+            raise UsageError(f"`v_min` {low} and `v_max` {high}: give limits within {LARGEST:g}{self.unit}")
+        if self.span < SMALLEST:
+            raise UsageError(
+                f"`v_min` {low} and `v_max` {high}: give limits at least {SMALLEST:g}{self.unit} apart"
+            )
+
+    def with_unit(self, value: float) -> str:
+        """Return a value of the drive in its unit, as the command line takes it."""
+        return f"{value:g}{self.unit}"
 
     def _check_pace(self) -> None:
         """Refuse loops that are too fast for the rate or the slew limit, too few, or too many rows."""
@@ -159,7 +177,8 @@ class Excitation:
             unit = 10.0 ** (math.floor(math.log10(slowed)) - 2)
             slowed = float(f"{math.floor(slowed / unit) * unit:.3g}")  # no larger, of three digits
             raise UsageError(
-                f"`max_slew` {self.max_slew:g}: the whole range at {frequency:g} Hz needs {fastest:.6g} V/s "
+                f"`max_slew` {self.with_unit(self.max_slew)}/s: the whole range at {frequency:g} Hz needs "
+                f"{fastest:.6g} {self.unit}/s "
                 f"(`frequency` {slowed:g} and a `duration` of at least {math.ceil(FEWEST_CYCLES / slowed)})"
             )
         if duration * frequency < FEWEST_CYCLES * (1.0 - 1e-9):  # 1e-9: rounding is no cycle missed
@@ -189,7 +208,7 @@ class Excitation:
 
     @property
     def span(self) -> float:
-        """Length of the range, V."""
+        """Length of the range, in the drive's unit."""
         return self.v_max - self.v_min
 
     def drive(self) -> tuple[Floats, Floats]:
@@ -206,7 +225,7 @@ class Excitation:
         if self.sweep_to is None:
             return np.empty(0)
         ends = (self.v_min, self.v_max)
-        return sweep(*ends, self.sample_rate, self.sweep_to, self.sweep_amplitude, self.max_slew)
+        return sweep(*ends, self.sample_rate, self.sweep_to, self.sweep_amplitude, self.max_slew, self.unit)
 
 
 SAMPLE_RATE = 1000.0  # rows a second where nothing is said: 50 in a swing of the fastest, at 1 Hz
@@ -232,7 +251,8 @@ def excitation_of(
         if sweep_to is None:
             return 0
         amplitude, max_slew = fields.get("sweep_amplitude"), fields.get("max_slew")
-        return sweep(fields["v_min"], fields["v_max"], rate, sweep_to, amplitude, max_slew).size
+        unit = fields.get("unit", "V")
+        return sweep(fields["v_min"], fields["v_max"], rate, sweep_to, amplitude, max_slew, unit).size
 
     fewest = max(SAMPLES_A_CYCLE * fields["frequency"], SAMPLES_A_PERIOD * (sweep_to or 0.0))
     seconds = duration + swept(2.0 * fewest) / (2.0 * fewest)
@@ -288,21 +308,24 @@ def sweep(
     sweep_to: float,
     amplitude: float | None = None,
     max_slew: float | None = None,
+    unit: str = "V",
 ) -> Floats:
     """Return the voltage of a way up to the middle, a logarithmic sweep there, and the way back to ``v_min``.
 
     Parameters
     ----------
     v_min, v_max : float
-        The drive's range, V; the drive is at rest at ``v_min`` before and after.
+        The drive's range, in ``unit``; the drive is at rest at ``v_min`` before and after.
     sample_rate : float
         Rows a second.
     sweep_to : float
         Highest frequency, Hz.
     amplitude : float, optional
-        From the middle to a crest at the sweep's lower end, V; by default 1 % of the range.
+        From the middle to a crest at the sweep's lower end, in ``unit``; by default 1 % of the range.
     max_slew : float, optional
-        Fastest change, V/s.
+        Fastest change, ``unit`` per second.
+    unit : str
+        Of the drive, for messages.
 
     Raises
     ------
@@ -312,7 +335,7 @@ def sweep(
     """
     span = v_max - v_min
     crest = AMPLITUDE * span if amplitude is None else amplitude
-    _check(span, sample_rate, sweep_to, crest, max_slew)
+    _check(span, sample_rate, sweep_to, crest, max_slew, unit)
     step, middle = 1.0 / sample_rate, v_min + 0.5 * span
     seconds = max(SWEEP_SECONDS, SWEEP_PERIODS / sweep_to)
     count = round(seconds * sample_rate)
@@ -329,7 +352,9 @@ def sweep(
     return np.concatenate([up[1:], middle + size * np.sin(2.0 * np.pi * turns), down])
 
 
-def _check(span: float, sample_rate: float, sweep_to: float, crest: float, max_slew: float | None) -> None:
+def _check(
+    span: float, sample_rate: float, sweep_to: float, crest: float, max_slew: float | None, unit: str
+) -> None:
     if not 0.0 < sweep_to < math.inf:
         raise UsageError(f"`sweep_to` {sweep_to:g}: give a frequency in Hz above 0")
     if sample_rate < SAMPLES_A_PERIOD * sweep_to * (1.0 - 1e-9):
@@ -338,10 +363,10 @@ def _check(span: float, sample_rate: float, sweep_to: float, crest: float, max_s
             f"{SAMPLES_A_PERIOD * sweep_to:g}, or a sweep to {sample_rate / SAMPLES_A_PERIOD:g})"
         )
     if not 0.0 < crest <= 0.5 * span:
-        raise UsageError(f"`sweep_amplitude` {crest:g}: give volts above 0, at most {0.5 * span:g}")
+        raise UsageError(f"`sweep_amplitude` {crest:g}{unit}: give one above 0, at most {0.5 * span:g}{unit}")
     fastest = 2.0 * math.pi * sweep_to * crest * FADED
     if max_slew is not None and fastest > max_slew:
         raise UsageError(
-            f"`sweep_amplitude` {crest:g}: at {sweep_to:g} Hz it needs {fastest:.6g} V/s, `max_slew` allows "
-            f"{max_slew:g} (an amplitude of {crest * max_slew / fastest:.3g})"
+            f"`sweep_amplitude` {crest:g}{unit}: at {sweep_to:g} Hz it needs {fastest:.6g} {unit}/s, "
+            f"`max_slew` allows {max_slew:g} (an amplitude of {crest * max_slew / fastest:.3g}{unit})"
         )

@@ -45,6 +45,14 @@ SHORTEST = 1e-15  # s; and Hz: what is shorter than a period of light, or takes 
 SHORTEST_RUN = 3  # equal widths in a row are written once from this many on: two are shorter as they are
 LINE = 100  # characters, after which the next line of a list begins
 _BEGIN_OF_SET = re.compile(rb'(\xef\xbb\xbf)?\s*\{\s*"format":\s*"' + SET_FORMAT.encode() + rb'"')
+AMOUNTS_OF_FIT = (
+    *("rmse", "rmse_percent", "cross_validated_rmse", "straight_line_rmse"),
+    *("expected_rmse", "expected_percent", "expected_shape_rmse", "expected_zero"),
+    *("left_out_rmse", "left_out_ratio", "line_left_out_rmse", "zero_drift", "zero_drift_rate"),
+    *("fastest_drive", "trusted_hz", "gain_uncertainty", "scale_uncertainty_percent"),
+)
+"""Keys of ``fit`` that commands print or compute with: null or numbers of at least 0."""
+SIGNED_OF_FIT = ("gain", "drive_bend", "lag_seconds", "loop_width_percent")  # null or numbers
 _NOTE_DEPTH = 20  # objects within one another in what is carried along: a bound for recursion
 
 Json = dict[str, Any]
@@ -441,12 +449,24 @@ def model_of(root: Node) -> ActuatorModel:
     notes = {key: root.node(key) for key in ("fit", "provenance") if key in root.values}
     for note in notes.values():
         note.check_notes(_NOTE_DEPTH)
+    if "fit" in notes:
+        _check_fit(notes["fit"])
     source, result = (_read(root.node(key), Quantity, QUANTITY) for key in ("input", "output"))
     carried = {key: note.values for key, note in notes.items()}
     brought = _brought(cascade)
     make: Callable[..., ActuatorModel] = ActuatorModel if brought is None else brought.model
     model: ActuatorModel = root.build(lambda: make(direction, source, result, cascade, **carried))
     return model
+
+
+def _check_fit(fit: Node) -> None:
+    """Refuse what cannot be a figure where commands take it for one."""
+    for key in (*AMOUNTS_OF_FIT, *SIGNED_OF_FIT):
+        if fit.values.get(key) is None:
+            continue
+        number = fit.number(key)
+        if number < 0.0 and key in AMOUNTS_OF_FIT:
+            raise fit.refuse(key, f"{number!r} is not a finite number of at least 0")
 
 
 def _with_linear_delay(stage: Stage) -> Stage:

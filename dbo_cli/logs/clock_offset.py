@@ -133,7 +133,7 @@ def _require_sure(best: _Fit, others: list[_Fit], slower: float, place: str) -> 
     if 2.0 * best.deviation > FIFTH * slower:
         raise InputError(
             f"{place}: `clock_offset` auto cannot tell: {best.offset:.6g} s, but uncertain by "
-            f"{2.0 * best.deviation:.2g} s, more than a fifth of a sample ({slower:.3g} s) ({remedy})"
+            f"{2.0 * best.deviation:.2g} s, more than {FIFTH * slower:.2g} s, a fifth of a sample ({remedy})"
         )
     for fit in others:
         apart = abs(fit.offset - best.offset)

@@ -624,6 +624,7 @@ def choose_columns(
             role_columns[role] = find_column(place, columns, wish.selector, wish.option)
     used = {column.number for column in [*reserved, *role_columns.values()]}
     free = [column for column in columns if column.number not in used]
+    _refuse_named_away(place, columns, free, wishes, role_columns)
     reasons: dict[str, str] = {}
     unclear = _guess_roles(columns, free, wishes, role_columns, None if notes is None else reasons)
     if notes is not None:
@@ -638,6 +639,31 @@ def choose_columns(
         for role, wish in wishes.items()
         if role in role_columns
     }
+
+
+def _refuse_named_away(
+    place: str,
+    columns: Sequence[ColumnInfo],
+    free: Sequence[ColumnInfo],
+    wishes: Mapping[str, ColumnWish],
+    named: Mapping[str, ColumnInfo],
+) -> None:
+    """Refuse, for a role that is only ever named, the column that by its name is another role's (InputError).
+
+    A lesser column would else be guessed for the other role: the standard deviation for the displacement.
+    """
+    for role, wish in wishes.items():
+        if wish.selector is None or wish.guesses:
+            continue
+        column = named[role]
+        guessed = dict(named)
+        _guess_roles(columns, [*free, column], wishes, guessed, None)
+        for other in guessed.keys() - named.keys():
+            if guessed[other].number == column.number:
+                raise InputError(
+                    f"{place}: column '{column.name}' is the {other}, not the {role} "
+                    f"(`{wishes[other].option}` names another)"
+                )
 
 
 def _guess_roles(

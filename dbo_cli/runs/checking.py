@@ -16,7 +16,7 @@ from dbo_cli.drives.options import Figure, check_gain, limits_in, plain_in
 from dbo_cli.errors import LimitError, Remarks, UsageError, plain
 from dbo_cli.hysteresis.model_state import DriveLimits
 from dbo_cli.logs.columns import column_wish
-from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.logs.plain_text import cleaned, counted
 from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, check_document, selected_files
 from dbo_cli.logs.sample_block import DroppedRows, SampleBlock, even_step, joined
 from dbo_cli.logs.signal_log import open_log
@@ -127,6 +127,12 @@ def check_file(
         remarks.note([f"{name}: column '{column}' has no unit: limits are taken in what its figures count"])
     elif note := plain_in(unit, *options.figures):
         remarks.note([f"{name}: {note}"])
+    if checked.outside:
+        rows_outside = counted(checked.outside, "row")
+        remarks.warn(
+            f"{name}: the first {rows_outside} outside the limits, on the way inwards from where the "
+            "amplifier stands (`from_`)"
+        )
     write_whole(output, _report(name, checked, unit, chosen).encode(), protect=inputs)
     if checked.problems:
         more_of = f" (and {len(checked.problems) - 1} more)" if len(checked.problems) > 1 else ""

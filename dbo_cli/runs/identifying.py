@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import itertools
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import closing
@@ -15,6 +16,7 @@ import numpy as np
 from dbo_cli.errors import SILENT, InputError, Listener, Remarks, UsageError, plain
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording
 from dbo_cli.hysteresis.identification import identify as identify_model
+from dbo_cli.hysteresis.identification.recordings import LARGEST, LEAST_DEVIATION
 from dbo_cli.hysteresis.model import SIGN_VERBS, ActuatorModel, Sign
 from dbo_cli.hysteresis.model_file import model_to_bytes, read_model
 from dbo_cli.logs import request
@@ -81,13 +83,16 @@ def recording_of(source: Source, name: str | None = None, listener: Listener = S
 def _check_uncertainty(block: SampleBlock, source: Source) -> None:
     """Refuse standard deviations that are none (InputError), naming the first by its row."""
     values = block.values.get("uncertainty")
-    if values is None or bool((values > 0.0).all()):
+    if values is None:
         return
-    place = int(np.argmin(values > 0.0))
+    valid = (values >= LEAST_DEVIATION) & (values <= LARGEST)
+    if valid.all():
+        return
+    place = int(np.argmin(valid))
     column = source.columns["uncertainty"].name
     raise InputError(
         f"{block.place(source.name, place)}: column '{column}' is {values[place]:g}: a standard deviation is "
-        "a number above 0 (`rows` leaves such rows out)"
+        f"a number from {LEAST_DEVIATION:g} to {LARGEST:g} (`rows` leaves such rows out)"
     )
 
 
@@ -140,6 +145,27 @@ def identify_recordings(
     for log in [*logs, *validation]:
         remarks.add(log.remarks)
     return IdentifyResult(dataclasses.replace(result.model, provenance=provenance), result.summary, remarks)
+
+
+def _refuse_shared_columns(source: Source) -> None:
+    """Refuse one column in two roles (InputError)."""
+    for first, second in itertools.combinations(source.columns, 2):
+        if source.columns[first].number == source.columns[second].number:
+            raise _two_roles(source, second, first)
+
+
+def _refuse_one_signal(recording: Recording, source: Source) -> None:
+    """Refuse one column as drive and displacement, found by way of two names of its file (InputError)."""
+    names = [source.columns[role].name.rpartition("::")[2] for role in ("voltage", "displacement")]
+    if names[0] == names[1] and np.array_equal(recording.voltage, recording.displacement):
+        raise _two_roles(source, "voltage", "displacement")
+
+
+def _two_roles(source: Source, role: str, taken: str) -> InputError:
+    return InputError(
+        f"{source.name}: column '{source.columns[role].name}' cannot be the {role}: it is the {taken} "
+        f"(`{role}` or `{taken}` names another)"
+    )
 
 
 def _refuse_swapped_units(recording: Recording) -> None:
@@ -307,6 +333,7 @@ class IdentifyRun:
                 return log
             opened_log = opened(log, wishes, reading, listener, time=self.time, digest=True)
             with closing(opened_log) as source:
+                _refuse_shared_columns(source)
                 taken = source.columns["displacement"]
                 if isinstance(source, SignalLog) and is_order(taken, wishes["displacement"]):
                     source.warnings.append(
@@ -323,6 +350,7 @@ class IdentifyRun:
                     source.convert("uncertainty", source.columns["displacement"].unit, "the displacement is")
                 named = names.get(log) if isinstance(log, Address) else _name_of(log)
                 recording = recording_of(source, named, listener)
+                _refuse_one_signal(recording, source)
                 units.update({role: column.unit for role, column in source.columns.items()})
                 remarks = remarks_of(source)
                 if is_table(log):  # what ``read_log`` left in it

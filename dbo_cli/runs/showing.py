@@ -165,18 +165,20 @@ def _goodness(content: Mapping[str, Any], unit: str | None) -> list[str]:
     fit: Mapping[str, Any] = content["fit"]
     suffix = f" {unit}" if unit else ""
     lines = []
-    if "rmse" in fit:
-        percent = f" ({fit['rmse_percent']:.2f} % of the model's range)" if "rmse_percent" in fit else ""
+    if fit.get("rmse") is not None:
+        share = fit.get("rmse_percent")
+        percent = "" if share is None else f" ({share:.2f} % of the model's range)"
         left_out = fit.get("cross_validated_rmse")
         more = "" if left_out is None else f", {left_out:.4g}{suffix} on cycles left out"
         line = fit.get("straight_line_rmse")
         more += "" if line is None else f"; a straight line leaves {line:.4g}{suffix}"
         lines.append(f"fit: RMSE {fit['rmse']:.4g}{suffix}{percent} on the rows it was identified from{more}")
+    lines += _uncertainty(content)
     why = fit.get("expected_from")
     if fit.get("expected_rmse") is not None:
         rests = f", from {why}" if why else ""
         lines.append(f"expect: RMSE {fit['expected_rmse']:.4g}{suffix} on new moves inside the range{rests}")
-        if fit.get("expected_shape_rmse") is not None:
+        if fit.get("expected_shape_rmse") is not None and fit.get("expected_zero") is not None:
             lines.append(
                 f"in parts: {fit['expected_shape_rmse']:.3g}{suffix} shape (RMS of the error less its mean), "
                 f"{fit['expected_zero']:.3g}{suffix} zero (that mean; {fit['zero_from']})"
@@ -187,12 +189,39 @@ def _goodness(content: Mapping[str, Any], unit: str | None) -> list[str]:
         f"validated: RMSE {log['rmse']:.4g}{suffix} on {log['name']}, which took no part in the fit"
         for log in content["validation"]
     ]
-    if "loop_width_percent" in fit:
+    if fit.get("loop_width_percent") is not None:
         slopes = f"; {fit['slopes']} slopes" if fit.get("slopes") else ""
         bend = f", drive bent by {100.0 * fit['drive_bend']:.0f} %" if fit.get("drive_bend") else ""
         width = f"{fit['loop_width_percent']:.1f} % of the model's range"
         lines.append(f"loop: {width} wide, which the model undoes{slopes}{bend}")
     return lines + _lateness(fit)
+
+
+def _uncertainty(content: Mapping[str, Any]) -> list[str]:
+    """Return what was known of the displacement's uncertainty: that of its rows, and that of its scale."""
+    lines = []
+    columns = []
+    for log in content["inputs"]:
+        column = log.get("read", {}).get("columns", {}).get("uncertainty")
+        if column is not None and column["column"] not in columns:
+            columns.append(column["column"])
+    if columns:
+        names = " and ".join(f"'{name}'" for name in columns)
+        lines.append(f"rows count by their uncertainty, column {names}, and do so in the RMSE")
+    fit = content["fit"]
+    percent, gain = fit.get("scale_uncertainty_percent"), fit.get("gain")
+    known = fit.get("gain_uncertainty")
+    if percent is None or gain is None or known is None:
+        return lines
+    drive, made = content["input"]["unit"], content["output"]["unit"]
+    if content["direction"] == "inverse":
+        drive, made = made, drive
+    unit = f" {made}/{drive}" if made and drive else ""
+    lines.append(
+        f"gain: {gain:.6g}{unit} from end to end, standard uncertainty {known:.2g}{unit}, of which the "
+        f"displacement's scale is {percent:.3g} %"
+    )
+    return lines
 
 
 def _lateness(fit: Mapping[str, Any]) -> list[str]:

@@ -19,6 +19,7 @@ Integers = NDArray[np.int64]
 
 FEWEST_ROWS = 40  # chosen: no log worth a fit has fewer
 LARGEST = 1e30  # in any unit: beyond this the squares of the fit would overflow
+LEAST_DEVIATION = 1e-30  # standard, in any unit: below this the weights would
 GAP_STEPS = 1.5  # usual steps; where more lie between two stamps, at least one sample is missing
 HIDDEN_STEPS = 3.0  # times the largest change between samples: less is hidden between samples anyway; chosen
 SPEED_ROWS = 4  # beside a gap tell how fast the drive is there: fewer would take noise for motion; chosen
@@ -340,12 +341,12 @@ def _check_uncertainty(log: Recording) -> None:
     """Refuse standard deviations that are none, naming the first."""
     if log.uncertainty is None:
         return
-    valid = (log.uncertainty > 0.0) & (log.uncertainty < LARGEST)
+    valid = (log.uncertainty >= LEAST_DEVIATION) & (log.uncertainty <= LARGEST)
     if not valid.all():
         row = int(np.argmin(valid))
         raise FitError(
             f"{log.name}: the uncertainty in row {log.row(row)} is {log.uncertainty[row]:g}: a standard "
-            "deviation is a number above 0"
+            f"deviation is a number from {LEAST_DEVIATION:g} to {LARGEST:g}"
         )
 
 
