@@ -73,7 +73,7 @@ WRONG = {
     "report a.csv --format pdf": "--format: 'pdf' is none of text, json, csv, html",
     "report a.csv --max-rmse x": "--max-rmse: not a number: 'x'",
     "excite": "--v-max is missing (dbo excite --help lists what there is)",
-    "excite --v-max 0": "--v-min 0 must be below --v-max 0",
+    "excite --v-max 0": "--v-min 0V must be below --v-max 0V",
 }
 
 

@@ -90,10 +90,11 @@ class DriveGate:
         """Return how many rows, the first ones, come inwards from outside the range and are outside still."""
         limits = self.limits
         bound, sign = (limits.v_max, 1.0) if last > limits.v_max else (limits.v_min, -1.0)
-        moved = sign * (drive - _before(drive, last))
-        refused = moved > 0.0 if self.may_wait else moved >= 0.0
+        before = _before(drive, last)
+        outwards: Bools = sign * drive > sign * before
+        refused = outwards if self.may_wait else outwards | (drive == before)
         if not self._begun:
-            refused[:1] = moved[:1] > 0.0  # the first row may be where the drive stood
+            refused[:1] = outwards[:1]  # the first row may be where the drive stood
         coming = (sign * drive > sign * bound) & ~refused
         return drive.size if coming.all() else int(np.argmin(coming))
 
