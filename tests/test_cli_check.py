@@ -706,6 +706,19 @@ def test_only_what_comes_inwards_may_be_outside(
     assert done.err.splitlines()[-1] == f"dbo: error: d.csv: {broken}"
 
 
+def test_a_recording_may_repeat_a_value_on_the_way_inwards_but_has_to_arrive(dbo: Any) -> None:
+    words = ("--v-min", "5", "--v-max", "100", "--from", "0", "--against", "d.csv")
+    drive = [0.0, 0.5, 1.0, 2.0, 4.0, *np.linspace(8.0, 60.0, 40)]
+    recorded = [0.0, 0.0, 1.0, 2.0, 4.0, *np.linspace(8.0, 60.0, 40)]
+    for name, rows in (("d", drive), ("p", recorded), ("stuck", [0.0, *[1.0] * 44])):
+        Path(f"{name}.csv").write_text("voltage_V\n" + "".join(f"{row}\n" for row in rows))
+    assert dbo("check", "p.csv", *words, "--tolerance", "1").code == 0
+    assert dbo("check", "p.csv", *words[:6]).code == 3
+    done = dbo("check", "stuck.csv", *words, "--tolerance", "1")
+    assert done.code == 3
+    assert "row 45: 1 V is outside 5 to 100 V by more than the tolerance, 1 V" in done.out
+
+
 def test_rows_that_come_inwards_are_counted(dbo: Any) -> None:
     Path("d.csv").write_text("voltage_V\n0\n2\n4\n50\n50\n")
     done = dbo("check", "d.csv", "--v-min", "5", "--v-max", "100", "--from", "0")

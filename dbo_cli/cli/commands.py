@@ -354,7 +354,7 @@ def excite(arguments: Given) -> None:
             words[key] = in_unit(key, words[key], unit, "s" if key == "max_slew" else None)
     drive = excitation_of(unit=unit, **words)
     drives = excitation_drives(drive, arguments.points, arguments.brought)
-    fastest = write_excitation(arguments.output, drive, arguments.format, drives, unit)
+    fastest = write_excitation(arguments.output, drive, arguments.format, drives)
     rows = len(drives[0])
     arguments.reporter.note(
         f"{rows:,} rows, {rows / drive.sample_rate:g} s at {drive.sample_rate:g} rows a second, from"

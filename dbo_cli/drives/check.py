@@ -92,10 +92,13 @@ def check_drive(
     waits = steps
     if steps is not None and limits.max_slew:  # both rows of a step may miss by the tolerance
         waits = steps + 2.0 * tolerance / limits.max_slew
-    gate = DriveGate(allowed, from_, suffix, may_wait=False)
+    # On a slow ramp a recorder gives the same value twice; a drive that was computed moves in every row.
+    gate = DriveGate(allowed, from_, suffix, may_wait=tolerance > 0.0)
     before = np.concatenate([[drive[0] if from_ is None else from_], drive[:-1]])
     bad = gate.broken(drive, waits)
     checked.outside = gate.outside
+    if gate.outside == drive.size:
+        bad[-1] = True  # it never came inside
     if bad.any():
         row = int(np.argmax(bad))
         reason = DriveGate(limits, suffix=suffix).reason(float(drive[row]), float(before[row]))

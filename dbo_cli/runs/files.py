@@ -281,7 +281,6 @@ def write_excitation(
     excitation: Excitation,
     form: str | None,
     timed_drives: tuple[Floats, Mapping[str, Floats]],
-    unit: str = "V",
 ) -> float:
     """Write the drives that identify well, as ``excitation_drives`` returns them.
 
@@ -300,9 +299,9 @@ def write_excitation(
         DriveGate(limits).admit(drive, 1.0 / rate)
         fastest = max(fastest, float(np.abs(np.diff(drive)).max()) * rate)
     request.check_format(form, [output])
-    quantity = quantity_name("voltage", unit)
+    quantity = quantity_name("voltage", excitation.unit)
     columns = [OutColumn("time", "s")]
-    columns += [OutColumn(name.replace("voltage", quantity), unit) for name in drives]
+    columns += [OutColumn(name.replace("voltage", quantity), excitation.unit) for name in drives]
     with signal_writer(output.or_format(form), columns, attributes=lambda: {"sample_rate": rate}) as writer:
         for row in range(0, len(time), _ROWS):
             writer.write(*(column[row : row + _ROWS] for column in (time, *drives.values())))
