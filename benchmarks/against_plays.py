@@ -1,18 +1,21 @@
 #!/usr/bin/env python3
 """Prediction of new moves: `dbo identify`, everything automatic, against rivals, and what it said to expect.
 
-Invented actuators of many structures, drives and faults (``invented_actuators.py``), and with DATA the
-authors' own recordings. Every model gets the same logs and predicts a drive that it has not seen; the
-error is judged against what a perfect sensor would show, its offset removed. The rivals are given the best
-of seven delays: play operators alone, with a square of the drive beside them, with dead zones behind them
-(Kuhnen's modified Prandtl-Ishlinskii operator), and Preisach relays.
+Invented actuators of many structures, drives and faults (``invented_actuators.py``),
+and with DATA the authors' own recordings. Every model gets the same logs and predicts a
+drive that it has not seen; the error is judged against what a perfect sensor would
+show, its offset removed. The rivals are given the best of seven delays: play operators
+alone, with a square of the drive beside them, with dead zones behind them (Kuhnen's
+modified Prandtl-Ishlinskii operator), and Preisach relays.
 
     python benchmarks/against_plays.py [DATA] [--seed 1] [--only TEXT]
 
-Bounds: ahead of the best rival on 90 % of the cases, geometric mean of the ratios 0.6, no case beyond 1.5
-(the sensor's noise included: what is below it nobody could tell) without a warning; the error that came over
-the expected one 0.8 to 1.3 in the median after `dbo excite`, at most 1.6; at most 2 after any other drive, or
-warned of, by `identify` ("yes") or by `simulate` of the new move ("used": it leaves the range of the logs).
+Bounds: ahead of the best rival on 90 % of the cases, geometric mean of the ratios 0.6,
+no case beyond 1.5 (the sensor's noise included: what is below it nobody could tell)
+without a warning; the error that came over the expected one 0.8 to 1.3 in the median
+after `dbo excite`, at most 1.6; at most 2 after any other drive, or warned of, by
+`identify` ("yes") or by `simulate` of the new move ("used": it leaves the range of the
+logs).
 """
 
 from __future__ import annotations
@@ -110,7 +113,11 @@ def shifted(table: Floats, seconds: float, recording: Recording) -> Floats:
     clock = recording.seconds()
     step = 0.005 if clock is None else float(np.median(np.diff(clock)))
     samples = round(seconds / step)
-    return table if samples == 0 else np.vstack((np.repeat(table[:1], samples, axis=0), table[:-samples]))
+    return (
+        table
+        if samples == 0
+        else np.vstack((np.repeat(table[:1], samples, axis=0), table[:-samples]))
+    )
 
 
 class Rivals:
@@ -124,9 +131,14 @@ class Rivals:
         self.sign = -1.0 if covariance < 0.0 else 1.0
         self.rows = [self._rows(log) for log in task.logs]
         self.target = np.concatenate(
-            [log.displacement[rows] for log, rows in zip(task.logs, self.rows, strict=True)]
+            [
+                log.displacement[rows]
+                for log, rows in zip(task.logs, self.rows, strict=True)
+            ]
         )
-        offsets = np.repeat(np.eye(len(task.logs)), [len(rows) for rows in self.rows], axis=0)
+        offsets = np.repeat(
+            np.eye(len(task.logs)), [len(rows) for rows in self.rows], axis=0
+        )
         self.offsets = offsets
         clock = task.logs[0].seconds()
         self.step = 0.005 if clock is None else float(np.median(np.diff(clock)))
@@ -137,7 +149,9 @@ class Rivals:
             first = log.voltage[0]
             start = np.clip(self.low + radii, first - radii, first + radii)
             self.plays.append(plays(log.voltage, radii, start))
-        self.squares = [((log.voltage - self.low) / self.span)[:, None] ** 2 for log in everything]
+        self.squares = [
+            ((log.voltage - self.low) / self.span)[:, None] ** 2 for log in everything
+        ]
 
     def _rows(self, log: Recording) -> Integers:
         """Rows to fit: after the skip and the unknown history, thinned out, the wildest spikes left out."""
@@ -156,7 +170,9 @@ class Rivals:
         for count in kept:
             tables = [
                 shifted(t, count * self.step, log)
-                for t, log in zip(self.plays, [*self.task.logs, self.task.test], strict=True)
+                for t, log in zip(
+                    self.plays, [*self.task.logs, self.task.test], strict=True
+                )
             ]
             judged.append((self._plays(tables, False), tables, count))
         (_, error), tables, count = min(judged, key=lambda one: one[0][0])
@@ -167,35 +183,48 @@ class Rivals:
         return min(found)
 
     def _fitted(self, tables: list[Floats]) -> Floats:
-        return np.vstack([table[rows] for table, rows in zip(tables[:-1], self.rows, strict=True)])
+        return np.vstack(
+            [table[rows] for table, rows in zip(tables[:-1], self.rows, strict=True)]
+        )
 
     def _plays(self, tables: list[Floats], square: bool) -> tuple[float, float]:
         """Error on the logs and on the new move of plays, bounded least squares."""
         if square:
-            tables = [np.hstack(pair) for pair in zip(tables, self.squares, strict=True)]
+            tables = [
+                np.hstack(pair) for pair in zip(tables, self.squares, strict=True)
+            ]
         table = np.hstack((self.sign * self._fitted(tables), self.offsets))
         bounded = np.r_[np.zeros(PLAYS), np.full(table.shape[1] - PLAYS, -np.inf)]
-        weights = lsq_linear(table, self.target, bounds=(bounded, np.inf), max_iter=300).x
+        weights = lsq_linear(
+            table, self.target, bounds=(bounded, np.inf), max_iter=300
+        ).x
         fit = float(np.std(self.target - table @ weights))
         predicted = self.sign * tables[-1] @ weights[: tables[-1].shape[1]]
         return fit, self.task.error(predicted)
 
     def _dead_zones(self, tables: list[Floats]) -> float:
         """Error on the new move of plays with dead zones behind them (equation error, Kuhnen 2003)."""
-        middle, half = float(np.median(self.target)), float(np.ptp(np.percentile(self.target, [1, 99]))) / 2.0
+        middle, half = (
+            float(np.median(self.target)),
+            float(np.ptp(np.percentile(self.target, [1, 99]))) / 2.0,
+        )
         y = self.sign * (self.target - middle) / half
         places = np.arange(1, DEAD_ZONES + 1) / (DEAD_ZONES + 1.0)
 
         def zones(values: Floats) -> Floats:
             up = [np.maximum(values - place, 0.0) for place in places]
-            return np.column_stack(up + [np.minimum(values + place, 0.0) for place in places])
+            return np.column_stack(
+                up + [np.minimum(values + place, 0.0) for place in places]
+            )
 
         table = np.hstack((self._fitted(tables), -zones(y), self.offsets))
         bounded = np.r_[np.zeros(PLAYS), np.full(table.shape[1] - PLAYS, -np.inf)]
         weights = lsq_linear(table, y, bounds=(bounded, np.inf), max_iter=300).x
         inner = tables[-1] @ weights[:PLAYS] + weights[-self.offsets.shape[1]]
         grid = np.linspace(-1.6, 1.6, 2001)
-        curve = np.maximum.accumulate(grid + zones(grid) @ weights[PLAYS : PLAYS + 2 * DEAD_ZONES])
+        curve = np.maximum.accumulate(
+            grid + zones(grid) @ weights[PLAYS : PLAYS + 2 * DEAD_ZONES]
+        )
         return self.task.error(self.sign * half * np.interp(inner, curve, grid))
 
     def _relays(self, delay: float) -> float:
@@ -203,12 +232,23 @@ class Rivals:
         everything = [*self.task.logs, self.task.test]
         tables = []
         for log in everything:
-            table = np.hstack((relays(log.voltage, self.low, self.span), log.voltage[:, None] / self.span))
+            table = np.hstack(
+                (
+                    relays(log.voltage, self.low, self.span),
+                    log.voltage[:, None] / self.span,
+                )
+            )
             tables.append(shifted(table, delay, log))
-        table = np.hstack((self.sign * self._fitted(tables), self.offsets, -self.offsets))
+        table = np.hstack(
+            (self.sign * self._fitted(tables), self.offsets, -self.offsets)
+        )
         gram, products = table.T @ table, table.T @ self.target
-        factor = np.linalg.cholesky(gram + 1e-8 * np.trace(gram) / len(gram) * np.eye(len(gram)))
-        weights, _ = nnls(factor.T, np.linalg.solve(factor, products), maxiter=100 * len(gram))
+        factor = np.linalg.cholesky(
+            gram + 1e-8 * np.trace(gram) / len(gram) * np.eye(len(gram))
+        )
+        weights, _ = nnls(
+            factor.T, np.linalg.solve(factor, products), maxiter=100 * len(gram)
+        )
         return self.task.error(self.sign * tables[-1] @ weights[: tables[-1].shape[1]])
 
 
@@ -220,21 +260,47 @@ def authors_tasks(folder: Path) -> Iterator[Task]:
 
     def log(name: str, rows: slice = slice(None)) -> Recording:
         table = np.loadtxt(folder / name, usecols=(0, 4))[rows]
-        return Recording(name, table[:, 0].copy(), table[:, 1].copy(), None, 0.005, "V", "um")
+        return Recording(
+            name, table[:, 0].copy(), table[:, 1].copy(), None, 0.005, "V", "um"
+        )
 
     whole, test = log("identification.dat"), log("uncompensated.dat")
     half = log("uncompensated.dat", slice(600, 3500))
 
-    def task(name: str, logs: list[Recording], other: Recording, judged: slice, skip: float) -> Task:
+    def task(
+        name: str, logs: list[Recording], other: Recording, judged: slice, skip: float
+    ) -> Task:
         trend = other is whole
-        return Task(f"authors: {name}", False, logs, other, other.displacement, 0.0, judged, skip, trend)
+        return Task(
+            f"authors: {name}",
+            False,
+            logs,
+            other,
+            other.displacement,
+            0.0,
+            judged,
+            skip,
+            trend,
+        )
 
     yield task("one amplitude predicts many", [whole], test, slice(600, None), 2.0)
     yield task("part of the range predicts all", [test], whole, slice(600, None), 3.0)
     yield task("both predict the rest", [whole, half], test, slice(3500, None), 2.0)
     yield task("first half predicts second", [half], test, slice(3500, None), 0.0)
-    yield task("three cycles", [log("identification.dat", slice(2952, 3552))], test, slice(600, None), 0.0)
-    yield task("two cycles", [log("identification.dat", slice(3152, 3552))], test, slice(600, None), 0.0)
+    yield task(
+        "three cycles",
+        [log("identification.dat", slice(2952, 3552))],
+        test,
+        slice(600, None),
+        0.0,
+    )
+    yield task(
+        "two cycles",
+        [log("identification.dat", slice(3152, 3552))],
+        test,
+        slice(600, None),
+        0.0,
+    )
 
 
 def tasks(data: Path | None, seed: int, only: str) -> Iterator[Task]:
@@ -244,8 +310,17 @@ def tasks(data: Path | None, seed: int, only: str) -> Iterator[Task]:
     for case in cases(seed):
         if only in case.name:
             excited = case.drive == "excite"
-            settled = slice(500, None)  # both ends of the range have been visited by then
-            yield Task(case.name, excited, case.logs, case.test, case.truth, case.noise, settled)
+            # both ends of the range have been visited by then
+            settled = slice(500, None)
+            yield Task(
+                case.name,
+                excited,
+                case.logs,
+                case.test,
+                case.truth,
+                case.noise,
+                settled,
+            )
 
 
 def line_of(task: Task) -> Line | str:
@@ -260,27 +335,46 @@ def line_of(task: Task) -> Line | str:
     if not isinstance(expected, float):
         return f"{task.name}: what error to expect was not told"
     stroke = float(np.ptp(task.truth))
-    used = Model(result.model).simulate(task.test.voltage, time=task.test.seconds(), details=True)
+    used = Model(result.model).simulate(
+        task.test.voltage, time=task.test.seconds(), details=True
+    )
     warned = "yes" if result.warnings else "used" if used.warnings else ""
-    return Line(task.name, task.after_excite, ours, rival, name, task.noise, expected, stroke, warned)
+    return Line(
+        task.name,
+        task.after_excite,
+        ours,
+        rival,
+        name,
+        task.noise,
+        expected,
+        stroke,
+        warned,
+    )
 
 
 def summary(lines: list[Line]) -> None:
     """Print the bounds' figures."""
     ratios = np.array([line.ours / line.rival for line in lines])
-    print(f"\nahead of the best rival on {np.mean(ratios <= 1.0):.0%} of {len(lines)} (90 %)")
+    print(
+        f"\nahead of the best rival on {np.mean(ratios <= 1.0):.0%} of {len(lines)} (90 %)"
+    )
     print(f"geometric mean of the ratios {np.exp(np.mean(np.log(ratios))):.2f} (0.6)")
     behind = [
         line.task
         for line in lines
-        if np.hypot(line.ours, line.noise) > 1.5 * np.hypot(line.rival, line.noise) and not line.warned
+        if np.hypot(line.ours, line.noise) > 1.5 * np.hypot(line.rival, line.noise)
+        and not line.warned
     ]
     print(f"beyond 1.5 times a rival without a warning: {', '.join(behind) or 'none'}")
     for excited, name in ((True, "after excite"), (False, "after other drives")):
         some = [line for line in lines if line.after_excite == excited]
         if some:
             came = [line.came for line in some]
-            unsaid = [one.task for one in some if one.came > (1.6 if excited else 2.0) and not one.warned]
+            unsaid = [
+                one.task
+                for one in some
+                if one.came > (1.6 if excited else 2.0) and not one.warned
+            ]
             print(f"came over expected, {name}: median {np.median(came):.2f}, largest {max(came):.2f}; "
                   f"beyond the bound without a warning: {', '.join(unsaid) or 'none'}")  # fmt: skip
 
@@ -288,13 +382,19 @@ def summary(lines: list[Line]) -> None:
 def main() -> None:
     """Print one line a recording and the summary."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
-    parser.add_argument("data", nargs="?", type=Path, help="folder of the authors' recordings")
+    parser.add_argument(
+        "data", nargs="?", type=Path, help="folder of the authors' recordings"
+    )
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", default="", help="only the tasks whose name holds this text")
+    parser.add_argument(
+        "--only", default="", help="only the tasks whose name holds this text"
+    )
     parser.add_argument("--processes", type=int, default=1)
     given = parser.parse_args()
     wanted = list(tasks(given.data, given.seed, given.only))
-    print(f"{'recording':36}  dbo %   rival %  ratio  noise %  expected %  came/expected  warned  rival")
+    print(
+        f"{'recording':36}  dbo %   rival %  ratio  noise %  expected %  came/expected  warned  rival"
+    )
     lines: list[Line] = []
     with multiprocessing.Pool(given.processes) as pool:
         for line in pool.imap(line_of, wanted):

@@ -3,8 +3,9 @@
 
     python benchmarks/bank_speed.py [CHANNELS]
 
-Models of 1,152 gears with six relaxation terms, each with its own gain, as identify makes them. A smooth
-frame moves by less than a gear, a fast one by several. Times are CPU times, the least of several passes.
+Models of 1,152 gears with six relaxation terms, each with its own gain, as identify
+makes them. A smooth frame moves by less than a gear, a fast one by several. Times are
+CPU times, the least of several passes.
 """
 
 from __future__ import annotations
@@ -32,12 +33,20 @@ def mirror(channels: int) -> ModelSet:
 
     def one(number: int) -> Model:
         own = BacklashStage(gears.dx, gears.dy, gears.x0, gears.y0, gears.relaxation)
-        return Model(dataclasses.replace(base, stages=(own, ScaleStage(12.0 + 0.001 * number, 0.0))))
+        return Model(
+            dataclasses.replace(
+                base, stages=(own, ScaleStage(12.0 + 0.001 * number, 0.0))
+            )
+        )
 
     return ModelSet({str(number): one(number) for number in range(channels)})
 
 
-def cost(step: Callable[[NDArray[np.float64]], object], frames: NDArray[np.float64], passes: int) -> float:
+def cost(
+    step: Callable[[NDArray[np.float64]], object],
+    frames: NDArray[np.float64],
+    passes: int,
+) -> float:
     """Return microseconds of CPU a frame, the least of some passes."""
     best = float("inf")
     for _ in range(passes):

@@ -2,11 +2,12 @@
 
     python benchmarks/clock.py [table] [plants] [day]
 
-``table``: a sine with 5 to 100 samples a period through models with a delay of so many samples and a half:
-what simulate(compensate(x)) leaves of x, and what a plant leaves whose delay is analytic (RMS, % of peak to
-peak), by linear delays (model files of version 2) and by smooth ones. ``plants``: models identified from
-logs of plants with a delay of 1 and 3 ms at 500 Hz: error on a new move beside the one stated. ``day``: a
-log at 5 kHz, 2.4 ms of delay, a trajectory at 500 Hz.
+``table``: a sine with 5 to 100 samples a period through models with a delay of so many
+samples and a half: what simulate(compensate(x)) leaves of x, and what a plant leaves
+whose delay is analytic (RMS, % of peak to peak), by linear delays (model files of
+version 2) and by smooth ones. ``plants``: models identified from logs of plants with a
+delay of 1 and 3 ms at 500 Hz: error on a new move beside the one stated. ``day``: a log
+at 5 kHz, 2.4 ms of delay, a trajectory at 500 Hz.
 """
 
 from __future__ import annotations
@@ -31,9 +32,15 @@ def made(seed: int, *behind: DelayStage) -> ActuatorModel:
     slopes = np.sort(rng.uniform(0.5, 1.5, gears))
     dx = np.full(gears, 100.0 / gears)
     dy = 0.1 * slopes / slopes.mean() * dx
-    stages = (BacklashStage(dx, dy), ScaleStage(1.0, float(rng.uniform(-3.0, 3.0))), *behind)
+    stages = (
+        BacklashStage(dx, dy),
+        ScaleStage(1.0, float(rng.uniform(-3.0, 3.0))),
+        *behind,
+    )
     low = stages[1].offset
-    return ActuatorModel("forward", VOLTAGE, Quantity("displacement", "um", low, low + 10.0), stages)
+    return ActuatorModel(
+        "forward", VOLTAGE, Quantity("displacement", "um", low, low + 10.0), stages
+    )
 
 
 def percent(left: np.ndarray, wanted: np.ndarray) -> float:
@@ -48,7 +55,9 @@ def sine(periods: np.ndarray, middle: float) -> np.ndarray:
 
 def table() -> None:
     """Print what a delay between samples leaves."""
-    print("| samples a period | delay | there and back: linear | smooth | analytic plant: linear | smooth |")
+    print(
+        "| samples a period | delay | there and back: linear | smooth | analytic plant: linear | smooth |"
+    )
     print("|---|---|---|---|---|---|")
     for whole in (0, 1, 3):
         for period in (5, 10, 20, 50, 100):
@@ -65,7 +74,8 @@ def table() -> None:
                     model = dbo.Model(made(seed, DelayStage(delay, between)))
                     drive = model.compensate(wanted, sample_rate=rate, on_limit="clip")
                     back = model.simulate(drive, sample_rate=rate)
-                    # The gears reach now what is asked for a delay later; there the plant shows it.
+                    # The gears reach now what is asked for a delay later; there the
+                    # plant shows it.
                     bare = dbo.Model(made(seed)).simulate(drive)
                     used = slice(3 * period, -period)
                     found[kind].append(percent((back - wanted)[used], wanted))
@@ -102,12 +112,19 @@ def plants() -> None:
             plant = dbo.Model(made(seed, DelayStage(1e-3 * milliseconds)))
             time = np.arange(int(20 * fine)) / fine
             drive = excitation(time, 2.0)
-            moved = plant.simulate(drive, sample_rate=fine) + 0.003 * rng.normal(size=drive.size)
+            moved = plant.simulate(drive, sample_rate=fine) + 0.003 * rng.normal(
+                size=drive.size
+            )
             part = slice(None, None, every)
             model = dbo.identify(drive[part], moved[part], time=time[part])
             clock = np.arange(2000) / rate
-            low, span = plant.output.minimum, plant.output.maximum - plant.output.minimum
-            swing = 0.35 * np.cos(2.0 * np.pi * 5.0 * clock) * np.cos(np.pi * clock / 8.0)
+            low, span = (
+                plant.output.minimum,
+                plant.output.maximum - plant.output.minimum,
+            )
+            swing = (
+                0.35 * np.cos(2.0 * np.pi * 5.0 * clock) * np.cos(np.pi * clock / 8.0)
+            )
             wanted = low + span * (0.5 - swing)
             done = model.compensate(wanted, sample_rate=rate, details=True)
             at = np.arange(clock.size * every) / fine
@@ -127,7 +144,9 @@ def day() -> None:
     noise = 0.003 * np.random.default_rng(3).normal(size=moved.size)
     model = dbo.identify(drive[::2], (moved + noise)[::2], time=time[::2])
     clock = np.arange(1000) / rate
-    wanted = plant.output.minimum + 10.0 * (0.5 - 0.4 * np.cos(2.0 * np.pi * 10.0 * clock))
+    wanted = plant.output.minimum + 10.0 * (
+        0.5 - 0.4 * np.cos(2.0 * np.pi * 10.0 * clock)
+    )
     done = model.compensate(wanted, sample_rate=rate, details=True)
     played, _ = played_between(clock, done.values, np.arange(clock.size * 20) / fine)
     reached = plant.simulate(played, sample_rate=fine)[::20]
@@ -140,7 +159,9 @@ def day() -> None:
     )
 
 
-def played_between(times: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, int]:
+def played_between(
+    times: np.ndarray, values: np.ndarray, wanted: np.ndarray
+) -> tuple[np.ndarray, int]:
     """Return what an amplifier makes of rows: straight lines between them."""
     return np.interp(wanted, times, values), 0
 

@@ -2,10 +2,12 @@
 
     python benchmarks/comparison.py [FOLDER] [--only NAME] [--write]
 
-FOLDER holds the authors' recordings (identification.dat and uncompensated.dat; README.md says where they are
-public). Beside them: the virtual actuators and positioners of sample_data, and the invented actuators. Each
-model is fitted to the same logs and predicts a new move of the same actuator; where that was simulated, its
-true displacement is known. ``--write`` puts the tables into docs/comparison.md and draws the figures there.
+FOLDER holds the authors' recordings (identification.dat and uncompensated.dat;
+README.md says where they are public). Beside them: the virtual actuators and
+positioners of sample_data, and the invented actuators. Each model is fitted to the same
+logs and predicts a new move of the same actuator; where that was simulated, its true
+displacement is known. ``--write`` puts the tables into docs/comparison.md and draws the
+figures there.
 """
 
 from __future__ import annotations
@@ -63,7 +65,9 @@ def authors(folder: Path) -> Iterator[Task]:
 
     def log(name: str, rows: slice = slice(None)) -> Recording:
         table = np.loadtxt(folder / name, usecols=(0, 4))[rows]
-        return Recording(name, table[:, 0].copy(), table[:, 1].copy(), None, 0.005, "V", "um")
+        return Recording(
+            name, table[:, 0].copy(), table[:, 1].copy(), None, 0.005, "V", "um"
+        )
 
     whole, test = log("identification.dat"), log("uncompensated.dat")
     half = log("uncompensated.dat", slice(600, 3500))
@@ -79,12 +83,21 @@ def virtual_actuators() -> Iterator[Task]:
     for number, (name, parameters) in enumerate(virtual_actuator.PRESETS.items()):
         bench = virtual_actuator.VirtualActuator(parameters)
         low, span = parameters.v_min, parameters.v_max - parameters.v_min
-        time, voltage = Excitation(low, parameters.v_max, 500.0, 15.0, 1.0, seed=number + 1).drive()
-        log = Recording(name, voltage, bench.play(time, voltage, seed=number), time, None, "V", "um")
+        time, voltage = Excitation(
+            low, parameters.v_max, 500.0, 15.0, 1.0, seed=number + 1
+        ).drive()
+        log = Recording(
+            name, voltage, bench.play(time, voltage, seed=number), time, None, "V", "um"
+        )
         new = low + span * nested_turns(number, 500.0, 10.0, (0.5, 5.0))
         clock = np.arange(len(new)) / 500.0
         truth = bench.displacement(clock, new)
-        yield Task("virtual actuators", name, [log], Recording("new", new, truth, clock, None, "V", "um"))
+        yield Task(
+            "virtual actuators",
+            name,
+            [log],
+            Recording("new", new, truth, clock, None, "V", "um"),
+        )
 
 
 def virtual_positioners() -> Iterator[Task]:
@@ -92,19 +105,34 @@ def virtual_positioners() -> Iterator[Task]:
     rate = 10_000.0
     for number, (name, parameters) in enumerate(virtual_positioner.PRESETS.items()):
         stage = virtual_positioner.VirtualPositioner(parameters)
-        voltage = Excitation(0.0, 100.0, rate, 6.0, 1.0, seed=number + 1, sweep_to=1000.0).drive()[1]
-        log = Recording(name, voltage, stage.play(voltage, rate, number), None, 1.0 / rate, "V", "um")
+        voltage = Excitation(
+            0.0, 100.0, rate, 6.0, 1.0, seed=number + 1, sweep_to=1000.0
+        ).drive()[1]
+        log = Recording(
+            name,
+            voltage,
+            stage.play(voltage, rate, number),
+            None,
+            1.0 / rate,
+            "V",
+            "um",
+        )
         new = 100.0 * nested_turns(number, rate, 3.0, (2.0, 60.0))
         truth = stage.displacement(new, rate)
         yield Task(
-            "virtual positioners", name, [log], Recording("new", new, truth, None, 1.0 / rate, "V", "um")
+            "virtual positioners",
+            name,
+            [log],
+            Recording("new", new, truth, None, 1.0 / rate, "V", "um"),
         )
 
 
 def invented(seed: int) -> Iterator[Task]:
     """Yield the invented actuators."""
     for case in cases(seed):
-        test = Recording("new", case.test.voltage, case.truth, case.test.time, None, "V", "um")
+        test = Recording(
+            "new", case.test.voltage, case.truth, case.test.time, None, "V", "um"
+        )
         yield Task("invented actuators", case.name, case.logs, test)
 
 
@@ -127,10 +155,14 @@ def percent(row: Row, stroke: float) -> str:
 def line_of(task: Task) -> tuple[str, list[float]] | str:
     """Compare on one task; return the line of the table, and errors over the DBO's, or why there is none."""
     try:
-        rows = compare(task.logs, [task.test], NAMES, task.skip, False, task.judged_from)
+        rows = compare(
+            task.logs, [task.test], NAMES, task.skip, False, task.judged_from
+        )
     except DboError as problem:
         return f"| {task.name} | {problem} |"
-    errors = [np.nan if row.validation_rmse is None else row.validation_rmse for row in rows]
+    errors = [
+        np.nan if row.validation_rmse is None else row.validation_rmse for row in rows
+    ]
     cells = [percent(row, task.stroke) for row in rows]
     named = dict(zip(NAMES, errors, strict=True))
     own = named.pop("dbo")
@@ -142,7 +174,13 @@ def line_of(task: Task) -> tuple[str, list[float]] | str:
         for cell, error in zip(cells, errors, strict=True)
     ]
     ratio = rival / own
-    verdict = "tie" if 1.0 / (1.0 + TIE) <= ratio <= 1.0 + TIE else "ahead" if ratio > 1.0 else "behind"
+    verdict = (
+        "tie"
+        if 1.0 / (1.0 + TIE) <= ratio <= 1.0 + TIE
+        else "ahead"
+        if ratio > 1.0
+        else "behind"
+    )
     return f"| {task.name} | {' | '.join(cells)} | {ratio:.2f} | {verdict} |", [
         error / own for error in errors
     ]
@@ -178,7 +216,9 @@ def written(name: str, content: str) -> None:
     """Put a block into the page, between its marks."""
     text = PAGE.read_text(encoding="utf-8")
     mark = f"(<!-- made: {re.escape(name)} -->\n).*?(<!-- end -->)"
-    changed, count = re.subn(mark, lambda found: f"{found[1]}{content}\n{found[2]}", text, flags=re.DOTALL)
+    changed, count = re.subn(
+        mark, lambda found: f"{found[1]}{content}\n{found[2]}", text, flags=re.DOTALL
+    )
     if count != 1:
         raise SystemExit(f"{PAGE.name}: has no place for {name!r}")
     PAGE.write_text(changed, encoding="utf-8")
@@ -190,7 +230,9 @@ def cost() -> str:
     command = [sys.executable, str(script), "--figures", str(FIGURES)]
     done = subprocess.run(command, capture_output=True, text=True)
     print(done.stdout)
-    return "\n".join(f"    {line}".rstrip() for line in done.stdout.strip().splitlines())
+    return "\n".join(
+        f"    {line}".rstrip() for line in done.stdout.strip().splitlines()
+    )
 
 
 def command(folder: Path) -> str:
@@ -204,25 +246,53 @@ def command(folder: Path) -> str:
         "--validate",
         "uncompensated.dat",
     ]
-    how = ["--voltage", "1", "--displacement", "5", "--sample-rate", "200", "--skip", "2", "--quiet"]
+    how = [
+        "--voltage",
+        "1",
+        "--displacement",
+        "5",
+        "--sample-rate",
+        "200",
+        "--skip",
+        "2",
+        "--quiet",
+    ]
     with tempfile.TemporaryDirectory() as drawn:
         done = subprocess.run(
-            [*base, *how, "--figures", drawn], cwd=folder, capture_output=True, text=True, check=True
+            [*base, *how, "--figures", drawn],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            check=True,
         )
         for key in ("cost", "loops"):
-            (FIGURES / f"compare-{key}.svg").write_bytes((Path(drawn) / f"models-{key}.svg").read_bytes())
+            (FIGURES / f"compare-{key}.svg").write_bytes(
+                (Path(drawn) / f"models-{key}.svg").read_bytes()
+            )
     print(done.stdout)
     shown = "    $ dbo " + " ".join([*base[3:], *how])
-    return shown + "\n\n" + "\n".join(f"    {line}".rstrip() for line in done.stdout.strip().splitlines())
+    return (
+        shown
+        + "\n\n"
+        + "\n".join(f"    {line}".rstrip() for line in done.stdout.strip().splitlines())
+    )
 
 
 def main() -> None:
     """Print the tables; with ``--write`` also put them into the page."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
-    parser.add_argument("data", nargs="?", type=Path, help="folder of the authors' recordings")
+    parser.add_argument(
+        "data", nargs="?", type=Path, help="folder of the authors' recordings"
+    )
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", default="", help="only the recordings whose group and name hold this text")
-    parser.add_argument("--write", action="store_true", help="write docs/comparison.md and its figures")
+    parser.add_argument(
+        "--only",
+        default="",
+        help="only the recordings whose group and name hold this text",
+    )
+    parser.add_argument(
+        "--write", action="store_true", help="write docs/comparison.md and its figures"
+    )
     given = parser.parse_args()
     if given.write and not given.only:
         written("cost", cost())

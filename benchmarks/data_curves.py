@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
 """What a longer log, a better sensor or a faster logger is worth: the error of new moves after each.
 
-Two invented actuators (``invented_actuators.py``) are recorded with random nested turns, three times each.
-One property of the log changes, the others stay at 20 s, 0.1 % of noise, 500 samples a second. The error is
-that of a new move, offset included, in percent of the stroke; of the six logs the geometric mean is taken.
+Two invented actuators (``invented_actuators.py``) are recorded with random nested
+turns, three times each. One property of the log changes, the others stay at 20 s, 0.1 %
+of noise, 500 samples a second. The error is that of a new move, offset included, in
+percent of the stroke; of the six logs the geometric mean is taken.
 
     python benchmarks/data_curves.py [--figure FILE.svg] [--processes N] [--only length|noise|rate]
 
@@ -23,7 +24,15 @@ import multiprocessing
 from dataclasses import dataclass, replace
 
 import numpy as np
-from invented_actuators import Actuator, BoucWen, Floats, Plays, bent, nested_turns, swept
+from invented_actuators import (
+    Actuator,
+    BoucWen,
+    Floats,
+    Plays,
+    bent,
+    nested_turns,
+    swept,
+)
 
 from dbo_cli.errors import DboError
 from dbo_cli.hysteresis.identification import Recording, identify
@@ -38,7 +47,9 @@ ALLOWED = 1.1  # times the error with less data
 SEEDS = (1, 2, 3)
 
 ACTUATORS = {
-    "plays": Actuator(Plays(0.45, 0.15), curve=bent(0.1), lag=0.001, creep=((0.5, 0.01), (5.0, 0.01))),
+    "plays": Actuator(
+        Plays(0.45, 0.15), curve=bent(0.1), lag=0.001, creep=((0.5, 0.01), (5.0, 0.01))
+    ),
     "bouc-wen": Actuator(BoucWen(0.35, 0.12, 0.3), lag=0.001),
 }
 
@@ -57,7 +68,11 @@ CURVES: dict[str, list[Log]] = {
     "noise": [replace(Log(), noise=value) for value in NOISES],
     "rate": [replace(Log(), rate=value) for value in RATES],
 }
-AXES = {"length": "length of the log (s)", "noise": "noise (% of the stroke)", "rate": "samples a second"}
+AXES = {
+    "length": "length of the log (s)",
+    "noise": "noise (% of the stroke)",
+    "rate": "samples a second",
+}
 
 
 def recording(actuator: Actuator, log: Log, seed: int) -> Recording:
@@ -108,14 +123,28 @@ def draw(curves: dict[str, Floats], figure: Path) -> None:
     matplotlib.rcParams["svg.hashsalt"] = "dbo"
     from matplotlib import pyplot
 
-    canvas, panels = pyplot.subplots(1, len(curves), figsize=(9.0, 3.0), sharey=True, layout="constrained")
+    canvas, panels = pyplot.subplots(
+        1, len(curves), figsize=(9.0, 3.0), sharey=True, layout="constrained"
+    )
     styles = dict(zip(ACTUATORS, ("--", ":"), strict=True))
     for panel, (key, errors) in zip(np.atleast_1d(panels), curves.items(), strict=True):
         at = [getattr(log, key) for log in CURVES[key]]
         for place, name in enumerate(ACTUATORS):
             means = [geometric_mean(row[place]) for row in errors]
-            panel.plot(at, means, styles[name], color="0.45", label=f"{name} (mean of three logs)")
-        panel.plot(at, [geometric_mean(row) for row in errors], "o-", color="C0", label="mean of all")
+            panel.plot(
+                at,
+                means,
+                styles[name],
+                color="0.45",
+                label=f"{name} (mean of three logs)",
+            )
+        panel.plot(
+            at,
+            [geometric_mean(row) for row in errors],
+            "o-",
+            color="C0",
+            label="mean of all",
+        )
         panel.set_xscale("log")
         panel.set_yscale("log")
         panel.set_xlabel(AXES[key])
@@ -125,8 +154,12 @@ def draw(curves: dict[str, Floats], figure: Path) -> None:
             panel.invert_xaxis()
     first = np.atleast_1d(panels)[0]
     first.set_ylabel("error of a new move (% of the stroke)")
-    handles, labels = np.atleast_1d(panels)[min(1, len(curves) - 1)].get_legend_handles_labels()
-    canvas.legend(handles, labels, loc="outside upper center", ncols=4, fontsize="small")
+    handles, labels = np.atleast_1d(panels)[
+        min(1, len(curves) - 1)
+    ].get_legend_handles_labels()
+    canvas.legend(
+        handles, labels, loc="outside upper center", ncols=4, fontsize="small"
+    )
     canvas.savefig(figure, metadata={"Date": None})
 
 
@@ -147,9 +180,14 @@ def main() -> None:
         for place, (log, row) in enumerate(zip(logs, curves[key], strict=True)):
             worse = place > 0 and not means[place] <= ALLOWED * means[place - 1]
             held = held and not worse
-            each = "  ".join(" ".join(f"{error:6.4f}" for error in some) for some in row)
+            each = "  ".join(
+                " ".join(f"{error:6.4f}" for error in some) for some in row
+            )
             mark = "  WORSE than with less" if worse else ""
-            print(f"{key} {getattr(log, key):8g}: mean {means[place]:7.4f} %   {each}{mark}", flush=True)
+            print(
+                f"{key} {getattr(log, key):8g}: mean {means[place]:7.4f} %   {each}{mark}",
+                flush=True,
+            )
     if given.figure is not None:
         draw(curves, given.figure)
     sys.exit(0 if held else 1)

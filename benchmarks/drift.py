@@ -2,9 +2,10 @@
 
     python benchmarks/drift.py [--transitions N] [--gears N]
 
-Random gears are driven to random turning points, so that the state wanders through the range; the sums the
-kernel carried, read off its output, are compared with those of its bits, and, for contrast, with the same
-adding and subtracting of the widths as they were given, before they are put on the binary grid.
+Random gears are driven to random turning points, so that the state wanders through the
+range; the sums the kernel carried, read off its output, are compared with those of its
+bits, and, for contrast, with the same adding and subtracting of the widths as they were
+given, before they are put on the binary grid.
 """
 
 from __future__ import annotations
@@ -60,9 +61,15 @@ def main() -> None:
     _, before, _ = operator.run(block, operator.run(block, operator.empty())[1])
     expected, state, _ = operator.run(probe, before)
     assert operator._bits(words) == state.bits
-    print(f"{crossed * repeats:.3g} transitions or more in {x.size:,} samples, {seconds:.1f} s")
-    print(f"wandered from (2)-(3): {abs(x[-1] - expected[0]) / operator.y_range[1]:.1e} of the range")
-    print(f"plain float64 sums, 1e7 transitions: {naive_drift(dx.tolist(), 10_000_000):.1e} of the range")
+    print(
+        f"{crossed * repeats:.3g} transitions or more in {x.size:,} samples, {seconds:.1f} s"
+    )
+    print(
+        f"wandered from (2)-(3): {abs(x[-1] - expected[0]) / operator.y_range[1]:.1e} of the range"
+    )
+    print(
+        f"plain float64 sums, 1e7 transitions: {naive_drift(dx.tolist(), 10_000_000):.1e} of the range"
+    )
 
 
 if __name__ == "__main__":

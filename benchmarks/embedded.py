@@ -1,17 +1,21 @@
 """Exports on emulated microcontrollers: the self-test, and instructions, code, tables, RAM and stack.
 
-    python benchmarks/embedded.py [--chips m0plus,m4f,m7,rv32] [--gears 8,25,64,256,1152]
+    python benchmarks/embedded.py [--chips m0plus,m4f,m7,rv32] [--gears
+    8,25,64,256,1152]
         [--arithmetics double,float,q31] [--csv FILE] [--before FILE]
 
-Needs (Debian, Ubuntu): apt install gcc-arm-none-eabi libnewlib-arm-none-eabi gcc-riscv64-unknown-elf
-qemu-system-arm qemu-system-misc. Chips whose tools are missing are left out and named.
+Needs (Debian, Ubuntu): apt install gcc-arm-none-eabi libnewlib-arm-none-eabi
+gcc-riscv64-unknown-elf qemu-system-arm qemu-system-misc. Chips whose tools are missing
+are left out and named.
 
-An inverse model of n gears (64 slopes at most, points, a scale, limits; with four relaxation terms or none)
-follows a smooth move of 400 samples a cycle, then jumps from either end to 32 places and back, then from the
-state of `NAME_reset` in the middle to either end, which wipes out a turn every other gear. Instructions are
-what QEMU counts (-icount), -O2, soft float where the chip has none for the type; code holds the soft float
-that it needs. `--before` takes the CSV of another state of the program, and adds ratios to it.
-Beside it n play operators (the inverse of Prandtl-Ishlinskii) without points, limits or memory.
+An inverse model of n gears (64 slopes at most, points, a scale, limits; with four
+relaxation terms or none) follows a smooth move of 400 samples a cycle, then jumps from
+either end to 32 places and back, then from the state of `NAME_reset` in the middle to
+either end, which wipes out a turn every other gear. Instructions are what QEMU counts
+(-icount), -O2, soft float where the chip has none for the type; code holds the soft
+float that it needs. `--before` takes the CSV of another state of the program, and adds
+ratios to it. Beside it n play operators (the inverse of Prandtl-Ishlinskii) without
+points, limits or memory.
 """
 
 from __future__ import annotations
@@ -72,16 +76,25 @@ CHIPS = {
 
 def missing(chip: Chip) -> list[str]:
     """Return the tools a chip needs that are not here."""
-    return [tool for tool in (chip.compiler, chip.emulator.split()[0]) if shutil.which(tool) is None]
+    return [
+        tool
+        for tool in (chip.compiler, chip.emulator.split()[0])
+        if shutil.which(tool) is None
+    ]
 
 
-def moves_header(low: float, high: float, arithmetic: str, drive: tuple[float, float]) -> str:
+def moves_header(
+    low: float, high: float, arithmetic: str, drive: tuple[float, float]
+) -> str:
     """Return smooth moves over the range, 400 samples a cycle, jumps from its ends and drives to reset to.
 
-    A jump costs most where it ends inside the last gears: places lie denser towards the ends.
+    A jump costs most where it ends inside the last gears: places lie denser towards the
+    ends.
     """
     k = np.arange(800)
-    values = low + (high - low) * (0.5 - 0.5 * np.cos(k * np.pi / 200.0) * (1.0 - k / 1600.0))
+    values = low + (high - low) * (
+        0.5 - 0.5 * np.cos(k * np.pi / 200.0) * (1.0 - k / 1600.0)
+    )
     places = low + (high - low) * (0.5 - 0.5 * np.cos(np.arange(32) * np.pi / 31.0))
     jumps = np.column_stack([np.repeat([low, high], 32), np.tile(places, 2)]).ravel()
     resets = [f"{drive[0] + part * (drive[1] - drive[0])!r}" for part in (0.49, 0.51)]
@@ -103,7 +116,9 @@ def moves_header(low: float, high: float, arithmetic: str, drive: tuple[float, f
     )  # fmt: skip
 
 
-def build(chip: Chip, folder: Path, sources: list[str], defines: list[str]) -> dict[str, int]:
+def build(
+    chip: Chip, folder: Path, sources: list[str], defines: list[str]
+) -> dict[str, int]:
     """Compile and link; return bytes of code, constants and RAM of the whole program."""
     script = (HERE / f"{chip.board}.ld").read_text().replace("@FLASH@", chip.memory[0])
     (folder / "memory.ld").write_text(script.replace("@RAM@", chip.memory[1]))
@@ -116,9 +131,17 @@ def build(chip: Chip, folder: Path, sources: list[str], defines: list[str]) -> d
     )  # fmt: skip
     tool = chip.compiler.replace("gcc", "size")
     listed = subprocess.run(
-        [tool, "-A", "program.elf"], cwd=folder, capture_output=True, text=True, check=True
+        [tool, "-A", "program.elf"],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=True,
     )
-    sizes = {row.split()[0]: int(row.split()[1]) for row in listed.stdout.splitlines() if row.startswith(".")}
+    sizes = {
+        row.split()[0]: int(row.split()[1])
+        for row in listed.stdout.splitlines()
+        if row.startswith(".")
+    }
     return {"code": sizes.get(".text", 0), "constants": sizes.get(".rodata", 0)}
 
 
@@ -128,7 +151,11 @@ def run(chip: Chip, folder: Path) -> list[int]:
         [*chip.emulator.split(), "program.elf"], cwd=folder, capture_output=True, text=True, timeout=300,
         check=False, stdin=subprocess.DEVNULL,
     )  # fmt: skip
-    found = [row for row in (done.stdout + done.stderr).splitlines() if row.startswith("result")]
+    found = [
+        row
+        for row in (done.stdout + done.stderr).splitlines()
+        if row.startswith("result")
+    ]
     if not found:
         raise SystemExit(f"{chip.name}: no result: {done.stdout} {done.stderr}")
     return [int(v) for v in found[0].split()[1:]]
@@ -140,8 +167,12 @@ def measured(chip: Chip, gears: int, terms: int, arithmetic: str) -> dict[str, A
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "x"
         ends = model.drive.minimum, model.drive.maximum
-        summary = export_model(model, str(folder), name="x", arithmetic=arithmetic, sample_rate=1000.0)  # type: ignore[arg-type]
-        moves = moves_header(model.output.minimum, model.output.maximum, arithmetic, ends)
+        summary = export_model(
+            model, str(folder), name="x", arithmetic=arithmetic, sample_rate=1000.0
+        )  # type: ignore[arg-type]
+        moves = moves_header(
+            model.output.minimum, model.output.maximum, arithmetic, ends
+        )
         (folder / "moves.h").write_text(moves)
         own = ["x.c", "dbo_kernel.c"]
         flags = ["-DDBO_NO_MAIN", '-DTEST="x_test.c"', "-DDBO_SMALL"]
@@ -168,7 +199,10 @@ def plays(chip: Chip, count: int, arithmetic: str) -> int:
     kind = TYPES[arithmetic]
     near = [scale * 0.5 * i / count for i in range(count)]
     weights = [2.0**30 / count if arithmetic == "q31" else 1.0 / count] * count
-    text = [[spell(int(v) if arithmetic == "q31" else v) for v in row] for row in (near, weights)]
+    text = [
+        [spell(int(v) if arithmetic == "q31" else v) for v in row]
+        for row in (near, weights)
+    ]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "moves.h").write_text(moves_header(0.0, 1.0, arithmetic, (0.0, 1.0)))
@@ -180,7 +214,12 @@ def plays(chip: Chip, count: int, arithmetic: str) -> int:
             )
         )
         number = ARITHMETICS.index(arithmetic) + 1
-        build(chip, folder, [str(HERE / "measure.c"), "tables.c"], [f"-DPLAYS={number}", f"-DN={count}"])
+        build(
+            chip,
+            folder,
+            [str(HERE / "measure.c"), "tables.c"],
+            [f"-DPLAYS={number}", f"-DN={count}"],
+        )
         return run(chip, folder)[1]
 
 
@@ -189,7 +228,12 @@ Case = tuple[str, str, str, str]
 
 def case_of(row: dict[str, Any]) -> Case:
     """Return what a row is about."""
-    return str(row["chip"]), str(row["gears"]), str(row["arithmetic"]), str(row["terms"])
+    return (
+        str(row["chip"]),
+        str(row["gears"]),
+        str(row["arithmetic"]),
+        str(row["terms"]),
+    )
 
 
 def rows_of(path: Path) -> dict[Case, dict[str, Any]]:

@@ -2,9 +2,10 @@
 
     python benchmarks/exponents.py [--most ROWS] [--only WORD] [--runs N]
 
-Whole processes, the processor's time, the least of N (default 3). A command's time over ten rows is its
-start-up. Between one size and ten times that the time beyond it grows 10^e times: e is the exponent, and 1 is
-linear. Rows that take less than a tenth of the start-up tell nothing, and have no exponent.
+Whole processes, the processor's time, the least of N (default 3). A command's time over
+ten rows is its start-up. Between one size and ten times that the time beyond it grows
+10^e times: e is the exponent, and 1 is linear. Rows that take less than a tenth of the
+start-up tell nothing, and have no exponent.
 """
 
 from __future__ import annotations
@@ -49,7 +50,9 @@ def write_logs(folder: Path, model: dbo.Model, rows: int) -> None:
         with (folder / f"{name}_{rows}.csv").open("w") as file:
             file.write(header + "\n")
             for begin in range(0, rows, 100_000):
-                np.savetxt(file, table[begin : begin + 100_000], fmt="%.6f", delimiter=",")
+                np.savetxt(
+                    file, table[begin : begin + 100_000], fmt="%.6f", delimiter=","
+                )
 
 
 def commands(folder: Path, rows: int) -> dict[str, Words]:
@@ -59,11 +62,34 @@ def commands(folder: Path, rows: int) -> dict[str, Words]:
     limits = ["--v-min", "0V", "--v-max", "100V"]
     return {
         "simulate": ["simulate", model, log, "-o", out],
-        "compensate": ["compensate", model, move, "--displacement", "desired_um", "-o", out],
+        "compensate": [
+            "compensate",
+            model,
+            move,
+            "--displacement",
+            "desired_um",
+            "-o",
+            out,
+        ],
         "report": ["report", move, "-o", str(folder / "out.txt")],
-        "report --model": ["report", log, "--model", model, "-o", str(folder / "out.txt")],
+        "report --model": [
+            "report",
+            log,
+            "--model",
+            model,
+            "-o",
+            str(folder / "out.txt"),
+        ],
         "check": ["check", log, "--voltage", "voltage_V", *limits],
-        "check --against": ["check", log, "--voltage", "voltage_V", *limits, "--against", log],
+        "check --against": [
+            "check",
+            log,
+            "--voltage",
+            "voltage_V",
+            *limits,
+            "--against",
+            log,
+        ],
         "waveform": ["waveform", log, "--to", "npy", "-o", str(folder / "out.npy")],
         "identify": ["identify", log, "-o", str(folder / "out.json")],
     }
@@ -73,7 +99,10 @@ def seconds(words: Words) -> float:
     """Return the processor's seconds of one process."""
     before = os.times()
     done = subprocess.run(
-        [sys.executable, "-m", "dbo_cli", *words, "-q"], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "dbo_cli", *words, "-q"],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     after = os.times()
     if done.returncode not in (0, 3):
@@ -91,7 +120,9 @@ def main() -> None:
     options = parser.parse_args()
     sizes = [10**power for power in range(3, 8) if 10**power <= options.most]
     print("processor's seconds beyond the start-up, and between two sizes the exponent")
-    print("command           start-up" + "".join(f"  {size:>10,}      " for size in sizes))
+    print(
+        "command           start-up" + "".join(f"  {size:>10,}      " for size in sizes)
+    )
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         model = dbo.identify(str(ROOT / "sample_data" / "identification.csv"))
@@ -102,12 +133,20 @@ def main() -> None:
             if options.only not in command:
                 continue
             few = 1_000 if command == "identify" else FEW
-            start = min(seconds(commands(folder, few)[command]) for _ in range(options.runs))
+            start = min(
+                seconds(commands(folder, few)[command]) for _ in range(options.runs)
+            )
             text, last = f"{command:16}  {start:8.2f}", None
             for size in sizes:
                 if size > LARGEST.get(command, size):
                     break
-                took = min(seconds(commands(folder, size)[command]) for _ in range(options.runs)) - start
+                took = (
+                    min(
+                        seconds(commands(folder, size)[command])
+                        for _ in range(options.runs)
+                    )
+                    - start
+                )
                 exponent = "      "
                 if last is not None and last > 0.1 * start and took > 0.0:
                     exponent = f"{math.log10(took / last):6.2f}"

@@ -2,12 +2,13 @@
 
     python benchmarks/fast_moves.py [--sets NAME ...] [--rate HZ] [--figure FILE]
 
-For every parameter set of sample_data/virtual_positioner.py: a drive of ``excite`` and a small sweep are
-played, a model is identified from the two noisy recordings, and sines and triangles with rounded turns are
-compensated and played, at f_r/1000 to f_r/5. Columns, RMS error in % of the move, without the sensor's noise:
-a straight line from displacement to voltage; the model without dynamics, from the slow rows; the model as
-identified; the same with the stage's true resonance and lag in place of those found. Exits 1 where the third
-exceeds 0.05 % up to f_r/30, 0.1 % at f_r/10 or 0.5 % at f_r/5.
+For every parameter set of sample_data/virtual_positioner.py: a drive of ``excite`` and
+a small sweep are played, a model is identified from the two noisy recordings, and sines
+and triangles with rounded turns are compensated and played, at f_r/1000 to f_r/5.
+Columns, RMS error in % of the move, without the sensor's noise: a straight line from
+displacement to voltage; the model without dynamics, from the slow rows; the model as
+identified; the same with the stage's true resonance and lag in place of those found.
+Exits 1 where the third exceeds 0.05 % up to f_r/30, 0.1 % at f_r/10 or 0.5 % at f_r/5.
 """
 
 from __future__ import annotations
@@ -23,7 +24,13 @@ import pandas as pd
 from numpy.typing import NDArray
 
 import dbo_cli as dbo
-from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, Lag, Resonance, ZeroPhaseLowPass
+from dbo_cli.hysteresis.dynamics import (
+    Antiresonance,
+    DynamicsStage,
+    Lag,
+    Resonance,
+    ZeroPhaseLowPass,
+)
 from dbo_cli.hysteresis.excitation import Excitation, sweep
 from dbo_cli.runs.api import Model
 
@@ -38,8 +45,8 @@ SLOW_RATE = 2_000.0  # Hz, of the slow log
 SLOW_SECONDS = 60.0
 """Its length: creep of 8 s is not to be seen in 15 s.
 
-RMS error of the scanner after 15, 30, 60 s, in % of the move: at f_r/1000 0.034, 0.022, 0.011, at f_r/30
-0.062, 0.018, 0.010, at f_r/5 0.17, 0.06, 0.07.
+RMS error of the scanner after 15, 30, 60 s, in % of the move: at f_r/1000 0.034, 0.022,
+0.011, at f_r/30 0.062, 0.018, 0.010, at f_r/5 0.17, 0.06, 0.07.
 """
 SHAPES = ("sine", "triangle")
 
@@ -54,12 +61,20 @@ def wave(shape: str, frequency: float, rate: float) -> tuple[Floats, slice]:
         body = 0.5 + 0.3 * np.sin(2.0 * np.pi * phase)
     else:
         corners = 0.5 + 0.3 * (2.0 / np.pi) * np.arcsin(np.sin(2.0 * np.pi * phase))
-        body = ZeroPhaseLowPass(max(5.0 * frequency, rate / 2_000.0), 1.0 / rate).whole(corners)
+        body = ZeroPhaseLowPass(max(5.0 * frequency, rate / 2_000.0), 1.0 / rate).whole(
+            corners
+        )
     up = 0.25 - 0.25 * np.cos(np.pi * np.arange(rise) / rise)
     fade = np.clip(np.minimum(phase, phase[::-1]), 0.0, 1.0)
     fade = fade**3 * (10.0 - 15.0 * fade + 6.0 * fade**2)
     whole = np.concatenate(
-        [np.zeros(quiet), up, np.full(quiet, 0.5), 0.5 + fade * (body - 0.5), np.full(quiet, 0.5)]
+        [
+            np.zeros(quiet),
+            up,
+            np.full(quiet, 0.5),
+            0.5 + fade * (body - 0.5),
+            np.full(quiet, 0.5),
+        ]
     )
     begin = 2 * quiet + rise
     edge = round(1.2 / frequency * rate)
@@ -69,7 +84,8 @@ def wave(shape: str, frequency: float, rate: float) -> tuple[Floats, slice]:
 def true_dynamics(p: PositionerParameters, model: Model) -> Model:
     """Return the model with the stage's own resonances, antiresonance and lag."""
     sections = [Resonance(frequency, damping) for frequency, damping, _ in p.modes]
-    if len(p.modes) == 2:  # a/A + b/B = (a B + b A)/(A B), A and B being 1 + 2ζs/ω + s²/ω²
+    # a/A + b/B = (a B + b A)/(A B), A and B being 1 + 2ζs/ω + s²/ω²
+    if len(p.modes) == 2:
         (first, zeta, share), (second, eta, other) = p.modes
         square = share / second**2 + other / first**2
         linear = share * 2.0 * eta / second + other * 2.0 * zeta / first
@@ -78,12 +94,19 @@ def true_dynamics(p: PositionerParameters, model: Model) -> Model:
     actuator = model.actuator
     between = [one for one in actuator.stages if not isinstance(one, DynamicsStage)]
     known = actuator.dynamics.sections if actuator.dynamics else ()
-    sections = [one for one in known if isinstance(one, Lag) and one.lead] + sections  # creep as identified
-    stages = (DynamicsStage((Lag(p.amplifier_lag),)), *between, DynamicsStage(tuple(sections)))
+    # creep as identified
+    sections = [one for one in known if isinstance(one, Lag) and one.lead] + sections
+    stages = (
+        DynamicsStage((Lag(p.amplifier_lag),)),
+        *between,
+        DynamicsStage(tuple(sections)),
+    )
     return Model(dataclasses.replace(actuator, stages=stages))
 
 
-def models_of(p: PositionerParameters, rate: float) -> tuple[dict[str, Model], list[str]]:
+def models_of(
+    p: PositionerParameters, rate: float
+) -> tuple[dict[str, Model], list[str]]:
     """Return the models to compare, and what identification said."""
     highest = min(1.25 * max(mode[0] for mode in p.modes), rate / 10.0)
     stage = VirtualPositioner(p)
@@ -104,7 +127,11 @@ def models_of(p: PositionerParameters, rate: float) -> tuple[dict[str, Model], l
         found = dbo.identify(logs)
         without = dbo.identify(logs[:1], dynamics=0)
     told = [line for line in found.summary if "dynamics" in line or "trust" in line]
-    return {"without": without, "dynamics": found, "oracle": true_dynamics(p, found)}, told
+    return {
+        "without": without,
+        "dynamics": found,
+        "oracle": true_dynamics(p, found),
+    }, told
 
 
 def errors_of(
@@ -123,12 +150,20 @@ def errors_of(
                     warnings.simplefilter("ignore")
                     drives.append(
                         models[name].compensate(
-                            wanted, sample_rate=rate, v_min=p.v_min, v_max=p.v_max, state="empty"
+                            wanted,
+                            sample_rate=rate,
+                            v_min=p.v_min,
+                            v_max=p.v_max,
+                            state="empty",
                         )
                     )
-            away = [(stage.displacement(drive, rate) - wanted)[judged] for drive in drives]
+            away = [
+                (stage.displacement(drive, rate) - wanted)[judged] for drive in drives
+            ]
             move = float(np.ptp(wanted[judged]))
-            found[shape, part] = [100.0 * float(np.sqrt(np.mean(one**2))) / move for one in away]
+            found[shape, part] = [
+                100.0 * float(np.sqrt(np.mean(one**2))) / move for one in away
+            ]
     return found
 
 
@@ -143,11 +178,21 @@ def figure(path: str, table: dict[str, dict[tuple[str, int], list[float]]]) -> N
     for axis, shape in zip(axes, SHAPES, strict=True):
         for name, colour in zip(NAMES[::-1], ("k", "C0", "C1", "0.6"), strict=True):
             k = NAMES.index(name)
-            curves = np.array([[table[one][shape, part][k] for part in PARTS] for one in table])
+            curves = np.array(
+                [[table[one][shape, part][k] for part in PARTS] for one in table]
+            )
             for curve in curves:
-                axis.loglog([1.0 / part for part in PARTS], curve, color=colour, lw=0.6, alpha=0.5)
+                axis.loglog(
+                    [1.0 / part for part in PARTS],
+                    curve,
+                    color=colour,
+                    lw=0.6,
+                    alpha=0.5,
+                )
             middle = np.exp(np.log(curves).mean(axis=0))
-            axis.loglog([1.0 / part for part in PARTS], middle, color=colour, lw=2.0, label=name)
+            axis.loglog(
+                [1.0 / part for part in PARTS], middle, color=colour, lw=2.0, label=name
+            )
         axis.set(title=shape, xlabel="frequency / first resonance")
         axis.grid(alpha=0.3)
     axes[0].set_ylabel("RMS error, % of the move")

@@ -2,8 +2,9 @@
 
     python benchmarks/figures_page.py [-o PAGE] [--only NAME,NAME] [--anyway]
 
-Refuses to begin on a busy machine (benchmarks/machine.py) unless told to go on `--anyway`; the page says how
-busy it was. It has the commit, the processor and every program's output as it is.
+Refuses to begin on a busy machine (benchmarks/machine.py) unless told to go on
+`--anyway`; the page says how busy it was. It has the commit, the processor and every
+program's output as it is.
 """
 
 from __future__ import annotations
@@ -22,7 +23,11 @@ PROGRAMS = (
     "live_speed", "bank_speed", "hops", "exponents", "identification_cost", "relatives_cost", "drift",
     "round_trip", "dynamics_round_trip", "tracking",
 )  # fmt: skip
-VERDICTS = {0: "", 1: "**A promise is not kept.**", NOT_JUDGED: "**Not judged: the machine was busy.**"}
+VERDICTS = {
+    0: "",
+    1: "**A promise is not kept.**",
+    NOT_JUDGED: "**Not judged: the machine was busy.**",
+}
 
 
 def processor() -> str:
@@ -38,7 +43,11 @@ def processor() -> str:
 def commit() -> str:
     """Return the commit that is measured."""
     done = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], cwd=HERE, capture_output=True, text=True, check=False
+        ["git", "describe", "--always", "--dirty"],
+        cwd=HERE,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     return done.stdout.strip() or "unknown"
 
@@ -46,10 +55,16 @@ def commit() -> str:
 def section(name: str) -> tuple[str, int]:
     """Run one program; return its part of the page and its exit code."""
     done = subprocess.run(
-        [sys.executable, str(HERE / f"{name}.py")], capture_output=True, text=True, check=False
+        [sys.executable, str(HERE / f"{name}.py")],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     verdict = VERDICTS.get(done.returncode, f"**Ended with {done.returncode}.**")
-    output = "".join(f"    {line}\n" if line else "\n" for line in (done.stdout + done.stderr).splitlines())
+    output = "".join(
+        f"    {line}\n" if line else "\n"
+        for line in (done.stdout + done.stderr).splitlines()
+    )
     text = f"## {name}\n\n`python benchmarks/{name}.py`\n\n{output}\n"
     if verdict:
         text += f"{verdict}\n\n"
@@ -65,7 +80,9 @@ def main() -> int:
     options = parser.parse_args()
     times = slowed()
     if times > MOST_SLOWED and not options.anyway:
-        print(f"the machine is busy: `python -c pass` takes {times:.1f} times its usual time (--anyway)")
+        print(
+            f"the machine is busy: `python -c pass` takes {times:.1f} times its usual time (--anyway)"
+        )
         return NOT_JUDGED
     page = (
         f"# Figures\n\nCommit {commit()}, {processor()}, Python {platform.python_version()}."

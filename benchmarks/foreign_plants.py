@@ -1,16 +1,17 @@
 """Actuators of kinds that the package does not have: how well moves are predicted, and what is stated of it.
 
-Each plant is recorded with several drives. The model of every recording, and its rivals from
-``dbo_cli.extras.compare``, predict moves of other levels, amplitudes, speeds and dwell, each after a full
-sweep.
-Printed are the test error over that of the best rival (chosen by test error, which no user can), and the
-actual error, offset and the sensor's noise included, over the one stated for that very move.
+Each plant is recorded with several drives. The model of every recording, and its rivals
+from ``dbo_cli.extras.compare``, predict moves of other levels, amplitudes, speeds and
+dwell, each after a full sweep. Printed are the test error over that of the best rival
+(chosen by test error, which no user can), and the actual error, offset and the sensor's
+noise included, over the one stated for that very move.
 
     python benchmarks/foreign_plants.py [--only TEXT] [--processes N] [--held-out] [--without-rivals]
 
-The errors are judged in two parts: shape, less the mean error, and zero, the mean error's size, with or
-without a word of doubt behind it. The kinds of
-``held_out_plants.py`` took no part in any choice; only --held-out judges them, and them alone.
+The errors are judged in two parts: shape, less the mean error, and zero, the mean
+error's size, with or without a word of doubt behind it. The kinds of
+``held_out_plants.py`` took no part in any choice; only --held-out judges them, and them
+alone.
 """
 
 from __future__ import annotations
@@ -28,7 +29,16 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 import held_out_plants
-from invented_actuators import RATE, BoucWen, Plays, bent, drive, first_order, nested_turns, swept
+from invented_actuators import (
+    RATE,
+    BoucWen,
+    Plays,
+    bent,
+    drive,
+    first_order,
+    nested_turns,
+    swept,
+)
 
 from dbo_cli.extras.compare.judging import compare
 from dbo_cli.hysteresis.identification import Recording
@@ -38,7 +48,8 @@ from dbo_cli.hysteresis.move_error import UNLIKE, ZERO_STAYS, MoveError, move_er
 from dbo_cli.runs.api import Model
 
 Floats = NDArray[np.float64]
-Plant = Callable[[Floats, float], Floats]  # drive of 0 to 1 and seconds since switching on, to 0 to 1
+# drive of 0 to 1 and seconds since switching on, to 0 to 1
+Plant = Callable[[Floats, float], Floats]
 
 STEP = 1.0 / RATE
 TOP, STROKE = 100.0, 20.0
@@ -60,7 +71,9 @@ def preisach(up: Floats, down: Floats, straight: float, taken: float = 1.0) -> P
         above, below = np.zeros(len(up), bool), np.ones(len(up), bool)
         for k, value in enumerate(u.tolist()):
             on, off = value >= up, value <= down
-            state += taken * (on & ~above) * (1.0 - state) - taken * (off & ~below) * state
+            state += (
+                taken * (on & ~above) * (1.0 - state) - taken * (off & ~below) * state
+            )
             above, below = (above | on) & ~off, (below | off) & ~on
             out[k] = state.mean()
         return straight * u + (1.0 - straight) * out
@@ -68,7 +81,9 @@ def preisach(up: Floats, down: Floats, straight: float, taken: float = 1.0) -> P
     return run
 
 
-def relays(centre: float, centre_spread: float, width: float, seed: int) -> tuple[Floats, Floats]:
+def relays(
+    centre: float, centre_spread: float, width: float, seed: int
+) -> tuple[Floats, Floats]:
     """Thresholds up and down of 1,200 relays, scattered about a level with random widths."""
     rng = np.random.default_rng(seed)
     middle = centre + centre_spread * rng.uniform(-1.0, 1.0, 1200)
@@ -86,7 +101,10 @@ def duhem(pull: float, lean: float, slope: float) -> Plant:
             step = (value - last) / parts
             for _ in range(parts):
                 last += step
-                y += pull * abs(step) * (last + lean * last * (1.0 - last) - y) + slope * step
+                y += (
+                    pull * abs(step) * (last + lean * last * (1.0 - last) - y)
+                    + slope * step
+                )
             last = value
             out[k] = y
         return out
@@ -118,7 +136,10 @@ def krasnoselskii(loop: float, seed: int) -> Plant:
     def run(u: Floats, _: float) -> Floats:
         held, out = np.zeros(60), np.empty(len(u))
         for k, value in enumerate(u.tolist()):
-            rising, falling = value + lean * value * (value - 1.0), np.sin(0.5 * np.pi * value)
+            rising, falling = (
+                value + lean * value * (value - 1.0),
+                np.sin(0.5 * np.pi * value),
+            )
             held = np.maximum(rising - radii, np.minimum(falling + radii, held))
             out[k] = float(held @ weights)
         return (1.0 - loop) * u + loop * out
@@ -154,7 +175,9 @@ def drifting(share: float, period: float) -> Plant:
 
     def run(u: Floats, since: float) -> Floats:
         clock = since + STEP * np.arange(len(u))
-        return Plays(0.4, 0.15).run(u) + 0.5 * share * np.sin(2.0 * np.pi * clock / period)
+        return Plays(0.4, 0.15).run(u) + 0.5 * share * np.sin(
+            2.0 * np.pi * clock / period
+        )
 
     return run
 
@@ -165,7 +188,9 @@ def log_creep(share: float) -> Plant:
     def run(u: Floats, _: float) -> Floats:
         x = bent(0.08)(Plays(0.45, 0.15).run(u))
         taus = 0.05 * 10.0 ** (np.arange(13) / 3.0)
-        return x + share / 3.0 * sum(first_order(x, STEP, float(tau)) - x for tau in taus)
+        return x + share / 3.0 * sum(
+            first_order(x, STEP, float(tau)) - x for tau in taus
+        )
 
     return run
 
@@ -201,7 +226,9 @@ KINDS: dict[str, Kind] = {
     "preisach wide": Kind(preisach(*relays(0.5, 0.6, 0.45, 1), 0.45)),
     "preisach steep": Kind(preisach(*relays(0.5, 0.22, 0.2, 2), 0.15)),
     "duhem": Kind(duhem(6.0, 0.3, 0.35)),
-    "maxwell slip": Kind(maxwell(np.array([1.2, 0.9, 0.6]), np.array([0.02, 0.06, 0.15]), 0.7)),
+    "maxwell slip": Kind(
+        maxwell(np.array([1.2, 0.9, 0.6]), np.array([0.02, 0.06, 0.15]), 0.7)
+    ),
     "log creep": Kind(log_creep(0.02)),
     "krasnoselskii": Kind(krasnoselskii(0.6, 3)),
     "slow amplifier": Kind(slow_amplifier(4.0, 2.0, 0.003)),
@@ -212,7 +239,9 @@ KINDS: dict[str, Kind] = {
     "rate-widening": Kind(widening(0.008)),
     "drifting zero": Kind(drifting(0.02, 170.0)),
 }
-HELD_OUT: dict[str, Kind] = {name: Kind(plant) for name, plant in held_out_plants.PLANTS.items()}
+HELD_OUT: dict[str, Kind] = {
+    name: Kind(plant) for name, plant in held_out_plants.PLANTS.items()
+}
 
 
 # --- what is recorded, and what is asked of the models ---
@@ -225,9 +254,13 @@ def recorded(kind: Kind, log: str, seed: int) -> Recording:
     moved = kind.plant(shape, 0.0)
     seen = first_order(moved, STEP, kind.sensor_lag)
     if kind.sensor_delay:
-        seen = np.concatenate((np.full(kind.sensor_delay, seen[0]), seen[: -kind.sensor_delay]))
+        seen = np.concatenate(
+            (np.full(kind.sensor_delay, seen[0]), seen[: -kind.sensor_delay])
+        )
     seen = STROKE * (seen + NOISE * np.random.default_rng(seed).normal(size=len(seen)))
-    return Recording(log, TOP * shape, seen, STEP * np.arange(len(shape)), None, "V", "um")
+    return Recording(
+        log, TOP * shape, seen, STEP * np.arange(len(shape)), None, "V", "um"
+    )
 
 
 def moves(seed: int) -> Iterator[tuple[str, Floats]]:
@@ -294,16 +327,25 @@ def lines_of(task: tuple[str, str, int, tuple[str, ...]]) -> list[Line] | str:
     for move, shape in moves(seed + 500):
         shape = np.concatenate((CONDITION, shape))
         truth = STROKE * kind.plant(shape, LATER)
-        test = Recording(move, TOP * shape, truth, STEP * np.arange(len(shape)), None, "V", "um")
+        test = Recording(
+            move, TOP * shape, truth, STEP * np.arange(len(shape)), None, "V", "um"
+        )
         begin = len(CONDITION)
         left = _left(own, test, begin)
         ours = float(np.sqrt(np.mean(left**2)))
         rival, rival_name = min(
-            ((_error(model, test, begin), label) for label, model in rivals), default=(ours, "none")
+            ((_error(model, test, begin), label) for label, model in rivals),
+            default=(ours, "none"),
         )
         stated, warnings = stated_error(own, test, begin)
-        doubted = stated.unlike > UNLIKE or stated.repeats_small or own.fit["zero_from"] != ZERO_STAYS
-        parts = [100.0 / STROKE * part for part in (stated.rmse, stated.shape, stated.zero)]
+        doubted = (
+            stated.unlike > UNLIKE
+            or stated.repeats_small
+            or own.fit["zero_from"] != ZERO_STAYS
+        )
+        parts = [
+            100.0 / STROKE * part for part in (stated.rmse, stated.shape, stated.zero)
+        ]
         warned = "model" if own.fit["warnings"] else "use" if warnings else ""
         errors = ours, rival, rival_name, float(left.std()), abs(float(left.mean()))
         found.append(Line(name, log, move, *errors, *parts, warned, doubted))
@@ -321,7 +363,9 @@ def _error(model: ActuatorModel, test: Recording, begin: int) -> float:
     return float(np.sqrt(np.mean(_left(model, test, begin) ** 2)))
 
 
-def stated_error(model: ActuatorModel, test: Recording, begin: int) -> tuple[MoveError, bool]:
+def stated_error(
+    model: ActuatorModel, test: Recording, begin: int
+) -> tuple[MoveError, bool]:
     """Return what is stated of this move, and whether it is warned of."""
     found = move_error(model, test.voltage, STEP, begin)
     assert found is not None and found.shape is not None and found.zero is not None
@@ -332,11 +376,17 @@ def stated_error(model: ActuatorModel, test: Recording, begin: int) -> tuple[Mov
 def main() -> None:
     """Print one line a move and the summary."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
-    parser.add_argument("--only", default="", help="only the plants and logs whose names hold this text")
+    parser.add_argument(
+        "--only", default="", help="only the plants and logs whose names hold this text"
+    )
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--processes", type=int, default=1)
-    parser.add_argument("--held-out", action="store_true", help="the kinds held out instead")
-    parser.add_argument("--without-rivals", action="store_true", help="judge what is stated alone")
+    parser.add_argument(
+        "--held-out", action="store_true", help="the kinds held out instead"
+    )
+    parser.add_argument(
+        "--without-rivals", action="store_true", help="judge what is stated alone"
+    )
     given = parser.parse_args()
     others = () if given.without_rivals else RIVALS
     wanted = [
@@ -345,7 +395,9 @@ def main() -> None:
         if given.only in f"{kind}, {log}"
     ]
     lines: list[Line] = []
-    print(f"{'plant':16}{'log':8}{'move':8} dbo %  rival %  ratio  stated %  actual/stated  warned  rival")
+    print(
+        f"{'plant':16}{'log':8}{'move':8} dbo %  rival %  ratio  stated %  actual/stated  warned  rival"
+    )
     with multiprocessing.Pool(given.processes) as pool:
         for found in pool.imap(lines_of, wanted):
             if isinstance(found, str):
@@ -360,7 +412,9 @@ def main() -> None:
                 )
             lines += found
     if lines:
-        print(f"\n{len(lines)} moves of {'the kinds held out' if given.held_out else 'the kinds known'}")
+        print(
+            f"\n{len(lines)} moves of {'the kinds held out' if given.held_out else 'the kinds known'}"
+        )
         summary(lines)
 
 
@@ -377,7 +431,9 @@ def summary(lines: list[Line]) -> None:
         )
     unwarned = [one for one in lines if not one.warned]
     warned = np.mean([bool(one.warned) for one in lines if one.shape_ratio <= 1.5])
-    print(f"{len(unwarned)} without a warning; of those within 1.5 warned of: {warned:.0%}")
+    print(
+        f"{len(unwarned)} without a warning; of those within 1.5 warned of: {warned:.0%}"
+    )
     parts = {
         "whole": [one.ratio for one in unwarned],
         "shape": [one.shape_ratio for one in unwarned],
@@ -385,13 +441,21 @@ def summary(lines: list[Line]) -> None:
     }
     for part, ratios in parts.items():
         if ratios:
-            shown = "/".join(f"{value:.2f}" for value in np.percentile(ratios, [10.0, 50.0, 90.0]))
-            print(f"  {part}: actual over stated 10/50/90 % {shown}, {sum(r > 2.0 for r in ratios)} beyond 2")
+            shown = "/".join(
+                f"{value:.2f}" for value in np.percentile(ratios, [10.0, 50.0, 90.0])
+            )
+            print(
+                f"  {part}: actual over stated 10/50/90 % {shown}, {sum(r > 2.0 for r in ratios)} beyond 2"
+            )
     unsaid = [one for one in unwarned if one.zero_ratio > 2.0 and not one.zero_doubted]
     for one in unsaid:
-        print(f"    zero {one.zero_ratio:.2f} times what was stated: {one.kind}, {one.log}, {one.move}")
+        print(
+            f"    zero {one.zero_ratio:.2f} times what was stated: {one.kind}, {one.log}, {one.move}"
+        )
     doubted = sum(one.zero_doubted for one in unwarned)
-    print(f"  doubt stands behind {doubted} zeros; {len(unsaid)} are beyond 2 without a doubt")
+    print(
+        f"  doubt stands behind {doubted} zeros; {len(unsaid)} are beyond 2 without a doubt"
+    )
 
 
 if __name__ == "__main__":

@@ -2,7 +2,8 @@
 
     python -m benchmarks.format_speed [ROWS]    (Linux, which tells the peak of a process's memory)
 
-Each file is read by a process of its own: three columns in blocks, as every command reads them.
+Each file is read by a process of its own: three columns in blocks, as every command
+reads them.
 """
 
 from __future__ import annotations
@@ -50,7 +51,9 @@ def write_all(folder: Path, rows: int) -> list[Path]:
     np.savez(folder / "log.npz", **columns)
     np.save(folder / "log.npy", table.to_records(index=False))
     scipy.io.savemat(folder / "log.mat", columns)
-    channels = [nptdms.ChannelObject("run", name, values) for name, values in columns.items()]
+    channels = [
+        nptdms.ChannelObject("run", name, values) for name, values in columns.items()
+    ]
     with nptdms.TdmsWriter(folder / "log.tdms") as file:
         file.write_segment(channels)
     if rows <= 300_000:  # openpyxl takes a minute to write a million rows
@@ -63,16 +66,23 @@ def main() -> None:
     rows = int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000
     with tempfile.TemporaryDirectory() as name:
         base = 0.0
-        print(f"{rows:,} rows\n{'file':12s} {'size MB':>8s} {'time / CSV':>11s} {'memory MB':>10s}")
+        print(
+            f"{rows:,} rows\n{'file':12s} {'size MB':>8s} {'time / CSV':>11s} {'memory MB':>10s}"
+        )
         for path in write_all(Path(name), rows):
             done = subprocess.run(
-                [sys.executable, "-c", SCRIPT, str(path)], capture_output=True, text=True, check=True
+                [sys.executable, "-c", SCRIPT, str(path)],
+                capture_output=True,
+                text=True,
+                check=True,
             )
             found, seconds, memory = done.stdout.split()
             assert int(found) == rows, path
             base = base or float(seconds)
             size = path.stat().st_size / 1e6
-            print(f"{path.name:12s} {size:8.1f} {float(seconds) / base:11.2f} {int(memory) / 1e3:10.0f}")
+            print(
+                f"{path.name:12s} {size:8.1f} {float(seconds) / base:11.2f} {int(memory) / 1e3:10.0f}"
+            )
 
 
 if __name__ == "__main__":

@@ -2,10 +2,11 @@
 
     python benchmarks/fuzz.py [COUNT] [SEED]
 
-Text logs (the shapes of the tests, mutated), HDF5 files of random structure (or cut off), and model files
-(mutated trees and texts). An input is read as the commands read it and written back; only the program's own
-errors may come of it, and a one-line message. Inputs with an outcome not seen before are kept and mutated
-further, so that the search goes where the code has not been. The same seed gives the same inputs.
+Text logs (the shapes of the tests, mutated), HDF5 files of random structure (or cut
+off), and model files (mutated trees and texts). An input is read as the commands read
+it and written back; only the program's own errors may come of it, and a one-line
+message. Inputs with an outcome not seen before are kept and mutated further, so that
+the search goes where the code has not been. The same seed gives the same inputs.
 """
 
 from __future__ import annotations
@@ -53,13 +54,31 @@ MODEL: dict[str, Any] = {
     "input": {"quantity": "voltage", "unit": "V", "min": 0.0, "max": 10.0},
     "output": {"quantity": "displacement", "unit": "um", "min": 1.0, "max": 9.0},
     "stages": [
-        {"type": "backlash", "x0": 0.0, "y0": 0.0, "dx": [1.0, 2.0, 3.0, 4.0], "dy": [0.25, 0.75, 1.5, 2.5]},
+        {
+            "type": "backlash",
+            "x0": 0.0,
+            "y0": 0.0,
+            "dx": [1.0, 2.0, 3.0, 4.0],
+            "dy": [0.25, 0.75, 1.5, 2.5],
+        },
         {"type": "scale", "gain": 1.6, "offset": 1.0},
     ],
     "fit": {"rmse": 0.1, "samples": 10},
     "provenance": {"program": "dbo 0.1.0", "arguments": [], "inputs": []},
 }
-SHAPES = [(), (0,), (1,), (5,), (5, 1), (1, 5), (3, 5), (5, 3), (4, 4), (0, 3), (2, 3, 4)]
+SHAPES = [
+    (),
+    (0,),
+    (1,),
+    (5,),
+    (5, 1),
+    (1, 5),
+    (3, 5),
+    (5, 3),
+    (4, 4),
+    (0, 3),
+    (2, 3, 4),
+]
 ODD_VALUES: tuple[Any, ...] = (
     None, True, 0, -1, 1, 2, 1e308, -1e308, 1e-320, float("nan"), float("inf"), "", "x", "voltage", [], [0.0],
     [1.0, -1.0], {}, {"type": "backlash"}, [[1.0]], "1.0", 10**400,
@@ -85,7 +104,9 @@ class Fuzzer:
 
     def run(self, count: int) -> None:
         """Try ``count`` inputs."""
-        choices: list[Callable[[], None]] = [self.text] * 14 + [self.model] * 5 + [self.hdf5]
+        choices: list[Callable[[], None]] = (
+            [self.text] * 14 + [self.model] * 5 + [self.hdf5]
+        )
         for number in range(count):
             maker = choices[number % len(choices)]
             state = self.random.getstate()
@@ -94,7 +115,9 @@ class Fuzzer:
                     maker()
             except (Exception, Hang) as problem:
                 self.outcomes["FAILED"] += 1
-                self.failures.append(f"{maker.__name__} {number}: {type(problem).__name__}: {problem}")
+                self.failures.append(
+                    f"{maker.__name__} {number}: {type(problem).__name__}: {problem}"
+                )
                 (self.folder / "state").write_text(repr(state))
             left = {path.name for path in self.folder.iterdir()} - {
                 "log.csv",
@@ -111,7 +134,10 @@ class Fuzzer:
         """Mutate a text log, read it in some way, and write it back."""
         content = self._mutated(self.random.choice(self.corpus))
         (self.folder / "log.csv").write_bytes(content)
-        if self._new("text", self._copied("log.csv", self._text_call())) and len(content) < 20_000:
+        if (
+            self._new("text", self._copied("log.csv", self._text_call()))
+            and len(content) < 20_000
+        ):
             self.corpus.append(content)
 
     def hdf5(self) -> None:
@@ -144,7 +170,11 @@ class Fuzzer:
         try:
             again = model_to_bytes(read_model(str(path)))
             path.write_bytes(again)
-            outcome = "read" if model_to_bytes(read_model(str(path))) == again else "not stable"
+            outcome = (
+                "read"
+                if model_to_bytes(read_model(str(path))) == again
+                else "not stable"
+            )
             if outcome != "read":
                 raise AssertionError("a model does not survive being written and read")
         except DboError as problem:
@@ -155,14 +185,20 @@ class Fuzzer:
     def _copied(self, name: str, call: dict[str, Any]) -> str:
         """Copy a log's guessed or numbered columns; give what came of it."""
         number = self.random.choice([None, None, "1", "2", "3", "time_s"])
-        want = {"voltage": ColumnWish(number, ("voltage", "drive", "u", "v"), option="voltage")}
+        want = {
+            "voltage": ColumnWish(
+                number, ("voltage", "drive", "u", "v"), option="voltage"
+            )
+        }
         out = self.folder / ("out" + self.random.choice([".csv", ".tsv.gz", ".h5"]))
         out.write_bytes(b"as it was")
         try:
             with (
                 open_log(str(self.folder / name), want, ReadingOptions(**call)) as log,
                 signal_writer(
-                    str(out), [OutColumn("voltage", "V")], protect=[str(self.folder / name)]
+                    str(out),
+                    [OutColumn("voltage", "V")],
+                    protect=[str(self.folder / name)],
                 ) as writer,
             ):
                 for block in log.blocks():
@@ -181,7 +217,10 @@ class Fuzzer:
     def _text_call(self) -> dict[str, Any]:
         """Choose how a text log is opened."""
         pick = self.random.choice
-        call: dict[str, Any] = {"block_rows": pick([1, 3, 1000]), "skip_bad": pick([False, False, True])}
+        call: dict[str, Any] = {
+            "block_rows": pick([1, 3, 1000]),
+            "skip_bad": pick([False, False, True]),
+        }
         if self.random.random() < 0.2:
             call["rows"] = parse_rows(pick(["2:", ":3", "2:2", "9:"]))
         if self.random.random() < 0.2:
@@ -202,7 +241,9 @@ class Fuzzer:
         """Change a few places of a text."""
         pick = self.random
         for _ in range(pick.randrange(1, 5)):
-            here, there = sorted((pick.randrange(len(content) + 1), pick.randrange(len(content) + 1)))
+            here, there = sorted(
+                (pick.randrange(len(content) + 1), pick.randrange(len(content) + 1))
+            )
             there = min(there, here + 40)
             way = pick.randrange(6)
             if way == 0:
@@ -210,11 +251,19 @@ class Fuzzer:
             elif way == 1:
                 content = content[:here] + content[there:]
             elif way == 2:
-                content = content[:here] + content[here:there] * pick.randrange(2, 4) + content[there:]
+                content = (
+                    content[:here]
+                    + content[here:there] * pick.randrange(2, 4)
+                    + content[there:]
+                )
             elif way == 3:
-                content = content.replace(pick.choice(TOKENS), pick.choice(TOKENS), pick.randrange(1, 50))
+                content = content.replace(
+                    pick.choice(TOKENS), pick.choice(TOKENS), pick.randrange(1, 50)
+                )
             elif way == 4:
-                content = content[:here] + bytes([pick.randrange(256)]) + content[here + 1 :]
+                content = (
+                    content[:here] + bytes([pick.randrange(256)]) + content[here + 1 :]
+                )
             else:
                 other = pick.choice(self.corpus)
                 content = content[:here] + other[len(other) // 2 :]
@@ -225,7 +274,9 @@ class Fuzzer:
         import h5py
 
         pick = self.random
-        name = pick.choice(["voltage", "time_s", "u", "a", "b", "fs", "x/y", "µ", "data"])
+        name = pick.choice(
+            ["voltage", "time_s", "u", "a", "b", "fs", "x/y", "µ", "data"]
+        )
         if name in group:
             return
         way = pick.randrange(9)
@@ -235,9 +286,13 @@ class Fuzzer:
                 self._plant(inner, depth + 1)
             return
         shape: Any = pick.choice([*SHAPES, None])
-        kind: Any = pick.choice(["f8", "f4", "i2", "u8", "?", "S3", "c16", ">f8", h5py.string_dtype()])
+        kind: Any = pick.choice(
+            ["f8", "f4", "i2", "u8", "?", "S3", "c16", ">f8", h5py.string_dtype()]
+        )
         if way == 1:
-            kind = np.dtype([("voltage", "f8"), ("time_s", "f4"), ("w", "S2"), ("k", "f8", (2,))])
+            kind = np.dtype(
+                [("voltage", "f8"), ("time_s", "f4"), ("w", "S2"), ("k", "f8", (2,))]
+            )
         if way == 2:
             soft = h5py.SoftLink(pick.choice(["/nowhere", "/"]))
             group[name] = pick.choice([soft, h5py.ExternalLink("no.h5", "/")])
@@ -249,24 +304,48 @@ class Fuzzer:
             if kind == "f8" and made.size:
                 made[...] = pick.choice([0.0, 1.5, float("nan"), float("inf")])
         for _ in range(pick.randrange(3)):
-            key = pick.choice(["units", "unit", "sample_rate", "dt", "columns", "MATLAB_class", "fs"])
-            odd: list[Any] = ["V", b"\xb5m", 0, -1.0, float("nan"), ["s", "V", "um"], "a,b,c", [], 1e3]
+            key = pick.choice(
+                ["units", "unit", "sample_rate", "dt", "columns", "MATLAB_class", "fs"]
+            )
+            odd: list[Any] = [
+                "V",
+                b"\xb5m",
+                0,
+                -1.0,
+                float("nan"),
+                ["s", "V", "um"],
+                "a,b,c",
+                [],
+                1e3,
+            ]
             made.attrs[key] = pick.choice(odd)
 
     def _graft(self, node: Any) -> None:
         """Change one place of a JSON tree."""
         pick = self.random
         while isinstance(node, dict | list) and node:
-            key: Any = pick.choice(list(node)) if isinstance(node, dict) else pick.randrange(len(node))
+            key: Any = (
+                pick.choice(list(node))
+                if isinstance(node, dict)
+                else pick.randrange(len(node))
+            )
             if not isinstance(node[key], dict | list) or pick.random() < 0.3:
                 way = pick.randrange(4)
                 if way == 0:
                     del node[key]
                 elif way == 1 and isinstance(node, dict):
-                    added = pick.choice(["relaxation", "type", "seconds", "unknown", "dx"])
+                    added = pick.choice(
+                        ["relaxation", "type", "seconds", "unknown", "dx"]
+                    )
                     node[added] = copy.deepcopy(pick.choice(ODD_VALUES))
                 elif way == 2 and isinstance(node, list):
-                    node.append(copy.deepcopy(pick.choice([*ODD_VALUES, {"type": "delay", "seconds": 0.1}])))
+                    node.append(
+                        copy.deepcopy(
+                            pick.choice(
+                                [*ODD_VALUES, {"type": "delay", "seconds": 0.1}]
+                            )
+                        )
+                    )
                 else:
                     node[key] = copy.deepcopy(pick.choice(ODD_VALUES))
                 return
@@ -318,11 +397,17 @@ def main() -> None:
         fuzzer.run(count)
     for outcome, times in fuzzer.outcomes.most_common(25):
         print(f"{times:7}  {outcome}")
-    print(f"{count} inputs, {len(fuzzer.seen)} kinds of outcome, {time.perf_counter() - begin:.0f} s")
+    print(
+        f"{count} inputs, {len(fuzzer.seen)} kinds of outcome, {time.perf_counter() - begin:.0f} s"
+    )
     for failure in fuzzer.failures[:20]:
         print(f"FAILED: {failure}")
     failed = len(fuzzer.failures)
-    print(f"{failed} failures" if failed else "no traceback, no hang, no half-written file")
+    print(
+        f"{failed} failures"
+        if failed
+        else "no traceback, no hang, no half-written file"
+    )
     os._exit(1 if fuzzer.failures else 0)
 
 

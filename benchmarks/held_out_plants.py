@@ -1,10 +1,11 @@
 """Six kinds of plants that no rule and no constant of the package was chosen on.
 
-``foreign_plants.py --held-out`` judges by them what the package says of itself. Look at their figures to
-judge a change, never to find one: for that there are the kinds in ``foreign_plants.KINDS``.
+``foreign_plants.py --held-out`` judges by them what the package says of itself. Look at
+their figures to judge a change, never to find one: for that there are the kinds in
+``foreign_plants.KINDS``.
 
-A plant takes a drive of 0 to 1 and the seconds since switching on, and returns a displacement of about 0 to
-1; its drives have ``RATE`` rows a second.
+A plant takes a drive of 0 to 1 and the seconds since switching on, and returns a
+displacement of about 0 to 1; its drives have ``RATE`` rows a second.
 """
 
 from __future__ import annotations
@@ -32,11 +33,14 @@ def room_warms(share: float, tau: float) -> Plant:
     return run
 
 
-def jiles_atherton(shape: float, pinning: float, coupling: float, reversible: float) -> Plant:
+def jiles_atherton(
+    shape: float, pinning: float, coupling: float, reversible: float
+) -> Plant:
     """Return a rod whose magnetisation follows Jiles and Atherton, on the rising part of its curve.
 
-    ``shape`` is that of the anhysteretic curve, ``pinning`` makes the loop's width, ``coupling`` is that of
-    the domains and ``reversible`` the share that bends back; fields in units of the drive's range.
+    ``shape`` is that of the anhysteretic curve, ``pinning`` makes the loop's width,
+    ``coupling`` is that of the domains and ``reversible`` the share that bends back;
+    fields in units of the drive's range.
     """
 
     def anhysteretic(field: float) -> tuple[float, float]:
@@ -58,8 +62,14 @@ def jiles_atherton(shape: float, pinning: float, coupling: float, reversible: fl
                 field += step
                 aim, slope = anhysteretic(field + coupling * magnetisation)
                 missing = aim - magnetisation
-                moved = missing / (direction * pinning - coupling * missing) if missing * step > 0.0 else 0.0
-                magnetisation += step * ((1.0 - reversible) * moved + reversible * slope)
+                moved = (
+                    missing / (direction * pinning - coupling * missing)
+                    if missing * step > 0.0
+                    else 0.0
+                )
+                magnetisation += step * (
+                    (1.0 - reversible) * moved + reversible * slope
+                )
             out[k] = magnetisation
         return out / anhysteretic(1.0)[0]
 

@@ -1,7 +1,8 @@
 """What identification costs: whole processes, everything automatic, for logs of 1,000 to 1,000,000 samples.
 
-Seconds of the processors, the least of three, and the largest peak of memory; exit code 1 where one is beyond
-what the project promises. With --beside it runs the version of another Python by turns, on the same logs.
+Seconds of the processors, the least of three, and the largest peak of memory; exit code
+1 where one is beyond what the project promises. With --beside it runs the version of
+another Python by turns, on the same logs.
 
     python benchmarks/identification_cost.py [--beside PYTHON]
 """
@@ -58,13 +59,21 @@ def main() -> None:
             log, model = Path(folder) / "log.csv", Path(folder) / "model.json"
             write_log(log, samples)
             pythons = list(filter(None, (sys.executable, beside)))
-            words = [(python, "-m", "dbo_cli", "identify", str(log), "-o", str(model)) for python in pythons]
+            words = [
+                (python, "-m", "dbo_cli", "identify", str(log), "-o", str(model))
+                for python in pythons
+            ]
             tries = [[cost(*one) for one in words] for _ in range(RUNS)]
             for python, runs in zip(pythons, zip(*tries, strict=True), strict=True):
                 seconds, peak = min(runs)[0], max(run[1] for run in runs)
                 other = "  other version" if python == beside else ""
-                kept = kept and (bool(other) or (seconds <= promised and peak <= MOST_MB))
-                print(f"{samples:9,}  {seconds:8.2f}  {promised:8.1f}  {peak:8.0f}{other}", flush=True)
+                kept = kept and (
+                    bool(other) or (seconds <= promised and peak <= MOST_MB)
+                )
+                print(
+                    f"{samples:9,}  {seconds:8.2f}  {promised:8.1f}  {peak:8.0f}{other}",
+                    flush=True,
+                )
     sys.exit(verdict(kept))
 
 

@@ -1,9 +1,10 @@
 """Invented actuators and recordings of them: what the benchmarks of identification are judged on.
 
-None of them is a backlash operator. What is called hysteresis here comes from continuous densities of
-plays, from Preisach relays whose small loops are not alike, from Bouc and Wen's differential equation, from
-dry friction; behind it stand curves (bent, saturating, with a dead zone), creep and lag, and a sensor with
-its own faults. Everything follows from a seed.
+None of them is a backlash operator. What is called hysteresis here comes from
+continuous densities of plays, from Preisach relays whose small loops are not alike,
+from Bouc and Wen's differential equation, from dry friction; behind it stand curves
+(bent, saturating, with a dead zone), creep and lag, and a sensor with its own faults.
+Everything follows from a seed.
 """
 
 from __future__ import annotations
@@ -79,7 +80,11 @@ class Relays:
         up, down = centre + width / 2.0, centre - width / 2.0
         density = np.exp(-width / self.spread) * (1.0 + self.tilt * (centre - 0.5))
         inside = (up < 1.0) & (down > 0.0)
-        up, down, density = up[inside], down[inside], density[inside] / density[inside].sum()
+        up, down, density = (
+            up[inside],
+            down[inside],
+            density[inside] / density[inside].sum(),
+        )
         state = np.zeros(len(up))
         out = np.empty(len(u))
         for k, value in enumerate(u.tolist()):
@@ -105,7 +110,10 @@ class BoucWen:
             parts = max(1, int(abs(value - last) / 0.002))
             step = (value - last) / parts
             for _ in range(parts):
-                pull = self.lean * abs(z) * (1 if step >= 0 else -1) + (1.0 - self.lean) * z
+                pull = (
+                    self.lean * abs(z) * (1 if step >= 0 else -1)
+                    + (1.0 - self.lean) * z
+                )
                 z += step - abs(step) * pull / self.reach
             last = value
             out[k] = value - self.strength * z
@@ -143,7 +151,9 @@ def bent(square: float, cube: float = 0.0) -> Curve:
 
 def saturating(steepness: float) -> Curve:
     """Return a curve that flattens towards both ends."""
-    return lambda x: 0.5 + 0.5 * np.tanh(steepness * (2.0 * x - 1.0)) / np.tanh(steepness)
+    return lambda x: (
+        0.5 + 0.5 * np.tanh(steepness * (2.0 * x - 1.0)) / np.tanh(steepness)
+    )
 
 
 def wing(steepness: float) -> Curve:
@@ -160,9 +170,9 @@ def dead_zone(at: float, width: float, left: float = 0.1) -> Curve:
 class Actuator:
     """One invented actuator: drive 0 to ``top`` volt to displacement in um.
 
-    ``bend`` acts on the drive, ``curve`` on the output; ``lag`` of the amplifier (s); ``creep`` as pairs of
-    time constant (s) and share; ``widening`` the part of the range by which a speed of one range a second
-    widens the loop; ``delay`` in samples.
+    ``bend`` acts on the drive, ``curve`` on the output; ``lag`` of the amplifier (s);
+    ``creep`` as pairs of time constant (s) and share; ``widening`` the part of the
+    range by which a speed of one range a second widens the loop; ``delay`` in samples.
     """
 
     hysteresis: Hysteresis = field(default_factory=Plays)
@@ -188,7 +198,9 @@ class Actuator:
         for tau, share in self.creep:
             crept += share * (first_order(x, step, tau) - x)
         if self.delay:
-            crept = np.concatenate((np.full(self.delay, crept[0]), crept[: -self.delay]))
+            crept = np.concatenate(
+                (np.full(self.delay, crept[0]), crept[: -self.delay])
+            )
         return self.stroke * crept
 
 
@@ -208,7 +220,13 @@ class Bench:
     lost: float = 0.0
 
     def log(
-        self, name: str, time: Floats, voltage: Floats, displacement: Floats, stroke: float, seed: int
+        self,
+        name: str,
+        time: Floats,
+        voltage: Floats,
+        displacement: Floats,
+        stroke: float,
+        seed: int,
     ) -> Recording:
         """Return what the logger wrote."""
         rng = np.random.default_rng(seed)
@@ -222,27 +240,47 @@ class Bench:
             seen = np.round(seen / (self.steps * stroke)) * self.steps * stroke
         if self.spikes:
             hit = rng.random(len(seen)) < self.spikes
-            sizes = rng.choice([-1.0, 1.0], int(hit.sum())) * rng.uniform(0.1, 0.6, int(hit.sum()))
+            sizes = rng.choice([-1.0, 1.0], int(hit.sum())) * rng.uniform(
+                0.1, 0.6, int(hit.sum())
+            )
             seen[hit] += stroke * sizes
         if self.stuck:
             begin = int(0.55 * len(seen))
             seen[begin : begin + int(self.stuck * len(seen))] = seen[begin]
-        read = voltage + np.ptp(voltage) * self.read_back * rng.normal(size=len(voltage))
+        read = voltage + np.ptp(voltage) * self.read_back * rng.normal(
+            size=len(voltage)
+        )
         kept = np.ones(len(time), bool)
         if self.lost:
-            for at in rng.integers(0, len(time) - 60, max(1, int(self.lost * len(time) / 40))):
+            for at in rng.integers(
+                0, len(time) - 60, max(1, int(self.lost * len(time) / 40))
+            ):
                 kept[at : at + 40] = False
         clock = None if self.lost else time
-        return Recording(name, read[kept], seen[kept], clock, None if clock is not None else step, "V", "um")
+        return Recording(
+            name,
+            read[kept],
+            seen[kept],
+            clock,
+            None if clock is not None else step,
+            "V",
+            "um",
+        )
 
 
-def nested_turns(seed: int, rate: float, seconds: float, speeds: tuple[float, float]) -> Floats:
+def nested_turns(
+    seed: int, rate: float, seconds: float, speeds: tuple[float, float]
+) -> Floats:
     """Return a drive of 0 to 1: full sweeps, then random turns at log-spread speeds (ranges a second)."""
     rng = np.random.default_rng(seed)
     middle = float(np.sqrt(speeds[0] * speeds[1]))
     turns, times = [0.0, 1.0, 0.0], [1.0 / middle, 1.0 / middle]
     while sum(times) < seconds:
-        turn = float(rng.choice([0.0, 1.0])) if rng.random() < 0.12 else float(rng.uniform(0.0, 1.0))
+        turn = (
+            float(rng.choice([0.0, 1.0]))
+            if rng.random() < 0.12
+            else float(rng.uniform(0.0, 1.0))
+        )
         speed = float(np.exp(rng.uniform(*np.log(speeds))))
         times.append(max(abs(turn - turns[-1]) / speed, 4.0 / rate))
         turns.append(turn)
@@ -257,11 +295,15 @@ def swept(turns: list[float], seconds: list[float], rate: float) -> Floats:
     parts = [np.array([turns[0]])]
     for (a, b), duration in zip(itertools.pairwise(turns), seconds, strict=True):
         count = max(round(duration * rate), 2)
-        parts.append(a + (b - a) * (0.5 - 0.5 * np.cos(np.pi * np.arange(1, count + 1) / count)))
+        parts.append(
+            a + (b - a) * (0.5 - 0.5 * np.cos(np.pi * np.arange(1, count + 1) / count))
+        )
     return np.concatenate(parts)
 
 
-def sines(heights: list[float], frequency: float, rate: float, centre: float | None = None) -> Floats:
+def sines(
+    heights: list[float], frequency: float, rate: float, centre: float | None = None
+) -> Floats:
     """Whole cycles of given heights, standing on 0 or about ``centre``."""
     count = round(rate / frequency)
     phase = 2.0 * np.pi * np.arange(count) / count
@@ -286,7 +328,9 @@ def drive(kind: str, seed: int) -> tuple[Floats, float]:
     if kind == "fading":
         return sines(list(np.linspace(1.0, 0.15, 16)), 1.0, RATE), RATE
     if kind == "part":
-        return 0.08 + 0.86 * sines([1.0, 1.0, *np.linspace(0.95, 0.2, 12)], 1.0, RATE), RATE
+        return 0.08 + 0.86 * sines(
+            [1.0, 1.0, *np.linspace(0.95, 0.2, 12)], 1.0, RATE
+        ), RATE
     if kind == "short":
         return sines([1.0, 1.0], 1.0, RATE), RATE
     if kind == "few":
@@ -294,7 +338,9 @@ def drive(kind: str, seed: int) -> tuple[Floats, float]:
     if kind == "ramps":
         turns = [0.0, 1.0, 0.0, 1.0, 0.2, 0.8, 0.3, 0.7, 0.4, 1.0, 0.0]
         turns += [0.6, 0.3, 0.5, 0.1, 0.9, 0.0, 1.0, 0.5, 0.75, 0.0]
-        ramps = [np.linspace(a, b, 150, endpoint=False) for a, b in itertools.pairwise(turns)]
+        ramps = [
+            np.linspace(a, b, 150, endpoint=False) for a, b in itertools.pairwise(turns)
+        ]
         return np.concatenate(ramps), RATE
     raise ValueError(kind)
 
@@ -303,7 +349,8 @@ def drive(kind: str, seed: int) -> tuple[Floats, float]:
 class Case:
     """One task: logs to identify from, a new move of the same actuator, and how it truly moved.
 
-    ``truth`` is what a perfect sensor would show on the new move, in um; ``noise`` of the logs' sensor, um.
+    ``truth`` is what a perfect sensor would show on the new move, in um; ``noise`` of
+    the logs' sensor, um.
     """
 
     name: str
@@ -316,7 +363,14 @@ class Case:
     beyond: bool = False
 
 
-def case(name: str, actuator: Actuator, bench: Bench, kinds: str, seed: int, slow: bool = False) -> Case:
+def case(
+    name: str,
+    actuator: Actuator,
+    bench: Bench,
+    kinds: str,
+    seed: int,
+    slow: bool = False,
+) -> Case:
     """Play an actuator: the drives named in ``kinds`` (separated by +), then new moves over the range."""
     logs = []
     for number, kind in enumerate(kinds.split("+")):
@@ -326,14 +380,27 @@ def case(name: str, actuator: Actuator, bench: Bench, kinds: str, seed: int, slo
         time = np.arange(len(shape)) / rate
         voltage = actuator.top * shape
         moved = actuator.run(time, voltage)
-        logs.append(bench.log(f"{name}-{kind}", time, voltage, moved, abs(actuator.stroke), seed + number))
+        logs.append(
+            bench.log(
+                f"{name}-{kind}",
+                time,
+                voltage,
+                moved,
+                abs(actuator.stroke),
+                seed + number,
+            )
+        )
     rate = RATE
     speeds = (0.8, 4.0) if not slow else (0.2, 1.0)
     shape = nested_turns(seed + 1000, rate, 14.0, speeds)
     time = np.arange(len(shape)) / rate
-    truth = first_order(actuator.run(time, actuator.top * shape), 1.0 / rate, bench.sensor_lag)
+    truth = first_order(
+        actuator.run(time, actuator.top * shape), 1.0 / rate, bench.sensor_lag
+    )
     test = Recording("new", actuator.top * shape, truth, time, None, "V", "um")
-    noise = abs(actuator.stroke) * float(np.hypot(bench.noise, bench.steps / np.sqrt(12.0)))
+    noise = abs(actuator.stroke) * float(
+        np.hypot(bench.noise, bench.steps / np.sqrt(12.0))
+    )
     faults = bench != Bench(noise=bench.noise, steps=bench.steps)
     return Case(name, kinds, logs, test, truth, noise, faults, "part" in kinds)
 
@@ -363,28 +430,49 @@ def cases(seed: int = 1) -> Iterator[Case]:
     structures: dict[str, Callable[[], Actuator]] = {
         "piezo": piezo,
         "inverted": lambda: Actuator(
-            Plays(r(0.3, 0.5), r(0.1, 0.2)), stroke=-15.0, curve=bent(0.1), lag=0.002, creep=CREEP
+            Plays(r(0.3, 0.5), r(0.1, 0.2)),
+            stroke=-15.0,
+            curve=bent(0.1),
+            lag=0.002,
+            creep=CREEP,
         ),
         "bent drive": bent_drive,
         "relays": lambda: Actuator(
-            Relays(r(0.4, 0.7), r(0.1, 0.2), r(-0.8, 0.8)), curve=bent(r(-0.1, 0.1)), lag=0.002
+            Relays(r(0.4, 0.7), r(0.1, 0.2), r(-0.8, 0.8)),
+            curve=bent(r(-0.1, 0.1)),
+            lag=0.002,
         ),
-        "bouc-wen": lambda: Actuator(BoucWen(r(0.25, 0.45), r(0.08, 0.16), r(0.1, 0.5)), lag=r(0.001, 0.004)),
-        "softening": lambda: Actuator(Plays(-r(0.4, 0.9), r(0.06, 0.12)), curve=bent(0.06), lag=0.002),
-        "friction": lambda: Actuator(Friction((r(0.02, 0.05), r(0.07, 0.12)), (r(0.2, 0.4), r(0.3, 0.5)))),
+        "bouc-wen": lambda: Actuator(
+            BoucWen(r(0.25, 0.45), r(0.08, 0.16), r(0.1, 0.5)), lag=r(0.001, 0.004)
+        ),
+        "softening": lambda: Actuator(
+            Plays(-r(0.4, 0.9), r(0.06, 0.12)), curve=bent(0.06), lag=0.002
+        ),
+        "friction": lambda: Actuator(
+            Friction((r(0.02, 0.05), r(0.07, 0.12)), (r(0.2, 0.4), r(0.3, 0.5)))
+        ),
         "tendon": lambda: Actuator(
             Friction((0.06, 0.1), (0.6, 0.38)), curve=bent(r(-0.1, 0.1), r(0.05, 0.2))
         ),
-        "saturating": lambda: Actuator(Plays(0.45, 0.12), curve=saturating(r(1.2, 1.8)), lag=0.002),
+        "saturating": lambda: Actuator(
+            Plays(0.45, 0.12), curve=saturating(r(1.2, 1.8)), lag=0.002
+        ),
         "wing": lambda: Actuator(Plays(0.6, 0.2), curve=wing(r(6.0, 9.0)), lag=0.01),
-        "dead zone": lambda: Actuator(Plays(0.4, 0.15), curve=dead_zone(r(0.4, 0.6), r(0.1, 0.2))),
+        "dead zone": lambda: Actuator(
+            Plays(0.4, 0.15), curve=dead_zone(r(0.4, 0.6), r(0.1, 0.2))
+        ),
         "rate-widening": lambda: Actuator(
             Plays(0.4, 0.15), curve=bent(0.1), widening=r(0.008, 0.02), lag=0.002
         ),
         "creeping": lambda: Actuator(
-            Plays(0.4, 0.15), curve=bent(-0.1), lag=0.002, creep=((0.1, 0.012), (1.5, 0.025), (20.0, 0.04))
+            Plays(0.4, 0.15),
+            curve=bent(-0.1),
+            lag=0.002,
+            creep=((0.1, 0.012), (1.5, 0.025), (20.0, 0.04)),
         ),
-        "delayed": lambda: Actuator(Plays(0.4, 0.15), curve=bent(0.1), delay=int(rng.integers(2, 6))),
+        "delayed": lambda: Actuator(
+            Plays(0.4, 0.15), curve=bent(0.1), delay=int(rng.integers(2, 6))
+        ),
     }
     number = seed * 1000
     for name, make in structures.items():
@@ -392,7 +480,9 @@ def cases(seed: int = 1) -> Iterator[Case]:
         yield case(f"{name}", make(), Bench(noise=r(0.0003, 0.001)), "excite", number)
     for name in ("piezo", "relays", "bent drive", "creeping", "friction"):
         number += 1
-        yield case(f"{name}, nested turns", structures[name](), Bench(), "nested", number)
+        yield case(
+            f"{name}, nested turns", structures[name](), Bench(), "nested", number
+        )
     for name in ("piezo", "bent drive", "bouc-wen", "tendon", "softening"):
         number += 1
         yield case(f"{name}, one sine", structures[name](), Bench(), "sine", number)
@@ -421,5 +511,7 @@ def cases(seed: int = 1) -> Iterator[Case]:
         number += 1
         yield case(f"piezo, {fault}", piezo(), bench, "excite", number)
         if fault in ("drift 5 %", "warm-up 3 %", "drift 1 %"):
-            yield case(f"creeping, {fault}", structures["creeping"](), bench, "nested", number)
+            yield case(
+                f"creeping, {fault}", structures["creeping"](), bench, "nested", number
+            )
             yield case(f"piezo, {fault}, sine", piezo(), bench, "sine", number)

@@ -1,16 +1,18 @@
 """How fast is the compiled kernel: against the fastest Prandtl-Ishlinskii loop found, and against a copy.
 
-    python benchmarks/kernel_speed.py [--samples N] [--repeats N] [--against CHECKOUT] [--only WORD] [--plays]
+    python benchmarks/kernel_speed.py [--samples N] [--repeats N] [--against CHECKOUT]
+    [--only WORD] [--plays]
 
-One run, one machine, ratios. 2,000 samples a cycle; times are the best of the repeats, in ns a sample.
-"dither" turns at every sample: every low bit is set and one of them toggles. Needs g++ (or CXX) for the
-competitor.
-A second table has the inputs that cross many gears in a sample (100 samples a cycle, random, jumps over the
-whole range, nested turns) and the fastest plays on the same inputs. "identified" has 1,280 gears in 80 runs
+One run, one machine, ratios. 2,000 samples a cycle; times are the best of the repeats,
+in ns a sample. "dither" turns at every sample: every low bit is set and one of them
+toggles. Needs g++ (or CXX) for the competitor. A second table has the inputs that cross
+many gears in a sample (100 samples a cycle, random, jumps over the whole range, nested
+turns) and the fastest plays on the same inputs. "identified" has 1,280 gears in 80 runs
 of equal ones, as identification makes them, and with 5,120 gears as many equal ones.
-With --against, the compiled kernel of another checkout of this project runs the same cases instead, turn by
-turn with this one, so that whatever else the machine does meets both; --only runs those whose name has WORD;
---plays has as many plays as gears beside the operators of n gears.
+With --against, the compiled kernel of another checkout of this project runs the same
+cases instead, turn by turn with this one, so that whatever else the machine does meets
+both; --only runs those whose name has WORD; --plays has as many plays as gears beside
+the operators of n gears.
 """
 
 from __future__ import annotations
@@ -32,7 +34,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.hysteresis import kernel
-from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator, Relaxation
+from dbo_cli.hysteresis.operators import (
+    BacklashState,
+    DiscreteBacklashOperator,
+    Relaxation,
+)
 
 Floats = NDArray[np.float64]
 LAYOUTS = {"plain": 1, "lanes4x1": 4, "lanes4x2": 8, "lanes4x4": 16,
@@ -53,7 +59,9 @@ def best(run: Callable[[], object], repeats: int) -> float:
     return min(times)
 
 
-def backlash(operator: DiscreteBacklashOperator, start: BacklashState, x: Floats) -> Callable[[], object]:
+def backlash(
+    operator: DiscreteBacklashOperator, start: BacklashState, x: Floats
+) -> Callable[[], object]:
     """Return one run of the compiled kernel over ``x``, buffers ready."""
     y, words = np.empty_like(x), operator._words(start)
     return lambda: kernel.CHOSEN.backlash_run(
@@ -67,15 +75,29 @@ def competitor(folder: Path) -> ctypes.CDLL:
     source = Path(__file__).with_name("play_operators.cc")
     library = folder / "plays.so"
     compiler = os.environ.get("CXX", "g++")
-    flags = ["-O3", "-march=native", "-ffast-math", "-funroll-loops", "-shared", "-fPIC"]
+    flags = [
+        "-O3",
+        "-march=native",
+        "-ffast-math",
+        "-funroll-loops",
+        "-shared",
+        "-fPIC",
+    ]
     subprocess.run([compiler, *flags, str(source), "-o", str(library)], check=True)
     return ctypes.CDLL(str(library))
 
 
-def plays(library: ctypes.CDLL, layout: str, n: int, x: Floats) -> tuple[Callable[[], object], Floats]:
+def plays(
+    library: ctypes.CDLL, layout: str, n: int, x: Floats
+) -> tuple[Callable[[], object], Floats]:
     """Return one run of n plays in one layout, and where its output goes."""
     size = -(-n // LAYOUTS[layout]) * LAYOUTS[layout]
-    thresholds, weights, held, y = np.zeros(size), np.zeros(size), np.zeros(size), np.empty_like(x)
+    thresholds, weights, held, y = (
+        np.zeros(size),
+        np.zeros(size),
+        np.zeros(size),
+        np.empty_like(x),
+    )
     thresholds[:n] = np.linspace(0.0, 1.7, n)
     weights[:n] = 1.0 / n
     function = getattr(library, layout)
@@ -90,7 +112,9 @@ def plays(library: ctypes.CDLL, layout: str, n: int, x: Floats) -> tuple[Callabl
     return run, y
 
 
-def fastest_plays(library: ctypes.CDLL, n: int, x: Floats, repeats: int) -> tuple[float, str]:
+def fastest_plays(
+    library: ctypes.CDLL, n: int, x: Floats, repeats: int
+) -> tuple[float, str]:
     """Return the best time over all layouts and its name; all of them must agree."""
     results, expected = {}, None
     for layout in LAYOUTS:
@@ -103,7 +127,9 @@ def fastest_plays(library: ctypes.CDLL, n: int, x: Floats, repeats: int) -> tupl
     return results[layout], layout
 
 
-def dither(n: int, samples: int) -> tuple[DiscreteBacklashOperator, BacklashState, Floats]:
+def dither(
+    n: int, samples: int
+) -> tuple[DiscreteBacklashOperator, BacklashState, Floats]:
     """Return an operator, the state with all bits but the highest set, and a dither of gear 0."""
     operator = DiscreteBacklashOperator(np.ones(n), np.ones(n))
     x = np.full(samples, n - 1.0)
@@ -130,9 +156,13 @@ def operators() -> dict[str, DiscreteBacklashOperator]:
         dx = rng.uniform(0.5, 1.5, n) * 3.6 / n
         found[f"n = {n}"] = DiscreteBacklashOperator(dx, dx * np.linspace(0.5, 1.5, n))
     slopes = np.repeat(np.linspace(0.5, 1.5, 80), 16)
-    found["identified"] = DiscreteBacklashOperator(np.full(1280, 3.6 / 1280), slopes * 3.6 / 1280)
+    found["identified"] = DiscreteBacklashOperator(
+        np.full(1280, 3.6 / 1280), slopes * 3.6 / 1280
+    )
     slopes = np.repeat(np.linspace(0.5, 1.5, 80), 64)
-    found["identified, 5,120"] = DiscreteBacklashOperator(np.full(5120, 3.6 / 5120), slopes * 3.6 / 5120)
+    found["identified, 5,120"] = DiscreteBacklashOperator(
+        np.full(5120, 3.6 / 5120), slopes * 3.6 / 5120
+    )
     return found
 
 
@@ -141,8 +171,10 @@ def inputs(operator: DiscreteBacklashOperator, samples: int) -> dict[str, Floats
     low, high = operator.x_range
     ramp, rng = np.arange(samples), np.random.default_rng(1)
     return {
-        "smooth": low + (high - low) * (0.5 - 0.5 * np.cos(2.0 * np.pi / 2000.0 * ramp)),
-        "100 a cycle": low + (high - low) * (0.5 - 0.5 * np.cos(2.0 * np.pi / 100.0 * ramp)),
+        "smooth": low
+        + (high - low) * (0.5 - 0.5 * np.cos(2.0 * np.pi / 2000.0 * ramp)),
+        "100 a cycle": low
+        + (high - low) * (0.5 - 0.5 * np.cos(2.0 * np.pi / 100.0 * ramp)),
         "random": rng.uniform(low, high, samples),
         "jumps": np.where(ramp % 2 == 0, high, low),
         "nested turns": nested(low, high, samples),
@@ -156,7 +188,9 @@ def nested(low: float, high: float, samples: int) -> Floats:
     return low + (high - low) * (0.5 + np.where(ramp % 2 == 0, reach, -reach))
 
 
-def cases(samples: int) -> dict[str, tuple[DiscreteBacklashOperator, BacklashState, Floats, bool]]:
+def cases(
+    samples: int,
+) -> dict[str, tuple[DiscreteBacklashOperator, BacklashState, Floats, bool]]:
     """Operators, starts, inputs, and whether limits bind, for the comparison of two kernels."""
     found = {}
     for name, operator in operators().items():
@@ -166,19 +200,34 @@ def cases(samples: int) -> dict[str, tuple[DiscreteBacklashOperator, BacklashSta
             found[f"{name}, {kind}"] = operator, operator.empty(), x, False
             if operator.n >= 1024 or kind == "smooth":
                 y = operator.run(x, operator.empty())[0]
-                found[f"{name}, {kind}, relaxation"] = lagging, operator.empty(), x, False
-                found[f"{name}, {kind}, inverse, limits"] = lagging.inverse(), operator.empty(), y, True
+                found[f"{name}, {kind}, relaxation"] = (
+                    lagging,
+                    operator.empty(),
+                    x,
+                    False,
+                )
+                found[f"{name}, {kind}, inverse, limits"] = (
+                    lagging.inverse(),
+                    operator.empty(),
+                    y,
+                    True,
+                )
     for n in GEARS:
         found[f"dither, {n} gears"] = *dither(n, samples), False
     return found
 
 
 def prepared(
-    module: Any, operator: DiscreteBacklashOperator, start: BacklashState, x: Floats, limited: bool
+    module: Any,
+    operator: DiscreteBacklashOperator,
+    start: BacklashState,
+    x: Floats,
+    limited: bool,
 ) -> tuple[Callable[[], object], Floats]:
     """Return one run of a kernel, of today's or of the older arguments, and where its output goes."""
     y, terms = np.empty_like(x), operator.relaxation
-    words = np.zeros(operator.n // 8 + 64, np.uint64)  # older kernels need more than the bits
+    # older kernels need more than the bits
+    words = np.zeros(operator.n // 8 + 64, np.uint64)
     words[: kernel.state_words(operator.n)] = operator._words(start)
     gain = np.array(terms.gain if terms else ())
     decay = terms.decay(0.001) if terms else NOTHING
@@ -198,13 +247,23 @@ def prepared(
             module.backlash_run(*arguments(table))
         except TypeError:
             continue
-        return functools.partial(lambda one: module.backlash_run(*arguments(one)), table), y
+        return functools.partial(
+            lambda one: module.backlash_run(*arguments(one)), table
+        ), y
     raise SystemExit("the other kernel's arguments are not known here")
 
 
-def compare(other: ModuleType, samples: int, repeats: int, word: str, library: ctypes.CDLL | None) -> None:
+def compare(
+    other: ModuleType,
+    samples: int,
+    repeats: int,
+    word: str,
+    library: ctypes.CDLL | None,
+) -> None:
     """Print ns a sample of this kernel and of another, and their ratio; outputs must be the same bits."""
-    print("case                                      this ns  other ns  this/other  plays ns")
+    print(
+        "case                                      this ns  other ns  this/other  plays ns"
+    )
     for name, case in cases(samples).items():
         if word not in name:
             continue
@@ -219,7 +278,10 @@ def compare(other: ModuleType, samples: int, repeats: int, word: str, library: c
         if library is not None and name.startswith("n = ") and name.count(",") == 1:
             slow = fastest_plays(library, case[0].n, case[2], 2)[0] * 1e9 / samples
             beside = f"  {slow:8.1f}"
-        print(f"{name:40}  {this:8.2f}  {that:8.2f}  {this / that:10.2f}{beside}", flush=True)
+        print(
+            f"{name:40}  {this:8.2f}  {that:8.2f}  {this / that:10.2f}{beside}",
+            flush=True,
+        )
 
 
 def main() -> None:
@@ -242,12 +304,16 @@ def main() -> None:
     scale = 1e9 / options.samples
     y = np.empty_like(x)
     copy = best(lambda: np.copyto(y, x), options.repeats) * scale
-    print(f"{options.samples:,} samples, 2,000 a cycle; copying the array: {copy:.2f} ns a sample")
+    print(
+        f"{options.samples:,} samples, 2,000 a cycle; copying the array: {copy:.2f} ns a sample"
+    )
     print("gears  DBO ns  dither ns  plays ns  layout     plays/DBO  DBO/copy")
     with tempfile.TemporaryDirectory() as folder:
         library = competitor(Path(folder))
         for n in GEARS:
-            gears = DiscreteBacklashOperator(np.full(n, 3.6 / n), np.linspace(0.5, 1.5, n) * 3.6 / n)
+            gears = DiscreteBacklashOperator(
+                np.full(n, 3.6 / n), np.linspace(0.5, 1.5, n) * 3.6 / n
+            )
             own = best(backlash(gears, gears.empty(), x), options.repeats) * scale
             worst = best(backlash(*dither(n, options.samples)), options.repeats) * scale
             repeats = max(2, options.repeats * 25 // n) if n > 25 else options.repeats
@@ -257,13 +323,17 @@ def main() -> None:
                 f"{n:5}  {own:6.2f}  {worst:9.2f}  {other:8.2f}  {layout:9}"
                 f"  {other / own:9.1f}  {own / copy:8.1f}"
             )
-        print("\nns a sample               smooth  100 a cycle    random     jumps  nested turns")
+        print(
+            "\nns a sample               smooth  100 a cycle    random     jumps  nested turns"
+        )
         for name, operator in operators().items():
             signals = list(inputs(operator, options.samples).values())
             runs = [backlash(operator, operator.empty(), x) for x in signals]
             print(line(name, [best(run, options.repeats) * scale for run in runs]))
             if operator.n in BESIDE_PLAYS:
-                costs = [fastest_plays(library, operator.n, x, 2)[0] * scale for x in signals]
+                costs = [
+                    fastest_plays(library, operator.n, x, 2)[0] * scale for x in signals
+                ]
                 print(line(f"  {operator.n} plays", costs))
 
 

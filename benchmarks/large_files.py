@@ -2,8 +2,9 @@
 
     python benchmarks/large_files.py [MILLIONS_OF_ROWS]
 
-The log (two columns, 1.4 GB for the default of 50 million rows) is made on the fly; a tenth of it goes first,
-so that linearity shows. The limits are those the project promises.
+The log (two columns, 1.4 GB for the default of 50 million rows) is made on the fly; a
+tenth of it goes first, so that linearity shows. The limits are those the project
+promises.
 """
 
 from __future__ import annotations
@@ -37,10 +38,15 @@ def write_log(path: Path, rows: int) -> None:
     from dbo_cli.logs.columns import OutColumn
     from dbo_cli.logs.signal_writer import signal_writer
 
-    with signal_writer(str(path), [OutColumn("time", "s"), OutColumn("voltage", "V")]) as writer:
+    with signal_writer(
+        str(path), [OutColumn("time", "s"), OutColumn("voltage", "V")]
+    ) as writer:
         for start in range(0, rows, PART):
             time_s = np.arange(start, min(rows, start + PART)) / 2000.0
-            writer.write(time_s, np.round(50.0 + 50.0 * np.sin(0.7 * time_s) * np.cos(40.0 * time_s), 9))
+            writer.write(
+                time_s,
+                np.round(50.0 + 50.0 * np.sin(0.7 * time_s) * np.cos(40.0 * time_s), 9),
+            )
 
 
 def simulate(model: Path, log: Path, out: Path, piped: bool) -> Run:
@@ -50,7 +56,9 @@ def simulate(model: Path, log: Path, out: Path, piped: bool) -> Run:
         with open(out, "wb") as sink:
             pouring = subprocess.Popen(["cat", str(log)], stdout=subprocess.PIPE)
             words = [sys.executable, "-m", "dbo_cli", "simulate", str(model), "-"]
-            running = subprocess.Popen(words, stdin=pouring.stdout, stdout=subprocess.PIPE, cwd=ROOT)
+            running = subprocess.Popen(
+                words, stdin=pouring.stdout, stdout=subprocess.PIPE, cwd=ROOT
+            )
             draining = subprocess.Popen(["cat"], stdin=running.stdout, stdout=sink)
             assert pouring.stdout is not None and running.stdout is not None
             pouring.stdout.close()
@@ -59,7 +67,16 @@ def simulate(model: Path, log: Path, out: Path, piped: bool) -> Run:
             pouring.wait()
             draining.wait()
     else:
-        words = [sys.executable, "-m", "dbo_cli", "simulate", str(model), str(log), "-o", str(out)]
+        words = [
+            sys.executable,
+            "-m",
+            "dbo_cli",
+            "simulate",
+            str(model),
+            str(log),
+            "-o",
+            str(out),
+        ]
         running = subprocess.Popen(words, cwd=ROOT)
         _, status, usage = os.wait4(running.pid, 0)
     running.returncode = os.waitstatus_to_exitcode(status)
@@ -72,7 +89,9 @@ def main() -> None:
     rows = int(1e6 * float(sys.argv[1])) if len(sys.argv) > 1 else 50_000_000
     kept = True
     with tempfile.TemporaryDirectory() as folder:
-        model, log, out = (Path(folder, name) for name in ("model.json", "log.csv", "out.csv"))
+        model, log, out = (
+            Path(folder, name) for name in ("model.json", "log.csv", "out.csv")
+        )
         model.write_text(json.dumps(MODEL))
         runs: dict[tuple[int, str], Run] = {}
         for size in (rows // 10, rows):
@@ -81,13 +100,20 @@ def main() -> None:
             for way in ("file", "pipes"):
                 run = runs[size, way] = simulate(model, log, out, way == "pipes")
                 pace = f"{run.seconds:6.1f} s, {1e9 * run.seconds / size:4.0f} ns a row"
-                print(f"{told}, {way}: {pace}, peak memory {run.memory:4.0f} MB", flush=True)
+                print(
+                    f"{told}, {way}: {pace}, peak memory {run.memory:4.0f} MB",
+                    flush=True,
+                )
                 out.unlink()
         for way in ("file", "pipes"):
             memory = runs[rows, way].memory
             growth = runs[rows, way].seconds / runs[rows // 10, way].seconds / 10.0
-            print(f"{way}: peak memory {memory:.0f} MB (promised: at most {MOST_MEMORY_MB})")
-            print(f"{way}: time a row, whole / tenth: {growth:.2f} (linear: at most {LINEAR_WITHIN:g})")
+            print(
+                f"{way}: peak memory {memory:.0f} MB (promised: at most {MOST_MEMORY_MB})"
+            )
+            print(
+                f"{way}: time a row, whole / tenth: {growth:.2f} (linear: at most {LINEAR_WITHIN:g})"
+            )
             kept = kept and memory <= MOST_MEMORY_MB and growth <= LINEAR_WITHIN
     sys.exit(0 if kept else 1)
 

@@ -2,18 +2,21 @@
 
     python benchmarks/learning.py [--passes N] [--seeds N] [--quick] [--gears N]
 
-The actuator's resonance is 5, 12 and 25 % lower and higher than the model's 800 Hz, its damping 0.005 to
-0.05 (the model's 0.02), its hysteresis 25 % wider; the sensor has noise of 0 to 0.5 % of the move. A burst of
-80 Hz between two rests is learned again and again, with the filter's default cut-off. Further cases: the
-sensor's zero off by 30 % of the range, or drifting by 1 % of the move a pass; a gain that drifts by 0.1 % a
-pass; two modes. Both have the 1,024 gears that identification gives (``--gears``): with 128, a turn that
-falls on a gear's end leaves the gear crossed in every other pass, 0.009 % of the move below half the cut-off.
+The actuator's resonance is 5, 12 and 25 % lower and higher than the model's 800 Hz, its
+damping 0.005 to 0.05 (the model's 0.02), its hysteresis 25 % wider; the sensor has
+noise of 0 to 0.5 % of the move. A burst of 80 Hz between two rests is learned again and
+again, with the filter's default cut-off. Further cases: the sensor's zero off by 30 %
+of the range, or drifting by 1 % of the move a pass; a gain that drifts by 0.1 % a pass;
+two modes. Both have the 1,024 gears that identification gives (``--gears``): with 128,
+a turn that falls on a gear's end leaves the gear crossed in every other pass, 0.009 %
+of the move below half the cut-off.
 
-For every case the error of the middle of the move, RMS in % of it, after 0, 5, 10, 20 and 40 passes (median
-of the seeds), the last passes' part below half the cut-off, and what the noise has there (the floor). What
-lies above the cut-off stays. Exits 1 where the last pass has more than 1.1 times the error of pass 5, or
-where the resonance is 5 % off, noise is there, and the error below half the cut-off exceeds 1.2 of its floor,
-or where a pass is refused.
+For every case the error of the middle of the move, RMS in % of it, after 0, 5, 10, 20
+and 40 passes (median of the seeds), the last passes' part below half the cut-off, and
+what the noise has there (the floor). What lies above the cut-off stays. Exits 1 where
+the last pass has more than 1.1 times the error of pass 5, or where the resonance is 5 %
+off, noise is there, and the error below half the cut-off exceeds 1.2 of its floor, or
+where a pass is refused.
 """
 
 from __future__ import annotations
@@ -31,7 +34,14 @@ from dbo_cli.errors import InputError
 from dbo_cli.extras.repeat.learning import ORDER, RepeatedMove, Tracked
 from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Resonance, ZeroPhaseLowPass
-from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, Relaxation, ScaleStage, Stage
+from dbo_cli.hysteresis.model import (
+    ActuatorModel,
+    BacklashStage,
+    Quantity,
+    Relaxation,
+    ScaleStage,
+    Stage,
+)
 from dbo_cli.runs.api import Model
 
 Floats = NDArray[np.float64]
@@ -62,7 +72,10 @@ def actuator(
     low, high = slow_output_range(stages, 0.0, 100.0)
     sections = [Resonance(frequency * (1.0 + 1.2 * k), damping) for k in range(modes)]
     stages.append(DynamicsStage(tuple(sections)))
-    voltage, displacement = Quantity("voltage", "V", 0.0, 100.0), Quantity("displacement", "um", low, high)
+    voltage, displacement = (
+        Quantity("voltage", "V", 0.0, 100.0),
+        Quantity("displacement", "um", low, high),
+    )
     return ActuatorModel("forward", voltage, displacement, tuple(stages))
 
 
@@ -91,13 +104,17 @@ def learned(
     drive, errors, parts, floors = model.compensate(wanted, **WIDE), [], [], []
     for k in range(passes + 1):
         begun = plant.start(float(drive[0]), "empty")
-        reached = plant.simulate(drive, begun, time_step=1.0 / RATE).y * (1.0 - fade * k)
+        reached = plant.simulate(drive, begun, time_step=1.0 / RATE).y * (
+            1.0 - fade * k
+        )
         away = (reached - wanted)[MIDDLE]
         errors.append(100.0 * float(np.std(away)) / span)  # the mean is not learned
         hiss = random.normal(0.0, noise * span, ROWS)
         measured = reached + hiss + zero + drift * span * k
         played = [Tracked("pass", drive, measured)]
-        asked = RepeatedMove(model.actuator, wanted, time, 1.0 / RATE, options).lesson(played)
+        asked = RepeatedMove(model.actuator, wanted, time, 1.0 / RATE, options).lesson(
+            played
+        )
         low = ZeroPhaseLowPass(0.5 * asked.cutoff, 1.0 / RATE, ORDER)
         parts.append(100.0 * float(np.std(low.whole(reached - wanted)[MIDDLE])) / span)
         floors.append(100.0 * float(np.std(low.whole(hiss)[MIDDLE])) / span)
@@ -106,11 +123,19 @@ def learned(
 
 
 def shown(
-    name: str, plant: ActuatorModel, model: Model, passes: int, seeds: int, strict: bool, **more: Any
+    name: str,
+    plant: ActuatorModel,
+    model: Model,
+    passes: int,
+    seeds: int,
+    strict: bool,
+    **more: Any,
 ) -> bool:
     """Print a case; True where it is beyond its bounds."""
     try:
-        runs = [learned(plant, model, passes, seed=seed, **more) for seed in range(seeds)]
+        runs = [
+            learned(plant, model, passes, seed=seed, **more) for seed in range(seeds)
+        ]
     except InputError as problem:
         print(f"{name:58} REFUSED: {problem}", flush=True)
         return True
@@ -130,7 +155,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--passes", type=int, default=40)
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--quick", action="store_true", help="a third of the cases, one seed")
+    parser.add_argument(
+        "--quick", action="store_true", help="a third of the cases, one seed"
+    )
     parser.add_argument("--gears", type=int, default=GEARS[0])
     asked = parser.parse_args()
     GEARS[0] = asked.gears
@@ -139,15 +166,27 @@ def main() -> int:
     model = Model(actuator(0.2, 800.0, 0.02))
     dampings = (0.005, 0.02) if asked.quick else (0.005, 0.02, 0.05)
     noises = (0.001,) if asked.quick else (0.0, 0.0002, 0.001, 0.005)
-    offs = (0.88, 1.12, 0.75, 1.25) if asked.quick else (0.95, 1.05, 0.88, 1.12, 0.75, 1.25)
-    print(f"{'error in % of the move after passes':58} {' '.join(f'{k:8}' for k in SHOWN if k <= passes)}")
+    offs = (
+        (0.88, 1.12, 0.75, 1.25)
+        if asked.quick
+        else (0.95, 1.05, 0.88, 1.12, 0.75, 1.25)
+    )
+    print(
+        f"{'error in % of the move after passes':58} {' '.join(f'{k:8}' for k in SHOWN if k <= passes)}"
+    )
     for part in offs:
         for damping in dampings:
             for noise in noises:
                 name = f"f_r {100 * (part - 1):+.0f} %, damping {damping}, noise {100 * noise:g} %"
                 plant = actuator(0.25, 800.0 * part, damping)
                 bad += shown(
-                    name, plant, model, passes, seeds if noise else 1, abs(part - 1) < 0.1, noise=noise
+                    name,
+                    plant,
+                    model,
+                    passes,
+                    seeds if noise else 1,
+                    abs(part - 1) < 0.1,
+                    noise=noise,
                 )
                 cases += 1
     plant = actuator(0.25, 760.0, 0.02)
@@ -158,8 +197,19 @@ def main() -> int:
     ):
         bad += shown(name, plant, model, passes, seeds, False, noise=0.001, **more)
         cases += 1
-    two, plant = Model(actuator(0.2, 800.0, 0.02, modes=2)), actuator(0.25, 600.0, 0.005, modes=2)
-    bad += shown("two modes, both -25 %, damping 0.005", plant, two, passes, seeds, False, noise=0.001)
+    two, plant = (
+        Model(actuator(0.2, 800.0, 0.02, modes=2)),
+        actuator(0.25, 600.0, 0.005, modes=2),
+    )
+    bad += shown(
+        "two modes, both -25 %, damping 0.005",
+        plant,
+        two,
+        passes,
+        seeds,
+        False,
+        noise=0.001,
+    )
     print(f"{bad} of {cases + 1} beyond their bounds")
     return int(bad > 0)
 

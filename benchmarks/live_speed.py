@@ -3,8 +3,9 @@
 
     python benchmarks/live_speed.py [SAMPLES]
 
-Models of six relaxation terms and a scale, with an asymmetry of 16 segments before the last row, as identify
-makes them. ``commit(v)`` says what was really played; ``dac=`` answers with codes of 16 bits.
+Models of six relaxation terms and a scale, with an asymmetry of 16 segments before the
+last row, as identify makes them. ``commit(v)`` says what was really played; ``dac=``
+answers with codes of 16 bits.
 """
 
 from __future__ import annotations
@@ -41,7 +42,10 @@ def model(gears: int, segments: int = 0) -> Model:
         stages.insert(1, PointStage(width, np.linspace(0.9, 1.1, segments) * width))
     return Model(
         ActuatorModel(
-            "forward", Quantity("voltage", "V", 0, 100), Quantity("displacement", "um", 0, 13), tuple(stages)
+            "forward",
+            Quantity("voltage", "V", 0, 100),
+            Quantity("displacement", "um", 0, 13),
+            tuple(stages),
         )
     )
 
@@ -97,7 +101,9 @@ def calling(made: Model, first: float) -> Callable[[float], object]:
     last = [core.compensate([first], begun, limits=limits, time_step=1 / RATE)]
 
     def step(value: float) -> None:
-        last[0] = core.compensate([value], last[0].state, limits=limits, time_step=1 / RATE)
+        last[0] = core.compensate(
+            [value], last[0].state, limits=limits, time_step=1 / RATE
+        )
 
     return step
 
@@ -106,11 +112,19 @@ def main() -> None:
     """Print microseconds a sample for several numbers of gears."""
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 20_000
     wanted = (6.0 + 5.0 * np.sin(2 * np.pi * 20.0 * np.arange(count) / RATE)).tolist()
-    print("gears  segments  plan + commit  commit(v)   dac=  one-sample call  empty method   (us)")
+    print(
+        "gears  segments  plan + commit  commit(v)   dac=  one-sample call  empty method   (us)"
+    )
     for gears, segments in ((25, 0), (256, 0), (1152, 0), (1280, 16)):
         made = model(gears, segments)
-        costs = [each(way(made, wanted[0]), wanted) for way in (stepping, correcting, converting)]
-        block, empty = each(calling(made, wanted[0]), wanted[:2000]), each(Empty().call, wanted)
+        costs = [
+            each(way(made, wanted[0]), wanted)
+            for way in (stepping, correcting, converting)
+        ]
+        block, empty = (
+            each(calling(made, wanted[0]), wanted[:2000]),
+            each(Empty().call, wanted),
+        )
         print(
             f"{gears:5d} {segments:9d} {costs[0]:14.2f} {costs[1]:10.2f} {costs[2]:6.2f} {block:16.1f}"
             f" {empty:13.3f}"

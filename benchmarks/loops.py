@@ -3,20 +3,23 @@
     python benchmarks/loops.py [--seconds S]
     python benchmarks/loops.py --random N [--passes P] [--seed S]
 
-Five actuators with creep, a lag before the gears and a resonance; models whose loop is 5 % wrong; sines and
-rounded triangles at 1/200 and 1/20 of the resonance. The settled drive is repeated for so many seconds, and
-so is a trajectory of as many periods computed in one run; both are played, and the RMS errors of their last
-periods compared. Prints the ratio and the drive's step at the seam over the largest inside. Exits 1 where the
-ratio exceeds 1.2 or the step at the seam is larger than any inside.
+Five actuators with creep, a lag before the gears and a resonance; models whose loop is
+5 % wrong; sines and rounded triangles at 1/200 and 1/20 of the resonance. The settled
+drive is repeated for so many seconds, and so is a trajectory of as many periods
+computed in one run; both are played, and the RMS errors of their last periods compared.
+Prints the ratio and the drive's step at the seam over the largest inside. Exits 1 where
+the ratio exceeds 1.2 or the step at the seam is larger than any inside.
 
-With ``--random``: N random loops of random models (8 to 1,024 gears of growing slopes, creep, and perhaps a
-lag before the gears, a delay and dynamics), each from every start: auto, settled, empty, full, a way there
-(``approach``), a run-in of two passes, a rest and a run-in (``lead``) from an unknown past and from 0 V. The
-drive is repeated P times in the forward model from that start. Prints per start how many are refused
-(``on_limit`` error), the largest error of the others, how many have rows before them that were not asked for,
-and, of rests, the median and the largest mean and RMS error of the first pass. Exits 1 where one is beyond
-1e-6 of the move, or more than 2 % are refused, or a rest's first pass has an RMS error beyond the 1e-3 of the
-move that is stated, in more than 2 %.
+With ``--random``: N random loops of random models (8 to 1,024 gears of growing slopes,
+creep, and perhaps a lag before the gears, a delay and dynamics), each from every start:
+auto, settled, empty, full, a way there (``approach``), a run-in of two passes, a rest
+and a run-in (``lead``) from an unknown past and from 0 V. The drive is repeated P times
+in the forward model from that start. Prints per start how many are refused
+(``on_limit`` error), the largest error of the others, how many have rows before them
+that were not asked for, and, of rests, the median and the largest mean and RMS error of
+the first pass. Exits 1 where one is beyond 1e-6 of the move, or more than 2 % are
+refused, or a rest's first pass has an RMS error beyond the 1e-3 of the move that is
+stated, in more than 2 %.
 """
 
 from __future__ import annotations
@@ -46,7 +49,9 @@ from dbo_cli.runs.api import Model
 Floats = NDArray[np.float64]
 RATE = 20_000.0
 MOST_RATIO = 1.2
-STATED = 1e-3  # of the move: what a model without figures of its identification states for a pass's mean
+# of the move: what a model without figures of its identification states for a pass's
+# mean
+STATED = 1e-3
 MOST_AWAY, MOST_REFUSED = 1e-6, 0.02  # of the move; of all loops
 ONE = 1.0 + 1e-9  # a step that is as large as the largest inside
 
@@ -60,8 +65,15 @@ def actuator(loop: float, frequency: float) -> ActuatorModel:
         ScaleStage(1.2, 0.5),
     ]
     low, high = slow_output_range(stages, 0.0, 100.0)
-    stages = [DynamicsStage((Lag(2e-4),)), *stages, DynamicsStage((Resonance(frequency, 0.02),))]
-    voltage, displacement = Quantity("voltage", "V", 0.0, 100.0), Quantity("displacement", "um", low, high)
+    stages = [
+        DynamicsStage((Lag(2e-4),)),
+        *stages,
+        DynamicsStage((Resonance(frequency, 0.02),)),
+    ]
+    voltage, displacement = (
+        Quantity("voltage", "V", 0.0, 100.0),
+        Quantity("displacement", "um", low, high),
+    )
     return ActuatorModel("forward", voltage, displacement, tuple(stages))
 
 
@@ -95,15 +107,22 @@ def random_model(random: np.random.Generator) -> ActuatorModel:
         stages.insert(0, DynamicsStage((Lag(random.uniform(2e-4, 2e-3)),)))
     if random.random() < 0.3:
         stages.append(DelayStage(float(random.choice([3e-4, 5e-4, 7.3e-4]))))
-    voltage, displacement = Quantity("voltage", "V", 0.0, 100.0), Quantity("displacement", "um", low, high)
+    voltage, displacement = (
+        Quantity("voltage", "V", 0.0, 100.0),
+        Quantity("displacement", "um", low, high),
+    )
     return ActuatorModel("forward", voltage, displacement, tuple(stages))
 
 
 def random_period(random: np.random.Generator, model: ActuatorModel) -> Floats:
     phase = 2.0 * np.pi * np.arange(400) / 400
     size = random.uniform(0.05, 0.35) * model.output.span
-    middle = random.uniform(model.output.minimum + 1.4 * size, model.output.maximum - 1.4 * size)
-    wave = np.sin(phase + random.uniform(0.0, 6.3)) + random.uniform(0.0, 0.3) * np.sin(2.0 * phase)
+    middle = random.uniform(
+        model.output.minimum + 1.4 * size, model.output.maximum - 1.4 * size
+    )
+    wave = np.sin(phase + random.uniform(0.0, 6.3)) + random.uniform(0.0, 0.3) * np.sin(
+        2.0 * phase
+    )
     return middle + size * wave
 
 
@@ -123,7 +142,9 @@ def random_loops(count: int, passes: int, seed: int) -> int:
     """Play random loops from every start; the exit code."""
     refused, bad, rate = dict.fromkeys(STARTS, 0), 0, 10_000.0
     largest, unasked = dict.fromkeys(STARTS, 0.0), dict.fromkeys(STARTS, 0)
-    firsts: dict[str, list[float]] = {name: [] for name, start in STARTS.items() if "lead" in start}
+    firsts: dict[str, list[float]] = {
+        name: [] for name, start in STARTS.items() if "lead" in start
+    }
     for k in range(count):
         random = np.random.default_rng([seed, k])
         actuator_model = random_model(random)
@@ -144,12 +165,20 @@ def random_loops(count: int, passes: int, seed: int) -> int:
                 print(f"loop {k}, {name}: {problem}")
                 continue
             count_before = drive.size - period.size
-            played = np.concatenate([drive[:count_before], np.tile(drive[count_before:], passes)])
+            played = np.concatenate(
+                [drive[:count_before], np.tile(drive[count_before:], passes)]
+            )
             begun = actuator_model.start(float(played[0]), start.get("state", "auto"))
             reached = actuator_model.simulate(played, begun, time_step=1.0 / rate).y
-            away = float(np.abs(reached[-period.size :] - period).max() / np.ptp(period))
+            away = float(
+                np.abs(reached[-period.size :] - period).max() / np.ptp(period)
+            )
             largest[name] = max(largest[name], away)
-            unasked[name] += count_before > 0 and not {"approach", "passes", "lead"} & set(start)
+            unasked[name] += count_before > 0 and not {
+                "approach",
+                "passes",
+                "lead",
+            } & set(start)
             if name in firsts:
                 first = reached[count_before : count_before + period.size] - period
                 firsts[name].append(rms(first) / float(np.ptp(period)) / STATED)
@@ -170,7 +199,9 @@ def random_loops(count: int, passes: int, seed: int) -> int:
         )
     total = sum(refused.values()) / (count * len(STARTS))
     print(f"{bad} beyond {MOST_AWAY:g} of the move; {100.0 * total:.2g} % refused")
-    return int(bad > 0 or total > MOST_REFUSED or late > MOST_REFUSED * count * len(firsts))
+    return int(
+        bad > 0 or total > MOST_REFUSED or late > MOST_REFUSED * count * len(firsts)
+    )
 
 
 def main() -> int:
@@ -189,7 +220,10 @@ def main() -> int:
     bad = 0
     for k in range(5):
         loop, frequency = 0.30 + 0.05 * k, 650.0 + 60.0 * k
-        plant, model = actuator(loop, frequency), Model(actuator(0.95 * loop, frequency))
+        plant, model = (
+            actuator(loop, frequency),
+            Model(actuator(0.95 * loop, frequency)),
+        )
         for shape in ("sine", "triangle"):
             for part in (200.0, 20.0):
                 count = round(RATE * part / frequency)
@@ -201,9 +235,12 @@ def main() -> int:
                 for drive in (np.tile(settled, times), run):
                     begun = plant.start(float(drive[0]), "auto")
                     reached = plant.simulate(drive, begun, time_step=1.0 / RATE).y
-                    errors.append(rms(reached[-2 * count : -count] - period))  # the run's last lacks a future
+                    # the run's last lacks a future
+                    errors.append(rms(reached[-2 * count : -count] - period))
                 ratio = errors[0] / errors[1]
-                seam = abs(float(settled[0] - settled[-1])) / float(np.abs(np.diff(settled)).max())
+                seam = abs(float(settled[0] - settled[-1])) / float(
+                    np.abs(np.diff(settled)).max()
+                )
                 wrong = ratio > MOST_RATIO or seam > ONE
                 bad += wrong
                 print(

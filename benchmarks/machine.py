@@ -2,9 +2,10 @@
 
     python benchmarks/machine.py            exit code 2 where it is not
 
-A process that does nothing, `python -c pass`, takes about as long as the processor works on it where nothing
-else runs. Where the middle one of several takes more than twice the processor's time of the fastest, other
-programs take turns with it, and a figure of time says more about them than about what is measured.
+A process that does nothing, `python -c pass`, takes about as long as the processor
+works on it where nothing else runs. Where the middle one of several takes more than
+twice the processor's time of the fastest, other programs take turns with it, and a
+figure of time says more about them than about what is measured.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ def slowed() -> float:
         user = after.children_user - before.children_user
         system = after.children_system - before.children_system
         work.append(user + system)
-    # The processor's time is counted in ticks of 10 ms on some systems: no less than one of them.
+    # The processor's time is counted in ticks of 10 ms on some systems: no less than
+    # one of them.
     usual = max(min(work), 0.01)
     return statistics.median(seconds) / usual
 

@@ -2,10 +2,11 @@
 
     python benchmarks/noisy_benches.py [--benches 20] [--noise 0.5] [--rate 5000]
 
-The command lines are those of README. Between them a bench plays what they wrote: another actuator each
-time, at 0 to 100 V, whose displacement follows the voltage itself while the log has the voltage with noise
-(``--noise`` is its standard deviation in % of the range). The exit code of each step is printed, the ends of
-the model's range, the least and the greatest voltage of the drive, and the tracking error; the exit code is 1
+The command lines are those of README. Between them a bench plays what they wrote:
+another actuator each time, at 0 to 100 V, whose displacement follows the voltage itself
+while the log has the voltage with noise (``--noise`` is its standard deviation in % of
+the range). The exit code of each step is printed, the ends of the model's range, the
+least and the greatest voltage of the drive, and the tracking error; the exit code is 1
 where a step failed or a drive left 0 to 100 V.
 """
 
@@ -26,7 +27,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "sample_data"))
-from virtual_actuator import PRESETS, ActuatorParameters, VirtualActuator, read_drive, write_table
+from virtual_actuator import (
+    PRESETS,
+    ActuatorParameters,
+    VirtualActuator,
+    read_drive,
+    write_table,
+)
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -64,9 +71,17 @@ def steps_of_readme() -> list[list[str]]:
     """Return the words of the five command lines of README's day."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     day = text.split("## A real day")[1].split("\n- ")[0]
-    lines = [line.split("#")[0].strip() for line in day.replace("\\\n", "").splitlines()]
+    lines = [
+        line.split("#")[0].strip() for line in day.replace("\\\n", "").splitlines()
+    ]
     steps = [shlex.split(line) for line in lines if line.startswith("dbo ")]
-    assert [words[1] for words in steps] == ["excite", "identify", "compensate", "check", "report"]
+    assert [words[1] for words in steps] == [
+        "excite",
+        "identify",
+        "compensate",
+        "check",
+        "report",
+    ]
     return steps
 
 
@@ -94,27 +109,41 @@ def actuator_of(seed: int) -> ActuatorParameters:
     )
 
 
-def trajectory_of(seed: int, parameters: ActuatorParameters, rate: float) -> dict[str, Floats]:
+def trajectory_of(
+    seed: int, parameters: ActuatorParameters, rate: float
+) -> dict[str, Floats]:
     """Return a move: a sum of sines over most of the stroke, from rest to rest."""
     random = np.random.default_rng([seed, 2])
     time = np.arange(round(SECONDS * rate)) / rate
     swing = np.zeros(time.size)
     for _ in range(3):
-        swing += np.sin(2.0 * np.pi * (random.uniform(0.3, 3.0) * time + random.uniform()))
+        swing += np.sin(
+            2.0 * np.pi * (random.uniform(0.3, 3.0) * time + random.uniform())
+        )
     swing *= np.sin(np.pi * time / SECONDS) ** 2
     middle = parameters.offset + 0.5 * parameters.stroke
-    return {"time": time, "displacement": middle + 0.48 * parameters.stroke * swing / np.abs(swing).max()}
+    return {
+        "time": time,
+        "displacement": middle + 0.48 * parameters.stroke * swing / np.abs(swing).max(),
+    }
 
 
 def play(
-    actuator: VirtualActuator, folder: Path, drive: str, recorded: list[str], noise: float, seed: int
+    actuator: VirtualActuator,
+    folder: Path,
+    drive: str,
+    recorded: list[str],
+    noise: float,
+    seed: int,
 ) -> None:
     """Play a drive and write what the bench recorded."""
     with open(folder / drive, encoding="utf-8") as file:
         columns = read_drive(file)
     displacement = actuator.play(columns["time"], columns["voltage"], seed)
     random = np.random.default_rng([seed, 3])
-    voltage = columns["voltage"] + 0.01 * noise * RANGE * random.standard_normal(displacement.size)
+    voltage = columns["voltage"] + 0.01 * noise * RANGE * random.standard_normal(
+        displacement.size
+    )
     log = {
         "time_s": (columns["time"], ""),
         "voltage_V": (voltage, ".5f"),
@@ -129,14 +158,22 @@ def day(seed: int, noise: float, rate: float, folder: Path) -> Day:
     parameters = actuator_of(seed)
     actuator = VirtualActuator(parameters)
     wanted = trajectory_of(seed, parameters, rate)
-    table = {"time_s": (wanted["time"], ""), "displacement_um": (wanted["displacement"], ".6f")}
+    table = {
+        "time_s": (wanted["time"], ""),
+        "displacement_um": (wanted["displacement"], ".6f"),
+    }
     write_table(str(folder / "trajectory.csv"), table)
     codes = []
     for words in steps_of_readme():
         command = [sys.executable, "-m", "dbo_cli", *at_rate(words, rate)[1:]]
         environment = os.environ | {"PYTHONPATH": str(ROOT)}
         done = subprocess.run(
-            command, cwd=folder, env=environment, capture_output=True, text=True, check=False
+            command,
+            cwd=folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
         )
         codes.append(done.returncode)
         if done.returncode:
@@ -145,7 +182,14 @@ def day(seed: int, noise: float, rate: float, folder: Path) -> Day:
         if words[1] == "excite":
             play(actuator, folder, "excitation.csv", ["recorded.csv"], noise, seed)
         if words[1] == "compensate":
-            play(actuator, folder, "drive.csv", ["played.csv", "tracked.csv"], noise, 1000 + seed)
+            play(
+                actuator,
+                folder,
+                "drive.csv",
+                ["played.csv", "tracked.csv"],
+                noise,
+                1000 + seed,
+            )
     return _outcome(codes, folder)
 
 
@@ -172,7 +216,9 @@ def main() -> int:
     """Print a line a bench."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--benches", type=int, default=20)
-    parser.add_argument("--noise", type=float, default=0.5, help="standard deviation, %% of the range")
+    parser.add_argument(
+        "--noise", type=float, default=0.5, help="standard deviation, %% of the range"
+    )
     parser.add_argument("--rate", type=float, default=5000.0, help="samples a second")
     options = parser.parse_args()
     passed = 0

@@ -2,11 +2,12 @@
 
     python benchmarks/paper.py FOLDER OUT
 
-FOLDER holds ``identification.dat`` and ``uncompensated.dat``, or, as the authors publish them,
-``Model_Vi_Do.dat`` and ``Test_Vi_Do_Di.dat`` (repository yan9a/DiscreteBacklashOperator on GitHub, folder
-MatLabCode/DiscreteBacklashModel, MIT licence). The compensated part (Figs. 11 to 13) is at the end of the
-latter, rows 11152 to 12151. Writes the figures and ``report.html`` to OUT; exit code 1 where a figure of ours
-is not the published one.
+FOLDER holds ``identification.dat`` and ``uncompensated.dat``, or, as the authors
+publish them, ``Model_Vi_Do.dat`` and ``Test_Vi_Do_Di.dat`` (repository
+yan9a/DiscreteBacklashOperator on GitHub, folder MatLabCode/DiscreteBacklashModel, MIT
+licence). The compensated part (Figs. 11 to 13) is at the end of the latter, rows 11152
+to 12151. Writes the figures and ``report.html`` to OUT; exit code 1 where a figure of
+ours is not the published one.
 """
 
 from __future__ import annotations
@@ -20,7 +21,12 @@ from pathlib import Path
 import numpy as np
 
 from dbo_cli.errors import DboError, InputError
-from dbo_cli.hysteresis.identification import Identification, IdentificationOptions, Recording, identify
+from dbo_cli.hysteresis.identification import (
+    Identification,
+    IdentificationOptions,
+    Recording,
+    identify,
+)
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.request import ReadingOptions, Rows
@@ -87,7 +93,13 @@ def identified(path: Path) -> Identification:
     """Identify as the paper does: 25 gears, one cycle, the mean of the sensor as zero."""
     block = read(path, ("voltage", "measured"), CYCLE)
     recording = Recording(
-        path.name, block.values["voltage"], block.values["measured"], None, 1.0 / RATE, "V", "um"
+        path.name,
+        block.values["voltage"],
+        block.values["measured"],
+        None,
+        1.0 / RATE,
+        "V",
+        "um",
     )
     options = IdentificationOptions(gears=25, method="paper", zero="mean")
     return identify([recording], options, [])
@@ -115,7 +127,9 @@ def has_rows(path: Path, last: int) -> bool:
         return sum(1 for _ in lines) >= last
 
 
-def numbered(plots: list[Plot], numbers: dict[str, int], folder: Path, note: str) -> list[Plot]:
+def numbered(
+    plots: list[Plot], numbers: dict[str, int], folder: Path, note: str
+) -> list[Plot]:
     """Save the figures that the paper has, under its numbers, and return them."""
     chosen = [plot for plot in plots if plot.key in numbers]
     for plot in chosen:
@@ -128,7 +142,9 @@ def evaluated(
 ) -> tuple[LogReport, FigureData]:
     """Compare one log and keep what its figures need."""
     figure_data = FigureData("V")
-    return evaluate(name, blocks, options, sample_rate=RATE, figure_data=figure_data), figure_data
+    return evaluate(
+        name, blocks, options, sample_rate=RATE, figure_data=figure_data
+    ), figure_data
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -161,9 +177,17 @@ def reproduce(folder: Path, out: Path) -> int:
         pairs.append(evaluated("compensated", tracked(second, COMPENSATED), tracking))
     found = [log.figures.rmse for log, _ in pairs] + [None]
     lines = [
-        Line("Control input, peak to peak (Fig. 5)", 3.6, float(np.ptp(drive)), 5e-4, "V"),
+        Line(
+            "Control input, peak to peak (Fig. 5)", 3.6, float(np.ptp(drive)), 5e-4, "V"
+        ),
         Line("Control input, period", 1.0, period_of(drive), 1e-3, "s"),
-        Line("K of the identified model (n = 25)", 12.53, getattr(scale, "gain", None), 5e-3, "um/V"),
+        Line(
+            "K of the identified model (n = 25)",
+            12.53,
+            getattr(scale, "gain", None),
+            5e-3,
+            "um/V",
+        ),
         Line("X_0", 0.0, model.backlash.x0, 1e-6, "V"),
         Line("Y_0", -22.97, getattr(scale, "offset", None), 5e-3, "um"),
         Line("RMSE without compensation (Figs. 8 to 10)", 1.68, found[0], 5e-3, "um"),
@@ -172,17 +196,28 @@ def reproduce(folder: Path, out: Path) -> int:
     print("Section V of Aye and Ang (2018), from the authors' recordings\n")
     print(f"{'':<48}{'published':>11}{'here':>14}")
     print("\n".join(line.text() for line in lines))
-    print(f"\nOur fit of that cycle with 25 gears (Figs. 6 and 7): RMSE {fit.figures.rmse:.4f} um")
+    print(
+        f"\nOur fit of that cycle with 25 gears (Figs. 6 and 7): RMSE {fit.figures.rmse:.4f} um"
+    )
 
     fits = Report.of([fit], modelling, "um")
     fit_plots = plots_of_log(fits, fit, fit_traces)
-    numbered(fit_plots, {"drive": 5, "tracking": 6, "loop": 7}, out, "identification log")
+    numbered(
+        fit_plots, {"drive": 5, "tracking": 6, "loop": 7}, out, "identification log"
+    )
     report = Report.of([log for log, _ in pairs], tracking, "um")
     drawn = []
-    for number, (log, (_, figure_data)) in enumerate(zip(report.logs, pairs, strict=True)):
+    for number, (log, (_, figure_data)) in enumerate(
+        zip(report.logs, pairs, strict=True)
+    ):
         plots = plots_of_log(report, log, figure_data)
         start = 8 + 3 * number
-        numbered(plots, {"tracking": start, "error": start + 1, "output": start + 2}, out, f"{log.name} log")
+        numbered(
+            plots,
+            {"tracking": start, "error": start + 1, "output": start + 2},
+            out,
+            f"{log.name} log",
+        )
         drawn.append(plots)
     save(plots_of_model(model), out, "model")
     page = to_html(
@@ -193,7 +228,9 @@ def reproduce(folder: Path, out: Path) -> int:
         program=program_version_string(),
     )
     write_whole(str(out / "report.html"), page.encode())
-    print(f"{len(list(out.glob('*.png')))} figures (PNG and SVG) and report.html are in {out}")
+    print(
+        f"{len(list(out.glob('*.png')))} figures (PNG and SVG) and report.html are in {out}"
+    )
     return 0 if all(line.holds for line in lines) else 1
 
 

@@ -1,12 +1,14 @@
 """Faults in the mathematics for ``mutants.py``: where, the text there, the faulty text, what it breaks.
 
-The text must stand exactly once in its file (tests/test_planted_faults.py holds that). Take faults that a
+The text must stand exactly once in its file, however its lines are broken
+(tests/test_planted_faults.py holds that). Take faults that a
 person could make: a wrong end, a lost sign, a tolerance left out, a special case forgotten.  Which segment of
 the points a breakpoint belongs to is none: widths and heights stand on a binary grid, so both give the same bits.
 """
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 # The quick tests of each part: a fault that only a whole identification finds is a unit test that is missing.
@@ -32,6 +34,22 @@ class Fault:
     faulty: str
     breaks: str
     tests: tuple[str, ...]
+
+    def places(self, source: str) -> list[re.Match[str]]:
+        """Return where the text stands: line breaks and a comma before a closing bracket do not count."""
+        words = re.findall(r"\w+|[^\w\s]", self.text)
+        pattern = r"\s*".join(
+            (r"(?:,\s*)?" if word in ")]}" else "") + re.escape(word) for word in words
+        )
+        return list(re.finditer(pattern, source))
+
+    def planted(self, source: str) -> str:
+        """Return the source with the fault in it. Raises ValueError where its place is not found once."""
+        places = self.places(source)
+        if len(places) != 1:
+            raise ValueError(f"{self.file}: stands {len(places)} times: {self.text}")
+        first, last = places[0].span()
+        return source[:first] + self.faulty.strip() + source[last:]
 
 
 def _faults(file: str, tests: tuple[str, ...], *table: tuple[str, str, str]) -> list[Fault]:
@@ -408,7 +426,7 @@ FAULTS: list[Fault] = [
          "a file that is replaced, or a store that a group is added to, keeps its permissions"),
         ("_bring_to_disk(output.temporary, os.O_RDWR)", "_bring_to_disk(output.temporary, os.O_RDONLY)",
          "Windows stores a file through a handle that may write"),
-        ("            _remove(output.backup)  # still there", "            pass  # still there",
+        ("            _remove(output.backup)\n            output.renamed", "            output.renamed",
          "no second copy is left where a rename fails"),
     ),
     *_faults(
@@ -510,7 +528,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "extras/live/controller.py",
         ("runs_controller",),
-        ("self.samples = best if seconds", "self.samples = best + 1 if seconds",
+        ("best if seconds ==", "best + 1 if seconds ==",
          "the stated latency is the one that the drive has"),
         ("if self.samples < needed:", "if self.samples < needed - 1:", "a window too short is refused"),
     ),
@@ -622,7 +640,7 @@ FAULTS: list[Fault] = [
         "drives/model_run.py",
         ("runs_states",),
         (" or (self.step is not None and self.last == first)", "", "a state's stamp that comes again is no time"),
-        ("> SAME_STEP * self.step:", "> 1e9 * self.step:", "rows left out of a rate are a pause"),
+        ("> SAME_STEP * self.step", "> 1e9 * self.step", "rows left out of a rate are a pause"),
     ),
     *_faults(
         "drives/options.py",

@@ -2,10 +2,11 @@
 
     python benchmarks/relatives_cost.py [--samples N] [--repeats N] [--figures FOLDER]
 
-One run, one machine, ratios. All operators are C99 in one extension, compiled with the same flags, and called
-for blocks of samples; plays are summed in eight lanes, so that a compiler may use vector registers. Every
-gear and weight differs from the others. The inverse of [6] is the closed form, again plays; those of [7] to
-[9] walk from play to play. Times are the processor's own, the best of the repeats, in ns a sample.
+One run, one machine, ratios. All operators are C99 in one extension, compiled with the
+same flags, and called for blocks of samples; plays are summed in eight lanes, so that a
+compiler may use vector registers. Every gear and weight differs from the others. The
+inverse of [6] is the closed form, again plays; those of [7] to [9] walk from play to
+play. Times are the processor's own, the best of the repeats, in ns a sample.
 """
 
 from __future__ import annotations
@@ -48,7 +49,9 @@ class Cost:
 def drive(samples: int, cycle: int, noise: float) -> Floats:
     """Return a sine over the range from -1 to 1, with noise."""
     x = np.sin(2.0 * np.pi / cycle * np.arange(samples))
-    return x + np.random.default_rng(1).normal(0.0, 2.0 * noise, samples) if noise else x
+    return (
+        x + np.random.default_rng(1).normal(0.0, 2.0 * noise, samples) if noise else x
+    )
 
 
 def gears(n: int) -> DiscreteBacklashOperator:
@@ -107,19 +110,26 @@ def cost_of_plays(n: int, x: Floats, repeats: int, kind: Any = "plays") -> Cost:
         closed = operator.closed_inverse
         states = closed.states_of(begun)
         return Cost(forward, best(lambda block: closed.run(block, states), y, repeats))
-    return Cost(forward, best(lambda block: operator.solve(block, begun, share(block)), y, repeats))
+    return Cost(
+        forward,
+        best(lambda block: operator.solve(block, begun, share(block)), y, repeats),
+    )
 
 
 def shortened(samples: int, n: int, cycle: int) -> int:
     """Return how many samples to time: fewer where one costs more, but a whole cycle."""
-    return max(min(samples, samples * 50 // n), 2 * cycle if cycle < samples else samples)
+    return max(
+        min(samples, samples * 50 // n), 2 * cycle if cycle < samples else samples
+    )
 
 
 def against_count(samples: int, repeats: int) -> dict[str, list[Cost]]:
     """Print and return the costs for every number of gears or plays."""
     names = {"rate-plays": "[7]", "singular-plays": "[8]", "one-sided-plays": "[9]"}
     print(f"{USUAL_CYCLE:,} samples a cycle, ns a sample; [7] to [9] inverse alone\n")
-    print("     n     DBO     PI  ratio   DBO inverse  PI inverse  ratio      [7]     [8]     [9]")
+    print(
+        "     n     DBO     PI  ratio   DBO inverse  PI inverse  ratio      [7]     [8]     [9]"
+    )
     found: dict[str, list[Cost]] = {name: [] for name in ("DBO", "PI", *names.values())}
     for n in COUNTS:
         x = drive(shortened(samples, n, USUAL_CYCLE), USUAL_CYCLE, 0.0)
@@ -138,7 +148,9 @@ def against_count(samples: int, repeats: int) -> dict[str, list[Cost]]:
 
 def against_cycle(samples: int, repeats: int) -> dict[tuple[int, float], list[float]]:
     """Print and return how many times faster the inverse is, for samples a cycle and noise on the input."""
-    print("\nPI inverse over DBO inverse, by samples a cycle and noise on the input (of the range)\n")
+    print(
+        "\nPI inverse over DBO inverse, by samples a cycle and noise on the input (of the range)\n"
+    )
     print("     n    noise " + "".join(f"{cycle:>9,}" for cycle in CYCLES))
     found = {}
     for n in CLAIMS:
@@ -146,9 +158,15 @@ def against_cycle(samples: int, repeats: int) -> dict[tuple[int, float], list[fl
             ratios = []
             for cycle in CYCLES:
                 x = drive(shortened(samples, n, cycle), cycle, noise)
-                ratios.append(cost_of_plays(n, x, repeats).inverse / cost_of_gears(n, x, repeats).inverse)
+                ratios.append(
+                    cost_of_plays(n, x, repeats).inverse
+                    / cost_of_gears(n, x, repeats).inverse
+                )
             found[n, noise] = ratios
-            print(f"{n:6}  {noise:7g} " + "".join(f"{ratio:9.1f}" for ratio in ratios), flush=True)
+            print(
+                f"{n:6}  {noise:7g} " + "".join(f"{ratio:9.1f}" for ratio in ratios),
+                flush=True,
+            )
     return found
 
 
@@ -162,7 +180,9 @@ def paint_counts(found: dict[str, list[Cost]], axes: Any) -> None:
         dashed = look | {"linestyle": (0, (3.2, 1.4))}
         if name in ("DBO", "PI"):
             axes.plot(COUNTS, [one.forward for one in costs], label=name, **look)
-        axes.plot(COUNTS, [one.inverse for one in costs], label=f"{name} inverse", **dashed)
+        axes.plot(
+            COUNTS, [one.inverse for one in costs], label=f"{name} inverse", **dashed
+        )
     axes.set(xscale="log", yscale="log", xlabel="Gears or plays", ylabel="ns a sample")
     label_decades(axes.xaxis)
     label_decades(axes.yaxis)
@@ -178,14 +198,21 @@ def paint_cycles(found: dict[tuple[int, float], list[float]], axes: Any) -> None
         dashed = {"linestyle": (0, (3.2, 1.4))} if noise else {}
         said = f"n = {n}, noise {noise:g}" if noise else f"n = {n}"
         axes.plot(CYCLES, ratios, label=said, **(look | dashed))
-    axes.set(xscale="log", yscale="log", xlabel="Samples a cycle", ylabel="PI inverse over DBO inverse")
+    axes.set(
+        xscale="log",
+        yscale="log",
+        xlabel="Samples a cycle",
+        ylabel="PI inverse over DBO inverse",
+    )
     label_decades(axes.xaxis)
     label_decades(axes.yaxis)
     mark_curves(axes, columns=2)
 
 
 def save_figures(
-    folder: Path, counts: dict[str, list[Cost]], cycles: dict[tuple[int, float], list[float]]
+    folder: Path,
+    counts: dict[str, list[Cost]],
+    cycles: dict[tuple[int, float], list[float]],
 ) -> None:
     """Write both figures as SVG."""
     from dbo_cli.reports import drawing as style
@@ -193,8 +220,22 @@ def save_figures(
 
     folder.mkdir(parents=True, exist_ok=True)
     plots: Sequence[Plot] = (
-        Plot("cost", "Cost against n", "ns a sample", style.TALL, partial(paint_counts, counts), head=0.34),
-        Plot("cost-cycle", "Ratio", "times faster", style.TALL, partial(paint_cycles, cycles), head=0.34),
+        Plot(
+            "cost",
+            "Cost against n",
+            "ns a sample",
+            style.TALL,
+            partial(paint_counts, counts),
+            head=0.34,
+        ),
+        Plot(
+            "cost-cycle",
+            "Ratio",
+            "times faster",
+            style.TALL,
+            partial(paint_cycles, cycles),
+            head=0.34,
+        ),
     )
     for plot in plots:
         (folder / f"{plot.key}.svg").write_bytes(draw(plot, "svg"))
@@ -205,7 +246,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--samples", type=int, default=200_000)
     parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--figures", type=Path, help="folder for cost.svg and cost-cycle.svg")
+    parser.add_argument(
+        "--figures", type=Path, help="folder for cost.svg and cost-cycle.svg"
+    )
     given = parser.parse_args()
     print(f"kernel: {kernel.KIND}\n")
     counts = against_count(given.samples, given.repeats)
@@ -218,7 +261,9 @@ def main() -> int:
         place = COUNTS.index(n)
         ratio = counts["PI"][place].inverse / counts["DBO"][place].inverse
         holds &= ratio >= least
-        print(f"inverse at n = {n}: {ratio:.1f} times faster than PI's (at least {least:g} wanted)")
+        print(
+            f"inverse at n = {n}: {ratio:.1f} times faster than PI's (at least {least:g} wanted)"
+        )
     return verdict(holds)
 
 

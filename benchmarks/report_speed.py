@@ -2,9 +2,10 @@
 
     python benchmarks/report_speed.py [ROWS]
 
-Writes a log of ROWS rows (10 million): time, voltage, desired and measured displacement, as CSV and as HDF5,
-into a temporary folder. Every figure is that of a whole process, start included, the better of two.
-Targets: at most 400 MB, and at most 4 times the time of reading.
+Writes a log of ROWS rows (10 million): time, voltage, desired and measured
+displacement, as CSV and as HDF5, into a temporary folder. Every figure is that of a
+whole process, start included, the better of two. Targets: at most 400 MB, and at most 4
+times the time of reading.
 """
 
 from __future__ import annotations
@@ -49,7 +50,9 @@ def write_log(path: Path, rows: int) -> None:
             wanted = -20.0 * amplitude * np.cos(2.0 * np.pi * 1.7 * now)
             late = -20.0 * amplitude * np.cos(2.0 * np.pi * 1.7 * now - 0.1)
             measured = np.round(late + rng.normal(0.0, 0.1, len(now)), 4)
-            writer.write(now, np.round(1.8 + wanted * 0.09, 5), np.round(wanted, 5), measured)
+            writer.write(
+                now, np.round(1.8 + wanted * 0.09, 5), np.round(wanted, 5), measured
+            )
 
 
 def cost(command: list[str]) -> tuple[float, float]:
@@ -83,7 +86,13 @@ def main() -> None:
                 "report, automatic lag": [*dbo, str(log), "--lag", "auto"],
                 "report by 10 s": [*dbo, str(log), "--segment", "10"],
                 "report, 14 figure files": [*dbo, str(log), *figures],
-                "report, page of 7 figures": [*dbo, str(log), "--voltage", "voltage", *page],
+                "report, page of 7 figures": [
+                    *dbo,
+                    str(log),
+                    "--voltage",
+                    "voltage",
+                    *page,
+                ],
                 "report, both": [*dbo, str(log), *figures, *page],
             }
             print(f"{name}: {rows} rows, {log.stat().st_size / 1e6:.0f} MB")
@@ -91,7 +100,10 @@ def main() -> None:
             for title, command in ways.items():
                 took, memory = cost(command)
                 reading = reading or took
-                print(f"  {title:<26}{took:7.2f} s {took / reading:6.2f} x {memory:7.0f} MB", flush=True)
+                print(
+                    f"  {title:<26}{took:7.2f} s {took / reading:6.2f} x {memory:7.0f} MB",
+                    flush=True,
+                )
 
 
 if __name__ == "__main__":

@@ -2,9 +2,10 @@
 
     python benchmarks/round_trip.py [--trials N] [--seed N] [--samples N]
 
-Random operators of 1 to 1,000 gears; trajectories that turn inside gears, on breakpoints exactly and within a
-unit in the last place, and at full scale (tests/trials.py); every third operator with relaxation, evenly and
-unevenly sampled. Exits 1 where an error exceeds 1e-12 of the range or the kernels differ in one bit.
+Random operators of 1 to 1,000 gears; trajectories that turn inside gears, on
+breakpoints exactly and within a unit in the last place, and at full scale
+(tests/trials.py); every third operator with relaxation, evenly and unevenly sampled.
+Exits 1 where an error exceeds 1e-12 of the range or the kernels differ in one bit.
 """
 
 from __future__ import annotations
@@ -27,7 +28,9 @@ from trials import random_operator, random_trajectory
 def trial(seed: int, samples: int) -> tuple[bytes, Any, float, float]:
     """Return the bits of everything computed, the states, and the two errors as parts of the range."""
     rng = np.random.default_rng(seed)
-    operator = random_operator(rng, round(10.0 ** rng.uniform(0.0, 3.0)), relaxation=seed % 3 == 0)
+    operator = random_operator(
+        rng, round(10.0 ** rng.uniform(0.0, 3.0)), relaxation=seed % 3 == 0
+    )
     inverse = operator.inverse()
     x: NDArray[np.float64] = random_trajectory(rng, operator, samples)
     terms = operator.relaxation
@@ -40,8 +43,16 @@ def trial(seed: int, samples: int) -> tuple[bytes, Any, float, float]:
     if not after.bits == same.bits == once_more.bits:
         return b"", None, np.inf, np.inf
     spans = [float(np.subtract(*one.x_range[::-1])) for one in (operator, inverse)]
-    errors = [float(np.abs(back - x).max()) / spans[0], float(np.abs(again - y).max()) / spans[1]]
-    return y.tobytes() + back.tobytes() + again.tobytes(), (after, same, once_more), errors[0], errors[1]
+    errors = [
+        float(np.abs(back - x).max()) / spans[0],
+        float(np.abs(again - y).max()) / spans[1],
+    ]
+    return (
+        y.tobytes() + back.tobytes() + again.tobytes(),
+        (after, same, once_more),
+        errors[0],
+        errors[1],
+    )
 
 
 def main() -> int:
@@ -60,7 +71,9 @@ def main() -> int:
         kernel.CHOSEN = kernel.PythonKernel
         different += trial(seed, options.samples)[:2] != (bits, states)
         worst = [max(pair) for pair in zip(worst, errors, strict=True)]
-    print(f"{options.trials:,} trials of {options.samples} samples in {time.perf_counter() - begin:.0f} s")
+    print(
+        f"{options.trials:,} trials of {options.samples} samples in {time.perf_counter() - begin:.0f} s"
+    )
     print(f"inverse after forward: worst error {worst[0]:.1e} of the range")
     print(f"forward after inverse: worst error {worst[1]:.1e} of the range")
     print(f"trials in which the two kernels differ in a bit: {different}")

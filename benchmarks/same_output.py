@@ -3,9 +3,10 @@
     python benchmarks/same_output.py --against CHECKOUT
     python benchmarks/same_output.py --record FILE
 
-Every line runs in this process, in a folder with small models and logs: standard output, standard error, exit
-code and the bytes of every file written are kept. CHECKOUT is another version with its kernel built; what
-differs is printed, and the exit code is 1. FILE takes what this version does as JSON.
+Every line runs in this process, in a folder with small models and logs: standard
+output, standard error, exit code and the bytes of every file written are kept. CHECKOUT
+is another version with its kernel built; what differs is printed, and the exit code is
+1. FILE takes what this version does as JSON.
 """
 
 # ruff: noqa: E501  (a command line stands on one line)
@@ -27,10 +28,17 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parent / "attack"))
 from arena import MODEL, ROOT, fill, inside, run
 
-STAGES: dict[str, tuple[list[Any], list[Any]]] = {  # before the gears, and behind the scale
-    "ring": ([], [{"type": "dynamics", "sections": [{"frequency": 8.0, "damping": 0.1}]}]),
+# before the gears, and behind the scale
+STAGES: dict[str, tuple[list[Any], list[Any]]] = {
+    "ring": (
+        [],
+        [{"type": "dynamics", "sections": [{"frequency": 8.0, "damping": 0.1}]}],
+    ),
     "lagged": ([{"type": "dynamics", "sections": [{"lag": 0.03}]}], []),
-    "bent": ([{"type": "point", "x0": 0.0, "y0": 0.0, "dx": [4.0, 6.0], "dy": [3.0, 7.0]}], []),
+    "bent": (
+        [{"type": "point", "x0": 0.0, "y0": 0.0, "dx": [4.0, 6.0], "dy": [3.0, 7.0]}],
+        [],
+    ),
 }
 WISHES = ("wish.csv", "rest.csv")
 MODELS = ("model", "late", "ring", "lagged", "bent")
@@ -162,8 +170,14 @@ compare run.csv --no-timings --models line,pi --format json --save-models m
 
 def lines() -> list[str]:
     """Return the command lines; " && " stands between those that follow one another."""
-    driven = (f"compensate {m}.json {w} {o}" for m, w, o in product(MODELS, WISHES, COMPENSATED))
-    looped = (f"compensate {m}.json loop.csv --periodic {o}" for m, o in product(MODELS, LOOPED))
+    driven = (
+        f"compensate {m}.json {w} {o}"
+        for m, w, o in product(MODELS, WISHES, COMPENSATED)
+    )
+    looped = (
+        f"compensate {m}.json loop.csv --periodic {o}"
+        for m, o in product(MODELS, LOOPED)
+    )
     return [*list(driven)[::2], *looped, *OTHERS.strip().splitlines()]
 
 
@@ -171,23 +185,55 @@ def prepare(folder: Path) -> None:
     """Write the models and logs."""
     fill(folder)
     for name, (before, behind) in STAGES.items():
-        model: dict[str, Any] = json.loads(json.dumps(MODEL)) | {"version": 2, "fit": {"expected_rmse": 0.02}}
+        model: dict[str, Any] = json.loads(json.dumps(MODEL)) | {
+            "version": 2,
+            "fit": {"expected_rmse": 0.02},
+        }
         model["stages"] = [*before, *model["stages"], *behind]
         (folder / f"{name}.json").write_text(json.dumps(model))
-    (folder / "identification.csv").write_bytes((ROOT / "sample_data" / "identification.csv").read_bytes())
+    (folder / "identification.csv").write_bytes(
+        (ROOT / "sample_data" / "identification.csv").read_bytes()
+    )
     wave = [4.0 - 2.5 * math.cos(2 * math.pi * n / 200) for n in range(200)]
     tables = {"loop": wave, "rest": [wave[0]] * 60 + wave * 2 + [wave[0]] * 60}
     for name, moved in tables.items():
         rows = [f"{n / 100:.2f},{x:.6f}" for n, x in enumerate(moved)]
-        (folder / f"{name}.csv").write_text("\n".join(["time_s,displacement_um", *rows, ""]))
-    (folder / "odd.csv").write_text("time_s,voltage_V\n0,1\n0.1,2\n0.1,3\n0.05,4\n0.9,300\n")
-    (folder / "bad.csv").write_text("time_s,voltage_V\n0,1\n0.1,x\n0.2,3\n0.3,4\n0.4,2\n")
-    with inside(folder):  # recordings of drives: what these models make of them, a little off
+        (folder / f"{name}.csv").write_text(
+            "\n".join(["time_s,displacement_um", *rows, ""])
+        )
+    (folder / "odd.csv").write_text(
+        "time_s,voltage_V\n0,1\n0.1,2\n0.1,3\n0.05,4\n0.9,300\n"
+    )
+    (folder / "bad.csv").write_text(
+        "time_s,voltage_V\n0,1\n0.1,x\n0.2,3\n0.3,4\n0.4,2\n"
+    )
+    # recordings of drives: what these models make of them, a little off
+    with inside(folder):
         for wish, drive in (("rest", "tracked"), ("loop --periodic", "looped")):
             name, *more = wish.split()
             run(["compensate", "ring.json", f"{name}.csv", *more, "-o", "drive.csv"])
-            run(["simulate", "bent.json", "drive.csv", "--state", "empty", "-o", f"{drive}.csv"])
-        run(["simulate", "late.json", "run.csv", "--input", "voltage_V", "-o", "late.csv"])
+            run(
+                [
+                    "simulate",
+                    "bent.json",
+                    "drive.csv",
+                    "--state",
+                    "empty",
+                    "-o",
+                    f"{drive}.csv",
+                ]
+            )
+        run(
+            [
+                "simulate",
+                "late.json",
+                "run.csv",
+                "--input",
+                "voltage_V",
+                "-o",
+                "late.csv",
+            ]
+        )
         os.remove("drive.csv")
 
 
@@ -200,9 +246,18 @@ def record() -> dict[str, Any]:
         inputs = {str(path) for path in Path().rglob("*")}
         for line in lines():
             done = [run(shlex.split(part)) for part in line.split(" && ")]
-            written = sorted((path for path in Path().rglob("*") if str(path) not in inputs), reverse=True)
-            digests = {str(p): hashlib.sha256(p.read_bytes()).hexdigest() for p in written if p.is_file()}
-            found[line] = [[one.code, one.out.decode(), one.err] for one in done] + [digests]
+            written = sorted(
+                (path for path in Path().rglob("*") if str(path) not in inputs),
+                reverse=True,
+            )
+            digests = {
+                str(p): hashlib.sha256(p.read_bytes()).hexdigest()
+                for p in written
+                if p.is_file()
+            }
+            found[line] = [[one.code, one.out.decode(), one.err] for one in done] + [
+                digests
+            ]
             for path in written:
                 path.rmdir() if path.is_dir() else path.unlink()
     return found
@@ -211,7 +266,8 @@ def record() -> dict[str, Any]:
 def main() -> int:
     """Record, or compare with another checkout."""
     if sys.argv[1:2] == ["--record"] and len(sys.argv) > 2:
-        if len(sys.argv) > 3:  # the other checkout's package, before anything of it is imported
+        # the other checkout's package, before anything of it is imported
+        if len(sys.argv) > 3:
             sys.path.insert(0, sys.argv[3])
         Path(sys.argv[2]).write_text(json.dumps(record(), indent=1))
         return 0
@@ -222,12 +278,16 @@ def main() -> int:
         kept = []
         for number, checkout in enumerate((sys.argv[2], str(ROOT))):
             file = Path(folder) / f"{number}.json"
-            subprocess.run([sys.executable, __file__, "--record", str(file), checkout], check=True)
+            subprocess.run(
+                [sys.executable, __file__, "--record", str(file), checkout], check=True
+            )
             kept.append(json.loads(file.read_text()))
     before, after = kept
     unlike = [line for line in before if before[line] != after[line]]
     for line in unlike:
-        print(f"dbo {line}\n  before: {str(before[line])[:2000]}\n  after:  {str(after[line])[:2000]}")
+        print(
+            f"dbo {line}\n  before: {str(before[line])[:2000]}\n  after:  {str(after[line])[:2000]}"
+        )
     codes = [one[0] for results in after.values() for one in results[:-1]]
     print(f"{len(after)} lines ({sum(map(bool, codes))} refused), {len(unlike)} differ")
     return 1 if unlike else 0

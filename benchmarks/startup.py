@@ -2,9 +2,10 @@
 
     python benchmarks/startup.py [RUNS]
 
-Whole processes, in turn; the time of the processors, the least of RUNS (default 15) each. The limits are
-those the project promises. The floor of a run is `import numpy`: a usual command line loads no command-line
-library, and polars is loaded for long logs only.
+Whole processes, in turn; the time of the processors, the least of RUNS (default 15)
+each. The limits are those the project promises. The floor of a run is `import numpy`: a
+usual command line loads no command-line library, and polars is loaded for long logs
+only.
 """
 
 from __future__ import annotations
@@ -38,7 +39,13 @@ MODEL = {
 def seconds(words: list[str]) -> float:
     """Return how long one process keeps the processors busy."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    subprocess.run([sys.executable, *words], check=True, cwd=ROOT, env=ENVIRONMENT, capture_output=True)
+    subprocess.run(
+        [sys.executable, *words],
+        check=True,
+        cwd=ROOT,
+        env=ENVIRONMENT,
+        capture_output=True,
+    )
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
@@ -49,7 +56,9 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         model, drive = Path(folder, "model.json"), Path(folder, "drive.csv")
         model.write_text(json.dumps(MODEL))
-        rows = "".join(f"{k / 1000},{50 - 50 * abs(k % 200 - 100) / 100}\n" for k in range(10))
+        rows = "".join(
+            f"{k / 1000},{50 - 50 * abs(k % 200 - 100) / 100}\n" for k in range(10)
+        )
         drive.write_text("time_s,voltage_V\n" + rows)
         commands = {
             "python -c pass": ["-c", "pass"],
@@ -58,7 +67,13 @@ def main() -> None:
             "import numpy, typer": ["-c", "import numpy, typer"],
             "dbo --version": ["-m", "dbo_cli", "--version"],
             "dbo --help": ["-m", "dbo_cli", "--help"],
-            "dbo simulate, 10 rows": ["-m", "dbo_cli", "simulate", str(model), str(drive)],
+            "dbo simulate, 10 rows": [
+                "-m",
+                "dbo_cli",
+                "simulate",
+                str(model),
+                str(drive),
+            ],
         }
         best = dict.fromkeys(commands, float("inf"))
         for _ in range(runs):

@@ -1,16 +1,19 @@
 """Tracking of the virtual actuator, all presets: the compensated drive's error against a straight line's.
 
-For each preset and seed: the sample identification drive is played, a model is identified with everything
-automatic (and once more without relaxation and delay), a trajectory inside the reach is compensated, and both
-drives are played again with other noise. The bound: 0.06 of the straight line's RMSE, or twice the noise.
+For each preset and seed: the sample identification drive is played, a model is
+identified with everything automatic (and once more without relaxation and delay), a
+trajectory inside the reach is compensated, and both drives are played again with other
+noise. The bound: 0.06 of the straight line's RMSE, or twice the noise.
 
     python benchmarks/tracking.py [--seeds 3]
 
-With --excite it compares identification drives instead: that of `dbo excite` at several durations with its
-predecessor of 30 s (two sweeps, decaying amplitudes, minor loops at both ends; kept here alone). Figure: RMS
-error of two moves that were not in the drive, without the sensor's noise, in % of the stroke; geometric mean
-over presets and seeds. The bound: 15 s of the drive give at most 0.6 of what version 0.1.0 made of 30 s of
-its predecessor. (Today's identification makes as much of the predecessor's 30 s as of 15 s of the drive.)
+With --excite it compares identification drives instead: that of `dbo excite` at several
+durations with its predecessor of 30 s (two sweeps, decaying amplitudes, minor loops at
+both ends; kept here alone). Figure: RMS error of two moves that were not in the drive,
+without the sensor's noise, in % of the stroke; geometric mean over presets and seeds.
+The bound: 15 s of the drive give at most 0.6 of what version 0.1.0 made of 30 s of its
+predecessor. (Today's identification makes as much of the predecessor's 30 s as of 15 s
+of the drive.)
 
     python benchmarks/tracking.py --excite [--seeds 3] [--durations 8,15,30,60]
 """
@@ -37,7 +40,8 @@ from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits
 
 Floats = NDArray[np.float64]
 BOUND = 0.06
-EXCITE_BOUND = 0.6 * 0.142  # % of the stroke; version 0.1.0 reached 0.142 with its own drive of 30 s
+# % of the stroke; version 0.1.0 reached 0.142 with its own drive of 30 s
+EXCITE_BOUND = 0.6 * 0.142
 RATE = 1000.0
 
 
@@ -95,7 +99,10 @@ def former_excitation(duration: float, frequency: float = 1.0) -> Floats:
     turns = [0.0, 1.0, 0.0, 1.0, 0.0]
     for k in range(decaying):
         amplitude = 0.5 * (1.0 - k / decaying)
-        turns += [0.5 + amplitude, 0.5 - 0.5 * (amplitude + 0.5 * (1.0 - (k + 1) / decaying))]
+        turns += [
+            0.5 + amplitude,
+            0.5 - 0.5 * (amplitude + 0.5 * (1.0 - (k + 1) / decaying)),
+        ]
     depths = [0.85 * (1.0 - k / anchored) + 0.1 for k in range(anchored)]
     for depth in depths[::2]:
         turns += [1.0, 1.0 - depth]
@@ -114,18 +121,26 @@ def unseen_move(seed: int) -> tuple[Floats, Floats]:
     for _ in range(6):
         tone = 10.0 ** chance.uniform(-0.7, 0.5)
         phase = chance.uniform(0.0, 2.0 * np.pi)
-        curve += chance.uniform(0.2, 1.0) / np.sqrt(tone) * np.sin(2.0 * np.pi * tone * time + phase)
+        curve += (
+            chance.uniform(0.2, 1.0)
+            / np.sqrt(tone)
+            * np.sin(2.0 * np.pi * tone * time + phase)
+        )
     begin = np.minimum(time / 0.7, 1.0)
     return time, scaled(curve, 0.0, 1.0) * begin * begin * (3.0 - 2.0 * begin)
 
 
-def error_on_new_moves(parameters: ActuatorParameters, shape: Floats, seed: int) -> float:
+def error_on_new_moves(
+    parameters: ActuatorParameters, shape: Floats, seed: int
+) -> float:
     """Identify from a drive of 0 to 1 and return the RMS error of new moves in % of the stroke."""
     actuator = VirtualActuator(parameters)
     time = np.arange(len(shape)) / RATE
     voltage = parameters.v_min + (parameters.v_max - parameters.v_min) * shape
     displacement = actuator.play(time, voltage, seed)
-    model = identify([Recording("excite", voltage, displacement, time, None, "V", "um")]).model
+    model = identify(
+        [Recording("excite", voltage, displacement, time, None, "V", "um")]
+    ).model
     low, span = model.output.minimum, model.output.span
     squares = []
     for when, curve in (trajectory(), unseen_move(seed)):
@@ -145,43 +160,65 @@ def compare_excitation(seeds: int, durations: list[float]) -> None:
             0.0, 1.0, RATE, seconds, 1.0, seed=seed
         ).drive()[1]
     print("RMS error on new moves, % of stroke")
-    print(f"{'':12}  {'  '.join(f'{name:>10}' for name in PRESETS)}    mean   worst   ratio")
+    print(
+        f"{'':12}  {'  '.join(f'{name:>10}' for name in PRESETS)}    mean   worst   ratio"
+    )
     first = None
     for name, drive in drives.items():
         table = np.array(
-            [[error_on_new_moves(p, drive(s), s) for s in range(1, seeds + 1)] for p in PRESETS.values()]
+            [
+                [error_on_new_moves(p, drive(s), s) for s in range(1, seeds + 1)]
+                for p in PRESETS.values()
+            ]
         )
         mean = float(np.exp(np.log(table).mean()))
         first = first or mean
-        cells = "  ".join(f"{value:10.4f}" for value in np.exp(np.log(table).mean(axis=1)))
+        cells = "  ".join(
+            f"{value:10.4f}" for value in np.exp(np.log(table).mean(axis=1))
+        )
         missed = "   MISSED" if name == "15 s" and mean > EXCITE_BOUND else ""
-        print(f"{name:12}  {cells}  {mean:6.4f}  {table.max():6.4f}  {mean / first:6.3f}{missed}", flush=True)
+        print(
+            f"{name:12}  {cells}  {mean:6.4f}  {table.max():6.4f}  {mean / first:6.3f}{missed}",
+            flush=True,
+        )
 
 
 def main() -> None:
     """Print one line a preset and seed, and the verdict."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--excite", action="store_true", help="compare identification drives")
-    parser.add_argument("--durations", default="8,15,30,60", help="of the drive, in s, with --excite")
+    parser.add_argument(
+        "--excite", action="store_true", help="compare identification drives"
+    )
+    parser.add_argument(
+        "--durations", default="8,15,30,60", help="of the drive, in s, with --excite"
+    )
     options = parser.parse_args()
     seeds = options.seeds
     if options.excite:
-        compare_excitation(seeds, [float(text) for text in options.durations.split(",")])
+        compare_excitation(
+            seeds, [float(text) for text in options.durations.split(",")]
+        )
         return
-    print("preset        seed  straight line  compensated  ratio   noise  without lag  ratio")
+    print(
+        "preset        seed  straight line  compensated  ratio   noise  without lag  ratio"
+    )
     missed = 0
     for name, parameters in PRESETS.items():
         for seed in range(1, seeds + 1):
             line, auto, plain = tracking(parameters, seed)
-            noise = float(np.hypot(parameters.noise, parameters.resolution / np.sqrt(12.0)))
+            noise = float(
+                np.hypot(parameters.noise, parameters.resolution / np.sqrt(12.0))
+            )
             good = auto <= max(BOUND * line, 2.0 * noise)
             missed += not good
             print(
                 f"{name:12}  {seed:4}  {line:10.4f} um  {auto:8.4f} um  {auto / line:.3f}  {noise:.4f}  "
                 f"{plain:8.4f} um  {plain / line:.3f}{'' if good else '   MISSED'}"
             )
-    print(f"bound {BOUND} of the straight line's RMSE or twice the noise: missed {missed} times")
+    print(
+        f"bound {BOUND} of the straight line's RMSE or twice the noise: missed {missed} times"
+    )
 
 
 if __name__ == "__main__":

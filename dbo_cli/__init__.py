@@ -1,7 +1,7 @@
 """Identify, invert and compensate the hysteresis of piezo actuators with the Discrete Backlash Operator.
 
-The public names are loaded when they are asked for, so that importing the package costs nothing; see
-docs/python.md.
+The public names are loaded when they are asked for, so that importing the package costs
+nothing; see docs/python.md.
 """
 
 from __future__ import annotations
@@ -22,7 +22,15 @@ if TYPE_CHECKING:
     )
     from dbo_cli.extras.channels.api import ModelSet
     from dbo_cli.extras.moves.trajectory import trajectory
-    from dbo_cli.runs.api import Model, compensate, identify, read_log, read_model, report, simulate
+    from dbo_cli.runs.api import (
+        Model,
+        compensate,
+        identify,
+        read_log,
+        read_model,
+        report,
+        simulate,
+    )
 
 __all__ = [
     "DboError",

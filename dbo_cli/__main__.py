@@ -1,7 +1,7 @@
 """Where the process begins, as ``dbo`` or ``python -m dbo_cli``: Ctrl-C is heard before anything is imported.
 
-What cannot be heard is Ctrl-C while the interpreter itself starts, before the first line of this package: it
-says so in its own way (a traceback, or nothing).
+What cannot be heard is Ctrl-C while the interpreter itself starts, before the first
+line of this package: it says so in its own way (a traceback, or nothing).
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """What users are told: errors, each with the exit code of the process that shows it, warnings and notes.
 
-Warnings and notes are returned as data; the caller prints them. Every message is one line that names the
-place, what is wrong there, and what to do about it. It speaks the library's words: a parameter stands in
-backticks, and the command line, when it shows it, spells it as its option (``--skip-bad``).
+Warnings and notes are returned as data; the caller prints them. Every message is one
+line that names the place, what is wrong there, and what to do about it. It speaks the
+library's words: a parameter stands in backticks, and the command line, when it shows
+it, spells it as its option (``--skip-bad``).
 """
 
 from __future__ import annotations
@@ -78,11 +79,15 @@ def plain(text: str) -> str:
 class Remarks:
     """Messages that name parameters in backticks.
 
-    ``read``: what was read of which log, ``notes`` are good to know, ``warnings`` may spoil the result.
+    ``read``: what was read of which log, ``notes`` are good to know, ``warnings`` may
+    spoil the result.
     """
 
     def __init__(
-        self, notes: Iterable[str] = (), warnings: Iterable[str] = (), read: Iterable[str] = ()
+        self,
+        notes: Iterable[str] = (),
+        warnings: Iterable[str] = (),
+        read: Iterable[str] = (),
     ) -> None:
         self.notes, self.warnings, self.read = list(notes), list(warnings), list(read)
 

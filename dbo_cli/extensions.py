@@ -1,9 +1,10 @@
 """The table where the core and the extras meet: what each extra brings, and where it is found.
 
-An extra is one thing that the program can do besides its core: a folder of ``dbo_cli/extras``, or a package
-of somebody else that announces an ``Extra`` under the entry point ``dbo_cli.extras``. The core asks this
-table for a thing by its kind and key, and the module that has it is imported then. Nothing else in the core
-knows what extras there are, so that an installation without ``dbo_cli/extras`` is a whole program.
+An extra is one thing that the program can do besides its core: a folder of
+``dbo_cli/extras``, or a package of somebody else that announces an ``Extra`` under the
+entry point ``dbo_cli.extras``. The core asks this table for a thing by its kind and
+key, and the module that has it is imported then. Nothing else in the core knows what
+extras there are, so that an installation without ``dbo_cli/extras`` is a whole program.
 """
 
 from __future__ import annotations
@@ -24,17 +25,20 @@ Kind = Literal["command", "option", "api", "run", "model", "reader", "generator"
 """What an extra can bring:
 
 - ``command``: a ``cli.command.Command``; the key is its name.
-- ``option``: a ``cli.options.Option`` of a command of the core; the key is ``COMMAND --OPTION``.
-- ``api``: a public name of ``dbo_cli``, or, as ``Model.NAME``, a method of a class of the Python API.
-- ``run``: what takes part in a use case of the core. ``compensate NAME`` makes the run where the option NAME
-  is given, ``files of compensate NAME`` is a ``SignalRun`` for it, ``watch NAME`` makes a ``Watcher`` of the
-  rows; ``show --NAME`` and ``excite --NAME`` do the same for these commands. Other keys are named where the
-  core asks for them.
-- ``model``: a ``hysteresis.model_file.StageInFiles``, the key is the ``type`` of its stage; or what reads a
-  file of another ``format``.
-- ``reader``: what opens a kind of log file, a function of a ``Request`` that returns a ``Table``; the key is
-  the ending of its name, with the point. (Makers' headers and what is told by its first bytes have keys of
-  their own.)
+- ``option``: a ``cli.options.Option`` of a command of the core; the key is ``COMMAND
+  --OPTION``.
+- ``api``: a public name of ``dbo_cli``, or, as ``Model.NAME``, a method of a class of
+  the Python API.
+- ``run``: what takes part in a use case of the core. ``compensate NAME`` makes the run
+  where the option NAME is given, ``files of compensate NAME`` is a ``SignalRun`` for
+  it, ``watch NAME`` makes a ``Watcher`` of the rows; ``show --NAME`` and ``excite
+  --NAME`` do the same for these commands. Other keys are named where the core asks for
+  them.
+- ``model``: a ``hysteresis.model_file.StageInFiles``, the key is the ``type`` of its
+  stage; or what reads a file of another ``format``.
+- ``reader``: what opens a kind of log file, a function of a ``Request`` that returns a
+  ``Table``; the key is the ending of its name, with the point. (Makers' headers and
+  what is told by its first bytes have keys of their own.)
 - ``generator``: a ``GeneratorFormat`` of ``dbo waveform``; the key is its name.
 """
 
@@ -64,7 +68,8 @@ class Extra:
     def is_installed(self) -> bool:
         """Whether the folder of one of this program's own extras is there."""
         return (
-            find_spec("dbo_cli.extras") is not None and find_spec(f"dbo_cli.extras.{self.name}") is not None
+            find_spec("dbo_cli.extras") is not None
+            and find_spec(f"dbo_cli.extras.{self.name}") is not None
         )
 
     def things(self, kind: Kind) -> Iterator[tuple[str, Any]]:
@@ -278,7 +283,9 @@ def others() -> tuple[Extra, ...]:
                 f"{type(problem).__name__}: {problem}"
             ) from None
         if not isinstance(extra, Extra):
-            raise UsageError(f"the extra '{entry.name}' ({entry.value}) is no dbo_cli.extensions.Extra")
+            raise UsageError(
+                f"the extra '{entry.name}' ({entry.value}) is no dbo_cli.extensions.Extra"
+            )
         extras.append(extra)
     return tuple(extras)
 

@@ -1,8 +1,8 @@
 """Draw which room of the package imports which, for architecture.md: ``python docs/draw_imports.py``.
 
-The imports are read from the source with ``ast``, those inside functions and those for types alone included;
-tests/test_rooms.py holds that no module is in a circle of imports, that no arrow points up, and that the
-picture shows the arrows there are.
+The imports are read from the source with ``ast``, those inside functions and those for
+types alone included; tests/test_rooms.py holds that no module is in a circle of
+imports, that no arrow points up, and that the picture shows the arrows there are.
 """
 
 from __future__ import annotations
@@ -34,11 +34,26 @@ PLACES: dict[str, tuple[int, float, float, str]] = {
     "hysteresis": (2, 0.0, 4.8, "operators, model, states, their files"),
     "logs": (2, 5.2, 10.0, "formats, columns, units, clocks, outputs"),
     "identification": (3, 0.0, 3.1, "a model from logs"),
-    "drives": (4, 0.0, 6.5, "what leaves for an amplifier: pieces, one state, one gate"),
+    "drives": (
+        4,
+        0.0,
+        6.5,
+        "what leaves for an amplifier: pieces, one state, one gate",
+    ),
     "reports": (4, 6.9, 10.0, "figures of merit, pages"),
-    "runs": (5, 0.0, 10.0, "the use cases: blocks in, blocks out; what must be said comes back as data"),
+    "runs": (
+        5,
+        0.0,
+        10.0,
+        "the use cases: blocks in, blocks out; what must be said comes back as data",
+    ),
     "cli": (6, 0.0, 10.0, "options, one call, output"),
-    "extras": (7, 0.0, 10.0, "what may be left out, a folder each; nothing below knows them"),
+    "extras": (
+        7,
+        0.0,
+        10.0,
+        "what may be left out, a folder each; nothing below knows them",
+    ),
     NAMES: (8, 0.0, 4.8, "the public names, loaded when asked for"),
 }
 """The rooms; an arrow may only lead to a lower level."""
@@ -68,7 +83,9 @@ def imports() -> list[Import]:
     files = module_files()
     found = set()
     for importer, path in files.items():
-        for node, late in _statements(ast.parse(path.read_text(encoding="utf-8")), False):
+        for node, late in _statements(
+            ast.parse(path.read_text(encoding="utf-8")), False
+        ):
             for name in _named(node):
                 imported = name if name in files else name.rpartition(".")[0]
                 if imported in files and imported != importer:
@@ -81,7 +98,9 @@ def room(module: str) -> str:
     parts = module.split(".")[1:]
     if not parts or parts == ["__main__"]:
         return NAMES if not parts else "cli"
-    return "identification" if parts[:2] == ["hysteresis", "identification"] else parts[0]
+    return (
+        "identification" if parts[:2] == ["hysteresis", "identification"] else parts[0]
+    )
 
 
 def arrows() -> dict[tuple[str, str], bool]:
@@ -111,7 +130,9 @@ def _statements(node: ast.AST, late: bool) -> Iterator[tuple[ast.AST, bool]]:
             continue  # no expression holds an import
         if isinstance(child, ast.Import | ast.ImportFrom):
             yield child, late
-        typing_only = isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test)
+        typing_only = isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(
+            child.test
+        )
         inside = isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef)
         yield from _statements(child, late or inside or typing_only)
 
@@ -134,9 +155,18 @@ def paint(axes: Axes) -> None:
     ports = _ports(list(found))
     for pair, late in found.items():
         (x, y), (to_x, to_y) = ports[pair]
-        line: dict[str, Any] = {"color": style.SECOND if late else style.FIRST, "linewidth": 1.1}
-        line |= {"linestyle": (0, (3.2, 1.4)) if late else "-", "shrinkA": 0.0, "shrinkB": 0.0}
-        drawn = axes.annotate("", (to_x, to_y), (x, y), arrowprops={"arrowstyle": "-|>", **line}, zorder=1)
+        line: dict[str, Any] = {
+            "color": style.SECOND if late else style.FIRST,
+            "linewidth": 1.1,
+        }
+        line |= {
+            "linestyle": (0, (3.2, 1.4)) if late else "-",
+            "shrinkA": 0.0,
+            "shrinkB": 0.0,
+        }
+        drawn = axes.annotate(
+            "", (to_x, to_y), (x, y), arrowprops={"arrowstyle": "-|>", **line}, zorder=1
+        )
         assert drawn.arrow_patch is not None
         drawn.arrow_patch.set_gid(arrow_id(*pair))
     for name in sorted(there & PLACES.keys()):
@@ -149,13 +179,28 @@ def paint(axes: Axes) -> None:
         axes.add_patch(box)
         spot: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 3}
         middle = 2.0 * level + 0.5
-        axes.text((left + right) / 2, middle + (0.2 if what else 0.0), name, weight="bold", **spot)
-        axes.text((left + right) / 2, middle - 0.22, what, color=style.MUTED, fontsize=7.5, **spot)
+        axes.text(
+            (left + right) / 2,
+            middle + (0.2 if what else 0.0),
+            name,
+            weight="bold",
+            **spot,
+        )
+        axes.text(
+            (left + right) / 2,
+            middle - 0.22,
+            what,
+            color=style.MUTED,
+            fontsize=7.5,
+            **spot,
+        )
     axes.set(xlim=(-0.1, 10.1), ylim=(-0.1, 17.1))
     axes.axis("off")
 
 
-def _ports(pairs: list[tuple[str, str]]) -> dict[tuple[str, str], tuple[tuple[float, float], ...]]:
+def _ports(
+    pairs: list[tuple[str, str]],
+) -> dict[tuple[str, str], tuple[tuple[float, float], ...]]:
     """Return where each arrow leaves and enters its boxes: evenly spread, in the order of the other ends."""
 
     def middle(name: str) -> float:
@@ -168,10 +213,17 @@ def _ports(pairs: list[tuple[str, str]]) -> dict[tuple[str, str], tuple[tuple[fl
         gap = (right - left) / (len(ordered) + 1)
         return {other: left + gap * (k + 1) for k, other in enumerate(ordered)}
 
-    leaving = {name: spread(name, [b for a, b in pairs if a == name]) for name in PLACES}
-    entering = {name: spread(name, [a for a, b in pairs if b == name]) for name in PLACES}
+    leaving = {
+        name: spread(name, [b for a, b in pairs if a == name]) for name in PLACES
+    }
+    entering = {
+        name: spread(name, [a for a, b in pairs if b == name]) for name in PLACES
+    }
     return {
-        (a, b): ((leaving[a][b], 2.0 * PLACES[a][0]), (entering[b][a], 2.0 * PLACES[b][0] + 1.0))
+        (a, b): (
+            (leaving[a][b], 2.0 * PLACES[a][0]),
+            (entering[b][a], 2.0 * PLACES[b][0] + 1.0),
+        )
         for a, b in pairs
     }
 

@@ -2,7 +2,8 @@
 
     python docs/make_api_page.py
 
-tests/extras/test_api_page.py holds that it is up to date, and that every parameter is explained.
+tests/extras/test_api_page.py holds that it is up to date, and that every parameter is
+explained.
 """
 
 from __future__ import annotations
@@ -31,16 +32,33 @@ Made from the docstrings by `python docs/make_api_page.py`; [python.md](python.m
 The functions are reached as `dbo.NAME` after `import dbo_cli as dbo`, `Model` and the errors, too; the other
 objects are what functions and methods return, and the records name the further keywords that these take.
 """
-FUNCTIONS = ("read_log", "identify", "read_model", "simulate", "compensate", "report", "trajectory")
+FUNCTIONS = (
+    "read_log",
+    "identify",
+    "read_model",
+    "simulate",
+    "compensate",
+    "report",
+    "trajectory",
+)
 RETURNED = (Controller, Result, TrackingReport, Quantity)
-RECORDS = (IdentificationOptions, DriveOptions, ReadingOptions, TrackingOptions, TrajectoryOptions)
+RECORDS = (
+    IdentificationOptions,
+    DriveOptions,
+    ReadingOptions,
+    TrackingOptions,
+    TrajectoryOptions,
+)
 TITLE = re.compile(r"^(\w[\w ]*)\n-{3,}\n", re.MULTILINE)
 
 
 def sections(text: str) -> list[tuple[str, str]]:
     """Return the parts of a numpy docstring by their titles; the first has none."""
     parts = TITLE.split(text)
-    return [("", parts[0].strip()), *zip(parts[1::2], (one.strip("\n") for one in parts[2::2]), strict=True)]
+    return [
+        ("", parts[0].strip()),
+        *zip(parts[1::2], (one.strip("\n") for one in parts[2::2]), strict=True),
+    ]
 
 
 def entries(text: str) -> list[tuple[str, str]]:
@@ -71,7 +89,9 @@ def described(text: str) -> str:
         for name, meaning in entries(body):
             term, _, kind = name.partition(" : ")
             shown = f"`{term}`" + (f" ({markdown(kind)})" if kind else "")
-            lines.append(f"- {shown}: {markdown(meaning)}" if meaning else f"- {markdown(name)}")
+            lines.append(
+                f"- {shown}: {markdown(meaning)}" if meaning else f"- {markdown(name)}"
+            )
         written.append(f"**{title}**\n\n" + "\n".join(lines))
     return "\n\n".join(written)
 
@@ -119,7 +139,10 @@ def class_part(one: type) -> str:
     parts += ["**Properties**\n\n" + "\n".join(known) + "\n"] if known else []
     methods = {key: value for key, value in public.items() if inspect.isfunction(value)}
     called = one.__name__.lower()
-    parts += [function_part(value, f"{called}.{key}", "####") for key, value in methods.items()]
+    parts += [
+        function_part(value, f"{called}.{key}", "####")
+        for key, value in methods.items()
+    ]
     return "\n".join(parts)
 
 
@@ -139,7 +162,9 @@ def error_rows() -> str:
 def page() -> str:
     """Return the page."""
     parts = [HEAD, "## Functions\n"]
-    parts += [function_part(getattr(dbo_cli, name), f"dbo.{name}") for name in FUNCTIONS]
+    parts += [
+        function_part(getattr(dbo_cli, name), f"dbo.{name}") for name in FUNCTIONS
+    ]
     parts += ["## Objects\n", class_part(dbo_cli.Model), class_part(dbo_cli.ModelSet)]
     parts += [class_part(one) for one in RETURNED]
     parts += ["## Further keywords\n", *map(record_part, RECORDS)]

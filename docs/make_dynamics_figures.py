@@ -12,7 +12,14 @@ from make_figures import write
 from dbo_cli.extras.repeat.learning import ORDER
 from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
-from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, Relaxation, ScaleStage, Stage
+from dbo_cli.hysteresis.model import (
+    ActuatorModel,
+    BacklashStage,
+    Quantity,
+    Relaxation,
+    ScaleStage,
+    Stage,
+)
 from dbo_cli.hysteresis.model_state import StartName
 from dbo_cli.hysteresis.move_error import RESONANCE_PART
 from dbo_cli.reports import drawing as style
@@ -40,21 +47,32 @@ def actuator(loop: float = 0.45, resonance: float | None = RESONANCE) -> Actuato
     ]
     low, high = slow_output_range(stages, 0.0, 100.0)
     if resonance is not None:
-        stages = [DynamicsStage((Lag(2e-4),)), *stages, DynamicsStage((Resonance(resonance, 0.02),))]
-    voltage, displacement = Quantity("voltage", "V", 0.0, 100.0), Quantity("displacement", "um", low, high)
+        stages = [
+            DynamicsStage((Lag(2e-4),)),
+            *stages,
+            DynamicsStage((Resonance(resonance, 0.02),)),
+        ]
+    voltage, displacement = (
+        Quantity("voltage", "V", 0.0, 100.0),
+        Quantity("displacement", "um", low, high),
+    )
     return ActuatorModel("forward", voltage, displacement, tuple(stages))
 
 
 def played(drive: Floats, start: StartName = "empty") -> Floats:
     """Return what the actuator does."""
     plant = actuator()
-    return plant.simulate(drive, plant.start(float(drive[0]), start), time_step=1.0 / RATE).y
+    return plant.simulate(
+        drive, plant.start(float(drive[0]), start), time_step=1.0 / RATE
+    ).y
 
 
 def burst(frequency: float, seconds: float = 0.3) -> tuple[Floats, Floats]:
     """Return time and a sine of 8 µm that fades in from a rest and out to one."""
     time = np.arange(round(seconds * RATE)) / RATE
-    rise = np.clip((time - 0.005) / 0.05, 0.0, 1.0) * np.clip((time[-1] - 0.005 - time) / 0.05, 0.0, 1.0)
+    rise = np.clip((time - 0.005) / 0.05, 0.0, 1.0) * np.clip(
+        (time[-1] - 0.005 - time) / 0.05, 0.0, 1.0
+    )
     rise = rise**3 * (10.0 - 15.0 * rise + 6.0 * rise**2)
     return time, 6.0 + 4.0 * rise * np.sin(2.0 * np.pi * frequency * time)
 
@@ -75,7 +93,9 @@ def fast_move(axes: Axes) -> None:
     assert lag is not None
     assert moving is not None
     moved = DynamicsStage((*lag.sections, *moving.sections))
-    kept = [stage for stage in before.stages if stage is not lag and stage is not moving]
+    kept = [
+        stage for stage in before.stages if stage is not lag and stage is not moving
+    ]
     behind = dataclasses.replace(before, stages=(*kept, moved))
     for model, label, look in (
         (actuator(resonance=None), "gears alone", style.DASHED),
@@ -117,9 +137,15 @@ def lessons(frequency: float) -> dict[str, list[float]]:
         tracked: tuple[Floats, ...] = ()
         found[name] = []
         for number in range(6):
-            drive = compensated(model, wanted, **({"tracked": tracked} if tracked else {}))
+            drive = compensated(
+                model, wanted, **({"tracked": tracked} if tracked else {})
+            )
             reached = played(drive)
-            tracked = (drive, reached + np.random.default_rng(number).normal(0.0, NOISE, reached.size))
+            tracked = (
+                drive,
+                reached
+                + np.random.default_rng(number).normal(0.0, NOISE, reached.size),
+            )
             error = float(np.sqrt(np.mean((reached - wanted) ** 2)))
             found[name].append(100.0 * error / float(np.ptp(wanted)))
     return found
@@ -134,11 +160,29 @@ def learning_factor(axes: Axes) -> None:
         ratio = Resonance(part * RESONANCE, 0.005).response(frequency) / model
         name = f"{abs(round(100.0 * (part - 1.0)))} % {'lower' if part < 1.0 else 'higher'}"
         axes.loglog(frequency, np.abs(weight * (1.0 - ratio)), label=name, **look)
-    usual = np.abs(1.0 - weight * Resonance(0.75 * RESONANCE, 0.005).response(frequency) / model)
-    axes.loglog(frequency, usual, label="r + Q e", color=style.INK, linewidth=0.9, linestyle=(0, (1, 1.6)))
+    usual = np.abs(
+        1.0 - weight * Resonance(0.75 * RESONANCE, 0.005).response(frequency) / model
+    )
+    axes.loglog(
+        frequency,
+        usual,
+        label="r + Q e",
+        color=style.INK,
+        linewidth=0.9,
+        linestyle=(0, (1, 1.6)),
+    )
     axes.axhline(1.0, color=style.INK, linewidth=0.6)
-    axes.set(xlabel="Frequency (Hz)", ylabel="Factor of a pass", xlim=(80.0, 1600.0), ylim=(1e-5, 10.0))
-    axes.set_xticks([100.0, 200.0, 400.0, 800.0, 1600.0], ["100", "200", "400", "800", "1600"], minor=False)
+    axes.set(
+        xlabel="Frequency (Hz)",
+        ylabel="Factor of a pass",
+        xlim=(80.0, 1600.0),
+        ylim=(1e-5, 10.0),
+    )
+    axes.set_xticks(
+        [100.0, 200.0, 400.0, 800.0, 1600.0],
+        ["100", "200", "400", "800", "1600"],
+        minor=False,
+    )
     axes.minorticks_off()
     label_decades(axes.yaxis)
     mark_curves(axes, columns=2)
@@ -146,9 +190,19 @@ def learning_factor(axes: Axes) -> None:
 
 def learning(axes: Axes) -> None:
     """Paint the error by pass of a move at a thirtieth of the resonance."""
-    for (name, errors), look in zip(lessons(RESONANCE / 30.0).items(), style.SEVERAL, strict=False):
-        axes.semilogy(range(1, 7), errors, label=name, marker="o", markersize=4.0, **look)
-    axes.axhline(100.0 * NOISE / 8.0, color=style.INK, linewidth=0.9, linestyle=(0, (1, 1.6)), label="sensor")
+    for (name, errors), look in zip(
+        lessons(RESONANCE / 30.0).items(), style.SEVERAL, strict=False
+    ):
+        axes.semilogy(
+            range(1, 7), errors, label=name, marker="o", markersize=4.0, **look
+        )
+    axes.axhline(
+        100.0 * NOISE / 8.0,
+        color=style.INK,
+        linewidth=0.9,
+        linestyle=(0, (1, 1.6)),
+        label="sensor",
+    )
     label_decades(axes.yaxis)
     axes.set(xlabel="Pass", ylabel="Error (RMS, % of the move)")
     mark_curves(axes, columns=2)
@@ -163,7 +217,10 @@ def loop(axes: Axes) -> None:
     once = model.compensate(period, **wide)  # type: ignore[arg-type]
     settled = model.compensate(period, periodic=True, **wide)  # type: ignore[arg-type]
     time = np.arange(3 * count) / RATE
-    for drive, label, look in ((once, "one pass, repeated", style.DASHED), (settled, "settled", style.SOLID)):
+    for drive, label, look in (
+        (once, "one pass, repeated", style.DASHED),
+        (settled, "settled", style.SOLID),
+    ):
         reached = played(np.tile(drive, 1000), "auto")
         error = reached[-3 * count :] - np.tile(period, 3)
         axes.plot(1e3 * time, 1e3 * error, label=label, **look)
@@ -172,10 +229,36 @@ def loop(axes: Axes) -> None:
 
 
 PLOTS = (
-    Plot("fast-move", "A fast move", "Errors at a tenth of the resonance.", style.WIDE, fast_move),
-    Plot("reading-ahead", "The inverse of a resonance", "A step and its input.", style.WIDE, reading_ahead),
-    Plot("learning-factor", "Learning", "Factor of a pass.", style.WIDE, learning_factor, head=0.26),
-    Plot("learning", "Learning", "Error by pass for three models.", style.WIDE, learning, head=0.17),
+    Plot(
+        "fast-move",
+        "A fast move",
+        "Errors at a tenth of the resonance.",
+        style.WIDE,
+        fast_move,
+    ),
+    Plot(
+        "reading-ahead",
+        "The inverse of a resonance",
+        "A step and its input.",
+        style.WIDE,
+        reading_ahead,
+    ),
+    Plot(
+        "learning-factor",
+        "Learning",
+        "Factor of a pass.",
+        style.WIDE,
+        learning_factor,
+        head=0.26,
+    ),
+    Plot(
+        "learning",
+        "Learning",
+        "Error by pass for three models.",
+        style.WIDE,
+        learning,
+        head=0.17,
+    ),
     Plot("loop", "A loop", "Errors of a looped move.", style.WIDE, loop),
 )
 

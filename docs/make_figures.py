@@ -13,7 +13,12 @@ import numpy as np
 
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, identify
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.operators import DiscreteBacklashOperator, DiscretePointOperator, Outside, Relaxation
+from dbo_cli.hysteresis.operators import (
+    DiscreteBacklashOperator,
+    DiscretePointOperator,
+    Outside,
+    Relaxation,
+)
 from dbo_cli.reports import drawing as style
 from dbo_cli.reports.drawing import Plot, draw
 from dbo_cli.reports.figures import mark_curves
@@ -23,8 +28,17 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FOLDER = Path(__file__).parent / "figures"
-DOTTED: dict[str, Any] = {"color": style.INK, "linewidth": 0.9, "linestyle": (0, (1, 1.6))}
-DOT: dict[str, Any] = {"marker": "o", "markersize": 4.5, "linestyle": "none", "color": style.INK}
+DOTTED: dict[str, Any] = {
+    "color": style.INK,
+    "linewidth": 0.9,
+    "linestyle": (0, (1, 1.6)),
+}
+DOT: dict[str, Any] = {
+    "marker": "o",
+    "markersize": 4.5,
+    "linestyle": "none",
+    "color": style.INK,
+}
 STATE_LABELS = {
     2: ((0, 7), "center"),
     4: ((-6, 5), "right"),
@@ -41,7 +55,9 @@ def sweep(*turns: float, samples: int = 400) -> Floats:
     return np.concatenate(legs)
 
 
-def response(operator: DiscreteBacklashOperator, drive: Floats, decay: Floats | None = None) -> Floats:
+def response(
+    operator: DiscreteBacklashOperator, drive: Floats, decay: Floats | None = None
+) -> Floats:
     """Return the output of an operator that starts empty."""
     return operator.run(drive, operator.empty(), decay=decay)[0]
 
@@ -77,15 +93,28 @@ def two_gears(axes: Axes) -> None:
         )  # fmt: skip
     for x0, y0, gear in ((0.0, 0.0, 0), (1.6, 0.7, 1)):
         dx, dy = float(gears.dx[gear]), float(gears.dy[gear])
-        axes.plot([x0, x0 + dx, x0 + dx], [y0, y0, y0 + dy], color=style.MUTED, linewidth=0.8)
-        axes.annotate(f"ΔX{'₀₁'[gear]}", (x0 + 0.55 * dx, y0), xytext=(0, -11), textcoords="offset points")
+        axes.plot(
+            [x0, x0 + dx, x0 + dx], [y0, y0, y0 + dy], color=style.MUTED, linewidth=0.8
+        )
+        axes.annotate(
+            f"ΔX{'₀₁'[gear]}",
+            (x0 + 0.55 * dx, y0),
+            xytext=(0, -11),
+            textcoords="offset points",
+        )
         if gear == 0:
             axes.annotate(
-                f"ΔY{'₀₁'[gear]}", (x0 + dx, y0 + 0.3 * dy), xytext=(4, 0), textcoords="offset points"
+                f"ΔY{'₀₁'[gear]}",
+                (x0 + dx, y0 + 0.3 * dy),
+                xytext=(4, 0),
+                textcoords="offset points",
             )
         else:
             axes.annotate(
-                f"ΔY{'₀₁'[gear]}", (x0 + dx, y0 + 0.4 * dy), xytext=(-24, 0), textcoords="offset points"
+                f"ΔY{'₀₁'[gear]}",
+                (x0 + dx, y0 + 0.4 * dy),
+                xytext=(-24, 0),
+                textcoords="offset points",
             )
     axes.set_ylim(-0.35, 3.3)
     named(axes)
@@ -99,14 +128,18 @@ def eight_states(axes: Axes) -> None:
         for turn in (0.0, 3.6):  # from every state, the ways up and down that are open
             state = replace(THREE.empty(), bits=bits)
             drive = sweep(x, turn, samples=200)
-            axes.plot(drive, THREE.run(drive, state)[0], color=style.FILL, linewidth=0.9)
+            axes.plot(
+                drive, THREE.run(drive, state)[0], color=style.FILL, linewidth=0.9
+            )
     drive = sweep(0.0, 3.6, 0.0)
     axes.plot(drive, response(THREE, drive), label="full loop", **style.SOLID)
     for bits in range(8):
         x, y = corners(THREE, bits)
         axes.plot([x], [y], zorder=4, **DOT)
         place, side = STATE_LABELS.get(bits, ((6, -11), "left"))
-        axes.annotate(f"{bits:03b}", (x, y), xytext=place, textcoords="offset points", ha=side)
+        axes.annotate(
+            f"{bits:03b}", (x, y), xytext=place, textcoords="offset points", ha=side
+        )
     axes.set_ylim(-0.35, 3.9)
     named(axes)
     mark_curves(axes)
@@ -138,7 +171,13 @@ def compared_exactly(dx: Floats, dy: Floats, drive: Floats) -> Floats:
             elif taken is not None and x <= x_b - dx[taken]:
                 bits[taken] = 0
             else:
-                gear = free if x >= x_b and free is not None else taken if taken is not None else len(dx) - 1
+                gear = (
+                    free
+                    if x >= x_b and free is not None
+                    else taken
+                    if taken is not None
+                    else len(dx) - 1
+                )
                 output.append(y_b + dy[gear] / dx[gear] * (x - x_b))
                 break
     return np.array(output)
@@ -151,8 +190,15 @@ def breakpoint_turn(axes: Axes) -> None:
     top = float(np.nextafter(dx.sum(), 0.0))
     drive = sweep(0.0, top, 0.0)
     operator = DiscreteBacklashOperator(dx, dy)
-    axes.plot(drive, response(operator, drive), label="crossed at 1 − 10⁻⁹ of the gear", **style.SOLID)
-    axes.plot(drive, compared_exactly(dx, dy, drive), label="compared exactly", **style.DASHED)
+    axes.plot(
+        drive,
+        response(operator, drive),
+        label="crossed at 1 − 10⁻⁹ of the gear",
+        **style.SOLID,
+    )
+    axes.plot(
+        drive, compared_exactly(dx, dy, drive), label="compared exactly", **style.DASHED
+    )
     named(axes)
     mark_curves(axes)
 
@@ -160,9 +206,14 @@ def breakpoint_turn(axes: Axes) -> None:
 def outside(axes: Axes) -> None:
     """Paint what lies beyond the range."""
     drive = sweep(0.0, 4.4, -0.8, 3.6)
-    rules: tuple[tuple[Outside, dict[str, Any]], ...] = (("extend", style.SOLID), ("hold", style.DASHED))
+    rules: tuple[tuple[Outside, dict[str, Any]], ...] = (
+        ("extend", style.SOLID),
+        ("hold", style.DASHED),
+    )
     for rule, look in rules:
-        axes.plot(drive, THREE.run(drive, THREE.empty(), outside=rule)[0], label=rule, **look)
+        axes.plot(
+            drive, THREE.run(drive, THREE.empty(), outside=rule)[0], label=rule, **look
+        )
     for edge in (0.0, 3.6):
         axes.axvline(edge, **DOTTED)
     named(axes)
@@ -198,7 +249,13 @@ def inverse(axes: Axes) -> None:
     drive = gears.inverse().run(desired, gears.inverse().empty())[0]
     axes.plot(drive, response(gears, drive), label="Γ", **style.SOLID)
     axes.plot(desired, drive, label="Γ⁻¹", **style.DASHED)
-    axes.plot(desired, response(gears, drive), label="Γ after Γ⁻¹", color=style.INK, linewidth=1.6)
+    axes.plot(
+        desired,
+        response(gears, drive),
+        label="Γ after Γ⁻¹",
+        color=style.INK,
+        linewidth=1.6,
+    )
     axes.set(xlabel="Input", ylabel="Output")
     mark_curves(axes)
 
@@ -217,10 +274,20 @@ def relaxation(axes: Axes) -> None:
     decay[0] = 0.0
     without = DiscreteBacklashOperator(even, even * slope)
     plain = without.inverse().run(wanted, without.inverse().empty())[0]
-    axes.plot(time, response(gears, plain, decay), label="gears alone inverted", **style.DASHED)
+    axes.plot(
+        time,
+        response(gears, plain, decay),
+        label="gears alone inverted",
+        **style.DASHED,
+    )
     back = gears.inverse()
     drive = back.run(wanted, back.empty(), decay=decay)[0]
-    axes.plot(time, response(gears, drive, decay), label="inverted with its memory", **style.SOLID)
+    axes.plot(
+        time,
+        response(gears, drive, decay),
+        label="inverted with its memory",
+        **style.SOLID,
+    )
     axes.set(xlabel="Time (s)", ylabel="Displacement")
     mark_curves(axes)
 
@@ -230,10 +297,17 @@ def sample() -> tuple[ActuatorModel, Floats, Floats, Floats]:
     """Return the model of the sample log, the log's voltage and displacement, and the model's prediction."""
     log = FOLDER.parents[1] / "sample_data" / "identification.csv"
     time, voltage, displacement = np.loadtxt(log, delimiter=",", skiprows=1).T
-    model = identify([Recording(log.name, voltage, displacement, time)], IdentificationOptions(), []).model
+    model = identify(
+        [Recording(log.name, voltage, displacement, time)], IdentificationOptions(), []
+    ).model
     start = model.start(float(voltage[0]))
     steps = np.diff(time, prepend=time[0])
-    return model, voltage, displacement, model.simulate(voltage, start, time_step=steps).y
+    return (
+        model,
+        voltage,
+        displacement,
+        model.simulate(voltage, start, time_step=steps).y,
+    )
 
 
 def identified(axes: Axes) -> None:
@@ -250,24 +324,62 @@ def slopes(axes: Axes) -> None:
     """Paint the slopes of the gears of the sample log's model."""
     gears = sample()[0].backlash
     edges = np.concatenate([[0.0], np.cumsum(gears.dx)])
-    axes.stairs(gears.dy / gears.dx, edges, baseline=None, color=style.FIRST, linewidth=1.3)
+    axes.stairs(
+        gears.dy / gears.dx, edges, baseline=None, color=style.FIRST, linewidth=1.3
+    )
     axes.set_ylim(0.0)
     axes.set(xlabel="Voltage travelled since the turn (V)", ylabel="Slope ΔY/ΔX")
 
 
 PLOTS = (
     Plot("two-gears", "Two gears", "The loop of two gears.", style.TALL, two_gears),
-    Plot("eight-states", "Three gears", "The eight states of three gears.", style.TALL, eight_states),
-    Plot("turn-inside", "Turns inside a gear", "Six gears beside 256.", style.TALL, turn_inside),
     Plot(
-        "breakpoint", "A turn on a breakpoint", "Exact comparison and tolerance.", style.TALL, breakpoint_turn
+        "eight-states",
+        "Three gears",
+        "The eight states of three gears.",
+        style.TALL,
+        eight_states,
+    ),
+    Plot(
+        "turn-inside",
+        "Turns inside a gear",
+        "Six gears beside 256.",
+        style.TALL,
+        turn_inside,
+    ),
+    Plot(
+        "breakpoint",
+        "A turn on a breakpoint",
+        "Exact comparison and tolerance.",
+        style.TALL,
+        breakpoint_turn,
     ),
     Plot("outside", "Outside the range", "Extended and held.", style.TALL, outside),
     Plot("segments", "The point operator", "Three segments.", style.WIDE, segments),
-    Plot("inverse", "The inverse", "Operator, inverse and identity.", style.TALL, inverse),
-    Plot("relaxation", "Creep and lag", "Steps with creep, compensated.", style.WIDE, relaxation),
-    Plot("identified", "Measured and model", "Loops of the sample log.", style.TALL, identified),
-    Plot("slopes", "Slopes of the gears", "Slopes of the sample log's model.", style.WIDE, slopes),
+    Plot(
+        "inverse", "The inverse", "Operator, inverse and identity.", style.TALL, inverse
+    ),
+    Plot(
+        "relaxation",
+        "Creep and lag",
+        "Steps with creep, compensated.",
+        style.WIDE,
+        relaxation,
+    ),
+    Plot(
+        "identified",
+        "Measured and model",
+        "Loops of the sample log.",
+        style.TALL,
+        identified,
+    ),
+    Plot(
+        "slopes",
+        "Slopes of the gears",
+        "Slopes of the sample log's model.",
+        style.WIDE,
+        slopes,
+    ),
 )
 
 

@@ -2,7 +2,8 @@
 
     python docs/make_man_pages.py
 
-The wheel installs them under share/man/man1. tests/test_man_pages.py holds that they are up to date.
+The wheel installs them under share/man/man1. tests/test_man_pages.py holds that they
+are up to date.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ not at all."""
 def roff(text: str) -> str:
     """Return a text that troff prints as it is."""
     escaped = text.replace("\\", "\\e").replace("-", "\\-")
-    return "\n".join("\\&" + line if line[:1] in (".", "'") else line for line in escaped.split("\n"))
+    return "\n".join(
+        "\\&" + line if line[:1] in (".", "'") else line for line in escaped.split("\n")
+    )
 
 
 def paragraphs(text: str) -> str:
@@ -41,7 +44,8 @@ def listed(rows: list[tuple[str, str]]) -> str:
 def examples(command: Command) -> str:
     """Return the examples of a command."""
     return "\n".join(
-        f".PP\n{roff(purpose)}\n.PP\n.nf\n.RS\n{roff(line)}\n.RE\n.fi" for purpose, line in command.examples
+        f".PP\n{roff(purpose)}\n.PP\n.nf\n.RS\n{roff(line)}\n.RE\n.fi"
+        for purpose, line in command.examples
     )
 
 
@@ -66,13 +70,18 @@ def command_page(name: str, command: Command) -> str:
     built: Any = root_command().get_command(context, name)
     inner = built.make_context(name, [], parent=context, resilient_parsing=True)
     arguments = " ".join(
-        f"{one.metavar}{'...' if one.repeated else ''}" for one in command.options if not one.names
+        f"{one.metavar}{'...' if one.repeated else ''}"
+        for one in command.options
+        if not one.names
     )
     parts = [("SYNOPSIS", f".B dbo {name}\n[OPTIONS] {roff(arguments)}".rstrip())]
     parts += [("DESCRIPTION", paragraphs(text.strip() or heading))]
     parts += [("OUTPUT", roff(command.writes)), ("EXAMPLES", examples(command))]
     parts += [(title.upper(), listed(rows)) for title, rows in built.sections(inner)]
-    parts += [("EXIT STATUS", listed(command.exit_codes)), ("SEE ALSO", also(f"dbo-{name}"))]
+    parts += [
+        ("EXIT STATUS", listed(command.exit_codes)),
+        ("SEE ALSO", also(f"dbo-{name}")),
+    ]
     return page(f"dbo {name}", heading.rstrip("."), parts)
 
 
@@ -82,15 +91,25 @@ def first_page() -> str:
     heading, _, text = (root.help or "").partition("\n")
     rows = [(f"dbo {name}", one.summary) for name, one in commands.every().items()]
     codes = sorted([*EXIT_CODES, MISSED], key=lambda code: int(code[0]))
-    parts = [("SYNOPSIS", ".B dbo\nCOMMAND [OPTIONS] ..."), ("DESCRIPTION", paragraphs(text.strip()))]
-    parts += [("COMMANDS", listed(rows)), ("FILES", paragraphs(FILES)), ("EXIT STATUS", listed(codes))]
+    parts = [
+        ("SYNOPSIS", ".B dbo\nCOMMAND [OPTIONS] ..."),
+        ("DESCRIPTION", paragraphs(text.strip())),
+    ]
+    parts += [
+        ("COMMANDS", listed(rows)),
+        ("FILES", paragraphs(FILES)),
+        ("EXIT STATUS", listed(codes)),
+    ]
     return page("dbo", heading.rstrip("."), [*parts, ("SEE ALSO", also("dbo"))])
 
 
 def pages() -> dict[str, str]:
     """Return all pages by the names of their files."""
     made = {"dbo.1": first_page()}
-    return made | {f"dbo-{name}.1": command_page(name, command) for name, command in commands.every().items()}
+    return made | {
+        f"dbo-{name}.1": command_page(name, command)
+        for name, command in commands.every().items()
+    }
 
 
 if __name__ == "__main__":

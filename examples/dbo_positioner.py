@@ -1,6 +1,7 @@
 """A Qudi hardware module: set points are positions, ``dbo`` finds the volts.
 
-Put this file and ``piezo_axis.py`` where Qudi finds hardware (``qudi/hardware/dbo/``), and configure::
+Put this file and ``piezo_axis.py`` where Qudi finds hardware (``qudi/hardware/dbo/``),
+and configure::
 
     hardware:
         stage:
@@ -16,7 +17,10 @@ from __future__ import annotations
 
 from piezo_axis import PiezoAxis
 from qudi.core.configoption import ConfigOption
-from qudi.interface.process_control_interface import ProcessControlConstraints, ProcessSetpointInterface
+from qudi.interface.process_control_interface import (
+    ProcessControlConstraints,
+    ProcessSetpointInterface,
+)
 
 CHANNEL = "position"
 
@@ -33,7 +37,9 @@ class DboPositioner(ProcessSetpointInterface):
     def on_activate(self):
         """Read the model and begin at the lower end."""
         limits = {"v_min": self._v_min, "v_max": self._v_max}
-        self._axis = PiezoAxis(self._model, self.volts_written, self._rate, self._speed, **limits)
+        self._axis = PiezoAxis(
+            self._model, self.volts_written, self._rate, self._speed, **limits
+        )
         self._axis.run()
 
     def on_deactivate(self):
@@ -49,7 +55,9 @@ class DboPositioner(ProcessSetpointInterface):
         """One channel, in the model's unit, from end to end."""
         axis = self._axis
         return ProcessControlConstraints(
-            [CHANNEL], units={CHANNEL: axis.unit}, limits={CHANNEL: (axis.low, axis.high)}
+            [CHANNEL],
+            units={CHANNEL: axis.unit},
+            limits={CHANNEL: (axis.low, axis.high)},
         )
 
     def set_activity_state(self, channel: str, active: bool) -> None:

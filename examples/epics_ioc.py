@@ -5,7 +5,8 @@
     caput LAB:PIEZO:SetPoint 5.0                # in the model's unit; refused outside what it reaches
     camonitor LAB:PIEZO:Position LAB:PIEZO:Moving LAB:PIEZO:Volts
 
-``volts_written`` is to hand the volts to your amplifier, for example by a record of its own server.
+``volts_written`` is to hand the volts to your amplifier, for example by a record of its
+own server.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """A focus drive for Micro-Manager's core in Python: positions in, ``dbo`` finds the volts.
 
-pymmcore-plus lets a device be a Python class (``UniMMCore``, experimental there), beside those of
-Micro-Manager's own adapters. ``volts_written`` is to hand the volts to your amplifier.
+pymmcore-plus lets a device be a Python class (``UniMMCore``, experimental there),
+beside those of Micro-Manager's own adapters. ``volts_written`` is to hand the volts to
+your amplifier.
 
     core = UniMMCore()
     core.loadPyDevice("Piezo", DboStage("model.json"))
@@ -32,7 +33,9 @@ class DboStage(StageDevice):
         super().__init__()
         self._axis = PiezoAxis(model_file, self.volts_written, **options)
         if self._axis.unit != "um":
-            raise ValueError(f"Micro-Manager's positions are in um, and the model's in '{self._axis.unit}'")
+            raise ValueError(
+                f"Micro-Manager's positions are in um, and the model's in '{self._axis.unit}'"
+            )
         self._origin = 0.0
 
     def volts_written(self, volts: float) -> None:

@@ -2,9 +2,10 @@
 
     python nidaqmx_live.py model.json trajectory.csv --channel Dev1/ao0 --gain 20
 
-The card's clock is not used: the computer waits for every sample, so some hundred a second are what to
-expect. For a fixed waveform let the card play it (``dbo waveform drive.csv --to npy --gain 20``). Where no
-driver is, a simulated output takes the volts, and that is said.
+The card's clock is not used: the computer waits for every sample, so some hundred a
+second are what to expect. For a fixed waveform let the card play it (``dbo waveform
+drive.csv --to npy --gain 20``). Where no driver is, a simulated output takes the volts,
+and that is said.
 """
 
 from __future__ import annotations
@@ -47,12 +48,21 @@ def output_on(channel: str, low: float, high: float) -> Any:
     return task
 
 
-def play(model_file: str, trajectory: str, channel: str, gain: float, v_min: float, v_max: float) -> Any:
+def play(
+    model_file: str,
+    trajectory: str,
+    channel: str,
+    gain: float,
+    v_min: float,
+    v_max: float,
+) -> Any:
     """Follow a trajectory with an even time column, and ramp back to rest; returns the output."""
     frame = dbo.read_log(trajectory)
     wanted = frame["displacement"].to_numpy()
     period = float(frame["time"].diff().median())
-    live = dbo.read_model(model_file).controller(1.0 / period, v_min=v_min, v_max=v_max, ahead=True)
+    live = dbo.read_model(model_file).controller(
+        1.0 / period, v_min=v_min, v_max=v_max, ahead=True
+    )
     output = output_on(channel, v_min / gain, v_max / gain)
     due = time.monotonic()
 
@@ -81,11 +91,24 @@ def main() -> None:
     parser.add_argument("model")
     parser.add_argument("trajectory")
     parser.add_argument("--channel", default="Dev1/ao0")
-    parser.add_argument("--gain", type=float, default=20.0, help="of the amplifier behind the card")
-    parser.add_argument("--v-min", type=float, default=0.0, help="lowest drive, V at the actuator")
-    parser.add_argument("--v-max", type=float, default=100.0, help="highest drive, V at the actuator")
+    parser.add_argument(
+        "--gain", type=float, default=20.0, help="of the amplifier behind the card"
+    )
+    parser.add_argument(
+        "--v-min", type=float, default=0.0, help="lowest drive, V at the actuator"
+    )
+    parser.add_argument(
+        "--v-max", type=float, default=100.0, help="highest drive, V at the actuator"
+    )
     given = parser.parse_args()
-    output = play(given.model, given.trajectory, given.channel, given.gain, given.v_min, given.v_max)
+    output = play(
+        given.model,
+        given.trajectory,
+        given.channel,
+        given.gain,
+        given.v_min,
+        given.v_max,
+    )
     if isinstance(output, SimulatedOutput):
         kept = output.written
         print(

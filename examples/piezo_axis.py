@@ -1,7 +1,8 @@
 """One actuator that is asked for positions: what the adapters beside this file have in common.
 
-The model is driven at an even rate, moving or not, since creep goes on at rest. ``run`` does so in a thread
-whose clock is the computer's: good for positioning, not for waveforms (``dbo compensate`` writes these).
+The model is driven at an even rate, moving or not, since creep goes on at rest. ``run``
+does so in a thread whose clock is the computer's: good for positioning, not for
+waveforms (``dbo compensate`` writes these).
 """
 
 from __future__ import annotations
@@ -37,9 +38,17 @@ class PiezoAxis:
         **limits: float | None,
     ) -> None:
         model = dbo.read_model(model_file)
-        self.low, self.high, self.unit = model.output.minimum, model.output.maximum, model.output.unit or ""
+        self.low, self.high, self.unit = (
+            model.output.minimum,
+            model.output.maximum,
+            model.output.unit or "",
+        )
         self._live = model.controller(sample_rate, ahead=True, **limits)
-        self._write, self._period, self._step = write, 1.0 / sample_rate, speed / sample_rate
+        self._write, self._period, self._step = (
+            write,
+            1.0 / sample_rate,
+            speed / sample_rate,
+        )
         self.position = self.target = self.low
         self._ended = threading.Event()
         self._thread: threading.Thread | None = None
@@ -53,7 +62,9 @@ class PiezoAxis:
     def move(self, target: float) -> None:
         """Go to a position; ValueError outside what the actuator reaches."""
         if not self.low <= target <= self.high:
-            raise ValueError(f"{target:g} is outside {self.low:g} to {self.high:g} {self.unit}")
+            raise ValueError(
+                f"{target:g} is outside {self.low:g} to {self.high:g} {self.unit}"
+            )
         self.target = target
 
     def stop(self) -> None:

@@ -1,8 +1,9 @@
 """A Qudi scanner: confocal scans and cursor moves whose voltages ``dbo`` finds.
 
-``NiScanningProbeInterfuse`` turns positions into volts by a straight line. ``DboScanningProbe`` is the same
-module with the models of the axes in the line's place. Put this file where Qudi finds hardware
-(``qudi/hardware/dbo/qudi_scanner.py``), and give the scanner's section another class and a few more options::
+``NiScanningProbeInterfuse`` turns positions into volts by a straight line.
+``DboScanningProbe`` is the same module with the models of the axes in the line's place.
+Put this file where Qudi finds hardware (``qudi/hardware/dbo/qudi_scanner.py``), and
+give the scanner's section another class and a few more options::
 
     hardware:
         ni_scanner:
@@ -21,13 +22,14 @@ module with the models of the axes in the line's place. Put this file where Qudi
                 start: {x: empty}               # before the first move: auto, empty, full or settled; auto
                 way_back: True                  # see below; False
 
-Positions are the displacements that the models know, in metres, so that ``position_ranges`` lie within what
-the models reach. A frame is computed when the cursor stands on its first pixel, from the state of that
-moment: all that was played before counts. Where the actuators rest, their creep is followed by the clock.
+Positions are the displacements that the models know, in metres, so that
+``position_ranges`` lie within what the models reach. A frame is computed when the
+cursor stands on its first pixel, from the state of that moment: all that was played
+before counts. Where the actuators rest, their creep is followed by the clock.
 
-After a frame Qudi's card goes from the last row to its old set point, where the frame began, in one step.
-With ``way_back`` the slow axis walks back during the fast axis' last return line instead; the back scan of
-that line is then taken on the way.
+After a frame Qudi's card goes from the last row to its old set point, where the frame
+began, in one step. With ``way_back`` the slow axis walks back during the fast axis'
+last return line instead; the back scan of that line is then taken on the way.
 """
 
 from __future__ import annotations
@@ -51,7 +53,8 @@ TINY = 1e-9  # V: a set point that differs by no more is the one that was writte
 class ModelledAxis:
     """One actuator: where it is, the voltage that it stands at, and the state of its model.
 
-    Displacements are in the model's unit, voltages those behind the amplifier, times seconds of one clock.
+    Displacements are in the model's unit, voltages those behind the amplifier, times
+    seconds of one clock.
     """
 
     def __init__(self, model, start, **limits):
@@ -73,11 +76,13 @@ class ModelledAxis:
             state = self._state if self._live is None else self._live.state
             now = max(now, self._time + 1.0 / CURSOR_RATE)
         if self._live is not None:
-            # A controller's state does not know the time: the last voltage stands from then on.
+            # A controller's state does not know the time: the last voltage stands from
+            # then on.
             times = [self._time]
         times.append(now)
         if volts != self.volts:
-            # The cursor is not to make up for the lag behind a jump that it did not ask for.
+            # The cursor is not to make up for the lag behind a jump that it did not ask
+            # for.
             now += LAGS
             times.append(now)
         displacement, self._state = self.model.simulate(
@@ -124,7 +129,12 @@ class ModelledAxis:
         times = begin + np.arange(1, len(held) + 1) / rate
         count = len(positions)
         done = self.model.compensate(
-            held, time=times, rows=f"1:{count}", state=state, details=True, **self.limits
+            held,
+            time=times,
+            rows=f"1:{count}",
+            state=state,
+            details=True,
+            **self.limits,
         )
         return done.values, times[:count]
 
@@ -168,11 +178,16 @@ class DboScanningProbe(NiScanningProbeInterfuse):
     def _models_of_axes(self):
         self._coupling = None
         if not isinstance(self._model_files, str):
-            return {axis: dbo.read_model(self._model_files[axis]) for axis in self._position_ranges}
+            return {
+                axis: dbo.read_model(self._model_files[axis])
+                for axis in self._position_ranges
+            }
         models = dbo.read_model(self._model_files)
         missing = set(self._position_ranges) - set(models)
         if missing:
-            raise ValueError(f"{self._model_files} has no model of {', '.join(sorted(missing))}")
+            raise ValueError(
+                f"{self._model_files} has no model of {', '.join(sorted(missing))}"
+            )
         if models.coupling is not None:
             self._coupling = models.coupling.of(sorted(self._position_ranges))
         return models
@@ -186,9 +201,14 @@ class DboScanningProbe(NiScanningProbeInterfuse):
         allowed = self._limits.get(axis, (low, high))
         unit = model.output.unit
         if unit not in METRES:
-            raise ValueError(f"axis {axis}: its model is in '{unit}', which is no length that is known here")
+            raise ValueError(
+                f"axis {axis}: its model is in '{unit}', which is no length that is known here"
+            )
         self._metres[axis] = METRES[unit]
-        reach = [METRES[unit] * model.output.minimum, METRES[unit] * model.output.maximum]
+        reach = [
+            METRES[unit] * model.output.minimum,
+            METRES[unit] * model.output.maximum,
+        ]
         asked = self._position_ranges[axis]
         if self._coupling is None and not reach[0] <= asked[0] <= asked[1] <= reach[1]:
             raise ValueError(
@@ -209,7 +229,9 @@ class DboScanningProbe(NiScanningProbeInterfuse):
     def _displacements(self, coords):
         """Return what each actuator is to do alone, by axis, in its model's unit."""
         axes = sorted(self._drives)
-        together = np.column_stack([np.atleast_1d(coords[axis]) / self._metres[axis] for axis in axes])
+        together = np.column_stack(
+            [np.atleast_1d(coords[axis]) / self._metres[axis] for axis in axes]
+        )
         alone = together if self._coupling is None else self._coupling.apart(together)
         return dict(zip(axes, alone.T, strict=True))
 
@@ -218,7 +240,10 @@ class DboScanningProbe(NiScanningProbeInterfuse):
         axes = sorted(self._drives)
         alone = np.array([self._drives[axis].position for axis in axes])
         together = alone if self._coupling is None else self._coupling.together(alone)
-        return {axis: float(x * self._metres[axis]) for axis, x in zip(axes, together, strict=True)}
+        return {
+            axis: float(x * self._metres[axis])
+            for axis, x in zip(axes, together, strict=True)
+        }
 
     # --- the cursor: the interfuse asks for a position, then for each axis' voltage ---
 
@@ -268,7 +293,9 @@ class DboScanningProbe(NiScanningProbeInterfuse):
         self._check_scan_grid(coords)
         try:
             volts = {
-                self._ni_channel_mapping[axis]: self._drives[axis].try_frame(displacement, settings.frequency)
+                self._ni_channel_mapping[axis]: self._drives[axis].try_frame(
+                    displacement, settings.frequency
+                )
                 / self._gain(axis)
                 for axis, displacement in self._displacements(coords).items()
             }

@@ -3,8 +3,9 @@
 
     python draw_demo.py uncompensated.csv compensated.csv picture.png
 
-Above, what was desired and what came out; below, the error of both. The logs are the virtual actuator's. The
-errors stand in the file's description, too, so that a test can hold them.
+Above, what was desired and what came out; below, the error of both. The logs are the
+virtual actuator's. The errors stand in the file's description, too, so that a test can
+hold them.
 """
 
 from __future__ import annotations
@@ -33,7 +34,9 @@ def draw(uncompensated: str, compensated: str, picture: str) -> None:
         figure = Figure(figsize=(8.0, 4.2), layout="constrained")
         FigureCanvasAgg(figure)
         above, below = figure.subplots(2, 1, sharex=True)
-        above.plot(time, desired, color=style.INK, linewidth=2.4, alpha=0.25, label="desired")
+        above.plot(
+            time, desired, color=style.INK, linewidth=2.4, alpha=0.25, label="desired"
+        )
         for log, (label, look) in zip(logs, looks, strict=True):
             error = log["displacement"] - log["desired"]
             rmse = float(np.sqrt(np.mean(error**2)))
@@ -45,7 +48,11 @@ def draw(uncompensated: str, compensated: str, picture: str) -> None:
         below.set_xlabel("Time (s)")
         above.legend(loc="upper right", ncols=3, bbox_to_anchor=(1.0, 1.22))
         below.legend(loc="upper right", ncols=2, bbox_to_anchor=(1.0, 1.2))
-        figure.savefig(picture, dpi=160, metadata={"Software": None, "Description": "; ".join(labels)})
+        figure.savefig(
+            picture,
+            dpi=160,
+            metadata={"Software": None, "Description": "; ".join(labels)},
+        )
 
 
 if __name__ == "__main__":

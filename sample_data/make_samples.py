@@ -27,7 +27,9 @@ def identification_drive() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Two full cycles, then cycles of falling amplitude about a moving centre; starts and ends at 0 V."""
     highs = [100.0, 100.0, 88.0, 70.0, 100.0, 60.0, 80.0, 65.0, 75.0, 50.0, 100.0]
     lows = [0.0, 0.0, 12.0, 0.0, 30.0, 20.0, 45.0, 50.0, 5.0, 0.0, 0.0]
-    corners = [0.0] + [level for cycle in zip(highs, lows, strict=True) for level in cycle]
+    corners = [0.0] + [
+        level for cycle in zip(highs, lows, strict=True) for level in cycle
+    ]
     speed = 130.0  # V/s on average
     pieces = [np.zeros(int(0.4 * RATE))]
     for start, end in itertools.pairwise(corners):
@@ -51,13 +53,17 @@ def trajectory() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         steps += (start + (end - start) * soft).tolist() + [end] * hold
     u = np.arange(int(4.0 * RATE)) / RATE
     fade = np.sin(np.pi * u / 4.0) ** 2
-    mixed = 0.45 + fade * (0.28 * np.sin(2 * np.pi * 0.9 * u) + 0.12 * np.sin(2 * np.pi * 2.3 * u + 0.5))
+    mixed = 0.45 + fade * (
+        0.28 * np.sin(2 * np.pi * 0.9 * u) + 0.12 * np.sin(2 * np.pi * 2.3 * u + 0.5)
+    )
     shape = np.concatenate([scan, steps, mixed])
     desired = np.round(low + (high - low) * shape, 4)
     return np.arange(len(desired)) / RATE, desired
 
 
-def write_hdf5(path: pathlib.Path, columns: dict[str, NDArray[np.float64]], units: dict[str, str]) -> None:
+def write_hdf5(
+    path: pathlib.Path, columns: dict[str, NDArray[np.float64]], units: dict[str, str]
+) -> None:
     """Write columns as datasets of the root group, each with its unit, and the sample rate."""
     import h5py
 
@@ -65,19 +71,29 @@ def write_hdf5(path: pathlib.Path, columns: dict[str, NDArray[np.float64]], unit
         file.attrs["sample_rate"] = RATE
         file.attrs["origin"] = "simulated by sample_data/virtual_actuator.py"
         for name, values in columns.items():
-            dataset = file.create_dataset(name, data=values, chunks=True, compression="gzip", shuffle=True)
+            dataset = file.create_dataset(
+                name, data=values, chunks=True, compression="gzip", shuffle=True
+            )
             dataset.attrs["units"] = units[name]
 
 
 def main() -> None:
     """Write the four sample files into the folder given, or beside this script."""
-    folder = pathlib.Path(sys.argv[1]) if len(sys.argv) > 1 else pathlib.Path(__file__).parent
+    folder = (
+        pathlib.Path(sys.argv[1])
+        if len(sys.argv) > 1
+        else pathlib.Path(__file__).parent
+    )
     units = {"time": "s", "voltage": "V", "displacement": "um"}
     time, voltage = identification_drive()
     measured = VirtualActuator(PRESETS["stack"]).play(time, voltage, SEED)
     write_table(
         str(folder / "identification.csv"),
-        {"time_s": (time, ".6g"), "voltage_V": (voltage, ".6g"), "displacement_um": (measured, ".4f")},
+        {
+            "time_s": (time, ".6g"),
+            "voltage_V": (voltage, ".6g"),
+            "displacement_um": (measured, ".4f"),
+        },
     )
     columns = {"time": time, "voltage": voltage, "displacement": np.round(measured, 4)}
     write_hdf5(folder / "identification.h5", columns, units)

@@ -3,8 +3,9 @@
 
     python straight_line.py identification.csv trajectory.csv -o drive.csv
 
-The line is the least-squares fit of voltage on displacement over the whole identification log, the best that
-one gain and one offset can do there; the drive is kept within the voltages of that log.
+The line is the least-squares fit of voltage on displacement over the whole
+identification log, the best that one gain and one offset can do there; the drive is
+kept within the voltages of that log.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("log", help="CSV with voltage and displacement")
     parser.add_argument("trajectory", help="CSV with time and the desired displacement")
-    parser.add_argument("-o", "--output", default="-", help="the drive; - (default): standard output")
+    parser.add_argument(
+        "-o", "--output", default="-", help="the drive; - (default): standard output"
+    )
     options = parser.parse_args()
     with open(options.log, encoding="utf-8") as file:
         log = read_drive(file)
@@ -29,8 +32,14 @@ def main() -> None:
     gain, offset = np.polyfit(log["displacement"], log["voltage"], 1)
     line = gain * wanted["displacement"] + offset
     voltage = np.clip(line, log["voltage"].min(), log["voltage"].max())
-    columns = {"time_s": wanted["time"], "displacement_um": wanted["displacement"], "voltage_V": voltage}
-    write_table(options.output, {name: (values, "") for name, values in columns.items()})
+    columns = {
+        "time_s": wanted["time"],
+        "displacement_um": wanted["displacement"],
+        "voltage_V": voltage,
+    }
+    write_table(
+        options.output, {name: (values, "") for name, values in columns.items()}
+    )
 
 
 if __name__ == "__main__":

@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
 """gcc that keeps the kernels it has compiled: exports share them, and one takes it up to 4 seconds.
 
-Called as gcc is, for sources that become a program or a library; anything else goes straight on. What is kept
-is an object for each preprocessed kernel (``dbo_*.c``) and its flags, in the folder that ``DBO_TEST_OBJECTS``
-names. All of gcc's warnings that the tests ask for are errors there, whoever calls.
+Called as gcc is, for sources that become a program or a library; anything else goes
+straight on. What is kept is an object for each preprocessed kernel (``dbo_*.c``) and
+its flags, in the folder that ``DBO_TEST_OBJECTS`` names. All of gcc's warnings that the
+tests ask for are errors there, whoever calls.
 """
 
 from __future__ import annotations
@@ -22,13 +23,21 @@ STRICT = "-Wall -Wextra -Wpedantic -Wconversion -Wshadow -Werror".split()
 def compiled(source: str, flags: list[str], folder: Path, kept: Path) -> Path:
     """Return the object of a kernel, made now or before; raises CalledProcessError where it fails."""
     flags = [*STRICT, *(flag for flag in flags if not flag.startswith("-W"))]
-    # Preprocessed, since its header of names holds those of other kernels, too; -P: without folders in it.
-    seen = subprocess.run([REAL, *flags, "-E", "-P", source], cwd=folder, check=True, stdout=subprocess.PIPE)
+    # Preprocessed, since its header of names holds those of other kernels, too; -P:
+    # without folders in it.
+    seen = subprocess.run(
+        [REAL, *flags, "-E", "-P", source],
+        cwd=folder,
+        check=True,
+        stdout=subprocess.PIPE,
+    )
     text = "\0".join((*flags, "")).encode() + seen.stdout
     target = kept / f"{hashlib.sha256(text).hexdigest()}.o"
     if not target.exists():
         fresh = kept / f"{target.stem}.{os.getpid()}.o"
-        subprocess.run([REAL, *flags, "-c", source, "-o", str(fresh)], cwd=folder, check=True)
+        subprocess.run(
+            [REAL, *flags, "-c", source, "-o", str(fresh)], cwd=folder, check=True
+        )
         fresh.replace(target)
     return target
 
@@ -37,11 +46,23 @@ def run(words: list[str], folder: Path) -> None:
     """Compile and link as gcc does in a folder; raises CalledProcessError where it fails."""
     kernels = [word for word in words if re.fullmatch(r"(.*/)?dbo_\w+\.c", word)]
     kept = os.environ.get("DBO_TEST_OBJECTS")
-    if kept is not None and kernels and "-o" in words and not {"-c", "-E", "-S", "-M", "-MM"} & set(words):
+    if (
+        kept is not None
+        and kernels
+        and "-o" in words
+        and not {"-c", "-E", "-S", "-M", "-MM"} & set(words)
+    ):
         at = words.index("-o")
         others = (*words[:at], *words[at + 2 :])
-        flags = [word for word in others if word.startswith("-") and word[:2] != "-l" and word != "-shared"]
-        objects = {source: str(compiled(source, flags, folder, Path(kept))) for source in kernels}
+        flags = [
+            word
+            for word in others
+            if word.startswith("-") and word[:2] != "-l" and word != "-shared"
+        ]
+        objects = {
+            source: str(compiled(source, flags, folder, Path(kept)))
+            for source in kernels
+        }
         words = [objects.get(word, word) for word in words]
     subprocess.run([REAL, *words], cwd=folder, check=True)
 

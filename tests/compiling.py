@@ -10,10 +10,13 @@ from pathlib import Path
 import cached_cc
 
 WARNINGS = ["-std=c99", *cached_cc.STRICT, "-ffp-contract=off"]
-# Not optimised: nothing is left out before it is watched, and the kernel takes half as long to compile.
+# Not optimised: nothing is left out before it is watched, and the kernel takes half as
+# long to compile.
 SANITIZERS = ["-g", "-O0", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 CACHED = os.environ["CC"] if "DBO_TEST_OBJECTS" in os.environ else cached_cc.__file__
-COMPILERS = [CACHED] * bool(shutil.which("gcc")) + ["clang"] * bool(shutil.which("clang"))
+COMPILERS = [CACHED] * bool(shutil.which("gcc")) + ["clang"] * bool(
+    shutil.which("clang")
+)
 
 
 def compile_c(folder: Path, *words: str, compiler: str = CACHED) -> None:

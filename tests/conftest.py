@@ -16,13 +16,15 @@ from typing import Any, NamedTuple
 
 import pytest
 
-# As the program itself does: threads only wait for each other in the many small factorisations.
+# As the program itself does: threads only wait for each other in the many small
+# factorisations.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 ROOT = Path(__file__).resolve().parent.parent
 CACHED_CC = Path(__file__).with_name("cached_cc.py")
 sys.path.insert(0, str(ROOT / "sample_data"))
-sys.path.insert(0, str(ROOT / "tests" / "extras"))  # their tests share fixtures with those of the core
+# their tests share fixtures with those of the core
+sys.path.insert(0, str(ROOT / "tests" / "extras"))
 
 SMALL_MODEL: dict[str, Any] = {
     "format": "dbo-model",
@@ -31,7 +33,13 @@ SMALL_MODEL: dict[str, Any] = {
     "input": {"quantity": "voltage", "unit": "V", "min": 0.0, "max": 10.0},
     "output": {"quantity": "displacement", "unit": "um", "min": 1.0, "max": 9.0},
     "stages": [
-        {"type": "backlash", "x0": 0.0, "y0": 0.0, "dx": [1.0, 2.0, 3.0, 4.0], "dy": [0.25, 0.75, 1.5, 2.5]},
+        {
+            "type": "backlash",
+            "x0": 0.0,
+            "y0": 0.0,
+            "dx": [1.0, 2.0, 3.0, 4.0],
+            "dy": [0.25, 0.75, 1.5, 2.5],
+        },
         {"type": "scale", "gain": 1.6, "offset": 1.0},
     ],
 }
@@ -39,12 +47,20 @@ SMALL_MODEL: dict[str, Any] = {
 
 def pytest_configure(config: pytest.Config) -> None:
     """Let all workers keep compiled objects in one folder (``cached_cc.py``)."""
-    if "DBO_TEST_OBJECTS" not in os.environ and os.name == "posix" and shutil.which("gcc"):
+    if (
+        "DBO_TEST_OBJECTS" not in os.environ
+        and os.name == "posix"
+        and shutil.which("gcc")
+    ):
         folder = tempfile.TemporaryDirectory(prefix="dbo-objects-")
         config.add_cleanup(folder.cleanup)
         os.environ["DBO_TEST_OBJECTS"] = folder.name
-        compiler = Path(folder.name) / "cc"  # this Python, found before, and without its site
-        compiler.write_text(f'#!/bin/sh\nexec "{sys.executable}" -SE "{CACHED_CC}" "$@"\n', encoding="utf-8")
+        # this Python, found before, and without its site
+        compiler = Path(folder.name) / "cc"
+        compiler.write_text(
+            f'#!/bin/sh\nexec "{sys.executable}" -SE "{CACHED_CC}" "$@"\n',
+            encoding="utf-8",
+        )
         compiler.chmod(0o700)
         os.environ["CC"] = str(compiler)
 
@@ -75,7 +91,9 @@ def identified_once(monkeypatch: pytest.MonkeyPatch, known_models: Path) -> None
 def known_models(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder that all workers of this run share."""
     own = tmp_path_factory.getbasetemp()
-    folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "known-models"
+    folder = (
+        own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+    ) / "known-models"
     folder.mkdir(exist_ok=True)
     return folder
 
@@ -83,7 +101,8 @@ def known_models(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def pytest_collection_finish() -> None:
     """Leave what was collected, and the libraries, out of every later search for garbage."""
     gc.freeze()
-    gc.set_threshold(20_000, 20, 20)  # what a test makes goes as it ends, without a search
+    # what a test makes goes as it ends, without a search
+    gc.set_threshold(20_000, 20, 20)
 
 
 class Outcome(NamedTuple):
@@ -94,12 +113,16 @@ class Outcome(NamedTuple):
     err: str
 
 
-READ = re.compile(r"^dbo: (?!error|warning).*: ([\d,]+ rows?[,;]|no time;|time ').*\n", re.MULTILINE)
+READ = re.compile(
+    r"^dbo: (?!error|warning).*: ([\d,]+ rows?[,;]|no time;|time ').*\n", re.MULTILINE
+)
 """The line that says what was read of a log, which stands before everything else a command says."""
 
 
 @pytest.fixture
-def whole_dbo(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+def whole_dbo(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Any:
     """Return a function that runs one command line inside an empty folder and returns its outcome."""
     from dbo_cli.cli.app import main
 

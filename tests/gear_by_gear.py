@@ -1,8 +1,8 @@
 """The kernel gear by gear: each transition of (6)-(9) is one of its own, and nothing is looked up.
 
-Slow and plain, in float64, with the operations of ``kernel.py`` in their order, whose other functions it
-takes: the bits that the compiled kernel and its twin must give. ``reference.py`` is the paper's procedure in
-rationals.
+Slow and plain, in float64, with the operations of ``kernel.py`` in their order, whose
+other functions it takes: the bits that the compiled kernel and its twin must give.
+``reference.py`` is the paper's procedure in rationals.
 """
 
 from __future__ import annotations
@@ -41,7 +41,10 @@ class Walk:
         self.x += sign * self.gears[gear][0]
         self.y += sign * self.gears[gear][1]
         self.bits ^= 1 << gear
-        self.set, self.zero = find_first_one(self.bits, self.n), find_first_zero(self.bits)
+        self.set, self.zero = (
+            find_first_one(self.bits, self.n),
+            find_first_zero(self.bits),
+        )
 
     def state(self) -> int:
         return self.bits
@@ -73,7 +76,11 @@ def travel(
         if tell is not None:
             tell(gear, gear + 1, 1.0 if rising else -1.0)
         d = u - (walk.x + kappa * walk.y)
-    return (last if last < walk.n and (d < 0.0 if rising else d > 0.0) else gear), d, rising
+    return (
+        (last if last < walk.n and (d < 0.0 if rising else d > 0.0) else gear),
+        d,
+        rising,
+    )
 
 
 def gear_by_gear() -> Any:
@@ -81,7 +88,15 @@ def gear_by_gear() -> Any:
     copy = types.ModuleType("gear_by_gear")
     names = copy.__dict__
     names.update(vars(kernel), _Walk=Walk, _travel=travel)
-    for name in ("_solve", "_follow_output", "_solve_within", "backlash_run", "backlash_engagement"):
+    for name in (
+        "_solve",
+        "_follow_output",
+        "_solve_within",
+        "backlash_run",
+        "backlash_engagement",
+    ):
         function = vars(kernel)[name]
-        names[name] = types.FunctionType(function.__code__, names, name, function.__defaults__)
+        names[name] = types.FunctionType(
+            function.__code__, names, name, function.__defaults__
+        )
     return copy

@@ -1,7 +1,8 @@
 """The paper's procedures line by line, in exact rationals: slow, obvious, and right.
 
-Every fast path must equal these. Inputs are floats, taken at their exact value. Outside the range, which the
-paper leaves open, the slope of gear n - 1 goes on (DESIGN: ``extend``).
+Every fast path must equal these. Inputs are floats, taken at their exact value. Outside
+the range, which the paper leaves open, the slope of gear n - 1 goes on (DESIGN:
+``extend``).
 """
 
 from __future__ import annotations
@@ -30,7 +31,12 @@ class Backlash:
     """A discrete backlash operator, (1)-(12); ``bits[i]`` is b_i."""
 
     def __init__(
-        self, dx: Sequence[float], dy: Sequence[float], x0: float, y0: float, state: int = 0
+        self,
+        dx: Sequence[float],
+        dy: Sequence[float],
+        x0: float,
+        y0: float,
+        state: int = 0,
     ) -> None:
         self.dx = [Fraction(width) for width in dx]
         self.dy = [Fraction(width) for width in dy]
@@ -50,7 +56,9 @@ class Backlash:
     def coordinates(self) -> tuple[Fraction, Fraction]:
         """X_B (2) and Y_B (3)."""
         crossed = [i for i, bit in enumerate(self.bits) if bit == 1]
-        return sum((self.dx[i] for i in crossed), self.x0), sum((self.dy[i] for i in crossed), self.y0)
+        return sum((self.dx[i] for i in crossed), self.x0), sum(
+            (self.dy[i] for i in crossed), self.y0
+        )
 
     def step(self, value: float) -> Fraction:
         """Steps 1 to 4 of the procedure, repeated until there is an output."""

@@ -21,7 +21,9 @@ Step = tuple[str, str]
 def walk(command: str) -> list[Step]:
     """Return file and function of each line of a command's walk."""
     page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-    screen = re.search(rf"### `{command}` on one screen\n.*?```text\n(.*?)```", page, re.DOTALL)
+    screen = re.search(
+        rf"### `{command}` on one screen\n.*?```text\n(.*?)```", page, re.DOTALL
+    )
     assert screen is not None
     lines = [line.split() for line in screen[1].splitlines()]
     return [(words[0], words[1]) for words in lines]
@@ -55,6 +57,10 @@ def test_the_walks_are_what_the_commands_do(tmp_path: Path) -> None:
     model = str(tmp_path / "model.json")
     log = str(ROOT / "sample_data" / "identification.csv")
     trajectory = str(ROOT / "sample_data" / "trajectory.csv")
-    in_order(walk("identify"), calls_of(["identify", log, "--rows", "1:2400", "-o", model]))
+    in_order(
+        walk("identify"), calls_of(["identify", log, "--rows", "1:2400", "-o", model])
+    )
     drive = str(tmp_path / "drive.csv")
-    in_order(walk("compensate"), calls_of(["compensate", model, trajectory, "-o", drive]))
+    in_order(
+        walk("compensate"), calls_of(["compensate", model, trajectory, "-o", drive])
+    )

@@ -15,7 +15,8 @@ ATTACKS = ROOT / "benchmarks" / "attack"
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="the attacks fork")
 @pytest.mark.parametrize(
-    ("program", "count"), [("kills", 9), ("full_disk", 9), ("mutants", 400), ("command_lines", 200)]
+    ("program", "count"),
+    [("kills", 9), ("full_disk", 9), ("mutants", 400), ("command_lines", 200)],
 )
 def test_nothing_is_lost_and_nothing_breaks(program: str, count: int) -> None:
     """In a process of its own: the attacks fork, and change streams and signals."""

@@ -21,7 +21,9 @@ def entries() -> list[tuple[str, str, str]]:
     for part in PAGE.read_text(encoding="utf-8").split("\n## ")[1:]:
         path, _, text = part.partition("\n")
         module = path.removesuffix(".py").replace("/", ".")
-        for names, value in re.findall(r"^\*\*`([^`]+)`\s=\s`([^`]+)`\.\*\*", text, re.MULTILINE):
+        for names, value in re.findall(
+            r"^\*\*`([^`]+)`\s=\s`([^`]+)`\.\*\*", text, re.MULTILINE
+        ):
             found.append((module, names, " ".join(value.split())))
     return found
 
@@ -34,7 +36,9 @@ def test_the_page_is_read_whole() -> None:
 
 
 @pytest.mark.parametrize(("module", "names", "value"), ENTRIES)
-def test_a_constant_has_the_value_that_the_page_explains(module: str, names: str, value: str) -> None:
+def test_a_constant_has_the_value_that_the_page_explains(
+    module: str, names: str, value: str
+) -> None:
     space = vars(importlib.import_module(module))
     assert eval(names, dict(space)) == eval(value, dict(space))
 
@@ -45,7 +49,9 @@ def explained(path: Path) -> list[str]:
     names = []
     for constant, behind in itertools.pairwise(body):
         if isinstance(constant, ast.Assign) and isinstance(behind, ast.Expr):
-            if "docs/choices.md" in " ".join(str(ast.literal_eval(behind.value)).split()):
+            if "docs/choices.md" in " ".join(
+                str(ast.literal_eval(behind.value)).split()
+            ):
                 names.append(ast.unparse(constant.targets[0]).strip("()"))
     return names
 

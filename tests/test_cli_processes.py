@@ -67,7 +67,11 @@ def ended(running: subprocess.Popen[bytes]) -> tuple[int, bytes, bytes]:
     except subprocess.TimeoutExpired:
         running.kill()
         raise
-    assert running.stdin is not None and running.stdout is not None and running.stderr is not None
+    assert (
+        running.stdin is not None
+        and running.stdout is not None
+        and running.stderr is not None
+    )
     written = running.stdout.read(), running.stderr.read()
     for stream in (running.stdin, running.stdout, running.stderr):
         stream.close()
@@ -92,7 +96,11 @@ def test_three_commands_in_one_pipe(folder: Path) -> None:
     """invert | simulate of a model on stdin gives the drive; each reads what the other wrote."""
     (folder / "wished.csv").write_text("1\n4.2\n9\n4\n")
     inverse = subprocess.run(
-        [*DBO, "invert", "model.json"], capture_output=True, cwd=folder, env=environment(), check=True
+        [*DBO, "invert", "model.json"],
+        capture_output=True,
+        cwd=folder,
+        env=environment(),
+        check=True,
     )
     done = subprocess.run(
         [*DBO, "simulate", "-", "wished.csv"],
@@ -102,14 +110,23 @@ def test_three_commands_in_one_pipe(folder: Path) -> None:
         env=environment(),
         check=True,
     )
-    assert done.stdout == b"displacement_um,voltage_V\n1.0,0.0\n4.2,5.0\n9.0,10.0\n4.0,3.0\n"
+    assert (
+        done.stdout
+        == b"displacement_um,voltage_V\n1.0,0.0\n4.2,5.0\n9.0,10.0\n4.0,3.0\n"
+    )
 
 
 @posix
 def test_reader_that_leaves_early_is_success(folder: Path) -> None:
     (folder / "long.csv").write_text("voltage_V\n" + "1\n2\n3\n" * 100_000)
-    running = start(["simulate", "model.json", "long.csv", "--block-rows", "1000"], folder)
-    assert running.stdin is not None and running.stdout is not None and running.stderr is not None
+    running = start(
+        ["simulate", "model.json", "long.csv", "--block-rows", "1000"], folder
+    )
+    assert (
+        running.stdin is not None
+        and running.stdout is not None
+        and running.stderr is not None
+    )
     assert running.stdout.readline() == b"voltage_V,displacement_um\n"
     running.stdout.close()
     error = running.stderr.read()
@@ -120,7 +137,9 @@ def test_reader_that_leaves_early_is_success(folder: Path) -> None:
 
 @posix
 def test_flush_gives_each_sample_as_it_comes(folder: Path) -> None:
-    running = start(["simulate", "model.json", "-", "--flush", "--state", "empty"], folder)
+    running = start(
+        ["simulate", "model.json", "-", "--flush", "--state", "empty"], folder
+    )
     assert running.stdin is not None and running.stdout is not None
     answers = []
     for text in (b"voltage_V\n0\n", b"5\n", b"10\n"):
@@ -129,7 +148,12 @@ def test_flush_gives_each_sample_as_it_comes(folder: Path) -> None:
         if not answers:
             answers.append(running.stdout.readline())
         answers.append(running.stdout.readline())
-    assert answers == [b"voltage_V,displacement_um\n", b"0.0,1.0\n", b"5.0,4.2\n", b"10.0,9.0\n"]
+    assert answers == [
+        b"voltage_V,displacement_um\n",
+        b"0.0,1.0\n",
+        b"5.0,4.2\n",
+        b"10.0,9.0\n",
+    ]
     running.stdin.close()
     told = b"dbo: standard input: no time; voltage 'voltage_V' (V)\n"
     assert ended(running) == (0, b"", told)
@@ -147,8 +171,12 @@ def wait_until_quiet(folder: Path) -> None:
 
 
 @posix
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_an_interrupt_leaves_the_old_output_and_no_litter(folder: Path, number: int, code: int) -> None:
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)]
+)
+def test_an_interrupt_leaves_the_old_output_and_no_litter(
+    folder: Path, number: int, code: int
+) -> None:
     (folder / "out.csv").write_text("old\n")
     running = start(["simulate", "model.json", "-", "-o", "out.csv"], folder)
     assert running.stdin is not None
@@ -177,7 +205,10 @@ def test_a_full_disk_behind_a_redirection_is_said(folder: Path) -> None:
             check=False,
         )
     assert done.returncode == 1
-    assert done.stderr == b"dbo: error: standard output: the disk is full: nothing was written\n"
+    assert (
+        done.stderr
+        == b"dbo: error: standard output: the disk is full: nothing was written\n"
+    )
 
 
 @posix
@@ -217,14 +248,23 @@ def test_two_interrupts_end_like_one(folder: Path) -> None:
 
 @posix
 @pytest.mark.parametrize("piped", [("model",), ("log",), ("model", "log")])
-def test_a_model_and_a_log_through_named_descriptors(folder: Path, piped: tuple[str, ...]) -> None:
+def test_a_model_and_a_log_through_named_descriptors(
+    folder: Path, piped: tuple[str, ...]
+) -> None:
     """What a shell writes as ``<(cat model.json)``: a pipe can be read once, from its beginning."""
     (folder / "drive.csv").write_text("voltage_V\n0\n5\n10\n")
     names = {"model": "model.json", "log": "drive.csv"}
-    words = [f"<(cat {name})" if what in piped else name for what, name in names.items()]
+    words = [
+        f"<(cat {name})" if what in piped else name for what, name in names.items()
+    ]
     line = " ".join([*(f"'{word}'" for word in DBO), "simulate", *words])
     done = subprocess.run(
-        ["bash", "-c", line], cwd=folder, env=environment(), capture_output=True, check=False, timeout=60
+        ["bash", "-c", line],
+        cwd=folder,
+        env=environment(),
+        capture_output=True,
+        check=False,
+        timeout=60,
     )
     assert done.stdout == b"voltage_V,displacement_um\n0.0,1.0\n5.0,4.2\n10.0,9.0\n"
     assert done.returncode == 0

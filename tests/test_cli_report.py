@@ -18,7 +18,9 @@ T = np.arange(200) / 100.0
 DESIRED = 5.0 - 4.0 * np.cos(2 * np.pi * T)
 
 
-def write_log(name: str, error: Any, header: str = "time_s,desired_um,displacement_um") -> Path:
+def write_log(
+    name: str, error: Any, header: str = "time_s,desired_um,displacement_um"
+) -> Path:
     """Write desired and measured, which is desired plus ``error``."""
     rows = zip(T.tolist(), DESIRED.tolist(), (DESIRED + error).tolist(), strict=True)
     path = Path(name)
@@ -42,14 +44,24 @@ def test_text_has_both_and_their_ratio(logs: Any) -> None:
         "after.csv: 0.10 um RMSE, 5.0 times less than before.csv\n\nError = measured - desired in um\n"
     )
     assert max(map(len, done.out.splitlines())) <= 80
-    rows = {line.split()[0]: line.split() for line in reversed(done.out.splitlines()) if line.split()}
+    rows = {
+        line.split()[0]: line.split()
+        for line in reversed(done.out.splitlines())
+        if line.split()
+    }
     assert (rows["before.csv"][2], rows["before.csv"][-1]) == ("0.5000", "1.000")
     assert (rows["after.csv"][2], rows["after.csv"][-1]) == ("0.1000", "0.2000")
 
 
 def test_json(logs: Any) -> None:
-    report = json.loads(logs("report", "before.csv", "after.csv", "--format", "json").out)
-    assert (report["format"], report["version"], report["unit"]) == ("dbo-report", 1, "um")
+    report = json.loads(
+        logs("report", "before.csv", "after.csv", "--format", "json").out
+    )
+    assert (report["format"], report["version"], report["unit"]) == (
+        "dbo-report",
+        1,
+        "um",
+    )
     first, second = report["logs"]
     assert (first["name"], first["samples"]) == ("before.csv", 200)
     assert first["rmse"] == pytest.approx(0.5, rel=1e-12)
@@ -65,14 +77,22 @@ def test_a_late_sensor_is_late_in_samples_seconds_and_milliseconds(dbo: Any) -> 
     assert log["sample_period_s"] == pytest.approx(0.01, rel=1e-9)
     assert log["lag_left_samples"] == pytest.approx(3.0, rel=0.02)
     assert log["lag_left_s"] == pytest.approx(0.01 * log["lag_left_samples"], rel=1e-9)
-    (row,) = csv.DictReader(io.StringIO(dbo("report", "late.csv", "--format", "csv").out))
+    (row,) = csv.DictReader(
+        io.StringIO(dbo("report", "late.csv", "--format", "csv").out)
+    )
     assert float(row["lag_left_s"]) == pytest.approx(log["lag_left_s"], rel=1e-4)
     text = dbo("report", "late.csv").out.splitlines()[-1].split()
     assert text[4:6] == ["3.00", "0.0300"]  # samples and seconds
 
 
 def test_csv_has_one_line_a_log(logs: Any) -> None:
-    rows = list(csv.DictReader(io.StringIO(logs("report", "before.csv", "after.csv", "--format", "csv").out)))
+    rows = list(
+        csv.DictReader(
+            io.StringIO(
+                logs("report", "before.csv", "after.csv", "--format", "csv").out
+            )
+        )
+    )
     assert [row["name"] for row in rows] == ["before.csv", "after.csv"]
     assert float(rows[1]["rmse"]) == pytest.approx(0.1)
 
@@ -87,7 +107,9 @@ def test_csv_has_one_line_a_log(logs: Any) -> None:
         ("r.txt", "after.csv: 0.10 um RMSE, 1.2 % of the move\n\nError"),
     ],
 )
-def test_the_form_follows_the_name_of_the_output(logs: Any, name: str, start: str) -> None:
+def test_the_form_follows_the_name_of_the_output(
+    logs: Any, name: str, start: str
+) -> None:
     assert logs("report", "after.csv", "-o", name) == (0, "", "")
     assert Path(name).read_text().lower().startswith(start.lower())
 
@@ -110,7 +132,16 @@ def test_the_same_logs_give_the_same_bytes(logs: Any) -> None:
 def test_rows_count_desired_and_lag_takes_measured_later(dbo: Any) -> None:
     rows = zip(DESIRED.tolist(), np.roll(DESIRED, 3).tolist(), strict=True)
     Path("late.csv").write_text("".join(f"{d!r},{m!r}\n" for d, m in rows))
-    words = ["report", "late.csv", "--desired", "1", "--measured", "2", "--format", "json"]
+    words = [
+        "report",
+        "late.csv",
+        "--desired",
+        "1",
+        "--measured",
+        "2",
+        "--format",
+        "json",
+    ]
     [log] = json.loads(dbo(*words, "--lag", "3").out)["logs"]
     assert (log["rmse"], log["samples"], log["lag_samples"]) == (0.0, 197, 3)
     [log] = json.loads(dbo(*words, "--lag", "3", "--rows", "11:60").out)["logs"]
@@ -121,7 +152,9 @@ def test_rows_count_desired_and_lag_takes_measured_later(dbo: Any) -> None:
 
 def test_offset_removed(dbo: Any) -> None:
     write_log("off.csv", np.full(200, 2.5))
-    [log] = json.loads(dbo("report", "off.csv", "--remove-offset", "--format", "json").out)["logs"]
+    [log] = json.loads(
+        dbo("report", "off.csv", "--remove-offset", "--format", "json").out
+    )["logs"]
     assert log["rmse"] == pytest.approx(0.0, abs=1e-12)
     assert log["offset_removed"] == pytest.approx(2.5)
 
@@ -130,16 +163,34 @@ def test_limits_exit_with_3_and_write_the_report_all_the_same(logs: Any) -> None
     done = logs("report", "before.csv", "--max-rmse", "0.4", "-o", "r.json")
     assert done.code == 3
     assert (
-        done.err == "dbo: error: before.csv: RMSE 0.5 um is above the limit of 0.4 um by 0.1 (--max-rmse)\n"
+        done.err
+        == "dbo: error: before.csv: RMSE 0.5 um is above the limit of 0.4 um by 0.1 (--max-rmse)\n"
     )
     assert json.loads(Path("r.json").read_text())["logs"][0]["samples"] == 200
-    assert logs("report", "before.csv", "--max-rmse", "0.6", "--max-abs", "0.6", "-o", "r.json").code == 0
+    assert (
+        logs(
+            "report",
+            "before.csv",
+            "--max-rmse",
+            "0.6",
+            "--max-abs",
+            "0.6",
+            "-o",
+            "r.json",
+        ).code
+        == 0
+    )
     assert logs("report", "before.csv", "--max-abs", "0.4", "-o", "r.json").code == 3
-    assert logs("report", "before.csv", "--max-nrmse-percent", "5", "-o", "r.json").code == 3
+    assert (
+        logs("report", "before.csv", "--max-nrmse-percent", "5", "-o", "r.json").code
+        == 3
+    )
 
 
 def test_segments(logs: Any) -> None:
-    report = json.loads(logs("report", "after.csv", "--segment", "0.5", "--format", "json").out)
+    report = json.loads(
+        logs("report", "after.csv", "--segment", "0.5", "--format", "json").out
+    )
     parts = report["logs"][0]["segments"]
     assert [part["samples"] for part in parts] == [50, 50, 50, 50]
     assert all(math.isclose(part["rmse"], 0.1, rel_tol=1e-9) for part in parts)
@@ -149,7 +200,9 @@ def test_a_model_takes_the_place_of_desired(dbo: Any, model_file: Path) -> None:
     drive = 5.0 - 5.0 * np.cos(2 * np.pi * T)
     Path("drive.csv").write_text(
         "time_s,voltage_V\n"
-        + "".join(f"{t!r},{v!r}\n" for t, v in zip(T.tolist(), drive.tolist(), strict=True))
+        + "".join(
+            f"{t!r},{v!r}\n" for t, v in zip(T.tolist(), drive.tolist(), strict=True)
+        )
     )
     dbo("simulate", "model.json", "drive.csv", "-o", "played.csv")
     done = dbo("report", "played.csv", "--model", "model.json", "--format", "json")
@@ -158,16 +211,22 @@ def test_a_model_takes_the_place_of_desired(dbo: Any, model_file: Path) -> None:
     assert report["logs"][0]["rmse"] == 0.0
 
 
-def test_rows_of_a_model_are_scored_by_a_run_from_the_first_row(dbo: Any, model_file: Path) -> None:
+def test_rows_of_a_model_are_scored_by_a_run_from_the_first_row(
+    dbo: Any, model_file: Path
+) -> None:
     """Started at row 61, in the middle of a swing, the model would guess a state and be wrong."""
     drive = 5.0 - 5.0 * np.cos(2 * np.pi * T) * np.exp(-0.8 * T)
     rows = zip(T.tolist(), drive.tolist(), strict=True)
-    Path("drive.csv").write_text("time_s,voltage_V\n" + "".join(f"{t!r},{v!r}\n" for t, v in rows))
+    Path("drive.csv").write_text(
+        "time_s,voltage_V\n" + "".join(f"{t!r},{v!r}\n" for t, v in rows)
+    )
     dbo("simulate", "model.json", "drive.csv", "--state", "empty", "-o", "played.csv")
     words = ["report", "played.csv", "--model", "model.json", "--format", "json"]
     whole = json.loads(dbo(*words).out)["logs"][0]
     for block in ("1", "17", "1000"):
-        [log] = json.loads(dbo(*words, "--rows", "61:150", "--block-rows", block).out)["logs"]
+        [log] = json.loads(dbo(*words, "--rows", "61:150", "--block-rows", block).out)[
+            "logs"
+        ]
         assert (log["samples"], log["rmse"]) == (90, 0.0)
     assert whole["rmse"] == 0.0
     done = dbo(*words, "--rows", "61:150", "--resample", "50")
@@ -178,9 +237,13 @@ def test_rows_of_a_model_are_scored_by_a_run_from_the_first_row(dbo: Any, model_
     )
 
 
-def test_the_conditioning_sweep_is_left_out_and_said(dbo: Any, model_file: Path) -> None:
+def test_the_conditioning_sweep_is_left_out_and_said(
+    dbo: Any, model_file: Path
+) -> None:
     rows = zip(T.tolist(), (5.0 - 2.0 * np.cos(2 * np.pi * T)).tolist(), strict=True)
-    Path("wish.csv").write_text("time_s,displacement_um\n" + "".join(f"{t!r},{d!r}\n" for t, d in rows))
+    Path("wish.csv").write_text(
+        "time_s,displacement_um\n" + "".join(f"{t!r},{d!r}\n" for t, d in rows)
+    )
     dbo("compensate", "model.json", "wish.csv", "--condition", "-o", "drive.csv", "-q")
     table = np.loadtxt("drive.csv", delimiter=",", skiprows=1)
     sweep = int((table[:, 0] < 0.0).sum())
@@ -197,10 +260,17 @@ def test_the_conditioning_sweep_is_left_out_and_said(dbo: Any, model_file: Path)
     [log] = json.loads(done.out)["logs"]
     assert (log["samples"], log["rmse"]) == (200, pytest.approx(0.25))
     begins, offset = done.err.splitlines()
-    assert begins == f"dbo: run.csv: {sweep} rows before time 0, on the way to the move, left out"
-    assert offset.startswith("dbo: run.csv: without the mean error 0 % of the RMSE is left: ")
+    assert (
+        begins
+        == f"dbo: run.csv: {sweep} rows before time 0, on the way to the move, left out"
+    )
+    assert offset.startswith(
+        "dbo: run.csv: without the mean error 0 % of the RMSE is left: "
+    )
     for words in (["--count-sweep"], ["--rows", f"1:{sweep + 200}"]):
-        [log] = json.loads(dbo("report", "run.csv", "--format", "json", *words).out)["logs"]
+        [log] = json.loads(dbo("report", "run.csv", "--format", "json", *words).out)[
+            "logs"
+        ]
         assert log["samples"] == sweep + 200
 
 
@@ -217,19 +287,40 @@ def test_the_desired_signal_may_lie_in_another_file(logs: Any) -> None:
         comments="",
     )
     done = logs(
-        "report", "sensor.csv", "--trajectory", "drive.csv", "--desired", "desired_um", "--format", "json"
+        "report",
+        "sensor.csv",
+        "--trajectory",
+        "drive.csv",
+        "--desired",
+        "desired_um",
+        "--format",
+        "json",
     )
     [log] = json.loads(done.out)["logs"]
     inside = int(((time >= 0.0) & (time <= T[-1] + 1e-9)).sum())
     assert (log["samples"], log["rmse"]) == (inside, pytest.approx(0.5))
     outside = done.err.splitlines()[0]
-    assert outside == f"dbo: sensor.csv: {430 - inside} rows outside the time of drive.csv take no part"
+    assert (
+        outside
+        == f"dbo: sensor.csv: {430 - inside} rows outside the time of drive.csv take no part"
+    )
     np.savetxt("plain.csv", DESIRED + 0.25, header="pos (um)", comments="")
-    words = ["report", "plain.csv", "--trajectory", "drive.csv", "--desired", "2", "--format", "json"]
+    words = [
+        "report",
+        "plain.csv",
+        "--trajectory",
+        "drive.csv",
+        "--desired",
+        "2",
+        "--format",
+        "json",
+    ]
     [log] = json.loads(logs(*words).out)["logs"]
     assert (log["samples"], log["rmse"]) == (200, pytest.approx(0.25))
     assert logs(*words, "--match", "time").code == 1
-    done = logs("report", "after.csv", "--trajectory", "drive.csv", "--model", "drive.csv")
+    done = logs(
+        "report", "after.csv", "--trajectory", "drive.csv", "--model", "drive.csv"
+    )
     assert (done.code, done.err.split(":")[2]) == (
         2,
         " --trajectory and --model exclude each other",
@@ -237,7 +328,11 @@ def test_the_desired_signal_may_lie_in_another_file(logs: Any) -> None:
 
 
 def test_figures_are_drawn(logs: Any) -> None:
-    assert logs("report", "after.csv", "--figures", "figures", "-o", "r.txt") == (0, "", "")
+    assert logs("report", "after.csv", "--figures", "figures", "-o", "r.txt") == (
+        0,
+        "",
+        "",
+    )
     names = folder_content(Path("figures"))
     for key in ("tracking", "error", "output", "histogram"):
         assert {f"after-{key}.png", f"after-{key}.svg"} <= names
@@ -246,8 +341,15 @@ def test_figures_are_drawn(logs: Any) -> None:
 
 @pytest.mark.usefixtures("blank_figures")
 def test_the_errors_of_all_logs_stand_above_those_of_each(logs: Any) -> None:
-    assert logs("report", "before.csv", "after.csv", "--figures", "both", "-o", "r.html").code == 0
-    assert {"all-logs-errors.png", "all-logs-errors.svg"} <= folder_content(Path("both"))
+    assert (
+        logs(
+            "report", "before.csv", "after.csv", "--figures", "both", "-o", "r.html"
+        ).code
+        == 0
+    )
+    assert {"all-logs-errors.png", "all-logs-errors.svg"} <= folder_content(
+        Path("both")
+    )
     page = Path("r.html").read_text()
     assert page.index("Error of all logs against time") < page.index("<section>")
 
@@ -266,7 +368,9 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("line", REFUSED)
-def test_refusals_are_one_line_and_leave_nothing(logs: Any, model_file: Path, line: str) -> None:
+def test_refusals_are_one_line_and_leave_nothing(
+    logs: Any, model_file: Path, line: str
+) -> None:
     Path("plain.csv").write_text("time_s,displacement_um\n0,1\n1,2\n")
     write_log("mixed.csv", 0.0 * T, "time_s,desired_V,displacement_um")
     write_log("angle.csv", 0.1 + 0.0 * T, "time_s,desired_rad,displacement_rad")
@@ -279,7 +383,9 @@ def test_refusals_are_one_line_and_leave_nothing(logs: Any, model_file: Path, li
     assert folder_content(Path()) == before
 
 
-def test_a_log_without_a_desired_column_is_told_of_the_trajectory_and_the_model(logs: Any) -> None:
+def test_a_log_without_a_desired_column_is_told_of_the_trajectory_and_the_model(
+    logs: Any,
+) -> None:
     Path("plain.csv").write_text("time_s,displacement_um\n0,1\n1,2\n")
     assert logs("report", "plain.csv").err == (
         "dbo: error: plain.csv: no column is recognised as the desired signal: it has 1 time_s, "
@@ -297,7 +403,8 @@ def test_notes_for_readers_spell_options_as_the_shell_does(dbo: Any) -> None:
     assert "--remove-offset takes it off" in page
     assert "`remove_offset`" not in text + page
     (note,) = json.loads(dbo("report", "off.csv", "--format", "json").out)["notes"]
-    assert "`remove_offset` takes it off" in note  # read by programs, as the Python call has it
+    # read by programs, as the Python call has it
+    assert "`remove_offset` takes it off" in note
 
 
 def write_track(header: str) -> None:
@@ -322,16 +429,29 @@ def test_the_drive_of_a_page_is_called_by_its_quantity(dbo: Any) -> None:
     write_track("time_s,desired_um,displacement_um,pressure_bar")
     page = dbo("report", "track.csv", "--format", "html").out
     assert "Hysteresis loop: displacement against drive pressure" in page
-    assert "Drive pressure (bar)" in page and "rive voltage" not in page.split("<section", 1)[1]
+    assert (
+        "Drive pressure (bar)" in page
+        and "rive voltage" not in page.split("<section", 1)[1]
+    )
 
 
 @pytest.mark.usefixtures("blank_figures")
 @pytest.mark.parametrize(
-    "header", ["temperature_degC", "current_A,pressure_bar", "pressure target (bar)", "current monitor (A)"]
+    "header",
+    [
+        "temperature_degC",
+        "current_A,pressure_bar",
+        "pressure target (bar)",
+        "current monitor (A)",
+    ],
 )
 def test_what_may_not_be_the_drive_is_not_drawn(dbo: Any, header: str) -> None:
     write_track(f"time_s,desired_um,displacement_um,{header}")
-    assert dbo("report", "track.csv", "--figures", "figures", "-o", "r.txt") == (0, "", "")
+    assert dbo("report", "track.csv", "--figures", "figures", "-o", "r.txt") == (
+        0,
+        "",
+        "",
+    )
     assert not {"track-drive.png", "track-loop.png"} & folder_content(Path("figures"))
 
 
@@ -344,7 +464,10 @@ def test_the_only_analog_input_is_what_was_measured(logs: Any) -> None:
         "dbo: card.csv: 'ai0' is taken for the measured signal: the only analog input (--measured names "
         "another)\n" in done.err
     )
-    assert "dbo: card.csv: 'ao0' is taken for the drive: the only analog output" in done.err
+    assert (
+        "dbo: card.csv: 'ao0' is taken for the drive: the only analog output"
+        in done.err
+    )
 
 
 # --- a recording as an oscilloscope writes it, beside the drive that was played ---
@@ -355,7 +478,8 @@ def write_scope(start: float) -> None:
     rows = np.arange(-20, 200)
     wanted = np.where(rows < 0, 1.0, 5.0 - 4.0 * np.cos(2 * np.pi * rows / 100.0))
     drive = "".join(
-        f"{row / 100.0!r},{y!r},{10 * y!r}\n" for row, y in zip(rows.tolist(), wanted.tolist(), strict=True)
+        f"{row / 100.0!r},{y!r},{10 * y!r}\n"
+        for row, y in zip(rows.tolist(), wanted.tolist(), strict=True)
     )
     Path("drive.csv").write_text("time_s,desired_um,voltage_V\n" + drive)
     lines = []
@@ -364,7 +488,16 @@ def write_scope(start: float) -> None:
     Path("scope.csv").write_text("time_s,CH1 (V),CH2 (V)\n" + "".join(lines))
 
 
-SCOPE = ["report", "scope.csv", "--trajectory", "drive.csv", "--measured", "CH2", "--format", "json"]
+SCOPE = [
+    "report",
+    "scope.csv",
+    "--trajectory",
+    "drive.csv",
+    "--measured",
+    "CH2",
+    "--format",
+    "json",
+]
 
 
 def test_a_recorder_that_starts_its_own_clock_is_asked_about(dbo: Any) -> None:
@@ -375,7 +508,9 @@ def test_a_recorder_that_starts_its_own_clock_is_asked_about(dbo: Any) -> None:
         "dbo: error: scope.csv: it begins at 0 s, and drive.csv at -0.2 s, with rows before the move: did the "
         "recorder start its clock with the first of them (--match rows), or do both have one clock (--match time)?"
     )
-    report = json.loads(dbo(*SCOPE, "--scale", "measured=10um/V", "--match", "rows").out)
+    report = json.loads(
+        dbo(*SCOPE, "--scale", "measured=10um/V", "--match", "rows").out
+    )
     assert report["logs"][0]["rmse"] == pytest.approx(0.1, rel=1e-9)
     write_scope(-0.2)
     report = json.loads(dbo(*SCOPE, "--scale", "measured=10um/V").out)
@@ -383,20 +518,35 @@ def test_a_recorder_that_starts_its_own_clock_is_asked_about(dbo: Any) -> None:
 
 
 @pytest.mark.parametrize("role", ["measured", "displacement"])
-def test_a_scale_belongs_to_the_recording_and_not_to_the_trajectory(dbo: Any, role: str) -> None:
+def test_a_scale_belongs_to_the_recording_and_not_to_the_trajectory(
+    dbo: Any, role: str
+) -> None:
     write_scope(-0.2)
-    done = dbo(*SCOPE, "--scale", f"{role}=10um/V", "--voltage", "CH1", "--scale", "voltage=10")
+    done = dbo(
+        *SCOPE, "--scale", f"{role}=10um/V", "--voltage", "CH1", "--scale", "voltage=10"
+    )
     assert done.code == 0, done.err
     report = json.loads(done.out)
     assert report["unit"] == "um"
     assert report["logs"][0]["rmse"] == pytest.approx(0.1, rel=1e-9)
-    doubled = json.loads(dbo(*SCOPE, "--scale", "measured=20um/V", "--scale", "desired=2").out)
+    doubled = json.loads(
+        dbo(*SCOPE, "--scale", "measured=20um/V", "--scale", "desired=2").out
+    )
     assert doubled["logs"][0]["rmse"] == pytest.approx(0.2, rel=1e-9)
 
 
 def test_what_was_played_is_scaled_and_the_drive_is_not(dbo: Any) -> None:
     write_scope(-0.2)
-    words = ["check", "scope.csv", "--voltage", "CH1", "--scale", "voltage=10", "--against", "drive.csv"]
+    words = [
+        "check",
+        "scope.csv",
+        "--voltage",
+        "CH1",
+        "--scale",
+        "voltage=10",
+        "--against",
+        "drive.csv",
+    ]
     done = dbo(*words, "--v-min", 0, "--v-max", 100)
     assert done.code == 0, done.err
     assert "gain 1, offset" in done.out

@@ -20,7 +20,14 @@ from dbo_cli import __version__
 from dbo_cli.cli import app, commands
 from dbo_cli.cli.command import Progress, Reporter
 from dbo_cli.cli.typer_adapter import root_command
-from dbo_cli.errors import FitError, InputError, LimitError, ModelError, OutputError, UsageError
+from dbo_cli.errors import (
+    FitError,
+    InputError,
+    LimitError,
+    ModelError,
+    OutputError,
+    UsageError,
+)
 from dbo_cli.hysteresis.identification import IdentificationOptions
 from dbo_cli.logs.request import ReadingOptions, parse_address
 from dbo_cli.runs.identifying import IdentifyRun
@@ -36,9 +43,16 @@ def test_version(dbo: Any) -> None:
 
 def test_module_and_console_script_are_the_same_program() -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "dbo_cli", "--version"], capture_output=True, text=True, cwd=ROOT
+        [sys.executable, "-m", "dbo_cli", "--version"],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
     )
-    assert (done.returncode, done.stdout, done.stderr) == (0, f"dbo {__version__}\n", "")
+    assert (done.returncode, done.stdout, done.stderr) == (
+        0,
+        f"dbo {__version__}\n",
+        "",
+    )
 
 
 WRONG = {
@@ -107,9 +121,15 @@ OUTCOMES = [
 ]
 
 
-@pytest.mark.parametrize(("problem", "code", "text"), OUTCOMES, ids=lambda value: type(value).__name__)
+@pytest.mark.parametrize(
+    ("problem", "code", "text"), OUTCOMES, ids=lambda value: type(value).__name__
+)
 def test_every_exception_has_one_line_and_a_code(
-    dbo: Any, monkeypatch: pytest.MonkeyPatch, problem: BaseException, code: int, text: str
+    dbo: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    problem: BaseException,
+    code: int,
+    text: str,
 ) -> None:
     def fail(words: list[str]) -> int:
         raise problem
@@ -125,7 +145,9 @@ def test_debug_shows_the_traceback_and_then_the_line(dbo: Any) -> None:
     assert done.err.splitlines()[-1].startswith("dbo: error: missing.json: ")
 
 
-def test_a_message_is_one_line_whatever_it_holds(dbo: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_message_is_one_line_whatever_it_holds(
+    dbo: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def fail(words: list[str]) -> int:
         raise InputError("two\nlines\tand tabs")
 
@@ -146,9 +168,9 @@ def help_of(dbo: Any, name: str) -> str:
 def test_root_help_names_every_command(dbo: Any) -> None:
     done = dbo("--help")
     assert (done.code, done.err) == (0, "")
-    assert re.findall(r"^  (\w+)  +\S", done.out[done.out.index("Commands:") :], re.MULTILINE) == list(
-        COMMANDS
-    )
+    assert re.findall(
+        r"^  (\w+)  +\S", done.out[done.out.index("Commands:") :], re.MULTILINE
+    ) == list(COMMANDS)
 
 
 @pytest.mark.whole
@@ -167,7 +189,9 @@ def test_every_option_that_the_readme_uses_exists(dbo: Any) -> None:
     for name, rest in used:
         page = help_of(dbo, name)
         for option in re.findall(r"(?<!\S)--?[a-z][a-z-]*", rest.partition("#")[0]):
-            assert re.search(rf"(?<![\w-]){option}(?![\w-])", page), f"dbo {name} {option}"
+            assert re.search(rf"(?<![\w-]){option}(?![\w-])", page), (
+                f"dbo {name} {option}"
+            )
 
 
 PROMISED = {
@@ -197,10 +221,20 @@ PROMISED = {
 @pytest.mark.parametrize("name", COMMANDS)
 def test_promised_options_are_there_and_explained(dbo: Any, name: str) -> None:
     page = help_of(dbo, name)
-    for option in [*PROMISED[name].split(), "-o", "--output", "--quiet", "--verbose", "--debug", "--help"]:
-        assert re.search(rf"^  (-\w, )?{option}\b.*(  \w|\n {{10,}}\w)|^  {option}, ", page, re.MULTILINE), (
-            option
-        )
+    for option in [
+        *PROMISED[name].split(),
+        "-o",
+        "--output",
+        "--quiet",
+        "--verbose",
+        "--debug",
+        "--help",
+    ]:
+        assert re.search(
+            rf"^  (-\w, )?{option}\b.*(  \w|\n {{10,}}\w)|^  {option}, ",
+            page,
+            re.MULTILINE,
+        ), option
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -212,7 +246,9 @@ def test_help_fits_a_terminal_and_holds_no_escapes(dbo: Any, name: str) -> None:
 
 @pytest.mark.whole
 @pytest.mark.parametrize("name", COMMANDS)
-def test_the_short_help_fits_a_screen_and_points_to_the_rest(dbo: Any, name: str) -> None:
+def test_the_short_help_fits_a_screen_and_points_to_the_rest(
+    dbo: Any, name: str
+) -> None:
     short, whole = dbo(name, "-h"), dbo(name, "--help-all")
     assert short == dbo(name, "--help")
     assert whole == dbo("help", name)
@@ -221,11 +257,17 @@ def test_the_short_help_fits_a_screen_and_points_to_the_rest(dbo: Any, name: str
     assert len(short.out) < len(whole.out)
     command = COMMANDS[name]
     usual = re.findall(
-        r"^  (?:-\w, )?(--[a-z-]+)", short.out[short.out.index("Usual options:") :], re.MULTILINE
+        r"^  (?:-\w, )?(--[a-z-]+)",
+        short.out[short.out.index("Usual options:") :],
+        re.MULTILINE,
     )
-    assert usual == ["--output" if option == "-o" else option for option in command.usual]
+    assert usual == [
+        "--output" if option == "-o" else option for option in command.usual
+    ]
     number = sum(1 for option in (*command.options, *command.brought) if option.names)
-    assert f"dbo help {name} (or --help-all) has all {number} options" in " ".join(short.out.split())
+    assert f"dbo help {name} (or --help-all) has all {number} options" in " ".join(
+        short.out.split()
+    )
     assert ("dbo help reading" in short.out) == ("\nReading logs:\n" in whole.out)
 
 
@@ -234,8 +276,12 @@ def test_the_options_of_reading_have_a_page_of_their_own(dbo: Any) -> None:
     assert (done.code, done.err) == (0, "")
     whole = help_of(dbo, "identify")
     listed = re.findall(r"^  (--[a-z-]+)", done.out, re.MULTILINE)
-    in_identify = whole[whole.index("Reading logs:") : whole.index("Output and messages:")]
-    assert sorted(listed) == sorted(re.findall(r"^  (--[a-z-]+)", in_identify, re.MULTILINE))
+    in_identify = whole[
+        whole.index("Reading logs:") : whole.index("Output and messages:")
+    ]
+    assert sorted(listed) == sorted(
+        re.findall(r"^  (--[a-z-]+)", in_identify, re.MULTILINE)
+    )
 
 
 @pytest.mark.parametrize(
@@ -243,13 +289,19 @@ def test_the_options_of_reading_have_a_page_of_their_own(dbo: Any) -> None:
     [("fit", "dbo identify"), ("Plot", "dbo report --figures"), ("version", "dbo --version"), ("run", "dbo simulate"),
      ("reprot", "dbo report")],
 )  # fmt: skip
-def test_words_that_people_try_are_answered_with_the_command(dbo: Any, word: str, meant: str) -> None:
+def test_words_that_people_try_are_answered_with_the_command(
+    dbo: Any, word: str, meant: str
+) -> None:
     assert f"no such command: '{word}': {meant}?; there are: identify," in dbo(word).err
 
 
-def test_a_name_with_a_blank_that_was_not_quoted_is_recognised(dbo: Any, tmp_path: Path) -> None:
+def test_a_name_with_a_blank_that_was_not_quoted_is_recognised(
+    dbo: Any, tmp_path: Path
+) -> None:
     (tmp_path / "my log.csv").write_text("time_s,voltage_V\n", encoding="utf-8")
-    done = dbo("identify", *f"{tmp_path}/my log.csv".split(" "), "-o", tmp_path / "model.json")
+    done = dbo(
+        "identify", *f"{tmp_path}/my log.csv".split(" "), "-o", tmp_path / "model.json"
+    )
     assert done.code == 1
     assert done.err.endswith(
         f"(is '{tmp_path}/my log.csv' meant? A name with a blank needs quotation marks)\n"
@@ -266,7 +318,9 @@ def test_the_bare_program_shows_its_help(dbo: Any) -> None:
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completion_scripts_are_printed(shell: str) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "dbo_cli", "--show-completion", shell], capture_output=True, text=True
+        [sys.executable, "-m", "dbo_cli", "--show-completion", shell],
+        capture_output=True,
+        text=True,
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert f"_DBO_COMPLETE=complete_{shell}" in done.stdout
@@ -291,7 +345,9 @@ def test_completion_scripts_are_printed(shell: str) -> None:
 def test_a_shell_is_told_what_could_be_typed(
     typed: str, offered: str, tmp_path: Path, model_file: Path
 ) -> None:
-    (tmp_path / "log.csv").write_text("time_s,Drive (V),Pos (um),a b (V)\n0,1,2,3\n1,2,3,4\n")
+    (tmp_path / "log.csv").write_text(
+        "time_s,Drive (V),Pos (um),a b (V)\n0,1,2,3\n1,2,3,4\n"
+    )
     (tmp_path / "other.csv").write_text("time_s,Drive (V),where\n0,1,2\n1,2,3\n")
     asked = os.environ | {
         "_DBO_COMPLETE": "complete_bash",
@@ -299,9 +355,17 @@ def test_a_shell_is_told_what_could_be_typed(
         "COMP_CWORD": str(len(typed.split(" ")) - 1),
     }
     done = subprocess.run(
-        [sys.executable, "-m", "dbo_cli"], capture_output=True, text=True, env=asked, cwd=tmp_path
+        [sys.executable, "-m", "dbo_cli"],
+        capture_output=True,
+        text=True,
+        env=asked,
+        cwd=tmp_path,
     )
-    assert (done.returncode, done.stdout.split(), done.stderr) == (0, offered.split(), "")
+    assert (done.returncode, done.stdout.split(), done.stderr) == (
+        0,
+        offered.split(),
+        "",
+    )
 
 
 def test_swapped_arguments_are_recognised(dbo: Any, model_file: Path) -> None:
@@ -312,11 +376,26 @@ def test_swapped_arguments_are_recognised(dbo: Any, model_file: Path) -> None:
         )  # fmt: skip
 
 
-def test_show_tells_on_which_side_of_the_gears_the_points_stand(dbo: Any, tmp_path: Path) -> None:
+def test_show_tells_on_which_side_of_the_gears_the_points_stand(
+    dbo: Any, tmp_path: Path
+) -> None:
     quantity = {"unit": "V", "min": 0.0, "max": 1.0}
-    gears = {"type": "backlash", "x0": 0.0, "y0": 0.0, "dx": [0.5, 0.5], "dy": [0.4, 0.6]}
+    gears = {
+        "type": "backlash",
+        "x0": 0.0,
+        "y0": 0.0,
+        "dx": [0.5, 0.5],
+        "dy": [0.4, 0.6],
+    }
     points = [
-        {"type": "point", "x0": 0.0, "y0": 0.0, "dx": [1.0 / m] * m, "dy": [1.0 / m] * m} for m in (3, 2)
+        {
+            "type": "point",
+            "x0": 0.0,
+            "y0": 0.0,
+            "dx": [1.0 / m] * m,
+            "dy": [1.0 / m] * m,
+        }
+        for m in (3, 2)
     ]
     model = {
         "format": "dbo-model",
@@ -330,7 +409,10 @@ def test_show_tells_on_which_side_of_the_gears_the_points_stand(dbo: Any, tmp_pa
     assert dbo("invert", "model.json", "-o", "inverse.json").code == 0
     for name in ("model.json", "inverse.json"):
         told = " ".join(dbo("show", name).out.split())
-        assert "2 gears, bent by 3 straight pieces on the drive's side and 2 on the displacement's" in told
+        assert (
+            "2 gears, bent by 3 straight pieces on the drive's side and 2 on the displacement's"
+            in told
+        )
 
 
 @pytest.mark.whole
@@ -339,15 +421,25 @@ def test_show_tells_what_is_in_a_model(dbo: Any) -> None:
     done = dbo("show", old)
     assert (done.code, done.err) == (0, "")
     lines = done.out.splitlines()
-    assert lines[0] == "forward model: voltage 0 to 100 V to displacement 0.798299 to 12.6191 um"
+    assert (
+        lines[0]
+        == "forward model: voltage 0 to 100 V to displacement 0.798299 to 12.6191 um"
+    )
     assert lines[1] == "displacement rises as voltage rises"
     assert lines[2].startswith(
         "40 gears, bent by a curve of 8 straight pieces; lag and creep with time constants of "
     )
     assert any(line.startswith("fit: RMSE 0.0") and "um" in line for line in lines)
-    assert any(line.startswith("from identification.csv (5,786 rows), by dbo 0.1.0") for line in lines)
+    assert any(
+        line.startswith("from identification.csv (5,786 rows), by dbo 0.1.0")
+        for line in lines
+    )
     told = json.loads(dbo("show", old, "--format", "json", "--figures", "curves").out)
-    assert (told["gears"], told["output"]["unit"], told["delay_seconds"]) == (40, "um", pytest.approx(0.001))
+    assert (told["gears"], told["output"]["unit"], told["delay_seconds"]) == (
+        40,
+        "um",
+        pytest.approx(0.001),
+    )
     assert {path.suffix for path in Path("curves").iterdir()} == {".png", ".svg"}
 
 
@@ -358,17 +450,22 @@ class Terminal(io.StringIO):
         return True
 
 
-def test_a_fit_counts_its_seconds_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fit_counts_its_seconds_on_a_terminal(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     screen = Terminal()
     monkeypatch.setattr(sys, "stderr", screen)
     monkeypatch.setattr(Progress, "PATIENCE", 0.001)
     progress = Progress(Reporter(), "read")
     progress.working("fitting 5 rows")
-    while "fitting 5 rows" not in screen.getvalue():  # the thread comes to it sooner or later
+    # the thread comes to it sooner or later
+    while "fitting 5 rows" not in screen.getvalue():
         time.sleep(0.001)
     progress.finished()
     said = screen.getvalue()
-    assert said.startswith("\r\x1b[Kdbo: fitting 5 rows, 0 s") and said.endswith("\r\x1b[K")
+    assert said.startswith("\r\x1b[Kdbo: fitting 5 rows, 0 s") and said.endswith(
+        "\r\x1b[K"
+    )
     quiet = Progress(Reporter(quiet=True), "read")
     quiet.working("fitting")
     quiet.finished()
@@ -385,7 +482,10 @@ def test_identify_tells_a_listener_of_its_rows_and_its_fit(tmp_path: Path) -> No
 
     ear: Any = Ear()
     asked = IdentificationOptions(gears=8, points=0, relaxation=(), delay=0.0)
-    log, output = map(parse_address, (ROOT / "sample_data" / "identification.csv", tmp_path / "m.json"))
+    log, output = map(
+        parse_address,
+        (ROOT / "sample_data" / "identification.csv", tmp_path / "m.json"),
+    )
     IdentifyRun([log], [], ReadingOptions(block_rows=4000), asked).run(output, ear)
     assert [one for one in ear.heard if one[0] != "opened"] == [
         ("progressed", 4000), ("progressed", 1786), ("working", "fitting 5,786 rows"), ("finished",),
@@ -394,7 +494,9 @@ def test_identify_tells_a_listener_of_its_rows_and_its_fit(tmp_path: Path) -> No
 
 @pytest.mark.whole
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_help_says_what_is_written_and_has_two_examples_that_parse(dbo: Any, command: str) -> None:
+def test_every_help_says_what_is_written_and_has_two_examples_that_parse(
+    dbo: Any, command: str
+) -> None:
     page = help_of(dbo, command)
     assert len(COMMANDS[command].examples) == 2
     for part in (
@@ -405,9 +507,15 @@ def test_every_help_says_what_is_written_and_has_two_examples_that_parse(dbo: An
     ):
         assert part in page
     for _, line in COMMANDS[command].examples:
-        words = next(one for one in map(shlex.split, line.split(" | ")) if one[:2] == ["dbo", command])
+        words = next(
+            one
+            for one in map(shlex.split, line.split(" | "))
+            if one[:2] == ["dbo", command]
+        )
         root = root_command().make_context("dbo", [], resilient_parsing=True)
-        root_command().get_command(root, command).make_context(command, words[2:], parent=root)
+        root_command().get_command(root, command).make_context(
+            command, words[2:], parent=root
+        )
 
 
 @pytest.mark.whole

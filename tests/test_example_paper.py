@@ -12,13 +12,16 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-PAPER = Path(os.environ.get("DBO_PAPER_DATA", ROOT.parent / "shared" / "data" / "paper"))
+PAPER = Path(
+    os.environ.get("DBO_PAPER_DATA", ROOT.parent / "shared" / "data" / "paper")
+)
 PAGE = (ROOT / "docs" / "example-paper.md").read_text(encoding="utf-8")
 COMMANDS = re.findall(r"^    (dbo .*)$", PAGE, re.MULTILINE)
 
 
 @pytest.mark.skipif(
-    not (PAPER / "uncompensated.dat").exists(), reason=f"the authors' recordings are not in {PAPER}"
+    not (PAPER / "uncompensated.dat").exists(),
+    reason=f"the authors' recordings are not in {PAPER}",
 )
 def test_the_commands_find_what_the_page_says(dbo: Any) -> None:
     for name in ("identification.dat", "uncompensated.dat"):
@@ -39,7 +42,9 @@ def test_the_commands_find_what_the_page_says(dbo: Any) -> None:
     ]
     for text, pattern, number in wanted:
         [value] = re.findall(pattern, text)
-        assert float(value) == pytest.approx(number, rel=0.01) and f"{number} um" in PAGE
+        assert (
+            float(value) == pytest.approx(number, rel=0.01) and f"{number} um" in PAGE
+        )
     assert "all cycles go over one and the same range" in found.err
     assert checked.out.startswith("drive.csv: passed")
     assert Path("prediction.html").exists() and Path("figures/model-gears.png").exists()

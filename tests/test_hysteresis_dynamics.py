@@ -12,7 +12,14 @@ from trials import Floats
 
 from dbo_cli.errors import InputError, ModelError, UsageError
 from dbo_cli.hysteresis import kernel
-from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, Lag, Resonance, ZeroPhaseLowPass, undone
+from dbo_cli.hysteresis.dynamics import (
+    Antiresonance,
+    DynamicsStage,
+    Lag,
+    Resonance,
+    ZeroPhaseLowPass,
+    undone,
+)
 
 RATE = 20_000.0
 STEP = 1.0 / RATE
@@ -20,11 +27,17 @@ NOTCHED = Resonance(800.0, 0.02, Antiresonance(1_100.0, 0.01))
 
 
 @pytest.fixture(params=["compiled", "python"])
-def either_kernel(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+def either_kernel(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[str]:
     compiled = kernel.compiled_kernel()
     if request.param == "compiled" and compiled is None:
         pytest.skip("the compiled kernel was not built")
-    monkeypatch.setattr(kernel, "CHOSEN", compiled if request.param == "compiled" else kernel.PythonKernel)
+    monkeypatch.setattr(
+        kernel,
+        "CHOSEN",
+        compiled if request.param == "compiled" else kernel.PythonKernel,
+    )
     yield request.param
 
 
@@ -49,8 +62,12 @@ def smooth_move(count: int, seed: int, quiet: int = 150) -> Floats:
     return np.interp(np.arange(count), np.linspace(quiet, count - quiet, 9), turns)
 
 
-@pytest.mark.parametrize("section", [Resonance(800.0, 0.02), Resonance(90.0, 0.7), NOTCHED])
-def test_a_section_is_exact_for_a_straight_input(section: Resonance, either_kernel: str) -> None:
+@pytest.mark.parametrize(
+    "section", [Resonance(800.0, 0.02), Resonance(90.0, 0.7), NOTCHED]
+)
+def test_a_section_is_exact_for_a_straight_input(
+    section: Resonance, either_kernel: str
+) -> None:
     time = np.arange(1_500) * STEP
     x = np.interp(time, [0.0, 0.01, 0.03, 0.05, 0.08], [1.0, 1.0, 4.0, -2.0, 0.0])
     expected = lsim(lti(*polynomials(section)), x - 1.0, time)[1] + 1.0
@@ -59,12 +76,16 @@ def test_a_section_is_exact_for_a_straight_input(section: Resonance, either_kern
 
 
 @pytest.mark.parametrize("section", [Resonance(800.0, 0.02), NOTCHED])
-def test_any_clock_gives_the_same_samples(section: Resonance, either_kernel: str) -> None:
+def test_any_clock_gives_the_same_samples(
+    section: Resonance, either_kernel: str
+) -> None:
     time = np.arange(600) * STEP
     knots = time[::50]
     x = np.interp(time, knots, np.random.default_rng(3).normal(size=knots.size))
     whole, _ = stage(section).run(x, STEP, None)
-    chosen = np.union1d(np.arange(0, 600, 50), np.random.default_rng(4).integers(0, 600, 200))
+    chosen = np.union1d(
+        np.arange(0, 600, 50), np.random.default_rng(4).integers(0, 600, 200)
+    )
     steps = np.diff(time[chosen], prepend=time[chosen[0]])
     few, _ = stage(section).run(x[chosen], steps, None)
     assert np.abs(few - whole[chosen]).max() < 1e-11
@@ -97,7 +118,9 @@ SECTIONS = [
 
 
 @pytest.mark.parametrize("sections", SECTIONS)
-def test_inverse_and_forward_compose_to_the_identity(sections: Any, either_kernel: str) -> None:
+def test_inverse_and_forward_compose_to_the_identity(
+    sections: Any, either_kernel: str
+) -> None:
     one, y = stage(*sections), smooth_move(900, 5)
     ((_, u, _),) = undone([(None, y)], one.inverter(STEP))
     back, _ = one.run(u, STEP, None)
@@ -123,7 +146,14 @@ def test_blocks_and_kernels_give_the_same_bits(sections: Any) -> None:
                 for part, step in zip(parts, at, strict=True):
                     out, state = one.run(part, step, state)
                     uneven.append(out)
-                u = np.concatenate([u for _, u, _ in undone(((None, p) for p in parts), one.inverter(STEP))])
+                u = np.concatenate(
+                    [
+                        u
+                        for _, u, _ in undone(
+                            ((None, p) for p in parts), one.inverter(STEP)
+                        )
+                    ]
+                )
                 found.append((np.concatenate(uneven).tobytes(), u.tobytes(), state))
     assert all(one_found == found[0] for one_found in found)
 
@@ -145,9 +175,21 @@ def test_the_inverse_goes_on_from_the_memory_or_from_the_forward_state() -> None
 @pytest.mark.parametrize(
     ("section", "rate", "named"),
     [
-        (Resonance(800.0, 0.02), 1_000.0, "resonance at 800 Hz is above half the sampling rate of 1000 Hz"),
-        (Resonance(800.0, 0.02), 2_000.0, "its inverse is not to be had there (`resample` 4800 or more)"),
-        (NOTCHED, 1_200.0, "resonance at 800 Hz with its antiresonance at 1100 Hz is above half"),
+        (
+            Resonance(800.0, 0.02),
+            1_000.0,
+            "resonance at 800 Hz is above half the sampling rate of 1000 Hz",
+        ),
+        (
+            Resonance(800.0, 0.02),
+            2_000.0,
+            "its inverse is not to be had there (`resample` 4800 or more)",
+        ),
+        (
+            NOTCHED,
+            1_200.0,
+            "resonance at 800 Hz with its antiresonance at 1100 Hz is above half",
+        ),
     ],
 )
 def test_a_clock_that_does_not_resolve_a_section_is_refused(
@@ -160,15 +202,23 @@ def test_a_clock_that_does_not_resolve_a_section_is_refused(
 
 def test_what_is_no_section_is_refused() -> None:
     for make, text in (
-        (lambda: Resonance(-1.0, 0.1), "frequency: -1.0 is not a finite number greater than 0"),
-        (lambda: Resonance(1.0, 1.0), "damping: 1.0 is not a finite number between 0 and 1"),
+        (
+            lambda: Resonance(-1.0, 0.1),
+            "frequency: -1.0 is not a finite number greater than 0",
+        ),
+        (
+            lambda: Resonance(1.0, 1.0),
+            "damping: 1.0 is not a finite number between 0 and 1",
+        ),
         (lambda: Lag(0.0), "lag: 0.0 is not a finite number greater than 0"),
         (lambda: stage(), "sections: is empty; leave the stage out instead"),
     ):
         with pytest.raises(ModelError) as refused:
             make()
         assert str(refused.value) == text
-    with pytest.raises(InputError, match=r"time step 2: -1.0 s; time must not go backwards"):
+    with pytest.raises(
+        InputError, match=r"time step 2: -1.0 s; time must not go backwards"
+    ):
         stage(Lag(1.0)).run(np.zeros(2), np.array([0.0, -1.0]), None)
 
 
@@ -180,7 +230,9 @@ def test_the_response_is_that_of_the_polynomials() -> None:
     assert stage(NOTCHED, Lag(1e-3)).response(at) == pytest.approx(expected, rel=1e-12)
 
 
-def test_the_low_pass_is_zero_phase_keeps_constants_and_halves_at_its_cutoff(either_kernel: str) -> None:
+def test_the_low_pass_is_zero_phase_keeps_constants_and_halves_at_its_cutoff(
+    either_kernel: str,
+) -> None:
     low_pass = ZeroPhaseLowPass(200.0, STEP)
     still = np.full(50, 0.1 + 0.2)
     assert np.array_equal(low_pass.whole(still), still)
@@ -189,26 +241,41 @@ def test_the_low_pass_is_zero_phase_keeps_constants_and_halves_at_its_cutoff(eit
         wave = np.cos(2.0 * np.pi * frequency * time)
         middle = slice(1_500, 2_500)
         gain = 1.0 / (1.0 + (frequency / 200.0) ** 4)
-        assert low_pass.whole(wave)[middle] == pytest.approx(gain * wave[middle], abs=2e-3 * gain)
+        assert low_pass.whole(wave)[middle] == pytest.approx(
+            gain * wave[middle], abs=2e-3 * gain
+        )
     step = low_pass.whole(np.repeat([0.0, 1.0], 2_000))
     assert 1.0 < step.max() < 1.034
     cut = np.random.default_rng(1).normal(size=700)
     parts = np.split(cut, [1, 2, 90, 500])
-    joined = np.concatenate([part for _, part in low_pass.blocks((None, p) for p in parts)])
+    joined = np.concatenate(
+        [part for _, part in low_pass.blocks((None, p) for p in parts)]
+    )
     assert np.array_equal(joined, low_pass.whole(cut))
-    assert np.array_equal(low_pass.loop(cut), low_pass.whole(np.tile(cut, 5))[1_400:2_100])
+    assert np.array_equal(
+        low_pass.loop(cut), low_pass.whole(np.tile(cut, 5))[1_400:2_100]
+    )
 
 
 def test_a_low_pass_that_the_rate_does_not_allow_is_refused() -> None:
-    with pytest.raises(UsageError, match=r"`bandwidth` 600: above half the sampling rate of 1000 Hz"):
+    with pytest.raises(
+        UsageError, match=r"`bandwidth` 600: above half the sampling rate of 1000 Hz"
+    ):
         ZeroPhaseLowPass(600.0, 1e-3)
-    with pytest.raises(UsageError, match=r"`bandwidth` 0.01: too low .* `resample` at a lower rate"):
+    with pytest.raises(
+        UsageError, match=r"`bandwidth` 0.01: too low .* `resample` at a lower rate"
+    ):
         ZeroPhaseLowPass(0.01, 1e-3)
 
 
 def test_a_single_time_step_has_the_bits_of_many() -> None:
     rng = np.random.default_rng(8)
-    for turn, damping in zip(rng.uniform(1e-6, 1.0, 300), 10.0 ** rng.uniform(-4.0, -0.01, 300), strict=True):
+    for turn, damping in zip(
+        rng.uniform(1e-6, 1.0, 300), 10.0 ** rng.uniform(-4.0, -0.01, 300), strict=True
+    ):
         section = Resonance(turn * RATE / (2.0 * np.pi), damping)
-        (one,), two = section.step(np.array([STEP])), section.step(np.array([STEP, STEP]))
+        (one,), two = (
+            section.step(np.array([STEP])),
+            section.step(np.array([STEP, STEP])),
+        )
         assert one.tobytes() == two[0].tobytes() == two[1].tobytes()

@@ -32,7 +32,13 @@ def test_swing_samples_keep_the_slew() -> None:
 
 
 def excited(**change: Any) -> Any:
-    arguments = {"v_min": -30.0, "v_max": 120.0, "sample_rate": 1000.0, "duration": 15.0, "frequency": 1.0}
+    arguments = {
+        "v_min": -30.0,
+        "v_max": 120.0,
+        "sample_rate": 1000.0,
+        "duration": 15.0,
+        "frequency": 1.0,
+    }
     return Excitation(**{**arguments, **change}).drive()
 
 
@@ -45,19 +51,38 @@ def turns_of(drive: Any) -> Any:
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize(
     ("rate", "duration", "frequency"),
-    [(1000.0, 15.0, 1.0), (20.0, 6.0, 1.0), (77.7, 61.3, 0.3), (5000.0, 2.4, 2.5), (200.0, 600.0, 1.0)],
+    [
+        (1000.0, 15.0, 1.0),
+        (20.0, 6.0, 1.0),
+        (77.7, 61.3, 0.3),
+        (5000.0, 2.4, 2.5),
+        (200.0, 600.0, 1.0),
+    ],
 )
 def test_excitation_stays_within_range_slew_and_duration(
     rate: float, duration: float, frequency: float, seed: int
 ) -> None:
     span = 150.0
-    for slew in (None, np.pi * frequency * span * (1.0 + 1e-12), 2.0 * np.pi * frequency * span):
+    for slew in (
+        None,
+        np.pi * frequency * span * (1.0 + 1e-12),
+        2.0 * np.pi * frequency * span,
+    ):
         time, drive = excited(
-            sample_rate=rate, duration=duration, frequency=frequency, max_slew=slew, seed=seed
+            sample_rate=rate,
+            duration=duration,
+            frequency=frequency,
+            max_slew=slew,
+            seed=seed,
         )
         assert time.size == drive.size == round(duration * rate)
         assert np.array_equal(time, np.arange(time.size) / rate)
-        assert (drive.min(), drive.max(), drive[0], drive[-1]) == (-30.0, 120.0, -30.0, -30.0)
+        assert (drive.min(), drive.max(), drive[0], drive[-1]) == (
+            -30.0,
+            120.0,
+            -30.0,
+            -30.0,
+        )
         if slew is not None:
             assert np.abs(np.diff(drive)).max() * rate <= slew * (1.0 + 1e-9)
 
@@ -89,7 +114,8 @@ def test_excitation_is_chosen_by_its_seed() -> None:
     first, again, other = excited(seed=3)[1], excited(seed=3)[1], excited(seed=4)[1]
     assert first.tobytes() == again.tobytes() != other.tobytes()
     assert excited()[1].tobytes() == excited(seed=1)[1].tobytes()
-    # the choices themselves are part of the contract: a seed noted today gives the same drive tomorrow
+    # the choices themselves are part of the contract: a seed noted today gives the same
+    # drive tomorrow
     assert np.round(turns_of(excited(seed=1)[1])[:6], 6).tolist() == TURNS_OF_SEED_1
 
 
@@ -98,7 +124,10 @@ TURNS_OF_SEED_1 = [120.0, -30.0, 97.115061, 37.42366, 120.0, -29.684092]
 REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"v_min": 3.0, "v_max": 3.0}, "`v_min` 3V must be below `v_max` 3V"),
     ({"v_min": float("nan")}, "`v_min` nanV must be below `v_max` 3.6V"),
-    ({"v_min": -1e308, "v_max": 1e308}, "`v_min` -1e+308V and `v_max` 1e+308V: give limits within 1e+60V"),
+    (
+        {"v_min": -1e308, "v_max": 1e308},
+        "`v_min` -1e+308V and `v_max` 1e+308V: give limits within 1e+60V",
+    ),
     (
         {"v_min": 0.0, "v_max": 1e-320, "unit": "bar"},
         "`v_min` 0bar and `v_max` 9.99989e-321bar: give limits at least 1e-60bar apart",
@@ -131,7 +160,13 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
 
 @pytest.mark.parametrize(("change", "message"), REFUSED)
 def test_excitation_that_is_refused(change: dict[str, Any], message: str) -> None:
-    arguments = {"v_min": 0.0, "v_max": 3.6, "sample_rate": 200.0, "duration": 10.0, "frequency": 1.0}
+    arguments = {
+        "v_min": 0.0,
+        "v_max": 3.6,
+        "sample_rate": 200.0,
+        "duration": 10.0,
+        "frequency": 1.0,
+    }
     with pytest.raises(UsageError) as problem:
         Excitation(**{**arguments, **change}).drive()
     assert str(problem.value) == message
@@ -152,9 +187,14 @@ def test_reading_ahead_does_not_depend_on_blocks() -> None:
             expected, _ = interpolated(time, values, time + seconds)
         whole = None
         for size in (600, 1, 7, 64):
-            blocks = [(k, time[k : k + size], values[k : k + size]) for k in range(0, 600, size)]
+            blocks = [
+                (k, time[k : k + size], values[k : k + size])
+                for k in range(0, 600, size)
+            ]
             shifted = list(read_ahead(blocks, seconds, between))
-            assert [payload for payload, _ in shifted] == [payload for payload, _, _ in blocks]
+            assert [payload for payload, _ in shifted] == [
+                payload for payload, _, _ in blocks
+            ]
             found = np.concatenate([part for _, part in shifted])
             np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-12)
             assert whole is None or found.tobytes() == whole
@@ -181,8 +221,12 @@ def test_delay_read_ahead_and_lagged_again_is_the_identity() -> None:
     assert model.delay_seconds == 0.02
     desired = wanted(model, 2)
     time = 0.005 * np.arange(desired.size)
-    ahead = np.concatenate([part for _, part in read_ahead([(None, time, desired)], model.delay_seconds)])
+    ahead = np.concatenate(
+        [part for _, part in read_ahead([(None, time, desired)], model.delay_seconds)]
+    )
     limits = DriveLimits(model.input.minimum, model.input.maximum)
-    drive = model.compensate(ahead, model.start_compensation(ahead[0], "auto", limits), limits=limits)
+    drive = model.compensate(
+        ahead, model.start_compensation(ahead[0], "auto", limits), limits=limits
+    )
     back = model.simulate(drive.y, model.start(drive.y[0]), time_step=0.005)
     assert np.abs(back.y - desired)[5:].max() <= 1e-12 * model.output.span

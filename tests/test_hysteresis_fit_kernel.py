@@ -11,7 +11,13 @@ import numpy as np
 import pytest
 
 from dbo_cli.hysteresis.identification import normal_equations
-from dbo_cli.hysteresis.identification.normal_equations import ABSENT, AT_ZERO, FREE, POSITIVE, PythonFit
+from dbo_cli.hysteresis.identification.normal_equations import (
+    ABSENT,
+    AT_ZERO,
+    FREE,
+    POSITIVE,
+    PythonFit,
+)
 
 compiled: Any = pytest.importorskip("dbo_cli.hysteresis._fit")
 
@@ -27,10 +33,14 @@ def test_products_are_the_same_bits(columns: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_minima_are_the_same_bits_and_meet_the_conditions_of_an_optimum(seed: int) -> None:
+def test_minima_are_the_same_bits_and_meet_the_conditions_of_an_optimum(
+    seed: int,
+) -> None:
     rng = np.random.default_rng(seed)
     count = int(rng.integers(2, 60))
-    table = rng.normal(size=(3 * count, count)) @ (np.tri(count) if seed % 2 else np.eye(count))
+    table = rng.normal(size=(3 * count, count)) @ (
+        np.tri(count) if seed % 2 else np.eye(count)
+    )
     matrix = np.einsum("ki,kj->ij", table, table)
     size = np.sqrt(np.diagonal(matrix))
     matrix, right = matrix / size / size[:, None], rng.normal(size=count)
@@ -47,20 +57,30 @@ def test_minima_are_the_same_bits_and_meet_the_conditions_of_an_optimum(seed: in
     assert found[0][states[0] == ABSENT].tolist() == [0.0]
     assert (found[0][states[0] == POSITIVE] >= 0.0).all()
     assert (gradient[states[0] == AT_ZERO] >= -1e-10).all()
-    assert np.abs(gradient[(states[0] == POSITIVE) | (states[0] == FREE)]).max(initial=0.0) < 1e-6
+    assert (
+        np.abs(gradient[(states[0] == POSITIVE) | (states[0] == FREE)]).max(initial=0.0)
+        < 1e-6
+    )
 
 
 @pytest.mark.parametrize("kernel", [compiled, PythonFit])
 def test_what_has_no_minimum_is_told(kernel: Any) -> None:
     state, x = np.full(2, FREE, np.uint8), np.zeros(2)
-    assert kernel.minimise(np.array([[1.0, 2.0], [2.0, 1.0]]), np.ones(2), state, x, 0.0, 10) == -1
+    assert (
+        kernel.minimise(
+            np.array([[1.0, 2.0], [2.0, 1.0]]), np.ones(2), state, x, 0.0, 10
+        )
+        == -1
+    )
 
 
 def test_wrong_lengths_are_refused() -> None:
     with pytest.raises(ValueError, match="buffer of the wrong length: products"):
         compiled.add_products(np.zeros(7), 2, np.zeros(4))
     with pytest.raises(ValueError, match="buffer of the wrong length: minimise"):
-        compiled.minimise(np.zeros(4), np.zeros(3), np.zeros(3, np.uint8), np.zeros(3), 0.0, 1)
+        compiled.minimise(
+            np.zeros(4), np.zeros(3), np.zeros(3, np.uint8), np.zeros(3), 0.0, 1
+        )
 
 
 def test_the_compiled_loops_are_chosen() -> None:
@@ -79,8 +99,11 @@ print(hashlib.sha256(model_to_bytes(identify([Recording("a", v, x, t)]).model)).
 """
 
 
-def test_the_number_of_threads_changes_no_bit(capsys: pytest.CaptureFixture[str]) -> None:
-    threads = "1" if os.environ["OPENBLAS_NUM_THREADS"] == "2" else "2"  # not those of this process
+def test_the_number_of_threads_changes_no_bit(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    # not those of this process
+    threads = "1" if os.environ["OPENBLAS_NUM_THREADS"] == "2" else "2"
     exec(SCRIPT, {})
     one = capsys.readouterr().out
     names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")

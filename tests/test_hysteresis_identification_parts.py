@@ -18,7 +18,11 @@ from dbo_cli.hysteresis.identification.normal_equations import (
     squared_error_free_of,
 )
 from dbo_cli.hysteresis.identification.output_error import asymmetry
-from dbo_cli.hysteresis.identification.preparation import clipped_sensor, folds_of, prepare
+from dbo_cli.hysteresis.identification.preparation import (
+    clipped_sensor,
+    folds_of,
+    prepare,
+)
 from dbo_cli.hysteresis.identification.recordings import (
     Recording,
     check_recordings,
@@ -29,7 +33,12 @@ from dbo_cli.hysteresis.identification.recordings import (
     pieces_behind_gaps,
     without_voltage_glitches,
 )
-from dbo_cli.hysteresis.identification.search import Score, no_worse, simplest_of, time_constant_grid
+from dbo_cli.hysteresis.identification.search import (
+    Score,
+    no_worse,
+    simplest_of,
+    time_constant_grid,
+)
 from dbo_cli.hysteresis.identification.statistics import (
     BLOCK_ROWS,
     Basis,
@@ -44,19 +53,29 @@ from dbo_cli.hysteresis.identification.statistics import (
 from dbo_cli.hysteresis.move_error import turning_points
 
 
-def sine(cycles: int = 5, samples: int = 40, low: float = 0.0, high: float = 10.0) -> np.ndarray:
+def sine(
+    cycles: int = 5, samples: int = 40, low: float = 0.0, high: float = 10.0
+) -> np.ndarray:
     phase = 2.0 * np.pi * np.arange(cycles * samples + 1) / samples
     return low + (high - low) * (0.5 - 0.5 * np.cos(phase))
 
 
-def rows_of(basis: Basis, voltage: np.ndarray, seconds: np.ndarray | None, start: str) -> np.ndarray:
-    return np.vstack([rows for _, _, rows in drive_rows(basis, voltage, seconds, start)])
+def rows_of(
+    basis: Basis, voltage: np.ndarray, seconds: np.ndarray | None, start: str
+) -> np.ndarray:
+    return np.vstack(
+        [rows for _, _, rows in drive_rows(basis, voltage, seconds, start)]
+    )
 
 
-def prepared(voltage: np.ndarray, output: np.ndarray, folds: int = 4, order: int = 0) -> PreparedLog:
+def prepared(
+    voltage: np.ndarray, output: np.ndarray, folds: int = 4, order: int = 0
+) -> PreparedLog:
     seconds = np.arange(len(voltage)) * 0.01
     fold = np.arange(len(voltage)) * folds // len(voltage)
-    return PreparedLog("log", voltage, output, seconds, fold, drift_columns(seconds, order), "empty")
+    return PreparedLog(
+        "log", voltage, output, seconds, fold, drift_columns(seconds, order), "empty"
+    )
 
 
 def test_turning_points_pass_over_what_is_smaller_than_the_threshold() -> None:
@@ -90,29 +109,48 @@ def gapped(voltage: np.ndarray, begin: int, end: int, late: float = 0.0) -> Reco
 
 
 def test_gaps_hide_turns_but_not_what_goes_straight_on_or_stands_still() -> None:
-    triangle = np.concatenate([np.linspace(0.0, 10.0, 100), np.linspace(10.0, 0.0, 100)] * 4)
-    assert pieces_behind_gaps(gapped(triangle, 180, 320)) == [(180, 359, 660)]  # 0 V is in it
+    triangle = np.concatenate(
+        [np.linspace(0.0, 10.0, 100), np.linspace(10.0, 0.0, 100)] * 4
+    )
+    # 0 V is in it
+    assert pieces_behind_gaps(gapped(triangle, 180, 320)) == [(180, 359, 660)]
     assert pieces_behind_gaps(gapped(triangle, 120, 180)) == []  # straight on
-    assert pieces_behind_gaps(gapped(triangle, 198, 201)) == []  # three samples hide nothing
-    rests = np.concatenate((triangle[:150], np.full(100, triangle[149]), triangle[150:]))
-    assert pieces_behind_gaps(gapped(rests, 150, 249)) == []  # a logger that writes what changes
+    # three samples hide nothing
+    assert pieces_behind_gaps(gapped(triangle, 198, 201)) == []
+    rests = np.concatenate(
+        (triangle[:150], np.full(100, triangle[149]), triangle[150:])
+    )
+    # a logger that writes what changes
+    assert pieces_behind_gaps(gapped(rests, 150, 249)) == []
     assert pieces_behind_gaps(gapped(triangle, 300, 300, 5.0)) == []
-    back = gapped(triangle, 180, 380)  # to the same voltage: it stood still if the displacement says so
+    # to the same voltage: it stood still if the displacement says so
+    back = gapped(triangle, 180, 380)
     assert pieces_behind_gaps(back) == []
-    moved = replace(back, displacement=back.displacement + 2.0 * (np.arange(600) >= 180))
+    moved = replace(
+        back, displacement=back.displacement + 2.0 * (np.arange(600) >= 180)
+    )
     assert pieces_behind_gaps(moved) == [(180, 299, 600)]
     assert pieces_behind_gaps(replace(back, time=None, sample_period=0.01)) == []
     slow = np.concatenate(
-        (np.linspace(0.0, 2.0, 101), np.linspace(2.1, 10.0, 80), np.linspace(9.9, 0.0, 100))
+        (
+            np.linspace(0.0, 2.0, 101),
+            np.linspace(2.1, 10.0, 80),
+            np.linspace(9.9, 0.0, 100),
+        )
     )
-    assert pieces_behind_gaps(gapped(slow, 101, 233)) == [(101, 148, 149)]  # as fast as before, not as after
+    # as fast as before, not as after
+    assert pieces_behind_gaps(gapped(slow, 101, 233)) == [(101, 148, 149)]
 
 
 def test_rows_behind_gaps_are_kept_where_too_few_would_be_left() -> None:
-    triangle = np.concatenate([np.linspace(0.0, 10.0, 100), np.linspace(10.0, 0.0, 100)] * 4)
+    triangle = np.concatenate(
+        [np.linspace(0.0, 10.0, 100), np.linspace(10.0, 0.0, 100)] * 4
+    )
     log = gapped(triangle, 180, 320)
     every = np.ones(660, bool)
-    assert np.flatnonzero(~known_behind_gaps(log, every)).tolist() == list(range(180, 359))
+    assert np.flatnonzero(~known_behind_gaps(log, every)).tolist() == list(
+        range(180, 359)
+    )
     few = (np.arange(660) >= 160) & (np.arange(660) < 390)
     assert known_behind_gaps(log, few) is few
 
@@ -122,8 +160,16 @@ def test_rows_behind_gaps_are_kept_where_too_few_would_be_left() -> None:
     [
         (sine(1, 20), sine(1, 20), r"a: 21 rows are too few to identify from"),
         (np.full(90, 2.5), np.arange(90.0), r"a: the voltage is constant \(2.5\)"),
-        (sine(), np.full(201, 7.0), r"a: the displacement is constant \(7\): check the sensor"),
-        (np.arange(90.0), np.arange(90.0), r"a: the voltage never turns back, so the log shows no loop"),
+        (
+            sine(),
+            np.full(201, 7.0),
+            r"a: the displacement is constant \(7\): check the sensor",
+        ),
+        (
+            np.arange(90.0),
+            np.arange(90.0),
+            r"a: the voltage never turns back, so the log shows no loop",
+        ),
     ],
 )
 def test_logs_that_show_nothing_are_refused(
@@ -137,21 +183,30 @@ def test_logs_that_show_nothing_are_refused(
 def test_a_clock_that_does_not_advance_is_refused(slope: float, last: str) -> None:
     message = rf"^a: time does not advance from the first row \(1 s\) to the last \({last} s\): repair"
     with pytest.raises(FitError, match=message):
-        check_recordings([Recording("a", sine(), sine(), 1.0 + slope * np.arange(201.0))])
+        check_recordings(
+            [Recording("a", sine(), sine(), 1.0 + slope * np.arange(201.0))]
+        )
 
 
 def test_a_number_no_instrument_measured_is_named() -> None:
     wrong = sine()
     wrong[7] = 1e308
-    with pytest.raises(FitError, match=r"^a: the voltage in row 8 is 1e\+308, which no instrument measured"):
+    with pytest.raises(
+        FitError,
+        match=r"^a: the voltage in row 8 is 1e\+308, which no instrument measured",
+    ):
         check_recordings([Recording("a", wrong, sine())])
 
 
 def test_logs_of_different_units_are_refused() -> None:
     first = Recording("a", sine(), sine(), voltage_unit="V", displacement_unit="um")
-    with pytest.raises(FitError, match=r"^b: its displacement is in nm, that of a in um"):
+    with pytest.raises(
+        FitError, match=r"^b: its displacement is in nm, that of a in um"
+    ):
         check_recordings([first, replace(first, name="b", displacement_unit="nm")])
-    with pytest.raises(FitError, match=r"^b: its voltage is in no unit, that of a in V"):
+    with pytest.raises(
+        FitError, match=r"^b: its voltage is in no unit, that of a in V"
+    ):
         check_recordings([first, replace(first, name="b", voltage_unit=None)])
 
 
@@ -175,7 +230,8 @@ def test_hats_are_the_piecewise_linear_functions() -> None:
     values = np.array([0.3, -0.2, 0.5])
     straight = np.interp(at, [0, 0.25, 0.5, 0.75, 1], [0, *values, 0])
     assert hats[1:-1] @ values == pytest.approx(straight[1:-1])
-    assert hats[0] @ values == pytest.approx(-0.3 / 0.25 * 0.3)  # the end segments go straight on
+    # the end segments go straight on
+    assert hats[0] @ values == pytest.approx(-0.3 / 0.25 * 0.3)
     assert hats[-1] @ values == pytest.approx(-0.2 / 0.25 * 0.5)
     assert hat_functions(at, 1).shape == (8, 0)
 
@@ -183,14 +239,20 @@ def test_hats_are_the_piecewise_linear_functions() -> None:
 def test_coarse_hats_are_sums_of_fine_ones() -> None:
     at = np.linspace(-0.1, 1.1, 61)
     for fine, coarse in ((8, 4), (8, 2), (12, 3), (4, 4)):
-        assert hat_functions(at, fine) @ knot_map(fine, coarse) == pytest.approx(hat_functions(at, coarse))
+        assert hat_functions(at, fine) @ knot_map(fine, coarse) == pytest.approx(
+            hat_functions(at, coarse)
+        )
 
 
 def test_lags_that_are_kept_are_those_of_the_basis_and_the_voltage() -> None:
     voltage = sine(10, 2000)
     whole = prepared(voltage, voltage / 10.0)
     one = Basis(4, 0.0, 10.0, 1, (0.1, 2.0))
-    others = [replace(one, bend=0.1), replace(one, low=-1.0), replace(one, time_constants=(0.1,))]
+    others = [
+        replace(one, bend=0.1),
+        replace(one, low=-1.0),
+        replace(one, time_constants=(0.1,)),
+    ]
     for log in (whole, *fewer_rows([whole], 2000)):
         for basis in (one, *others, replace(one, delay=0.002), one):
             assert np.array_equal(log.lags(basis), basis.lags(log.voltage, log.seconds))
@@ -230,7 +292,9 @@ def test_statistics_are_the_products_of_the_dense_table() -> None:
     basis = Basis(5, 0.0, 10.0, 3, (0.05, 0.2))
     statistics = gather([log], basis, 4)
     drive = rows_of(basis, voltage, log.seconds, "empty")
-    table = np.hstack((drive, -hat_functions(log.output, 4), log.drift, log.output[:, None]))
+    table = np.hstack(
+        (drive, -hat_functions(log.output, 4), log.drift, log.output[:, None])
+    )
     gram, rows = statistics.total()
     assert rows == 241
     assert np.abs(gram - table.T @ table).max() < 1e-10
@@ -241,11 +305,15 @@ def test_statistics_are_the_products_of_the_dense_table() -> None:
     vector = rng.normal(size=statistics.columns.total)
     left = table @ np.append(vector, -1.0)
     assert squared_error(gram, vector) == pytest.approx(left @ left)
-    assert statistics.nuisance[2] == slice(statistics.columns.total, statistics.columns.total)
+    assert statistics.nuisance[2] == slice(
+        statistics.columns.total, statistics.columns.total
+    )
     nuisance = slice(statistics.columns.total - 2, statistics.columns.total)
     part = table[log.fold == 2]
     loose = part[:, nuisance]
-    fixed = part @ np.append(np.where(np.isin(np.arange(len(vector)), np.r_[nuisance]), 0.0, vector), -1.0)
+    fixed = part @ np.append(
+        np.where(np.isin(np.arange(len(vector)), np.r_[nuisance]), 0.0, vector), -1.0
+    )
     best = fixed - loose @ np.linalg.lstsq(loose, fixed, rcond=None)[0]
     found = squared_error_free_of(statistics.grams[2], vector, nuisance)
     assert found == pytest.approx(best @ best, rel=1e-6)
@@ -265,11 +333,15 @@ def test_bounded_problem_reaches_what_a_general_solver_reaches(slopes: str) -> N
     structure = Structure(slopes, (0, 1), 4, 0.0, 0.0)
     solution = solve(gram, columns, structure, 300)
     step = {"growing": np.tril, "falling": np.triu, "free": np.diag}
-    spread = step[slopes](np.ones((gears, gears))) if slopes != "free" else np.eye(gears)
+    spread = (
+        step[slopes](np.ones((gears, gears))) if slopes != "free" else np.eye(gears)
+    )
     mixed = np.hstack((table[:, :gears] @ spread / gears, table[:, gears:]))
     low = np.r_[np.zeros(gears + memories), np.full(3 + drift, -np.inf)]
     base = table[:, :gears] @ np.full(gears, SLOPE_FLOOR / gears)
-    reference = lsq_linear(mixed, target - base, bounds=(low, np.inf), tol=1e-14, max_iter=5000)
+    reference = lsq_linear(
+        mixed, target - base, bounds=(low, np.inf), tol=1e-14, max_iter=5000
+    )
     left = table @ solution.vector - target
     assert left @ left == pytest.approx(2.0 * reference.cost, rel=1e-9)
     assert solution.heights.min() >= SLOPE_FLOOR / gears * (1.0 - 1e-9)
@@ -342,7 +414,9 @@ def test_a_fold_that_loses_all_its_rows_is_no_fold() -> None:
 @pytest.mark.parametrize("rate", [200.0, 333.0, 5000.0])
 def test_memories_reach_as_far_at_any_sample_rate(rate: float) -> None:
     clock = np.arange(round(30.0 * rate)) / rate
-    voltage = 50.0 - 50.0 * np.cos(2.0 * np.pi * clock) * np.linspace(1.0, 0.2, len(clock))
+    voltage = 50.0 - 50.0 * np.cos(2.0 * np.pi * clock) * np.linspace(
+        1.0, 0.2, len(clock)
+    )
     log = Recording("log", voltage, voltage**1.1, clock)
     grid = time_constant_grid(prepare([log], 0.0), 1.0 / rate, 100.0)
     assert grid[0] == 1.0 / rate
@@ -371,7 +445,8 @@ def test_single_wrong_voltages_are_replaced_and_steps_are_not() -> None:
 def test_simplest_that_is_no_worse() -> None:
     weights = np.full(4, 0.25)
     best = Score(np.array([1.0, 1.1, 0.9, 1.0]), weights)
-    near = Score(best.mean_squares * 1.03, weights)  # 1.5 % of the RMSE: within the indifference
+    # 1.5 % of the RMSE: within the indifference
+    near = Score(best.mean_squares * 1.03, weights)
     far = Score(best.mean_squares * 1.3, weights)
     noisy = Score(best.mean_squares * np.array([1.4, 0.8, 1.2, 0.75]), weights)
     assert no_worse(near, best)

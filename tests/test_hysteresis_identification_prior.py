@@ -45,13 +45,21 @@ def known(delay: float = 0.01, wide: float = 1.0) -> ActuatorModel:
 
 
 def short_log(
-    model: ActuatorModel, gain: float = 1.0, offset: float = 0.0, noise: float = 0.01, top: float = 100.0
+    model: ActuatorModel,
+    gain: float = 1.0,
+    offset: float = 0.0,
+    noise: float = 0.01,
+    top: float = 100.0,
 ) -> Recording:
     """Return ten seconds of five swings, seen by a sensor."""
     clock = np.arange(2000) / RATE
     drive = top * (0.5 - 0.5 * np.cos(np.pi * clock)) * np.where(clock < 4.0, 1.0, 0.6)
     made = Recording("short.csv", drive, np.zeros(2000), None, 1.0 / RATE, "V", "um")
-    seen = gain * predict(model, made) + offset + noise * np.random.default_rng(4).normal(size=2000)
+    seen = (
+        gain * predict(model, made)
+        + offset
+        + noise * np.random.default_rng(4).normal(size=2000)
+    )
     return Recording("short.csv", drive, seen, None, 1.0 / RATE, "V", "um")
 
 
@@ -62,7 +70,9 @@ def test_gain_offset_and_lag_come_back_with_their_intervals() -> None:
     assert moved["offset"] == pytest.approx(1.5, abs=3e-3)
     assert moved["delay_seconds"] == pytest.approx(0.004, abs=1e-4)
     for found, truth in (("gain", 0.93), ("delay", 0.004)):
-        low, high = moved[f"{found}_interval" if found == "gain" else "delay_interval_seconds"]
+        low, high = moved[
+            f"{found}_interval" if found == "gain" else "delay_interval_seconds"
+        ]
         assert low < truth < high
     assert list(done.model.backlash.dy) == list(known().backlash.dy)
     assert done.model.delay_seconds == pytest.approx(0.014, abs=1e-4)
@@ -105,7 +115,9 @@ def test_a_changed_shape_is_refused_and_kept_by_force() -> None:
                        r"without `prior`, or begin with a sweep over the whole range: what was before the log may be to "
                        r"blame \(`force` keeps the shape\)$"):  # fmt: skip
         identify([log], prior=known())
-    [warning] = identify([log], IdentificationOptions(force=True), prior=known()).warnings
+    [warning] = identify(
+        [log], IdentificationOptions(force=True), prior=known()
+    ).warnings
     assert warning.startswith("short.csv: the shape has changed")
 
 
@@ -120,29 +132,49 @@ def test_an_unknown_past_that_shifts_the_offset_is_said() -> None:
     swings = short_log(prior)
     drive = 30.0 + 0.4 * swings.voltage
     inside = Recording("inside", drive, np.zeros(2000), None, 1.0 / RATE, "V", "um")
-    log = Recording("inside", drive, predict(prior, inside), None, 1.0 / RATE, "V", "um")
+    log = Recording(
+        "inside", drive, predict(prior, inside), None, 1.0 / RATE, "V", "um"
+    )
     [warning] = identify([log], prior=prior).warnings
-    assert warning.startswith("what was before the logs can shift the offset by 1.21 um: begin with")
+    assert warning.startswith(
+        "what was before the logs can shift the offset by 1.21 um: begin with"
+    )
 
 
 def test_less_lag_than_none_is_said() -> None:
     late = short_log(known(0.03))
-    early = Recording("early", late.voltage[8:], late.displacement[8:], None, 1.0 / RATE, "V", "um")
-    led = Recording("early", late.voltage[:-8], late.displacement[8:], None, 1.0 / RATE, "V", "um")
+    early = Recording(
+        "early", late.voltage[8:], late.displacement[8:], None, 1.0 / RATE, "V", "um"
+    )
+    led = Recording(
+        "early", late.voltage[:-8], late.displacement[8:], None, 1.0 / RATE, "V", "um"
+    )
     assert identify([early], prior=known(0.0)).warnings == []
     [warning] = identify([led], prior=known(0.0)).warnings
-    assert warning.startswith("the displacement comes 9.99 ms earlier than the prior's without any delay")
+    assert warning.startswith(
+        "the displacement comes 9.99 ms earlier than the prior's without any delay"
+    )
 
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("gears", 64), ("points", 0), ("delay", 0.0), ("zero", "mean"), ("method", "paper"), ("dynamics", 1)],
+    [
+        ("gears", 64),
+        ("points", 0),
+        ("delay", 0.0),
+        ("zero", "mean"),
+        ("method", "paper"),
+        ("dynamics", 1),
+    ],
 )
 def test_what_the_prior_fixes_cannot_be_asked_for(name: str, value: Any) -> None:
     with pytest.raises(UsageError) as refused:
-        identify([short_log(known())], IdentificationOptions(**{name: value}), prior=known())
+        identify(
+            [short_log(known())], IdentificationOptions(**{name: value}), prior=known()
+        )
     assert (
-        str(refused.value) == f"`{name}` does not go with `prior`, whose shape is kept: leave one of them out"
+        str(refused.value)
+        == f"`{name}` does not go with `prior`, whose shape is kept: leave one of them out"
     )
 
 
@@ -153,19 +185,32 @@ def test_a_lag_needs_a_clock_and_an_inverse_is_no_prior() -> None:
         identify([bare], prior=known())
     assert (
         "no clock, so the lag is the prior's"
-        in identify([bare], prior=known(0.0), options=IdentificationOptions(force=True)).summary[0]
+        in identify(
+            [bare], prior=known(0.0), options=IdentificationOptions(force=True)
+        ).summary[0]
     )
-    with pytest.raises(Exception, match="the prior: is an inverse model where a forward one is needed"):
+    with pytest.raises(
+        Exception, match="the prior: is an inverse model where a forward one is needed"
+    ):
         identify([log], prior=known().inverse())
-    against = Recording("against", log.voltage, -log.displacement, None, 1.0 / RATE, "V", "um")
-    with pytest.raises(FitError, match=r"the displacement runs against the prior's \(gain -1\)"):
+    against = Recording(
+        "against", log.voltage, -log.displacement, None, 1.0 / RATE, "V", "um"
+    )
+    with pytest.raises(
+        FitError, match=r"the displacement runs against the prior's \(gain -1\)"
+    ):
         identify([against], prior=known())
 
 
 def test_shell_and_python_refresh_alike_in_the_priors_units(dbo: Any) -> None:
     Path("prior.json").write_bytes(model_to_bytes(known()))
     log = short_log(known(0.014), 0.93, 1.5)
-    rows = zip((np.arange(2000) / RATE).tolist(), log.voltage / 1e3, log.displacement * 1e3, strict=True)
+    rows = zip(
+        (np.arange(2000) / RATE).tolist(),
+        log.voltage / 1e3,
+        log.displacement * 1e3,
+        strict=True,
+    )
     Path("short.csv").write_text(
         "time_s,voltage_kV,displacement_nm\n"
         + "\n".join(f"{a!r},{float(b)!r},{float(c)!r}" for a, b, c in rows)
@@ -176,11 +221,25 @@ def test_shell_and_python_refresh_alike_in_the_priors_units(dbo: Any) -> None:
     assert "the prior's shape was kept; moved: gain 0.9301 times" in done.err
     model = json.loads(Path("model.json").read_text())
     assert (model["input"]["unit"], model["output"]["unit"]) == ("V", "um")
-    assert model["provenance"]["arguments"] == ["identify", "short.csv", "--prior", "prior.json"]
+    assert model["provenance"]["arguments"] == [
+        "identify",
+        "short.csv",
+        "--prior",
+        "prior.json",
+    ]
     assert model["provenance"]["prior"] == {}
     again = dbo_cli.identify("short.csv", prior="prior.json")
     known_by_shell = json.loads(Path("model.json").read_text())["stages"]
     assert json.loads(model_to_bytes(again.actuator))["stages"] == known_by_shell
     assert dbo(
-        "identify", "short.csv", "--prior", "prior.json", "--gears", "9", "-o", "no.json"
-    ).err.endswith("--gears does not go with --prior, whose shape is kept: leave one of them out\n")
+        "identify",
+        "short.csv",
+        "--prior",
+        "prior.json",
+        "--gears",
+        "9",
+        "-o",
+        "no.json",
+    ).err.endswith(
+        "--gears does not go with --prior, whose shape is kept: leave one of them out\n"
+    )

@@ -10,7 +10,11 @@ from numpy.typing import NDArray
 
 from dbo_cli.hysteresis.excitation import Excitation
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, identify
-from dbo_cli.hysteresis.identification.drive_range import drive_range, read_back_noise, within
+from dbo_cli.hysteresis.identification.drive_range import (
+    drive_range,
+    read_back_noise,
+    within,
+)
 
 Floats = NDArray[np.float64]
 RANDOM = np.random.default_rng(5)
@@ -36,7 +40,9 @@ def log_of(voltage: Floats) -> Recording:
 
 
 def read_back(drive: Floats, noise: float, seed: int = 1) -> Floats:
-    noisy: Floats = drive + noise * np.random.default_rng(seed).standard_normal(drive.size)
+    noisy: Floats = drive + noise * np.random.default_rng(seed).standard_normal(
+        drive.size
+    )
     return noisy
 
 
@@ -66,14 +72,19 @@ def test_zero_and_the_rating_stay_after_excite(share: float) -> None:
 
 
 def test_ends_that_are_no_round_number_are_not_made_one() -> None:
-    ends = [drive_range([log_of(read_back(13.37 + 84.04 * EXCITED, 0.02, seed))]) for seed in range(5)]
+    ends = [
+        drive_range([log_of(read_back(13.37 + 84.04 * EXCITED, 0.02, seed))])
+        for seed in range(5)
+    ]
     assert np.abs(np.subtract(ends, (13.37, 97.41))).max() < 0.04
 
 
 ROUNDED = {
     "digits": lambda drive: np.round(100.0 * drive, 2),
     "10 bits": lambda drive: np.round(1023.0 * drive) / 1023.0 * 100.0,
-    "single precision": lambda drive: (100.0 * drive).astype(np.float32).astype(np.float64),
+    "single precision": lambda drive: (
+        (100.0 * drive).astype(np.float32).astype(np.float64)
+    ),
     "as computed": lambda drive: 100.0 * drive,
     "far away": lambda drive: 1e6 + drive,
 }
@@ -111,7 +122,10 @@ def test_a_model_has_the_range_of_the_amplifier() -> None:
     noisy = replace(log, voltage=read_back(voltage, 0.01))
     options = IdentificationOptions(gears=16, points=0, relaxation=(), delay=0.0)
     model = identify([noisy], options).model
-    assert (model.input.minimum, model.input.maximum) == (0.0, pytest.approx(voltage.max(), abs=0.02))
+    assert (model.input.minimum, model.input.maximum) == (
+        0.0,
+        pytest.approx(voltage.max(), abs=0.02),
+    )
     assert noisy.voltage.min() < -0.01
     # An actuator at rest at the lower end starts with no gear engaged.
     assert model.start(0.0, "auto") == model.start(0.0, "empty")

@@ -41,11 +41,26 @@ from dbo_cli.hysteresis.identification.output_error import (
     corners,
     finer,
 )
-from dbo_cli.hysteresis.identification.preparation import Prepared, gain_sign, prepare, without_outliers
-from dbo_cli.hysteresis.identification.recordings import IdentificationOptions, Recording, first_wiped_row
+from dbo_cli.hysteresis.identification.preparation import (
+    Prepared,
+    gain_sign,
+    prepare,
+    without_outliers,
+)
+from dbo_cli.hysteresis.identification.recordings import (
+    IdentificationOptions,
+    Recording,
+    first_wiped_row,
+)
 from dbo_cli.hysteresis.identification.refinement import MARGIN, Fitted, stages_of
 from dbo_cli.hysteresis.identification.search import choose
-from dbo_cli.hysteresis.identification.statistics import Basis, Score, Statistics, gather, no_worse
+from dbo_cli.hysteresis.identification.statistics import (
+    Basis,
+    Score,
+    Statistics,
+    gather,
+    no_worse,
+)
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, ScaleStage
 
 
@@ -60,7 +75,9 @@ def small_model() -> ActuatorModel:
     )
 
 
-def fitted_with(basis: Basis, gains: list[float] | None = None) -> tuple[Fitted, Prepared]:
+def fitted_with(
+    basis: Basis, gains: list[float] | None = None
+) -> tuple[Fitted, Prepared]:
     heights = np.linspace(0.5, 1.5, basis.gears) / basis.gears
     knots, drift = np.array([0.0, 0.4, 1.0]), np.array([0.25])
     ready = Prepared((), (), basis.low, basis.high, 3.0, 7.0, (), (), ())
@@ -77,7 +94,9 @@ def test_a_greatest_speed_that_the_model_does_not_know_is_a_slew_limit() -> None
 
     def said(moved: Any) -> list[str]:
         log = Recording("run.csv", free, moved, None, 0.01, "V", "um")
-        return _slew_warnings([log], [Residual("run.csv", moved - free, np.arange(len(free)), 0.0)])
+        return _slew_warnings(
+            [log], [Residual("run.csv", moved - free, np.arange(len(free)), 0.0)]
+        )
 
     assert said(free) == []
     assert said(0.99 * free) == []
@@ -93,13 +112,19 @@ def test_a_greatest_speed_that_the_model_does_not_know_is_a_slew_limit() -> None
 def test_gears_go_on_beyond_the_range_of_the_logs_at_either_end() -> None:
     basis = Basis(8, 10.0, 50.0, 4)
     fitted, ready = fitted_with(basis)
-    backlash = next(s for s in stages_of(fitted, ready, 0.0) if isinstance(s, BacklashStage))
+    backlash = next(
+        s for s in stages_of(fitted, ready, 0.0) if isinstance(s, BacklashStage)
+    )
     assert MARGIN >= 0.1
-    assert backlash.x_range == pytest.approx((10.0 - MARGIN * 40.0, 50.0 + MARGIN * 40.0))
+    assert backlash.x_range == pytest.approx(
+        (10.0 - MARGIN * 40.0, 50.0 + MARGIN * 40.0)
+    )
     assert np.all(backlash.dx == backlash.dx[0])
 
 
-def test_the_gains_of_memories_are_output_per_volt_and_zero_is_where_it_was_asked_for() -> None:
+def test_the_gains_of_memories_are_output_per_volt_and_zero_is_where_it_was_asked_for() -> (
+    None
+):
     basis = Basis(8, 10.0, 50.0, 4, (0.01, 0.1, 1.0))
     fitted, ready = fitted_with(basis, [0.02, 0.0, 0.04])
     plain, shifted = (stages_of(fitted, ready, shift) for shift in (0.0, 2.0))
@@ -107,7 +132,10 @@ def test_the_gains_of_memories_are_output_per_volt_and_zero_is_where_it_was_aske
     assert terms is not None
     assert (terms.reference, terms.tau) == (10.0, (0.01, 1.0))
     assert terms.gain == pytest.approx((0.02 / 40.0, 0.04 / 40.0))
-    before, after = (next(s for s in stages if isinstance(s, ScaleStage)) for stages in (plain, shifted))
+    before, after = (
+        next(s for s in stages if isinstance(s, ScaleStage))
+        for stages in (plain, shifted)
+    )
     assert (before.gain, before.offset) == pytest.approx((3.0, 7.0 + 3.0 * 0.25))
     assert after.offset == pytest.approx(before.offset - 2.0)
 
@@ -134,7 +162,9 @@ def test_validation_leaves_out_what_came_before_both_ends_were_visited() -> None
     wiped = first_wiped_row(voltage)
     assert 30 < wiped < 100
     history = np.where(np.arange(len(voltage)) < wiped, 0.5, 0.0)
-    found = validation_of(model, replace(log, displacement=predict(model, log) + history), 0.0)
+    found = validation_of(
+        model, replace(log, displacement=predict(model, log) + history), 0.0
+    )
     assert found.rows[0] == wiped
     assert found.rmse < 1e-12
 
@@ -162,7 +192,9 @@ def test_segments_stay_wide_enough_to_be_inverted(segments: int) -> None:
     output = np.interp(inner, [0.0, 0.4, 0.5, 1.0], [0.0, 0.6, 0.4, 1.0])
     statistics = gather([prepared_log(voltage, output)], basis, 8)
     gram, rows = statistics.total()
-    solution = solve(gram, statistics.columns, Structure("free", (), segments, 0.0, 0.0), rows)
+    solution = solve(
+        gram, statistics.columns, Structure("free", (), segments, 0.0, 0.0), rows
+    )
     widths = np.diff(corners(solution.knots, 8)).reshape(segments, -1).sum(axis=1)
     assert widths.min() == pytest.approx(1.0 / (MAX_STEEPNESS * segments), rel=1e-4)
     assert widths.sum() == pytest.approx(1.0)
@@ -187,7 +219,9 @@ def test_rows_of_the_output_error_leave_the_output_error_over() -> None:
     rng = np.random.default_rng(3)
     drive = rng.uniform(0.0, 1.0, (50, 7))
     output = rng.uniform(0.0, 1.0, 50)
-    rows = JudgedRows(basis, drive, output, np.ones((50, 1)), (slice(0, 50),), {}, np.arange(50))
+    rows = JudgedRows(
+        basis, drive, output, np.ones((50, 1)), (slice(0, 50),), {}, np.arange(50)
+    )
     vector = np.concatenate((heights, gains, moved, [0.02]))
     table = OutputProblem(rows).table(vector, 4)
     predicted = asymmetry(drive @ np.concatenate((heights, gains)) + 0.02, knots)[0]
@@ -208,9 +242,14 @@ def test_finer_segments_are_the_same_curve() -> None:
 
 def judged(*kinds: tuple[str, list[float]]) -> Judged:
     """Return a candidate with these mean squares on the parts of each kind, of ten rows each."""
-    errors = {name: Errors(10.0 * np.array(squares), np.full(len(squares), 10)) for name, squares in kinds}
+    errors = {
+        name: Errors(10.0 * np.array(squares), np.full(len(squares), 10))
+        for name, squares in kinds
+    }
     structure = Structure("growing", (), 1, 1e-8)
-    return Judged(errors, 0.01, Basis(6, 0.0, 10.0), Refined(structure, np.zeros(7), 1.0, 1.0))
+    return Judged(
+        errors, 0.01, Basis(6, 0.0, 10.0), Refined(structure, np.zeros(7), 1.0, 1.0)
+    )
 
 
 def test_each_kind_of_parts_counts_once_and_by_its_ratio() -> None:
@@ -228,7 +267,8 @@ def test_a_candidate_is_beaten_beyond_its_error_bar_alone() -> None:
     assert not worse.beaten_by(lucky, 0.02)  # one part alone makes the difference
     assert not worse.beaten_by(steady, 0.5)
     single = judged(("levels", [1.0]))
-    assert not judged(("levels", [2.0])).beaten_by(single, 0.0)  # one part has no scatter
+    # one part has no scatter
+    assert not judged(("levels", [2.0])).beaten_by(single, 0.0)
 
 
 def test_what_is_surely_better_is_so_by_two_standard_errors_of_each_kind() -> None:
@@ -236,7 +276,9 @@ def test_what_is_surely_better_is_so_by_two_standard_errors_of_each_kind() -> No
     better = judged(("cycles", [1.8, 1.8, 1.8, 2.0]), ("levels", [1.8, 1.8, 1.8, 2.0]))
     assert worse.beaten_by(better, 0.0)  # by 0.0264; its error bar is 0.0259
     assert not worse.surely_beaten_by(better)
-    assert worse.surely_beaten_by(judged(("cycles", [1.0, 1.0, 1.0, 0.9]), ("levels", [1.0, 1.0, 1.0, 0.9])))
+    assert worse.surely_beaten_by(
+        judged(("cycles", [1.0, 1.0, 1.0, 0.9]), ("levels", [1.0, 1.0, 1.0, 0.9]))
+    )
     assert not judged().surely_beaten_by(judged())
 
 
@@ -258,9 +300,11 @@ def test_the_standard_error_is_that_of_the_mean() -> None:
     best = Score(np.ones(10), np.full(10, 0.1))
     candidate = Score(np.exp(2.0 * scatter), np.full(10, 0.1))
     assert not no_worse(candidate, best, indifference=0.0)
-    wide = Score(np.exp(2.0 * (0.009 + 5.0 * (scatter - 0.015))), np.full(10, 0.1))  # deviation 0.1
+    # deviation 0.1
+    wide = Score(np.exp(2.0 * (0.009 + 5.0 * (scatter - 0.015))), np.full(10, 0.1))
     assert no_worse(wide, best, indifference=0.0)
-    wider = Score(np.exp(2.0 * (0.025 + 5.0 * (scatter - 0.015))), np.full(10, 0.1))  # deviation 0.1
+    # deviation 0.1
+    wider = Score(np.exp(2.0 * (0.025 + 5.0 * (scatter - 0.015))), np.full(10, 0.1))
     assert not no_worse(wider, best, indifference=0.0)
 
 
@@ -273,7 +317,11 @@ def test_the_delay_is_the_middle_of_those_that_explain_the_log(delay: float) -> 
     log = Recording("log", voltage, np.zeros(len(voltage)), time=seconds)
     late = np.interp(seconds - delay, seconds, predict(model, log))
     log = replace(log, displacement=late + 0.05 * rng.normal(size=len(voltage)))
-    found = choose(prepare([log], 0.0), IdentificationOptions(gears=12, points=1, relaxation=()), 0.2)
+    found = choose(
+        prepare([log], 0.0),
+        IdentificationOptions(gears=12, points=1, relaxation=()),
+        0.2,
+    )
     assert found.delay_interval is not None
     low, high = found.delay_interval
     assert high - low >= 0.0005
@@ -282,7 +330,9 @@ def test_the_delay_is_the_middle_of_those_that_explain_the_log(delay: float) -> 
     assert abs(found.basis.delay - low) >= 0.0002
 
 
-def test_slopes_that_cannot_be_solved_refuse_no_log(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_slopes_that_cannot_be_solved_refuse_no_log(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """More slopes, or finer gears, may have no solution where a log is late by more than is looked for."""
     judged = search.cross_validate
 
@@ -303,9 +353,14 @@ def test_slopes_that_cannot_be_solved_refuse_no_log(monkeypatch: pytest.MonkeyPa
 # --- sign and scale ---
 
 
-def test_the_sign_of_the_gain_is_read_from_all_logs_and_one_spike_does_not_turn_it() -> None:
+def test_the_sign_of_the_gain_is_read_from_all_logs_and_one_spike_does_not_turn_it() -> (
+    None
+):
     voltage = sine(3)
-    rising, falling = Recording("a", voltage, 0.5 * voltage), Recording("b", voltage, -0.5 * voltage)
+    rising, falling = (
+        Recording("a", voltage, 0.5 * voltage),
+        Recording("b", voltage, -0.5 * voltage),
+    )
     assert (gain_sign([rising]), gain_sign([falling])) == (1.0, -1.0)
     spiked = 0.5 * voltage
     spiked[int(np.argmin(voltage))] = 1e6
@@ -316,17 +371,22 @@ def test_the_sign_of_the_gain_is_read_from_all_logs_and_one_spike_does_not_turn_
 # --- drift or creep ---
 
 
-def excited(preset: str, seed: int, seconds: float, rate: float, part: float, share: float) -> Recording:
+def excited(
+    preset: str, seed: int, seconds: float, rate: float, part: float, share: float
+) -> Recording:
     """Return an ``excite`` log of a virtual actuator; its sensor warms up by this share of the stroke."""
     parameters = PRESETS[preset]
-    time, voltage = Excitation(parameters.v_min, parameters.v_max, rate, seconds, 1.0, seed=seed + 1).drive()
+    time, voltage = Excitation(
+        parameters.v_min, parameters.v_max, rate, seconds, 1.0, seed=seed + 1
+    ).drive()
     warmth = share * parameters.stroke * (1.0 - np.exp(-time / (part * seconds)))
     seen = VirtualActuator(parameters).play(time, voltage, seed) + warmth
     return Recording(preset, voltage, seen, time, None, "V", "um")
 
 
 @pytest.mark.parametrize(
-    ("preset", "seed", "seconds", "rate"), [("stack", 0, 15.0, 500.0), ("creeping", 4, 30.0, 200.0)]
+    ("preset", "seed", "seconds", "rate"),
+    [("stack", 0, 15.0, 500.0), ("creeping", 4, 30.0, 200.0)],
 )
 def test_an_actuator_that_only_creeps_does_not_drift(
     preset: str, seed: int, seconds: float, rate: float
@@ -343,4 +403,7 @@ def test_a_warm_up_is_found_and_one_that_may_be_creep_is_said() -> None:
     doubtful = prepare([slow], 0.0)
     assert doubtful.logs[0].drift.shape[1] == 1
     assert 0.0 < doubtful.doubtful_drift < 0.045
-    assert any("may be sensor drift or creep" in line for line in fit_notes("um", doubtful, 1.0, None))
+    assert any(
+        "may be sensor drift or creep" in line
+        for line in fit_notes("um", doubtful, 1.0, None)
+    )

@@ -32,16 +32,30 @@ OUTPUT = Quantity("displacement", "um", 0.0, 3.5)
 GEARS = BacklashStage([0.144] * 25, np.linspace(0.08, 0.2, 25))
 
 
-def build(seed: int, relaxation: bool = False, delay: float = 0.0, falling: bool = False) -> ActuatorModel:
+def build(
+    seed: int, relaxation: bool = False, delay: float = 0.0, falling: bool = False
+) -> ActuatorModel:
     """Return a model with every kind of stage; ``seed`` chooses sizes, slopes and the gain's sign."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 60))
     dx = rng.uniform(0.2, 1.0, n)
     slopes = np.sort(rng.uniform(0.3, 1.7, n))
-    terms = Relaxation(0.2, (0.01, 1.0), tuple(rng.uniform(0.0, 0.3, 2).tolist())) if relaxation else None
-    gears = BacklashStage(dx, dx * (slopes[::-1] if falling else slopes), rng.normal(), rng.normal(), terms)
+    terms = (
+        Relaxation(0.2, (0.01, 1.0), tuple(rng.uniform(0.0, 0.3, 2).tolist()))
+        if relaxation
+        else None
+    )
+    gears = BacklashStage(
+        dx,
+        dx * (slopes[::-1] if falling else slopes),
+        rng.normal(),
+        rng.normal(),
+        terms,
+    )
     low, high = gears.y_range
-    points = PointStage(rng.uniform(0.5, 1.0, 4) * (high - low) / 3.0, rng.uniform(0.5, 1.0, 4), low)
+    points = PointStage(
+        rng.uniform(0.5, 1.0, 4) * (high - low) / 3.0, rng.uniform(0.5, 1.0, 4), low
+    )
     stages: list[Any] = [gears, points, ScaleStage(-3.0 if seed % 2 else 2.0, 0.7)]
     bottom, top = slow_output_range(stages, *gears.x_range)
     if delay:
@@ -52,11 +66,15 @@ def build(seed: int, relaxation: bool = False, delay: float = 0.0, falling: bool
     )  # fmt: skip
 
 
-def wanted(model: ActuatorModel, seed: int, share: float = 0.45, count: int = 240) -> Floats:
+def wanted(
+    model: ActuatorModel, seed: int, share: float = 0.45, count: int = 240
+) -> Floats:
     """Return a decaying trajectory around the middle of the model's range."""
     k = np.arange(count)
     low, span = model.output.minimum, model.output.span
-    trajectory: Floats = low + span * (0.5 + share * np.sin(k / 7.0 + seed) * np.exp(-k / 200.0))
+    trajectory: Floats = low + span * (
+        0.5 + share * np.sin(k / 7.0 + seed) * np.exp(-k / 200.0)
+    )
     return trajectory
 
 
@@ -66,15 +84,24 @@ def limits_of(model: ActuatorModel, slew: float | None = None) -> DriveLimits:
 
 @pytest.mark.parametrize("relaxation", [False, True])
 @pytest.mark.parametrize("falling", [False, True])
-def test_simulating_the_compensation_gives_the_trajectory(relaxation: bool, falling: bool) -> None:
+def test_simulating_the_compensation_gives_the_trajectory(
+    relaxation: bool, falling: bool
+) -> None:
     for seed in range(25):
         model = build(seed, relaxation, falling=falling)
         desired = wanted(model, seed, share=0.3 if relaxation else 0.45)
-        steps = np.random.default_rng(seed).uniform(0.0, 0.01, desired.size) if relaxation else None
+        steps = (
+            np.random.default_rng(seed).uniform(0.0, 0.01, desired.size)
+            if relaxation
+            else None
+        )
         begin = model.start_compensation(desired[0], "auto", limits_of(model))
-        drive = model.compensate(desired, begin, limits=limits_of(model), time_step=steps)
+        drive = model.compensate(
+            desired, begin, limits=limits_of(model), time_step=steps
+        )
         again = model.start(drive.y[0], "auto")
-        assert again.backlash.bits == begin.backlash.bits  # the very state in which simulate starts
+        # the very state in which simulate starts
+        assert again.backlash.bits == begin.backlash.bits
         back = model.simulate(drive.y, again, time_step=steps)
         assert back.state == drive.state
         assert (drive.clipped_count, drive.outside_count) == (0, 0)
@@ -91,7 +118,9 @@ def test_first_value_that_the_settled_curve_steps_over_is_taken_nearest() -> Non
         "forward", Quantity("voltage", "V", 0.0, 4.0), Quantity("displacement", None, 0.0, 10.0),
         (BacklashStage([1.0] * 4, [1.0, 2.0, 3.0, 4.0]),),
     )  # fmt: skip
-    reached = [model.simulate([v], model.start(v)).y[0] for v in np.linspace(0.0, 4.0, 4001)]
+    reached = [
+        model.simulate([v], model.start(v)).y[0] for v in np.linspace(0.0, 4.0, 4001)
+    ]
     jump = int(np.argmax(np.diff(reached)))
     target = 0.25 * reached[jump] + 0.75 * reached[jump + 1]
     begin = model.start_compensation(target, "auto", limits_of(model))
@@ -105,18 +134,31 @@ def test_first_value_that_the_settled_curve_steps_over_is_taken_nearest() -> Non
 
 def test_what_the_start_misses_is_told_in_the_unit_of_what_was_wanted() -> None:
     gears = BacklashStage([1.0] * 4, [1.0, 2.0, 3.0, 4.0])
-    plain = ActuatorModel("forward", Quantity("v", "V", 0.0, 4.0), Quantity("y", "um", 0.0, 10.0), (gears,))
+    plain = ActuatorModel(
+        "forward",
+        Quantity("v", "V", 0.0, 4.0),
+        Quantity("y", "um", 0.0, 10.0),
+        (gears,),
+    )
     scaled = ActuatorModel(
-        "forward", plain.input, Quantity("y", "nm", 0.0, 1e4), (gears, ScaleStage(1e3, 0.0))
+        "forward",
+        plain.input,
+        Quantity("y", "nm", 0.0, 1e4),
+        (gears, ScaleStage(1e3, 0.0)),
     )
     limits = DriveLimits(0.0, 4.0)
-    reached = np.array([plain.simulate([v], plain.start(v)).y[0] for v in np.linspace(0.0, 4.0, 401)])
+    reached = np.array(
+        [plain.simulate([v], plain.start(v)).y[0] for v in np.linspace(0.0, 4.0, 401)]
+    )
     jump = int(np.argmax(np.diff(reached)))
     target = float(0.3 * reached[jump] + 0.7 * reached[jump + 1])
     missed = []
     for model, factor in ((plain, 1.0), (scaled, 1e3)):
         begin = model.start_compensation(factor * target, "auto", limits)
-        missed.append(model.compensate([factor * target], begin, limits=limits).first_missed / factor)
+        missed.append(
+            model.compensate([factor * target], begin, limits=limits).first_missed
+            / factor
+        )
     assert abs(missed[0]) > 0.01
     assert missed[1] == pytest.approx(missed[0], rel=1e-9)
 
@@ -126,12 +168,17 @@ def test_a_start_beside_a_step_survives_rounding() -> None:
     rng = np.random.default_rng(5)
     beside = 0
     for _ in range(60):
-        gears = BacklashStage([0.144] * 25, 0.144 * np.sort(rng.uniform(0.3, 1.7, 25)), 0.3)
+        gears = BacklashStage(
+            [0.144] * 25, 0.144 * np.sort(rng.uniform(0.3, 1.7, 25)), 0.3
+        )
         low, high = gears.y_range
         for target in rng.uniform(low, high, 8):
             found = start_drive(gears, float(target))
             beside += abs(found.reached - target) > 1e-6
-            for nudged in (found.voltage * (1.0 + 4e-16), found.voltage * (1.0 - 4e-16)):
+            for nudged in (
+                found.voltage * (1.0 + 4e-16),
+                found.voltage * (1.0 - 4e-16),
+            ):
                 assert start_state(gears, nudged, "auto") == found.state
     assert beside > 5  # the settled curve has steps, and some values lie in them
 
@@ -140,18 +187,32 @@ def test_the_range_holds_to_the_last_bit_behind_points() -> None:
     worst = 0.0
     for seed in range(120):
         rng = np.random.default_rng(seed)
-        points = PointStage(rng.uniform(0.5, 1.5, 5), rng.uniform(0.5, 1.5, 5), rng.normal(), rng.normal())
+        points = PointStage(
+            rng.uniform(0.5, 1.5, 5),
+            rng.uniform(0.5, 1.5, 5),
+            rng.normal(),
+            rng.normal(),
+        )
         low, high = points.y_range
-        gears = BacklashStage(np.full(9, (high - low) / 9), rng.uniform(0.3, 1.7, 9), low)
+        gears = BacklashStage(
+            np.full(9, (high - low) / 9), rng.uniform(0.3, 1.7, 9), low
+        )
         model = ActuatorModel(
-            "forward", Quantity("v", "V", *points.x_range), Quantity("y", None, 0.0, 9.0), (points, gears)
+            "forward",
+            Quantity("v", "V", *points.x_range),
+            Quantity("y", None, 0.0, 9.0),
+            (points, gears),
         )
         ends = np.sort(rng.uniform(*points.x_range, 2))
         limits = DriveLimits(float(ends[0]), float(ends[1]))
         desired = rng.uniform(-3.0, 12.0, 60)
         begin = model.start_compensation(float(desired[0]), "auto", limits)
         drive = model.compensate(desired, begin, limits=limits).y
-        worst = max(worst, float((drive - limits.v_max).max()), float((limits.v_min - drive).max()))
+        worst = max(
+            worst,
+            float((drive - limits.v_max).max()),
+            float((limits.v_min - drive).max()),
+        )
     assert worst <= 0.0
 
 
@@ -162,7 +223,9 @@ def test_the_step_before_the_very_first_sample_does_not_matter() -> None:
     for first in (0.0, 0.005, 123.0, -7.0):
         steps = np.full(40, 0.005)
         steps[0] = first
-        outputs.append(model.simulate(x, model.start(x[0]), time_step=steps).y.tobytes())
+        outputs.append(
+            model.simulate(x, model.start(x[0]), time_step=steps).y.tobytes()
+        )
     assert outputs[1:] == outputs[:1] * 3
 
 
@@ -178,23 +241,30 @@ def test_a_slew_limit_holds_from_the_end_where_the_actuator_stands(start: Any) -
     assert way == pytest.approx([0.05 * (high - low), 0.1 * (high - low)])
 
 
-def test_a_state_serves_model_and_inverse_though_a_gain_inverted_twice_is_rounded() -> None:
+def test_a_state_serves_model_and_inverse_though_a_gain_inverted_twice_is_rounded() -> (
+    None
+):
     rounded = 0
     for gain in np.random.default_rng(8).uniform(1.0, 20.0, 50):
-        model = ActuatorModel("forward", VOLTAGE, OUTPUT, (GEARS, ScaleStage(float(gain), 0.7)))
+        model = ActuatorModel(
+            "forward", VOLTAGE, OUTPUT, (GEARS, ScaleStage(float(gain), 0.7))
+        )
         again = model.inverse().inverse()
         rounded += again.stages[1] != model.stages[1]
         assert again.digest == model.inverse().digest == model.digest
     assert rounded > 3
 
 
-def test_a_whole_number_of_even_samples_shifts_exactly_though_the_quotient_is_rounded() -> None:
+def test_a_whole_number_of_even_samples_shifts_exactly_though_the_quotient_is_rounded() -> (
+    None
+):
     assert 0.3 / 0.1 < 3.0
     x = 5.0 + np.random.default_rng(7).normal(size=50)
     for steps in (0.1, np.full(50, 0.1)):
         y, history = DelayStage(0.3).lag(x, steps, None)
         assert y[3:].tobytes() == x[:-3].tobytes()
-        assert y[:3].tolist() == [x[0]] * 3  # before the first sample the first value holds
+        # before the first sample the first value holds
+        assert y[:3].tolist() == [x[0]] * 3
         assert history is not None
         rest, _ = DelayStage(0.3).lag(x, steps, history)
         assert rest[:3].tobytes() == x[-3:].tobytes()
@@ -233,24 +303,33 @@ def bent(seed: int, relaxation: bool = False) -> ActuatorModel:
     straight = build(seed, relaxation)
     low, high = straight.input.minimum, straight.input.maximum
     rises = np.random.default_rng(seed).uniform(0.5, 1.5, 8)
-    points = PointStage([(high - low) / 8.0] * 8, rises * (high - low) / rises.sum(), low, low)
-    return ActuatorModel("forward", straight.input, straight.output, (points, *straight.stages))
+    points = PointStage(
+        [(high - low) / 8.0] * 8, rises * (high - low) / rises.sum(), low, low
+    )
+    return ActuatorModel(
+        "forward", straight.input, straight.output, (points, *straight.stages)
+    )
 
 
 @pytest.mark.parametrize("slew", [None, 40.0])
 def test_points_before_the_gears_invert_and_keep_the_limits(slew: float | None) -> None:
     for seed in range(12):
         model = bent(seed, relaxation=seed % 2 == 0)
-        assert model.inverse().inverse().backlash.dx.tolist() == model.backlash.dx.tolist()
-        assert slow_output_range(model.stages, model.input.minimum, model.input.maximum) == pytest.approx(
-            (model.output.minimum, model.output.maximum), rel=1e-12
+        assert (
+            model.inverse().inverse().backlash.dx.tolist() == model.backlash.dx.tolist()
         )
+        assert slow_output_range(
+            model.stages, model.input.minimum, model.input.maximum
+        ) == pytest.approx((model.output.minimum, model.output.maximum), rel=1e-12)
         span = model.input.span
         bounds = DriveLimits(model.input.minimum + 0.1 * span, model.input.maximum - 0.1 * span,
                              None if slew is None else slew * span)  # fmt: skip
         desired = wanted(model, seed, share=0.8)
         drive = model.compensate(
-            desired, model.start_compensation(desired[0], "auto", bounds), limits=bounds, time_step=0.001
+            desired,
+            model.start_compensation(desired[0], "auto", bounds),
+            limits=bounds,
+            time_step=0.001,
         )
         assert drive.clipped_count > 0
         assert drive.y.min() >= bounds.v_min
@@ -291,7 +370,9 @@ def test_blocks_of_any_size_give_the_same_bits(delay: float, even: bool) -> None
 
 
 def test_delay_shifts_whole_samples_exactly_and_interpolates_between() -> None:
-    plain = ActuatorModel("forward", VOLTAGE, Quantity("displacement", "um", 0.0, 3.5), (GEARS,))
+    plain = ActuatorModel(
+        "forward", VOLTAGE, Quantity("displacement", "um", 0.0, 3.5), (GEARS,)
+    )
     x = 1.8 - 1.8 * np.cos(np.arange(100) / 9.0)
     undelayed = plain.simulate(x, plain.start(x[0])).y
     late = ActuatorModel("forward", VOLTAGE, plain.output, (GEARS, DelayStage(0.015)))
@@ -306,22 +387,32 @@ def test_delay_shifts_whole_samples_exactly_and_interpolates_between() -> None:
     np.testing.assert_allclose(y[5:], between, rtol=0.0, atol=1e-12)
     linear = dataclasses.replace(half, stages=(GEARS, DelayStage(0.0125, "linear")))
     y = linear.simulate(x, linear.start(x[0]), time_step=0.005).y
-    np.testing.assert_allclose(y[3:], 0.5 * (undelayed[1:-2] + undelayed[:-3]), rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(
+        y[3:], 0.5 * (undelayed[1:-2] + undelayed[:-3]), rtol=0.0, atol=1e-12
+    )
     assert late.delay_seconds == late.inverse().delay_seconds == 0.015
     assert late.inverse().inverse().stages[-1] == DelayStage(0.015)
 
 
 def test_starts() -> None:
-    model = ActuatorModel("forward", VOLTAGE, Quantity("displacement", "um", 0.0, 3.5), (GEARS,))
+    model = ActuatorModel(
+        "forward", VOLTAGE, Quantity("displacement", "um", 0.0, 3.5), (GEARS,)
+    )
     assert model.start(0.0).backlash == model.start(-1.0).backlash == GEARS.empty()
-    assert model.start(2.0).backlash == model.start(2.0, "settled").backlash == GEARS.settled(2.0)
+    assert (
+        model.start(2.0).backlash
+        == model.start(2.0, "settled").backlash
+        == GEARS.settled(2.0)
+    )
     assert model.start(2.0, "full").backlash == GEARS.full()
     assert model.start(2.0, "empty").backlash == GEARS.empty()
     saved = ModelState(BacklashState(5))
     assert model.start(2.0, saved) is saved
     with pytest.raises(ModelError) as problem:
         model.start(2.0, "half")  # type: ignore[arg-type]
-    assert str(problem.value) == ("no initial state is called 'half'; there are: auto, empty, full, settled")
+    assert str(problem.value) == (
+        "no initial state is called 'half'; there are: auto, empty, full, settled"
+    )
     with pytest.raises(ModelError, match="no initial state is called 'half'"):
         model.inverse().start(2.0, "half")  # type: ignore[arg-type]
 
@@ -331,16 +422,28 @@ def test_inverse_starts_where_the_forward_model_would() -> None:
     for seed in range(20):
         rng = np.random.default_rng(seed)
         n = int(rng.integers(1, 130))
-        gears = BacklashStage(np.full(n, 0.1), 0.1 * np.sort(rng.uniform(0.3, 1.7, n)), 1.0, -2.0)
+        gears = BacklashStage(
+            np.full(n, 0.1), 0.1 * np.sort(rng.uniform(0.3, 1.7, n)), 1.0, -2.0
+        )
         low, high = gears.x_range
-        model = ActuatorModel("forward", Quantity("voltage", "V", low, high), OUTPUT, (gears,))
-        for voltage in (low, low - 0.5, high, high + 0.5, low + rng.uniform() * (high - low)):
+        model = ActuatorModel(
+            "forward", Quantity("voltage", "V", low, high), OUTPUT, (gears,)
+        )
+        for voltage in (
+            low,
+            low - 0.5,
+            high,
+            high + 0.5,
+            low + rng.uniform() * (high - low),
+        ):
             begin = model.start(voltage)
             y = model.simulate([voltage], begin).y[0]
             found = model.inverse().start(y)
             assert found.backlash == begin.backlash
             back = model.inverse().simulate([y], found)
-            assert back.y[0] == pytest.approx(voltage, rel=0.0, abs=1e-11 * (high - low))
+            assert back.y[0] == pytest.approx(
+                voltage, rel=0.0, abs=1e-11 * (high - low)
+            )
 
 
 def test_trajectory_beyond_reach_is_clipped_and_counted() -> None:
@@ -348,7 +451,9 @@ def test_trajectory_beyond_reach_is_clipped_and_counted() -> None:
     limits = limits_of(model)
     low, span = model.output.minimum, model.output.span
     desired = low + span * np.array([1.2, 1.0, 0.5, -0.1])
-    drive = model.compensate(desired, model.start_compensation(desired[0], "auto", limits), limits=limits)
+    drive = model.compensate(
+        desired, model.start_compensation(desired[0], "auto", limits), limits=limits
+    )
     assert (drive.clipped_count, drive.first_clipped, drive.first_missed) == (2, 0, 0.0)
     assert {float(drive.y[0]), float(drive.y[3])} == {limits.v_min, limits.v_max}
     full_scale = low + span * np.array([0.0, 1.0, 0.0, 1.0])
@@ -357,15 +462,21 @@ def test_trajectory_beyond_reach_is_clipped_and_counted() -> None:
 
 
 def test_outside_error_names_the_sample() -> None:
-    model = ActuatorModel("forward", VOLTAGE, Quantity("displacement", "um", 0.0, 3.5), (GEARS,))
+    model = ActuatorModel(
+        "forward", VOLTAGE, Quantity("displacement", "um", 0.0, 3.5), (GEARS,)
+    )
     with pytest.raises(OutsideError) as problem:
         model.simulate([1.0, 2.0, 4.0], model.start(1.0), outside="error")
     assert (problem.value.index, problem.value.value) == (2, 4.0)
-    assert str(problem.value).startswith("sample 3: 4.0 is outside the range of the model, 0.0 to 3.6")
+    assert str(problem.value).startswith(
+        "sample 3: 4.0 is outside the range of the model, 0.0 to 3.6"
+    )
 
 
 def test_slow_output_range_includes_relaxation_at_rest_and_the_sign() -> None:
-    gears = BacklashStage([1.0, 1.0], [1.0, 3.0], 0.0, 0.0, Relaxation(0.5, (1.0, 9.0), (0.25, 0.25)))
+    gears = BacklashStage(
+        [1.0, 1.0], [1.0, 3.0], 0.0, 0.0, Relaxation(0.5, (1.0, 9.0), (0.25, 0.25))
+    )
     assert slow_output_range([gears], 0.0, 2.0) == (-0.25, 4.75)
     assert slow_output_range([gears, ScaleStage(-2.0, 1.0)], 0.0, 2.0) == (-8.5, 1.5)
     assert slow_output_range([gears, DelayStage(1.0)], -1.0, 3.0) == (-3.75, 8.25)
@@ -376,7 +487,10 @@ def test_needs_time_is_said() -> None:
         assert model.needs_time
         with pytest.raises(ModelError) as problem:
             model.simulate([1.0, 2.0], model.start(1.0))
-        assert str(problem.value) == "this needs the time between samples (a time column, or `sample_rate`)"
+        assert (
+            str(problem.value)
+            == "this needs the time between samples (a time column, or `sample_rate`)"
+        )
     assert not build(1).needs_time
     assert not build(1, delay=0.01).inverse().needs_time
 
@@ -388,7 +502,10 @@ def test_require_names_the_remedy() -> None:
     assert str(problem.value) == (
         "inv.json: is an inverse model where a forward one is needed (dbo invert turns it)"
     )
-    with pytest.raises(ModelError, match=r"^the model: is a forward model where an inverse one is needed"):
+    with pytest.raises(
+        ModelError,
+        match=r"^the model: is a forward model where an inverse one is needed",
+    ):
         model.require("inverse")
 
 
@@ -429,12 +546,19 @@ def test_gears_beyond_what_the_model_covers_do_not_move_its_starts() -> None:
     for model, twin in ((more, covered), (more.inverse(), covered.inverse())):
         for state in ("auto", "settled", "full", "empty"):
             for first in (0.0, 3.3, 7.7, 9.9):
-                assert model.start(first, state).backlash.bits == twin.start(first, state).backlash.bits  # type: ignore[arg-type]
+                assert (
+                    model.start(first, state).backlash.bits
+                    == twin.start(first, state).backlash.bits
+                )  # type: ignore[arg-type]
     beyond = [2.0, 9.0, 12.0, 15.0, 9.0]
     held = more.simulate(beyond, more.start(2.0), outside="hold")
-    assert held.y.tolist() == covered.simulate(beyond, covered.start(2.0), outside="hold").y.tolist()
+    assert (
+        held.y.tolist()
+        == covered.simulate(beyond, covered.start(2.0), outside="hold").y.tolist()
+    )
     assert (held.outside_count, held.first_outside) == (2, 2)
-    assert more.simulate([10.5, 10.0], more.start(0.0, "empty")).y[1] > 10.0  # it turns there as inside
+    # it turns there as inside
+    assert more.simulate([10.5, 10.0], more.start(0.0, "empty")).y[1] > 10.0
 
 
 def test_an_inverse_read_without_its_axis_starts_like_the_one_made() -> None:
@@ -452,8 +576,15 @@ def test_an_inverse_read_without_its_axis_starts_like_the_one_made() -> None:
 
 def test_digest_tells_models_of_another_gain_or_curve_apart() -> None:
     model = build(2)
-    louder = ActuatorModel("forward", model.input, model.output, (*model.stages[:-1], ScaleStage(14.0, 0.7)))
-    straight = ActuatorModel("forward", model.input, model.output, (model.stages[0], model.stages[2]))
+    louder = ActuatorModel(
+        "forward",
+        model.input,
+        model.output,
+        (*model.stages[:-1], ScaleStage(14.0, 0.7)),
+    )
+    straight = ActuatorModel(
+        "forward", model.input, model.output, (model.stages[0], model.stages[2])
+    )
     assert len({model.digest, louder.digest, straight.digest}) == 3
     assert model.inverse().digest == model.digest
 
@@ -468,7 +599,9 @@ def test_gears_to_spare_are_told_whatever_the_range_is() -> None:
         spare = count // 8
         widths = np.full(count + 2 * spare, span / count)
         heights = np.full(widths.size, 1.0 / count)
-        gears = DiscreteBacklashOperator(widths, heights, low - spare * widths[0], -spare / count)
+        gears = DiscreteBacklashOperator(
+            widths, heights, low - spare * widths[0], -spare / count
+        )
         covered = covered_gears(gears, low, low + span)
         assert covered.spare_bits == ((1 << spare) - 1) << count
         assert (covered.operator.x0, covered.operator.n) == (low, count)

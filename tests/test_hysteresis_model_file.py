@@ -52,7 +52,9 @@ EXAMPLE: dict[str, Any] = {
 
 def write(folder: Path, values: object, name: str = "model.json") -> str:
     path = folder / name
-    path.write_text(values if isinstance(values, str) else json.dumps(values), encoding="utf-8")
+    path.write_text(
+        values if isinstance(values, str) else json.dumps(values), encoding="utf-8"
+    )
     return str(path)
 
 
@@ -75,7 +77,9 @@ def test_random_models_and_their_inverses_keep_their_bytes(tmp_path: Path) -> No
             again = read_model(str(tmp_path / "m.json"))
             assert model_to_bytes(again) == model_to_bytes(one)
             assert again.digest == model.digest
-        gears, exchanged = (json.loads(model_to_bytes(m))["stages"] for m in (model, model.inverse()))
+        gears, exchanged = (
+            json.loads(model_to_bytes(m))["stages"] for m in (model, model.inverse())
+        )
         assert exchanged[-1]["dx"] == gears[0]["dy"]
         assert exchanged[-1]["dy"] == gears[0]["dx"]
 
@@ -181,7 +185,9 @@ REFUSED: list[tuple[dict[str, Any] | str, str]] = [
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize(("values", "message"), REFUSED, ids=[message[:50] for _, message in REFUSED])
+@pytest.mark.parametrize(
+    ("values", "message"), REFUSED, ids=[message[:50] for _, message in REFUSED]
+)
 def test_what_is_refused(tmp_path: Path, values: Any, message: str) -> None:
     path = write(tmp_path, values)
     with pytest.raises(ModelError) as problem:
@@ -196,7 +202,9 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be read"):
         read_model(str(tmp_path))
     (tmp_path / "model.h5").write_bytes(b"\x89HDF\r\n\x1a\n")
-    with pytest.raises(ModelError, match=r"byte 1 is not UTF-8; this is no model file$"):
+    with pytest.raises(
+        ModelError, match=r"byte 1 is not UTF-8; this is no model file$"
+    ):
         read_model(str(tmp_path / "model.h5"))
 
 
@@ -222,17 +230,27 @@ def test_a_resumed_run_gives_the_same_bits(tmp_path: Path) -> None:
     whole = model.simulate(x, model.start(x[0]), time_step=0.004)
     first = model.simulate(x[:3], model.start(x[0]), time_step=0.004)
     (tmp_path / "state.json").write_bytes(state_to_bytes(first.state, model))
-    rest = model.simulate(x[3:], read_state(str(tmp_path / "state.json"), model), time_step=0.004)
+    rest = model.simulate(
+        x[3:], read_state(str(tmp_path / "state.json"), model), time_step=0.004
+    )
     assert [*first.y.tolist(), *rest.y.tolist()] == whole.y.tolist()
 
 
 STATES: list[tuple[str, Any, str]] = [
-    ("model", "0", "model: the state belongs to another model (save it again with this one)"),
+    (
+        "model",
+        "0",
+        "model: the state belongs to another model (save it again with this one)",
+    ),
     ("version", 3, "version: 3 is newer than this program reads, 2; upgrade dbo-cli"),
     ("backlash.gears", 4, "backlash.gears: is not 3, the number of gears of the model"),
     ("backlash.bits", "8", "backlash.bits: is not a hexadecimal number of 3 bits"),
     ("backlash.bits", "0x3", "backlash.bits: is not a hexadecimal number of 3 bits"),
-    ("backlash.memory", [1.0], "backlash.memory: has 1 entries where the model has 2 relaxation terms"),
+    (
+        "backlash.memory",
+        [1.0],
+        "backlash.memory: has 1 entries where the model has 2 relaxation terms",
+    ),
     ("drive", "x", 'drive: "x" is not a number'),
     ("delay.values", [], "delay.values: has 0 entries where times has 4"),
     ("delay.times", [3, 2, 1, 0], "delay.times: goes backwards"),
@@ -241,7 +259,9 @@ STATES: list[tuple[str, Any, str]] = [
 
 
 @pytest.mark.parametrize(("path", "value", "message"), STATES)
-def test_states_that_are_refused(tmp_path: Path, path: str, value: Any, message: str) -> None:
+def test_states_that_are_refused(
+    tmp_path: Path, path: str, value: Any, message: str
+) -> None:
     model = read_model(write(tmp_path, EXAMPLE))
     values = json.loads(state_to_bytes(state_of(model), model))
     place = values
@@ -257,7 +277,10 @@ def test_states_that_are_refused(tmp_path: Path, path: str, value: Any, message:
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=5),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner, max_size=4),
+    lambda inner: (
+        st.lists(inner, max_size=4)
+        | st.dictionaries(st.text(max_size=5), inner, max_size=4)
+    ),
     max_leaves=12,
 )
 KEYS = [
@@ -307,15 +330,29 @@ def test_no_line_of_a_model_file_is_long(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("item", "message"),
     [
-        ({"repeat": 0, "value": 1.0}, "stages[0].dx[0].repeat: 0 is not a number of times"),
-        ({"repeat": True, "value": 1.0}, "stages[0].dx[0].repeat: true is not a number of times"),
-        ({"repeat": 1.5, "value": 1.0}, "stages[0].dx[0].repeat: 1.5 is not a number of times"),
+        (
+            {"repeat": 0, "value": 1.0},
+            "stages[0].dx[0].repeat: 0 is not a number of times",
+        ),
+        (
+            {"repeat": True, "value": 1.0},
+            "stages[0].dx[0].repeat: true is not a number of times",
+        ),
+        (
+            {"repeat": 1.5, "value": 1.0},
+            "stages[0].dx[0].repeat: 1.5 is not a number of times",
+        ),
         ({"repeat": 2}, "stages[0].dx[0].value: is missing"),
         ({"repeat": 2, "value": "x"}, 'stages[0].dx[0].value: "x" is not a number'),
-        ({"repeat": 10**12, "value": 1.0}, "stages[0].dx: has more than 1,000,000 entries"),
+        (
+            {"repeat": 10**12, "value": 1.0},
+            "stages[0].dx: has more than 1,000,000 entries",
+        ),
     ],
 )
-def test_a_run_that_is_none_is_refused(tmp_path: Path, item: object, message: str) -> None:
+def test_a_run_that_is_none_is_refused(
+    tmp_path: Path, item: object, message: str
+) -> None:
     values = copy.deepcopy(EXAMPLE)
     values["stages"][0]["dx"] = [item]
     path = write(tmp_path, values)
@@ -330,7 +367,10 @@ OLD = Path(__file__).parent / "old_files"
 def test_files_of_version_1_stay_readable() -> None:
     model = read_model(str(OLD / "model-v1.json"))
     assert json.loads((OLD / "model-v1.json").read_text())["version"] == 1
-    assert model.backlash.dx.tolist() == json.loads((OLD / "model-v1.json").read_text())["stages"][0]["dx"]
+    assert (
+        model.backlash.dx.tolist()
+        == json.loads((OLD / "model-v1.json").read_text())["stages"][0]["dx"]
+    )
     state = read_state(str(OLD / "state-v1.json"), model)
     assert state.time is None
     assert state.drive == json.loads((OLD / "state-v1.json").read_text())["drive"]
@@ -352,12 +392,17 @@ def test_a_linear_delay_of_version_2_keeps_its_bits(tmp_path: Path) -> None:
     again = model_to_bytes(model.actuator)
     assert again == (OLD / "model-v2.json").read_bytes()
     assert json.loads(model_to_bytes(model.actuator.inverse()))["version"] == 2
-    smooth = dataclasses.replace(model.actuator, stages=(*model.actuator.stages[:-1], DelayStage(0.0125)))
+    smooth = dataclasses.replace(
+        model.actuator, stages=(*model.actuator.stages[:-1], DelayStage(0.0125))
+    )
     written = json.loads(model_to_bytes(smooth))
     assert written["version"] == 3
     (tmp_path / "new.json").write_bytes(model_to_bytes(smooth))
-    assert model_to_bytes(read_model(str(tmp_path / "new.json"))) == model_to_bytes(smooth)
-    assert smooth.digest != model.actuator.digest  # a state of the one is none of the other's
+    assert model_to_bytes(read_model(str(tmp_path / "new.json"))) == model_to_bytes(
+        smooth
+    )
+    # a state of the one is none of the other's
+    assert smooth.digest != model.actuator.digest
 
 
 LINEAR = [

@@ -45,7 +45,10 @@ STEP = 0.01
 
 def model(gain: float = 2.0, delay: float = 0.0, **fit: Any) -> ActuatorModel:
     """Return a straight model of 0 to 10 V, ``gain`` um a volt."""
-    stages: tuple[Any, ...] = (BacklashStage([5.0, 5.0], [5.0, 5.0]), ScaleStage(gain, 0.0))
+    stages: tuple[Any, ...] = (
+        BacklashStage([5.0, 5.0], [5.0, 5.0]),
+        ScaleStage(gain, 0.0),
+    )
     return ActuatorModel(
         "forward",
         Quantity("voltage", "V", 0.0, 10.0),
@@ -56,7 +59,11 @@ def model(gain: float = 2.0, delay: float = 0.0, **fit: Any) -> ActuatorModel:
 
 
 def with_others(*others: Alternative, **fit: Any) -> ActuatorModel:
-    known = {"expected_rmse": 9.0, "left_out_rmse": 0.3, "alternatives": [one.values() for one in others]}
+    known = {
+        "expected_rmse": 9.0,
+        "left_out_rmse": 0.3,
+        "alternatives": [one.values() for one in others],
+    }
     return model(**known | fit)
 
 
@@ -70,11 +77,17 @@ def test_another_model_kept_starts_where_the_chosen_one_does() -> None:
     """What bends the drive was rounded: gears to spare counted, and it began 3 of 40 um below."""
     bend = PointStage([1.123456, 2.2], [1.234567, 2.088889], 0.236368, 0.236368)
     low = bend.y0 - 0.5 * bend.dy.sum()
-    gears = BacklashStage(np.full(8, bend.dy.sum() / 4), np.linspace(0.5, 1.0, 8).round(3), low, 0.0)
+    gears = BacklashStage(
+        np.full(8, bend.dy.sum() / 4), np.linspace(0.5, 1.0, 8).round(3), low, 0.0
+    )
     drive = Quantity("voltage", "V", bend.x0, bend.x0 + float(bend.dx.sum()))
-    chosen = dataclasses.replace(model(), input=drive, stages=(bend, gears, ScaleStage(2.0, 0.0)))
+    chosen = dataclasses.replace(
+        model(), input=drive, stages=(bend, gears, ScaleStage(2.0, 0.0))
+    )
     assert chosen.covered_gears.spare_bits
-    kept = dataclasses.replace(chosen, fit={"alternatives": [Alternative("lag", 1.0, chosen).values()]})
+    kept = dataclasses.replace(
+        chosen, fit={"alternatives": [Alternative("lag", 1.0, chosen).values()]}
+    )
     [other] = alternatives_of(kept)
     assert other.model.covered_gears.spare_bits == chosen.covered_gears.spare_bits
 
@@ -84,8 +97,12 @@ def test_what_other_models_say_of_the_very_move_is_added() -> None:
     drive = ramp(4.0)
     found = move_error(with_others(other), drive, STEP)
     assert found is not None
-    assert found.shape == pytest.approx(np.hypot(0.3 * LEFT_OUT, APART * 0.5 * 0.2 * drive.std()), rel=1e-3)
-    assert found.zero == pytest.approx(np.hypot(0.3, APART * 0.5 * 0.2 * drive.mean()), rel=1e-3)
+    assert found.shape == pytest.approx(
+        np.hypot(0.3 * LEFT_OUT, APART * 0.5 * 0.2 * drive.std()), rel=1e-3
+    )
+    assert found.zero == pytest.approx(
+        np.hypot(0.3, APART * 0.5 * 0.2 * drive.mean()), rel=1e-3
+    )
     assert found.rmse == pytest.approx(np.hypot(found.shape, found.zero))
     small = move_error(with_others(other), ramp(4.0, 1.0), STEP)
     assert small is not None
@@ -95,25 +112,43 @@ def test_what_other_models_say_of_the_very_move_is_added() -> None:
 def test_no_shape_is_stated_worse_than_a_straight_line_leaves() -> None:
     far = Alternative("bend", 1.0, model(9.0))
     [open_ended, closed] = [
-        move_error(with_others(far, **more), ramp(4.0), STEP) for more in ({}, {"line_left_out_rmse": 0.75})
+        move_error(with_others(far, **more), ramp(4.0), STEP)
+        for more in ({}, {"line_left_out_rmse": 0.75})
     ]
     assert open_ended is not None and open_ended.shape > 10.0
     assert closed is not None
-    assert (closed.shape, closed.zero) == (pytest.approx(LINE * 0.75), pytest.approx(open_ended.zero))
+    assert (closed.shape, closed.zero) == (
+        pytest.approx(LINE * 0.75),
+        pytest.approx(open_ended.zero),
+    )
 
 
 def test_a_zero_that_moved_along_the_logs_is_in_the_zero_alone() -> None:
-    still, moved = (move_error(with_others(zero_drift=drift), ramp(4.0), STEP) for drift in (0.0, 0.4))
+    still, moved = (
+        move_error(with_others(zero_drift=drift), ramp(4.0), STEP)
+        for drift in (0.0, 0.4)
+    )
     assert still is not None and moved is not None
     assert (still.shape, still.zero) == (pytest.approx(0.3 * LEFT_OUT), 0.3)
-    assert (moved.shape, moved.zero) == (pytest.approx(0.3 * LEFT_OUT), pytest.approx(0.5))
+    assert (moved.shape, moved.zero) == (
+        pytest.approx(0.3 * LEFT_OUT),
+        pytest.approx(0.5),
+    )
 
 
 def looped(**fit: Any) -> ActuatorModel:
     """Return a model with a loop: what was before a move from the middle matters."""
-    stages = (BacklashStage(np.full(40, 0.25), np.linspace(0.1, 0.4, 40)), ScaleStage(2.0, 0.0))
-    ends = Quantity("voltage", "V", 0.0, 10.0), Quantity("displacement", "um", 0.0, 20.0)
-    return ActuatorModel("forward", *ends, stages, {"expected_rmse": 0.1, "left_out_rmse": 0.01} | fit)
+    stages = (
+        BacklashStage(np.full(40, 0.25), np.linspace(0.1, 0.4, 40)),
+        ScaleStage(2.0, 0.0),
+    )
+    ends = (
+        Quantity("voltage", "V", 0.0, 10.0),
+        Quantity("displacement", "um", 0.0, 20.0),
+    )
+    return ActuatorModel(
+        "forward", *ends, stages, {"expected_rmse": 0.1, "left_out_rmse": 0.01} | fit
+    )
 
 
 def test_the_past_is_in_the_error_from_any_past_and_the_truth_within_it() -> None:
@@ -124,10 +159,16 @@ def test_the_past_is_in_the_error_from_any_past_and_the_truth_within_it() -> Non
     assert 0.01 < found.rmse < 0.04
     predicted = played(looped(), middle, STEP)
     for start in ("empty", "full", "settled"):
-        came = float(np.sqrt(np.mean((played(looped(), middle, STEP, start) - predicted) ** 2)))  # type: ignore[arg-type]
+        came = float(
+            np.sqrt(np.mean((played(looped(), middle, STEP, start) - predicted) ** 2))
+        )  # type: ignore[arg-type]
         assert came <= found.from_any_past
     swept = np.concatenate(
-        (np.linspace(4.0, 0.0, 50), np.linspace(0.0, 10.0, 99), np.linspace(10.0, 4.0, 50))
+        (
+            np.linspace(4.0, 0.0, 50),
+            np.linspace(0.0, 10.0, 99),
+            np.linspace(10.0, 4.0, 50),
+        )
     )
     after = move_error(looped(), np.concatenate((swept, middle)), STEP, len(swept))
     assert after is not None and not after.past_matters
@@ -135,13 +176,16 @@ def test_the_past_is_in_the_error_from_any_past_and_the_truth_within_it() -> Non
 
 
 def test_a_lag_costs_as_much_as_the_move_is_fast() -> None:
-    doubtful = with_others(Alternative("lag", 1.0, model(delay=0.05)), left_out_rmse=0.0)
+    doubtful = with_others(
+        Alternative("lag", 1.0, model(delay=0.05)), left_out_rmse=0.0
+    )
     slow, fast = (move_error(doubtful, ramp(rate), STEP) for rate in (0.5, 5.0))
     assert slow is not None
     assert fast is not None
     assert slow.rmse == pytest.approx(APART * 2.0 * 0.5 * 0.05, rel=0.03)
     assert fast.rmse == pytest.approx(APART * 2.0 * 5.0 * 0.05, rel=0.08)
-    assert fast.zero == pytest.approx(0.0, abs=0.1 * fast.shape)  # late on the way up and on the way down
+    # late on the way up and on the way down
+    assert fast.zero == pytest.approx(0.0, abs=0.1 * fast.shape)
 
 
 def test_of_each_kind_the_farthest_counts() -> None:
@@ -170,9 +214,14 @@ def test_swings_unlike_those_of_the_logs_widen_it() -> None:
     assert seen.shape == pytest.approx(0.3 * LEFT_OUT)
     assert seen.unlike < 0.01
     up = np.linspace(6.0, 8.0, 51)
-    high = move_error(known, np.concatenate((np.linspace(0.0, 6.0, 50), up, up[-2::-1])), STEP, 99)
-    assert high is not None  # from 8 to 6, where the logs go on to 0: six tenths of the range away
-    assert high.shape == pytest.approx(0.3 * LEFT_OUT * (1.0 + WIDENING * 0.6), rel=0.02)
+    high = move_error(
+        known, np.concatenate((np.linspace(0.0, 6.0, 50), up, up[-2::-1])), STEP, 99
+    )
+    # from 8 to 6, where the logs go on to 0: six tenths of the range away
+    assert high is not None
+    assert high.shape == pytest.approx(
+        0.3 * LEFT_OUT * (1.0 + WIDENING * 0.6), rel=0.02
+    )
     assert high.unlike == pytest.approx(0.6, rel=0.02)
     with pytest.raises(ModelError, match=r"^fit\.swings: needs pairs of voltages$"):
         move_error(with_others(swings=[1.0]), ramp(4.0), STEP)
@@ -186,9 +235,13 @@ def test_swings_close_together_are_kept_once() -> None:
     assert unlike(np.zeros(5), kept, 10.0, 5) == 0.0
 
 
-def test_rows_before_the_move_do_not_count_and_a_straight_line_is_judged_alike() -> None:
+def test_rows_before_the_move_do_not_count_and_a_straight_line_is_judged_alike() -> (
+    None
+):
     drive = np.concatenate((ramp(4.0), np.zeros(50)))
-    found = move_error(with_others(Alternative("bend", 1.0, model(2.2))), drive, STEP, len(drive) - 50)
+    found = move_error(
+        with_others(Alternative("bend", 1.0, model(2.2))), drive, STEP, len(drive) - 50
+    )
     assert found is not None
     assert found.shape == pytest.approx(0.3 * LEFT_OUT)
     assert found.straight_line == pytest.approx(0.0, abs=1e-12)
@@ -205,7 +258,9 @@ def test_others_come_back_from_the_file_to_four_digits(tmp_path: Path) -> None:
     from dbo_cli.hysteresis.model_file import read_model
 
     path = tmp_path / "model.json"
-    path.write_bytes(model_to_bytes(with_others(Alternative("lag", 0.25, model(2.123456789, 0.05)))))
+    path.write_bytes(
+        model_to_bytes(with_others(Alternative("lag", 0.25, model(2.123456789, 0.05))))
+    )
     [other] = alternatives_of(read_model(str(path)))
     assert (other.kind, other.weight) == ("lag", 0.25)
     assert other.model.stages[1:] == (ScaleStage(2.123, 0.0), DelayStage(0.05))
@@ -217,7 +272,9 @@ def test_a_memory_of_the_way_gone_counts_whatever_the_time(tmp_path: Path) -> No
 
     path = tmp_path / "model.json"
     memory = Relaxation(0.0, (2.0,), (0.5,))
-    path.write_bytes(model_to_bytes(with_others(Alternative("forgetting", 1.0, model(), memory))))
+    path.write_bytes(
+        model_to_bytes(with_others(Alternative("forgetting", 1.0, model(), memory)))
+    )
     [other] = alternatives_of(read_model(str(path)))
     assert other.forgetting == memory
     up, down = np.linspace(0.0, 8.0, 4001), np.linspace(8.0, 4.0, 2001)[1:]
@@ -226,7 +283,9 @@ def test_a_memory_of_the_way_gone_counts_whatever_the_time(tmp_path: Path) -> No
     turned = -2.0 + (behind[-1] + 2.0) * np.exp((down - 8.0) / 2.0)
     lag = drive - np.concatenate((behind, turned))
     for step in (STEP, 100.0, None):
-        assert other.played(drive, step) == pytest.approx(2.0 * (drive + 0.5 * lag), abs=2e-3)
+        assert other.played(drive, step) == pytest.approx(
+            2.0 * (drive + 0.5 * lag), abs=2e-3
+        )
 
 
 def test_noise_is_no_way() -> None:
@@ -250,7 +309,10 @@ def test_dynamics_that_were_found_besides_are_put_behind_the_others() -> None:
 @pytest.mark.parametrize(
     ("kept", "said"),
     [
-        ([{"weight": 1.0, "stages": []}], "fit.alternatives[0]: needs `changed`, `weight` and `stages`"),
+        (
+            [{"weight": 1.0, "stages": []}],
+            "fit.alternatives[0]: needs `changed`, `weight` and `stages`",
+        ),
         (["bend"], "fit.alternatives[0]: needs `changed`, `weight` and `stages`"),
         (
             [{"changed": "forgetting", "weight": 1.0, "stages": [], "forgetting": {}}],
@@ -269,22 +331,40 @@ def test_malformed_others_are_refused(kept: Any, said: str) -> None:
 
 
 def test_compensate_says_what_to_expect_of_the_very_move(dbo: Any) -> None:
-    Path("model.json").write_bytes(model_to_bytes(with_others(Alternative("bend", 1.0, model(2.2)))))
+    Path("model.json").write_bytes(
+        model_to_bytes(with_others(Alternative("bend", 1.0, model(2.2))))
+    )
     stated = []
     for top in (1.0, 16.0):
         wanted = 2.0 * ramp(4.0, top / 2.0)
-        rows = "".join(f"{STEP * k!r},{value!r}\n" for k, value in enumerate(wanted.tolist()))
+        rows = "".join(
+            f"{STEP * k!r},{value!r}\n" for k, value in enumerate(wanted.tolist())
+        )
         Path("move.csv").write_text(f"time_s,displacement_um\n{rows}")
         for block in ("7", "65536"):
-            call = ("compensate", "model.json", "move.csv", "-o", "drive.csv", "--summary", "s.json")
+            call = (
+                "compensate",
+                "model.json",
+                "move.csv",
+                "-o",
+                "drive.csv",
+                "--summary",
+                "s.json",
+            )
             done = dbo(*call, "--block-rows", block)
             assert done.code == 0, done.err
             assert "is no better than that of a straight line, " in done.err
             stated.append(json.loads(Path("s.json").read_text())["expected_rmse"])
-    assert stated[0] == stated[1] == pytest.approx(np.hypot(0.3 * LEFT_OUT, 0.304), abs=0.002)
+    assert (
+        stated[0]
+        == stated[1]
+        == pytest.approx(np.hypot(0.3 * LEFT_OUT, 0.304), abs=0.002)
+    )
     both_parts = np.hypot(0.3 * LEFT_OUT, 0.3)
     apart = APART * 0.1 * 2.0 * 8.0 / np.sqrt(3.0)
-    assert stated[2] == stated[3] == pytest.approx(np.hypot(both_parts, apart), rel=0.01)
+    assert (
+        stated[2] == stated[3] == pytest.approx(np.hypot(both_parts, apart), rel=0.01)
+    )
 
 
 def zigzag(*turns: float) -> Any:
@@ -301,7 +381,10 @@ def zigzag(*turns: float) -> Any:
     [
         ([0.0, *[4.0, 5.0] * 6], True),
         ([0.0, *[2.0, 8.0] * 6], False),  # large swings
-        ([0.0, 4.0, 5.0, 3.0, 4.5, 2.5, 4.2, 5.8], False),  # small, and none like the one before
+        (
+            [0.0, 4.0, 5.0, 3.0, 4.5, 2.5, 4.2, 5.8],
+            False,
+        ),  # small, and none like the one before
         ([0.0, 10.0, 0.0, 10.0, 0.0, 4.0, 5.0, 4.0, 5.0], False),  # most of it is large
         ([0.0, 10.0], False),
     ],
@@ -311,6 +394,8 @@ def test_small_swings_that_repeat_are_known(turns: list[float], repeats: bool) -
 
 
 def test_only_rows_from_the_move_on_repeat() -> None:
-    drive = np.concatenate((zigzag(0.0, 10.0, 0.0, 10.0, 0.0), zigzag(0.0, *[4.0, 5.0] * 6)))
+    drive = np.concatenate(
+        (zigzag(0.0, 10.0, 0.0, 10.0, 0.0), zigzag(0.0, *[4.0, 5.0] * 6))
+    )
     assert not repeats_small_swings(drive, 10.0)
     assert repeats_small_swings(drive, 10.0, 801)

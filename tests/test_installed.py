@@ -1,6 +1,7 @@
 """The program as it is installed, on whatever system: processes, files and exit codes, and nothing of POSIX.
 
-.github/workflows/wheels.yml and .ci/run run these against wheels; they need pytest and the program alone.
+.github/workflows/wheels.yml and .ci/run run these against wheels; they need pytest and
+the program alone.
 """
 
 from __future__ import annotations
@@ -20,10 +21,15 @@ import pytest
 import scipy.io
 
 # A checkout that is in use lists none of the package's files.
-RECORDS = [found.read_text("RECORD") or "" for found in metadata.distributions(name="dbo-cli")]
+RECORDS = [
+    found.read_text("RECORD") or "" for found in metadata.distributions(name="dbo-cli")
+]
 FILES = {line.split(",")[0] for record in RECORDS for line in record.splitlines()}
 if "dbo_cli/__init__.py" not in FILES:
-    pytest.skip("the program is used from its checkout, as in all other tests", allow_module_level=True)
+    pytest.skip(
+        "the program is used from its checkout, as in all other tests",
+        allow_module_level=True,
+    )
 
 DBO = [sys.executable, "-m", "dbo_cli"]
 COMMANDS = [
@@ -37,7 +43,13 @@ MODEL = {
     "input": {"quantity": "voltage", "unit": "V", "min": 0.0, "max": 10.0},
     "output": {"quantity": "displacement", "unit": "um", "min": 1.0, "max": 11.0},
     "stages": [
-        {"type": "backlash", "x0": 0.0, "y0": 0.0, "dx": [1.0, 2.0, 3.0, 4.0], "dy": [0.25, 0.75, 1.5, 2.5]},
+        {
+            "type": "backlash",
+            "x0": 0.0,
+            "y0": 0.0,
+            "dx": [1.0, 2.0, 3.0, 4.0],
+            "dy": [0.25, 0.75, 1.5, 2.5],
+        },
         {"type": "scale", "gain": 2.0, "offset": 1.0},
     ],
 }
@@ -57,11 +69,23 @@ def folder(tmp_path: Path) -> Path:
     return place
 
 
-def dbo(folder: Path, *words: str, stdin: bytes = b"") -> subprocess.CompletedProcess[bytes]:
+def dbo(
+    folder: Path, *words: str, stdin: bytes = b""
+) -> subprocess.CompletedProcess[bytes]:
     """Run a command line in a folder, without what the environment says about Python."""
-    clean = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    clean = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith("PYTHON")
+    }
     return subprocess.run(
-        [*DBO, *words], cwd=folder, env=clean, input=stdin, capture_output=True, check=False, timeout=300
+        [*DBO, *words],
+        cwd=folder,
+        env=clean,
+        input=stdin,
+        capture_output=True,
+        check=False,
+        timeout=300,
     )
 
 
@@ -112,7 +136,9 @@ WRITERS = {
     "crlf.txt": lambda path: path.write_bytes(DRIVE_CSV.replace("\n", "\r\n").encode()),
     "run.h5": hdf5,
     "run.npy": npy,
-    "run.npz": lambda path: np.savez(path, **{name: np.array(values) for name, values in DRIVE.items()}),
+    "run.npz": lambda path: np.savez(
+        path, **{name: np.array(values) for name, values in DRIVE.items()}
+    ),
     "run.mat": lambda path: scipy.io.savemat(path, DRIVE),
     "run.parquet": lambda path: polars.DataFrame(DRIVE).write_parquet(path),
 }
@@ -125,7 +151,9 @@ def test_formats_that_are_read(folder: Path, name: str) -> None:
     assert (done.returncode, done.stdout) == (0, RESULT_CSV), done.stderr
 
 
-@pytest.mark.parametrize("name", ["out.csv", "out.tsv", "out.csv.gz", "out.h5", "out.h5::/run/1"])
+@pytest.mark.parametrize(
+    "name", ["out.csv", "out.tsv", "out.csv.gz", "out.h5", "out.h5::/run/1"]
+)
 def test_formats_that_are_written_and_replaced(folder: Path, name: str) -> None:
     for _ in range(2):
         done = dbo(folder, "simulate", "model.json", "drive.csv", "-o", name)
@@ -150,14 +178,27 @@ def test_pipes(folder: Path) -> None:
 
 def test_a_state_is_saved_and_taken_up(folder: Path) -> None:
     (folder / "two.csv").write_text("time_s,voltage_V\n1.5,5.0\n", encoding="utf-8")
-    (folder / "one.csv").write_text(DRIVE_CSV.replace("1.5,5.0\n", ""), encoding="utf-8")
-    assert dbo(folder, "simulate", "model.json", "one.csv", "--save-state", "state.json").returncode == 0
+    (folder / "one.csv").write_text(
+        DRIVE_CSV.replace("1.5,5.0\n", ""), encoding="utf-8"
+    )
+    assert (
+        dbo(
+            folder, "simulate", "model.json", "one.csv", "--save-state", "state.json"
+        ).returncode
+        == 0
+    )
     done = dbo(folder, "simulate", "model.json", "two.csv", "--state", "state.json")
-    assert (done.returncode, done.stdout) == (0, b"time_s,voltage_V,displacement_um\n1.5,5.0,7.0\n")
+    assert (done.returncode, done.stdout) == (
+        0,
+        b"time_s,voltage_V,displacement_um\n1.5,5.0,7.0\n",
+    )
 
 
 def test_compensation_undoes_the_model(folder: Path) -> None:
-    assert dbo(folder, "simulate", "model.json", "drive.csv", "-o", "moved.csv").returncode == 0
+    assert (
+        dbo(folder, "simulate", "model.json", "drive.csv", "-o", "moved.csv").returncode
+        == 0
+    )
     done = dbo(folder, "compensate", "model.json", "moved.csv", "-o", "back.csv")
     assert done.returncode == 0, done.stderr
     back = np.genfromtxt(folder / "back.csv", delimiter=",", names=True)
@@ -168,7 +209,10 @@ def test_identification_and_report(folder: Path) -> None:
     done = dbo(folder, "excite", "--v-min", "0", "--v-max", "10", "--sample-rate", "100", "--duration", "20",
                "--frequency", "1", "-o", "drive.h5")  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert dbo(folder, "simulate", "model.json", "drive.h5", "-o", "log.csv").returncode == 0
+    assert (
+        dbo(folder, "simulate", "model.json", "drive.h5", "-o", "log.csv").returncode
+        == 0
+    )
     done = dbo(folder, "identify", "log.csv", "-o", "found.json")
     assert done.returncode == 0, done.stderr
     done = dbo(folder, "report", "log.csv", "--model", "found.json", "--format", "json")
@@ -182,15 +226,29 @@ def test_identification_and_report(folder: Path) -> None:
     [
         ("simulate model.json none.csv", 1, "none.csv: no such file"),
         ("simulate model.json drive.csv --nonsense", 2, "--nonsense"),
-        ("simulate model.json drive.csv -o drive.csv", 2, "drive.csv: this output is also an input"),
-        ("simulate model.json drive.csv -o nowhere/out.csv", 1, "there is no folder 'nowhere'"),
+        (
+            "simulate model.json drive.csv -o drive.csv",
+            2,
+            "drive.csv: this output is also an input",
+        ),
+        (
+            "simulate model.json drive.csv -o nowhere/out.csv",
+            1,
+            "there is no folder 'nowhere'",
+        ),
         ("simulate model.json drive.csv -o .", 1, "this is a folder: give a file name"),
         ("simulate model.json drive.csv -o out.xlsx", 2, ".xlsx files are not written"),
         ("simulate drive.csv model.json", 2, "the model comes first, then the log"),
-        ("simulate model.json drive.csv --outside error --scale voltage=2", 1, "is outside the range"),
+        (
+            "simulate model.json drive.csv --outside error --scale voltage=2",
+            1,
+            "is outside the range",
+        ),
     ],
 )
-def test_errors_are_one_line_and_write_nothing(folder: Path, words: str, code: int, message: str) -> None:
+def test_errors_are_one_line_and_write_nothing(
+    folder: Path, words: str, code: int, message: str
+) -> None:
     done = dbo(folder, *words.split())
     lines = done.stderr.decode().splitlines()
     assert done.returncode == code, lines

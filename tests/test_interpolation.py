@@ -12,7 +12,13 @@ from hypothesis import strategies as st
 from test_hysteresis_model import build
 
 import dbo_cli as dbo
-from dbo_cli.hysteresis.cascade import DelayLeft, DelayStage, late_loop, read_ahead, window_place
+from dbo_cli.hysteresis.cascade import (
+    DelayLeft,
+    DelayStage,
+    late_loop,
+    read_ahead,
+    window_place,
+)
 from dbo_cli.interpolation import smooth
 
 BOUNDS = {5: 2.5, 10: 0.15, 20: 0.004, 50: 1e-4}
@@ -26,7 +32,9 @@ def percent(left: np.ndarray, whole: np.ndarray) -> float:
 @pytest.mark.parametrize("period", BOUNDS)
 @pytest.mark.parametrize("whole", [0, 1, 2, 5])
 @pytest.mark.parametrize("by_time", [True, False])
-def test_a_delay_between_samples_is_undone(period: int, whole: int, by_time: bool) -> None:
+def test_a_delay_between_samples_is_undone(
+    period: int, whole: int, by_time: bool
+) -> None:
     """There and back, and against the analytic signal that reading ahead alone must give."""
     rows, delay = 20 * period, DelayStage(whole + 0.5)
     time = np.arange(float(rows))
@@ -53,17 +61,22 @@ def test_whole_samples_are_exact(whole: int) -> None:
     st.lists(st.sampled_from([0.0, 0.0, 1.0, -1.0, 5.0]), min_size=6, max_size=30),
     st.lists(st.floats(0.2, 5.0), min_size=30, max_size=30),
 )
-def test_steps_and_ramps_are_not_overshot(changes: list[float], gaps: list[float]) -> None:
+def test_steps_and_ramps_are_not_overshot(
+    changes: list[float], gaps: list[float]
+) -> None:
     """Between two samples of steps and ramps, each rest and each ramp two samples long, nothing turns."""
     values = np.cumsum(np.repeat(changes, 2))
     times = np.cumsum(np.resize(gaps, values.size))
     wanted = np.linspace(times[0], times[-1], 2000)
     found, _ = smooth.interpolated(times, values, wanted)
-    place = np.clip(np.searchsorted(times, wanted, side="right") - 1, 0, values.size - 2)
+    place = np.clip(
+        np.searchsorted(times, wanted, side="right") - 1, 0, values.size - 2
+    )
     low = np.minimum(values[place], values[place + 1])
     high = np.maximum(values[place], values[place + 1])
     second = np.diff(np.diff(values) / np.diff(times))
-    bent = np.zeros(values.size - 1, dtype=bool)  # steps on both sides of which the signal bends one way
+    # steps on both sides of which the signal bends one way
+    bent = np.zeros(values.size - 1, dtype=bool)
     bent[1:-1] = second[:-1] * second[1:] > 0.0
     bent[[0, -1]] = True
     flat = ~bent[place]
@@ -74,7 +87,9 @@ def test_steps_and_ramps_are_not_overshot(changes: list[float], gaps: list[float
 
 @settings(max_examples=100, deadline=None, derandomize=True)
 @given(st.integers(0, 10_000), st.integers(1, 40), st.booleans())
-def test_the_extension_has_the_bits_of_its_twin(seed: int, count: int, causal: bool) -> None:
+def test_the_extension_has_the_bits_of_its_twin(
+    seed: int, count: int, causal: bool
+) -> None:
     rng = np.random.default_rng(seed)
     times = np.cumsum(rng.choice([1.0, 1.0, 0.5, 2.0, 0.0, 1e-3, 50.0], count))
     values = rng.choice([rng.normal(size=count), np.sin(times), np.sign(np.sin(times))])
@@ -120,7 +135,9 @@ def test_what_a_delay_leaves_is_known_from_the_move() -> None:
     left = DelayLeft(DelayStage(1.5), 1000)
     for k in range(0, 400, 90):
         left.add(time[k : k + 90], wanted[k : k + 90], ahead[k : k + 90])
-    assert left.rms == pytest.approx(math.sqrt(float(np.mean((back - wanted)[2:] ** 2))), rel=1e-12)
+    assert left.rms == pytest.approx(
+        math.sqrt(float(np.mean((back - wanted)[2:] ** 2))), rel=1e-12
+    )
 
 
 @settings(max_examples=25, deadline=None, derandomize=True)

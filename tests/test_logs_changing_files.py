@@ -109,7 +109,9 @@ def read_on(path: Path, change: Callable[[Path], None]) -> None:
 @pytest.mark.whole
 @pytest.mark.parametrize("change", [cut, cut_to_nothing, overwrite, grow, replace])
 @pytest.mark.parametrize("name", ["log.h5", "log.npy", "log.parquet", "log.mat"])
-def test_a_binary_log_that_changes(tmp_path: Path, name: str, change: Callable[[Path], None]) -> None:
+def test_a_binary_log_that_changes(
+    tmp_path: Path, name: str, change: Callable[[Path], None]
+) -> None:
     path = tmp_path / name
     WRITERS[name](path)
     with pytest.raises(InputError) as raised:
@@ -143,7 +145,9 @@ def test_a_text_log_may_grow(tmp_path: Path, live: bool) -> None:
     assert rows == ROWS + 1
 
 
-def test_a_log_that_is_replaced_by_another_is_read_to_its_own_end(tmp_path: Path) -> None:
+def test_a_log_that_is_replaced_by_another_is_read_to_its_own_end(
+    tmp_path: Path,
+) -> None:
     """What rotates logs renames the old one: it stays what it was."""
     path = tmp_path / "log.csv"
     csv(path)
@@ -174,7 +178,11 @@ def test_a_file_behind_a_link_is_watched_too(tmp_path: Path, link: bool) -> None
 @pytest.mark.whole
 @pytest.mark.parametrize("name", ["log.h5", "log.npy", "log.csv"])
 def test_nothing_is_written(
-    tmp_path: Path, name: str, dbo: Any, model_file: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
+    name: str,
+    dbo: Any,
+    model_file: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     from dbo_cli.logs.hdf5.store import Hdf5Writer
 
@@ -188,7 +196,9 @@ def test_nothing_is_written(
 
     monkeypatch.setattr(Hdf5Writer, "write", write_and_cut)
     before = set(os.listdir(tmp_path))
-    done = dbo("simulate", model_file, path, "-o", "out.h5", "--save-state", "state.json")
+    done = dbo(
+        "simulate", model_file, path, "-o", "out.h5", "--save-state", "state.json"
+    )
     assert (done.code, done.out) == (1, "")
     assert done.err.splitlines()[-1] == "dbo: error: " + said(path)
     assert set(os.listdir(tmp_path)) == before

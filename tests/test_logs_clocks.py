@@ -14,7 +14,13 @@ from dbo_cli.logs.columns import column_wish
 from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log
-from dbo_cli.logs.text.lines import clock_seconds, date_seconds, minute_seconds, stamp_seconds, writing_of
+from dbo_cli.logs.text.lines import (
+    clock_seconds,
+    date_seconds,
+    minute_seconds,
+    stamp_seconds,
+    writing_of,
+)
 
 ROWS = 40
 STEP = 0.002
@@ -31,7 +37,9 @@ def read(
     path = folder / "log.csv"
     rows = "".join(f"{cell(k)},{k % 7},{k % 5}\n" for k in range(ROWS))
     path.write_text(f"{header},voltage_V,displacement_um\n{rows}")
-    want = {role: column_wish(role, option=role) for role in ("voltage", "displacement")}
+    want = {
+        role: column_wish(role, option=role) for role in ("voltage", "displacement")
+    }
     with open_log(str(path), want, ReadingOptions(**options)) as log:  # type: ignore[arg-type]
         return log, log.read()
 
@@ -67,29 +75,41 @@ def test_units_of_time(header: str, size: float, tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_an_unknown_unit_is_refused(header: str, unit: str, tmp_path: Path) -> None:
-    for named in (None, "1"):  # naming the column, as messages used to advise, leads to the same answer
+    # naming the column, as messages used to advise, leads to the same answer
+    for named in (None, "1"):
         with pytest.raises(InputError) as raised:
             read(tmp_path, header, lambda k: k, time=named)
-        assert str(raised.value).endswith(f": the time column '{header}' counts '{unit}'{UNKNOWN}")
+        assert str(raised.value).endswith(
+            f": the time column '{header}' counts '{unit}'{UNKNOWN}"
+        )
     log, block = read(tmp_path, header, lambda k: k, time="1", time_unit="10us")
     assert steps(block) == pytest.approx(1e-5)
     assert "(10us)" in log.reading_line()
 
 
-@pytest.mark.parametrize("header", ["t_nano#seconds", "time nano seconds", "Time_nano-Seconds"])
+@pytest.mark.parametrize(
+    "header", ["t_nano#seconds", "time nano seconds", "Time_nano-Seconds"]
+)
 def test_a_unit_in_two_words(header: str, tmp_path: Path) -> None:
-    assert steps(read(tmp_path, header, lambda k: 1e9 * STEP * k)[1]) == pytest.approx(STEP)
+    assert steps(read(tmp_path, header, lambda k: 1e9 * STEP * k)[1]) == pytest.approx(
+        STEP
+    )
 
 
 def test_a_stated_unit_that_makes_a_step_of_hours_is_doubted(tmp_path: Path) -> None:
     log, _ = read(tmp_path, "time_s", lambda k: 4000 * k)
     [warning] = log.warnings
-    assert "is stated in s, but its usual step would be 4e+03 s (`time_unit` says what it counts)" in warning
+    assert (
+        "is stated in s, but its usual step would be 4e+03 s (`time_unit` says what it counts)"
+        in warning
+    )
     assert read(tmp_path, "time_s", lambda k: 60 * k)[0].warnings == []
 
 
 def test_the_time_unit_goes_before_the_header(tmp_path: Path) -> None:
-    assert steps(read(tmp_path, "time_s", lambda k: 2 * k, time_unit="ms")[1]) == pytest.approx(STEP)
+    assert steps(
+        read(tmp_path, "time_s", lambda k: 2 * k, time_unit="ms")[1]
+    ) == pytest.approx(STEP)
     with pytest.raises(UsageError, match=r"`time_unit` fortnights: give s, ms, us"):
         ReadingOptions(time_unit="fortnights")
     with pytest.raises(UsageError, match="exclude each other"):
@@ -116,7 +136,9 @@ def test_the_time_unit_goes_before_the_header(tmp_path: Path) -> None:
     ],
 )
 @pytest.mark.parametrize("block_rows", [1, 1 << 16])
-def test_stamps_go_on_over_midnight(style: str, cell: str, block_rows: int, tmp_path: Path) -> None:
+def test_stamps_go_on_over_midnight(
+    style: str, cell: str, block_rows: int, tmp_path: Path
+) -> None:
     log, block = read(
         tmp_path,
         "Timestamp",
@@ -128,7 +150,9 @@ def test_stamps_go_on_over_midnight(style: str, cell: str, block_rows: int, tmp_
         f"40 rows, 0.078 s at 500 samples/s; time 'Timestamp' ({style}), voltage 'voltage_V' (V), "
         "displacement 'displacement_um' (um)"
     )
-    midnight = {"clock times": "midnight", "minutes and seconds": "the full hour"}.get(style)
+    midnight = {"clock times": "midnight", "minutes and seconds": "the full hour"}.get(
+        style
+    )
     assert [note.partition(": ")[2] for note in log.notes] == (
         [f"the clock passes {midnight} and goes on"] if midnight else []
     )
@@ -138,7 +162,9 @@ def test_dates_beside_clock_times(tmp_path: Path) -> None:
     _, block = read(
         tmp_path,
         "Date,Time",
-        lambda k: (LATE + datetime.timedelta(milliseconds=2 * k)).strftime("%d.%m.%Y,%H:%M:%S.%f"),
+        lambda k: (LATE + datetime.timedelta(milliseconds=2 * k)).strftime(
+            "%d.%m.%Y,%H:%M:%S.%f"
+        ),
     )
     assert steps(block) == pytest.approx(STEP, abs=1e-8)
     assert block.time is not None
@@ -165,7 +191,9 @@ def test_dates_beside_clock_times(tmp_path: Path) -> None:
 def test_calendars(
     header: str, begin: float, step: float, said: str, block_rows: int, tmp_path: Path
 ) -> None:
-    log, block = read(tmp_path, header, lambda k: repr(begin + k * step), block_rows=block_rows)
+    log, block = read(
+        tmp_path, header, lambda k: repr(begin + k * step), block_rows=block_rows
+    )
     assert steps(block) == pytest.approx(STEP, rel=2e-3)
     assert f"(no unit, read as {said})" in log.reading_line()
     assert len(log.warnings) == ("days" in said)
@@ -174,29 +202,64 @@ def test_calendars(
 @pytest.mark.parametrize(
     ("cell", "told"),
     [
-        (lambda k: k, "counts whole numbers one by one: read as seconds, though it may count rows"),
+        (
+            lambda k: k,
+            "counts whole numbers one by one: read as seconds, though it may count rows",
+        ),
         (lambda k: 2 * k, "no unit: read as seconds, its usual step is 2 s"),
-        (lambda k: 2.5e8 + k * 0.5, "no unit: read as seconds, its stamps reach 2.5e+08 s"),
-        (lambda k: 0.4 + k * STEP / 86400, "no unit: read as seconds, the whole log lasts 9.03e-07 s"),
-        (lambda k: 40000 + k * 5e-5, "read as seconds of a day, but may be days since 1899-12-30"),
-        (lambda k: 3.6e12 + k * 1e6, "no unit, read as ms since 1970, and a usual step of 1000 s"),
+        (
+            lambda k: 2.5e8 + k * 0.5,
+            "no unit: read as seconds, its stamps reach 2.5e+08 s",
+        ),
+        (
+            lambda k: 0.4 + k * STEP / 86400,
+            "no unit: read as seconds, the whole log lasts 9.03e-07 s",
+        ),
+        (
+            lambda k: 40000 + k * 5e-5,
+            "read as seconds of a day, but may be days since 1899-12-30",
+        ),
+        (
+            lambda k: 3.6e12 + k * 1e6,
+            "no unit, read as ms since 1970, and a usual step of 1000 s",
+        ),
     ],
 )
-def test_figures_that_can_hardly_be_seconds(cell: Callable[[int], float], told: str, tmp_path: Path) -> None:
+def test_figures_that_can_hardly_be_seconds(
+    cell: Callable[[int], float], told: str, tmp_path: Path
+) -> None:
     log, _ = read(tmp_path, "time", lambda k: repr(cell(k)))
     assert len(log.warnings) == 1
     assert told in log.warnings[0]
     assert "(`time_unit` " in log.warnings[0]
-    assert read(tmp_path, "time", lambda k: repr(cell(k)), time_unit="s")[0].warnings == []
+    assert (
+        read(tmp_path, "time", lambda k: repr(cell(k)), time_unit="s")[0].warnings == []
+    )
 
 
 @pytest.mark.parametrize(
     ("header", "cell", "told"),
     [
-        ("time_s", lambda k: 1.7e12 + k, "is stated in s, but its stamps would be 1.7e+12 s"),
-        ("time_ns", lambda k: k * STEP, "is stated in ns, but the whole log would last 7.8e-11 s"),
-        ("T", lambda k: 20 + (k * 7 % 11) / 100, "goes backwards in 24 of 40 rows: is it a clock?"),
-        ("time_s", lambda k: k // 20, "repeats its stamps in 38 of 40 rows: they have too few digits"),
+        (
+            "time_s",
+            lambda k: 1.7e12 + k,
+            "is stated in s, but its stamps would be 1.7e+12 s",
+        ),
+        (
+            "time_ns",
+            lambda k: k * STEP,
+            "is stated in ns, but the whole log would last 7.8e-11 s",
+        ),
+        (
+            "T",
+            lambda k: 20 + (k * 7 % 11) / 100,
+            "goes backwards in 24 of 40 rows: is it a clock?",
+        ),
+        (
+            "time_s",
+            lambda k: k // 20,
+            "repeats its stamps in 38 of 40 rows: they have too few digits",
+        ),
     ],
 )
 def test_clocks_that_can_hardly_be_one(
@@ -211,12 +274,19 @@ def test_a_temperature_called_t_is_no_time(tmp_path: Path) -> None:
 
 
 def test_good_clocks_are_not_doubted(tmp_path: Path) -> None:
-    for header, size in (("time", 1.0), ("t", 1.0), ("time_s", 0.0005), ("time_ms", 1e-3)):
+    for header, size in (
+        ("time", 1.0),
+        ("t", 1.0),
+        ("time_s", 0.0005),
+        ("time_ms", 1e-3),
+    ):
         assert read(tmp_path, header, lambda k: repr(k * STEP / size))[0].warnings == []  # noqa: B023
 
 
 def test_cells_of_stamps() -> None:
-    at = datetime.datetime(2024, 3, 9, 22, 15, 0, 125000, tzinfo=datetime.UTC).timestamp()
+    at = datetime.datetime(
+        2024, 3, 9, 22, 15, 0, 125000, tzinfo=datetime.UTC
+    ).timestamp()
     for text in (
         "2024-03-09T22:15:00.125Z", "2024-03-09 23:15:00.125+01:00", "2024/3/9 10:15:00.125 PM",
         "20240309T221500.125", "09.03.2024 22:15:00,125", "03/09/24 22:15:00.125",
@@ -228,14 +298,29 @@ def test_cells_of_stamps() -> None:
     assert clock_seconds("12:00:00 AM") == 0.0
     assert minute_seconds("15:00.1") == 900.1
     assert date_seconds("13/02/2024") == date_seconds("2024-02-13")
-    for text in ("2024-13-09T22:15:00", "25:61:00", "13:00:00 PM", "1.5", "", "10:15", "2024-02-30"):
-        read = [stamp_seconds(text), clock_seconds(text), minute_seconds(text), date_seconds(text)]
+    for text in (
+        "2024-13-09T22:15:00",
+        "25:61:00",
+        "13:00:00 PM",
+        "1.5",
+        "",
+        "10:15",
+        "2024-02-30",
+    ):
+        read = [
+            stamp_seconds(text),
+            clock_seconds(text),
+            minute_seconds(text),
+            date_seconds(text),
+        ]
         assert read == [None] * 4, text
     assert writing_of(["10:15:00", "10:15:01", "late"]) == "clock"
     assert writing_of(["10:15:00", "late", "later"]) is None
 
 
-def test_stamps_read_the_same_by_every_parser(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stamps_read_the_same_by_every_parser(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from dbo_cli.logs.text import text_table
 
     def cell(k: int) -> str:
@@ -251,9 +336,14 @@ def test_stamps_read_the_same_by_every_parser(tmp_path: Path, monkeypatch: pytes
 
 def test_a_clock_that_jumps_far_is_told_in_a_few_digits(tmp_path: Path) -> None:
     log, _ = read(tmp_path, "time_s", lambda k: 1e308 if k == 5 else 0.01 * k)
-    assert any("time goes backwards at line 8 (from 1e+308 s to 0.06 s)" in note for note in log.notes)
+    assert any(
+        "time goes backwards at line 8 (from 1e+308 s to 0.06 s)" in note
+        for note in log.notes
+    )
 
 
 def test_a_unit_that_lost_a_letter_is_asked_for(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"counts 'TIME/#secs', which is no known unit of time"):
+    with pytest.raises(
+        InputError, match=r"counts 'TIME/#secs', which is no known unit of time"
+    ):
         read(tmp_path, "TIME/#secs", lambda k: 1e3 * STEP * k)

@@ -74,26 +74,49 @@ def test_a_units_line_goes_before_the_name() -> None:
 def test_guesses() -> None:
     names = ["time_s", "Drive Voltage (V)", "sensorPosition_um", "index"]
     columns = [column_info(name, number) for number, name in enumerate(names, start=1)]
-    want = {"voltage": ColumnWish(None, ("voltage", "u")), "displacement": ColumnWish(None, ("position",))}
-    assert {role: one.number for role, one in choose_columns("log", columns, want).items()} == {
+    want = {
+        "voltage": ColumnWish(None, ("voltage", "u")),
+        "displacement": ColumnWish(None, ("position",)),
+    }
+    assert {
+        role: one.number for role, one in choose_columns("log", columns, want).items()
+    } == {
         "voltage": 2,
         "displacement": 3,
     }
-    assert choose_columns("log", columns, {"x": ColumnWish(None, ("nothing",), required=False)}) == {}
-    only = choose_columns("log", columns[:2], {"input": ColumnWish(None, ("nothing",))}, reserved=columns[:1])
+    assert (
+        choose_columns(
+            "log", columns, {"x": ColumnWish(None, ("nothing",), required=False)}
+        )
+        == {}
+    )
+    only = choose_columns(
+        "log",
+        columns[:2],
+        {"input": ColumnWish(None, ("nothing",))},
+        reserved=columns[:1],
+    )
     assert only["input"].number == 2  # the only column left is what is meant
 
 
 def test_a_column_is_not_guessed_twice() -> None:
-    columns = [column_info(name, number) for number, name in enumerate(("u", "v", "y"), start=1)]
+    columns = [
+        column_info(name, number)
+        for number, name in enumerate(("u", "v", "y"), start=1)
+    ]
     want = {"desired": ColumnWish("1"), "voltage": ColumnWish(None, ("u", "v"))}
     assert choose_columns("log", columns, want)["voltage"].number == 2
 
 
 def test_a_column_by_name_case_or_quantity() -> None:
-    columns = [column_info(name, number) for number, name in enumerate(("Drive (V)", "y"), start=1)]
+    columns = [
+        column_info(name, number)
+        for number, name in enumerate(("Drive (V)", "y"), start=1)
+    ]
     for selector in ("Drive (V)", "drive (v)", "drive", " Drive  (V) ", "1"):
-        assert choose_columns("log", columns, {"u": ColumnWish(selector)})["u"].number == 1
+        assert (
+            choose_columns("log", columns, {"u": ColumnWish(selector)})["u"].number == 1
+        )
 
 
 def test_long_lists_are_shortened() -> None:
@@ -119,22 +142,40 @@ def test_provenance(tmp_path: Path) -> None:
     assert program_version_string().startswith("dbo ")
     path = tmp_path / "log.csv"
     path.write_text("voltage\n1\n2\nx\n")
-    with open_log(str(path), {"voltage": ColumnWish("1")}, ReadingOptions(skip_bad=True)) as log:
+    with open_log(
+        str(path), {"voltage": ColumnWish("1")}, ReadingOptions(skip_bad=True)
+    ) as log:
         log.read()
         record = log.record()
-    assert record == {"name": "log.csv", "sha256": hashlib.sha256(path.read_bytes()).hexdigest(), "rows": 2}
+    assert record == {
+        "name": "log.csv",
+        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        "rows": 2,
+    }
     assert input_record(f"{path}", 2) == record
     with pytest.raises(InputError, match="cannot be read: No such file"):
         input_record(str(tmp_path / "none.csv"), 1)
 
 
-def test_the_digest_is_that_of_the_whole_file_though_few_rows_of_it_are_read(tmp_path: Path) -> None:
+def test_the_digest_is_that_of_the_whole_file_though_few_rows_of_it_are_read(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "log.csv"
-    path.write_text("voltage\n" + "1.234567\n" * 50_000)  # longer than what is read ahead
-    with open_log(str(path), {"voltage": ColumnWish("1")}, ReadingOptions(rows=(1, 5)), digest=True) as log:
+    # longer than what is read ahead
+    path.write_text("voltage\n" + "1.234567\n" * 50_000)
+    with open_log(
+        str(path),
+        {"voltage": ColumnWish("1")},
+        ReadingOptions(rows=(1, 5)),
+        digest=True,
+    ) as log:
         log.read()
         record = log.record()
-    assert record == {"name": "log.csv", "sha256": hashlib.sha256(path.read_bytes()).hexdigest(), "rows": 5}
+    assert record == {
+        "name": "log.csv",
+        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        "rows": 5,
+    }
 
 
 def calls_to_match(columns: int) -> int:
@@ -166,7 +207,9 @@ def test_a_message_names_twenty_columns_at_most(tmp_path: Path) -> None:
     columns = [column_info("position (um)", n + 1) for n in range(30)]
     with pytest.raises(InputError) as raised:
         choose_columns(
-            "log.csv", columns, {"displacement": column_wish("displacement", option="displacement")}
+            "log.csv",
+            columns,
+            {"displacement": column_wish("displacement", option="displacement")},
         )
     assert str(raised.value) == (
         "log.csv: which column is the displacement, "
@@ -174,7 +217,11 @@ def test_a_message_names_twenty_columns_at_most(tmp_path: Path) -> None:
         + "… (30 in all)? (choose with `displacement` NAME or NUMBER)"
     )
     with pytest.raises(InputError) as raised:
-        choose_columns("log.csv", columns, {"displacement": column_wish("displacement", "position")})
+        choose_columns(
+            "log.csv",
+            columns,
+            {"displacement": column_wish("displacement", "position")},
+        )
     assert str(raised.value) == (
         "log.csv: column 'position' occurs more than once: give its number (`column` "
         + " or ".join(str(n + 1) for n in range(20))
@@ -196,19 +243,34 @@ def test_a_message_names_twenty_columns_at_most(tmp_path: Path) -> None:
     ],
 )
 def test_an_address_is_taken_apart_once(
-    text: str, format: str | None, path: str, group: str | None, kind: str | None, delimiter: str
+    text: str,
+    format: str | None,
+    path: str,
+    group: str | None,
+    kind: str | None,
+    delimiter: str,
 ) -> None:
     address = parse_address(text, format)
-    assert (address.path, address.group, address.kind, address.delimiter) == (path, group, kind, delimiter)
+    assert (address.path, address.group, address.kind, address.delimiter) == (
+        path,
+        group,
+        kind,
+        delimiter,
+    )
     assert parse_address(address) is address
     assert parse_address(address, format) is address
     assert address.is_stream == (text == "-")
     assert parse_address(address, "h5").kind == "hdf5"
 
 
-def taken(header: str, role: str = "displacement", **more: object) -> tuple[dict[str, str], list[str]]:
+def taken(
+    header: str, role: str = "displacement", **more: object
+) -> tuple[dict[str, str], list[str]]:
     """Return what the columns of a header are taken for, and what is said of it."""
-    columns = [column_info(name, number) for number, name in enumerate(header.split(","), start=1)]
+    columns = [
+        column_info(name, number)
+        for number, name in enumerate(header.split(","), start=1)
+    ]
     want = {
         "voltage": column_wish("voltage", option="voltage"),
         "displacement": column_wish(role, option="displacement"),
@@ -221,11 +283,22 @@ def taken(header: str, role: str = "displacement", **more: object) -> tuple[dict
 
 
 @pytest.mark.parametrize(
-    "axes", ["x_um,y_um", "X (um),Y (um)", "X [mrad],Y [mrad]", "x_nm,y_nm,z_nm", "x,y", "z_um,y_um"]
+    "axes",
+    [
+        "x_um,y_um",
+        "X (um),Y (um)",
+        "X [mrad],Y [mrad]",
+        "x_nm,y_nm,z_nm",
+        "x,y",
+        "z_um,y_um",
+    ],
 )
 def test_axes_are_asked_about_in_logs_and_trajectories(axes: str) -> None:
     names = " or ".join(f"'{name}'" for name in axes.split(","))
-    for header, role in ((f"time_s,{axes}", "trajectory"), (f"time_s,voltage_V,{axes}", "displacement")):
+    for header, role in (
+        (f"time_s,{axes}", "trajectory"),
+        (f"time_s,voltage_V,{axes}", "displacement"),
+    ):
         with pytest.raises(InputError) as raised:
             taken(header, role)
         assert str(raised.value) == (
@@ -236,7 +309,10 @@ def test_axes_are_asked_about_in_logs_and_trajectories(axes: str) -> None:
 def test_one_axis_and_a_whole_name_beside_axes_need_no_question() -> None:
     assert taken("time_s,y_um", "trajectory") == ({"displacement": "y_um"}, [])
     assert taken("time_s,voltage_V,x_um")[0]["displacement"] == "x_um"
-    assert taken("time_s,voltage_V,x_um,displacement_um")[0]["displacement"] == "displacement_um"
+    assert (
+        taken("time_s,voltage_V,x_um,displacement_um")[0]["displacement"]
+        == "displacement_um"
+    )
 
 
 def test_the_only_column_of_a_unit_or_of_a_card_is_taken_with_a_note() -> None:
@@ -251,7 +327,8 @@ def test_the_only_column_of_a_unit_or_of_a_card_is_taken_with_a_note() -> None:
     found, notes = taken("time_s,Dev1/ao0,Dev1/ai0")
     assert found == {"voltage": "Dev1/ao0", "displacement": "Dev1/ai0"}
     assert (
-        notes[0] == "log: 'Dev1/ao0' is taken for the drive: the only analog output (`voltage` names another)"
+        notes[0]
+        == "log: 'Dev1/ao0' is taken for the drive: the only analog output (`voltage` names another)"
     )
 
 
@@ -287,8 +364,12 @@ def test_what_may_be_something_else_is_not_taken(header: str) -> None:
         ("time_s,voltage_V,thermistor y", "displacement"),
     ],
 )
-def test_a_temperature_is_neither_voltage_nor_displacement(header: str, role: str) -> None:
-    names = ", ".join(f"{number} {name}" for number, name in enumerate(header.split(","), start=1))
+def test_a_temperature_is_neither_voltage_nor_displacement(
+    header: str, role: str
+) -> None:
+    names = ", ".join(
+        f"{number} {name}" for number, name in enumerate(header.split(","), start=1)
+    )
     with pytest.raises(InputError) as raised:
         taken(header)
     assert str(raised.value) == (
@@ -315,7 +396,9 @@ OTHER_ACTUATORS = {
 
 
 @pytest.mark.parametrize("header", OTHER_ACTUATORS)
-def test_any_drive_and_any_output_is_known_by_its_quantity_or_by_what_is_left(header: str) -> None:
+def test_any_drive_and_any_output_is_known_by_its_quantity_or_by_what_is_left(
+    header: str,
+) -> None:
     columns, notes = taken(header)
     assert (columns["voltage"], columns["displacement"]) == OTHER_ACTUATORS[header]
     assert notes or header == "time_s,PWM (%),angle (deg)"
@@ -351,5 +434,9 @@ def test_a_temperature_beside_the_signals_needs_no_question() -> None:
 def test_a_name_of_which_only_brackets_are_left_may_be_meant() -> None:
     """It stood beside 'Sensor voltage', which was taken for the displacement without a word."""
     headers = (") (mm)", "time (hours)", "Voltage (V)", "Sensor voltage (V)")
-    columns = [column_info(name, number) for number, name in enumerate(headers, start=1)]
-    assert [one.number for one in matching_columns(columns, column_wish("displacement"))] == [1, 4]
+    columns = [
+        column_info(name, number) for number, name in enumerate(headers, start=1)
+    ]
+    assert [
+        one.number for one in matching_columns(columns, column_wish("displacement"))
+    ] == [1, 4]

@@ -27,11 +27,16 @@ TABLE = np.array([T, V, D])
 
 
 def opened(
-    path: Path | str, voltage: str | None = None, displacement: str | None = None, **more: Any
+    path: Path | str,
+    voltage: str | None = None,
+    displacement: str | None = None,
+    **more: Any,
 ) -> SignalLog:
     want = {
         "voltage": ColumnWish(voltage, ("voltage", "drive", "u"), option="voltage"),
-        "displacement": ColumnWish(displacement, ("displacement", "position", "y"), option="displacement"),
+        "displacement": ColumnWish(
+            displacement, ("displacement", "position", "y"), option="displacement"
+        ),
     }
     return open_log(str(path), want, ReadingOptions(**more))
 
@@ -77,9 +82,18 @@ def grouped(file: Any) -> None:
 
 
 def squeezed(file: Any) -> None:
-    for name, values, unit in (("time_s", T, "s"), ("drive", V, "V"), ("position", D, "um")):
+    for name, values, unit in (
+        ("time_s", T, "s"),
+        ("drive", V, "V"),
+        ("position", D, "um"),
+    ):
         data = file.create_dataset(
-            name, data=values, chunks=(3,), compression="gzip", shuffle=True, fletcher32=True
+            name,
+            data=values,
+            chunks=(3,),
+            compression="gzip",
+            shuffle=True,
+            fletcher32=True,
         )
         data.attrs["unit"] = unit
 
@@ -117,7 +131,10 @@ def test_shape_reads_right(name: str, block_rows: int, tmp_path: Path) -> None:
     assert block.values["displacement"].tolist() == D
     assert block.time is not None
     assert block.time.tolist() == T
-    assert (log.columns["voltage"].unit, log.columns["displacement"].unit) == ("V", "um")
+    assert (log.columns["voltage"].unit, log.columns["displacement"].unit) == (
+        "V",
+        "um",
+    )
     assert list(block.rows) == [1, 2, 3, 4]
     assert block.lines is None
 
@@ -140,7 +157,11 @@ def test_a_column_by_its_path(group: str, tmp_path: Path) -> None:
 
 
 def test_the_sample_rate_of_an_attribute(tmp_path: Path) -> None:
-    for attribute, value, rate in (("sample_rate", 500.0, 500.0), ("Fs", 200, 200.0), ("dt", 0.01, 100.0)):
+    for attribute, value, rate in (
+        ("sample_rate", 500.0, 500.0),
+        ("Fs", 200, 200.0),
+        ("dt", 0.01, 100.0),
+    ):
         with h5py.File(tmp_path / "log.h5", "w") as file:
             file["voltage"], file["displacement"] = V, D
             file.attrs[attribute] = value
@@ -168,7 +189,10 @@ def test_bad_values_are_refused_or_dropped(tmp_path: Path) -> None:
     with h5py.File(path, "w") as file:
         file["voltage"], file["displacement"] = [1.0, np.nan, 3.0, np.inf], D
     for block_rows in (1, 2, 100):
-        with pytest.raises(InputError) as raised, opened(path, block_rows=block_rows) as log:
+        with (
+            pytest.raises(InputError) as raised,
+            opened(path, block_rows=block_rows) as log,
+        ):
             log.read()
         assert (
             str(raised.value)
@@ -205,7 +229,10 @@ def twins(file: Any) -> None:
 
 
 def camera(file: Any) -> None:
-    for name, columns in (("camera", ("frame", "exposure")), ("piezo", ("drive", "interferometer"))):
+    for name, columns in (
+        ("camera", ("frame", "exposure")),
+        ("piezo", ("drive", "interferometer")),
+    ):
         for column in columns:
             file[f"{name}/{column}"] = np.arange(4.0)
 
@@ -249,7 +276,10 @@ def test_a_dataset_without_numbers_can_not_be_asked_for(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "log.h5", "w") as file:
         plain(file)
         file["remark"] = ["a"] * 4
-    with pytest.raises(InputError) as raised, opened(tmp_path / "log.h5", voltage="remark"):
+    with (
+        pytest.raises(InputError) as raised,
+        opened(tmp_path / "log.h5", voltage="remark"),
+    ):
         pass
     assert str(raised.value) == (
         f"{tmp_path}/log.h5: there is no column 'remark': it has 1 displacement, 2 time_s, 3 voltage"
@@ -266,10 +296,15 @@ def test_files_that_are_cut_off_or_absent(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:1000])
     with pytest.raises(InputError) as raised:
         opened(path)
-    assert str(raised.value).startswith(f"{path}: cannot be read as HDF5: truncated file")
+    assert str(raised.value).startswith(
+        f"{path}: cannot be read as HDF5: truncated file"
+    )
     with pytest.raises(InputError) as raised:
         opened("-", format="hdf5")
-    assert str(raised.value) == "standard input: HDF5 cannot be read from a pipe: give the file's name"
+    assert (
+        str(raised.value)
+        == "standard input: HDF5 cannot be read from a pipe: give the file's name"
+    )
 
 
 @settings(derandomize=True, deadline=None, max_examples=60)
@@ -286,13 +321,20 @@ def test_chunks_put_together_by_hand_are_what_hdf5_undoes(seed: int, rows: int) 
     )
     with h5py.File("chunk", "w", driver="core", backing_store=False) as file:
         data = file.create_dataset(
-            "x", shape=(rows,), chunks=(rows,), dtype="<f8", compression="gzip", shuffle=True
+            "x",
+            shape=(rows,),
+            chunks=(rows,),
+            dtype="<f8",
+            compression="gzip",
+            shuffle=True,
         )
         data.id.write_direct_chunk((0,), shuffled_deflated(values))
         assert data[()].tobytes() == values.tobytes()
 
 
-def test_a_group_is_added_to_a_file_and_nothing_else_in_it_is_lost(tmp_path: Path) -> None:
+def test_a_group_is_added_to_a_file_and_nothing_else_in_it_is_lost(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "bench.h5"
     with h5py.File(path, "w") as file:
         file["run/A"] = np.arange(5.0)
@@ -305,14 +347,20 @@ def test_a_group_is_added_to_a_file_and_nothing_else_in_it_is_lost(tmp_path: Pat
         assert list(file["new"]) == ["time_s"]
         assert file["new/time_s"][:].tolist() == [2.0] * 4
     before = path.read_bytes()
-    with pytest.raises(RuntimeError), signal_writer(f"{path}::/new", [OutColumn("time", "s")]) as writer:
+    with (
+        pytest.raises(RuntimeError),
+        signal_writer(f"{path}::/new", [OutColumn("time", "s")]) as writer,
+    ):
         writer.write(np.zeros(9))
         raise RuntimeError
     assert path.read_bytes() == before
     assert os.listdir(tmp_path) == ["bench.h5"]
     (tmp_path / "text.h5").write_text("no HDF5")
     with (
-        pytest.raises(OutputError, match=r"text\.h5: this is no HDF5 file, so no group can be added to it"),
+        pytest.raises(
+            OutputError,
+            match=r"text\.h5: this is no HDF5 file, so no group can be added to it",
+        ),
         signal_writer(f"{tmp_path / 'text.h5'}::/new", [OutColumn("time", "s")]),
     ):
         pass

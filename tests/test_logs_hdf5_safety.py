@@ -24,7 +24,9 @@ def read(path: Path | str, column: str = "voltage_V") -> list[float]:
         return log.read().values["voltage"].tolist()
 
 
-def virtual(file: Any, name: str, *sources: tuple[str, str, int], length: int = 100) -> None:
+def virtual(
+    file: Any, name: str, *sources: tuple[str, str, int], length: int = 100
+) -> None:
     layout = h5py.VirtualLayout(shape=(length,), dtype="f8")
     start = 0
     for other, inner, count in sources:
@@ -42,7 +44,9 @@ def claimed_in_chunks(file: Any) -> None:
 
 
 def huge_chunks(file: Any) -> None:
-    file.create_dataset("y", shape=(200_000_000,), chunks=(200_000_000,), dtype="f8", compression="gzip")
+    file.create_dataset(
+        "y", shape=(200_000_000,), chunks=(200_000_000,), dtype="f8", compression="gzip"
+    )
 
 
 def made_of_itself(file: Any) -> None:
@@ -73,18 +77,32 @@ def stored_elsewhere(file: Any) -> None:
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (claimed, "claims 1,000,000,000,000 samples and holds none of them: the recording was not finished"),
-        (claimed_in_chunks, "claims 1,000,000,000,000 samples and holds 1e-07 % of them"),
+        (
+            claimed,
+            "claims 1,000,000,000,000 samples and holds none of them: the recording was not finished",
+        ),
+        (
+            claimed_in_chunks,
+            "claims 1,000,000,000,000 samples and holds 1e-07 % of them",
+        ),
         (huge_chunks, "is stored in pieces of more than 1 GB"),
         (made_of_itself, "is a virtual one made of itself: it holds no samples"),
         (made_of_each_other, "is a virtual one made of itself: it holds no samples"),
-        (missing_file, "is a virtual one, and its source 'y' in 'nowhere.h5' is missing"),
-        (missing_dataset, "is a virtual one, and its source 'nowhere' is missing there"),
+        (
+            missing_file,
+            "is a virtual one, and its source 'y' in 'nowhere.h5' is missing",
+        ),
+        (
+            missing_dataset,
+            "is a virtual one, and its source 'nowhere' is missing there",
+        ),
         (missing_half, "is a virtual one with sources for 50 of its 100 samples"),
         (stored_elsewhere, "takes its bytes from another file"),
     ],
 )
-def test_what_is_not_there_is_not_read(make: Callable[[Any], None], said: str, tmp_path: Path) -> None:
+def test_what_is_not_there_is_not_read(
+    make: Callable[[Any], None], said: str, tmp_path: Path
+) -> None:
     path = tmp_path / "run.h5"
     with h5py.File(path, "w") as file:
         file["voltage_V"] = X
@@ -100,7 +118,9 @@ def test_virtual_datasets_and_links_that_are_sound_are_read(tmp_path: Path) -> N
         virtual(file, "again", (".", "g/v", 100))
     with h5py.File(tmp_path / "run.h5", "w") as file:
         file["voltage_V"] = X
-        virtual(file, "joined", ("part.h5", "g/v", 100), (".", "voltage_V", 100), length=200)
+        virtual(
+            file, "joined", ("part.h5", "g/v", 100), (".", "voltage_V", 100), length=200
+        )
         virtual(file, "deep", ("part.h5", "again", 100))
         file["linked"] = h5py.ExternalLink("part.h5", "/g/v")
         file["soft"] = h5py.SoftLink("/voltage_V")
@@ -114,7 +134,10 @@ def test_a_link_that_leads_nowhere_harms_nothing_else(tmp_path: Path) -> None:
     with h5py.File(path, "w") as file:
         file["voltage_V"] = X
         file["a"], file["b"] = h5py.SoftLink("/b"), h5py.SoftLink("/a")
-        file["gone"], file["out"] = h5py.SoftLink("/nowhere"), h5py.ExternalLink("nowhere.h5", "/y")
+        file["gone"], file["out"] = (
+            h5py.SoftLink("/nowhere"),
+            h5py.ExternalLink("nowhere.h5", "/y"),
+        )
         file["self"] = h5py.ExternalLink("run.h5", "/self")
         file["g/up"] = file["/"]
     assert read(path) == X.tolist()
@@ -129,7 +152,9 @@ def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "run.h5", "w") as file:
         file["voltage_V"] = X
         file["y"] = h5py.ExternalLink("pipe.h5", "/y")
-    with pytest.raises(InputError, match=r"a link in '/' leads to 'pipe\.h5', which is no regular file"):
+    with pytest.raises(
+        InputError, match=r"a link in '/' leads to 'pipe\.h5', which is no regular file"
+    ):
         read(tmp_path / "run.h5")
     with pytest.raises(InputError, match="this is no regular file, and HDF5 needs one"):
         read(tmp_path / "pipe.h5")

@@ -42,11 +42,13 @@ def test_no_module_below_the_shell_touches_the_process() -> None:
 
 @pytest.mark.whole
 @posix
-def test_four_threads_that_read_parquet_leave_standard_error_where_it_was(tmp_path: Path) -> None:
+def test_four_threads_that_read_parquet_leave_standard_error_where_it_was(
+    tmp_path: Path,
+) -> None:
     values = [0.001 * k for k in range(3000)]
-    polars.DataFrame({"time_s": values, "voltage_V": values, "displacement_um": values}).write_parquet(
-        tmp_path / "log.parquet"
-    )
+    polars.DataFrame(
+        {"time_s": values, "voltage_V": values, "displacement_um": values}
+    ).write_parquet(tmp_path / "log.parquet")
     before, problems = os.fstat(2), []
 
     def read() -> None:
@@ -66,7 +68,11 @@ def test_four_threads_that_read_parquet_leave_standard_error_where_it_was(tmp_pa
 
 
 def test_writing_sets_no_handler(tmp_path: Path) -> None:
-    numbers = [number for name in ("SIGINT", "SIGTERM", "SIGHUP") if (number := getattr(signal, name, None))]
+    numbers = [
+        number
+        for name in ("SIGINT", "SIGTERM", "SIGHUP")
+        if (number := getattr(signal, name, None))
+    ]
     before = [signal.getsignal(number) for number in numbers]
     with all_or_none():
         write_whole(str(tmp_path / "a.json"), b"{}")
@@ -77,7 +83,9 @@ def test_writing_sets_no_handler(tmp_path: Path) -> None:
 
 
 @posix
-def test_a_process_hears_interrupts_after_polars_and_ends_in_order(tmp_path: Path) -> None:
+def test_a_process_hears_interrupts_after_polars_and_ends_in_order(
+    tmp_path: Path,
+) -> None:
     """``prepare_process``: SIGTERM and SIGHUP unwind the stack; a signal that is ignored stays so."""
     script = (
         "import os, signal\n"

@@ -20,7 +20,10 @@ T = np.arange(ROWS) / RATE
 V = 50.0 - 50.0 * np.cos(2.0 * np.pi * T)
 BEGIN = datetime.datetime(2024, 5, 1, 12, tzinfo=datetime.UTC)
 EPOCH = int(BEGIN.timestamp())
-ISO = [f"{BEGIN + datetime.timedelta(milliseconds=20 * k):%Y-%m-%dT%H:%M:%S.%f}"[:23] for k in range(ROWS)]
+ISO = [
+    f"{BEGIN + datetime.timedelta(milliseconds=20 * k):%Y-%m-%dT%H:%M:%S.%f}"[:23]
+    for k in range(ROWS)
+]
 COMPOUND = [("voltage_V", "f8"), ("position_um", "f8")]
 
 
@@ -30,7 +33,9 @@ def signals(group: Any) -> None:
     group.create_dataset("position", data=V / 10.0).attrs["unit"] = "um"
 
 
-def beside(name: str, values: Any, units: str | None = None, **known: Any) -> Callable[[Any], None]:
+def beside(
+    name: str, values: Any, units: str | None = None, **known: Any
+) -> Callable[[Any], None]:
     """Return what writes a dataset of times beside the signals."""
 
     def write(file: Any) -> None:
@@ -75,8 +80,14 @@ CONTAINERS: dict[str, tuple[Callable[[Any], None], float]] = {
     "field of milliseconds": (compound("f8", T), FROM_0),
     "epoch in s": (beside("time", EPOCH + T), SINCE_1970),
     "epoch in ms": (beside("time", EPOCH * 1000 + np.arange(ROWS) * 20), SINCE_1970),
-    "epoch in us": (beside("timestamp", EPOCH * 10**6 + np.arange(ROWS) * 20_000), SINCE_1970),
-    "epoch in ns": (beside("timestamp", EPOCH * 10**9 + np.arange(ROWS) * 20_000_000), SINCE_1970),
+    "epoch in us": (
+        beside("timestamp", EPOCH * 10**6 + np.arange(ROWS) * 20_000),
+        SINCE_1970,
+    ),
+    "epoch in ns": (
+        beside("timestamp", EPOCH * 10**9 + np.arange(ROWS) * 20_000_000),
+        SINCE_1970,
+    ),
     "rate of the file": (rate_of_file, FROM_0),
     "rate of the columns": (rate_of_columns, FROM_0),
 }
@@ -90,7 +101,9 @@ def test_times_are_read_from_every_container(container: str, tmp_path: Path) -> 
         write(file)
     wishes = {
         "voltage": ColumnWish(None, ("voltage",), option="voltage"),
-        "displacement": ColumnWish(None, ("displacement", "position"), option="displacement"),
+        "displacement": ColumnWish(
+            None, ("displacement", "position"), option="displacement"
+        ),
     }
     for block_rows in (7, 1000):
         with open_log(str(path), wishes, ReadingOptions(block_rows=block_rows)) as log:
@@ -100,9 +113,13 @@ def test_times_are_read_from_every_container(container: str, tmp_path: Path) -> 
         assert block.values["voltage"].tolist() == V.tolist()
 
 
-def test_a_csv_and_an_hdf5_file_with_the_same_stamps_are_one_clock(tmp_path: Path) -> None:
+def test_a_csv_and_an_hdf5_file_with_the_same_stamps_are_one_clock(
+    tmp_path: Path,
+) -> None:
     sensor = tmp_path / "sensor.csv"
-    rows = [f"{stamp},{value / 10!r}" for stamp, value in zip(ISO, V.tolist(), strict=True)]
+    rows = [
+        f"{stamp},{value / 10!r}" for stamp, value in zip(ISO, V.tolist(), strict=True)
+    ]
     sensor.write_text("\n".join(["time,displacement_um", *rows]))
     drive = tmp_path / "drive.h5"
     with h5py.File(drive, "w") as file:
@@ -117,4 +134,7 @@ def test_a_csv_and_an_hdf5_file_with_the_same_stamps_are_one_clock(tmp_path: Pat
         block = log.read()
         assert list(block.rows) == list(range(11, ROWS + 1))
         assert block.values["voltage"].tolist() == V[10:].tolist()
-        assert f"{sensor}: 10 rows are left out: {drive} has none before it begins" in log.notes
+        assert (
+            f"{sensor}: 10 rows are left out: {drive} has none before it begins"
+            in log.notes
+        )

@@ -46,7 +46,9 @@ def test_all_outputs_appear_together(tmp_path: Path) -> None:
         write_whole(str(tmp_path / "a.json"), b"new")
         with signal_writer(str(tmp_path / "b.csv"), [OutColumn("time", "s")]) as writer:
             writer.write([1.0])
-        with signal_writer(f"{tmp_path / 'c.h5'}::/g", [OutColumn("time", "s")]) as writer:
+        with signal_writer(
+            f"{tmp_path / 'c.h5'}::/g", [OutColumn("time", "s")]
+        ) as writer:
             writer.write([1.0])
         assert (tmp_path / "a.json").read_bytes() == b"old"
         assert not (tmp_path / "b.csv").exists() and not (tmp_path / "c.h5").exists()
@@ -65,7 +67,9 @@ def test_a_failure_takes_everything_back(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == ["a.json"]
 
 
-def test_a_rename_that_fails_takes_the_others_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_rename_that_fails_takes_the_others_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "a.json").write_bytes(b"old")
     real = os.replace
 
@@ -75,7 +79,12 @@ def test_a_rename_that_fails_takes_the_others_back(tmp_path: Path, monkeypatch: 
         real(source, target)
 
     monkeypatch.setattr(os, "replace", replace)
-    with pytest.raises(OutputError, match=r"c\.json: cannot be written: Permission denied"), all_or_none():
+    with (
+        pytest.raises(
+            OutputError, match=r"c\.json: cannot be written: Permission denied"
+        ),
+        all_or_none(),
+    ):
         for name in "abc":
             write_whole(str(tmp_path / f"{name}.json"), b"new")
     assert content(tmp_path) == {"a.json": b"old"}
@@ -88,7 +97,10 @@ def test_one_output_does_not_wait_for_another(tmp_path: Path) -> None:
 
 
 def test_two_outputs_of_one_name_in_a_set(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match=r"a\.json: two outputs go there"), all_or_none():
+    with (
+        pytest.raises(OutputError, match=r"a\.json: two outputs go there"),
+        all_or_none(),
+    ):
         write_whole(str(tmp_path / "a.json"), b"1")
         write_whole(str(tmp_path / "." / "a.json"), b"2")
     assert content(tmp_path) == {}
@@ -96,7 +108,10 @@ def test_two_outputs_of_one_name_in_a_set(tmp_path: Path) -> None:
 
 def hearing(number: int) -> None:
     """Let a process hear a signal that whoever started the tests (``nohup``, ``&``) may have silenced."""
-    signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
+    signal.signal(
+        number,
+        signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL,
+    )
 
 
 @posix
@@ -179,13 +194,18 @@ def test_what_a_killed_writer_left_is_cleaned_up(tmp_path: Path) -> None:
         "    os.kill(os.getpid(), 9)\n"
     )
     for name in ("a.csv", "b.h5"):
-        subprocess.run([sys.executable, "-c", script, str(tmp_path / name)], check=False)
-    assert len(os.listdir(tmp_path)) == 1  # the second writer has cleaned up after the first
+        subprocess.run(
+            [sys.executable, "-c", script, str(tmp_path / name)], check=False
+        )
+    # the second writer has cleaned up after the first
+    assert len(os.listdir(tmp_path)) == 1
     mine = Path(partial_path(str(tmp_path / "mine.csv")))
     mine.write_bytes(b"being written by this very process")
     (tmp_path / ".notes.partial").write_bytes(b"not ours")
     write_whole(str(tmp_path / "c.json"), b"{}")
-    assert sorted(os.listdir(tmp_path)) == sorted([".notes.partial", "c.json", mine.name])
+    assert sorted(os.listdir(tmp_path)) == sorted(
+        [".notes.partial", "c.json", mine.name]
+    )
 
 
 @posix
@@ -213,7 +233,9 @@ def test_a_long_name_can_be_written(tmp_path: Path) -> None:
         check_outputs([str(tmp_path / ("x" * 252 + ".csv"))])
 
 
-def test_one_file_under_two_spellings_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_file_under_two_spellings_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder").mkdir()
     (tmp_path / "there.csv").write_text("x\n")
@@ -239,9 +261,13 @@ def test_one_file_under_two_spellings_is_refused(tmp_path: Path, monkeypatch: py
         check_outputs(["-"], ["-", "-"])
 
 
-def test_names_that_differ_in_case(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_names_that_differ_in_case(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     one, other = str(tmp_path / "New.csv"), str(tmp_path / "new.csv")
-    assert (identity_of(one) == identity_of(other)) == (tmp_path.parent / tmp_path.name.swapcase()).exists()
+    assert (identity_of(one) == identity_of(other)) == (
+        tmp_path.parent / tmp_path.name.swapcase()
+    ).exists()
     monkeypatch.setattr("dbo_cli.logs.whole_output._ignores_case", lambda folder: True)
     assert identity_of(one) == identity_of(other)
 
@@ -251,7 +277,8 @@ def test_the_shells_own_redirections_are_seen(tmp_path: Path) -> None:
     """Standard output is a file, too: an input, or the other output."""
     (tmp_path / "log.csv").write_text("x\n")
     script = (
-        "import sys\nfrom dbo_cli.logs.whole_output import check_outputs\ncheck_outputs([{}], ['log.csv'])\n"
+        "import sys\nfrom dbo_cli.logs.whole_output import check_outputs\n"
+        "check_outputs([{}], ['log.csv'])\n"
     )
     cases = {
         "'-'": "standard output: this output is also an input",
@@ -270,14 +297,20 @@ def test_the_shells_own_redirections_are_seen(tmp_path: Path) -> None:
             [sys.executable, "-c", script.format("'out.csv', '-'")], stdout=file, stderr=subprocess.PIPE,
             env=os.environ | {"PYTHONPATH": ROOT}, cwd=tmp_path, text=True, check=False,
         )  # fmt: skip
-    assert "out.csv and standard output are one file, and two outputs go there" in done.stderr
+    assert (
+        "out.csv and standard output are one file, and two outputs go there"
+        in done.stderr
+    )
 
 
 @posix
 @pytest.mark.parametrize(
-    "given", ["/dev/stdout", "/dev/fd/1", "/proc/self/fd/1", "/dev/../dev/stdout", "link"]
+    "given",
+    ["/dev/stdout", "/dev/fd/1", "/proc/self/fd/1", "/dev/../dev/stdout", "link"],
 )
-def test_what_stands_behind_standard_output_is_appended_to(tmp_path: Path, given: str) -> None:
+def test_what_stands_behind_standard_output_is_appended_to(
+    tmp_path: Path, given: str
+) -> None:
     if not os.path.exists("/proc/self/fd") and "proc" in given:
         pytest.skip("no /proc here")
     (tmp_path / "link").symlink_to("/dev/stdout")
@@ -314,7 +347,10 @@ def test_another_descriptor_is_written_to(tmp_path: Path) -> None:
             with signal_writer(name, [OutColumn("time", "s")], format="hdf5"):
                 pass
     assert path.read_text() == "first\nsecond\n"
-    with open(path) as file, pytest.raises(OutputError, match="is not open for writing"):
+    with (
+        open(path) as file,
+        pytest.raises(OutputError, match="is not open for writing"),
+    ):
         write_whole(f"/dev/fd/{file.fileno()}", b"x")
     with pytest.raises(OutputError, match="file descriptor 987 is not open"):
         write_whole("/dev/fd/987", b"x")
@@ -322,7 +358,9 @@ def test_another_descriptor_is_written_to(tmp_path: Path) -> None:
 
 
 def test_a_signal_group_is_no_place_for_a_model(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="names a group of an HDF5 file, and this output is no signal"):
+    with pytest.raises(
+        UsageError, match="names a group of an HDF5 file, and this output is no signal"
+    ):
         write_whole(f"{tmp_path}/model.json::/x", b"{}")
 
 
@@ -337,25 +375,41 @@ def test_replacing_joins_a_set(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "format", "said"),
     [
-        ("drive.mat", None, "MATLAB's own files are not written: call it .h5, and MATLAB's h5read reads it"),
+        (
+            "drive.mat",
+            None,
+            "MATLAB's own files are not written: call it .h5, and MATLAB's h5read reads it",
+        ),
         ("drive.mat::/g", None, "MATLAB's own files are not written"),
         ("x.h5.gz", None, "HDF5 is compressed inside: leave out .gz"),
         ("x.h5.gz::/g", None, "HDF5 is compressed inside: leave out .gz"),
-        ("X.XLSX", None, ".xlsx files are not written: .csv, .tsv, .txt, .dat (also with .gz) and .h5 are"),
+        (
+            "X.XLSX",
+            None,
+            ".xlsx files are not written: .csv, .tsv, .txt, .dat (also with .gz) and .h5 are",
+        ),
         ("x.parquet", "csv", ".parquet files are not written"),
         ("x.csv.xz", None, ".xz files are not written"),
         ("x.csv", "h5", "`format` h5 contradicts this name: leave one of them out"),
         ("x.lvm", None, "LabVIEW's own files are not written: call it .txt"),
         ("x.json", None, ".json files are not written"),
-        ("x.npy.gz", None, ".npy is a generator's file, which dbo waveform writes: call this one .csv"),
+        (
+            "x.npy.gz",
+            None,
+            ".npy is a generator's file, which dbo waveform writes: call this one .csv",
+        ),
         ("x.h5", "csv", "`format` csv contradicts this name: leave one of them out"),
         ("x.tsv", "csv", "`format` csv contradicts this name"),
         ("x.csv.gz", "tsv", "`format` tsv contradicts this name"),
     ],
 )
-def test_a_file_is_what_it_is_called(tmp_path: Path, name: str, format: str | None, said: str) -> None:
+def test_a_file_is_what_it_is_called(
+    tmp_path: Path, name: str, format: str | None, said: str
+) -> None:
     with pytest.raises(UsageError) as raised:
-        with signal_writer(str(tmp_path / name), [OutColumn("time", "s")], format=format):
+        with signal_writer(
+            str(tmp_path / name), [OutColumn("time", "s")], format=format
+        ):
             pass
     assert said in str(raised.value)
     assert os.listdir(tmp_path) == []
@@ -364,11 +418,23 @@ def test_a_file_is_what_it_is_called(tmp_path: Path, name: str, format: str | No
 @pytest.mark.parametrize(
     ("name", "form", "said"),
     [
-        ("model.csv", "json", "a model is written as JSON, not as .csv: call it model.json"),
-        ("model.json.gz", "json", "a model is written as JSON, not as .gz: call it model.json"),
+        (
+            "model.csv",
+            "json",
+            "a model is written as JSON, not as .csv: call it model.json",
+        ),
+        (
+            "model.json.gz",
+            "json",
+            "a model is written as JSON, not as .gz: call it model.json",
+        ),
         ("M.H5", "json", "not as .h5: call it M.json"),
         ("model.xlsx", "json", "not as .xlsx: call it model.json"),
-        ("report.pdf", "text", "a model is written as text, not as .pdf: call it report.txt"),
+        (
+            "report.pdf",
+            "text",
+            "a model is written as text, not as .pdf: call it report.txt",
+        ),
         ("report.csv.gz", "csv", "written as CSV, not as .gz: call it report.csv"),
         ("report.json", "html", "written as HTML, not as .json: call it report.html"),
         ("model.txt.gz", "text", "not as .gz: call it model.txt"),
@@ -381,7 +447,15 @@ def test_a_document_is_what_it_is_called(name: str, form: str, said: str) -> Non
 
 
 def test_a_document_may_have_any_name_that_says_nothing() -> None:
-    for name in ("-", "model.json", "model", "model.v2", "model.txt", "/dev/fd/3", "a.csv/model"):
+    for name in (
+        "-",
+        "model.json",
+        "model",
+        "model.v2",
+        "model.txt",
+        "/dev/fd/3",
+        "a.csv/model",
+    ):
         check_document(name, "a model", "json")
     check_document("r.htm", "a report", "html")
     check_document("r.csv", "a report", "csv")
@@ -389,9 +463,18 @@ def test_a_document_may_have_any_name_that_says_nothing() -> None:
 
 def test_a_name_that_says_nothing_takes_any_format(tmp_path: Path) -> None:
     tabs, commas, hdf5 = b"time_s\tu", b"time_s,u", b"\x89HDF"
-    cases = [("x", "tsv", tabs), ("y.out", "h5", hdf5), ("z.txt", "tsv", tabs), ("a.csv", "csv", commas)]
+    cases = [
+        ("x", "tsv", tabs),
+        ("y.out", "h5", hdf5),
+        ("z.txt", "tsv", tabs),
+        ("a.csv", "csv", commas),
+    ]
     for name, format, start in cases:
-        with signal_writer(str(tmp_path / name), [OutColumn("time", "s"), OutColumn("u")], format=format):
+        with signal_writer(
+            str(tmp_path / name),
+            [OutColumn("time", "s"), OutColumn("u")],
+            format=format,
+        ):
             pass
         assert (tmp_path / name).read_bytes().startswith(start)
 
@@ -413,23 +496,36 @@ def test_headers_are_harmless(tmp_path: Path, name: str, cell: str) -> None:
         writer.write([1.0])
     assert (tmp_path / "out.csv").read_text(encoding="utf-8") == f"{cell}\n1.0\n"
     stated = {"command": name}
-    with signal_writer(str(tmp_path / "out.h5"), [OutColumn(name, name)], attributes=lambda: stated) as h5:
+    with signal_writer(
+        str(tmp_path / "out.h5"), [OutColumn(name, name)], attributes=lambda: stated
+    ) as h5:
         h5.write([1.0])
 
 
-def test_a_rename_that_fails_leaves_no_second_copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_rename_that_fails_leaves_no_second_copy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """All were there before, so each has a second name while the others are renamed."""
     real = os.replace
 
     def replace(source: str, target: str) -> None:
-        if target.endswith("c.json") and source.endswith(".partial") and Path(source).read_bytes() == b"new":
+        if (
+            target.endswith("c.json")
+            and source.endswith(".partial")
+            and Path(source).read_bytes() == b"new"
+        ):
             raise PermissionError(13, "Permission denied")
         real(source, target)
 
     for name in "abc":
         (tmp_path / f"{name}.json").write_bytes(b"old")
     monkeypatch.setattr(os, "replace", replace)
-    with pytest.raises(OutputError, match=r"c\.json: cannot be written: Permission denied"), all_or_none():
+    with (
+        pytest.raises(
+            OutputError, match=r"c\.json: cannot be written: Permission denied"
+        ),
+        all_or_none(),
+    ):
         for name in "abc":
             write_whole(str(tmp_path / f"{name}.json"), b"new")
     assert content(tmp_path) == {f"{name}.json": b"old" for name in "abc"}

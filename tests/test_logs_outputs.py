@@ -29,7 +29,10 @@ def test_an_error_leaves_the_old_file_and_no_litter(tmp_path: Path) -> None:
     for name in ("out.csv", "out.h5", "out.csv.gz"):
         path = tmp_path / name
         path.write_bytes(b"as it was")
-        with pytest.raises(RuntimeError, match="half way"), signal_writer(str(path), COLUMNS) as writer:
+        with (
+            pytest.raises(RuntimeError, match="half way"),
+            signal_writer(str(path), COLUMNS) as writer,
+        ):
             writer.write(np.zeros(100_000), np.ones(100_000))
             raise RuntimeError("half way")
         assert path.read_bytes() == b"as it was"
@@ -38,7 +41,9 @@ def test_an_error_leaves_the_old_file_and_no_litter(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["out.csv", "out.h5"])
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
-def test_a_signal_leaves_the_old_file_and_no_litter(name: str, number: int, tmp_path: Path) -> None:
+def test_a_signal_leaves_the_old_file_and_no_litter(
+    name: str, number: int, tmp_path: Path
+) -> None:
     path = tmp_path / name
     path.write_bytes(b"as it was")
     script = (
@@ -58,7 +63,9 @@ def test_a_signal_leaves_the_old_file_and_no_litter(name: str, number: int, tmp_
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,
-        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),  # heard under nohup, too
+        preexec_fn=lambda: signal.signal(
+            number, signal.SIG_DFL
+        ),  # heard under nohup, too
     )
     assert process.stdout is not None
     assert process.stdout.readline() == "writing\n"
@@ -71,7 +78,9 @@ def test_a_signal_leaves_the_old_file_and_no_litter(name: str, number: int, tmp_
 
 
 @pytest.mark.parametrize("name", ["out.csv", "out.h5", "model.json"])
-def test_a_full_disk_leaves_the_old_file_and_no_litter(name: str, tmp_path: Path) -> None:
+def test_a_full_disk_leaves_the_old_file_and_no_litter(
+    name: str, tmp_path: Path
+) -> None:
     """A limit on the file size stands for the disk: the very write fails."""
     path = tmp_path / name
     path.write_bytes(b"as it was")
@@ -93,14 +102,19 @@ def test_a_full_disk_leaves_the_old_file_and_no_litter(name: str, tmp_path: Path
         "    print(problem)\n"
     )
     done = subprocess.run(
-        [sys.executable, "-c", script, str(path)], capture_output=True, text=True, timeout=60
+        [sys.executable, "-c", script, str(path)],
+        capture_output=True,
+        text=True,
+        timeout=60,
     )
     assert done.stdout == f"{path}: cannot be written: File too large\n", done.stderr
     assert path.read_bytes() == b"as it was"
     assert os.listdir(tmp_path) == [name]
 
 
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no /dev/full here")
+@pytest.mark.skipif(
+    not os.path.exists("/dev/full"), reason="there is no /dev/full here"
+)
 def test_a_full_device_is_told() -> None:
     with pytest.raises(OutputError) as raised:
         write_whole("/dev/full", b"x" * 100_000)
@@ -109,22 +123,32 @@ def test_a_full_device_is_told() -> None:
 
 def test_reasons() -> None:
     assert (
-        reason_of(OSError(errno.ENOSPC, "No space left on device")) == "the disk is full: nothing was written"
+        reason_of(OSError(errno.ENOSPC, "No space left on device"))
+        == "the disk is full: nothing was written"
     )
-    assert reason_of(OSError("Can't write data (errno = 28, error message = 'No space left on device')")) == (
-        "the disk is full: nothing was written"
+    assert reason_of(
+        OSError(
+            "Can't write data (errno = 28, error message = 'No space left on device')"
+        )
+    ) == ("the disk is full: nothing was written")
+    assert (
+        reason_of(OSError("No space left on device (os error 28)"))
+        == "the disk is full: nothing was written"
     )
     assert (
-        reason_of(OSError("No space left on device (os error 28)")) == "the disk is full: nothing was written"
+        reason_of(OSError(errno.EACCES, "Permission denied"))
+        == "cannot be written: Permission denied"
     )
-    assert reason_of(OSError(errno.EACCES, "Permission denied")) == "cannot be written: Permission denied"
 
 
 def test_a_missing_folder_is_told_before_the_work(tmp_path: Path) -> None:
     path = tmp_path / "nowhere" / "out.csv"
     with pytest.raises(OutputError) as raised:
         check_output(str(path))
-    assert str(raised.value) == f"{path}: there is no folder '{tmp_path}/nowhere': create it first"
+    assert (
+        str(raised.value)
+        == f"{path}: there is no folder '{tmp_path}/nowhere': create it first"
+    )
 
 
 def test_a_folder_is_no_output(tmp_path: Path) -> None:
@@ -133,7 +157,9 @@ def test_a_folder_is_no_output(tmp_path: Path) -> None:
     assert str(raised.value) == f"{tmp_path}: this is a folder: give a file name"
 
 
-@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write everywhere")
+@pytest.mark.skipif(
+    not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write everywhere"
+)
 def test_a_folder_without_permission_is_told(tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
     with pytest.raises(OutputError) as raised:
@@ -149,9 +175,15 @@ def test_an_input_is_never_an_output(tmp_path: Path) -> None:
     os.link(log, tmp_path / "hard.csv")
     for name in ("log.csv", "other.csv", "hard.csv"):
         path = tmp_path / name
-        with pytest.raises(UsageError) as raised, signal_writer(str(path), COLUMNS, protect=[str(log)]):
+        with (
+            pytest.raises(UsageError) as raised,
+            signal_writer(str(path), COLUMNS, protect=[str(log)]),
+        ):
             pass
-        assert str(raised.value) == f"{path}: this output is also an input: write to another file"
+        assert (
+            str(raised.value)
+            == f"{path}: this output is also an input: write to another file"
+        )
     with pytest.raises(UsageError), replacing_of(f"{log}::/group", str(log)):
         pass
     assert log.read_text() == "voltage\n1\n"
@@ -168,7 +200,11 @@ def test_standard_input_is_protected_too(tmp_path: Path) -> None:
     script = f"{load}; check_output(sys.argv[1], ['-'])"
     with open(log) as stdin:
         done = subprocess.run(
-            [sys.executable, "-c", script, str(log)], stdin=stdin, capture_output=True, text=True, timeout=60
+            [sys.executable, "-c", script, str(log)],
+            stdin=stdin,
+            capture_output=True,
+            text=True,
+            timeout=60,
         )
     assert "this output is also an input" in done.stderr
 
@@ -196,9 +232,14 @@ def test_permissions_are_kept_and_made_by_the_umask(tmp_path: Path) -> None:
     assert (tmp_path / "new.json").stat().st_mode & 0o777 == 0o640
 
 
-def test_several_writers_in_one_folder_do_not_disturb_each_other(tmp_path: Path) -> None:
+def test_several_writers_in_one_folder_do_not_disturb_each_other(
+    tmp_path: Path,
+) -> None:
     path = str(tmp_path / "out.csv")
-    with signal_writer(path, [OutColumn("a")]) as one, signal_writer(path, [OutColumn("b")]) as other:
+    with (
+        signal_writer(path, [OutColumn("a")]) as one,
+        signal_writer(path, [OutColumn("b")]) as other,
+    ):
         one.write(np.array([1.0]))
         other.write(np.array([2.0]))
     assert Path(path).read_text() == "a\n1.0\n"  # the one that ended last, whole
@@ -228,7 +269,9 @@ def test_a_pipe_closed_early_stays_a_broken_pipe() -> None:
         "    print('broken', file=sys.stderr)\n"
         "    os._exit(0)\n"
     )
-    process = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process = subprocess.Popen(
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
     assert process.stdout is not None and process.stderr is not None
     assert process.stdout.readline() == b"voltage_V\n"
     process.stdout.close()
@@ -247,14 +290,18 @@ def test_flush_hands_every_row_on(tmp_path: Path) -> None:
         "        writer.write(numpy.array([float(line)]))\n"
     )
     process = subprocess.Popen(
-        [sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", script],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
     )
     assert process.stdin is not None and process.stdout is not None
     assert process.stdout.readline() == "voltage_V\n"
     for number in ("1.5", "2.25"):
         process.stdin.write(number + "\n")
         process.stdin.flush()
-        assert process.stdout.readline() == number + "\n"  # while the input is still open
+        # while the input is still open
+        assert process.stdout.readline() == number + "\n"
     process.stdin.close()
     process.stdout.close()
     assert process.wait(timeout=30) == 0
@@ -266,7 +313,9 @@ def test_the_same_signal_gives_the_same_bytes(name: str, tmp_path: Path) -> None
     for number in range(2):
         path = tmp_path / str(number) / name
         path.parent.mkdir()
-        with signal_writer(str(path), COLUMNS, attributes=lambda: {"sample_rate": 10.0}) as writer:
+        with signal_writer(
+            str(path), COLUMNS, attributes=lambda: {"sample_rate": 10.0}
+        ) as writer:
             writer.write(np.arange(5) / 10, np.arange(5.0))
         contents.append(path.read_bytes())
         clock.sleep(0.01)
@@ -285,9 +334,13 @@ def test_a_header_that_needs_quotes_reads_back(tmp_path: Path) -> None:
     from dbo_cli.logs.signal_log import open_log
 
     path = str(tmp_path / "out.csv")
-    with signal_writer(path, [OutColumn('the "drive", raw', "V"), OutColumn("#2", "um")]) as writer:
+    with signal_writer(
+        path, [OutColumn('the "drive", raw', "V"), OutColumn("#2", "um")]
+    ) as writer:
         writer.write([1.0], [2.0])
-    with open_log(path, {"one": ColumnWish('the "drive", raw_V'), "two": ColumnWish("#2_um")}) as log:
+    with open_log(
+        path, {"one": ColumnWish('the "drive", raw_V'), "two": ColumnWish("#2_um")}
+    ) as log:
         assert log.read().values["two"].tolist() == [2.0]
 
 
@@ -298,7 +351,9 @@ def test_hdf5_carries_units_rate_and_attributes(tmp_path: Path) -> None:
         "model_sha256": "ab",
         "command": "dbo simulate",
     }
-    with signal_writer(path + "::/run/1", COLUMNS, attributes=lambda: attributes) as writer:
+    with signal_writer(
+        path + "::/run/1", COLUMNS, attributes=lambda: attributes
+    ) as writer:
         for start in range(0, 200_000, 7_000):
             stop = min(200_000, start + 7_000)
             writer.write(np.arange(start, stop) / 100, np.arange(start, stop) * 0.1)
@@ -319,7 +374,12 @@ def test_hdf5_tells_the_sample_rate_of_an_even_clock(step: int, tmp_path: Path) 
     path = str(tmp_path / "out.h5")
     even = 5.0 + np.arange(100) / 3000
     gap = np.append(even, 7.0)
-    for time, rate in ((even, 3000.0), (gap, None), (even[::-1], None), (even[:1], None)):
+    for time, rate in (
+        (even, 3000.0),
+        (gap, None),
+        (even[::-1], None),
+        (even[:1], None),
+    ):
         with signal_writer(path, COLUMNS) as writer:
             for start in range(0, len(time), step):
                 writer.write(time[start : start + step], time[start : start + step])
@@ -336,9 +396,15 @@ def test_hdf5_without_rows_is_whole(tmp_path: Path) -> None:
 
 
 def test_hdf5_does_not_go_down_a_pipe() -> None:
-    with pytest.raises(UsageError) as raised, signal_writer("-", COLUMNS, format="hdf5"):
+    with (
+        pytest.raises(UsageError) as raised,
+        signal_writer("-", COLUMNS, format="hdf5"),
+    ):
         pass
-    assert str(raised.value) == "HDF5 cannot be written to a pipe: name a file (-o FILE.h5)"
+    assert (
+        str(raised.value)
+        == "HDF5 cannot be written to a pipe: name a file (-o FILE.h5)"
+    )
 
 
 def test_a_column_that_may_be_blank(tmp_path: Path) -> None:
@@ -356,17 +422,29 @@ def test_a_column_that_may_be_blank(tmp_path: Path) -> None:
         path = str(tmp_path / name)
         with signal_writer(path, columns) as writer:
             writer.write(*values)
-        want = {"voltage": column_wish("voltage"), "desired": column_wish("desired", may_be_blank=True)}
+        want = {
+            "voltage": column_wish("voltage"),
+            "desired": column_wish("desired", may_be_blank=True),
+        }
         with open_log(path, want) as log:
             block = log.read()
-        assert (list(block.rows), block.values["desired"], block.values["voltage"]) == ([1], [0.5], [2.0])
+        assert (list(block.rows), block.values["desired"], block.values["voltage"]) == (
+            [1],
+            [0.5],
+            [2.0],
+        )
         assert log.notes == log.warnings == []
-        with open_log(path, {"desired": column_wish("desired")}) as log, pytest.raises(InputError) as refused:
+        with (
+            open_log(path, {"desired": column_wish("desired")}) as log,
+            pytest.raises(InputError) as refused,
+        ):
             log.read()
         assert str(refused.value).startswith(path + refusal)
         for wrong, bad in ((1, np.inf), (0, np.nan), (2, np.nan)):
             arrays = [*values]
             arrays[wrong] = np.array([0.0, bad])
-            with pytest.raises(OutputError, match="would hold a number that is not finite"):
+            with pytest.raises(
+                OutputError, match="would hold a number that is not finite"
+            ):
                 with signal_writer(path, columns) as writer:
                     writer.write(*arrays)

@@ -84,14 +84,19 @@ def test_no_cut_passes_in_silence(way: Callable[[float], str], tmp_path: Path) -
             assert size < len(text)
             continue
         assert got[:-1] == good[:-1]
-        assert notes == [f"{path}:61: the last line has no line end: was the record cut there?"]
-        # what is believed with a warning goes on from the sample before: nothing falls from 84 V to 0
+        assert notes == [
+            f"{path}:61: the last line has no line end: was the record cut there?"
+        ]
+        # what is believed with a warning goes on from the sample before: nothing falls
+        # from 84 V to 0
         assert abs(got[-1] - good[-1]) < 3.0 * np.abs(np.diff(good)).max()
 
 
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("seed", range(20))
-def test_a_whole_file_is_read(way: Callable[[float], str], seed: int, tmp_path: Path) -> None:
+def test_a_whole_file_is_read(
+    way: Callable[[float], str], seed: int, tmp_path: Path
+) -> None:
     """Descending through 100 to 99, ending in 0.0, noise: only many-digit noise may by chance end short."""
     rng = np.random.default_rng(seed)
     kinds = [
@@ -128,12 +133,16 @@ def test_the_messages(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("block_rows", [1, 1000])
-def test_the_verdict_does_not_depend_on_the_block_size(block_rows: int, tmp_path: Path) -> None:
+def test_the_verdict_does_not_depend_on_the_block_size(
+    block_rows: int, tmp_path: Path
+) -> None:
     path = tmp_path / "run.csv"
     still = f"{0.0:.700f}"  # wide: 400 rows are more than the head of 256 kB
     rows = "".join(f"{still},{100.0 + number / 7:.3f}\n" for number in range(400))
     path.write_text("still,displacement_um\n" + rows + f"{still},157.1")
-    with pytest.raises(InputError, match=r"run\.csv:402: .* '157\.1' is shorter than those above"):
+    with pytest.raises(
+        InputError, match=r"run\.csv:402: .* '157\.1' is shorter than those above"
+    ):
         read(path, block_rows=block_rows)
     path.write_text("still,displacement_um\n" + rows + f"{still},157.143")
     assert len(read(path, block_rows=block_rows)[0]) == 401
@@ -143,7 +152,8 @@ def test_compressed_data_end_their_lines(tmp_path: Path) -> None:
     path = tmp_path / "run.csv.gz"
     path.write_bytes(gzip.compress(b"displacement_um\n10.5\n10.6"))
     with pytest.raises(
-        InputError, match="3: the last line has no line end, in compressed data: the record was cut"
+        InputError,
+        match="3: the last line has no line end, in compressed data: the record was cut",
     ):
         read(path)
     path.write_bytes(gzip.compress(b"displacement_um\n10.5\n10.6\n"))
@@ -154,13 +164,18 @@ def test_compressed_data_end_their_lines(tmp_path: Path) -> None:
 def test_a_stream_ends_its_lines(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe.csv"
     os.mkfifo(pipe)
-    for text, good in (("displacement_um\n10.5\n10.6", False), ("displacement_um\n10.5\n10.6\n", True)):
+    for text, good in (
+        ("displacement_um\n10.5\n10.6", False),
+        ("displacement_um\n10.5\n10.6\n", True),
+    ):
         writer = threading.Thread(target=pipe.write_text, args=(text,))
         writer.start()
         if good:
             assert read(pipe) == ([10.5, 10.6], [])
         else:
-            with pytest.raises(InputError, match="3: the last line has no line end, in a stream"):
+            with pytest.raises(
+                InputError, match="3: the last line has no line end, in a stream"
+            ):
                 read(pipe)
         writer.join()
 
@@ -180,7 +195,9 @@ def test_a_file_on_standard_input_is_no_stream(tmp_path: Path) -> None:
             [sys.executable, "-c", script], stdin=file, capture_output=True, text=True, check=True,
             env=os.environ | {"PYTHONPATH": ROOT},
         )  # fmt: skip
-    assert done.stdout.startswith("[10.5, 10.6] ['standard input:3: the last line has no line end")
+    assert done.stdout.startswith(
+        "[10.5, 10.6] ['standard input:3: the last line has no line end"
+    )
 
 
 def test_a_file_that_is_still_growing(tmp_path: Path) -> None:
@@ -191,6 +208,7 @@ def test_a_file_that_is_still_growing(tmp_path: Path) -> None:
             recorder.write("1\n10.62\n")
         time.sleep(0.01)
         with pytest.raises(
-            InputError, match="the last line has no line end, in a file that is still growing"
+            InputError,
+            match="the last line has no line end, in a file that is still growing",
         ):
             log.read()

@@ -26,7 +26,9 @@ def told(refusal: Refusal, folder: Path, **more: Any) -> DboError:
     suffix = call.pop("suffix", "")
     want = {
         "voltage": ColumnWish(refusal.ask.get("voltage"), VOLTAGE, option="voltage"),
-        "displacement": ColumnWish(refusal.ask.get("displacement"), DISPLACEMENT, option="displacement"),
+        "displacement": ColumnWish(
+            refusal.ask.get("displacement"), DISPLACEMENT, option="displacement"
+        ),
     }
     with pytest.raises(DboError) as raised:
         if "rows" in call:
@@ -45,12 +47,16 @@ def test_refusal_is_told_exactly(
     if parser == "fast":
         monkeypatch.setattr(parsing, "_parse_plain", parsing._parse_fast)
     problem = told(refusal, tmp_path)
-    assert str(problem) == refusal.message.replace("{log}", str(tmp_path / ("log" + refusal.ending)))
+    assert str(problem) == refusal.message.replace(
+        "{log}", str(tmp_path / ("log" + refusal.ending))
+    )
     assert problem.exit_code == refusal.code
 
 
 @pytest.mark.parametrize("refusal", REFUSABLE, ids=lambda refusal: refusal.name)
-def test_refusal_does_not_depend_on_the_block_size(refusal: Refusal, tmp_path: Path) -> None:
+def test_refusal_does_not_depend_on_the_block_size(
+    refusal: Refusal, tmp_path: Path
+) -> None:
     assert str(told(refusal, tmp_path, block_rows=1)) == str(told(refusal, tmp_path))
 
 

@@ -104,7 +104,9 @@ def test_a_recorder_loses_no_row(tmp_path: Path, address: str, locking: str) -> 
 
 @posix
 @pytest.mark.parametrize("existing", [True, False])
-def test_twelve_appenders_at_once_all_find_their_group(tmp_path: Path, existing: bool) -> None:
+def test_twelve_appenders_at_once_all_find_their_group(
+    tmp_path: Path, existing: bool
+) -> None:
     path = tmp_path / "store.h5"
     if existing:
         write(f"{path}::/first")
@@ -112,7 +114,9 @@ def test_twelve_appenders_at_once_all_find_their_group(tmp_path: Path, existing:
     assert appenders.communicate() == ("", "")
     assert appenders.returncode == 0
     with h5py.File(path) as file:
-        assert [file[f"run{number}/time_s"][0] for number in range(12)] == list(range(12))
+        assert [file[f"run{number}/time_s"][0] for number in range(12)] == list(
+            range(12)
+        )
         assert len(file) == 12 + existing
     assert os.listdir(tmp_path) == ["store.h5"]
 
@@ -132,15 +136,29 @@ def test_a_file_marked_as_open_is_not_touched(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("place", "said"),
     [
-        ("", "::/ holds 'run1' and 1 more, which this output did not write and would be lost"),
-        ("::/", "::/ holds 'run1' and 1 more, which this output did not write and would be lost"),
-        ("::/run1", "::/run1 holds 'mine', which this output did not write and would be lost"),
+        (
+            "",
+            "::/ holds 'run1' and 1 more, which this output did not write and would be lost",
+        ),
+        (
+            "::/",
+            "::/ holds 'run1' and 1 more, which this output did not write and would be lost",
+        ),
+        (
+            "::/run1",
+            "::/run1 holds 'mine', which this output did not write and would be lost",
+        ),
         ("::/voltage", "::/voltage is a dataset, not a group"),
         ("::/voltage/new", "::/voltage is a dataset, not a group"),
-        ("::/.", "::/ holds 'run1' and 1 more, which this output did not write and would be lost"),
+        (
+            "::/.",
+            "::/ holds 'run1' and 1 more, which this output did not write and would be lost",
+        ),
     ],
 )
-def test_what_others_wrote_is_not_replaced(tmp_path: Path, place: str, said: str) -> None:
+def test_what_others_wrote_is_not_replaced(
+    tmp_path: Path, place: str, said: str
+) -> None:
     path = tmp_path / "store.h5"
     with h5py.File(path, "w") as file:
         file["run1/mine"] = np.arange(3.0)
@@ -148,7 +166,9 @@ def test_what_others_wrote_is_not_replaced(tmp_path: Path, place: str, said: str
     before = path.read_bytes()
     with pytest.raises(OutputError) as raised:
         write(f"{path}{place}")
-    assert str(raised.value).startswith(f"{path}{said}: name a group of its own ({path}::/NAME)")
+    assert str(raised.value).startswith(
+        f"{path}{said}: name a group of its own ({path}::/NAME)"
+    )
     assert path.read_bytes() == before
 
 
@@ -182,7 +202,12 @@ def test_a_group_that_goes_up_is_refused(tmp_path: Path) -> None:
 
 
 def test_columns_of_one_name_and_with_slashes(tmp_path: Path) -> None:
-    columns = [OutColumn("time", "s"), OutColumn("time", "s"), OutColumn("rate (V/s)"), OutColumn(".")]
+    columns = [
+        OutColumn("time", "s"),
+        OutColumn("time", "s"),
+        OutColumn("rate (V/s)"),
+        OutColumn("."),
+    ]
     with signal_writer(f"{tmp_path}/out.h5", columns) as writer:
         writer.write([1.0], [2.0], [3.0], [4.0])
     with h5py.File(tmp_path / "out.h5") as file:

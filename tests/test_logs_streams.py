@@ -42,7 +42,12 @@ print(log.record(), *log.notes, sep="|", file=sys.stderr)
 
 
 def echo(data: bytes) -> subprocess.CompletedProcess[bytes]:
-    return subprocess.run([sys.executable, "-c", ECHO, "whole"], input=data, capture_output=True, timeout=60)
+    return subprocess.run(
+        [sys.executable, "-c", ECHO, "whole"],
+        input=data,
+        capture_output=True,
+        timeout=60,
+    )
 
 
 def test_a_live_pipe_gives_each_row_as_it_comes() -> None:
@@ -52,7 +57,11 @@ def test_a_live_pipe_gives_each_row_as_it_comes() -> None:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
-    assert process.stdin is not None and process.stdout is not None and process.stderr is not None
+    assert (
+        process.stdin is not None
+        and process.stdout is not None
+        and process.stderr is not None
+    )
     process.stdin.write(b"time_s,voltage_V\n")
     process.stdin.flush()
     for number in range(5):
@@ -72,12 +81,18 @@ def test_a_live_pipe_gives_each_row_as_it_comes() -> None:
 
 @pytest.mark.parametrize("packed", [False, True])
 def test_a_pipe_reads_like_a_file(packed: bool) -> None:
-    data = b"time_s,voltage_V\n" + b"".join(f"{k / 8},{k}\n".encode() for k in range(100_000))
+    data = b"time_s,voltage_V\n" + b"".join(
+        f"{k / 8},{k}\n".encode() for k in range(100_000)
+    )
     data = gzip.compress(data, 1) if packed else data
     done = echo(data)
-    assert done.stdout == b"voltage_V\n" + b"".join(f"{k}.0\n".encode() for k in range(100_000))
+    assert done.stdout == b"voltage_V\n" + b"".join(
+        f"{k}.0\n".encode() for k in range(100_000)
+    )
     digest = hashlib.sha256(data).hexdigest()
-    assert done.stderr.decode().strip() == str({"name": "-", "sha256": digest, "rows": 100_000})
+    assert done.stderr.decode().strip() == str(
+        {"name": "-", "sha256": digest, "rows": 100_000}
+    )
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/fd"), reason="there is no /dev/fd here")
@@ -109,7 +124,10 @@ def test_the_place_of_a_bad_cell_deep_in_a_large_log(tmp_path: Path) -> None:
     path.write_text("# bench\ntime_s,voltage_V\n" + "\n".join(rows) + "\n")
     for block_rows in (1000, 1 << 18):
         options = ReadingOptions(block_rows=block_rows)
-        with pytest.raises(InputError) as raised, open_log(str(path), WANT, options) as log:
+        with (
+            pytest.raises(InputError) as raised,
+            open_log(str(path), WANT, options) as log,
+        ):
             for _ in log.blocks():
                 pass
         assert str(raised.value) == (
@@ -184,7 +202,9 @@ def test_the_three_parsers_always_agree(
 ) -> None:
     if delimiter == decimal:
         decimal = "."
-    text = ("\n".join(delimiter.join(row) for row in rows) + ("\n" if ended else "")).encode()
+    text = (
+        "\n".join(delimiter.join(row) for row in rows) + ("\n" if ended else "")
+    ).encode()
     dialect = Dialect(delimiter, decimal, "#%", 3, 1, (), ())
     results = []
     patch = pytest.MonkeyPatch()
@@ -197,13 +217,29 @@ def test_the_three_parsers_always_agree(
 
 @settings(derandomize=True, deadline=None, max_examples=300)
 @given(st.lists(st.floats(), min_size=1, max_size=20))
-@example([1e-5, 1.5e-5, 9.999999999999999e-6, -1e-5, 1e16, 1e22, 5e-324, -0.0, 123456789012345680.0])
-def test_both_writers_give_the_same_bytes_and_they_read_back(values: list[float]) -> None:
+@example(
+    [
+        1e-5,
+        1.5e-5,
+        9.999999999999999e-6,
+        -1e-5,
+        1e16,
+        1e22,
+        5e-324,
+        -0.0,
+        123456789012345680.0,
+    ]
+)
+def test_both_writers_give_the_same_bytes_and_they_read_back(
+    values: list[float],
+) -> None:
     import polars  # the fast writer's library
 
     array, fast = np.array(values), io.BytesIO()
     write_rows(fast, [array], ",")
-    assert fast.getvalue().decode() == "".join(shortest(value) + "\n" for value in values)
+    assert fast.getvalue().decode() == "".join(
+        shortest(value) + "\n" for value in values
+    )
     lines = fast.getvalue().decode().split("\n")[:-1]  # NaN is an empty cell
     assert [line == "" for line in lines] == np.isnan(array).tolist()
     back = np.array([float(line or "nan") for line in lines])
@@ -212,7 +248,9 @@ def test_both_writers_give_the_same_bytes_and_they_read_back(values: list[float]
     if len(finite):
         fast = io.BytesIO()
         write_rows(fast, [finite], ",", blanks=False)
-        table = polars.read_csv(fast.getvalue(), has_header=False, schema={"column_1": polars.Float64})
+        table = polars.read_csv(
+            fast.getvalue(), has_header=False, schema={"column_1": polars.Float64}
+        )
         assert table["column_1"].to_numpy().tobytes() == finite.tobytes()
 
 
@@ -230,7 +268,9 @@ def test_the_written_bytes_do_not_depend_on_the_cut(tmp_path: Path) -> None:
 
 @settings(derandomize=True, deadline=None, max_examples=40)
 @given(st.integers(1, 5000), st.integers(0, 2**32 - 1))
-def test_the_samples_do_not_depend_on_the_block_size(block_rows: int, seed: int) -> None:
+def test_the_samples_do_not_depend_on_the_block_size(
+    block_rows: int, seed: int
+) -> None:
     import tempfile
 
     random = np.random.default_rng(seed)
@@ -246,12 +286,16 @@ def test_the_samples_do_not_depend_on_the_block_size(block_rows: int, seed: int)
             block = log.read()
         with open_log(path, WANT) as log:
             whole = log.read()
-    assert block.values["voltage"].tolist() == values == whole.values["voltage"].tolist()
+    assert (
+        block.values["voltage"].tolist() == values == whole.values["voltage"].tolist()
+    )
     assert block.lines is not None and whole.lines is not None
     assert list(block.lines) == list(whole.lines)
 
 
-def test_standard_input_is_read_where_it_was_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_standard_input_is_read_where_it_was_replaced(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """The command-line tests hand in their input this way."""
     fake = io.TextIOWrapper(io.BufferedReader(io.BytesIO(b"voltage\n1\n2\n")))
     monkeypatch.setattr(sys, "stdin", fake)

@@ -14,7 +14,14 @@ from dbo_cli.errors import InputError, UsageError
 from dbo_cli.interpolation.smooth import interpolated
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.request import ReadingOptions, checked_rate, parse_rows
-from dbo_cli.logs.sample_block import SampleBlock, TimeCheck, even_step, joined, require_even, resampled
+from dbo_cli.logs.sample_block import (
+    SampleBlock,
+    TimeCheck,
+    even_step,
+    joined,
+    require_even,
+    resampled,
+)
 from dbo_cli.logs.signal_log import open_log
 
 WANT = {"voltage": ColumnWish(None, ("voltage",))}
@@ -81,7 +88,9 @@ def test_the_verdict_does_not_depend_on_the_blocks(seed: int, size: int) -> None
 def test_dropped_rows_are_counted_and_keep_their_time(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("voltage\n1\nOVLD\n3\n\n4\nOVLD\n")
-    with open_log(str(path), WANT, ReadingOptions(sample_rate=10.0, skip_bad=True)) as log:
+    with open_log(
+        str(path), WANT, ReadingOptions(sample_rate=10.0, skip_bad=True)
+    ) as log:
         block = log.read()
     assert block.time is not None
     assert block.time.tolist() == [0.0, 0.2, 0.3]
@@ -89,16 +98,21 @@ def test_dropped_rows_are_counted_and_keep_their_time(tmp_path: Path) -> None:
     assert list(block.rows) == [1, 3, 4]
     assert block.lines is not None
     assert list(block.lines) == [2, 4, 6]
-    assert log.notes == [f"{path}:3: column 'voltage' is not a number: 'OVLD' and 1 more: 2 rows dropped"]
+    assert log.notes == [
+        f"{path}:3: column 'voltage' is not a number: 'OVLD' and 1 more: 2 rows dropped"
+    ]
 
 
 def test_rows_of_a_log_keep_their_time(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("voltage\n" + "".join(f"{k}\n" for k in range(10)) + "x\n")
     for rows, expected in (("3:5", [2, 3, 4]), ("9:10", [8, 9]), (":2", [0, 1])):
-        with open_log(str(path), WANT, ReadingOptions(sample_rate=1.0, rows=parse_rows(rows))) as log:
+        with open_log(
+            str(path), WANT, ReadingOptions(sample_rate=1.0, rows=parse_rows(rows))
+        ) as log:
             block = log.read()
-        assert block.values["voltage"].tolist() == expected  # the bad row is outside and does not matter
+        # the bad row is outside and does not matter
+        assert block.values["voltage"].tolist() == expected
         assert block.time is not None
         assert block.time.tolist() == expected
 
@@ -112,18 +126,26 @@ def test_rows() -> None:
     assert parse_rows(":") == (1, None)
 
 
-@pytest.mark.parametrize("rows", [5, (1,), (1, 2, 3), (1.5, 2), ("1", 2), (True, 2), None, b"1:2"])
+@pytest.mark.parametrize(
+    "rows", [5, (1,), (1, 2, 3), (1.5, 2), ("1", 2), (True, 2), None, b"1:2"]
+)
 def test_rows_that_are_none_are_refused(rows: object) -> None:
     with pytest.raises(UsageError) as raised:
         parse_rows(rows)
-    assert str(raised.value) == f"`rows` {rows}: give A:B, data rows counted from 1, both ends included"
+    assert (
+        str(raised.value)
+        == f"`rows` {rows}: give A:B, data rows counted from 1, both ends included"
+    )
     with pytest.raises(UsageError):
         ReadingOptions(rows=rows)  # type: ignore[arg-type]
 
 
 def test_even_step() -> None:
     assert even_step(np.arange(100) / 3000) == pytest.approx(1 / 3000, rel=1e-12)
-    assert even_step(np.round(np.arange(100) / 300, 3)) == pytest.approx(1 / 300, rel=1e-2)  # too few digits
+    # too few digits
+    assert even_step(np.round(np.arange(100) / 300, 3)) == pytest.approx(
+        1 / 300, rel=1e-2
+    )
     assert even_step(np.arange(100) / 300 + 0.001 * (np.arange(100) % 2)) is None
     assert even_step(np.array([0.0, 1.0, 3.0])) is None
     assert even_step(np.array([0.0, 0.0])) is None
@@ -136,8 +158,14 @@ def test_even_step() -> None:
 
 
 @settings(derandomize=True, deadline=None, max_examples=60)
-@given(st.integers(0, 2**32 - 1), st.integers(1, 60), st.sampled_from([3.0, 10.0, 47.0, 1000.0]))
-def test_resampling_equals_interpolation_for_any_block_size(seed: int, size: int, rate: float) -> None:
+@given(
+    st.integers(0, 2**32 - 1),
+    st.integers(1, 60),
+    st.sampled_from([3.0, 10.0, 47.0, 1000.0]),
+)
+def test_resampling_equals_interpolation_for_any_block_size(
+    seed: int, size: int, rate: float
+) -> None:
     random = np.random.default_rng(seed)
     time = 5.0 + np.cumsum(random.uniform(0.01, 0.2, 60))
     voltage = random.normal(size=60)
@@ -173,7 +201,9 @@ def test_resampling_refuses_a_clock_that_does_not_advance(tmp_path: Path) -> Non
     for block_rows in (1, 2, 100):
         with (
             pytest.raises(InputError) as raised,
-            open_log(str(path), WANT, ReadingOptions(resample=1.0, block_rows=block_rows)) as log,
+            open_log(
+                str(path), WANT, ReadingOptions(resample=1.0, block_rows=block_rows)
+            ) as log,
         ):
             log.read()
         assert str(raised.value) == (

@@ -65,7 +65,9 @@ PAIRS = {
     "2 s typed": Pair(500.0, 400.0, 8.0, 1.0, offset=2.0, asked=2.0),
     "-2 s typed": Pair(500.0, 400.0, 8.0, 1.0, offset=-2.0, asked=-2.0),
     "2 s found": Pair(200.0, 500.0, 12.0, 0.7, offset=2.0, asked="auto"),
-    "-2 s found, another start": Pair(500.0, 200.0, 12.0, 0.7, offset=-2.0, later=1.0, asked="auto"),
+    "-2 s found, another start": Pair(
+        500.0, 200.0, 12.0, 0.7, offset=-2.0, later=1.0, asked="auto"
+    ),
     "82 ms found": Pair(250.0, 250.0, 12.0, 0.7, offset=0.082, asked="auto"),
     "50 ppm found": Pair(1000.0, 1000.0, 60.0, 1.5, offset=0.5, ppm=50.0, asked="auto"),
 }
@@ -80,16 +82,27 @@ def write(path: Path, header: str, *columns: FloatArray) -> str:
 def recorded(pair: Pair, folder: Path) -> tuple[str, str]:
     """Write what both recorders have; return the files of sensor and drive."""
     seen = np.arange(0.0, pair.seconds, 1.0 / pair.sensor_rate)
-    sent = np.arange(pair.later, pair.seconds + 1.0 / pair.drive_rate, 1.0 / pair.drive_rate)
+    sent = np.arange(
+        pair.later, pair.seconds + 1.0 / pair.drive_rate, 1.0 / pair.drive_rate
+    )
     if pair.gap is not None:
         sent = sent[(sent < pair.gap[0]) | (sent > pair.gap[1])]
     theirs = sent - pair.offset - 1e-6 * pair.ppm * (sent - 0.5 * pair.seconds)
-    displacement = write(folder / "sensor.csv", "time_s,displacement_um", seen, sensor(seen, pair.slowest))
-    voltage = write(folder / "drive.csv", "time_s,voltage_V", theirs, drive(sent, pair.slowest))
+    displacement = write(
+        folder / "sensor.csv",
+        "time_s,displacement_um",
+        seen,
+        sensor(seen, pair.slowest),
+    )
+    voltage = write(
+        folder / "drive.csv", "time_s,voltage_V", theirs, drive(sent, pair.slowest)
+    )
     return displacement, voltage
 
 
-def read(displacement: str, voltage: str, **options: Any) -> tuple[SampleBlock, list[str], list[str]]:
+def read(
+    displacement: str, voltage: str, **options: Any
+) -> tuple[SampleBlock, list[str], list[str]]:
     wishes = {
         "voltage": ColumnWish(f"{voltage}::voltage_V", ("voltage",), option="voltage"),
         "displacement": ColumnWish(None, ("displacement",), option="displacement"),
@@ -114,7 +127,9 @@ def test_two_recorders_are_joined_by_time(name: str, tmp_path: Path) -> None:
         assert block.time[0] >= pair.later - 1.0 / pair.sensor_rate
         assert any("before it begins" in text for text in notes)
     if pair.gap is not None:
-        assert not ((block.time > pair.gap[0] + 0.01) & (block.time < pair.gap[1] - 0.01)).any()
+        assert not (
+            (block.time > pair.gap[0] + 0.01) & (block.time < pair.gap[1] - 0.01)
+        ).any()
         assert any("in its gaps" in text for text in notes)
     if pair.ppm:
         assert any("ppm" in text for text in notes)
@@ -123,22 +138,38 @@ def test_two_recorders_are_joined_by_time(name: str, tmp_path: Path) -> None:
 def test_clocks_that_are_apart_are_told_of(tmp_path: Path) -> None:
     files = recorded(PAIRS["82 ms found"], tmp_path)
     _, _, warnings = read(*files)
-    assert len([text for text in warnings if "by what they recorded their clocks are 0.082" in text]) == 1
+    assert (
+        len(
+            [
+                text
+                for text in warnings
+                if "by what they recorded their clocks are 0.082" in text
+            ]
+        )
+        == 1
+    )
 
 
 def test_clocks_without_a_moment_in_common_are_refused(tmp_path: Path) -> None:
-    displacement, voltage = recorded(PAIRS["5 and 2 kHz"]._replace(offset=1.7e9), tmp_path)
+    displacement, voltage = recorded(
+        PAIRS["5 and 2 kHz"]._replace(offset=1.7e9), tmp_path
+    )
     with pytest.raises(InputError) as raised:
         read(displacement, voltage)
     assert "have no time in common: 0 to 1.9998 s and " in str(raised.value)
-    assert "`clock_offset` 1700000000 lets both begin together, auto finds it" in str(raised.value)
+    assert "`clock_offset` 1700000000 lets both begin together, auto finds it" in str(
+        raised.value
+    )
 
 
 def test_a_file_without_a_clock_is_refused(tmp_path: Path) -> None:
     displacement, _ = recorded(PAIRS["5 and 2 kHz"], tmp_path)
-    voltage = write(tmp_path / "bare.csv", "voltage_V,current_A", np.arange(10.0), np.arange(10.0))
+    voltage = write(
+        tmp_path / "bare.csv", "voltage_V,current_A", np.arange(10.0), np.arange(10.0)
+    )
     with pytest.raises(
-        InputError, match=r"bare\.csv: has no clock, and rows of two files belong together by time"
+        InputError,
+        match=r"bare\.csv: has no clock, and rows of two files belong together by time",
     ):
         read(displacement, voltage)
     with pytest.raises(InputError, match=r"^the files are not equally long: "):
@@ -154,19 +185,30 @@ def test_an_offset_that_the_log_cannot_tell_is_refused() -> None:
         find_offset(time, sine, time + 0.3, 0.1 * sine + 1e-3 * noise, "two files")
     with pytest.raises(InputError, match="one of the two stands still"):
         find_offset(time, np.full(time.size, 3.0), time, sine, "two files")
-    with pytest.raises(InputError, match=r"clock_offset` auto (finds no offset|cannot tell)"):
+    with pytest.raises(
+        InputError, match=r"clock_offset` auto (finds no offset|cannot tell)"
+    ):
         find_offset(time, drive(time, 0.7), time, noise, "two files")
 
 
 def test_an_offset_needs_two_files(tmp_path: Path) -> None:
     displacement, _ = recorded(PAIRS["5 and 2 kHz"], tmp_path)
-    wishes = {"displacement": ColumnWish(None, ("displacement",), option="displacement")}
+    wishes = {
+        "displacement": ColumnWish(None, ("displacement",), option="displacement")
+    }
     with pytest.raises(UsageError, match="`clock_offset` joins two files"):
         open_log(displacement, wishes, ReadingOptions(clock_offset=1.0))
 
 
 def test_an_unsure_offset_is_refused_with_the_fifth_it_is_measured_by() -> None:
-    fit = _Fit(offset=0.3, residual=0.0, deviation=0.0019, drift=0.0, drift_deviation=1.0, about=0.0)
+    fit = _Fit(
+        offset=0.3,
+        residual=0.0,
+        deviation=0.0019,
+        drift=0.0,
+        drift_deviation=1.0,
+        about=0.0,
+    )
     message = r"two: .* 0.3 s, but uncertain by 0.0038 s, more than 0.002 s, a fifth of a sample \(give "
     with pytest.raises(InputError, match=message):
         _require_sure(fit, [], 0.01, "two")

@@ -31,19 +31,25 @@ from dbo_cli.logs.units import kind_of_unit, parse_scale, unit_factor
         (None, "V", Fraction(1)),
     ],
 )
-def test_a_unit_becomes_another_of_its_kind(unit: str | None, wanted: str, ratio: Fraction) -> None:
+def test_a_unit_becomes_another_of_its_kind(
+    unit: str | None, wanted: str, ratio: Fraction
+) -> None:
     factor = unit_factor(unit, wanted)
     assert factor is not None
     assert Fraction(factor.numerator, factor.denominator) == ratio
 
 
-@pytest.mark.parametrize(("unit", "wanted"), [("um", "V"), ("degC", "K"), ("furlong", "um"), ("counts", "V")])
+@pytest.mark.parametrize(
+    ("unit", "wanted"), [("um", "V"), ("degC", "K"), ("furlong", "um"), ("counts", "V")]
+)
 def test_unlike_units_have_no_factor(unit: str, wanted: str) -> None:
     assert unit_factor(unit, wanted) is None
 
 
 def test_degrees_become_milliradians() -> None:
-    assert float(unit_factor("deg", "mrad") or 0) == pytest.approx(17.453292519943297, rel=1e-15)
+    assert float(unit_factor("deg", "mrad") or 0) == pytest.approx(
+        17.453292519943297, rel=1e-15
+    )
     assert kind_of_unit("arcsec") == "angle"
 
 
@@ -102,13 +108,20 @@ def test_a_column_is_matched_with_a_model() -> None:
         ("Voltage=.05", "voltage", 0.05, (None, None)),
     ],
 )
-def test_scales(text: str, role: str, factor: float, units: tuple[str | None, str | None]) -> None:
+def test_scales(
+    text: str, role: str, factor: float, units: tuple[str | None, str | None]
+) -> None:
     scale = parse_scale(text)
-    assert (scale.role, float(scale.factor), (scale.unit_out, scale.unit_in)) == (role, factor, units)
+    assert (scale.role, float(scale.factor), (scale.unit_out, scale.unit_in)) == (
+        role,
+        factor,
+        units,
+    )
 
 
 @pytest.mark.parametrize(
-    "text", ["voltage", "voltage=", "=20", "voltage=x", "voltage=10um", "voltage=1,5", "a=."]
+    "text",
+    ["voltage", "voltage=", "=20", "voltage=x", "voltage=10um", "voltage=1,5", "a=."],
 )
 def test_what_is_no_scale_is_refused(text: str) -> None:
     with pytest.raises(UsageError, match="give ROLE=FACTOR or ROLE=FACTORUNIT/UNIT"):
@@ -122,10 +135,19 @@ def test_what_is_no_scale_is_refused(text: str) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("voltage=" + "7" * 5000, "voltage=" + "7" * 29 + "...: the factor is too large or too small"),
-        ("voltage=1e" + "7" * 5000, "voltage=1e" + "7" * 27 + "...: the factor is too large or too small"),
+        (
+            "voltage=" + "7" * 5000,
+            "voltage=" + "7" * 29 + "...: the factor is too large or too small",
+        ),
+        (
+            "voltage=1e" + "7" * 5000,
+            "voltage=1e" + "7" * 27 + "...: the factor is too large or too small",
+        ),
         ("voltage=1e-260", "voltage=1e-260: the factor is too large or too small"),
-        ("voltage=1e260nm/V", "voltage=1e260nm/V: the factor is too large or too small"),
+        (
+            "voltage=1e260nm/V",
+            "voltage=1e260nm/V: the factor is too large or too small",
+        ),
         (
             "voltage=0." + "0" * 5000,
             "voltage=0." + "0" * 27 + "...: a factor of 0 leaves nothing of the signal",
@@ -143,7 +165,9 @@ def test_a_factor_may_have_many_digits() -> None:
     assert float(parse_scale("voltage=" + "0" * 700 + "2").factor) == 2.0
 
 
-@pytest.mark.parametrize("text", ["9" * 5000 + "s", "1" + "0" * 300 + "h", "0." + "0" * 5000 + "1s"])
+@pytest.mark.parametrize(
+    "text", ["9" * 5000 + "s", "1" + "0" * 300 + "h", "0." + "0" * 5000 + "1s"]
+)
 def test_a_time_unit_beyond_the_arithmetic_is_refused(text: str) -> None:
     with pytest.raises(UsageError) as raised:
         ReadingOptions(time_unit=text)
@@ -152,24 +176,41 @@ def test_a_time_unit_beyond_the_arithmetic_is_refused(text: str) -> None:
     )
 
 
-def read(folder: Path, header: str, *scale: str) -> tuple[list[float], list[float], str]:
+def read(
+    folder: Path, header: str, *scale: str
+) -> tuple[list[float], list[float], str]:
     path = folder / "log.csv"
     path.write_text(f"time_s,{header}\n0,1,3\n0.001,2,5\n")
-    want = {role: column_wish(role, option=role) for role in ("voltage", "displacement")}
+    want = {
+        role: column_wish(role, option=role) for role in ("voltage", "displacement")
+    }
     with open_log(str(path), want, ReadingOptions(scale=scale)) as log:
         block = log.read()
     units = f"{log.columns['voltage'].unit} {log.columns['displacement'].unit}"
-    return block.values["voltage"].tolist(), block.values["displacement"].tolist(), units
+    return (
+        block.values["voltage"].tolist(),
+        block.values["displacement"].tolist(),
+        units,
+    )
 
 
 def test_scales_are_applied_to_their_role(tmp_path: Path) -> None:
     assert read(tmp_path, "monitor voltage_V,sensor_V", "voltage=20", "displacement=10um/V") == (
         [20.0, 40.0], [30.0, 50.0], "V um",
     )  # fmt: skip
-    assert read(tmp_path, "u,sensor_mV", "displacement=10um/V") == ([1.0, 2.0], [0.03, 0.05], "None um")
-    with pytest.raises(InputError, match=r"'sensor_nm' is in nm, but `scale` displacement=10um/V takes V"):
+    assert read(tmp_path, "u,sensor_mV", "displacement=10um/V") == (
+        [1.0, 2.0],
+        [0.03, 0.05],
+        "None um",
+    )
+    with pytest.raises(
+        InputError,
+        match=r"'sensor_nm' is in nm, but `scale` displacement=10um/V takes V",
+    ):
         read(tmp_path, "u,sensor_nm", "displacement=10um/V")
-    with pytest.raises(UsageError, match="there is no drive here, but voltage, displacement"):
+    with pytest.raises(
+        UsageError, match="there is no drive here, but voltage, displacement"
+    ):
         read(tmp_path, "u,sensor_V", "drive=20")
     with pytest.raises(UsageError, match="voltage is scaled twice"):
         read(tmp_path, "u,sensor_V", "voltage=20", "voltage=2")
@@ -178,7 +219,9 @@ def test_scales_are_applied_to_their_role(tmp_path: Path) -> None:
 def test_doubtful_units_are_warned_of(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("voltage_mV,displacement\nV,furlong\n1,2\n3,4\n")
-    want = {role: column_wish(role, option=role) for role in ("voltage", "displacement")}
+    want = {
+        role: column_wish(role, option=role) for role in ("voltage", "displacement")
+    }
     with open_log(str(path), want, ReadingOptions(header_lines=2)) as log:
         assert log.warnings == [
             f"{path}: column 'voltage_mV' is in mV by its name and in V by its unit: "

@@ -15,9 +15,12 @@ from dbo_cli.reports.renderers import to_html
 from dbo_cli.reports.report import Report, ReportOptions, evaluate
 
 PROGRAM = find_browser()
-pytestmark = pytest.mark.skipif(PROGRAM is None, reason="no Chromium or Chrome is installed")
+pytestmark = pytest.mark.skipif(
+    PROGRAM is None, reason="no Chromium or Chrome is installed"
+)
 
-# the right edge of everything shown, and the leftmost and rightmost place of anything that sticks out
+# the right edge of everything shown, and the leftmost and rightmost place of anything
+# that sticks out
 OVERFLOW = """
 (() => { const width = document.documentElement.clientWidth;
   const out = [...document.querySelectorAll('body *')].filter(element => {
@@ -48,11 +51,20 @@ def page(tmp_path_factory) -> Path:
         time = np.arange(samples) / 100.0
         desired = 20.0 * np.sin(2.0 * np.pi * time / 20.0)
         figure_data = FigureData("V")
-        block = pairs(range(1, samples + 1), desired, 0.9 * desired - 12345.678, time, desired / 20.0)
+        block = pairs(
+            range(1, samples + 1),
+            desired,
+            0.9 * desired - 12345.678,
+            time,
+            desired / 20.0,
+        )
         logs.append(evaluate(name, [block], options, figure_data=figure_data))
         plots.append(figure_data)
     report = Report.of(logs, options, "um")
-    drawn = [plots_of_log(report, log, data) for log, data in zip(report.logs, plots, strict=True)]
+    drawn = [
+        plots_of_log(report, log, data)
+        for log, data in zip(report.logs, plots, strict=True)
+    ]
     path = tmp_path_factory.mktemp("page") / "report.html"
     path.write_text(to_html(report, drawn, program="dbo"), encoding="utf-8")
     return path
@@ -83,8 +95,14 @@ def test_page(browser, page, width, scheme):
         if event.get("method") == "Network.requestWillBeSent"
     ]
     assert [url for url in fetched if not url.startswith(("file:", "data:"))] == []
-    complaints = {"Log.entryAdded", "Runtime.consoleAPICalled", "Runtime.exceptionThrown"}
-    assert [event for event in browser.events if event.get("method") in complaints] == []
+    complaints = {
+        "Log.entryAdded",
+        "Runtime.consoleAPICalled",
+        "Runtime.exceptionThrown",
+    }
+    assert [
+        event for event in browser.events if event.get("method") in complaints
+    ] == []
 
 
 CHIEF = """
@@ -120,5 +138,10 @@ def test_print_is_light_and_opens_the_glossary(browser, page):
         features=[{"name": "prefers-color-scheme", "value": "dark"}],
     )
     assert browser.evaluate(COLORS) == ["rgb(255, 255, 255)", "rgb(27, 29, 34)"]
-    assert browser.evaluate("document.querySelector('details').getBoundingClientRect().height") > 200
+    assert (
+        browser.evaluate(
+            "document.querySelector('details').getBoundingClientRect().height"
+        )
+        > 200
+    )
     browser.call("Emulation.setEmulatedMedia", media="")

@@ -51,7 +51,9 @@ def log_of(samples, chunk=65536, drive=True, spike=None, options=None, unit="um"
     """Return report and figure_data of a sine with a phase lag, noise and, at one sample, a spike."""
     time = np.arange(samples) / 1000.0
     desired = 20.0 * np.sin(2.0 * np.pi * time)
-    measured = 20.0 * np.sin(2.0 * np.pi * time - 0.1) + np.random.default_rng(1).normal(0.0, 0.1, samples)
+    measured = 20.0 * np.sin(2.0 * np.pi * time - 0.1) + np.random.default_rng(
+        1
+    ).normal(0.0, 0.1, samples)
     if spike is not None:
         measured[spike] += 50.0
     figure_data = FigureData("V")
@@ -73,9 +75,15 @@ def log_of(samples, chunk=65536, drive=True, spike=None, options=None, unit="um"
 
 def model(gears=5, points=3):
     rng = np.random.default_rng(2)
-    stages = [DiscreteBacklashOperator(rng.uniform(0.2, 1.0, gears), np.sort(rng.uniform(0.2, 1.0, gears)))]
+    stages = [
+        DiscreteBacklashOperator(
+            rng.uniform(0.2, 1.0, gears), np.sort(rng.uniform(0.2, 1.0, gears))
+        )
+    ]
     if points:
-        stages.append(PointStage(rng.uniform(0.5, 1.0, points), rng.uniform(0.5, 1.0, points)))
+        stages.append(
+            PointStage(rng.uniform(0.5, 1.0, points), rng.uniform(0.5, 1.0, points))
+        )
     stages.append(ScaleStage(12.53, -22.97))
     return ActuatorModel(
         "forward",
@@ -185,7 +193,8 @@ def test_figure_data_do_not_depend_on_the_chunk_size(samples):
         first, second = whole.against_time(name), cut.against_time(name)
         assert isinstance(first, Curve) == (samples <= WHOLE)
         assert all(
-            np.array_equal(a, b) for a, b in zip(vars(first).values(), vars(second).values(), strict=True)
+            np.array_equal(a, b)
+            for a, b in zip(vars(first).values(), vars(second).values(), strict=True)
         )
     for pair in (("desired", "measured"), ("drive", "measured")):
         first, second = whole.against(*pair), cut.against(*pair)
@@ -206,7 +215,9 @@ def test_the_offset_is_taken_off_the_pixels_of_a_long_log():
             axes = Figure().add_subplot()
             plot.paint(axes)
             [image] = axes.images
-            assert image.get_extent() == pytest.approx((-20.0, 20.0, -20.0, 20.0), abs=0.2)
+            assert image.get_extent() == pytest.approx(
+                (-20.0, 20.0, -20.0, 20.0), abs=0.2
+            )
 
 
 def test_one_spike_in_a_long_log_is_kept():
@@ -220,7 +231,16 @@ def test_one_spike_in_a_long_log_is_kept():
 def test_figures_of_a_log():
     report, figure_data = log_of(3000)
     keys = [plot.key for plot in plots_of_log(report, report.logs[0], figure_data)]
-    assert keys == ["tracking", "worst", "error", "output", "loop", "histogram", "spectrum", "drive"]
+    assert keys == [
+        "tracking",
+        "worst",
+        "error",
+        "output",
+        "loop",
+        "histogram",
+        "spectrum",
+        "drive",
+    ]
     report, figure_data = log_of(3000, drive=False)
     keys = [plot.key for plot in plots_of_log(report, report.logs[0], figure_data)]
     assert keys == ["tracking", "worst", "error", "output", "histogram", "spectrum"]
@@ -228,7 +248,9 @@ def test_figures_of_a_log():
     assert len(plots_of_log(report, report.logs[0], figure_data)) == 7
 
 
-@pytest.mark.parametrize(("samples", "kind"), [(3000, "svg"), (20_000, "png"), (20_000, "inline")])
+@pytest.mark.parametrize(
+    ("samples", "kind"), [(3000, "svg"), (20_000, "png"), (20_000, "inline")]
+)
 def test_same_values_same_bytes(samples, kind):
     """Every figure in one of the three forms."""
     forms = ("svg", "png", "inline")
@@ -243,12 +265,18 @@ def test_same_values_same_bytes(samples, kind):
 def test_axes_carry_quantity_and_unit():
     report, figure_data = log_of(3000)
     texts = {
-        plot.key: re.findall(r"<text[^>]*>([^<]+)</text>", draw(plot, "inline").decode())
+        plot.key: re.findall(
+            r"<text[^>]*>([^<]+)</text>", draw(plot, "inline").decode()
+        )
         for plot in plots_of_log(report, report.logs[0], figure_data)
     }
-    assert {"Time (s)", "Displacement (µm)", "desired", "measured"} <= set(texts["tracking"])
+    assert {"Time (s)", "Displacement (µm)", "desired", "measured"} <= set(
+        texts["tracking"]
+    )
     assert {"Time (s)", "Error (µm)"} <= set(texts["error"])
-    assert {"Desired displacement (µm)", "Measured displacement (µm)"} <= set(texts["output"])
+    assert {"Desired displacement (µm)", "Measured displacement (µm)"} <= set(
+        texts["output"]
+    )
     assert {"Drive voltage (V)", "Displacement (µm)"} <= set(texts["loop"])
     assert {"Frequency (Hz)", "Error density (µm/√Hz)"} <= set(texts["spectrum"])
     assert {"Error (µm)", "Share of samples (%)"} <= set(texts["histogram"])
@@ -256,17 +284,30 @@ def test_axes_carry_quantity_and_unit():
 
 def test_logarithmic_axes_are_labelled_in_plain_letters() -> None:
     drawn = []
-    for (report, data), seen in ((log_of(3000), {"spectrum"}), (log_of(3000, spike=7), {"histogram"})):
+    for (report, data), seen in (
+        (log_of(3000), {"spectrum"}),
+        (log_of(3000, spike=7), {"histogram"}),
+    ):
         plots = {plot.key: plot for plot in plots_of_log(report, report.logs[0], data)}
         drawn += [draw(plots[key], "inline").decode() for key in seen]
     report, data = swept_log(20.0)
-    drawn += [draw(plot, "inline").decode() for plot in plots_of_log(report, report.logs[0], data)]
-    labels = [label for text in drawn for label in re.findall(r"<text[^>]*>([^<]+)</text>", text)]
+    drawn += [
+        draw(plot, "inline").decode()
+        for plot in plots_of_log(report, report.logs[0], data)
+    ]
+    labels = [
+        label
+        for text in drawn
+        for label in re.findall(r"<text[^>]*>([^<]+)</text>", text)
+    ]
     assert not [label for label in labels if "$" in label or "\\" in label]
-    assert {"2", "3", "5", "10", "20"} <= set(labels)  # the sweep spans less than two powers of ten
+    # the sweep spans less than two powers of ten
+    assert {"2", "3", "5", "10", "20"} <= set(labels)
 
 
-@pytest.mark.parametrize("ends", [(0.61, 0.95), (1.05, 1.9), (0.0004, 0.0009), (3.0, 40.0), (1e-7, 1.0)])
+@pytest.mark.parametrize(
+    "ends", [(0.61, 0.95), (1.05, 1.9), (0.0004, 0.0009), (3.0, 40.0), (1e-7, 1.0)]
+)
 def test_every_logarithmic_axis_has_labels(ends: tuple[float, float]) -> None:
     from matplotlib.figure import Figure
 
@@ -275,7 +316,9 @@ def test_every_logarithmic_axis_has_labels(ends: tuple[float, float]) -> None:
     axes.set_xlim(*ends)
     label_decades(axes.xaxis)
     ticks = [*axes.xaxis.get_ticklabels(), *axes.xaxis.get_ticklabels(minor=True)]
-    shown = [one.get_text() for one in ticks if ends[0] <= one.get_position()[0] <= ends[1]]
+    shown = [
+        one.get_text() for one in ticks if ends[0] <= one.get_position()[0] <= ends[1]
+    ]
     labels = [text for text in shown if text]
     assert 2 <= len(labels) <= 12 and len(set(labels)) == len(labels)
 
@@ -313,7 +356,10 @@ def test_page_is_self_contained_and_the_same_each_time():
     plots = plots_of_log(report, report.logs[0], figure_data)
     page = to_html(report, [plots], title="A < B & C", program="dbo < 1")
     assert page == to_html(report, [plots], title="A < B & C", program="dbo < 1")
-    assert "<title>A &lt; B &amp; C</title>" in page and "<footer>dbo &lt; 1</footer>" in page
+    assert (
+        "<title>A &lt; B &amp; C</title>" in page
+        and "<footer>dbo &lt; 1</footer>" in page
+    )
     assert "<script" not in page
     outside = [
         link
@@ -331,17 +377,38 @@ def test_page_and_style_sheet_have_the_colours_of_the_figures():
     light = (folder / "page.css").read_text().partition("@media")[0]
     variables = dict(re.findall(r"--(\w+): (#[0-9a-f]{6});", light))
     assert {variables[name]: name for name in drawing.SCHEME.values()} == drawing.SCHEME
-    used = set(re.findall(r"color: ([0-9a-f]{6})$", (folder / "figures.mplstyle").read_text(), re.MULTILINE))
+    used = set(
+        re.findall(
+            r"color: ([0-9a-f]{6})$",
+            (folder / "figures.mplstyle").read_text(),
+            re.MULTILINE,
+        )
+    )
     assert {f"#{one}" for one in used} == {drawing.INK, drawing.MUTED, drawing.RULE}
 
 
 def test_figures_of_a_model_in_both_directions():
-    assert [plot.key for plot in plots_of_model(model())] == ["gears", "slopes", "points"]
-    assert [plot.key for plot in plots_of_model(model(points=0).inverse())] == ["gears", "slopes"]
+    assert [plot.key for plot in plots_of_model(model())] == [
+        "gears",
+        "slopes",
+        "points",
+    ]
+    assert [plot.key for plot in plots_of_model(model(points=0).inverse())] == [
+        "gears",
+        "slopes",
+    ]
     bent = model()
     bent = replace(bent, stages=(PointStage([1.0, 2.6], [1.5, 2.1]), *bent.stages))
-    assert [plot.key for plot in plots_of_model(bent)] == ["gears", "slopes", "points-before", "points"]
-    assert [plot.key for plot in plots_of_model(bent.inverse())][2:] == ["points", "points-after"]
+    assert [plot.key for plot in plots_of_model(bent)] == [
+        "gears",
+        "slopes",
+        "points-before",
+        "points",
+    ]
+    assert [plot.key for plot in plots_of_model(bent.inverse())][2:] == [
+        "points",
+        "points-after",
+    ]
     text = draw(plots_of_model(model())[0], "inline").decode()
     assert "Voltage (V)" in text
     for plot in plots_of_model(model().inverse()):
@@ -367,7 +434,10 @@ def test_saved_figures(tmp_path):
         "run-worst.png",
         "run-worst.svg",
     ]
-    assert [path.name for path in written][:2] == ["run-tracking.png", "run-tracking.svg"]
+    assert [path.name for path in written][:2] == [
+        "run-tracking.png",
+        "run-tracking.svg",
+    ]
     assert written[0].read_bytes()[:4] == b"\x89PNG"
     for plot, (png, svg) in zip(plots[:2], (written[:2], written[2:]), strict=True):
         assert png.read_bytes() == draw(plot, "png", "run.csv")
@@ -385,13 +455,45 @@ def test_unwritable_figure_folder(tmp_path):
 
 
 def test_file_stems_are_different_and_plain():
-    names = ["a/run.csv", "b/run.csv", "run.h5::/trial 1", "-", "µ m.csv", "run.csv.gz", "Run.CSV"]
-    assert file_stems(names) == ["run", "run-2", "run-trial_1", "stdin", "µ_m", "run-3", "Run-4"]
+    names = [
+        "a/run.csv",
+        "b/run.csv",
+        "run.h5::/trial 1",
+        "-",
+        "µ m.csv",
+        "run.csv.gz",
+        "Run.CSV",
+    ]
+    assert file_stems(names) == [
+        "run",
+        "run-2",
+        "run-trial_1",
+        "stdin",
+        "µ_m",
+        "run-3",
+        "Run-4",
+    ]
 
 
 def test_file_stems_tell_what_the_names_tell():
-    names = ["run.1.csv", "run.2.csv", "run.10.csv.gz", "2024-05-02T10.30", "駆動.csv", ".csv", "a\\b c.dat"]
-    assert file_stems(names) == ["run.1", "run.2", "run.10", "2024-05-02T10.30", "駆動", "csv", "b_c"]
+    names = [
+        "run.1.csv",
+        "run.2.csv",
+        "run.10.csv.gz",
+        "2024-05-02T10.30",
+        "駆動.csv",
+        ".csv",
+        "a\\b c.dat",
+    ]
+    assert file_stems(names) == [
+        "run.1",
+        "run.2",
+        "run.10",
+        "2024-05-02T10.30",
+        "駆動",
+        "csv",
+        "b_c",
+    ]
 
 
 @pytest.mark.parametrize("letter", ["x", "駆", "𝄞"])
@@ -399,7 +501,9 @@ def test_file_stems_of_long_names_leave_room_in_255_bytes(letter):
     name = letter * (239 // len(letter.encode()))
     first, second = file_stems([f"{name}1.csv", f"{name}2.csv"])
     assert first != second
-    assert max(len(f"{stem}-points-before.png".encode()) for stem in (first, second)) < 160
+    assert (
+        max(len(f"{stem}-points-before.png".encode()) for stem in (first, second)) < 160
+    )
 
 
 HOSTILE = [
@@ -426,11 +530,22 @@ def reports_of(names, unit="$\\um_1$"):
 @pytest.mark.parametrize("kind", ["png", "svg", "inline"])
 def test_names_and_units_are_drawn_as_they_are_written(kind):
     report, figure_data = reports_of(HOSTILE[:6])
-    plots = plots_of_comparison(report, figure_data) + plots_of_log(report, report.logs[0], figure_data[0])
-    drawn = {plot.key: draw(plot, kind, note="$x_1$ 駆動 \x1b[0m") for plot in plots[:3]}
+    plots = plots_of_comparison(report, figure_data) + plots_of_log(
+        report, report.logs[0], figure_data[0]
+    )
+    drawn = {
+        plot.key: draw(plot, kind, note="$x_1$ 駆動 \x1b[0m") for plot in plots[:3]
+    }
     if kind == "inline":
         shown = "".join(ElementTree.fromstring(drawn["errors"].decode()).itertext())
-        for name in ("$x_1$.csv", "$\\frac{.csv", "_hidden.csv", "駆動.csv", "[31mred.csv", "<b>&.csv"):
+        for name in (
+            "$x_1$.csv",
+            "$\\frac{.csv",
+            "_hidden.csv",
+            "駆動.csv",
+            "[31mred.csv",
+            "<b>&.csv",
+        ):
             assert name in shown
         assert "Error ($\\um_1$)" in shown
 
@@ -438,7 +553,10 @@ def test_names_and_units_are_drawn_as_they_are_written(kind):
 def test_a_long_name_is_cut_to_fit_the_figure():
     report, figure_data = log_of(500)
     plot = plots_of_log(report, report.logs[0], figure_data)[0]
-    texts = re.findall(r"<text[^>]*>([^<]+)</text>", draw(plot, "inline", note="a" * 200 + ".csv").decode())
+    texts = re.findall(
+        r"<text[^>]*>([^<]+)</text>",
+        draw(plot, "inline", note="a" * 200 + ".csv").decode(),
+    )
     assert [len(text) for text in texts if text.startswith("aaa")] == [40]
     assert any(text.endswith("a.csv") for text in texts)
 
@@ -446,11 +564,17 @@ def test_a_long_name_is_cut_to_fit_the_figure():
 def test_errors_of_all_logs_stand_in_one_figure():
     report, figure_data = reports_of(["before.csv", "after.csv"], "um")
     [plot] = plots_of_comparison(report, figure_data)
-    assert (plot.key, plot.title, plot.head) == ("errors", "Error of all logs against time", 0.0)
+    assert (plot.key, plot.title, plot.head) == (
+        "errors",
+        "Error of all logs against time",
+        0.0,
+    )
     texts = re.findall(r"<text[^>]*>([^<]+)</text>", draw(plot, "inline").decode())
     assert {"before.csv", "after.csv", "Error (µm)", "Time (s)"} <= set(texts)
     assert plots_of_comparison(*reports_of(["alone.csv"])) == []
-    report, figure_data = reports_of([f"recording_number_{k}_of_many.csv" for k in range(8)], "um")
+    report, figure_data = reports_of(
+        [f"recording_number_{k}_of_many.csv" for k in range(8)], "um"
+    )
     [plot] = plots_of_comparison(report, figure_data)
     assert plot.title == "Error of the first 6 of 8 logs against time"
     assert plot.head == pytest.approx(5 * 0.17)
@@ -471,8 +595,13 @@ def test_logs_that_begin_at_different_times_are_drawn_from_their_own_beginning()
 
 
 def test_short_names_do_not_break_on_the_page_and_long_ones_behind_a_separator():
-    assert breakable("compensated_run_1.csv") == '<span class="name">compensated_run_1.csv</span>'
-    pieces = re.findall(r">([^<]+)</span>", breakable("recordings/2024-05-02/a-rather-long-name_3.csv"))
+    assert (
+        breakable("compensated_run_1.csv")
+        == '<span class="name">compensated_run_1.csv</span>'
+    )
+    pieces = re.findall(
+        r">([^<]+)</span>", breakable("recordings/2024-05-02/a-rather-long-name_3.csv")
+    )
     assert "".join(pieces) == "recordings/2024-05-02/a-rather-long-name_3.csv"
     assert "name_" in pieces and "2024-" in pieces
     assert max(map(len, re.findall(r">([^<]+)</span>", breakable("x" * 239)))) == 28
@@ -498,12 +627,16 @@ print(len(data))
         temporary.mkdir()
         script = self.SCRIPT.format(tests=os.path.dirname(__file__))
         given = {**os.environ, "TMPDIR": str(temporary), **environment}
-        done = subprocess.run([sys.executable, "-c", script], env=given, capture_output=True, text=True)
+        done = subprocess.run(
+            [sys.executable, "-c", script], env=given, capture_output=True, text=True
+        )
         assert (done.returncode, done.stderr) == (0, "")
         assert int(done.stdout) > 1000
         assert os.listdir(temporary) == []
 
-    @pytest.mark.parametrize("backend", ["module://matplotlib_inline.backend_inline", "nonsense", "tkagg"])
+    @pytest.mark.parametrize(
+        "backend", ["module://matplotlib_inline.backend_inline", "nonsense", "tkagg"]
+    )
     def test_a_notebooks_backend(self, tmp_path, backend):
         self.run(tmp_path, MPLBACKEND=backend)
 
@@ -514,7 +647,9 @@ print(len(data))
     def test_a_home_that_cannot_be_written(self, tmp_path):
         (tmp_path / "file").write_text("")
         home = str(tmp_path / "file" / "home")
-        self.run(tmp_path, HOME=home, XDG_CONFIG_HOME="", XDG_CACHE_HOME="", MPLCONFIGDIR="")
+        self.run(
+            tmp_path, HOME=home, XDG_CONFIG_HOME="", XDG_CACHE_HOME="", MPLCONFIGDIR=""
+        )
 
     def test_the_users_own_settings_change_nothing(self, tmp_path, monkeypatch):
         report, figure_data = log_of(500)
@@ -522,7 +657,9 @@ print(len(data))
         before = draw(plot, "svg")
         import matplotlib
 
-        with matplotlib.rc_context({"lines.linewidth": 9.0, "axes.spines.top": True, "font.size": 30.0}):
+        with matplotlib.rc_context(
+            {"lines.linewidth": 9.0, "axes.spines.top": True, "font.size": 30.0}
+        ):
             assert draw(plot, "svg") == before
             assert matplotlib.rcParams["font.size"] == 30.0
 
@@ -533,7 +670,9 @@ def swept_log(to: float) -> tuple[Report, FigureData]:
     frequency = np.geomspace(1.0, to, time.size)
     desired = 10.0 * np.sin(2.0 * np.pi * np.cumsum(frequency) / 1000.0)
     figure_data = FigureData(None)
-    block = pairs(range(time.size), desired, desired * (1.0 + 1e-3 * frequency**2), time, None)
+    block = pairs(
+        range(time.size), desired, desired * (1.0 + 1e-3 * frequency**2), time, None
+    )
     options = ReportOptions(segment="cycles")
     log = evaluate("sweep.csv", [block], options, figure_data=figure_data)
     return Report.of([log], options, "um"), figure_data
@@ -550,28 +689,45 @@ def test_the_error_is_drawn_against_frequency_where_segments_differ_in_it() -> N
     assert b"<svg" in draw(plots["frequency"], "svg")
     assert "frequency_hz" in report.logs[0].segments[0].record()
     report, data = swept_log(1.2)
-    assert "frequency" not in {plot.key for plot in plots_of_log(report, report.logs[0], data)}
+    assert "frequency" not in {
+        plot.key for plot in plots_of_log(report, report.logs[0], data)
+    }
 
 
-def test_the_response_of_a_model_with_dynamics_is_drawn_with_what_was_measured() -> None:
+def test_the_response_of_a_model_with_dynamics_is_drawn_with_what_was_measured() -> (
+    None
+):
     gears = DiscreteBacklashOperator([1.0, 1.0], [1.0, 2.0], 0.0, 0.0)
-    quantities = Quantity("voltage", "V", 0.0, 2.0), Quantity("displacement", "um", 0.0, 3.0)
+    quantities = (
+        Quantity("voltage", "V", 0.0, 2.0),
+        Quantity("displacement", "um", 0.0, 3.0),
+    )
     lag, mode = DynamicsStage((Lag(1e-3),)), DynamicsStage((Resonance(100.0, 0.05),))
     response = {
         "frequency": [10.0, 99.0, 150.0],
         "gain": [2.0, 18.0, 1.6],
         "phase_degrees": [-5.0, -100, -190],
     }
-    for fit in ({}, {"dynamics": {"response": response}, "trusted_hz": 70.0}, {"dynamics": {"response": 3}}):
+    for fit in (
+        {},
+        {"dynamics": {"response": response}, "trusted_hz": 70.0},
+        {"dynamics": {"response": 3}},
+    ):
         model = ActuatorModel("forward", *quantities, (lag, gears, mode), fit)
         for one in (model, model.inverse()):
             plots = {plot.key: plot for plot in plots_of_model(one)}
-            shown = {key: draw(plots[key], "inline").decode() for key in ("bode", "bode-phase")}
+            shown = {
+                key: draw(plots[key], "inline").decode()
+                for key in ("bode", "bode-phase")
+            }
             for text in shown.values():
-                assert "model" in text and ("trusted up to" in text) == ("trusted_hz" in fit)
-                assert ("measured" in re.sub(r"<title.*?</title>|aria-label=\"[^\"]*\"", "", text)) == (
+                assert "model" in text and ("trusted up to" in text) == (
                     "trusted_hz" in fit
                 )
+                assert (
+                    "measured"
+                    in re.sub(r"<title.*?</title>|aria-label=\"[^\"]*\"", "", text)
+                ) == ("trusted_hz" in fit)
     bare = ActuatorModel("forward", *quantities, (gears,))
     assert "bode" not in {plot.key for plot in plots_of_model(bare)}
 
@@ -582,7 +738,13 @@ def report_of(names, percents, unit="um"):
     logs = []
     for name, percent in zip(names, percents, strict=True):
         rmse = 1.0 if percent is None else percent / 10.0
-        logs.append(replace(one, name=name, figures=replace(one.figures, rmse=rmse, nrmse_percent=percent)))
+        logs.append(
+            replace(
+                one,
+                name=name,
+                figures=replace(one.figures, rmse=rmse, nrmse_percent=percent),
+            )
+        )
     return Report.of(logs, ReportOptions(), unit)
 
 
@@ -594,18 +756,26 @@ def painted(plot):
     return axes
 
 
-@pytest.mark.parametrize("count, spread", [(1, 0.0), (3, 1.0), (128, 1.0), (128, 100.0)])
+@pytest.mark.parametrize(
+    "count, spread", [(1, 0.0), (3, 1.0), (128, 1.0), (128, 100.0)]
+)
 def test_the_bars_of_a_histogram_add_up_to_the_channels(count, spread):
     percents = 1.0 + spread * np.random.default_rng(4).uniform(0.0, 1.0, count)
     report = report_of(map(str, range(1, count + 1)), percents)
     for plot, unit, values in zip(
-        plots_of_channels(report), ("% of the move", "µm"), (percents, percents / 10), strict=False
+        plots_of_channels(report),
+        ("% of the move", "µm"),
+        (percents, percents / 10),
+        strict=False,
     ):
         axes = painted(plot)
         assert sum(bar.get_height() for bar in axes.patches) == count
         assert axes.get_xlabel() == f"RMSE ({unit})"
         assert axes.get_xscale() == ("log" if spread > 30.0 else "linear")
-        assert [line.get_xdata()[0] for line in axes.lines] == [np.median(values), values.max()]
+        assert [line.get_xdata()[0] for line in axes.lines] == [
+            np.median(values),
+            values.max(),
+        ]
 
 
 def test_a_map_of_numbered_channels_leaves_those_that_failed_blank():
@@ -614,11 +784,18 @@ def test_a_map_of_numbered_channels_leaves_those_that_failed_blank():
     *_, plot = plots_of_channels(report_of(names, percents))
     axes = painted(plot)
     cells = axes.images[0].get_array()
-    assert cells.shape == (4, 8) and plot.key == "map" and "8 numbers a row" in plot.title
+    assert (
+        cells.shape == (4, 8) and plot.key == "map" and "8 numbers a row" in plot.title
+    )
     assert np.flatnonzero(cells.mask).tolist() == [4]  # 5 is missing
     assert (cells[1, 0], axes.patches[0].get_xy()) == (7.5, (-0.5, 0.5))  # 9, the worst
     assert "worst: 9, 7.50 %, 0.750 µm" in plot.words
-    assert [label.get_text() for label in axes.get_yticklabels()] == ["1", "9", "17", "25"]
+    assert [label.get_text() for label in axes.get_yticklabels()] == [
+        "1",
+        "9",
+        "17",
+        "25",
+    ]
 
 
 def test_few_or_named_channels_are_bars_in_their_order():
@@ -627,15 +804,28 @@ def test_few_or_named_channels_are_bars_in_their_order():
     others, worst = (bars.get_data().values[::2] for bars in axes.patches)
     assert (others.tolist(), worst.tolist()) == ([0.0, 2.0, 0.0], [0.0, 0.0, 3.0])
     assert [text.get_text() for text in axes.texts] == ["1", "2", "10"]
-    *_, plot = plots_of_channels(report_of([f"long name of {k}" for k in range(300)], np.ones(300)))
+    *_, plot = plots_of_channels(
+        report_of([f"long name of {k}" for k in range(300)], np.ones(300))
+    )
     assert len(painted(plot).texts) < 10
-    histogram, plot = plots_of_channels(report_of(["x", "y"], [None, None], None))  # no range: in the unit
-    assert (painted(plot).get_ylabel(), painted(histogram).get_xlabel()) == ("RMSE", "RMSE")
+    # no range: in the unit
+    histogram, plot = plots_of_channels(report_of(["x", "y"], [None, None], None))
+    assert (painted(plot).get_ylabel(), painted(histogram).get_xlabel()) == (
+        "RMSE",
+        "RMSE",
+    )
     assert plot.words == "A bar a channel; worst: x, 1.00."
 
 
 def test_rows_of_a_map_are_full_where_they_can_be():
-    assert [row_width(count) for count in (12, 25, 97, 127, 128, 5000)] == [4, 5, 10, 12, 16, 100]
+    assert [row_width(count) for count in (12, 25, 97, 127, 128, 5000)] == [
+        4,
+        5,
+        10,
+        12,
+        16,
+        100,
+    ]
 
 
 def test_rows_whose_drive_is_no_number_are_drawn_nowhere() -> None:
@@ -644,17 +834,24 @@ def test_rows_whose_drive_is_no_number_are_drawn_nowhere() -> None:
     voltage = 10.0 * desired
     voltage[[0, 3, 50]] = np.nan
     data = FigureData("V")
-    data.add(pairs(np.arange(1, 101), desired, desired + 0.1, 0.01 * np.arange(100), voltage))
+    data.add(
+        pairs(np.arange(1, 101), desired, desired + 0.1, 0.01 * np.arange(100), voltage)
+    )
     data.finish(ErrorDistribution())
     assert (data.samples, data.has_drive) == (97, True)
     assert data.start == 0.01
     drive = data.against_time("drive")
     assert isinstance(drive, Curve)
     assert drive.y.tolist() == np.delete(voltage, [0, 3, 50]).tolist()
-    assert data.against_time("measured").y.tolist() == np.delete(desired + 0.1, [0, 3, 50]).tolist()
+    assert (
+        data.against_time("measured").y.tolist()
+        == np.delete(desired + 0.1, [0, 3, 50]).tolist()
+    )
 
 
-@pytest.mark.parametrize("name", ["run.csv", "scan_of_sample_17_after_conditioning_2026-11-24.csv"])
+@pytest.mark.parametrize(
+    "name", ["run.csv", "scan_of_sample_17_after_conditioning_2026-11-24.csv"]
+)
 def test_a_file_name_and_a_legend_never_lie_on_one_another(name):
     report, figure_data = log_of(2000, spike=3)
     with drawing.styled():
@@ -665,7 +862,9 @@ def test_a_file_name_and_a_legend_never_lie_on_one_another(name):
             note = axes.title if axes.title.get_text() else axes._right_title
             legend, bounds = axes.get_legend(), figure.bbox
             box = note.get_window_extent()
-            assert bounds.x0 <= box.x0 and box.x1 <= bounds.x1 and box.y1 <= bounds.y1, plot.key
+            assert (
+                bounds.x0 <= box.x0 and box.x1 <= bounds.x1 and box.y1 <= bounds.y1
+            ), plot.key
             if legend is not None:
                 named = legend.get_window_extent()
                 assert not box.overlaps(named), plot.key
@@ -674,9 +873,13 @@ def test_a_file_name_and_a_legend_never_lie_on_one_another(name):
 
 def test_the_finer_figure_shows_the_log_and_nothing_beside_it():
     report, figure_data = log_of(2000, spike=3)
-    plots = {plot.key: plot for plot in plots_of_log(report, report.logs[0], figure_data)}
+    plots = {
+        plot.key: plot for plot in plots_of_log(report, report.logs[0], figure_data)
+    }
     with drawing.styled():
-        finer = drawing._painted(plots["worst"], "", as_outlines=True).axes[0].get_xlim()
+        finer = (
+            drawing._painted(plots["worst"], "", as_outlines=True).axes[0].get_xlim()
+        )
     margin = 0.02  # s, of a log of 2 s
     assert -margin < finer[0] < 0.003
     assert finer[1] - finer[0] == pytest.approx((2.0 + 2.0 * margin) / 10.0, rel=0.02)

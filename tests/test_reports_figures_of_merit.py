@@ -11,7 +11,12 @@ from hypothesis import strategies as st
 from trials import pairs
 
 from dbo_cli.reports.accumulators import CompensatedSum, ErrorDistribution
-from dbo_cli.reports.figures_of_merit import LoopWidth, PhaseLag, TrackingFigures, TrackingMetrics
+from dbo_cli.reports.figures_of_merit import (
+    LoopWidth,
+    PhaseLag,
+    TrackingFigures,
+    TrackingMetrics,
+)
 from dbo_cli.reports.sample_pairs import BATCH, Batches
 
 
@@ -20,7 +25,9 @@ def figures_of(desired, measured, chunk=None, **options) -> TrackingFigures:
     chunk = chunk or max(len(desired), 1)
     for start in range(0, len(desired), chunk):
         part = slice(start, start + chunk)
-        metrics.add(pairs(range(1, len(desired) + 1)[part], desired[part], measured[part]))
+        metrics.add(
+            pairs(range(1, len(desired) + 1)[part], desired[part], measured[part])
+        )
     result = metrics.result()
     assert result is not None
     return result
@@ -45,9 +52,13 @@ def test_by_hand():
 
 def test_offset_removed():
     desired = sine(1000, 200)
-    figures = figures_of(desired, desired - 96.25 + 0.5 * np.sign(desired), remove_offset=True)
+    figures = figures_of(
+        desired, desired - 96.25 + 0.5 * np.sign(desired), remove_offset=True
+    )
     assert figures.mean == 0.0
-    assert figures.offset == pytest.approx(np.mean(0.5 * np.sign(desired)) - 96.25, abs=1e-12)
+    assert figures.offset == pytest.approx(
+        np.mean(0.5 * np.sign(desired)) - 96.25, abs=1e-12
+    )
     assert figures.rmse == pytest.approx(np.std(0.5 * np.sign(desired)), abs=1e-12)
 
 
@@ -56,7 +67,10 @@ def test_the_largest_error_is_that_once_the_offset_is_off():
     error = np.array([10.0, 10.0, 12.0, 10.0, 10.0, 4.0, 10.0, 10.0, 10.0])
     figures = figures_of(desired, desired + error, remove_offset=True)
     assert figures.offset == pytest.approx(86.0 / 9.0)
-    assert (figures.max_abs, figures.max_abs_row) == (pytest.approx(86.0 / 9.0 - 4.0), 6)
+    assert (figures.max_abs, figures.max_abs_row) == (
+        pytest.approx(86.0 / 9.0 - 4.0),
+        6,
+    )
     kept = figures_of(desired, desired + error)
     assert (kept.max_abs, kept.max_abs_row) == (12.0, 3)
 
@@ -64,7 +78,12 @@ def test_the_largest_error_is_that_once_the_offset_is_off():
 def test_perfect_tracking_is_exactly_zero():
     desired = sine(5000, 300) + 1e6
     figures = figures_of(desired, desired)
-    assert (figures.rmse, figures.max_abs, figures.mean, figures.p95_abs) == (0.0, 0.0, 0.0, 0.0)
+    assert (figures.rmse, figures.max_abs, figures.mean, figures.p95_abs) == (
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    )
     assert figures.loop_width == 0.0
 
 
@@ -82,14 +101,22 @@ def test_samples_that_are_not_numbers_are_left_out_and_counted():
     measured[[3, 50]] = np.nan
     desired[7] = np.inf
     figures = figures_of(desired, measured)
-    assert (figures.samples, figures.not_finite, figures.rmse) == (97, 3, pytest.approx(1.0, abs=1e-12))
+    assert (figures.samples, figures.not_finite, figures.rmse) == (
+        97,
+        3,
+        pytest.approx(1.0, abs=1e-12),
+    )
 
 
 @pytest.mark.parametrize("scale", [5e-324, 1e-300, 1e-150, 1e-9, 1e69])
 def test_no_scale_breaks_it(scale):
     desired = sine(500, 100, amplitude=1.0) * scale
-    figures = figures_of(desired, desired + np.where(np.arange(500) % 2, scale, -scale) * 0.25)
-    assert all(value is None or math.isfinite(value) for value in vars(figures).values())
+    figures = figures_of(
+        desired, desired + np.where(np.arange(500) % 2, scale, -scale) * 0.25
+    )
+    assert all(
+        value is None or math.isfinite(value) for value in vars(figures).values()
+    )
     if scale >= 1e-150:
         assert figures.rmse == pytest.approx(0.25 * scale, rel=1e-12)
 
@@ -97,7 +124,9 @@ def test_no_scale_breaks_it(scale):
 @pytest.mark.parametrize("scale", [1e71, 1e308, np.inf])
 def test_beyond_what_can_be_squared_counts_as_no_number(scale):
     metrics = TrackingMetrics()
-    metrics.add(pairs(range(1, 4), np.array([1.0, scale, 2.0]), np.array([1.0, 1.0, -scale])))
+    metrics.add(
+        pairs(range(1, 4), np.array([1.0, scale, 2.0]), np.array([1.0, 1.0, -scale]))
+    )
     figures = metrics.result()
     assert figures is not None
     assert (figures.samples, figures.not_finite, metrics.missing) == (1, 2, [1, 1])
@@ -113,7 +142,12 @@ def test_no_number_at_all():
 
 def test_one_sample():
     figures = figures_of(np.array([1.0]), np.array([1.5]))
-    assert (figures.samples, figures.rmse, figures.lag_left, figures.sample_period) == (1, 0.5, None, None)
+    assert (figures.samples, figures.rmse, figures.lag_left, figures.sample_period) == (
+        1,
+        0.5,
+        None,
+        None,
+    )
 
 
 def test_time_of_the_largest_error_and_sample_period():
@@ -146,8 +180,12 @@ def test_many_samples_agree_with_numpy():
     error = measured - desired
     assert figures.offset == pytest.approx(error.mean(), rel=1e-13)
     assert figures.rmse == pytest.approx(error.std(), rel=1e-13)
-    assert figures.max_abs == pytest.approx(np.abs(error - error.mean()).max(), rel=1e-13)
-    assert figures.p95_abs == pytest.approx(np.quantile(np.abs(error - error.mean()), 0.95), rel=2e-3)
+    assert figures.max_abs == pytest.approx(
+        np.abs(error - error.mean()).max(), rel=1e-13
+    )
+    assert figures.p95_abs == pytest.approx(
+        np.quantile(np.abs(error - error.mean()), 0.95), rel=2e-3
+    )
 
 
 class TestErrorDistribution:
@@ -167,7 +205,9 @@ class TestErrorDistribution:
         for part in np.split(error, 3):
             distribution.add(part)
         exact = np.sort(np.abs(error))[math.ceil(0.95 * len(error)) - 1]
-        assert distribution.quantile_abs(0.95) == pytest.approx(exact, abs=2e-3 * (abs(exact) + scale))
+        assert distribution.quantile_abs(0.95) == pytest.approx(
+            exact, abs=2e-3 * (abs(exact) + scale)
+        )
         values, counts = distribution.values()
         assert counts.sum() == len(error)
         assert np.all(np.diff(values) > 0.0)
@@ -192,11 +232,14 @@ class TestLoopWidth:
         return None if loop is None else loop.width
 
     def test_of_a_play_is_its_width(self):
-        # up: the output is 1.5 too low, down: 1.5 too high; it lags behind, so the width is positive
+        # up: the output is 1.5 too low, down: 1.5 too high; it lags behind, so the
+        # width is positive
         desired = sine(20000, 400)
         measured = desired - 1.5 * np.sign(np.gradient(desired))
         assert self.loop(desired, measured) == pytest.approx(3.0, abs=1e-12)
-        assert self.loop(desired, desired + (desired - measured)) == pytest.approx(-3.0, abs=1e-12)
+        assert self.loop(desired, desired + (desired - measured)) == pytest.approx(
+            -3.0, abs=1e-12
+        )
 
     def test_none_where_only_one_direction_was_seen(self):
         desired = np.linspace(0.0, 1.0, 1000)
@@ -206,7 +249,9 @@ class TestLoopWidth:
     def test_range_need_not_be_known(self, growth):
         desired = sine(4000, 200) * np.geomspace(1.0, growth, 4000) + 100.0
         measured = desired - 0.25 * np.sign(np.gradient(desired))
-        assert self.loop(desired, measured, 50) == pytest.approx(0.5, abs=1e-6 * max(growth, 1.0))
+        assert self.loop(desired, measured, 50) == pytest.approx(
+            0.5, abs=1e-6 * max(growth, 1.0)
+        )
 
     def test_rest_counts_for_neither_direction(self):
         desired = np.concatenate([np.zeros(500), sine(4000, 200), np.zeros(500)])
@@ -224,7 +269,9 @@ class TestPhaseLag:
     @pytest.mark.parametrize("samples", [130, 200, 730])
     def test_exact_for_a_sine_of_any_amplitude_and_length(self, phase, samples):
         period = 200.0
-        lag, degrees = self.lag(sine(samples, period), 0.7 * sine(samples, period, phase) + 3.0)
+        lag, degrees = self.lag(
+            sine(samples, period), 0.7 * sine(samples, period, phase) + 3.0
+        )
         assert lag == pytest.approx(phase / (2.0 * np.pi) * period, abs=1e-9)
         assert degrees == pytest.approx(math.degrees(phase), abs=1e-9)
 
@@ -259,8 +306,12 @@ def test_batches_keep_every_sample_in_order(lengths, size):
     assert list(batches.rest()) == []
     empty = np.empty(0)
     for role, values in (("desired", stream), ("measured", -stream)):
-        assert np.array_equal(np.concatenate([empty, *(x.values[role] for x in [*seen, *rest])]), values)
-    assert np.array_equal(np.concatenate([empty, *(x.rows for x in [*seen, *rest])]), stream + 1.0)
+        assert np.array_equal(
+            np.concatenate([empty, *(x.values[role] for x in [*seen, *rest])]), values
+        )
+    assert np.array_equal(
+        np.concatenate([empty, *(x.rows for x in [*seen, *rest])]), stream + 1.0
+    )
 
 
 def test_compensated_sum_keeps_what_rounding_takes():
@@ -277,4 +328,8 @@ def test_the_range_is_that_of_all_batches():
     metrics.add(pairs(range(1, len(desired) + 1), desired, desired + 1.0))
     figures = metrics.result()
     assert figures is not None
-    assert (figures.desired_min, figures.desired_max, figures.nrmse_percent) == (-4.0, 6.0, 10.0)
+    assert (figures.desired_min, figures.desired_max, figures.nrmse_percent) == (
+        -4.0,
+        6.0,
+        10.0,
+    )

@@ -26,7 +26,9 @@ def figures_of(desired, measured, chunk=None) -> TrackingFigures:
     chunk = chunk or len(desired)
     for start in range(0, len(desired), chunk):
         part = slice(start, start + chunk)
-        metrics.add(pairs(range(1, len(desired) + 1)[part], desired[part], measured[part]))
+        metrics.add(
+            pairs(range(1, len(desired) + 1)[part], desired[part], measured[part])
+        )
     result = metrics.result()
     assert result is not None
     return result
@@ -82,13 +84,17 @@ def test_a_loop_shows_however_the_desired_signal_is_written(how, period):
     wish = sine(8000, period)
     smooth = figures_of(wish, play(wish))
     figures = figures_of(AS_WANTED[how](wish), play(wish))
-    assert figures.loop_width == pytest.approx(TRUE_LOOP, abs=0.06 if "2 %" in how else 0.04)
+    assert figures.loop_width == pytest.approx(
+        TRUE_LOOP, abs=0.06 if "2 %" in how else 0.04
+    )
     assert figures.lag_left == pytest.approx(smooth.lag_left, rel=0.06)
     assert figures.loop_noise is not None
     assert figures.loop_noise < 0.3 * TRUE_LOOP
 
 
-@pytest.mark.parametrize("how", ["of 8 bits", "staircase", "held for 10", "held for 50"])
+@pytest.mark.parametrize(
+    "how", ["of 8 bits", "staircase", "held for 10", "held for 50"]
+)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_loop_shows_where_the_mechanism_follows_the_steps(shape, how):
     steps = AS_WANTED[how](SHAPES[shape]())
@@ -100,13 +106,17 @@ def test_a_loop_shows_where_the_mechanism_follows_the_steps(shape, how):
 
 def test_one_pass_over_a_staircase_has_a_loop():
     steps = rounded(sine(1000, 1000), 20)
-    assert figures_of(steps, play(steps)).loop_width == pytest.approx(TRUE_LOOP, abs=1e-9)
+    assert figures_of(steps, play(steps)).loop_width == pytest.approx(
+        TRUE_LOOP, abs=1e-9
+    )
 
 
 def test_compensated_too_much_is_negative_however_it_is_written():
     wish = sine(8000)
     for write in AS_WANTED.values():
-        assert figures_of(write(wish), 2.0 * wish - play(wish)).loop_width == pytest.approx(-0.5, abs=0.06)
+        assert figures_of(
+            write(wish), 2.0 * wish - play(wish)
+        ).loop_width == pytest.approx(-0.5, abs=0.06)
 
 
 @pytest.mark.parametrize("samples", [4000, 40_000])
@@ -141,7 +151,9 @@ def test_any_block_size_gives_the_same_bits(how, chunk):
 
 
 def test_a_long_rest_in_between_costs_no_memory_and_no_loop():
-    wish = np.concatenate([sine(2250, 1000), np.full(5 * BATCH, 10.0), sine(4000, 1000)[500:]])
+    wish = np.concatenate(
+        [sine(2250, 1000), np.full(5 * BATCH, 10.0), sine(4000, 1000)[500:]]
+    )
     figures = figures_of(wish, play(wish))
     assert figures.loop_width == pytest.approx(TRUE_LOOP, abs=1e-6)
 
@@ -186,7 +198,9 @@ class TestDirectionTracker:
         assert np.mean(ways == slope) > 0.75
 
     def test_noise_does_not_turn(self):
-        rising = np.linspace(0.0, 10.0, 20_000) + np.random.default_rng(5).normal(0.0, 0.05, 20_000)
+        rising = np.linspace(0.0, 10.0, 20_000) + np.random.default_rng(5).normal(
+            0.0, 0.05, 20_000
+        )
         assert -1 not in self.ways(rising)
         assert self.ways(rising).count(1) > 18_000
         assert self.ways(-rising).count(-1) > 18_000
@@ -208,8 +222,12 @@ def test_monotone_ends():
 def test_hold_length():
     wish = sine(4000)
     assert hold_length(held(wish, 10), wish) == 10.0
-    assert hold_length(held(wish, 10), held(wish, 10)) == 1.0, "the mechanism steps, too"
-    late = np.convolve(held(wish, 50), np.exp(-np.arange(400) / 8.0) * (1.0 - np.exp(-1.0 / 8.0)))[:4000]
+    assert hold_length(held(wish, 10), held(wish, 10)) == 1.0, (
+        "the mechanism steps, too"
+    )
+    late = np.convolve(
+        held(wish, 50), np.exp(-np.arange(400) / 8.0) * (1.0 - np.exp(-1.0 / 8.0))
+    )[:4000]
     assert hold_length(held(wish, 50), late) == 1.0, "the mechanism follows each step"
     assert hold_length(rounded(wish, 255), wish) == 1.0
     assert hold_length(wish, wish) == 1.0
@@ -219,14 +237,17 @@ def test_hold_length():
 def test_bins_that_are_doubled_keep_their_places() -> None:
     """A range that grows from a place with an odd number: every sample stays in the bin of its value."""
     width = LoopWidth()
-    signal = np.concatenate([np.linspace(first, first + 0.4, 500) for first in (3.3, 3.7, 4.1)])
+    signal = np.concatenate(
+        [np.linspace(first, first + 0.4, 500) for first in (3.3, 3.7, 4.1)]
+    )
     signal = np.concatenate([signal, np.linspace(4.6, 70.0, 2000)])
     for batch in np.array_split(signal, 40):
         width.add(batch, np.zeros(len(batch)))
     counted = width._sums[0] + width._sums[2] + width._sums[4]
     places = np.floor(signal / width._bins.width).astype(int) - width._bins.first
     expected = np.bincount(places, minlength=len(counted))
-    assert np.abs(counted - expected).sum() <= 2  # the very first sample has no direction yet
+    # the very first sample has no direction yet
+    assert np.abs(counted - expected).sum() <= 2
     assert expected.max() > 500
 
 
@@ -247,16 +268,19 @@ def test_a_value_held_from_one_batch_into_the_next_counts_once():
 
 
 def test_what_is_open_at_the_end_of_a_batch_counts_once_its_way_is_known():
-    stairs = np.arange(2 * BATCH) // 1000.0  # a step of 1,000 samples lies across the end of the first batch
+    # a step of 1,000 samples lies across the end of the first batch
+    stairs = np.arange(2 * BATCH) // 1000.0
     desired = np.concatenate([stairs, stairs[::-1]])
     error = np.zeros(len(desired))
-    error[BATCH // 1000 * 1000 + 1 : BATCH] = 1.0  # of the batch's last step all but its first sample
+    # of the batch's last step all but its first sample
+    error[BATCH // 1000 * 1000 + 1 : BATCH] = 1.0
     width = LoopWidth()
     for part in np.split(np.arange(len(desired)), 4):
         width.add(desired[part], error[part])
     loop = width.loop()
     assert loop is not None
-    assert loop.width == pytest.approx(-(BATCH % 1000 - 1) / 2000.0, rel=1e-12)  # a bin holds two steps
+    # a bin holds two steps
+    assert loop.width == pytest.approx(-(BATCH % 1000 - 1) / 2000.0, rel=1e-12)
 
 
 def test_the_lag_loses_no_sample_between_two_batches():

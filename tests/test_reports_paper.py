@@ -10,7 +10,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PAPER = Path(os.environ.get("DBO_PAPER_DATA", ROOT.parent / "shared" / "data" / "paper"))
+PAPER = Path(
+    os.environ.get("DBO_PAPER_DATA", ROOT.parent / "shared" / "data" / "paper")
+)
 
 
 @pytest.fixture
@@ -28,16 +30,27 @@ def run(monkeypatch, capsys):
 
 
 @pytest.mark.skipif(
-    not (PAPER / "uncompensated.dat").exists(), reason="the authors' recordings are not there"
+    not (PAPER / "uncompensated.dat").exists(),
+    reason="the authors' recordings are not there",
 )
 def test_section_v(tmp_path, run):
     code, printed, trouble = run(PAPER, tmp_path / "paper")
     assert (code, trouble) == (0, "")
     lines = [line.split("  ") for line in printed.splitlines()]
-    found = {line[0]: [word.strip() for word in line[1:] if word.strip()] for line in lines}
-    assert found["K of the identified model (n = 25)"] == ["12.53 um/V", "12.5335 um/V", "ok"]
+    found = {
+        line[0]: [word.strip() for word in line[1:] if word.strip()] for line in lines
+    }
+    assert found["K of the identified model (n = 25)"] == [
+        "12.53 um/V",
+        "12.5335 um/V",
+        "ok",
+    ]
     assert found["Y_0"] == ["-22.97 um", "-22.9726 um", "ok"]
-    assert found["RMSE without compensation (Figs. 8 to 10)"] == ["1.68 um", "1.6791 um", "ok"]
+    assert found["RMSE without compensation (Figs. 8 to 10)"] == [
+        "1.68 um",
+        "1.6791 um",
+        "ok",
+    ]
     drawn = {path.name for path in (tmp_path / "paper").iterdir()}
     assert {
         "fig05-drive.png",

@@ -27,14 +27,20 @@ from dbo_cli.reports.report import (
 )
 from dbo_cli.reports.sample_pairs import rows_to_read
 
-PAPER = Path(os.environ.get("DBO_PAPER_DATA", Path(__file__).parents[2] / "shared" / "data" / "paper"))
+PAPER = Path(
+    os.environ.get(
+        "DBO_PAPER_DATA", Path(__file__).parents[2] / "shared" / "data" / "paper"
+    )
+)
 
 
 def blocks_of(desired, measured, chunk=1000, time=None):
     for start in range(0, len(desired), chunk):
         stop = min(start + chunk, len(desired))
         clock = None if time is None else time[start:stop]
-        yield pairs(range(start + 1, stop + 1), desired[start:stop], measured[start:stop], clock)
+        yield pairs(
+            range(start + 1, stop + 1), desired[start:stop], measured[start:stop], clock
+        )
 
 
 def sine(samples=1000, period=200.0):
@@ -90,7 +96,11 @@ def test_json_keys_are_a_contract():
     content = json.loads(to_json(report))
     assert list(content) == ["format", "version", "unit", "compared", "offset_removed", "logs", "notes",
                              "limits", "passed", "warnings"]  # fmt: skip
-    assert (content["format"], content["version"], content["unit"]) == ("dbo-report", 1, "um")
+    assert (content["format"], content["version"], content["unit"]) == (
+        "dbo-report",
+        1,
+        "um",
+    )
     assert content["compared"] == ["desired", "measured"]
     assert list(content["logs"][0]) == LOG_KEYS
     part = content["logs"][0]["segments"][0]
@@ -112,7 +122,11 @@ def test_csv_is_one_line_a_log():
     rows = list(csv.DictReader(io.StringIO(to_csv(report))))
     assert list(rows[0]) == [*LOG_KEYS[:-1], "unit"]
     assert [row["name"] for row in rows] == ["a.csv", "b, c.csv"]
-    assert (rows[1]["rmse"], rows[1]["lag_left_s"], rows[1]["unit"]) == ("0.5", "", "um")
+    assert (rows[1]["rmse"], rows[1]["lag_left_s"], rows[1]["unit"]) == (
+        "0.5",
+        "",
+        "um",
+    )
     assert to_csv(report).count("\n") == 3
 
 
@@ -138,7 +152,10 @@ def test_text():
     ("offsets", "sentence"),
     [
         ({"a.csv": 0.5}, "a.csv: 0.50 um RMSE, 1.2 % of the move"),
-        ({"a.csv": 0.5, "b.csv": 0.0081}, "b.csv: 0.0081 um RMSE, 62 times less than a.csv"),
+        (
+            {"a.csv": 0.5, "b.csv": 0.0081},
+            "b.csv: 0.0081 um RMSE, 62 times less than a.csv",
+        ),
         ({"a.csv": 0.5, "b.csv": 0.51}, "b.csv: 0.51 um RMSE, as much as a.csv"),
         ({"a.csv": 0.5, "b.csv": 1.0}, "b.csv: 1.0 um RMSE, 2.0 times more than a.csv"),
         (
@@ -191,25 +208,38 @@ def test_text_fits_80_columns(segment, scale):
 
 def test_undefined_figures_are_null_and_said():
     options = ReportOptions()
-    flat = evaluate("flat.csv", blocks_of(np.full(100, 2.0), np.linspace(1.9, 2.1, 100)), options)
+    flat = evaluate(
+        "flat.csv", blocks_of(np.full(100, 2.0), np.linspace(1.9, 2.1, 100)), options
+    )
     report = Report.of([flat], options, None)
     log = json.loads(to_json(report))["logs"][0]
-    assert (log["nrmse_percent"], log["loop_width"], log["lag_left_samples"]) == (None, None, None)
+    assert (log["nrmse_percent"], log["loop_width"], log["lag_left_samples"]) == (
+        None,
+        None,
+        None,
+    )
     assert log["samples"] == 100
-    assert report.notes == ["flat.csv: desired never changes, so NRMSE, loop width and lag are undefined"]
+    assert report.notes == [
+        "flat.csv: desired never changes, so NRMSE, loop width and lag are undefined"
+    ]
     assert "Note: flat.csv: desired never changes" in to_text(report)
     assert "(unit not known)" in to_text(report)
 
 
 def test_ratio_to_a_perfect_first_log_is_undefined():
-    assert [log.ratio_to_first for log in report_of({"a": 0.0, "b": 1.0}).logs] == [None, None]
+    assert [log.ratio_to_first for log in report_of({"a": 0.0, "b": 1.0}).logs] == [
+        None,
+        None,
+    ]
 
 
 def test_rows_that_are_not_numbers_are_said():
     measured = sine()
     measured[5] = np.nan
     log = evaluate("a.csv", blocks_of(sine(), measured), ReportOptions())
-    assert log.notes == ("a.csv: 1 sample without a number in desired or measured left out",)
+    assert log.notes == (
+        "a.csv: 1 sample without a number in desired or measured left out",
+    )
 
 
 def test_a_column_without_any_number():
@@ -228,7 +258,9 @@ def test_a_column_without_any_number():
 
 def test_automatic_lag_is_said():
     desired = sine(3000)
-    log = evaluate("a.csv", blocks_of(desired[10:], desired[7:-3]), ReportOptions(lag="auto"))
+    log = evaluate(
+        "a.csv", blocks_of(desired[10:], desired[7:-3]), ReportOptions(lag="auto")
+    )
     assert log.lag == 3
     assert log.notes == ("a.csv: measured follows best at a lag of 3 samples",)
     assert log.figures.rmse == 0.0
@@ -249,7 +281,9 @@ def test_chunk_size_does_not_matter(segment, chunk):
 def test_segments_add_up():
     rng = np.random.default_rng(9)
     log = evaluate(
-        "a.csv", blocks_of(sine(), sine() + rng.normal(size=1000)), ReportOptions(segment="cycles")
+        "a.csv",
+        blocks_of(sine(), sine() + rng.normal(size=1000)),
+        ReportOptions(segment="cycles"),
     )
     parts = [part.figures for part in log.segments]
     assert sum(part.samples for part in parts) == 1000
@@ -273,14 +307,19 @@ def test_frames():
 
 class TestLimits:
     def test_met(self):
-        check_limits(report_of({"a.csv": 1.0}), max_rmse=1.0, max_abs=1.5, max_nrmse_percent=2.5)
+        check_limits(
+            report_of({"a.csv": 1.0}), max_rmse=1.0, max_abs=1.5, max_nrmse_percent=2.5
+        )
         check_limits(report_of({"a.csv": 1.0}))
 
     def test_missed(self):
         report = report_of({"a.csv": 0.1, "b.csv": 1.0})
         with pytest.raises(LimitError) as caught:
             check_limits(report, max_rmse=0.58)
-        assert str(caught.value) == "b.csv: RMSE 1 um is above the limit of 0.58 um by 0.42 (`max_rmse`)"
+        assert (
+            str(caught.value)
+            == "b.csv: RMSE 1 um is above the limit of 0.58 um by 0.42 (`max_rmse`)"
+        )
         assert caught.value.exit_code == 3
         with pytest.raises(LimitError) as caught:
             check_limits(report, max_abs=0.05)
@@ -298,7 +337,10 @@ class TestLimits:
         flat = evaluate("flat.csv", blocks_of(np.ones(9), np.ones(9)), options)
         with pytest.raises(LimitError) as caught:
             check_limits(Report.of([flat], options, "um"), max_nrmse_percent=5.0)
-        assert str(caught.value) == "flat.csv: RMSE is undefined, so `max_nrmse_percent` 5 is not met"
+        assert (
+            str(caught.value)
+            == "flat.csv: RMSE is undefined, so `max_nrmse_percent` 5 is not met"
+        )
 
 
 def test_one_report_speaks_one_unit():
@@ -313,11 +355,21 @@ def test_one_report_speaks_one_unit():
 
 def test_too_many_segments(monkeypatch):
     assert report_module.MOST_SEGMENTS == 10_000
-    monkeypatch.setattr(report_module, "MOST_SEGMENTS", 50)  # ten thousand of them take seconds to find
+    # ten thousand of them take seconds to find
+    monkeypatch.setattr(report_module, "MOST_SEGMENTS", 50)
     desired = np.tile([0.0, 1.0], 53)
-    with pytest.raises(UsageError, match=r"^a\.csv: more than 50 segments \(`segment` with more SECONDS\)$"):
-        evaluate("a.csv", blocks_of(desired, desired, 30), ReportOptions(segment="cycles"))
-    enough = evaluate("a.csv", blocks_of(desired[:100], desired[:100], 30), ReportOptions(segment="cycles"))
+    with pytest.raises(
+        UsageError,
+        match=r"^a\.csv: more than 50 segments \(`segment` with more SECONDS\)$",
+    ):
+        evaluate(
+            "a.csv", blocks_of(desired, desired, 30), ReportOptions(segment="cycles")
+        )
+    enough = evaluate(
+        "a.csv",
+        blocks_of(desired[:100], desired[:100], 30),
+        ReportOptions(segment="cycles"),
+    )
     assert len(enough.segments) <= 50
 
 
@@ -341,11 +393,16 @@ def test_digits(value, text):
 
 
 @pytest.mark.skipif(
-    not (PAPER / "uncompensated.dat").exists(), reason="the authors' recordings are not there"
+    not (PAPER / "uncompensated.dat").exists(),
+    reason="the authors' recordings are not there",
 )
 def test_published_figure():
     table = np.loadtxt(PAPER / "uncompensated.dat", usecols=(8, 4))[5051:6052]
-    log = evaluate("uncompensated.dat", blocks_of(*table.T), ReportOptions(lag=1, remove_offset=True))
+    log = evaluate(
+        "uncompensated.dat",
+        blocks_of(*table.T),
+        ReportOptions(lag=1, remove_offset=True),
+    )
     assert log.figures.samples == 1000
     assert log.figures.rmse == pytest.approx(1.6791, abs=5e-4)
 
@@ -358,13 +415,19 @@ class TestRowsThatCount:
         return blocks_of(sine(), sine() + rng.normal(size=1000), chunk, time)
 
     @pytest.mark.parametrize("lag", [0, 3, -3])
-    @pytest.mark.parametrize("rows", [(1, None), (101, 600), (600, 601), (990, None), (5, 5)])
+    @pytest.mark.parametrize(
+        "rows", [(1, None), (101, 600), (600, 601), (990, None), (5, 5)]
+    )
     def test_figures_are_those_of_the_rows_alone(self, rows, lag):
         first, last = rows
         read = rows_to_read(rows, lag)
         part = slice(read[0] - 1, read[1])
         whole = next(self.blocks(1000))
-        cut = pairs(range(1, 1001)[part], whole.values["desired"][part], whole.values["measured"][part])
+        cut = pairs(
+            range(1, 1001)[part],
+            whole.values["desired"][part],
+            whole.values["measured"][part],
+        )
         options = ReportOptions(lag=lag)
         expected = evaluate("a.csv", [cut], options)
         for chunk in (1, 7, 1000):
@@ -386,7 +449,9 @@ class TestRowsThatCount:
 
     def test_rows_that_are_not_there(self):
         with pytest.raises(InputError):
-            evaluate("a.csv", self.blocks(100), ReportOptions(), score_rows=(2000, None))
+            evaluate(
+                "a.csv", self.blocks(100), ReportOptions(), score_rows=(2000, None)
+            )
 
     def test_an_automatic_lag_is_that_of_the_rows(self):
         desired = sine(3000)
@@ -409,7 +474,10 @@ class TestConditioningSweep:
     def log(self, chunk=100, time=None, **options):
         clock = self.time if time is None else time
         return evaluate(
-            "a.csv", blocks_of(self.wanted, self.measured, chunk, clock), ReportOptions(), **options
+            "a.csv",
+            blocks_of(self.wanted, self.measured, chunk, clock),
+            ReportOptions(),
+            **options,
         )
 
     @pytest.mark.parametrize("chunk", [1, 7, 400, 1000])
@@ -445,12 +513,16 @@ class TestConditioningSweep:
 
     def test_a_sweep_without_numbers_is_left_out_too(self):
         wanted = np.where(self.time < 0.0, np.nan, self.wanted)
-        log = evaluate("a.csv", blocks_of(wanted, self.measured, 100, self.time), ReportOptions())
+        log = evaluate(
+            "a.csv", blocks_of(wanted, self.measured, 100, self.time), ReportOptions()
+        )
         assert (log.figures.samples, log.figures.not_finite) == (600, 0)
 
     def test_a_fault_of_the_log_is_told_all_the_same(self):
         def broken():
-            yield from blocks_of(self.wanted[:300], self.measured[:300], 100, self.time[:300])
+            yield from blocks_of(
+                self.wanted[:300], self.measured[:300], 100, self.time[:300]
+            )
             raise InputError("a.csv:302: no number")
 
         with pytest.raises(InputError, match=r"^a\.csv:302: no number$"):
@@ -463,11 +535,21 @@ def test_csv_keeps_the_segments():
     assert list(rows[0])[-4:] == ["unit", "segment", "first_row", "last_row"]
     assert [row["segment"] for row in rows] == ["", "1", "2", "3", "4", "5"] * 2
     assert [row["name"] for row in rows] == ["a.csv"] * 6 + ["b.csv"] * 6
-    assert (rows[8]["rmse"], rows[8]["first_row"], rows[8]["last_row"]) == ("0.5", "201", "400")
-    assert rows[8]["unit"] == "um" and rows[8]["lag_samples"] == "" and rows[6]["lag_samples"] == "0"
+    assert (rows[8]["rmse"], rows[8]["first_row"], rows[8]["last_row"]) == (
+        "0.5",
+        "201",
+        "400",
+    )
+    assert (
+        rows[8]["unit"] == "um"
+        and rows[8]["lag_samples"] == ""
+        and rows[6]["lag_samples"] == "0"
+    )
 
 
-@pytest.mark.parametrize("name", ["=cmd|' /C calc'!A1.csv", "+1.csv", "-1+2.csv", "@SUM(A1).csv"])
+@pytest.mark.parametrize(
+    "name", ["=cmd|' /C calc'!A1.csv", "+1.csv", "-1+2.csv", "@SUM(A1).csv"]
+)
 def test_no_name_is_a_formula_in_a_spreadsheet(name):
     rows = list(csv.reader(io.StringIO(to_csv(report_of({name: 1.0}, unit=name)))))
     assert rows[1][0] == f"'{name}"
@@ -476,7 +558,9 @@ def test_no_name_is_a_formula_in_a_spreadsheet(name):
 
 
 def test_names_and_units_obey_no_terminal():
-    report = report_of({"\x1b[1mred\x07\u202e.csv\ud800\x9b2J": 1.0}, unit="u\x1b]0;m\n")
+    report = report_of(
+        {"\x1b[1mred\x07\u202e.csv\ud800\x9b2J": 1.0}, unit="u\x1b]0;m\n"
+    )
     assert (report.logs[0].name, report.unit) == ("[1mred .csv 2J", "u ]0;m")
     for text in (to_text(report), to_csv(report), to_json(report)):
         assert not any(sign in text for sign in "\x1b\x07\u202e\ud800\x9b")
@@ -487,7 +571,10 @@ def test_names_and_units_obey_no_terminal():
 def test_wide_letters_keep_their_columns():
     report = report_of({"駆動電圧の記録.csv": 1.0, "b.csv": 0.5})
     table = to_text(report).split("\n\n")[2].splitlines()
-    wide = [len(line) + sum(unicodedata.east_asian_width(sign) in "WF" for sign in line) for line in table]
+    wide = [
+        len(line) + sum(unicodedata.east_asian_width(sign) in "WF" for sign in line)
+        for line in table
+    ]
     assert len(set(wide)) == 1
 
 
@@ -495,10 +582,22 @@ def test_wide_letters_keep_their_columns():
 @pytest.mark.parametrize("scale", [1e-300, 1e-60, 1.0, 1e69])
 @pytest.mark.parametrize("gain", [1e-60, 0.9, 1e308])
 def test_no_scale_writes_what_is_no_number(scale, gain, step):
-    desired, measured = sine() * scale / 20.0, np.roll(sine(), 20) * min(scale * gain, 1e69) / 20.0
-    time = np.arange(1000) * step if step < 1.0 else np.linspace(-1.0, 1.0, 1000) * 1e308 / 2.0
+    desired, measured = (
+        sine() * scale / 20.0,
+        np.roll(sine(), 20) * min(scale * gain, 1e69) / 20.0,
+    )
+    time = (
+        np.arange(1000) * step
+        if step < 1.0
+        else np.linspace(-1.0, 1.0, 1000) * 1e308 / 2.0
+    )
     logs = [
-        evaluate(name, blocks_of(desired, values, 1000, time), ReportOptions(lag=lag), count_sweep=True)
+        evaluate(
+            name,
+            blocks_of(desired, values, 1000, time),
+            ReportOptions(lag=lag),
+            count_sweep=True,
+        )
         for name, values, lag in (("a", desired * (1.0 + 1e-9), 0), ("b", measured, 3))
     ]
     report = Report.of(logs, ReportOptions(), "um")

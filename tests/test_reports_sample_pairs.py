@@ -12,7 +12,14 @@ import dbo_cli as dbo
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.reports.report import cycles, spans
-from dbo_cli.reports.sample_pairs import BATCH, batched, find_lag, lagged, rows_to_read, with_values
+from dbo_cli.reports.sample_pairs import (
+    BATCH,
+    batched,
+    find_lag,
+    lagged,
+    rows_to_read,
+    with_values,
+)
 
 
 def blocks_of(desired, measured, chunk=7, time=None, first=1):
@@ -20,14 +27,19 @@ def blocks_of(desired, measured, chunk=7, time=None, first=1):
         stop = min(start + chunk, len(desired))
         rows = range(first + start, first + stop)
         clock = None if time is None else time[start:stop]
-        yield pairs(rows, desired[start:stop], measured[start:stop], clock, -desired[start:stop])
+        yield pairs(
+            rows, desired[start:stop], measured[start:stop], clock, -desired[start:stop]
+        )
 
 
 def joined(blocks):
     blocks = list(blocks)
     return {
         "rows": np.concatenate([block.rows for block in blocks]),
-        **{name: np.concatenate([block.values[name] for block in blocks]) for name in blocks[0].values},
+        **{
+            name: np.concatenate([block.values[name] for block in blocks])
+            for name in blocks[0].values
+        },
     }
 
 
@@ -63,12 +75,16 @@ def test_lag_longer_than_the_log(lag):
 
 
 def test_no_rows():
-    with pytest.raises(InputError, match=r"^run.csv: no data rows to compare \(look at `rows`\)$"):
+    with pytest.raises(
+        InputError, match=r"^run.csv: no data rows to compare \(look at `rows`\)$"
+    ):
         list(lagged("run.csv", iter(()), 0))
 
 
 def test_columns_of_different_length():
-    with pytest.raises(InputError, match=r"^`measured` has 4 samples where `desired` has 5$"):
+    with pytest.raises(
+        InputError, match=r"^`measured` has 4 samples where `desired` has 5$"
+    ):
         dbo.report(np.zeros(5), np.zeros(4))
 
 
@@ -93,8 +109,15 @@ def test_a_prediction_takes_the_place_of_what_was_desired_and_nothing_is_copied(
     block = SampleBlock(range(3, 8), None, np.arange(5.0), values)
     predicted = np.full(5, 7.0)
     pair = with_values(block, desired=predicted)
-    assert pair.values["desired"] is predicted and pair.values["measured"] is values["measured"]
-    assert pair.values["voltage"] is values["voltage"] and pair.time is block.time and pair.rows is block.rows
+    assert (
+        pair.values["desired"] is predicted
+        and pair.values["measured"] is values["measured"]
+    )
+    assert (
+        pair.values["voltage"] is values["voltage"]
+        and pair.time is block.time
+        and pair.rows is block.rows
+    )
 
 
 @pytest.mark.parametrize("lag", [-17, -1, 0, 3, 40])
@@ -103,7 +126,9 @@ def test_lag_is_found(lag):
     time = np.arange(3000) / 200.0
     signal = 20.0 * np.sin(2.0 * np.pi * time) + 5.0 * np.sin(2.0 * np.pi * 3.3 * time)
     desired = signal[100:2900]
-    measured = 0.95 * signal[100 - lag : 2900 - lag] - 96.0 + rng.normal(0.0, 0.05, 2800)
+    measured = (
+        0.95 * signal[100 - lag : 2900 - lag] - 96.0 + rng.normal(0.0, 0.05, 2800)
+    )
     found, again = find_lag("run.csv", blocks_of(desired, measured, 333))
     assert found == lag
     assert np.array_equal(joined(again)["measured"], measured)
@@ -124,7 +149,9 @@ def test_of_lags_that_fit_alike_the_smallest_is_taken():
 def test_lag_of_a_constant_is_zero_and_of_no_number_an_error():
     assert find_lag("run.csv", blocks_of(np.ones(50), np.arange(50.0)))[0] == 0
     assert find_lag("run.csv", iter(()))[0] == 0
-    with pytest.raises(InputError, match=r"^run.csv: no sample is a number, so no lag can be found$"):
+    with pytest.raises(
+        InputError, match=r"^run.csv: no sample is a number, so no lag can be found$"
+    ):
         find_lag("run.csv", blocks_of(np.ones(50), np.full(50, np.nan)))
 
 
@@ -166,19 +193,39 @@ def test_rest_longer_than_the_patience_is_let_go():
 def test_spans_of_time():
     time = np.arange(1000) / 100.0 + 50.0
     signal = np.arange(1000.0)
-    assert lengths_of(spans(blocks_of(signal, signal, 33, time), 2.5, None)) == [250] * 4
-    assert lengths_of(spans(blocks_of(signal, signal, 33), 3.0, 100.0)) == [300, 300, 300, 100]
-    assert lengths_of(spans(blocks_of(signal, signal, 250, time), 2.5, None)) == [250] * 4
+    assert (
+        lengths_of(spans(blocks_of(signal, signal, 33, time), 2.5, None)) == [250] * 4
+    )
+    assert lengths_of(spans(blocks_of(signal, signal, 33), 3.0, 100.0)) == [
+        300,
+        300,
+        300,
+        100,
+    ]
+    assert (
+        lengths_of(spans(blocks_of(signal, signal, 250, time), 2.5, None)) == [250] * 4
+    )
 
 
 def test_a_clock_that_restarts_opens_no_segment_twice():
-    time = np.concatenate([np.arange(300) / 100.0, np.arange(300) / 100.0, 3.0 + np.arange(100) / 100.0])
+    time = np.concatenate(
+        [np.arange(300) / 100.0, np.arange(300) / 100.0, 3.0 + np.arange(100) / 100.0]
+    )
     signal = np.arange(700.0)
-    assert lengths_of(spans(blocks_of(signal, signal, 33, time), 1.0, None)) == [100, 100, 400, 100]
+    assert lengths_of(spans(blocks_of(signal, signal, 33, time), 1.0, None)) == [
+        100,
+        100,
+        400,
+        100,
+    ]
 
 
 def test_spans_need_a_time():
-    with pytest.raises(UsageError, match=r"^`segment` in seconds needs a time column or `sample_rate`$"):
+    with pytest.raises(
+        UsageError, match=r"^`segment` in seconds needs a time column or `sample_rate`$"
+    ):
         list(spans(blocks_of(np.arange(5.0), np.arange(5.0)), 1.0, None))
-    with pytest.raises(UsageError, match=r"^`segment` 0: a segment must last longer than 0 seconds$"):
+    with pytest.raises(
+        UsageError, match=r"^`segment` 0: a segment must last longer than 0 seconds$"
+    ):
         list(spans(iter(()), 0.0, None))

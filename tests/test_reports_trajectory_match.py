@@ -29,7 +29,10 @@ def joined(match):
         [row_numbers(part) for part in parts],
         [part.values["desired"] for part in parts],
         [part.values["measured"] for part in parts],
-        [part.time if part.time is not None else np.full(len(part), np.nan) for part in parts],
+        [
+            part.time if part.time is not None else np.full(len(part), np.nan)
+            for part in parts
+        ],
     ]
     return [np.concatenate(column) for column in stack]
 
@@ -57,13 +60,19 @@ def test_by_time_a_recording_of_another_rate_finds_its_desired_values():
     inside = (FAST >= 0.0) & (FAST <= SLOW[-1])
     assert np.array_equal(time, FAST[inside])
     assert np.array_equal(row, np.flatnonzero(inside) + 1)
-    assert np.allclose(desired, np.interp(FAST[inside], SLOW, curve(SLOW)), rtol=0.0, atol=1e-12)
+    assert np.allclose(
+        desired, np.interp(FAST[inside], SLOW, curve(SLOW)), rtol=0.0, atol=1e-12
+    )
     assert np.allclose(desired, measured, atol=1e-3)
     assert match.left_out == 4000 - inside.sum()
-    assert match.notes() == ["run.csv: 1,001 rows outside the time of drive.csv take no part"]
+    assert match.notes() == [
+        "run.csv: 1,001 rows outside the time of drive.csv take no part"
+    ]
 
 
-@pytest.mark.parametrize(("recorded", "wanted"), [(1, 1), (7, 1500), (4000, 3), (4000, 1500)])
+@pytest.mark.parametrize(
+    ("recorded", "wanted"), [(1, 1), (7, 1500), (4000, 3), (4000, 1500)]
+)
 def test_how_either_is_cut_changes_no_bit(recorded, wanted):
     first, second = by_time(), by_time(recorded, wanted)
     for one, other in zip(joined(first), joined(second), strict=True):
@@ -76,7 +85,11 @@ def test_equal_stamps_give_the_very_values_though_they_are_rounded():
     time = np.arange(500) / 500.0
     recorded = np.round(time * 1e9 + 0.4) / 1e9  # a tenth of a nanosecond off
     match = TrajectoryMatch(
-        "a", "b", blocks(64, recorded, measured=wanted), blocks(50, time, desired=wanted), by_time=True
+        "a",
+        "b",
+        blocks(64, recorded, measured=wanted),
+        blocks(50, time, desired=wanted),
+        by_time=True,
     )
     assert np.allclose(joined(match)[1], wanted, rtol=0.0, atol=1e-6)
     assert match.left_out == 0
@@ -111,7 +124,11 @@ def test_by_rows_the_time_is_the_trajectorys():
         assert np.array_equal(time, np.arange(10.0) - 2.0) and row[-1] == 10
         assert match.notes() == ["a: 2 rows more than in b take no part"]
     match = TrajectoryMatch(
-        "a", "b", blocks(4, None, measured=found), blocks(3, None, desired=np.zeros(50)), by_time=False
+        "a",
+        "b",
+        blocks(4, None, measured=found),
+        blocks(3, None, desired=np.zeros(50)),
+        by_time=False,
     )
     assert len(joined(match)[0]) == 12
     assert match.notes() == ["b: goes on behind the last row of a"]
@@ -119,7 +136,11 @@ def test_by_rows_the_time_is_the_trajectorys():
 
 def test_refusals():
     late = TrajectoryMatch(
-        "a", "b", blocks(4, SLOW + 99.0, measured=SLOW), blocks(4, SLOW, desired=SLOW), by_time=True
+        "a",
+        "b",
+        blocks(4, SLOW + 99.0, measured=SLOW),
+        blocks(4, SLOW, desired=SLOW),
+        by_time=True,
     )
     with pytest.raises(InputError) as caught:
         joined(late)
@@ -129,7 +150,11 @@ def test_refusals():
     back = np.array([0.0, 1.0, 0.5, 2.0])
     for size in (1, 2, 4):
         match = TrajectoryMatch(
-            "a", "b", blocks(9, back * 2.0, measured=back), blocks(size, back, desired=back), by_time=True
+            "a",
+            "b",
+            blocks(9, back * 2.0, measured=back),
+            blocks(size, back, desired=back),
+            by_time=True,
         )
         with pytest.raises(InputError) as caught:
             joined(match)
@@ -139,7 +164,8 @@ def test_refusals():
 
 
 def test_a_stamp_a_hair_beyond_the_end_belongs_to_it_in_whatever_block_it_comes():
-    # after a block, two samples of the trajectory stay: their step tells how far beyond is still the end
+    # after a block, two samples of the trajectory stay: their step tells how far beyond
+    # is still the end
     wanted = np.arange(4.0)
     recorded = np.array([0.0, 1.0, 2.0, 3.0, 3.0 + 5e-7, 3.0 + 2e-6])
     for size in (4, 6):

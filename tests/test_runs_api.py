@@ -52,18 +52,29 @@ def small(tmp_path: Path) -> dbo_api.Model:
     return dbo_api.read_model(path)
 
 
-def test_identify_gives_the_bytes_of_the_command(sample_model: Path, tmp_path: Path) -> None:
+def test_identify_gives_the_bytes_of_the_command(
+    sample_model: Path, tmp_path: Path
+) -> None:
     model = dbo_api.identify(dbo_api.read_log(LOG))
     model.save(tmp_path / "api.json")
     assert (tmp_path / "api.json").read_bytes() == sample_model.read_bytes()
     log = dbo_api.read_log(LOG)
     arrays = dbo_api.identify(
-        log["voltage"], log["displacement"], time=log["time"], voltage_unit="V", displacement_unit="um"
+        log["voltage"],
+        log["displacement"],
+        time=log["time"],
+        voltage_unit="V",
+        displacement_unit="um",
     )
-    assert json.loads(arrays.to_json())["stages"] == json.loads(sample_model.read_text())["stages"]
+    assert (
+        json.loads(arrays.to_json())["stages"]
+        == json.loads(sample_model.read_text())["stages"]
+    )
 
 
-def test_compensate_and_simulate_give_the_bits_of_the_commands(dbo: Any, sample_model: Path) -> None:
+def test_compensate_and_simulate_give_the_bits_of_the_commands(
+    dbo: Any, sample_model: Path
+) -> None:
     model = dbo_api.read_model(sample_model)
     assert dbo("compensate", sample_model, TRAJECTORY, "-o", "drive.csv").code == 0
     table = dbo_api.read_log(TRAJECTORY)
@@ -74,18 +85,34 @@ def test_compensate_and_simulate_give_the_bits_of_the_commands(dbo: Any, sample_
     assert dbo("simulate", sample_model, "drive.csv", "-o", "back.csv").code == 0
     back = model.simulate(drive, time=table["time"])
     assert back.tolist() == column("back.csv", 2).tolist()
-    assert dbo_api.simulate(sample_model, drive, time=table["time"]).tolist() == back.tolist()
+    assert (
+        dbo_api.simulate(sample_model, drive, time=table["time"]).tolist()
+        == back.tolist()
+    )
     assert dbo_api.compensate(sample_model, table).tolist() == drive.tolist()
 
 
 @pytest.mark.usefixtures("blank_figures")
 def test_a_report_has_the_numbers_of_the_command(dbo: Any, sample_model: Path) -> None:
-    done = dbo("report", LOG, "--model", sample_model, "--format", "json", "--segment", "cycles")
+    done = dbo(
+        "report",
+        LOG,
+        "--model",
+        sample_model,
+        "--format",
+        "json",
+        "--segment",
+        "cycles",
+    )
     report = dbo_api.report(LOG, model=sample_model, segment="cycles")
     assert report.to_json() == done.out
     log = dbo_api.read_log(LOG)
     arrays = dbo_api.report(
-        log["voltage"], log["displacement"], time=log["time"], model=sample_model, unit="um"
+        log["voltage"],
+        log["displacement"],
+        time=log["time"],
+        model=sample_model,
+        unit="um",
     )
     assert arrays.rmse == report.rmse
     assert arrays.to_frame().loc["log", "rmse"] == report.rmse
@@ -95,12 +122,20 @@ def test_a_report_has_the_numbers_of_the_command(dbo: Any, sample_model: Path) -
 
 
 @pytest.mark.usefixtures("blank_figures")
-def test_a_report_of_several_logs_has_their_errors_in_one_figure(dbo: Any, tmp_path: Path) -> None:
+def test_a_report_of_several_logs_has_their_errors_in_one_figure(
+    dbo: Any, tmp_path: Path
+) -> None:
     logs, tables = [], []
     for number in (1, 2):
         wanted = np.sin(np.arange(300) / 20.0)
-        measured = wanted + 0.01 * number * np.random.default_rng(number).normal(size=300)
-        columns = {"time_s": np.arange(300) / 100.0, "desired_um": wanted, "measured_um": measured}
+        measured = wanted + 0.01 * number * np.random.default_rng(number).normal(
+            size=300
+        )
+        columns = {
+            "time_s": np.arange(300) / 100.0,
+            "desired_um": wanted,
+            "measured_um": measured,
+        }
         tables.append(pd.DataFrame(columns))
         logs.append(tmp_path / f"pass{number}.csv")
         tables[-1].to_csv(logs[-1], index=False)
@@ -110,9 +145,16 @@ def test_a_report_of_several_logs_has_their_errors_in_one_figure(dbo: Any, tmp_p
     several.figures("api")
     names = {path.name for path in Path("api").iterdir()}
     assert names == {path.name for path in Path("shell").iterdir()}
-    assert {"all-logs-errors.svg", "all-logs-errors.png", "pass1-error.svg", "pass2-error.svg"} <= names
+    assert {
+        "all-logs-errors.svg",
+        "all-logs-errors.png",
+        "pass1-error.svg",
+        "pass2-error.svg",
+    } <= names
     page = several.to_html()
-    assert page.index("Error of all logs against time") < page.index("Error against time")
+    assert page.index("Error of all logs against time") < page.index(
+        "Error against time"
+    )
     rmse = [log.figures.rmse for log in several.report.logs]
     assert [log.figures.rmse for log in dbo_api.report(tables).report.logs] == rmse
 
@@ -131,7 +173,10 @@ def test_compensate_from_arrays_reads_ahead_by_the_models_delay(tmp_path: Path) 
 
 def test_states_go_on(lagging: dbo_api.Model, tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
-    t, v = np.cumsum(rng.uniform(0.01, 0.1, 400)), 5.0 + 4.0 * np.sin(np.cumsum(rng.normal(0, 0.3, 400)))
+    t, v = (
+        np.cumsum(rng.uniform(0.01, 0.1, 400)),
+        5.0 + 4.0 * np.sin(np.cumsum(rng.normal(0, 0.3, 400))),
+    )
     whole = lagging.simulate(v, time=t)
     first, state = lagging.simulate(v[:137], time=t[:137], return_state=True)
     lagging.save_state(state, tmp_path / "s.json")
@@ -141,7 +186,9 @@ def test_states_go_on(lagging: dbo_api.Model, tmp_path: Path) -> None:
 
 
 def test_what_must_be_said_is_data_or_a_warning(small: dbo_api.Model) -> None:
-    with pytest.warns(dbo_api.DboWarning, match=r"1 of 2 samples \(row 2\) beyond what the limits"):
+    with pytest.warns(
+        dbo_api.DboWarning, match=r"1 of 2 samples \(row 2\) beyond what the limits"
+    ):
         small.compensate([2.0, 20.0], on_limit="clip")
     result = small.compensate([2.0, 20.0], on_limit="clip", details=True)
     assert (result.clipped, result.values[-1], len(result.warnings)) == (1, 10.0, 1)
@@ -152,7 +199,9 @@ def test_what_must_be_said_is_data_or_a_warning(small: dbo_api.Model) -> None:
 
 
 @pytest.mark.whole
-def test_compensate_says_what_error_to_expect_of_the_move(dbo: Any, sample_model: Path) -> None:
+def test_compensate_says_what_error_to_expect_of_the_move(
+    dbo: Any, sample_model: Path
+) -> None:
     expected = json.loads(sample_model.read_text())["fit"]["expected_rmse"]
     model = dbo_api.read_model(sample_model)
     table = dbo_api.read_log(TRAJECTORY)
@@ -167,17 +216,26 @@ def test_compensate_says_what_error_to_expect_of_the_move(dbo: Any, sample_model
         f"{found.zero:.3g} um ({model.actuator.fit['zero_from']}); that is from the start assumed (settled "
         "at the first row) or after --condition, from an unknown past "
     )
-    assert f"trajectory.csv: {told}" in dbo("compensate", sample_model, TRAJECTORY, "-o", "drive.csv").err
+    assert (
+        f"trajectory.csv: {told}"
+        in dbo("compensate", sample_model, TRAJECTORY, "-o", "drive.csv").err
+    )
     swept = model.compensate(table, details=True, condition=True)
     assert any("expected error of the move 0.0" in note for note in swept.notes)
     assert not any("unknown past" in note for note in swept.notes)
     loop = 6.0 + 4.0 * np.cos(2.0 * np.pi * np.arange(500) / 500.0)
     settled = model.compensate(loop, sample_rate=500.0, periodic=True, details=True)
-    assert any(f"({12.5 * expected:.2g} % of the move)" in note for note in settled.notes)
+    assert any(
+        f"({12.5 * expected:.2g} % of the move)" in note for note in settled.notes
+    )
     far = model.output.maximum * 1.2
     drive = model.input.maximum
     beyond = model.compensate(
-        [6.0, far, 6.0], sample_rate=10.0, v_max=2.0 * drive, extrapolate=True, details=True
+        [6.0, far, 6.0],
+        sample_rate=10.0,
+        v_max=2.0 * drive,
+        extrapolate=True,
+        details=True,
     )
     assert any("cannot be told: the drive goes from" in note for note in beyond.notes)
     cut = [*table["displacement"][:200], far]
@@ -208,7 +266,8 @@ def test_the_expected_error_of_a_clipped_move_is_what_the_model_makes_of_it(
     missed = (wanted - reached)[-rows:]
     rms, worst = float(np.sqrt(np.mean(missed**2))), float(np.abs(missed).max())
     said = re.search(
-        r"of ([\d,]+) samples .*clipped, by which the move misses (\S+) um RMS, (\S+) um at", done.err
+        r"of ([\d,]+) samples .*clipped, by which the move misses (\S+) um RMS, (\S+) um at",
+        done.err,
     )
     assert said is not None, done.err
     assert int(said[1].replace(",", "")) == rows
@@ -231,12 +290,18 @@ def test_a_drive_faster_than_the_logs_is_warned_of(sample_model: Path) -> None:
     assert any(told in warning for warning in sent.warnings)
 
 
-def test_no_error_is_expected_of_a_model_that_does_not_know(small: dbo_api.Model) -> None:
-    assert not any("expect" in note for note in small.compensate([2.0, 3.0], details=True).notes)
+def test_no_error_is_expected_of_a_model_that_does_not_know(
+    small: dbo_api.Model,
+) -> None:
+    assert not any(
+        "expect" in note for note in small.compensate([2.0, 3.0], details=True).notes
+    )
     fit = {"expected_rmse": None, "expected_from": "nothing could be left out"}
     untold = dbo_api.Model(dataclasses.replace(small.actuator, fit=fit))
     notes = untold.compensate([2.0, 3.0], details=True).notes
-    assert notes[-1].endswith("what error to expect cannot be told: nothing could be left out")
+    assert notes[-1].endswith(
+        "what error to expect cannot be told: nothing could be left out"
+    )
 
 
 def test_a_slew_limit_holds_from_the_first_sample_on(small: dbo_api.Model) -> None:
@@ -260,8 +325,12 @@ BAD_ARRAYS: list[tuple[Any, dict[str, Any], str]] = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("x", "more", "message"), BAD_ARRAYS, ids=lambda value: str(value)[:30])
-def test_bad_arrays_are_refused(lagging: dbo_api.Model, x: Any, more: dict[str, Any], message: str) -> None:
+@pytest.mark.parametrize(
+    ("x", "more", "message"), BAD_ARRAYS, ids=lambda value: str(value)[:30]
+)
+def test_bad_arrays_are_refused(
+    lagging: dbo_api.Model, x: Any, more: dict[str, Any], message: str
+) -> None:
     with pytest.raises(dbo_api.InputError) as raised:
         lagging.simulate(x, **more)
     assert str(raised.value) == message
@@ -269,14 +338,20 @@ def test_bad_arrays_are_refused(lagging: dbo_api.Model, x: Any, more: dict[str, 
 
 def test_repeated_stamps_are_noted(lagging: dbo_api.Model) -> None:
     stamps = [0.0, 0.1, 0.1]
-    with pytest.warns(dbo_api.DboWarning, match="`time` repeats its stamps in 1 of 3 samples: too few"):
+    with pytest.warns(
+        dbo_api.DboWarning, match="`time` repeats its stamps in 1 of 3 samples: too few"
+    ):
         lagging.simulate([1.0, 2.0, 3.0], time=stamps)
     result = lagging.simulate([1.0, 2.0, 3.0], time=stamps, details=True)
     assert any("repeats at row 3" in note for note in result.notes)
 
 
-def test_a_log_whose_drive_is_not_recognised_is_not_read_in_silence(tmp_path: Path) -> None:
-    (tmp_path / "run.csv").write_text("time_s,AIN0,y_um,AIN3\n0,1,2,3\n1,2,3,4\n", encoding="utf-8")
+def test_a_log_whose_drive_is_not_recognised_is_not_read_in_silence(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "run.csv").write_text(
+        "time_s,AIN0,y_um,AIN3\n0,1,2,3\n1,2,3,4\n", encoding="utf-8"
+    )
     with pytest.warns(
         dbo_api.DboWarning, match=r"run\.csv: no column is recognised as the voltage"
     ) as warned:
@@ -314,16 +389,22 @@ def test_a_state_of_another_model_is_refused(
          "the other"),
     ],
 )  # fmt: skip
-def test_senseless_calls_are_refused(small: dbo_api.Model, call: dict[str, Any], message: str) -> None:
+def test_senseless_calls_are_refused(
+    small: dbo_api.Model, call: dict[str, Any], message: str
+) -> None:
     with pytest.raises(dbo_api.UsageError) as raised:
         small.simulate([1.0], **call)
     assert str(raised.value) == message
 
 
 def test_an_unknown_parameter_is_named() -> None:
-    with pytest.raises(dbo_api.UsageError, match=r"^`gear` is no parameter of identify; there are: "):
+    with pytest.raises(
+        dbo_api.UsageError, match=r"^`gear` is no parameter of identify; there are: "
+    ):
         dbo_api.identify([1.0], [1.0], gear=3)
-    with pytest.raises(dbo_api.UsageError, match=r"^`delimeter` says nothing about reading a log"):
+    with pytest.raises(
+        dbo_api.UsageError, match=r"^`delimeter` says nothing about reading a log"
+    ):
         dbo_api.read_log(LOG, delimeter=",")
 
 
@@ -331,17 +412,23 @@ def test_rows_may_be_a_pair() -> None:
     pair, text = dbo_api.read_log(LOG, rows=(2, 5)), dbo_api.read_log(LOG, rows="2:5")  # type: ignore[arg-type]
     assert len(pair) == 4
     assert pair.equals(text)
-    with pytest.raises(dbo_api.UsageError, match=r"^`rows` \(1, 2, 3\): give A:B, data rows counted from 1"):
+    with pytest.raises(
+        dbo_api.UsageError,
+        match=r"^`rows` \(1, 2, 3\): give A:B, data rows counted from 1",
+    ):
         dbo_api.read_log(LOG, rows=(1, 2, 3))  # type: ignore[arg-type]
 
 
 def test_importing_the_package_loads_nothing() -> None:
-    # An editable install has loaded ``__future__`` before, an installed package has not.
+    # An editable install has loaded ``__future__`` before, an installed package has
+    # not.
     script = (
         "import sys, __future__; before = set(sys.modules); import dbo_cli; "
         "print(sorted(set(sys.modules) - before))"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
     assert done.stdout == "['dbo_cli', 'dbo_cli.version']\n"
 
 
@@ -354,7 +441,10 @@ def test_every_public_name_is_there() -> None:
 
 def test_an_infinite_slew_limit_asks_for_no_clock(small: dbo_api.Model) -> None:
     move = [2.0, 4.0, 3.0]
-    assert small.compensate(move, max_slew=math.inf).tolist() == small.compensate(move).tolist()
+    assert (
+        small.compensate(move, max_slew=math.inf).tolist()
+        == small.compensate(move).tolist()
+    )
     with pytest.raises(dbo_api.DboError, match=r"`max_slew` depends on it"):
         small.compensate(move, max_slew=5.0)
 

@@ -23,7 +23,9 @@ def table(name: str) -> Any:
 
 
 def test_made_again_they_are_the_same_bytes(tmp_path: Path) -> None:
-    subprocess.run([sys.executable, str(SAMPLES / "make_samples.py"), str(tmp_path)], check=True)
+    subprocess.run(
+        [sys.executable, str(SAMPLES / "make_samples.py"), str(tmp_path)], check=True
+    )
     for name in FILES:
         assert (tmp_path / name).read_bytes() == (SAMPLES / name).read_bytes()
 
@@ -33,14 +35,20 @@ def test_hdf5_holds_the_same_numbers() -> None:
 
     for name in FILES:
         with h5py.File((SAMPLES / name).with_suffix(".h5")) as file:
-            columns = [file[key][:] for key in ("time", "voltage", "displacement") if key in file]
+            columns = [
+                file[key][:]
+                for key in ("time", "voltage", "displacement")
+                if key in file
+            ]
             units = {key: file[key].attrs["units"] for key in file}
         assert np.abs(np.column_stack(columns) - table(name)).max() < 1e-9
         assert units["displacement"] == "um"
 
 
 def test_they_are_small() -> None:
-    assert all(path.stat().st_size < 400_000 for path in SAMPLES.iterdir() if path.is_file())
+    assert all(
+        path.stat().st_size < 400_000 for path in SAMPLES.iterdir() if path.is_file()
+    )
 
 
 def test_the_trajectory_lies_within_reach() -> None:
@@ -70,20 +78,26 @@ def test_the_same_seed_gives_the_same_noise_and_another_does_not() -> None:
     first = actuator.play(time, drive, seed=1)
     assert np.array_equal(first, actuator.play(time, drive, seed=1))
     assert not np.array_equal(first, actuator.play(time, drive, seed=2))
-    assert np.std(first - actuator.displacement(time, drive)) == pytest.approx(0.006, rel=0.2)
+    assert np.std(first - actuator.displacement(time, drive)) == pytest.approx(
+        0.006, rel=0.2
+    )
 
 
 def test_wiping_out_and_creep() -> None:
     """Without creep and lag a full sweep erases the past; with creep it does not quite."""
     import dataclasses
 
-    still = dataclasses.replace(PRESETS["stack"], creep=(), amplifier_lag=0.0, sensor_lag=0.0)
+    still = dataclasses.replace(
+        PRESETS["stack"], creep=(), amplifier_lag=0.0, sensor_lag=0.0
+    )
     loop = np.concatenate([np.linspace(0, 100, 100), np.linspace(100, 0, 100)])
     other = np.concatenate([np.linspace(0, 60, 100), np.linspace(60, 0, 100)])
     time = np.arange(400) / 100.0
     for parameters, same in ((still, True), (PRESETS["stack"], False)):
         ends = [
-            VirtualActuator(parameters).displacement(time, np.concatenate([past, loop]))[300:]
+            VirtualActuator(parameters).displacement(
+                time, np.concatenate([past, loop])
+            )[300:]
             for past in (loop, other)
         ]
         assert bool(np.abs(ends[0] - ends[1]).max() < 1e-9) is same
@@ -93,7 +107,13 @@ def test_a_drive_carries_what_was_desired(tmp_path: Path) -> None:
     drive = tmp_path / "drive.csv"
     drive.write_text("time_s,displacement_um,voltage_V\n0.0,1.0,5.0\n0.1,2.0,10.0\n")
     done = subprocess.run(
-        [sys.executable, str(SAMPLES / "virtual_actuator.py"), str(drive), "--seed", "3"],
+        [
+            sys.executable,
+            str(SAMPLES / "virtual_actuator.py"),
+            str(drive),
+            "--seed",
+            "3",
+        ],
         capture_output=True,
         text=True,
         check=True,
@@ -113,13 +133,27 @@ def test_the_whole_road(dbo: Any, tmp_path: Path) -> None:
     begins, expected = done.err.splitlines()
     assert begins.endswith("is not known (--from VOLT says it, --approach ramps there)")
     stated = re.fullmatch(
-        r"dbo: \S+: expected error of the move (0\.\d+) um RMS \(.* % of the move\): .*", expected
+        r"dbo: \S+: expected error of the move (0\.\d+) um RMS \(.* % of the move\): .*",
+        expected,
     )
     assert stated is not None
-    line = [sys.executable, str(SAMPLES / "straight_line.py"), str(log), str(trajectory), "-o", "line.csv"]
+    line = [
+        sys.executable,
+        str(SAMPLES / "straight_line.py"),
+        str(log),
+        str(trajectory),
+        "-o",
+        "line.csv",
+    ]
     subprocess.run(line, check=True)
     for name, seed in (("line", "1"), ("drive", "2")):
-        bench = [sys.executable, str(SAMPLES / "virtual_actuator.py"), f"{name}.csv", "--seed", seed]
+        bench = [
+            sys.executable,
+            str(SAMPLES / "virtual_actuator.py"),
+            f"{name}.csv",
+            "--seed",
+            seed,
+        ]
         subprocess.run([*bench, "-o", f"{name}_measured.csv"], check=True)
     done = dbo("report", "line_measured.csv", "drive_measured.csv", "--format", "json")
     before, after = json.loads(done.out)["logs"]
@@ -131,11 +165,17 @@ def test_the_whole_road(dbo: Any, tmp_path: Path) -> None:
 def test_the_bench_of_the_closed_loop_is_the_actuator_a_sample_at_a_time() -> None:
     import closed_loop
 
-    drive = 50.0 - 45.0 * np.cos(np.arange(2000) * 0.005) * np.exp(-np.arange(2000) / 1500.0)
+    drive = 50.0 - 45.0 * np.cos(np.arange(2000) * 0.005) * np.exp(
+        -np.arange(2000) / 1500.0
+    )
     parameters = PRESETS["stack"]
-    whole = VirtualActuator(parameters).displacement(np.arange(2000) / closed_loop.RATE, drive)
+    whole = VirtualActuator(parameters).displacement(
+        np.arange(2000) / closed_loop.RATE, drive
+    )
     bench = closed_loop.Bench(parameters)
-    assert [bench.step(one)[0] for one in drive] == pytest.approx(whole.tolist(), abs=1e-9)
+    assert [bench.step(one)[0] for one in drive] == pytest.approx(
+        whole.tolist(), abs=1e-9
+    )
 
 
 @pytest.mark.usefixtures("identified_once")
@@ -152,5 +192,9 @@ def test_the_page_about_closed_loops_shows_what_is_printed() -> None:
             np.array(other[24:].split(), float), abs=2e-4
         )
         errors = np.array(other[24:].split(), float)
-        assert errors[6] < min(errors[[0, 1, 4]]), "better than the controller or the drive alone"
-        assert (errors[5:7] < errors[2:4] / 3.0).all(), "and than a straight line beside the controller"
+        assert errors[6] < min(errors[[0, 1, 4]]), (
+            "better than the controller or the drive alone"
+        )
+        assert (errors[5:7] < errors[2:4] / 3.0).all(), (
+            "and than a straight line beside the controller"
+        )

@@ -1,9 +1,10 @@
 # ruff: noqa: E501  (a sentence stands on one line here)
 """The table of sentences: when each is printed, that what it claims is true there, and that it is silent else.
 
-Each row of ``TABLE`` is a note, a warning or a line of a summary: how it begins, the condition under which it
-is printed, a simulated case in which it must appear, and what its figures must be there. ``test_silent`` holds
-that none of them appears in the log, or the move, of an actuator that has nothing of the kind.
+Each row of ``TABLE`` is a note, a warning or a line of a summary: how it begins, the
+condition under which it is printed, a simulated case in which it must appear, and what
+its figures must be there. ``test_silent`` holds that none of them appears in the log,
+or the move, of an actuator that has nothing of the kind.
 """
 
 from __future__ import annotations
@@ -43,8 +44,14 @@ Floats = Any
 def actuator(**fit: Any) -> ActuatorModel:
     """Return an actuator of 0 to 100 V and 20 um whose loops are a tenth of that wide."""
     slopes = np.linspace(0.7, 1.3, 64)
-    stages = (BacklashStage(np.full(64, 100.0 / 64), slopes / slopes.sum()), ScaleStage(20.0, 0.0))
-    ends = Quantity("voltage", "V", 0.0, 100.0), Quantity("displacement", "um", 0.0, 20.0)
+    stages = (
+        BacklashStage(np.full(64, 100.0 / 64), slopes / slopes.sum()),
+        ScaleStage(20.0, 0.0),
+    )
+    ends = (
+        Quantity("voltage", "V", 0.0, 100.0),
+        Quantity("displacement", "um", 0.0, 20.0),
+    )
     return ActuatorModel("forward", *ends, stages, fit)
 
 
@@ -59,7 +66,9 @@ def swings(turns: Sequence[float], seconds: float = 0.5) -> Floats:
 TURNS = (0, 100, 0, 80, 20, 90, 30, 60, 10, 70, 0, 100, 40, 75, 5, 55, 25, 95, 0)
 
 
-def logged(drive: Floats, moved: Floats | None = None, seed: int = 1, **other: Any) -> Recording:
+def logged(
+    drive: Floats, moved: Floats | None = None, seed: int = 1, **other: Any
+) -> Recording:
     """Return a log of a drive; of the actuator's own displacement, where no other is given."""
     clock = np.arange(len(drive)) / RATE
     log = Recording("log.csv", drive, np.zeros(len(drive)), clock, None, "V", "um")
@@ -151,7 +160,12 @@ def one_cycle() -> list[Recording]:
 
 
 def staircase() -> list[Recording]:
-    levels = np.repeat(np.concatenate([np.arange(0, 101, 10), np.arange(90, -1, -10)] * 4).astype(float), 20)
+    levels = np.repeat(
+        np.concatenate([np.arange(0, 101, 10), np.arange(90, -1, -10)] * 4).astype(
+            float
+        ),
+        20,
+    )
     return [logged(levels)]
 
 
@@ -205,14 +219,18 @@ def far_drifting() -> list[Recording]:
 
 def two_gains() -> list[Recording]:
     log = clean()[0]
-    other = logged(log.voltage, 1.05 * predict(actuator(), log), seed=2, name="other.csv")
+    other = logged(
+        log.voltage, 1.05 * predict(actuator(), log), seed=2, name="other.csv"
+    )
     return [log, other]
 
 
 def saturating() -> list[Recording]:
     log = clean()[0]
     moved = predict(actuator(), log)
-    return [logged(log.voltage, np.where(moved < 13.0, moved, 13.0 + 0.02 * (moved - 13.0)))]
+    return [
+        logged(log.voltage, np.where(moved < 13.0, moved, 13.0 + 0.02 * (moved - 13.0)))
+    ]
 
 
 def butterfly() -> list[Recording]:
@@ -249,7 +267,9 @@ LATE = 6  # rows, 30 ms
 
 def late() -> list[Recording]:
     moved = predict(actuator(), clean()[0])
-    return [logged(swings(TURNS), np.concatenate([np.full(LATE, moved[0]), moved[:-LATE]]))]
+    return [
+        logged(swings(TURNS), np.concatenate([np.full(LATE, moved[0]), moved[:-LATE]]))
+    ]
 
 
 def cost_of_lateness() -> float:
@@ -262,18 +282,28 @@ def wider_with_speed() -> list[Recording]:
     drive = swings(TURNS)
     speed = RATE * np.gradient(drive)
     moved = predict(actuator(), clean()[0])
-    return [logged(drive, moved - 0.8 * np.sign(speed) * np.log1p(np.abs(speed) / 30.0))]
+    return [
+        logged(drive, moved - 0.8 * np.sign(speed) * np.log1p(np.abs(speed) / 30.0))
+    ]
 
 
 def uncertain() -> list[Recording]:
     log = clean()[0]
-    return [dataclasses.replace(log, uncertainty=np.where(np.arange(len(log.voltage)) % 2, 0.005, 0.02))]
+    return [
+        dataclasses.replace(
+            log, uncertainty=np.where(np.arange(len(log.voltage)) % 2, 0.005, 0.02)
+        )
+    ]
 
 
 def with_gap() -> list[Recording]:
     log = clean()[0]
     keep = np.concatenate([np.arange(820), np.arange(980, len(log.voltage))])
-    kept = {"voltage": log.voltage[keep], "displacement": log.displacement[keep], "time": CLOCK[keep]}
+    kept = {
+        "voltage": log.voltage[keep],
+        "displacement": log.displacement[keep],
+        "time": CLOCK[keep],
+    }
     return [dataclasses.replace(log, **kept)]
 
 
@@ -293,7 +323,12 @@ def straight() -> list[Recording]:
 
 def two_scales() -> list[Recording]:
     log = clean()[0]
-    return [log, dataclasses.replace(log, displacement=0.001 * log.displacement, name="other.csv")]
+    return [
+        log,
+        dataclasses.replace(
+            log, displacement=0.001 * log.displacement, name="other.csv"
+        ),
+    ]
 
 
 def slewed() -> list[Recording]:
@@ -307,7 +342,9 @@ def slewed() -> list[Recording]:
 
 
 @functools.cache
-def said(case: Callable[[], list[Recording]], options: tuple[tuple[str, Any], ...] = ()) -> tuple[str, ...]:
+def said(
+    case: Callable[[], list[Recording]], options: tuple[tuple[str, Any], ...] = ()
+) -> tuple[str, ...]:
     """Return all that identification says of a case."""
     done = identify(case(), dataclasses.replace(OPTIONS, force=True, **dict(options)))
     return tuple([*done.summary, *done.warnings])
@@ -364,7 +401,10 @@ TABLE = [
         (near(75, 0.05),),
     ),
     Sentence(
-        r"log\.csv: the voltage changes only once in (\d+) rows", "a drive in even steps", stepped_drive, (5,)
+        r"log\.csv: the voltage changes only once in (\d+) rows",
+        "a drive in even steps",
+        stepped_drive,
+        (5,),
     ),
     Sentence(
         r"log\.csv: time runs backwards (\d+) times \(first at row (\d+)\)",
@@ -378,9 +418,15 @@ TABLE = [
         repeated_stamps,
         (near(0.5 * len(CLOCK), 0.01), near(2, 0.6)),
     ),
-    Sentence(r"all cycles go over one and the same range", "one amplitude", one_amplitude),
+    Sentence(
+        r"all cycles go over one and the same range", "one amplitude", one_amplitude
+    ),
     Sentence(r"less than two whole cycles", "fewer than four swings", one_cycle),
-    Sentence(r"what error to expect on new moves cannot be told", "fewer than four swings", one_cycle),
+    Sentence(
+        r"what error to expect on new moves cannot be told",
+        "fewer than four swings",
+        one_cycle,
+    ),
     Sentence(
         r"the log's samples stand at (\d+) levels of the drive alone",
         "fewer than 20 levels",
@@ -388,7 +434,9 @@ TABLE = [
         (11,),
     ),
     Sentence(
-        r"the loop runs clockwise: the displacement leads the voltage", "falling slopes fit better", clockwise
+        r"the loop runs clockwise: the displacement leads the voltage",
+        "falling slopes fit better",
+        clockwise,
     ),
     Sentence(
         r"loops may not close: in the logs the displacement forgets its past as the drive moves",
@@ -441,7 +489,11 @@ TABLE = [
         late_start,
         (near(401, 0.02),),
     ),
-    Sentence(r"no clock, so neither lag nor delay could be looked for", "no time", without_clock),
+    Sentence(
+        r"no clock, so neither lag nor delay could be looked for",
+        "no time",
+        without_clock,
+    ),
     Sentence(
         r"the logs cover (\S+) to (\S+), (\d+) % of the rated range",
         "less than 95 % of the rating",
@@ -498,13 +550,22 @@ TABLE = [
         r"rows weighted by their uncertainty, which differs by up to (\S+) times: they tell as much as (\S+) of",
         "rows of two uncertainties",
         uncertain,
-        (4, near(0.5 * (len(CLOCK) - 96) * (1.0 + 1.0 / 16.0) ** 2 / (1.0 + 1.0 / 256.0), 0.01)),
+        (
+            4,
+            near(
+                0.5 * (len(CLOCK) - 96) * (1.0 + 1.0 / 16.0) ** 2 / (1.0 + 1.0 / 256.0),
+                0.01,
+            ),
+        ),
     ),
     Sentence(
         r"log\.csv: a gap before row (\d+), in which the drive may have turned: (\d+) rows left out",
         "a pause in the log",
         with_gap,
-        (821, near(116, 0.1)),  # until the drive has been at 0 and, with the pause over, at 100
+        (
+            821,
+            near(116, 0.1),
+        ),  # until the drive has been at 0 and, with the pause over, at 100
     ),
     Sentence(
         r"the model leaves (\S+) % of its range unexplained",
@@ -534,16 +595,24 @@ TABLE = [
 
 @pytest.mark.parametrize("row", TABLE, ids=[row.pattern[:48] for row in TABLE])
 def test_what_a_sentence_claims_is_so(row: Sentence) -> None:
-    matches = [found for text in said(row.case, row.options) if (found := re.search(row.pattern, text))]
+    matches = [
+        found
+        for text in said(row.case, row.options)
+        if (found := re.search(row.pattern, text))
+    ]
     assert matches, (row.condition, said(row.case, row.options))
-    figures = [float(text.replace(",", "")) for text in matches[0].groups()[: len(row.true)]]
+    figures = [
+        float(text.replace(",", "")) for text in matches[0].groups()[: len(row.true)]
+    ]
     assert figures == list(row.true)
 
 
 @pytest.mark.parametrize("row", TABLE, ids=[row.pattern[:48] for row in TABLE])
 def test_silent_where_there_is_nothing_of_the_kind(row: Sentence) -> None:
     if row.case is late_start:
-        pytest.skip("of every log rows are left out until the drive has been at both ends")
+        pytest.skip(
+            "of every log rows are left out until the drive has been at both ends"
+        )
     lines = said(clean)
     assert not [text for text in lines if re.search(row.pattern, text)]
 
@@ -556,20 +625,30 @@ def test_the_clean_log_has_no_warning_and_its_figures_are_true() -> None:
     fitted = float(np.std(predict(done.model, log) - truth))
     assert fitted < done.fit["rmse"] == near(NOISE, 0.15)  # type: ignore[operator]
     line = np.polyval(np.polyfit(log.voltage, truth, 1), log.voltage) - truth
-    [stated] = [found for text in done.summary if (found := re.search(r"a straight line's (\S+) um", text))]
+    [stated] = [
+        found
+        for text in done.summary
+        if (found := re.search(r"a straight line's (\S+) um", text))
+    ]
     assert float(stated[1]) == near(float(np.std(line)), 0.05)
     [width] = [
-        found for text in done.summary if (found := re.search(r"^loop (\S+) % of the model's range", text))
+        found
+        for text in done.summary
+        if (found := re.search(r"^loop (\S+) % of the model's range", text))
     ]
     slow = np.concatenate([np.linspace(0.0, 100.0, 501), np.linspace(100.0, 0.0, 501)])
     walked = predict(actuator(), logged(slow, np.zeros(1002)))
-    assert float(width[1]) == near(100.0 * float(np.max(walked[501:][::-1] - walked[:501])) / 20.0, 0.05)
+    assert float(width[1]) == near(
+        100.0 * float(np.max(walked[501:][::-1] - walked[:501])) / 20.0, 0.05
+    )
 
 
 def test_a_displacement_of_another_drive_is_no_butterfly() -> None:
     other = swings(np.random.default_rng(3).permutation(TURNS))
     moved = predict(actuator(), logged(other, np.zeros(len(other))))
-    done = identify([logged(swings(TURNS), moved)], dataclasses.replace(OPTIONS, force=True))
+    done = identify(
+        [logged(swings(TURNS), moved)], dataclasses.replace(OPTIONS, force=True)
+    )
     assert any("of its range unexplained" in text for text in done.warnings)
     assert not any("rises and falls again" in text for text in done.warnings)
 
@@ -578,13 +657,17 @@ def test_another_log_is_predicted_to_what_its_sensor_hides() -> None:
     other = logged(swings(TURNS[::-1]), seed=5, name="other.csv")
     done = identify(clean(), OPTIONS, validation=[other])
     [stated] = [
-        found for text in done.summary if (found := re.search(r"^other\.csv: predicts it to (\S+) um", text))
+        found
+        for text in done.summary
+        if (found := re.search(r"^other\.csv: predicts it to (\S+) um", text))
     ]
     assert float(stated[1]) == near(NOISE, 0.1)
     wider = dataclasses.replace(other, displacement=1.02 * other.displacement)
     worse = identify(clean(), OPTIONS, validation=[wider])
     [stated] = [
-        found for text in worse.summary if (found := re.search(r"^other\.csv: predicts it to (\S+) um", text))
+        found
+        for text in worse.summary
+        if (found := re.search(r"^other\.csv: predicts it to (\S+) um", text))
     ]
     assert float(stated[1]) == near(0.02 * float(np.std(other.displacement)), 0.1)
 
@@ -593,7 +676,9 @@ def test_what_has_moved_since_the_prior_lies_within_what_is_printed() -> None:
     prior = identify(clean(), OPTIONS).model
     later = logged(swings(TURNS), seed=8)
     later = dataclasses.replace(later, displacement=1.03 * later.displacement + 0.7)
-    [line] = [text for text in identify([later], prior=prior).summary if "moved: gain" in text]
+    [line] = [
+        text for text in identify([later], prior=prior).summary if "moved: gain" in text
+    ]
     found = re.search(
         r"gain (\S+) times the prior's \(within (\S+)\), offset (\S+) um, lag as it was \(within (\S+) ms",
         line,
@@ -603,7 +688,9 @@ def test_what_has_moved_since_the_prior_lies_within_what_is_printed() -> None:
     assert abs(gain - 1.03) <= within < 0.01
     assert offset == pytest.approx(0.7, abs=20.0 * within)
     [same] = [
-        text for text in identify([logged(swings(TURNS), seed=9)], prior=prior).summary if "moved" in text
+        text
+        for text in identify([logged(swings(TURNS), seed=9)], prior=prior).summary
+        if "moved" in text
     ]
     assert "gain 1.000" in same and "offset +0 um" in same
 
@@ -611,13 +698,19 @@ def test_what_has_moved_since_the_prior_lies_within_what_is_printed() -> None:
 def test_a_resonance_lies_in_the_interval_that_is_printed() -> None:
     drive = Excitation(0.0, 100.0, 2_000.0, 6.0, 1.0, sweep_to=200.0).drive()[1]
     few = IdentificationOptions(gears=24, points=0, relaxation=(), delay=0.0)
-    shown = re.compile(r"resonance at \S+ Hz \((\S+) to (\S+)\), damping \S+ \((\S+) to (\S+)\)")
+    shown = re.compile(
+        r"resonance at \S+ Hz \((\S+) to (\S+)\), damping \S+ \((\S+) to (\S+)\)"
+    )
     whole = identify([recorded(plant(Lag(0.001), Resonance(61.0, 0.03)), drive)], few)
     [found] = [found for text in whole.summary if (found := shown.search(text))]
     low, high, thin, wide = (float(text) for text in found.groups())
     assert low <= 61.0 <= high <= 1.01 * low
     assert thin <= 0.03 <= wide <= 1.2 * thin
-    [trusted] = [found for text in whole.summary if (found := re.match(r"trust the model to (\S+) Hz", text))]
+    [trusted] = [
+        found
+        for text in whole.summary
+        if (found := re.match(r"trust the model to (\S+) Hz", text))
+    ]
     phase = 2.0 * np.pi * float(trusted[1]) * np.arange(4_000) / 2_000.0
     fast = 50.0 - 20.0 * np.cos(phase)
     moved = [
@@ -625,7 +718,11 @@ def test_a_resonance_lies_in_the_interval_that_is_printed() -> None:
         for model in (plant(Lag(0.001), Resonance(61.0, 0.03)), whole.model)
     ]
     assert float(np.std(moved[1] - moved[0])) < 0.1 * float(np.std(moved[0]))
-    assert not [text for text in said(clean) if "resonance at" in text or "trust the model" in text]
+    assert not [
+        text
+        for text in said(clean)
+        if "resonance at" in text or "trust the model" in text
+    ]
 
 
 # --- what is said of a move ---
@@ -649,7 +746,9 @@ def texts_of(done: Any) -> str:
 def truth_of(done: Any, wanted: Floats, start: str) -> float:
     """Return the RMS by which the actuator misses a move, when it came from a start."""
     model = actuator()
-    y = model.simulate(done.values, model.start(float(done.values[0]), start), time_step=1.0 / RATE).y  # type: ignore[arg-type]
+    y = model.simulate(
+        done.values, model.start(float(done.values[0]), start), time_step=1.0 / RATE
+    ).y  # type: ignore[arg-type]
     left = y[-len(wanted) :] - wanted
     return float(np.sqrt(np.mean(left**2)))
 
@@ -675,7 +774,10 @@ def test_an_actuator_that_never_moved_errs_more_until_it_is_swept() -> None:
         assert (never_moved in "\n".join(done.notes)) is not condition
         drive = done.values
         unswitched = 0.008 * (100.0 - np.maximum.accumulate(drive))
-        y = actuator().simulate(drive, actuator().start(float(drive[0]), "empty")).y - unswitched
+        y = (
+            actuator().simulate(drive, actuator().start(float(drive[0]), "empty")).y
+            - unswitched
+        )
         error = float(np.sqrt(np.mean((y[-len(wanted) :] - wanted) ** 2)))
         stated = re.search(r"expected error of the move (\S+) um", texts_of(done))
         assert stated is not None
@@ -708,7 +810,8 @@ def test_after_a_sweep_the_past_is_no_longer_said_and_no_longer_matters() -> Non
 def test_by_how_much_the_start_depends_on_the_past() -> None:
     done = compensated(move())
     found = re.search(
-        r"where it starts, the displacement depends on the past by up to (\S+) um", texts_of(done)
+        r"where it starts, the displacement depends on the past by up to (\S+) um",
+        texts_of(done),
     )
     assert found is not None
     model = actuator()
@@ -724,13 +827,18 @@ def test_by_how_much_the_start_depends_on_the_past() -> None:
 
 def test_what_clipping_loses_is_what_the_actuator_misses() -> None:
     wanted = move(6.0, 16.0)
-    done = compensated(wanted, v_max=70.0, on_limit="clip", state="empty", from_=0.0, approach=1.0)
+    done = compensated(
+        wanted, v_max=70.0, on_limit="clip", state="empty", from_=0.0, approach=1.0
+    )
     found = re.search(
-        r"samples .*: clipped, by which the move misses (\S+) um RMS, (\S+) um at worst", texts_of(done)
+        r"samples .*: clipped, by which the move misses (\S+) um RMS, (\S+) um at worst",
+        texts_of(done),
     )
     assert found is not None
     assert float(found[1]) == near(truth_of(done, wanted, "empty"), 0.02)
-    within = compensated(move(6.0, 10.0), v_max=70.0, state="empty", from_=0.0, approach=1.0)
+    within = compensated(
+        move(6.0, 10.0), v_max=70.0, state="empty", from_=0.0, approach=1.0
+    )
     assert "clipped" not in texts_of(within)
 
 
@@ -738,7 +846,10 @@ def test_a_first_row_that_steps_is_said_with_both_voltages() -> None:
     done = compensated(move(), from_=0.0)
     found = re.search(r"the first row steps from (\S+) to (\S+) V", texts_of(done))
     assert found is not None
-    assert (float(found[1]), float(found[2])) == (0.0, near(float(done.values[0]), 1e-4))
+    assert (float(found[1]), float(found[2])) == (
+        0.0,
+        near(float(done.values[0]), 1e-4),
+    )
     ramped = compensated(move(), from_=0.0, approach=1.0)
     assert "the first row steps" not in texts_of(ramped)
     assert abs(float(np.diff(ramped.values, prepend=0.0).max())) < 3.0
@@ -751,7 +862,9 @@ def test_a_first_value_at_which_nothing_settles_is_missed_by_what_is_said() -> N
     missed = re.compile(r"the displacement starts (\S+) um off its first value")
     seen = 0
     for first in np.linspace(4.0, 16.0, 13).tolist():
-        done = Model(few).compensate(move(first, first + 2.0), sample_rate=RATE, details=True)
+        done = Model(few).compensate(
+            move(first, first + 2.0), sample_rate=RATE, details=True
+        )
         start = float(done.values[0])
         reached = float(few.simulate(np.array([start]), few.start(start)).y[0])
         found = missed.search(texts_of(done))
@@ -766,7 +879,10 @@ def test_a_first_value_at_which_nothing_settles_is_missed_by_what_is_said() -> N
 
 def test_rows_faster_than_the_logs_are_counted() -> None:
     fast = compensated(move(6.0, 14.0, 0.05 * 4))
-    found = re.search(r": (\d+) of (\d+) samples .* move the drive more than 2 times as fast", texts_of(fast))
+    found = re.search(
+        r": (\d+) of (\d+) samples .* move the drive more than 2 times as fast",
+        texts_of(fast),
+    )
     speeds = np.abs(np.diff(fast.values, prepend=fast.values[0])) * RATE
     count = int(np.count_nonzero(speeds > 2.0 * 400.0))
     assert (found is not None) == (count > 0)
@@ -777,7 +893,9 @@ def test_rows_faster_than_the_logs_are_counted() -> None:
 
 def test_the_charge_that_a_drive_takes() -> None:
     done = compensated(move(), capacitance=1e-6, max_current=1.0)
-    found = re.search(r"into 1e-06 F the drive takes (\S+) A at most, (\S+) A and", texts_of(done))
+    found = re.search(
+        r"into 1e-06 F the drive takes (\S+) A at most, (\S+) A and", texts_of(done)
+    )
     assert found is not None
     rates = np.abs(np.diff(done.values)) * RATE
     assert float(found[1]) == near(1e-6 * float(rates.max()), 0.01)
@@ -796,12 +914,19 @@ def test_a_move_no_model_of_these_logs_knows_is_no_better_than_a_line() -> None:
 
 def noted(measured: Floats, wanted: Floats | None = None, **options: Any) -> str:
     wanted = move() if wanted is None else wanted
-    return "\n".join(dbo_cli.report(wanted, measured, sample_rate=RATE, unit="um", **options).report.notes)
+    return "\n".join(
+        dbo_cli.report(
+            wanted, measured, sample_rate=RATE, unit="um", **options
+        ).report.notes
+    )
 
 
 def test_what_is_left_without_the_mean() -> None:
     wave = 0.01 * np.sin(np.arange(len(move())))
-    found = re.search(r"without the mean error (\d+) % of the RMSE is left", noted(move() + 0.1 + wave))
+    found = re.search(
+        r"without the mean error (\d+) % of the RMSE is left",
+        noted(move() + 0.1 + wave),
+    )
     assert found is not None
     left = float(np.std(0.1 + wave)) / float(np.sqrt(np.mean((0.1 + wave) ** 2)))
     assert float(found[1]) == pytest.approx(100.0 * left, abs=0.5)
@@ -815,15 +940,22 @@ def test_the_lag_that_auto_takes_out_is_the_one_that_was_put_in() -> None:
 
 
 def test_samples_that_are_no_numbers_are_counted() -> None:
-    for rows, text in (([3, 9], "log: 2 samples without a number in desired or measured left out"), ([], "")):
+    for rows, text in (
+        ([3, 9], "log: 2 samples without a number in desired or measured left out"),
+        ([], ""),
+    ):
         measured = move() + 0.01 * np.sin(np.arange(400))
         measured[rows] = np.nan
-        block = SampleBlock(range(1, 401), None, None, {"desired": move(), "measured": measured})
+        block = SampleBlock(
+            range(1, 401), None, None, {"desired": move(), "measured": measured}
+        )
         notes = "".join(evaluate("log", [block], ReportOptions()).notes)
         assert notes == text
 
 
 def test_what_never_changes_has_no_loop() -> None:
     still = np.full(400, 5.0)
-    assert "desired never changes, so NRMSE, loop width and lag are undefined" in noted(still + 0.1, still)
+    assert "desired never changes, so NRMSE, loop width and lag are undefined" in noted(
+        still + 0.1, still
+    )
     assert "never changes" not in noted(move() + 0.1)

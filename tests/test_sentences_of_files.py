@@ -1,8 +1,8 @@
-# ruff: noqa: E501  (a sentence stands on one line here)
 """The table of sentences, of files: clocks, columns, and drives that were played otherwise.
 
-Each row is what is said of a log in which something is the matter, and its figures there; ``test_silent`` holds
-that none of it is said of the same log with nothing the matter. More stand in ``test_sentences.py``.
+Each row is what is said of a log in which something is the matter, and its figures
+there; ``test_silent`` holds that none of it is said of the same log with nothing the
+matter. More stand in ``test_sentences.py``.
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ MEASURED = WANTED + 0.01 * np.sin(np.arange(ROWS))
 HEAD = "time_s,desired_um,measured_um"
 
 
-def written(name: str, columns: Sequence[Any], head: str = HEAD, end: str = "\n") -> str:
+def written(
+    name: str, columns: Sequence[Any], head: str = HEAD, end: str = "\n"
+) -> str:
     rows = zip(*(column.tolist() for column in columns), strict=True)
     lines = "\n".join(",".join(repr(value) for value in row) for row in rows)
     Path(name).write_text(f"{head}\n{lines}{end}")
@@ -45,11 +47,17 @@ def repeated(clock: Any) -> Any:
 
 
 def in_nanometres() -> str:
-    return written("run.csv", [CLOCK, WANTED, 1000.0 * MEASURED], "time_s,desired_um,measured_nm")
+    return written(
+        "run.csv", [CLOCK, WANTED, 1000.0 * MEASURED], "time_s,desired_um,measured_nm"
+    )
 
 
 def in_furlongs() -> str:
-    return written("run.csv", [CLOCK, WANTED, MEASURED], "time_s,desired (furlong),measured (furlong)")
+    return written(
+        "run.csv",
+        [CLOCK, WANTED, MEASURED],
+        "time_s,desired (furlong),measured (furlong)",
+    )
 
 
 def cut() -> str:
@@ -93,7 +101,11 @@ TABLE = [
         clocked(lambda clock: from_row_200(clock, -2.0)),
         (202, 1.99, 0.0),
     ),
-    Sentence(r"run\.csv: the time stamp (\S+) s repeats at line (\d+)", clocked(repeated), (1.99, 202)),
+    Sentence(
+        r"run\.csv: the time stamp (\S+) s repeats at line (\d+)",
+        clocked(repeated),
+        (1.99, 202),
+    ),
     Sentence(
         r"run\.csv: time steps vary from (\S+) s to (\S+) s \(usual step (\S+) s\)",
         clocked(lambda clock: clock + 0.002 * np.sin(np.arange(ROWS))),
@@ -108,12 +120,24 @@ TABLE = [
         clocked(lambda clock: 2.0 * clock),
         (ROWS, 7.98, 50),
     ),
-    Sentence(r"run\.csv: --sample-rate replaces the column 'time_s'", clean, (), ("--sample-rate", "50")),
-    Sentence(r"run\.csv: column 'desired_um' is converted from um to nm", in_nanometres),
     Sentence(
-        r"the unit 'furlong' of column '\w+ \(furlong\)' is not known and carried as it is", in_furlongs
+        r"run\.csv: --sample-rate replaces the column 'time_s'",
+        clean,
+        (),
+        ("--sample-rate", "50"),
     ),
-    Sentence(r"run\.csv:(\d+): the last line has no line end: was the record cut there\?", cut, (401,)),
+    Sentence(
+        r"run\.csv: column 'desired_um' is converted from um to nm", in_nanometres
+    ),
+    Sentence(
+        r"the unit 'furlong' of column '\w+ \(furlong\)' is not known and carried as it is",
+        in_furlongs,
+    ),
+    Sentence(
+        r"run\.csv:(\d+): the last line has no line end: was the record cut there\?",
+        cut,
+        (401,),
+    ),
     Sentence(
         r"run\.csv:(\d+): column 'desired_um' is not a number: 'overload': (\d+) row dropped",
         with_a_word,
@@ -136,15 +160,24 @@ def test_silent_where_nothing_is_the_matter(whole_dbo: Any) -> None:
     said = whole_dbo("report", clean()).err
     assert "400 rows, 3.99 s at 100 samples/s" in said
     of_every_log = TABLE[5]
-    assert not [row.pattern for row in TABLE if row is not of_every_log and re.search(row.pattern, said)]
+    assert not [
+        row.pattern
+        for row in TABLE
+        if row is not of_every_log and re.search(row.pattern, said)
+    ]
 
 
-def test_the_error_of_a_converted_column_is_in_the_unit_that_is_said(whole_dbo: Any) -> None:
+def test_the_error_of_a_converted_column_is_in_the_unit_that_is_said(
+    whole_dbo: Any,
+) -> None:
     error = float(np.sqrt(np.mean((MEASURED - WANTED) ** 2)))
     for case, factor, unit in ((in_nanometres, 1000.0, "nm"), (clean, 1.0, "um")):
         found = re.match(r"run\.csv: (\S+) (\w+) RMSE", whole_dbo("report", case()).out)
         assert found is not None
-        assert (float(found[1]), found[2]) == (pytest.approx(factor * error, rel=0.01), unit)
+        assert (float(found[1]), found[2]) == (
+            pytest.approx(factor * error, rel=0.01),
+            unit,
+        )
 
 
 # --- what was played beside what was to be played ---
@@ -169,8 +202,16 @@ PLAYED = [
         r"differs by up to (\S+) V, .*it is the drive cut off at (\S+) V: a limit of the amplifier",
         (pytest.approx(PLAN.max() - TOP, rel=1e-3), TOP),
     ),
-    (lambda: played(PLAN[::2], CLOCK[:200]), r"the drive was played (\S+) times as fast", (2,)),
-    (lambda: played(PLAN[:300], CLOCK[:300]), r"(\d+) of (\d+) rows were not played", (100, ROWS)),
+    (
+        lambda: played(PLAN[::2], CLOCK[:200]),
+        r"the drive was played (\S+) times as fast",
+        (2,),
+    ),
+    (
+        lambda: played(PLAN[:300], CLOCK[:300]),
+        r"(\d+) of (\d+) rows were not played",
+        (100, ROWS),
+    ),
     (
         lambda: played(np.random.default_rng(1).uniform(15.0, 85.0, ROWS)),
         r"what was played is another drive: the two have nothing in common",
@@ -179,8 +220,12 @@ PLAYED = [
 ]
 
 
-@pytest.mark.parametrize(("case", "pattern", "true"), PLAYED, ids=["gain", "cut", "fast", "short", "other"])
-def test_what_is_said_of_a_drive_that_was_played_is_so(case: Any, pattern: str, true: Any, dbo: Any) -> None:
+@pytest.mark.parametrize(
+    ("case", "pattern", "true"), PLAYED, ids=["gain", "cut", "fast", "short", "other"]
+)
+def test_what_is_said_of_a_drive_that_was_played_is_so(
+    case: Any, pattern: str, true: Any, dbo: Any
+) -> None:
     written("plan.csv", [CLOCK, PLAN], "time_s,voltage_V")
     done = dbo("check", case(), "--against", "plan.csv")
     found = re.search(pattern, done.out)

@@ -1,7 +1,8 @@
 """What Windows refuses, refused here: so that what is particular to it is tried on other systems, too.
 
-Nobody may replace or remove a file while it is open, ``fsync`` needs a handle that may write, folders cannot
-be opened, some names are given to no file, and ``fcntl`` does not exist.
+Nobody may replace or remove a file while it is open, ``fsync`` needs a handle that may
+write, folders cannot be opened, some names are given to no file, and ``fcntl`` does not
+exist.
 """
 
 from __future__ import annotations
@@ -46,7 +47,9 @@ def refuse_open(*paths: str) -> None:
     """Refuse to replace or remove what this very process has open (a sharing violation)."""
     for path in paths:
         if os.path.isfile(path) and open_here(path):
-            raise PermissionError(errno.EACCES, "The process cannot access the file: it is in use", path)
+            raise PermissionError(
+                errno.EACCES, "The process cannot access the file: it is in use", path
+            )
 
 
 def pretend(monkeypatch: pytest.MonkeyPatch) -> None:

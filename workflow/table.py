@@ -3,8 +3,9 @@
     python table.py LOGS RESULTS           # writes RESULTS/summary.csv
     python table.py LOGS RESULTS --judge   # says what failed; exit code 1 if anything did
 
-``Makefile`` and ``Snakefile`` call it. Of each log it reads what stands in RESULTS: the model, the summary of
-its drive, its report, and in RESULTS/errors the errors of the steps. It needs nothing but Python.
+``Makefile`` and ``Snakefile`` call it. Of each log it reads what stands in RESULTS: the
+model, the summary of its drive, its report, and in RESULTS/errors the errors of the
+steps. It needs nothing but Python.
 """
 
 from __future__ import annotations
@@ -47,7 +48,9 @@ def first_error(results: Path, name: str) -> str:
         try:
             lines = (results / "errors" / f"{name}.{product}").read_text().splitlines()
         except FileNotFoundError:
-            lines = [] if (results / f"{name}.{product}").exists() else ["it was not tried"]
+            lines = (
+                [] if (results / f"{name}.{product}").exists() else ["it was not tried"]
+            )
         if not lines:
             continue
         # Libraries may have said something before.
@@ -68,13 +71,16 @@ def content(file: Path) -> dict[str, Any]:
 def of_model(file: Path) -> dict[str, Any]:
     """Return what the table says of a model: sign, gain (displacement per voltage, end to end), rows, error.
 
-    The error is the one to expect of any new move; that of the trajectory stands with the drive.
+    The error is the one to expect of any new move; that of the trajectory stands with
+    the drive.
     """
     model = content(file)
     if not model:
         return {}
     sign = model["fit"]["sign"]
-    gain = (model["output"]["max"] - model["output"]["min"]) / (model["input"]["max"] - model["input"]["min"])
+    gain = (model["output"]["max"] - model["output"]["min"]) / (
+        model["input"]["max"] - model["input"]["min"]
+    )
     rows = sum(log["rows"] for log in model["provenance"]["inputs"])
     return {
         "sign": sign,
@@ -105,7 +111,9 @@ def write_table(logs: Path, results: Path) -> None:
     lines = list(lines_of(logs, results))
     columns = ["name", *OF_THE_MODEL]
     for line in lines:
-        columns += [key for key in line if key not in columns and key not in OF_THE_DRIVE]
+        columns += [
+            key for key in line if key not in columns and key not in OF_THE_DRIVE
+        ]
     columns += OF_THE_DRIVE
     partial = results / f"summary.csv.{os.getpid()}.partial"
     with partial.open("w", newline="") as file:
@@ -124,7 +132,10 @@ def judge(table: Path) -> int:
     for line in failed:
         print(f"  {line['name']}: {line['failed']}", file=sys.stderr)
     if failed:
-        print("  options that a message names go into READ, for all commands", file=sys.stderr)
+        print(
+            "  options that a message names go into READ, for all commands",
+            file=sys.stderr,
+        )
     names: dict[str, list[str]] = {"rising": [], "falling": []}
     for line in lines:
         if line["sign"]:

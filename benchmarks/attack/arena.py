@@ -1,7 +1,8 @@
 """A folder with small models, logs and old outputs, and a way to run the program in it and look what is left.
 
-The commands run in this process, or in one forked from it: starting an interpreter takes longer than most
-of the runs. Inputs stay small, so that no library with threads of its own is imported before a fork.
+The commands run in this process, or in one forked from it: starting an interpreter
+takes longer than most of the runs. Inputs stay small, so that no library with threads
+of its own is imported before a fork.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT))
 
 CODES = {0, 1, 2, 3, 130}
-_BAD_WORDS = re.compile(r"internal error|Traceback|Warning\b|warnings\.warn|Exception ignored|Segmentation")
+_BAD_WORDS = re.compile(
+    r"internal error|Traceback|Warning\b|warnings\.warn|Exception ignored|Segmentation"
+)
 _NOT_FINITE = re.compile(rb"(?i)(?<![a-z])(nan|[+-]?inf(inity)?)(?![a-z])")
 
 MODEL: dict[str, Any] = {
@@ -32,7 +35,13 @@ MODEL: dict[str, Any] = {
     "input": {"quantity": "voltage", "unit": "V", "min": 0.0, "max": 10.0},
     "output": {"quantity": "displacement", "unit": "um", "min": 1.0, "max": 9.0},
     "stages": [
-        {"type": "backlash", "x0": 0.0, "y0": 0.0, "dx": [1.0, 2.0, 3.0, 4.0], "dy": [0.25, 0.75, 1.5, 2.5]},
+        {
+            "type": "backlash",
+            "x0": 0.0,
+            "y0": 0.0,
+            "dx": [1.0, 2.0, 3.0, 4.0],
+            "dy": [0.25, 0.75, 1.5, 2.5],
+        },
         {"type": "scale", "gain": 1.6, "offset": 1.0},
     ],
 }
@@ -56,13 +65,23 @@ def fill(folder: Path) -> None:
     (folder / "late.json").write_text(json.dumps(late))
     drive = [5.0 - 5.0 * math.cos(0.07 * n) for n in range(400)]
     moved = [1.0 + 0.08 * v * v for v in drive]
-    rows = [f"{n / 100:.2f},{v:.5f},{x:.5f}" for n, (v, x) in enumerate(zip(drive, moved, strict=True))]
-    (folder / "run.csv").write_text("\n".join(["time_s,voltage_V,displacement_um", *rows, ""]))
+    rows = [
+        f"{n / 100:.2f},{v:.5f},{x:.5f}"
+        for n, (v, x) in enumerate(zip(drive, moved, strict=True))
+    ]
+    (folder / "run.csv").write_text(
+        "\n".join(["time_s,voltage_V,displacement_um", *rows, ""])
+    )
     wished = [f"{n / 100:.2f},{5.0 + 3.0 * math.sin(0.05 * n):.5f}" for n in range(300)]
     (folder / "wish.csv").write_text("\n".join(["time_s,displacement_um", *wished, ""]))
     (folder / "bare.txt").write_text("".join(f"{v:.4f}\n" for v in drive[:50]))
-    pairs = [f"{n / 100:.2f},{v:.4f},{v + 0.01 * math.sin(n):.4f}" for n, v in enumerate(drive)]
-    (folder / "pair.csv").write_text("\n".join(["time_s,desired_um,measured_um", *pairs, ""]))
+    pairs = [
+        f"{n / 100:.2f},{v:.4f},{v + 0.01 * math.sin(n):.4f}"
+        for n, v in enumerate(drive)
+    ]
+    (folder / "pair.csv").write_text(
+        "\n".join(["time_s,desired_um,measured_um", *pairs, ""])
+    )
 
 
 @contextlib.contextmanager
@@ -99,7 +118,9 @@ def complaint(outcome: Outcome) -> str | None:
         return f"exit code {outcome.code}"
     if found := _BAD_WORDS.search(outcome.err):
         return f"{found[0]!r} on stderr: {outcome.err.strip()[:300]}"
-    errors = [line for line in outcome.err.splitlines() if line.startswith("dbo: error: ")]
+    errors = [
+        line for line in outcome.err.splitlines() if line.startswith("dbo: error: ")
+    ]
     if (outcome.code in (1, 2, 3)) != (len(errors) == 1):
         return f"exit code {outcome.code} with {len(errors)} errors: {outcome.err.strip()[:300]}"
     if any(not line.startswith("dbo: ") for line in outcome.err.splitlines()):
@@ -134,7 +155,8 @@ def time_limit(seconds: float) -> Iterator[None]:
 def forked(words: Sequence[str], limit: int | None = None) -> int:
     """Run one command line in a forked process, its streams to nowhere; return the process id.
 
-    ``limit`` is the most bytes that a file may get: a disk that is full at a certain byte.
+    ``limit`` is the most bytes that a file may get: a disk that is full at a certain
+    byte.
     """
     process = os.fork()
     if process:
@@ -145,7 +167,9 @@ def forked(words: Sequence[str], limit: int | None = None) -> int:
         for descriptor in (0, 1):
             os.dup2(nowhere, descriptor)
         os.dup2(os.open("stderr.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC), 2)
-        sys.stdin, sys.stdout, sys.stderr = (open(n, m) for n, m in ((0, "r"), (1, "w"), (2, "w")))
+        sys.stdin, sys.stdout, sys.stderr = (
+            open(n, m) for n, m in ((0, "r"), (1, "w"), (2, "w"))
+        )
         signal.signal(signal.SIGINT, signal.default_int_handler)
         if limit is not None:
             import resource

@@ -2,8 +2,9 @@
 
     python benchmarks/attack/command_lines.py [COUNT] [SEED]
 
-Every run happens in this process. Words come from what the commands take, from numbers and names that are
-odd, and from noise; half of the lines begin as good ones. The same seed gives the same lines.
+Every run happens in this process. Words come from what the commands take, from numbers
+and names that are odd, and from noise; half of the lines begin as good ones. The same
+seed gives the same lines.
 """
 
 from __future__ import annotations
@@ -49,7 +50,16 @@ VALUES = [
     "-o", "--", "1" * 5000, "9" * 400, "x" * 300, "\udcff", "µ", "\x1b[31m", "\n", "\x00", "💥", "s", "ms", "um/V",
     "voltage=20", "displacement=10um/V", "=", "voltage=", "1e6", "123456789", "0x10", "1_000", "１", "٣",
 ]  # fmt: skip
-COMMANDS = ["simulate", "compensate", "invert", "report", "excite", "identify", "show", "x"]
+COMMANDS = [
+    "simulate",
+    "compensate",
+    "invert",
+    "report",
+    "excite",
+    "identify",
+    "show",
+    "x",
+]
 
 
 class Lines:
@@ -67,7 +77,11 @@ class Lines:
     def words(self) -> list[str]:
         """Return the words of one command line."""
         pick = self.pick
-        words = pick.choice(GOOD).split() if pick.random() < 0.9 else [pick.choice(COMMANDS)]
+        words = (
+            pick.choice(GOOD).split()
+            if pick.random() < 0.9
+            else [pick.choice(COMMANDS)]
+        )
         for _ in range(pick.randrange(5)):
             way = pick.random()
             place = pick.randrange(min(len(words), pick.random() < 0.9), len(words) + 1)
@@ -100,13 +114,21 @@ class Lines:
                 outcome = run(words)
             wrong = complaint(outcome)
             told = f"exit code {outcome.code}"
-            line = next((one for one in outcome.err.splitlines() if "error: " in one), "")
-            told += ": " + re.sub(r"'[^']*'|[^ ]*[/\d][^ ]*", "*", line)[11:80] if line else ""
+            line = next(
+                (one for one in outcome.err.splitlines() if "error: " in one), ""
+            )
+            told += (
+                ": " + re.sub(r"'[^']*'|[^ ]*[/\d][^ ]*", "*", line)[11:80]
+                if line
+                else ""
+            )
         except BaseException as problem:
             if isinstance(problem, KeyboardInterrupt):
                 raise
             wrong, told = f"{type(problem).__name__}: {problem}", "FAILED"
-        shown = " ".join(repr(word) if len(word) < 60 else repr(word[:20] + "...") for word in words)
+        shown = " ".join(
+            repr(word) if len(word) < 60 else repr(word[:20] + "...") for word in words
+        )
         litter = self._litter(outcome.code if told != "FAILED" else 1, words)
         wrong = wrong or litter
         if wrong:
@@ -140,7 +162,11 @@ def _is_asked_for(name: str, words: list[str]) -> bool:
     options = ("-o", "--output", "--save-state")
     after = [word for option, word in pairwise(words) if option in options]
     joined = [word.removeprefix(f"{option}=") for word in words for option in options]
-    return name in [*after, *joined, *(word.removeprefix("-o") for word in words if word[:2] == "-o")]
+    return name in [
+        *after,
+        *joined,
+        *(word.removeprefix("-o") for word in words if word[:2] == "-o"),
+    ]
 
 
 def main() -> int:

@@ -2,9 +2,10 @@
 
     python benchmarks/attack/drives.py [COUNT] [SEED]
 
-COUNT drives through planner and gate, a fiftieth of them through the API (sweeps, ways, leads, returns, loops
-with run-ins, states, converters, uneven clocks, infinities), a thousandth as processes. A tally of what was
-written and what was refused is printed; at least 60 % must be written. Exit 1 where anything was broken.
+COUNT drives through planner and gate, a fiftieth of them through the API (sweeps, ways,
+leads, returns, loops with run-ins, states, converters, uneven clocks, infinities), a
+thousandth as processes. A tally of what was written and what was refused is printed; at
+least 60 % must be written. Exit 1 where anything was broken.
 """
 
 from __future__ import annotations
@@ -44,12 +45,17 @@ Floats = NDArray[np.float64]
 Random = np.random.Generator
 SMALLEST_SHARE = 0.6
 WIDE = 1e6  # V: no limit
-KICK = 3.0  # of the pieces' own steps: 1.3 at most in 1,500 drives, 575 where a join was not looked at
+# of the pieces' own steps: 1.3 at most in 1,500 drives, 575 where a join was not looked
+# at
+KICK = 3.0
 
 
 def random_model(pick: Random, rate: float) -> ActuatorModel:
     """Return a model of random stages of every kind, on a clock that resolves it."""
-    low, span = float(pick.choice([0.0, -20.0, -150.0, 3.3])), float(pick.choice([3.6, 100.0, 150.0, 1000.0]))
+    low, span = (
+        float(pick.choice([0.0, -20.0, -150.0, 3.3])),
+        float(pick.choice([3.6, 100.0, 150.0, 1000.0])),
+    )
     stages: list[Stage] = []
     if pick.random() < 0.25:
         stages.append(DynamicsStage((Lag(float(10 ** pick.uniform(0.0, 2.0) / rate)),)))
@@ -72,21 +78,39 @@ def random_model(pick: Random, rate: float) -> ActuatorModel:
     if pick.random() < 0.5:
         count = int(pick.integers(1, 4))
         taus = tuple(sorted((10 ** pick.uniform(-3.0, 1.0, count)).tolist()))
-        memory = Relaxation(inner_low, taus, tuple(pick.uniform(0.0, 0.1, count).tolist()))
-    stages.append(BacklashStage(widths, heights, inner_low, float(pick.uniform(-1.0, 1.0)), memory))
+        memory = Relaxation(
+            inner_low, taus, tuple(pick.uniform(0.0, 0.1, count).tolist())
+        )
+    stages.append(
+        BacklashStage(
+            widths, heights, inner_low, float(pick.uniform(-1.0, 1.0)), memory
+        )
+    )
     if pick.random() < 0.4:
         part = pick.uniform(0.5, 1.5, int(pick.integers(1, 5)))
         part *= heights.sum() / part.sum()
-        stages.append(PointStage(part, pick.uniform(0.5, 1.5, part.size) * part, 0.0, 0.0))
-    stages.append(ScaleStage(float(pick.choice([1.0, 12.5, -3.0, 0.1])), float(pick.uniform(-30.0, 30.0))))
+        stages.append(
+            PointStage(part, pick.uniform(0.5, 1.5, part.size) * part, 0.0, 0.0)
+        )
+    stages.append(
+        ScaleStage(
+            float(pick.choice([1.0, 12.5, -3.0, 0.1])), float(pick.uniform(-30.0, 30.0))
+        )
+    )
     ends = slow_output_range(stages, low, low + span)
     if pick.random() < 0.35:
         frequency = float(rate / 10 ** pick.uniform(0.8, 2.3))
-        stages.append(DynamicsStage((Resonance(frequency, float(pick.choice([0.01, 0.05, 0.3]))),)))
+        stages.append(
+            DynamicsStage(
+                (Resonance(frequency, float(pick.choice([0.01, 0.05, 0.3]))),)
+            )
+        )
     if pick.random() < 0.3:
         stages.append(DelayStage(float(pick.choice([1.0, 1.23, 7.0])) / rate))
     voltage = Quantity("voltage", "V", low, low + span)
-    return ActuatorModel("forward", voltage, Quantity("displacement", "um", *ends), tuple(stages))
+    return ActuatorModel(
+        "forward", voltage, Quantity("displacement", "um", *ends), tuple(stages)
+    )
 
 
 def trajectory(pick: Random, model: ActuatorModel, count: int, loop: bool) -> Floats:
@@ -96,11 +120,17 @@ def trajectory(pick: Random, model: ActuatorModel, count: int, loop: bool) -> Fl
     kind = 0 if loop else int(pick.integers(0, 5))
     if kind == 0:
         turns = int(pick.integers(1, 4)) if loop else pick.uniform(0.5, 9.0)
-        found = low + 0.5 * span + 0.5 * size * np.sin(2.0 * np.pi * turns * t + pick.uniform(0.0, 6.0))
+        found = (
+            low
+            + 0.5 * span
+            + 0.5 * size * np.sin(2.0 * np.pi * turns * t + pick.uniform(0.0, 6.0))
+        )
     elif kind == 1:
         found = low + 0.5 * span + np.cumsum(pick.normal(0.0, 0.05 * span, count))
     elif kind == 2:
-        found = low + span * np.repeat(pick.uniform(-0.1, 1.1, 6), -(-count // 6))[:count]
+        found = (
+            low + span * np.repeat(pick.uniform(-0.1, 1.1, 6), -(-count // 6))[:count]
+        )
     elif kind == 3:
         found = pick.uniform(low - 0.3 * span, low + 1.3 * span, count)
     else:
@@ -111,15 +141,25 @@ def trajectory(pick: Random, model: ActuatorModel, count: int, loop: bool) -> Fl
 def random_limits(pick: Random, model: ActuatorModel, rate: float) -> DriveLimits:
     """Return a range, sometimes infinite, and a slew limit, sometimes none."""
     low, span = model.input.minimum, model.input.span
-    ends = np.sort(low + span * pick.uniform(-0.2, 1.2, 2)) if pick.random() < 0.5 else [low, low + span]
+    ends = (
+        np.sort(low + span * pick.uniform(-0.2, 1.2, 2))
+        if pick.random() < 0.5
+        else [low, low + span]
+    )
     v_min, v_max = float(ends[0]), max(float(ends[1]), float(ends[0]) + 0.05 * span)
     if pick.random() < 0.05:
         v_max = float(pick.choice([np.inf, 1e12]))
-    slew = float(span * rate * 10 ** pick.uniform(-4.0, 0.5)) if pick.random() < 0.7 else None
+    slew = (
+        float(span * rate * 10 ** pick.uniform(-4.0, 0.5))
+        if pick.random() < 0.7
+        else None
+    )
     return DriveLimits(v_min, v_max, float("inf") if pick.random() < 0.05 else slew)
 
 
-def what_holds(limits: DriveLimits, model: ActuatorModel, options: dict[str, Any]) -> DriveLimits:
+def what_holds(
+    limits: DriveLimits, model: ActuatorModel, options: dict[str, Any]
+) -> DriveLimits:
     """Return the limits that have to hold: the identified range cut by those that were typed."""
     if options.get("extrapolate"):
         return limits
@@ -130,13 +170,16 @@ def what_holds(limits: DriveLimits, model: ActuatorModel, options: dict[str, Any
     return DriveLimits(low, high, limits.max_slew)
 
 
-def broken(drive: Floats, steps: Floats | float, limits: DriveLimits, last: float | None) -> str:
+def broken(
+    drive: Floats, steps: Floats | float, limits: DriveLimits, last: float | None
+) -> str:
     """Return what is broken, in rational arithmetic; the last digits of a step aside. Empty where nothing."""
     if not np.isfinite(drive).all():
         return "not finite"
     rows = drive if last is None else np.concatenate([[last], drive])
     own = drive
-    if last is not None and not limits.v_min <= last <= limits.v_max:  # it may come inwards
+    # it may come inwards
+    if last is not None and not limits.v_min <= last <= limits.v_max:
         inside = (drive >= limits.v_min) & (drive <= limits.v_max)
         own = drive[int(np.argmax(inside)) if inside.any() else drive.size :]
     if (own < limits.v_min).any() or (own > limits.v_max).any():
@@ -149,15 +192,21 @@ def broken(drive: Floats, steps: Floats | float, limits: DriveLimits, last: floa
         else np.asarray(steps)[-(rows.size - 1) :]
     )
     change = np.abs(np.diff(rows))
-    for k in np.flatnonzero(change > limits.max_slew * seconds * (1.0 - 1e-12)).tolist():
+    for k in np.flatnonzero(
+        change > limits.max_slew * seconds * (1.0 - 1e-12)
+    ).tolist():
         most = Fraction(limits.max_slew) * Fraction(float(seconds[k]))
-        digits = Fraction(ROUNDING) * max(abs(Fraction(float(rows[k]))), abs(Fraction(float(rows[k + 1]))))
+        digits = Fraction(ROUNDING) * max(
+            abs(Fraction(float(rows[k]))), abs(Fraction(float(rows[k + 1])))
+        )
         if abs(Fraction(float(rows[k + 1])) - Fraction(float(rows[k]))) > most + digits:
             return f"slew by {float(change[k] / (limits.max_slew * seconds[k])) - 1.0:.3g} of it"
     return ""
 
 
-def planned(pick: Random, model: ActuatorModel, rate: float, tally: Counter[str]) -> str:
+def planned(
+    pick: Random, model: ActuatorModel, rate: float, tally: Counter[str]
+) -> str:
     """Plan one short block from a random state, and let the gate look at it, too."""
     limits, step = random_limits(pick, model, rate), 1.0 / rate
     wanted = trajectory(pick, model, int(pick.integers(2, 30)), False)
@@ -167,7 +216,9 @@ def planned(pick: Random, model: ActuatorModel, rate: float, tally: Counter[str]
     last = None
     if pick.random() < 0.5:
         drive = model.input.minimum + model.input.span * pick.random(4)
-        state = model.simulate(drive, model.start(float(drive[0])), time_step=step).state
+        state = model.simulate(
+            drive, model.start(float(drive[0])), time_step=step
+        ).state
         last = model.drive_of(state)
     else:
         state = model.start_compensation(
@@ -178,7 +229,9 @@ def planned(pick: Random, model: ActuatorModel, rate: float, tally: Counter[str]
         gate.require_start(float(np.ravel(steps)[0]))
     except LimitError:
         away = max(limits.v_min - (last or 0.0), (last or 0.0) - limits.v_max)
-        assert limits.max_slew is not None and away > 0.999 * limits.max_slew * float(np.ravel(steps)[0])
+        assert limits.max_slew is not None and away > 0.999 * limits.max_slew * float(
+            np.ravel(steps)[0]
+        )
         tally["planner refused, outside by more than a step"] += 1
         return ""
     done = model.compensate(wanted, state, limits=limits, time_step=steps)
@@ -189,9 +242,15 @@ def planned(pick: Random, model: ActuatorModel, rate: float, tally: Counter[str]
     return found
 
 
-def asked(pick: Random, model: ActuatorModel, limits: DriveLimits, rate: float) -> dict[str, Any]:
+def asked(
+    pick: Random, model: ActuatorModel, limits: DriveLimits, rate: float
+) -> dict[str, Any]:
     """Return random options of a compensation."""
-    options: dict[str, Any] = {"v_min": limits.v_min, "v_max": limits.v_max, "max_slew": limits.max_slew}
+    options: dict[str, Any] = {
+        "v_min": limits.v_min,
+        "v_max": limits.v_max,
+        "max_slew": limits.max_slew,
+    }
     options["on_limit"] = str(pick.choice(["auto", "clip", "clip"]))
     options["extrapolate"] = bool(pick.random() < 0.5)
     kind = pick.random()
@@ -204,7 +263,9 @@ def asked(pick: Random, model: ActuatorModel, limits: DriveLimits, rate: float) 
     if kind >= 0.3 and pick.random() < 0.3:
         options["lead"] = "auto"
     if pick.random() < 0.4:
-        options["from_"] = float(model.input.minimum + model.input.span * pick.uniform(-0.2, 1.2))
+        options["from_"] = float(
+            model.input.minimum + model.input.span * pick.uniform(-0.2, 1.2)
+        )
         if pick.random() < 0.7:
             options["approach"] = "auto"
     elif not options.get("condition") and pick.random() < 0.5:
@@ -214,7 +275,9 @@ def asked(pick: Random, model: ActuatorModel, limits: DriveLimits, rate: float) 
     return options
 
 
-def through_the_api(pick: Random, model: ActuatorModel, rate: float, tally: Counter[str]) -> str:
+def through_the_api(
+    pick: Random, model: ActuatorModel, rate: float, tally: Counter[str]
+) -> str:
     """Ask the API for one drive, and look at its rows, joins and seam."""
     limits = random_limits(pick, model, rate)
     options = asked(pick, model, limits, rate)
@@ -223,8 +286,16 @@ def through_the_api(pick: Random, model: ActuatorModel, rate: float, tally: Coun
     count = int(pick.choice([5, 50, 300]))
     wanted = trajectory(pick, model, count, loop)
     clock: dict[str, Any] = {"sample_rate": rate}
-    if not loop and model.dynamics is None and "bandwidth" not in options and pick.random() < 0.3:
-        clock = {"time": np.cumsum(pick.choice([0.0, 0.5, 1.0, 1.0, 1.0, 20.0], count)) / rate}
+    if (
+        not loop
+        and model.dynamics is None
+        and "bandwidth" not in options
+        and pick.random() < 0.3
+    ):
+        clock = {
+            "time": np.cumsum(pick.choice([0.0, 0.5, 1.0, 1.0, 1.0, 20.0], count))
+            / rate
+        }
     kind = "loop" if loop else "sweep" if "condition" in options else "move"
     try:
         done = Model(model).compensate(wanted, details=True, **options, **clock)
@@ -252,29 +323,46 @@ def through_the_api(pick: Random, model: ActuatorModel, rate: float, tally: Coun
         if found:
             return f"seam: {found}"
     assert done.time is not None
-    begin = int((done.time < (clock["time"][0] if "time" in clock else 0.0) - 0.1 / rate).sum())
+    begin = int(
+        (done.time < (clock["time"][0] if "time" in clock else 0.0) - 0.1 / rate).sum()
+    )
     allowed = abs(float(own[-1]) - float(own[0])) if loop else 0.0
     if limits.max_slew is not None and ("approach" in options or "return_" in options):
         allowed = (
             limits.max_slew * (1.0 if np.ndim(steps) == 0 else 20.0) / rate
         )  # as fast as the slew allows
-    # A move that begins in motion kicks a mass that rests, where no lead was asked for; the program says so.
-    # A delay puts that kick before the first row, and the limits may hide the move's own steps behind it.
-    # So does a bandwidth, which rounds the join with the move (1.77 times, once in 3,400).
-    late = model.dynamics is not None or model.delay is not None or "bandwidth" in options
-    # With a lead, too, where pieces are as short as the kick: 1.31 of five rows' own steps, once in 400.
+    # A move that begins in motion kicks a mass that rests, where no lead was asked for;
+    # the program says so. A delay puts that kick before the first row, and the limits
+    # may hide the move's own steps behind it. So does a bandwidth, which rounds the
+    # join with the move (1.77 times, once in 3,400).
+    late = (
+        model.dynamics is not None or model.delay is not None or "bandwidth" in options
+    )
+    # With a lead, too, where pieces are as short as the kick: 1.31 of five rows' own
+    # steps, once in 400.
     kick = KICK if late and not loop else 1.0
     joins = [begin] if loop else [begin, begin + count]
-    found = [text for join in joins if (text := unasked_step(done.values, join, allowed, kick))]
+    found = [
+        text
+        for join in joins
+        if (text := unasked_step(done.values, join, allowed, kick))
+    ]
     if found and not loop:
-        # Limits hide how fast the move itself is: 7 times what is left of its steps, once in 9,000. Its first
-        # step stands in the lead where a delay asks for one (2.3 times, once in 30,000).
-        free = {key: options[key] for key in ("bandwidth", "lead") if key in options} | clock
+        # Limits hide how fast the move itself is: 7 times what is left of its steps,
+        # once in 9,000. Its first step stands in the lead where a delay asks for one
+        # (2.3 times, once in 30,000).
+        free = {
+            key: options[key] for key in ("bandwidth", "lead") if key in options
+        } | clock
         own = Model(model).compensate(
             wanted, v_min=-WIDE, v_max=WIDE, extrapolate=True, state="empty", **free
         )
         allowed = KICK * float(np.abs(np.diff(own)).max())
-        found = [text for join in joins if (text := unasked_step(done.values, join, allowed, kick))]
+        found = [
+            text
+            for join in joins
+            if (text := unasked_step(done.values, join, allowed, kick))
+        ]
     return found[0] if found else ""
 
 
@@ -283,22 +371,38 @@ def unasked_step(drive: Floats, join: int, allowed: float, kick: float) -> str:
     if not 2 <= join < drive.size:
         return ""
     steps = np.abs(np.diff(drive))
-    within = max(kick * float(steps[: join - 1].max()), kick * float(steps[join:].max(initial=0.0)), allowed)
+    within = max(
+        kick * float(steps[: join - 1].max()),
+        kick * float(steps[join:].max(initial=0.0)),
+        allowed,
+    )
     return (
-        "" if steps[join - 1] <= within * (1.0 + 1e-9) else f"join steps {steps[join - 1] / within:.3g} times"
+        ""
+        if steps[join - 1] <= within * (1.0 + 1e-9)
+        else f"join steps {steps[join - 1] / within:.3g} times"
     )
 
 
-def converters(pick: Random, model: ActuatorModel, rate: float, tally: Counter[str]) -> str:
+def converters(
+    pick: Random, model: ActuatorModel, rate: float, tally: Counter[str]
+) -> str:
     """Drive a converter live."""
-    if model.dynamics is not None or model.drive_lag is not None or model.delay is not None:
+    if (
+        model.dynamics is not None
+        or model.drive_lag is not None
+        or model.delay is not None
+    ):
         return ""
     limits, bits = random_limits(pick, model, rate), int(pick.integers(4, 21))
     if not np.isfinite(limits.v_max):
         return ""
     low, span = model.input.minimum, model.input.span
     curve = np.linspace(low - 0.3 * span, low + 1.3 * span, 2**bits)
-    more: dict[str, Any] = {"v_min": limits.v_min, "v_max": limits.v_max, "max_slew": limits.max_slew}
+    more: dict[str, Any] = {
+        "v_min": limits.v_min,
+        "v_max": limits.v_max,
+        "max_slew": limits.max_slew,
+    }
     more["extrapolate"] = bool(pick.random() < 0.5)
     limits = what_holds(limits, model, more)
     try:
@@ -308,34 +412,50 @@ def converters(pick: Random, model: ActuatorModel, rate: float, tally: Counter[s
             not ((curve >= limits.v_min) & (curve <= limits.v_max)).any()
         )
         return ""
-    volts = curve[[int(live.step(float(x))) for x in trajectory(pick, model, 60, False)]]
+    volts = curve[
+        [int(live.step(float(x))) for x in trajectory(pick, model, 60, False)]
+    ]
     tally["converter written"] += 1
     if volts.min() < limits.v_min or volts.max() > limits.v_max:
         return "converter: range"
     if limits.max_slew is None:
         return ""
     held = [curve[int(live.step(1e9 * model.output.span))] for _ in range(500)]
-    return converter_broken(volts, np.asarray(held), curve, limits, limits.max_slew / rate)
+    return converter_broken(
+        volts, np.asarray(held), curve, limits, limits.max_slew / rate
+    )
 
 
-def converter_broken(volts: Floats, held: Floats, curve: Floats, limits: DriveLimits, most: float) -> str:
+def converter_broken(
+    volts: Floats, held: Floats, curve: Floats, limits: DriveLimits, most: float
+) -> str:
     """Return what a converter's volts break, ``most`` a sample being allowed, and ``held`` asking for an end."""
     gap, change = float(curve[1] - curve[0]), np.abs(np.diff(volts))
     inside = curve[(curve >= limits.v_min) & (curve <= limits.v_max)]
     codes = most / gap  # a sample, in whole ones; below one, whole samples a code
-    needed = inside.size / (np.floor(codes) if codes >= 1.0 else 1.0 / np.ceil(1.0 / max(codes, 1e-9)))
-    if needed < held.size - 2 and np.abs(held[int(needed) + 1] - inside[[0, -1]]).min() > 0.5 * gap:
-        return "converter: stands still"  # it arrives, however little of a code the slew allows in a sample
+    needed = inside.size / (
+        np.floor(codes) if codes >= 1.0 else 1.0 / np.ceil(1.0 / max(codes, 1e-9))
+    )
+    if (
+        needed < held.size - 2
+        and np.abs(held[int(needed) + 1] - inside[[0, -1]]).min() > 0.5 * gap
+    ):
+        # it arrives, however little of a code the slew allows in a sample
+        return "converter: stands still"
     if change.max(initial=0.0) > max(most, gap) * (1.0 + 1e-9):
         return "converter: slew of a sample"
     travelled = np.concatenate([[0.0], np.cumsum(change)])
     for begin, end in itertools.product((0, 10), (30, 59)):
-        if travelled[end] - travelled[begin] > most * (end - begin) + gap * (1.0 + 1e-9):
+        if travelled[end] - travelled[begin] > most * (end - begin) + gap * (
+            1.0 + 1e-9
+        ):
             return "converter: slew of many samples"
     return ""
 
 
-def as_a_process(pick: Random, folder: Path, model: ActuatorModel, rate: float, tally: Counter[str]) -> str:
+def as_a_process(
+    pick: Random, folder: Path, model: ActuatorModel, rate: float, tally: Counter[str]
+) -> str:
     """Write files, run the program, and read what it left."""
     limits = random_limits(pick, model, rate)
     if not np.isfinite(limits.v_max):
@@ -346,14 +466,21 @@ def as_a_process(pick: Random, folder: Path, model: ActuatorModel, rate: float, 
     Model(model).save(folder / "model.json")
     lines = "".join(f"{k / rate!r},{x!r}\n" for k, x in enumerate(wanted.tolist()))
     (folder / "wanted.csv").write_text("time_s,displacement_um\n" + lines)
-    words = [str(folder / "model.json"), str(folder / "wanted.csv"), "-o", str(folder / "drive.csv")]
+    words = [
+        str(folder / "model.json"),
+        str(folder / "wanted.csv"),
+        "-o",
+        str(folder / "drive.csv"),
+    ]
     for name, value in options.items():
         if value is not None and value is not False:
             option = "--" + name.rstrip("_").replace("_", "-")
             words += [option] if value is True else [f"{option}={value}"]
     (folder / "drive.csv").unlink(missing_ok=True)
     done = subprocess.run(
-        [sys.executable, "-m", "dbo_cli", "compensate", *words], capture_output=True, text=True
+        [sys.executable, "-m", "dbo_cli", "compensate", *words],
+        capture_output=True,
+        text=True,
     )
     if done.returncode:
         tally[f"process refused with {done.returncode}"] += 1
@@ -365,12 +492,20 @@ def as_a_process(pick: Random, folder: Path, model: ActuatorModel, rate: float, 
         )
         return f"process: {done.returncode} {done.stderr[-200:]}" if odd or left else ""
     tally["process written"] += 1
-    checked = ["check", str(folder / "drive.csv"), f"--v-min={limits.v_min}", f"--v-max={limits.v_max}"]
+    checked = [
+        "check",
+        str(folder / "drive.csv"),
+        f"--v-min={limits.v_min}",
+        f"--v-max={limits.v_max}",
+    ]
     if "from_" in options:
         return ""  # from outside the range it may begin there
     if limits.max_slew is not None:
-        checked.append(f"--max-slew={limits.max_slew * (1.0 + 1e-9)}")  # the stamps' own digits
-    verdict = subprocess.run([sys.executable, "-m", "dbo_cli", *checked], capture_output=True, text=True)
+        # the stamps' own digits
+        checked.append(f"--max-slew={limits.max_slew * (1.0 + 1e-9)}")
+    verdict = subprocess.run(
+        [sys.executable, "-m", "dbo_cli", *checked], capture_output=True, text=True
+    )
     return "" if verdict.returncode == 0 else f"process: {verdict.stderr[-300:]}"
 
 
@@ -402,7 +537,11 @@ def main() -> None:
         print(f"{times:8,} {text}")
     written = sum(times for text, times in tally.items() if text.endswith("written"))
     share = written / max(sum(tally.values()), 1)
-    print(f"{share:.1%} of what was asked is written; {len(wrong)} broken", *wrong[:40], sep="\n")
+    print(
+        f"{share:.1%} of what was asked is written; {len(wrong)} broken",
+        *wrong[:40],
+        sep="\n",
+    )
     sys.exit(bool(wrong) or share < SMALLEST_SHARE)
 
 

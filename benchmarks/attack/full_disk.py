@@ -2,8 +2,8 @@
 
     python benchmarks/attack/full_disk.py [COUNT] [SEED]
 
-A limit on the size of files stands for the disk (the write fails at that very byte); where standard output
-is the disk, ``/dev/full`` does.
+A limit on the size of files stands for the disk (the write fails at that very byte);
+where standard output is the disk, ``/dev/full`` does.
 """
 
 from __future__ import annotations
@@ -42,10 +42,20 @@ def full_disks(count: int, seed: int, folder: Path) -> tuple[Counter[str], list[
             said = Path("stderr.txt").read_text()
             if limit < _ROOM_FOR_MESSAGE:  # the message is a file, too
                 said = "cannot be written"
-            changed = [name for name in target.outputs if target.content(name) != target.old[name]]
+            changed = [
+                name
+                for name in target.outputs
+                if target.content(name) != target.old[name]
+            ]
             left = set(os.listdir(".")) - before
             counts[f"{target.line.split()[0]}: exit code {code}"] += 1
-            if code != 1 or changed or left or len(said.splitlines()) != 1 or "cannot be written" not in said:
+            if (
+                code != 1
+                or changed
+                or left
+                or len(said.splitlines()) != 1
+                or "cannot be written" not in said
+            ):
                 failures.append(
                     f"{target.line} at {limit} of {sizes}: {code}, {changed}, {left}, {said[:200]!r}"
                 )

@@ -2,10 +2,11 @@
 
     python benchmarks/attack/kills.py [COUNT] [SEED]
 
-A command is run to its end once, for its outputs and its duration; then again and again, ended at a random
-moment by SIGKILL, SIGTERM, SIGINT or SIGHUP. After SIGKILL the temporary files may stay, until the next
-run removes them; after the others nothing may. A kill between the renames of two outputs can leave the one
-new and the other old (they are microseconds apart): that is counted.
+A command is run to its end once, for its outputs and its duration; then again and
+again, ended at a random moment by SIGKILL, SIGTERM, SIGINT or SIGHUP. After SIGKILL the
+temporary files may stay, until the next run removes them; after the others nothing may.
+A kill between the renames of two outputs can leave the one new and the other old (they
+are microseconds apart): that is counted.
 """
 
 from __future__ import annotations
@@ -28,13 +29,29 @@ COMMANDS = [
     ("simulate model.json run.csv -o out.csv.gz", ["out.csv.gz"]),
     ("simulate model.json run.csv -o out.h5", ["out.h5"]),
     ("simulate model.json run.csv -o store.h5::/new", ["store.h5"]),
-    ("simulate late.json run.csv -o out.csv --save-state state.json", ["out.csv", "state.json"]),
-    ("compensate late.json wish.csv -o drive.tsv --save-state state.json", ["drive.tsv", "state.json"]),
+    (
+        "simulate late.json run.csv -o out.csv --save-state state.json",
+        ["out.csv", "state.json"],
+    ),
+    (
+        "compensate late.json wish.csv -o drive.tsv --save-state state.json",
+        ["drive.tsv", "state.json"],
+    ),
     ("invert model.json -o inverse.json", ["inverse.json"]),
     ("report pair.csv -o report.html", ["report.html"]),
-    ("excite --v-min 0 --v-max 10 --sample-rate 100 --duration 20 -o excite.csv", ["excite.csv"]),
+    (
+        "excite --v-min 0 --v-max 10 --sample-rate 100 --duration 20 -o excite.csv",
+        ["excite.csv"],
+    ),
 ]
-SIGNALS = [signal.SIGKILL, signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP]
+SIGNALS = [
+    signal.SIGKILL,
+    signal.SIGKILL,
+    signal.SIGKILL,
+    signal.SIGTERM,
+    signal.SIGINT,
+    signal.SIGHUP,
+]
 
 
 def prepared(folder: Path) -> None:
@@ -86,22 +103,27 @@ class Target:
         code = ended(process)
         found = {name: self.content(name) for name in self.outputs}
         states = [
-            "new" if found[n] == self.new[n] else "old" if found[n] == self.old[n] else "TORN" for n in found
+            "new"
+            if found[n] == self.new[n]
+            else "old"
+            if found[n] == self.old[n]
+            else "TORN"
+            for n in found
         ]
         left = set(os.listdir(".")) - before - set(self.outputs)
         wrong = None
         if "TORN" in states:
             wrong = f"{self.line} after {delay:.4f} s: {dict(zip(found, states, strict=True))}"
-        elif number == signal.SIGKILL and any(not name.endswith(".partial") for name in left):
+        elif number == signal.SIGKILL and any(
+            not name.endswith(".partial") for name in left
+        ):
             wrong = f"{self.line} left {sorted(left)}"
         elif number != signal.SIGKILL and (left or (len(set(states)) > 1)):
             wrong = f"{self.line}, signal {number}, code {code}: {states}, left {sorted(left)}"
         elif code == 0 and set(states) != {"new"}:
             wrong = f"{self.line}: exit code 0 and {states}"
         elif code not in (0, 130, 128 + number, -number):
-            wrong = (
-                f"{self.line}: signal {number} gave exit code {code}: {Path('stderr.txt').read_text()[:200]}"
-            )
+            wrong = f"{self.line}: signal {number} gave exit code {code}: {Path('stderr.txt').read_text()[:200]}"
         self.restore()
         name = signal.Signals(number).name
         what = "between two renames" if len(set(states)) > 1 else f"{states[0]} outputs"
@@ -120,7 +142,9 @@ def kills(count: int, seed: int, folder: Path) -> tuple[Counter[str], list[str]]
         targets = [Target(line, outputs) for line, outputs in COMMANDS]
         for number in range(count):
             target = targets[number % len(targets)]
-            told, wrong = target.killed(pick.choice(SIGNALS), pick.uniform(0.0, 1.2 * target.seconds))
+            told, wrong = target.killed(
+                pick.choice(SIGNALS), pick.uniform(0.0, 1.2 * target.seconds)
+            )
             counts[told] += 1
             failures += [wrong] if wrong else []
         for target in targets:

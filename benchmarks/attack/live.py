@@ -2,10 +2,11 @@
 
     python benchmarks/attack/live.py [SECONDS] [SEED]
 
-Plans, refused plans, commits, applied voltages and codes, knobs turned, states saved and gone on from: of a
-controller, and of banks of 1, 2 and 55 channels, with and without converter, slew limit, dynamics and
-look-ahead (``tests/extras/live_machine.py``). Each round has a seed of its own. Counts are printed at the end; exit 1
-where the two differ, with the steps that lead there.
+Plans, refused plans, commits, applied voltages and codes, knobs turned, states saved
+and gone on from: of a controller, and of banks of 1, 2 and 55 channels, with and
+without converter, slew limit, dynamics and look-ahead
+(``tests/extras/live_machine.py``). Each round has a seed of its own. Counts are printed
+at the end; exit 1 where the two differ, with the steps that lead there.
 """
 
 from __future__ import annotations
@@ -37,13 +38,17 @@ def main() -> None:
         deadline=None,
         database=None,
         suppress_health_check=list(hypothesis.HealthCheck),
-        phases=[hypothesis.Phase.generate],  # the steps as they were: shrinking them takes minutes
+        phases=[
+            hypothesis.Phase.generate
+        ],  # the steps as they were: shrinking them takes minutes
     )
     end, rounds, failed = time.monotonic() + seconds, 0, 0
     while time.monotonic() < end and not failed:
         machine = type("LiveMachine", (LiveMachine,), {})
         try:
-            run_state_machine_as_test(hypothesis.seed(seed + rounds)(machine), settings=settings)
+            run_state_machine_as_test(
+                hypothesis.seed(seed + rounds)(machine), settings=settings
+            )
         except Exception as problem:
             failed += 1
             print(f"seed {seed + rounds}: {type(problem).__name__}: {problem}")

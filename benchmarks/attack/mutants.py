@@ -2,8 +2,9 @@
 
     python benchmarks/attack/mutants.py [COUNT] [SEED]
 
-A model that is read in spite of its change must run over a signal, be inverted and written again; a state
-must carry on. Nothing but one-line errors may come of it, and no NaN or infinity.
+A model that is read in spite of its change must run over a signal, be inverted and
+written again; a state must carry on. Nothing but one-line errors may come of it, and no
+NaN or infinity.
 """
 
 from __future__ import annotations
@@ -25,7 +26,12 @@ import numpy as np
 from arena import MODEL, RELAXATION, Hang, time_limit
 
 from dbo_cli.errors import DboError
-from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, read_state, state_to_bytes
+from dbo_cli.hysteresis.model_file import (
+    model_to_bytes,
+    read_model,
+    read_state,
+    state_to_bytes,
+)
 from dbo_cli.logs.columns import OutColumn, require_finite
 
 ODD: tuple[Any, ...] = (
@@ -56,11 +62,17 @@ def changed(tree: Any, pick: random.Random) -> Any:
         node, place = tree, None
         while isinstance(node, dict | list) and node:
             place = node
-            key: Any = pick.choice(list(node)) if isinstance(node, dict) else pick.randrange(len(node))
+            key: Any = (
+                pick.choice(list(node))
+                if isinstance(node, dict)
+                else pick.randrange(len(node))
+            )
             if not isinstance(node[key], dict | list) or pick.random() < 0.2:
                 break
             node = node[key]
-        if place is None or key not in (place if isinstance(place, dict) else range(len(place))):
+        if place is None or key not in (
+            place if isinstance(place, dict) else range(len(place))
+        ):
             continue
         way = pick.randrange(5)
         if way == 0:
@@ -68,7 +80,9 @@ def changed(tree: Any, pick: random.Random) -> Any:
         elif way == 1 and isinstance(place, list):
             place.insert(key, copy.deepcopy(pick.choice(ODD)))
         elif way == 2 and isinstance(place[key], float):
-            place[key] = place[key] * pick.choice([-1, 0.5, 2, 1e3, 1e-3, 1e12, 1e-12, 1 + 1e-15])
+            place[key] = place[key] * pick.choice(
+                [-1, 0.5, 2, 1e3, 1e-3, 1e12, 1e-12, 1 + 1e-15]
+            )
         else:
             place[key] = copy.deepcopy(pick.choice(ODD))
     return tree
@@ -101,8 +115,12 @@ class Mutants:
                 told = "refused"
             except (Exception, Hang) as problem:
                 told = "FAILED"
-                text = (self.state if kind == "state" else self.model).read_text(errors="replace")
-                self.failures.append(f"{kind} {number}: {type(problem).__name__}: {problem}: {text[:600]}")
+                text = (self.state if kind == "state" else self.model).read_text(
+                    errors="replace"
+                )
+                self.failures.append(
+                    f"{kind} {number}: {type(problem).__name__}: {problem}: {text[:600]}"
+                )
             self.counts[f"{kind}: {told}"] += 1
 
     def _written(self, path: Path, tree: Any) -> None:
@@ -129,7 +147,9 @@ class Mutants:
         model = read_model(str(self.model))
         text = model_to_bytes(model)
         self.model.write_bytes(text)
-        if model_to_bytes(read_model(str(self.model))) != text or re.search(rb"NaN|Infinity", text):
+        if model_to_bytes(read_model(str(self.model))) != text or re.search(
+            rb"NaN|Infinity", text
+        ):
             raise AssertionError("a model does not survive being written and read")
         state = self._used(model, model.start(float(self.drive[0])))
         if re.search(rb"NaN|Infinity", state_to_bytes(state, model)):

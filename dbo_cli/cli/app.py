@@ -52,12 +52,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 def run() -> None:
     """Serve the console script: ``main`` as a process.
 
-    The garbage collector seldom finds anything in this program and looks often while modules are imported,
-    and taking the interpreter apart at the end changes nothing any more: together a tenth of a second.
+    The garbage collector seldom finds anything in this program and looks often while
+    modules are imported, and taking the interpreter apart at the end changes nothing
+    any more: together a tenth of a second.
     """
     try:
         if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
-            signal.signal(signal.SIGINT, signal.default_int_handler)  # from here on there is work to undo
+            # from here on there is work to undo
+            signal.signal(signal.SIGINT, signal.default_int_handler)
         os._exit(_run_process())
     except KeyboardInterrupt:  # while starting up, or in the last flush
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # once is enough
@@ -69,11 +71,13 @@ def _run_process() -> int:
     """Prepare the process, run the command line and write out what is still held back."""
     import gc
 
-    # Many small factorisations: threads only wait for each other there (measured: up to 20 times slower), and
-    # one thread gives the same bytes on every machine of a kind and leaves the others to `make -j`.
+    # Many small factorisations: threads only wait for each other there (measured: up to
+    # 20 times slower), and one thread gives the same bytes on every machine of a kind
+    # and leaves the others to `make -j`.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # Reading, the model and writing have a thread each. More of them inside polars only wait for each other
-    # (10,000,000 rows on two cores: 7 % more time of the processors, and no less of the clock).
+    # Reading, the model and writing have a thread each. More of them inside polars only
+    # wait for each other (10,000,000 rows on two cores: 7 % more time of the
+    # processors, and no less of the clock).
     os.environ.setdefault("POLARS_MAX_THREADS", "1")
     gc.set_threshold(100_000, 50, 50)
     _open_closed_streams()
@@ -81,7 +85,8 @@ def _run_process() -> int:
     if "--debug" not in sys.argv:
         import warnings
 
-        warnings.simplefilter("ignore")  # what a library warns programmers of does not concern users
+        # what a library warns programmers of does not concern users
+        warnings.simplefilter("ignore")
     code = main()
     try:
         sys.stdout.flush()
@@ -94,20 +99,29 @@ def _run_process() -> int:
 def _open_closed_streams() -> None:
     """Take the places of streams that whoever started the program has closed.
 
-    A file opened later must not become standard output by chance, and what is written to a closed one is
-    not done: it fails with "Bad file descriptor" (reading finds the end).
+    A file opened later must not become standard output by chance, and what is written
+    to a closed one is not done: it fails with "Bad file descriptor" (reading finds the
+    end).
     """
-    for name, mode in (("stdin", os.O_RDONLY), ("stdout", os.O_RDONLY), ("stderr", os.O_WRONLY)):
+    for name, mode in (
+        ("stdin", os.O_RDONLY),
+        ("stdout", os.O_RDONLY),
+        ("stderr", os.O_WRONLY),
+    ):
         if getattr(sys, name) is None:
-            descriptor = os.open(os.devnull, mode)  # the lowest that is free: the closed one
+            # the lowest that is free: the closed one
+            descriptor = os.open(os.devnull, mode)
             stream = open(descriptor, "r" if name == "stdin" else "w", closefd=False)
             setattr(sys, name, stream)
 
 
 def _dispatch(words: list[str]) -> int:
     """Parse the command line and run the command it names."""
-    if any("\0" in word for word in words):  # from ``main`` in Python; a shell cannot hand one on
-        raise UsageError("a word of the command line holds a NUL character, which no name and no value can")
+    # from ``main`` in Python; a shell cannot hand one on
+    if any("\0" in word for word in words):
+        raise UsageError(
+            "a word of the command line holds a NUL character, which no name and no value can"
+        )
     from dbo_cli.cli.typer_adapter import run as run_command
 
     return run_command(words)
@@ -157,7 +171,8 @@ def _print_line(text: str) -> None:
     from dbo_cli.cli.command import Progress, shell_line
 
     try:
-        begin = Progress.ERASE if sys.stderr.isatty() else ""  # over what a long run has shown so far
+        # over what a long run has shown so far
+        begin = Progress.ERASE if sys.stderr.isatty() else ""
         print(begin + "dbo: " + shell_line(text), file=sys.stderr, flush=True)
     except OSError:
         pass  # stderr is gone: the exit code still says it
@@ -171,13 +186,16 @@ def _abandon_stdout() -> None:
         pass
 
 
-# --- what belongs to the process: signals, standard error, and the libraries that touch them ---
+# --- what belongs to the process: signals, standard error, and the libraries that touch
+# them ---
 #
-# ``prepare_process`` is called once, before a command line is run as a process; everything below ``cli``
-# leaves the process alone.
+# ``prepare_process`` is called once, before a command line is run as a process;
+# everything below ``cli`` leaves the process alone.
 
 
-_ENDING_SIGNALS = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+_ENDING_SIGNALS = [
+    getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)
+]
 
 
 def prepare_process() -> None:
@@ -198,9 +216,10 @@ class CommandProcess(Host):
     def imported(self, module: str) -> None:
         """Undo what a library has done to the process when it was imported.
 
-        Polars puts a handler of its own before Python's for SIGINT and asks for interrupted reads to be
-        restarted, so that a command waiting on standard input would hear Ctrl-C only when the next row
-        arrives. npTDMS writes its doubts to the terminal.
+        Polars puts a handler of its own before Python's for SIGINT and asks for
+        interrupted reads to be restarted, so that a command waiting on standard input
+        would hear Ctrl-C only when the next row arrives. npTDMS writes its doubts to
+        the terminal.
         """
         if module == "polars" and hasattr(signal, "siginterrupt"):
             with contextlib.suppress(ValueError, OSError):
@@ -216,8 +235,9 @@ class CommandProcess(Host):
     def contained(self, place: str, kind: str) -> Iterator[None]:
         """Hold back what is written to standard error inside; it is dropped where an error is raised.
 
-        Where the library ends the process, one line says which file was read (exit code 1). Of 3,000 damaged
-        Parquet files a few dozen led to a page of the library's own, one in some hundreds to such an end.
+        Where the library ends the process, one line says which file was read (exit code
+        1). Of 3,000 damaged Parquet files a few dozen led to a page of the library's
+        own, one in some hundreds to such an end.
         """
         try:
             terminal = os.dup(2)
@@ -274,7 +294,8 @@ def _aside() -> IO[bytes]:
 def _at_abort(terminal: int, line: str) -> Iterator[None]:
     """Write a line and leave with exit code 1 where the library calls ``abort``.
 
-    A handler of the ``signal`` module would run only after the library has returned, which it does not.
+    A handler of the ``signal`` module would run only after the library has returned,
+    which it does not.
     """
     if os.name != "posix":
         yield

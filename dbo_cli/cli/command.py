@@ -28,7 +28,10 @@ if TYPE_CHECKING:
 
 EXIT_CODES = (
     ("0", "Done; also when the reader of a pipe leaves early."),
-    ("1", "The input, the model or the fit failed; one line on standard error says what to do."),
+    (
+        "1",
+        "The input, the model or the fit failed; one line on standard error says what to do.",
+    ),
     ("2", "The command line is wrong."),
     ("130", "Interrupted."),
 )
@@ -61,7 +64,13 @@ class Reporter:
 
     def remarks(self, remarks: Remarks) -> None:
         """Print the remarks of a run, first what was read."""
-        self.notes([*remarks.read, *remarks.notes, *(f"warning: {text}" for text in remarks.warnings)])
+        self.notes(
+            [
+                *remarks.read,
+                *remarks.notes,
+                *(f"warning: {text}" for text in remarks.warnings),
+            ]
+        )
 
     def detail(self, text: str) -> None:
         """Print what was detected or assumed."""
@@ -72,13 +81,16 @@ class Reporter:
 def refuse_terminal(output: Address) -> None:
     """Refuse to write a model onto a terminal, where nobody could read or keep it (UsageError)."""
     if output.is_stream and sys.stdout.isatty():
-        raise UsageError("the model would be written onto the terminal: name a file (-o model.json)")
+        raise UsageError(
+            "the model would be written onto the terminal: name a file (-o model.json)"
+        )
 
 
 class Progress(Listener):
     """Prints how far a run has come: how a log was understood, then rows or seconds on a terminal.
 
-    The number of rows of a stream is not known beforehand, so it counts instead of drawing a bar.
+    The number of rows of a stream is not known beforehand, so it counts instead of
+    drawing a bar.
     """
 
     PATIENCE = 1.0  # s before the first message, and between two
@@ -113,7 +125,9 @@ class Progress(Listener):
         """Count the seconds of something that gives no rows, until it is finished."""
         if self.active:
             self._done.clear()
-            self._ticking = threading.Thread(target=self._tick, args=(what, time.monotonic()), daemon=True)
+            self._ticking = threading.Thread(
+                target=self._tick, args=(what, time.monotonic()), daemon=True
+            )
             self._ticking.start()
 
     def _tick(self, what: str, begin: float) -> None:
@@ -138,8 +152,9 @@ class Progress(Listener):
 class Given(SimpleNamespace):
     """The values of a command's options, each under its ``key``.
 
-    ``typed`` is the whole command line. ``brought`` has the values of options that extras bring to a command
-    of the core, by key; those that were not typed are not in it.
+    ``typed`` is the whole command line. ``brought`` has the values of options that
+    extras bring to a command of the core, by key; those that were not typed are not in
+    it.
     """
 
     def of(self, options: Iterable[Option]) -> dict[str, Any]:
@@ -156,8 +171,14 @@ class Given(SimpleNamespace):
         """How logs are to be read; what was not given stays at its default."""
         from dbo_cli.logs.request import ReadingOptions
 
-        values = self.of(options.READING_OF_LOGS if hasattr(self, "log_format") else options.READING)
-        known = {name.removeprefix("log_"): value for name, value in values.items() if value is not None}
+        values = self.of(
+            options.READING_OF_LOGS if hasattr(self, "log_format") else options.READING
+        )
+        known = {
+            name.removeprefix("log_"): value
+            for name, value in values.items()
+            if value is not None
+        }
         return ReadingOptions(**known)
 
 
@@ -173,8 +194,14 @@ class Command(NamedTuple):
 
     def section(self, heading: str = "") -> str:
         """Return what the docstring has under a heading; what it begins with under none."""
-        parts = re.split(r"(?m)^(\w.*)\n-+\n", inspect.cleandoc(self.function.__doc__ or ""))
-        return dict(zip(["", *parts[1::2]], parts[::2], strict=True)).get(heading, "").strip()
+        parts = re.split(
+            r"(?m)^(\w.*)\n-+\n", inspect.cleandoc(self.function.__doc__ or "")
+        )
+        return (
+            dict(zip(["", *parts[1::2]], parts[::2], strict=True))
+            .get(heading, "")
+            .strip()
+        )
 
     @property
     def summary(self) -> str:
@@ -193,20 +220,31 @@ class Command(NamedTuple):
         if named:
             return named
         return [
-            option.names[-1] for option in self.options if option.names and option.heading == options.OPTIONS
+            option.names[-1]
+            for option in self.options
+            if option.names and option.heading == options.OPTIONS
         ]
 
     @property
     def examples(self) -> list[tuple[str, str]]:
         """What each example is for, and its command line."""
-        lines = list(map(str.strip, self.section("Examples").splitlines()))
-        return list(zip(lines[::2], lines[1::2], strict=True))
+        examples: list[tuple[str, str]] = []
+        for line in self.section("Examples").splitlines():
+            if line.startswith(" "):
+                purpose, command_line = examples.pop()
+                examples.append((purpose, f"{command_line} {line.strip()}".lstrip()))
+            else:
+                examples.append((line, ""))
+        return examples
 
     @property
     def exit_codes(self) -> list[tuple[str, str]]:
         """The exit codes and what they mean."""
         missed = " ".join(self.section("Exit code 3").split())
-        return sorted([*EXIT_CODES, *([("3", missed)] if missed else [])], key=lambda code: int(code[0]))
+        return sorted(
+            [*EXIT_CODES, *([("3", missed)] if missed else [])],
+            key=lambda code: int(code[0]),
+        )
 
 
 def destination_of(arguments: Given, inputs: list[Any]) -> Destination:

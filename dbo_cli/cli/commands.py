@@ -1,7 +1,7 @@
 """The commands of the core, and how any command is found by its name.
 
-A command is a function that makes one call into ``runs`` of its options and prints the messages. What it
-needs is imported when it runs: a page of help loads nothing heavy.
+A command is a function that makes one call into ``runs`` of its options and prints the
+messages. What it needs is imported when it runs: a page of help loads nothing heavy.
 """
 
 from __future__ import annotations
@@ -28,9 +28,10 @@ from dbo_cli.errors import UsageError
 def identify(arguments: Given) -> None:
     """Identify a model of an actuator from logs of its drive voltage and displacement.
 
-    What is left at auto is chosen on cycles left out of the fit. Several logs of one actuator are fitted
-    together, each with its own sensor offset and drift. What was found, and what to be careful about, is said
-    on standard error and kept in the model.
+    What is left at auto is chosen on cycles left out of the fit. Several logs of one
+    actuator are fitted together, each with its own sensor offset and drift. What was
+    found, and what to be careful about, is said on standard error and kept in the
+    model.
 
     Writes
     ------
@@ -46,22 +47,34 @@ def identify(arguments: Given) -> None:
     A log becomes a model:
         dbo identify recorded.csv -o model.json
     Two channels of an oscilloscope; the sensor gives 10 um a volt:
-        dbo identify run.csv --voltage CH1 --displacement CH2 --scale displacement=10um/V -o m.json
+        dbo identify run.csv --voltage CH1 --displacement CH2 --scale
+        displacement=10um/V -o m.json
 
     Exit code 3
     -----------
-    The displacement goes the other way with the voltage than --sign says; no model is written.
+    The displacement goes the other way with the voltage than --sign says; no model is
+    written.
     """
     reading = arguments.reading
     refuse_terminal(arguments.output)
     if (arguments.v_min is None) != (arguments.v_max is None):
-        raise UsageError("`v_min` and `v_max` belong together: the rated range of the drive")
+        raise UsageError(
+            "`v_min` and `v_max` belong together: the rated range of the drive"
+        )
     from dbo_cli.hysteresis.identification import IdentificationOptions
     from dbo_cli.runs.identifying import IdentifyRun
     from dbo_cli.runs.many import identify_one_or_many
 
     fixed = IdentificationOptions(
-        **arguments.of([*options.IDENTIFICATION, options.SIGN, options.ZERO, options.METHOD, options.FORCE]),
+        **arguments.of(
+            [
+                *options.IDENTIFICATION,
+                options.SIGN,
+                options.ZERO,
+                options.METHOD,
+                options.FORCE,
+            ]
+        ),
         skip_seconds=arguments.skip,
         rated=None if arguments.v_min is None else (arguments.v_min, arguments.v_max),
     )
@@ -75,7 +88,10 @@ def identify(arguments: Given) -> None:
         brought=arguments.brought,
     )
     progress = Progress(arguments.reporter, "read")
-    finish(arguments, identify_one_or_many(run, arguments.output, work_of(arguments), progress))
+    finish(
+        arguments,
+        identify_one_or_many(run, arguments.output, work_of(arguments), progress),
+    )
     if not arguments.output.is_stream and "{" not in arguments.output.text:
         model = shlex.quote(arguments.output.text)
         arguments.reporter.note(
@@ -104,16 +120,23 @@ def show(arguments: Given) -> None:
     from dbo_cli.runs.showing import show_model
 
     arguments.reporter.notes(
-        show_model(arguments.model, arguments.output, arguments.format, arguments.figures, arguments.brought)
+        show_model(
+            arguments.model,
+            arguments.output,
+            arguments.format,
+            arguments.figures,
+            arguments.brought,
+        )
     )
 
 
 def invert(arguments: Given) -> None:
     """Write the exact inverse of a model.
 
-    Every gear and segment exchanges its widths, the cascade runs backwards, a delay becomes a look ahead.
-    The inverse of a forward model turns a desired displacement into the drive (dbo simulate runs it;
-    dbo compensate does the same from the forward model and keeps the drive within its limits).
+    Every gear and segment exchanges its widths, the cascade runs backwards, a delay
+    becomes a look ahead. The inverse of a forward model turns a desired displacement
+    into the drive (dbo simulate runs it; dbo compensate does the same from the forward
+    model and keeps the drive within its limits).
 
     Writes
     ------
@@ -140,14 +163,14 @@ def invert(arguments: Given) -> None:
 def simulate(arguments: Given) -> None:
     """Run a model over its input signal and write the output signal.
 
-    A forward model turns a drive into the displacement, an inverse model a displacement into the drive. The
-    log is read block by block, so that it may be larger than memory or never end (tail -f ... | dbo simulate
-    model.json - --flush).
+    A forward model turns a drive into the displacement, an inverse model a displacement
+    into the drive. The log is read block by block, so that it may be larger than memory
+    or never end (tail -f ... | dbo simulate model.json - --flush).
 
     Writes
     ------
-    Time (when known), the input column and the result, in the form that the name of the output says;
-    several logs with -o 'out/{file}.csv'.
+    Time (when known), the input column and the result, in the form that the name of the
+    output says; several logs with -o 'out/{file}.csv'.
 
     Usual options
     -------------
@@ -163,7 +186,9 @@ def simulate(arguments: Given) -> None:
     from dbo_cli.runs.files import SignalRun
     from dbo_cli.runs.many import signals
 
-    destination = destination_of(arguments, [arguments.model, *arguments.log, arguments.state])
+    destination = destination_of(
+        arguments, [arguments.model, *arguments.log, arguments.state]
+    )
     run = SignalRun(
         arguments.model,
         arguments.log[0],
@@ -174,48 +199,60 @@ def simulate(arguments: Given) -> None:
         arguments.outside,
     )
     finish(
-        arguments, signals(run, arguments.log, work_of(arguments), Progress(arguments.reporter, "written"))
+        arguments,
+        signals(
+            run,
+            arguments.log,
+            work_of(arguments),
+            Progress(arguments.reporter, "written"),
+        ),
     )
 
 
 def compensate(arguments: Given) -> None:
     """Write the drive voltage that makes the actuator follow a desired displacement.
 
-    The forward model is inverted exactly and started in the state in which dbo simulate of the drive starts;
-    a delay is made up for by reading the trajectory ahead. No row ever leaves the range on which the model
-    was identified, cut by --v-min and --v-max (beyond it only with --extrapolate); from an amplifier that
-    stands outside (--from) the drive comes straight inwards, and says so. What cannot be reached
-    within the limits is cut off, counted and said, as long as it costs at most 1 % of the move: the RMS of
-    what the move misses, over the difference between its largest and its least value. On standard output,
-    where rows leave before that is known, a stream ends once it has lost more than 1 % of the model's range.
+    The forward model is inverted exactly and started in the state in which dbo simulate
+    of the drive starts; a delay is made up for by reading the trajectory ahead. No row
+    ever leaves the range on which the model was identified, cut by --v-min and --v-max
+    (beyond it only with --extrapolate); from an amplifier that stands outside (--from)
+    the drive comes straight inwards, and says so. What cannot be reached within the
+    limits is cut off, counted and said, as long as it costs at most 1 % of the move:
+    the RMS of what the move misses, over the difference between its largest and its
+    least value. On standard output, where rows leave before that is known, a stream
+    ends once it has lost more than 1 % of the model's range.
 
     Writes
     ------
-    Time (when known), the desired displacement and the drive; rows that this program puts before or after
-    the move have times of their own, before it negative ones.
+    Time (when known), the desired displacement and the drive; rows that this program
+    puts before or after the move have times of their own, before it negative ones.
 
     Usual options
     -------------
-    --v-min --v-max --max-slew --from --approach --condition --return --on-limit --summary -o
+    --v-min --v-max --max-slew --from --approach --condition --return --on-limit
+    --summary -o
 
     Examples
     --------
     A trajectory becomes a drive, with a ramp to its first row:
-        dbo compensate model.json move.csv --max-slew 2000 --from 0 --approach auto -o drive.csv
+        dbo compensate model.json move.csv --max-slew 2000 --from 0 --approach auto -o
+        drive.csv
     One period of a loop becomes the settled loop's drive:
         dbo compensate model.json period.csv --periodic -o loop.csv
 
     Exit code 3
     -----------
-    Limits cost more than 1 % of the move, or the delay is longer than it (--on-limit clip writes it all the
-    same); a limit is met and --on-limit is error; the drive cannot begin, close or return within its limits;
-    or what the program chose to put before the move takes more than a minute and ten times the move. No drive
-    is written.
+    Limits cost more than 1 % of the move, or the delay is longer than it (--on-limit
+    clip writes it all the same); a limit is met and --on-limit is error; the drive
+    cannot begin, close or return within its limits; or what the program chose to put
+    before the move takes more than a minute and ten times the move. No drive is
+    written.
     """
     reading = arguments.reading
     from dbo_cli.drives.options import DriveOptions
 
-    drive = DriveOptions(**arguments.of(options.DRIVING))  # the state is read with the model
+    # the state is read with the model
+    drive = DriveOptions(**arguments.of(options.DRIVING))
     from dbo_cli.runs.files import run_of_signals
     from dbo_cli.runs.many import signals
 
@@ -223,7 +260,9 @@ def compensate(arguments: Given) -> None:
         arguments.brought,
         model=arguments.model,
         log=arguments.trajectory[0],
-        destination=destination_of(arguments, [arguments.model, *arguments.trajectory, arguments.state]),
+        destination=destination_of(
+            arguments, [arguments.model, *arguments.trajectory, arguments.state]
+        ),
         reading=reading,
         column=arguments.displacement,
         state=arguments.state,
@@ -231,17 +270,25 @@ def compensate(arguments: Given) -> None:
     )
     finish(
         arguments,
-        signals(run, arguments.trajectory, work_of(arguments), Progress(arguments.reporter, "written")),
+        signals(
+            run,
+            arguments.trajectory,
+            work_of(arguments),
+            Progress(arguments.reporter, "written"),
+        ),
     )
 
 
 def check(arguments: Given) -> None:
     """Check a drive of any program against the limits of an amplifier, before it is played.
 
-    Range, slew, the first row (--from), the seam of a loop (--loop), gaps, repeated times, and every row that
-    a reader would have to drop, to guess or to cut: what is wrong is named with its row, and the exit code is
-    3. A column in kV or mV takes limits with their unit only (--v-max 0.1kV). With --against, the first file
-    is a recording of what was played, and the question is whether it was that drive: rows, lag, gain, offset.
+    Range, slew, the first row (--from), the seam of a loop (--loop), gaps, repeated
+    times, and every row that a reader would have to drop, to guess or to cut: what is
+    wrong is named with its row, and the exit code is
+    3. A column in kV or mV takes limits with their unit only (--v-max 0.1kV). With
+       --against, the first file
+    is a recording of what was played, and the question is whether it was that drive:
+    rows, lag, gain, offset.
 
     Writes
     ------
@@ -260,33 +307,43 @@ def check(arguments: Given) -> None:
 
     Exit code 3
     -----------
-    A limit is broken, a row holds no number, or with --against the two differ by more than --tolerance.
+    A limit is broken, a row holds no number, or with --against the two differ by more
+    than --tolerance.
     """
     from dbo_cli.runs.checking import CheckOptions, check_file
 
     limits = CheckOptions(**arguments.of(options.CHECKING), voltage=arguments.voltage)
     arguments.reporter.remarks(
-        check_file(arguments.drive, arguments.output, arguments.format, arguments.reading, limits)
+        check_file(
+            arguments.drive,
+            arguments.output,
+            arguments.format,
+            arguments.reading,
+            limits,
+        )
     )
 
 
 def report(arguments: Given) -> None:
     """Report how well the measured displacement follows the desired one.
 
-    Several logs are put side by side, each with the ratio of its RMSE to the first log's: uncompensated
-    first, compensated after it. With --model the model's prediction takes the place of the desired signal:
-    it is run from the first row on, and --rows says which rows count. With --trajectory the desired signal
-    comes from a file of its own.
-    Patterns (--desired 'desired_{}' --measured 'D{}') give a line a channel, and figures of all together.
-    Where a limit (--max-...) is missed the report is written all the same, and the exit code is 3.
+    Several logs are put side by side, each with the ratio of its RMSE to the first
+    log's: uncompensated first, compensated after it. With --model the model's
+    prediction takes the place of the desired signal: it is run from the first row on,
+    and --rows says which rows count. With --trajectory the desired signal comes from a
+    file of its own. Patterns (--desired 'desired_{}' --measured 'D{}') give a line a
+    channel, and figures of all together. Where a limit (--max-...) is missed the report
+    is written all the same, and the exit code is 3.
 
     Writes
     ------
-    The report as text, JSON, CSV or an HTML page, by the name of the output; with --figures pictures.
+    The report as text, JSON, CSV or an HTML page, by the name of the output; with
+    --figures pictures.
 
     Usual options
     -------------
-    --trajectory --model --segment --max-rmse --max-nrmse-percent --figures --desired --measured -o
+    --trajectory --model --segment --max-rmse --max-nrmse-percent --figures --desired
+    --measured -o
 
     Examples
     --------
@@ -297,12 +354,15 @@ def report(arguments: Given) -> None:
 
     Exit code 3
     -----------
-    A limit (--max-...) is missed; the report is written all the same, and begins with that.
+    A limit (--max-...) is missed; the report is written all the same, and begins with
+    that.
     """
     from dbo_cli.runs.many import reported
     from dbo_cli.runs.reporting import ReportRun, TrackingOptions
 
-    tracking = TrackingOptions(**arguments.of([*options.TRACKING, *options.REPORT_COLUMNS]))
+    tracking = TrackingOptions(
+        **arguments.of([*options.TRACKING, *options.REPORT_COLUMNS])
+    )
     limits = arguments.of(options.LIMITS)
     run = ReportRun(
         arguments.log,
@@ -315,22 +375,28 @@ def report(arguments: Given) -> None:
         arguments.show,
         shell_line,
     )
-    finish(arguments, reported(run, work_of(arguments), Progress(arguments.reporter, "compared")))
+    finish(
+        arguments,
+        reported(run, work_of(arguments), Progress(arguments.reporter, "compared")),
+    )
 
 
 def excite(arguments: Given) -> None:
     """Write the drive that identifies well; play it and record the displacement.
 
-    A sweep over the whole range wipes out the past; then the drive turns at random levels, at speeds from a
-    quarter to eight times the sweep's, with some holds, so that loop width, asymmetry, lag and creep come
-    apart. It ends at rest where it began, so that drift shows, and it never leaves the limits. 15 s leave
-    about half the error of 8 s, 30 s no less; at another --frequency, scale the duration with it. With
-    --sweep-to, a small sweep in the middle of the range follows, in which a resonance shows itself (4 s
-    more, and longer below 60 Hz). With --channels N there is a column for each of N channels.
+    A sweep over the whole range wipes out the past; then the drive turns at random
+    levels, at speeds from a quarter to eight times the sweep's, with some holds, so
+    that loop width, asymmetry, lag and creep come apart. It ends at rest where it
+    began, so that drift shows, and it never leaves the limits. 15 s leave about half
+    the error of 8 s, 30 s no less; at another --frequency, scale the duration with it.
+    With --sweep-to, a small sweep in the middle of the range follows, in which a
+    resonance shows itself (4 s more, and longer below 60 Hz). With --channels N there
+    is a column for each of N channels.
 
     Writes
     ------
-    Time and drive voltage, or what else drives the actuator: the unit of --v-max says which (4bar, 500mA).
+    Time and drive voltage, or what else drives the actuator: the unit of --v-max says
+    which (4bar, 500mA).
 
     Usual options
     -------------
@@ -351,7 +417,9 @@ def excite(arguments: Given) -> None:
     unit = drive_unit(words["v_max"])
     for key in ("v_min", "v_max", "max_slew", "sweep_amplitude"):
         if words[key] is not None:
-            words[key] = in_unit(key, words[key], unit, "s" if key == "max_slew" else None)
+            words[key] = in_unit(
+                key, words[key], unit, "s" if key == "max_slew" else None
+            )
     drive = excitation_of(unit=unit, **words)
     drives = excitation_drives(drive, arguments.points, arguments.brought)
     fastest = write_excitation(arguments.output, drive, arguments.format, drives)
@@ -388,7 +456,16 @@ MEANT = {
 
 CORE = {
     function.__name__: Command(function, options.OPTIONS_OF[function.__name__])
-    for function in (identify, show, invert, simulate, compensate, check, report, excite)
+    for function in (
+        identify,
+        show,
+        invert,
+        simulate,
+        compensate,
+        check,
+        report,
+        excite,
+    )
 }
 """The commands of the core by name, in the order of a working day."""
 
@@ -406,8 +483,8 @@ def find(name: str, words: Sequence[str] | None = None) -> Command | None:
     name
         The command.
     words
-        The command line. Other packages are looked at only where it has an option that is not known by then;
-        without a command line always.
+        The command line. Other packages are looked at only where it has an option that
+        is not known by then; without a command line always.
 
     Raises
     ------
@@ -421,11 +498,16 @@ def find(name: str, words: Sequence[str] | None = None) -> Command | None:
     command = command._replace(brought=_brought(name, extensions.own()))
     if words is not None:
         typed = {word.partition("=")[0] for word in words if word.startswith("--")}
-        known = {spelling for option in (*command.options, *command.brought) for spelling in option.names}
+        known = {
+            spelling
+            for option in (*command.options, *command.brought)
+            for spelling in option.names
+        }
         if typed <= known:
             return command
         for option in sorted(typed - known):
-            extensions.find("option", f"{name} {option}")  # refuses one of an extra that is missing
+            # refuses one of an extra that is missing
+            extensions.find("option", f"{name} {option}")
     return command._replace(brought=_brought(name, extensions.installed()))
 
 

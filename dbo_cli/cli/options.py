@@ -38,14 +38,16 @@ class Option(NamedTuple):
     Attributes
     ----------
     spelled : str
-        Its names and what its value is called, ``-o, --output FILE``; a switch has no value.
+        Its names and what its value is called, ``-o, --output FILE``; a switch has no
+        value.
     meaning : str
         What ``--help`` says of it.
     default : optional
-        What a user would have typed; None for no value, ``REQUIRED`` for an option that must be given (an
-        argument always must).
+        What a user would have typed; None for no value, ``REQUIRED`` for an option that
+        must be given (an argument always must).
     parse : callable, optional
-        Makes the value of the text, where what the value is called does not tell how it is read.
+        Makes the value of the text, where what the value is called does not tell how it
+        is read.
     heading : str
         Where ``--help`` lists it.
     repeated : bool
@@ -62,7 +64,9 @@ class Option(NamedTuple):
     @property
     def names(self) -> list[str]:
         """The names, the long one last; none of an argument."""
-        return [word.rstrip(",") for word in self.spelled.split() if word.startswith("-")]
+        return [
+            word.rstrip(",") for word in self.spelled.split() if word.startswith("-")
+        ]
 
     @property
     def metavar(self) -> str | None:
@@ -94,7 +98,9 @@ class Option(NamedTuple):
         return [parse(name, word) for word in words]
 
 
-def _reading(spelled: str, meaning: str, parse: Parser | None = None, repeated: bool = False) -> Option:
+def _reading(
+    spelled: str, meaning: str, parse: Parser | None = None, repeated: bool = False
+) -> Option:
     return Option(spelled, meaning, None, parse, READING_LOGS, repeated)
 
 
@@ -103,9 +109,13 @@ def _message(spelled: str, meaning: str, default: Any = None) -> Option:
 
 
 # --- arguments ---
-LOGS = Option("LOG", "One or more logs; FILE::/group in HDF5; - is stdin.", repeated=True)
+LOGS = Option(
+    "LOG", "One or more logs; FILE::/group in HDF5; - is stdin.", repeated=True
+)
 INPUTS = Option(
-    "LOG", "The input signal; FILE::/group in HDF5; - is stdin. Several: -o 'out/{file}.csv'.", repeated=True
+    "LOG",
+    "The input signal; FILE::/group in HDF5; - is stdin. Several: -o 'out/{file}.csv'.",
+    repeated=True,
 )
 TRAJECTORIES = Option(
     "TRAJECTORY",
@@ -117,13 +127,19 @@ DRIVE = Option("DRIVE", "The drive to be checked; FILE::/group in HDF5; - is std
 
 # --- output and messages ---
 OUTPUT = _message("-o, --output FILE", "Where the result goes; - is stdout.", "-")
-FOLDER = _message("-o, --output DIR", "The folder to write; appears whole or not at all.", REQUIRED)
+FOLDER = _message(
+    "-o, --output DIR", "The folder to write; appears whole or not at all.", REQUIRED
+)
 FLUSH = _message("--flush", "Write each row as soon as it is there (live streams).")
 HEADER = _message(
-    "--header plain|comment", "comment: text begins with a # line: program, model, command.", "plain"
+    "--header plain|comment",
+    "comment: text begins with a # line: program, model, command.",
+    "plain",
 )
 SUMMARY = _message("--summary FILE", "Also write what was done as JSON (dbo-summary).")
-OUTPUT_FORMAT = _message("--format csv|tsv|hdf5", "Form of the output where no file name tells.")
+OUTPUT_FORMAT = _message(
+    "--format csv|tsv|hdf5", "Form of the output where no file name tells."
+)
 REPORTING = (
     _message("-q, --quiet", "Say nothing but errors."),
     _message("--verbose", "Also say what was detected and assumed."),
@@ -138,7 +154,10 @@ INPUT = _reading("--input COLUMN", "The model's input; guessed by name.")
 REPORT_COLUMNS = (
     _reading("--desired COLUMN", "What was wanted; guessed by name."),
     _reading("--measured COLUMN", "What came out; guessed by name."),
-    _reading("--voltage COLUMN", "The drive voltage, for --model and the figures; guessed by name."),
+    _reading(
+        "--voltage COLUMN",
+        "The drive voltage, for --model and the figures; guessed by name.",
+    ),
 )
 
 # --- how a log is read: the fields of ``ReadingOptions`` ---
@@ -149,7 +168,10 @@ READING = (
         "--time COLUMN",
         "Time. Every column: a header name, a dataset path, a number from 1, or FILE::COLUMN; else guessed.",
     ),
-    _reading("--time-unit UNIT", "What time counts: s, ms, us, ns, min, h, d, 10us; before the header."),
+    _reading(
+        "--time-unit UNIT",
+        "What time counts: s, ms, us, ns, min, h, d, 10us; before the header.",
+    ),
     _reading("--sample-rate HZ", "Rate of a log without a time column."),
     _reading(
         "--clock-offset SECONDS|auto",
@@ -157,25 +179,40 @@ READING = (
         parse=offset,
     ),
     _reading(
-        "--scale ROLE=FACTOR", "Multiply: voltage=20, or displacement=10um/V; repeatable.", repeated=True
+        "--scale ROLE=FACTOR",
+        "Multiply: voltage=20, or displacement=10um/V; repeatable.",
+        repeated=True,
     ),
-    _reading("--rows A:B", "Data rows to take, from 1, both ends included; either may be left out."),
+    _reading(
+        "--rows A:B",
+        "Data rows to take, from 1, both ends included; either may be left out.",
+    ),
     _reading("--skip-bad", "Drop rows that hold no number, and count them."),
     _reading("--resample HZ", "Interpolate to an even sampling first."),
     FILE_FORMAT,
-    _reading("--delimiter NAME", "comma, semicolon, tab, blanks, pipe or a character, if guessed wrong."),
-    _reading("--decimal point|comma", "The decimal sign, if guessed wrong.", parse=text),
+    _reading(
+        "--delimiter NAME",
+        "comma, semicolon, tab, blanks, pipe or a character, if guessed wrong.",
+    ),
+    _reading(
+        "--decimal point|comma", "The decimal sign, if guessed wrong.", parse=text
+    ),
     _reading("--comment CHARS", "What comment lines start with, if not # or %."),
-    _reading("--header-lines 0|1|2", "None, names, or names and units, if guessed wrong."),
+    _reading(
+        "--header-lines 0|1|2", "None, names, or names and units, if guessed wrong."
+    ),
     _reading("--skip-lines N", "Lines to pass over before the header.", parse=whole(0)),
     _reading("--encoding NAME", "The text encoding, if not UTF-8."),
     _reading("--block-rows N", "Rows held at a time; changes no digit of a result."),
 )
-READING_OF_LOGS = tuple(LOG_FORMAT if option is FILE_FORMAT else option for option in READING)
+READING_OF_LOGS = tuple(
+    LOG_FORMAT if option is FILE_FORMAT else option for option in READING
+)
 
 # --- identify: mostly the fields of ``IdentificationOptions`` ---
 UNCERTAINTY = Option(
-    "--uncertainty COLUMN", "Standard deviation of the displacement, row by row: weights of the fit."
+    "--uncertainty COLUMN",
+    "Standard deviation of the displacement, row by row: weights of the fit.",
 )
 SCALE_UNCERTAINTY = Option(
     "--scale-uncertainty PERCENT|PPM",
@@ -184,15 +221,25 @@ SCALE_UNCERTAINTY = Option(
 )
 IDENTIFICATION = (
     Option(
-        "--gears N|auto", "Gears: steps into which the loop is cut; more are finer and cost nothing.", "auto"
+        "--gears N|auto",
+        "Gears: steps into which the loop is cut; more are finer and cost nothing.",
+        "auto",
     ),
     Option(
         "--points M|auto|0",
         "Segments of the asymmetry: straight pieces that make the loop's ends unlike; 0 for none.",
         "auto",
     ),
-    Option("--relaxation auto|0|T1,T2,...", "Time constants in s of lag and creep; 0 for none.", "auto"),
-    Option("--delay SECONDS|auto|0", "Pure delay of the displacement behind the drive.", "auto"),
+    Option(
+        "--relaxation auto|0|T1,T2,...",
+        "Time constants in s of lag and creep; 0 for none.",
+        "auto",
+    ),
+    Option(
+        "--delay SECONDS|auto|0",
+        "Pure delay of the displacement behind the drive.",
+        "auto",
+    ),
     Option(
         "--dynamics auto|0|1|2",
         "Resonances of the actuator, from a log with a small sweep or a fast log beside a slow one.",
@@ -208,7 +255,9 @@ IDENTIFICATION = (
         "First-order time constant of the sensor or its filter: taken off likewise.",
         "0",
     ),
-    Option("--slopes auto|growing|falling|free", "How the gears' slopes may run.", "auto"),
+    Option(
+        "--slopes auto|growing|falling|free", "How the gears' slopes may run.", "auto"
+    ),
     SCALE_UNCERTAINTY,
 )
 SIGN = Option(
@@ -222,17 +271,24 @@ ZERO = Option(
     "none",
 )
 METHOD = Option(
-    "--method least-squares|paper", "paper: gears by the rule of the 2018 publication.", "least-squares"
+    "--method least-squares|paper",
+    "paper: gears by the rule of the 2018 publication.",
+    "least-squares",
 )
 VALIDATE = Option(
-    "--validate LOG", "Another log, to say how well the model predicts; repeatable.", repeated=True
+    "--validate LOG",
+    "Another log, to say how well the model predicts; repeatable.",
+    repeated=True,
 )
 PRIOR = Option(
-    "--prior MODEL", "Keep the shape of this model, and find its gain, offset and lag again from a short log."
+    "--prior MODEL",
+    "Keep the shape of this model, and find its gain, offset and lag again from a short log.",
 )
-FITTED = (VOLTAGE, DISPLACEMENT, UNCERTAINTY, PRIOR, SUMMARY)  # of the fields of ``IdentifyRun``
+# of the fields of ``IdentifyRun``
+FITTED = (VOLTAGE, DISPLACEMENT, UNCERTAINTY, PRIOR, SUMMARY)
 RATED_MIN = Option(
-    "--v-min VOLT", "The rating's lower end, with --v-max; logs of another range are warned of."
+    "--v-min VOLT",
+    "The rating's lower end, with --v-max; logs of another range are warned of.",
 )
 RATED_MAX = Option("--v-max VOLT", "The rating's upper end, with --v-min.")
 FORCE = Option("--force", "Keep a model that is no better than a straight line.")
@@ -246,14 +302,28 @@ STATE = Option(
     "auto",
     heading=STARTING,
 )
-SAVE_STATE = Option("--save-state FILE", "Write the state after the last row.", heading=STARTING)
-OUTSIDE = Option("--outside extend|hold|error", "What happens outside the model's input range.", "extend")
-VOLTAGE_MIN = Option("--v-min VOLT", "Lowest drive voltage; cuts the range that was identified.")
-VOLTAGE_MAX = Option("--v-max VOLT", "Highest drive voltage; cuts the range that was identified.")
-EXTRAPOLATE = Option("--extrapolate", "Go beyond the identified range, as far as --v-min and --v-max say.")
+SAVE_STATE = Option(
+    "--save-state FILE", "Write the state after the last row.", heading=STARTING
+)
+OUTSIDE = Option(
+    "--outside extend|hold|error",
+    "What happens outside the model's input range.",
+    "extend",
+)
+VOLTAGE_MIN = Option(
+    "--v-min VOLT", "Lowest drive voltage; cuts the range that was identified."
+)
+VOLTAGE_MAX = Option(
+    "--v-max VOLT", "Highest drive voltage; cuts the range that was identified."
+)
+EXTRAPOLATE = Option(
+    "--extrapolate",
+    "Go beyond the identified range, as far as --v-min and --v-max say.",
+)
 MAX_SLEW = Option("--max-slew VOLT/S", "Fastest change of the drive; 2V/ms as well.")
 FROM = Option("--from VOLT", "What the amplifier stands at before the first row.")
-DRIVING = (  # the fields of ``DriveOptions`` but for the state, which is read with the model
+# the fields of ``DriveOptions`` but for the state, which is read with the model
+DRIVING = (
     VOLTAGE_MIN,
     VOLTAGE_MAX,
     EXTRAPOLATE,
@@ -274,7 +344,10 @@ DRIVING = (  # the fields of ``DriveOptions`` but for the state, which is read w
         "--approach SECONDS|auto",
         "Ramp from there to the first row (time < 0); auto: within the slew limit, 0.1 s at least.",
     ),
-    Option("--condition", "Prepend the sweep that puts the actuator into the starting state (time < 0)."),
+    Option(
+        "--condition",
+        "Prepend the sweep that puts the actuator into the starting state (time < 0).",
+    ),
     Option(
         "--lead SECONDS|auto",
         "The drive that dynamics and delay need before a move that begins in motion (time < 0); with "
@@ -296,8 +369,15 @@ CHECKING = (  # the fields of ``CheckOptions``
     MAX_SLEW,
     FROM,
     Option("--loop", "The drive is looped: from its last row to its first, too."),
-    Option("--against FILE", "Was this drive what was played? Rows, lag, gain, offset, speed."),
-    Option("--gain FACTOR", "With --against, of an amplifier behind the recording's place.", "1"),
+    Option(
+        "--against FILE",
+        "Was this drive what was played? Rows, lag, gain, offset, speed.",
+    ),
+    Option(
+        "--gain FACTOR",
+        "With --against, of an amplifier behind the recording's place.",
+        "1",
+    ),
     Option(
         "--tolerance VOLT",
         "With --against, the largest difference allowed, and by how much a recorded row may miss a "
@@ -308,7 +388,9 @@ CHECKING = (  # the fields of ``CheckOptions``
 
 # --- channels and many files: the fields of ``Work`` ---
 WORK = (
-    Option("-j, --jobs N", "Processes, for channels or many files; changes no result.", "1"),
+    Option(
+        "-j, --jobs N", "Processes, for channels or many files; changes no result.", "1"
+    ),
     Option("--keep-going", "Where a channel or file fails, write the others; exit 1."),
 )
 
@@ -321,7 +403,9 @@ TRACKING = (  # with the columns, the fields of ``TrackingOptions``
         parse=number_or_word(int),
     ),
     Option("--remove-offset", "Take the mean of the error off before anything else."),
-    Option("--segment cycles|SECONDS", "Also report every cycle, or every so many seconds."),
+    Option(
+        "--segment cycles|SECONDS", "Also report every cycle, or every so many seconds."
+    ),
     Option(
         "--dwell SECONDS",
         "Score only the rows at which the desired signal has been held so long: pixels, stairs.",
@@ -339,7 +423,10 @@ TRACKING = (  # with the columns, the fields of ``TrackingOptions``
         "What error was to be expected, to stand beside the actual one: the --summary of compensate, or the "
         "model.",
     ),
-    Option("--trajectory FILE", "Where the desired signal lies, if not in the logs themselves."),
+    Option(
+        "--trajectory FILE",
+        "Where the desired signal lies, if not in the logs themselves.",
+    ),
     Option(
         "--match auto|time|rows",
         "How logs and --trajectory belong together; auto: by time where both have one.",
@@ -351,8 +438,16 @@ TRACKING = (  # with the columns, the fields of ``TrackingOptions``
     ),
 )
 LIMITS = (
-    Option("--max-rmse VALUE", "Exit 3 where the RMSE of a log is above this; 10nm as well.", parse=limit),
-    Option("--max-abs VALUE", "Exit 3 where the largest error is above this; 10nm as well.", parse=limit),
+    Option(
+        "--max-rmse VALUE",
+        "Exit 3 where the RMSE of a log is above this; 10nm as well.",
+        parse=limit,
+    ),
+    Option(
+        "--max-abs VALUE",
+        "Exit 3 where the largest error is above this; 10nm as well.",
+        parse=limit,
+    ),
     Option(
         "--max-nrmse-percent VALUE",
         "Exit 3 where the RMSE is above this, in % of the move (greatest less least desired value).",
@@ -365,24 +460,43 @@ LIMITS = (
 )
 SHOW = Option("--show", "Open a window for each figure, to zoom in; needs a display.")
 FIGURES = Option("--figures DIR", "Draw the figures, PNG and SVG, into this folder.")
-REPORT_FORMAT = Option("--format text|json|csv|html", "Form of the report [default: by the output's name].")
-SHOW_FORMAT = Option(
-    "--format text|json", "Form of what is shown [default: by the output's name, else text]."
+REPORT_FORMAT = Option(
+    "--format text|json|csv|html", "Form of the report [default: by the output's name]."
 )
-MODEL_FIGURES = Option("--figures DIR", "Draw the model's curves, PNG and SVG, into this folder.")
+SHOW_FORMAT = Option(
+    "--format text|json",
+    "Form of what is shown [default: by the output's name, else text].",
+)
+MODEL_FIGURES = Option(
+    "--figures DIR", "Draw the model's curves, PNG and SVG, into this folder."
+)
 
 # --- excite: the parameters of ``write_excitation`` ---
 EXCITATION = (  # of ``excitation_of``
-    Option("--v-max VOLT", "Highest drive voltage: the actuator's rating; 4bar or 500mA as well.", REQUIRED),
+    Option(
+        "--v-max VOLT",
+        "Highest drive voltage: the actuator's rating; 4bar or 500mA as well.",
+        REQUIRED,
+    ),
     Option("--v-min VOLT", "Lowest drive voltage.", "0"),
     Option("--sample-rate HZ", "Rows per second [default: 1000]."),
-    Option("--points N", "So many rows in all, for a generator's memory; the rate follows.", parse=whole(2)),
+    Option(
+        "--points N",
+        "So many rows in all, for a generator's memory; the rate follows.",
+        parse=whole(2),
+    ),
     Option("--duration SECONDS", "Length of the drive.", "15", parse=positive),
     Option("--frequency HZ", "Full cycles per second.", "1"),
     MAX_SLEW,
     Option("--seed N", "Another number, another drive.", "1", parse=whole(0)),
-    Option("--sweep-to HZ", "Append a small sweep up to this frequency, for the dynamics."),
-    Option("--sweep-amplitude VOLT", "Of that sweep [default: 1 % of the range].", parse=figure_above_0),
+    Option(
+        "--sweep-to HZ", "Append a small sweep up to this frequency, for the dynamics."
+    ),
+    Option(
+        "--sweep-amplitude VOLT",
+        "Of that sweep [default: 1 % of the range].",
+        parse=figure_above_0,
+    ),
 )
 
 # --- which command has which, in the order of the help ---

@@ -1,10 +1,13 @@
 """Everything that stands between the command-line library and this program's commands, and what it saves.
 
-- The library checks values with a validation package whose import takes longer than a short command
-  (measured: 90 ms a process), and words its errors differently from version to version. Here the text of each
-  option goes to the parser that ``options`` has beside its name, and a command gets parsed values.
-- It reads options from the signatures of functions. Here they come from the table in ``options``.
-- Its help knows no order. Here columns come before the other reading options, headings always alike.
+- The library checks values with a validation package whose import takes longer than a
+  short command (measured: 90 ms a process), and words its errors differently from
+  version to version. Here the text of each option goes to the parser that ``options``
+  has beside its name, and a command gets parsed values.
+- It reads options from the signatures of functions. Here they come from the table in
+  ``options``.
+- Its help knows no order. Here columns come before the other reading options, headings
+  always alike.
 """
 
 from __future__ import annotations
@@ -30,8 +33,18 @@ from dbo_cli.errors import DboError, UsageError
 from dbo_cli.version import __version__
 
 SHELLS = ("bash", "zsh", "fish")
-PLAIN = {"add_completion": False, "rich_markup_mode": None, "pretty_exceptions_enable": False}
-HEADINGS = ("Arguments", options.OPTIONS, options.STARTING, options.READING_LOGS, options.MESSAGES)
+PLAIN = {
+    "add_completion": False,
+    "rich_markup_mode": None,
+    "pretty_exceptions_enable": False,
+}
+HEADINGS = (
+    "Arguments",
+    options.OPTIONS,
+    options.STARTING,
+    options.READING_LOGS,
+    options.MESSAGES,
+)
 CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 100}  # columns
 
 TYPED = ("COMP_WORDS", "_TYPER_COMPLETE_ARGS")
@@ -106,7 +119,9 @@ class TableCommand(ParsedValues, TyperCommand):
             if name in by_name:  # an extra that brings it may be missing
                 usual.append(_explained(by_name[name], ctx))
         return [
-            (heading, rows) for heading, rows in (("Arguments", arguments), ("Usual options", usual)) if rows
+            (heading, rows)
+            for heading, rows in (("Arguments", arguments), ("Usual options", usual))
+            if rows
         ]
 
     def sections(self, ctx: Any) -> list[tuple[str, list[tuple[str, str]]]]:
@@ -114,7 +129,8 @@ class TableCommand(ParsedValues, TyperCommand):
         sections: dict[str, list[Any]] = {heading: [] for heading in HEADINGS}
         for parameter in self.get_params(ctx):
             is_argument = parameter.param_type_name == "argument"
-            named = getattr(parameter, "rich_help_panel", None)  # the library's own --help has none
+            # the library's own --help has none
+            named = getattr(parameter, "rich_help_panel", None)
             heading = "Arguments" if is_argument else named or options.OPTIONS
             sections[heading].append(parameter)
         for parameters in sections.values():
@@ -145,7 +161,9 @@ class Commands(ParsedValues, TyperGroup):
             near = difflib.get_close_matches(args[0], names, 1)
             meant = commands.MEANT.get(args[0].lower()) or next(iter(near), "")
             suggestion = f": dbo {meant}?" if meant else ""
-            raise UsageError(f"no such command: '{args[0]}'{suggestion}; there are: {', '.join(names)}")
+            raise UsageError(
+                f"no such command: '{args[0]}'{suggestion}; there are: {', '.join(names)}"
+            )
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
@@ -157,7 +175,12 @@ class Commands(ParsedValues, TyperGroup):
 
 def root_command() -> Any:
     """Return the group ``dbo``, ready to parse a command line."""
-    app = typer.Typer(cls=Commands, no_args_is_help=False, context_settings=CONTEXT, **PLAIN)  # type: ignore[arg-type]
+    app = typer.Typer(
+        cls=Commands,
+        no_args_is_help=False,
+        context_settings=CONTEXT,
+        **PLAIN,  # type: ignore[arg-type]
+    )
     app.callback(invoke_without_command=True)(_root)
     return typer.main.get_command(app)
 
@@ -186,7 +209,8 @@ def run(words: Sequence[str]) -> int:
     WORDS.set(tuple(words))
     command = root_command()
     try:
-        # Not command.main(): it words errors its own way and turns an interrupt into something else.
+        # Not command.main(): it words errors its own way and turns an interrupt into
+        # something else.
         with command.make_context("dbo", list(words)) as context:
             command.invoke(context)
     except typer.Exit as leaving:
@@ -221,7 +245,11 @@ def _reading_page() -> str:
     rows = []
     for option in (options.VOLTAGE, options.DISPLACEMENT, *options.READING):
         rows.append(
-            (", ".join(option.names) + (f" {option.metavar}" if option.metavar else ""), option.meaning)
+            (
+                ", ".join(option.names)
+                + (f" {option.metavar}" if option.metavar else ""),
+                option.meaning,
+            )
         )
     with formatter.section(options.READING_LOGS):
         formatter.write_dl(rows, col_max=28)
@@ -251,7 +279,9 @@ def complaint(problem: BaseException) -> tuple[str, int] | None:
 
 def _root(
     context: typer.Context,
-    version: Annotated[bool, typer.Option("--version", help="Print the version and leave.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version and leave.")
+    ] = False,
     show_completion: Annotated[
         str | None,
         typer.Option(
@@ -263,17 +293,19 @@ def _root(
 ) -> None:
     """Identify, invert and compensate the hysteresis of piezo actuators.
 
-    A log of drive voltage and displacement becomes a model (identify), the model and a trajectory become
-    the drive that follows it (compensate), and the error is reported (report). Every command reads and
-    writes - as standard input and output; data alone goes there, everything else to standard error.
-    dbo COMMAND --help has what most need of a command, dbo help COMMAND everything, dbo help reading how
-    logs are read.
+    A log of drive voltage and displacement becomes a model (identify), the model and a
+    trajectory become the drive that follows it (compensate), and the error is reported
+    (report). Every command reads and writes - as standard input and output; data alone
+    goes there, everything else to standard error. dbo COMMAND --help has what most need
+    of a command, dbo help COMMAND everything, dbo help reading how logs are read.
     """
     if version:
         typer.echo(f"dbo {__version__}")
     elif show_completion is not None:
         if show_completion not in SHELLS:
-            raise UsageError(f"`show_completion`: '{show_completion}' is none of {', '.join(SHELLS)}")
+            raise UsageError(
+                f"`show_completion`: '{show_completion}' is none of {', '.join(SHELLS)}"
+            )
         os.environ[options.ASKED] = f"source_{show_completion}"
         completions()
     elif context.invoked_subcommand is None:
@@ -303,7 +335,9 @@ def _build(name: str, made_of: Command) -> Any:
     parameters = [_parameter(option) for option in declared]
     # The library takes the options from the signature.
     command.__dict__["__signature__"] = inspect.Signature(parameters)
-    command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    command.__annotations__ = {
+        parameter.name: parameter.annotation for parameter in parameters
+    }
     app = typer.Typer(**PLAIN)  # type: ignore[arg-type]
     app.command(name, cls=TableCommand, context_settings=CONTEXT)(command)
     built = typer.main.get_command(app)
@@ -328,7 +362,9 @@ def _parameter(option: Option) -> inspect.Parameter:
     else:
         info = typer.Argument(show_default=False, **words)
     key, keyword_only = option.key, inspect.Parameter.KEYWORD_ONLY
-    return inspect.Parameter(key, keyword_only, annotation=Annotated[kind, info], default=default)
+    return inspect.Parameter(
+        key, keyword_only, annotation=Annotated[kind, info], default=default
+    )
 
 
 def _explained(parameter: Any, context: Any) -> tuple[str, str]:
@@ -344,10 +380,14 @@ def _parsed(parameter: Any, option: Option | None, context: Any, value: Any) -> 
     is_option = parameter.param_type_name == "option"
     name = max(parameter.opts, key=len) if is_option else parameter.metavar
     if parameter.required and value in (None, (), []) and not context.resilient_parsing:
-        raise UsageError(f"{name} is missing ({context.command_path} --help lists what there is)")
+        raise UsageError(
+            f"{name} is missing ({context.command_path} --help lists what there is)"
+        )
     if option is not None:
         value = option.value(value)
-    return parameter.callback(context, parameter, value) if parameter.callback else value
+    return (
+        parameter.callback(context, parameter, value) if parameter.callback else value
+    )
 
 
 # --- what a shell offers for the word that is typed ---
@@ -359,7 +399,11 @@ def offers(option: Option) -> Callable[[str], list[str]] | None:
     if value == options.COLUMN:
         return columns_beginning
     words = value.split("|") if "|" in value else getattr(option.parser, "choices", ())
-    return (lambda incomplete: [word for word in words if word.startswith(incomplete)]) if words else None
+    return (
+        (lambda incomplete: [word for word in words if word.startswith(incomplete)])
+        if words
+        else None
+    )
 
 
 def without_help() -> None:
@@ -374,8 +418,8 @@ def without_help() -> None:
 def columns_beginning(incomplete: str) -> list[str]:
     """Return the columns, of the logs in the words typed, whose names begin so.
 
-    Of a name with a blank only what stands before the unit is offered, and nothing where that has one too:
-    the shells do not agree on how to quote it.
+    Of a name with a blank only what stands before the unit is offered, and nothing
+    where that has one too: the shells do not agree on how to quote it.
     """
     from dbo_cli.logs.request import ReadingOptions, Request, parse_address
     from dbo_cli.logs.signal_log import open_table
@@ -388,9 +432,15 @@ def columns_beginning(incomplete: str) -> list[str]:
                 address = parse_address(word)
                 if os.path.isfile(address.path):
                     table = open_table(Request(address, ReadingOptions()))
-                    names |= dict.fromkeys(_typed(column.name or "") for column in table.columns)
+                    names |= dict.fromkeys(
+                        _typed(column.name or "") for column in table.columns
+                    )
                     table.close()
-    return [name for name in names if name.startswith(incomplete) and name and " " not in name]
+    return [
+        name
+        for name in names
+        if name.startswith(incomplete) and name and " " not in name
+    ]
 
 
 def _typed(name: str) -> str:

@@ -1,7 +1,7 @@
 """Parsers of option values, and their error messages.
 
-A parser takes the parameter's name and the text; its complaint names the parameter in backticks, which the
-shell shows as the option.
+A parser takes the parameter's name and the text; its complaint names the parameter in
+backticks, which the shell shows as the option.
 """
 
 from __future__ import annotations
@@ -102,8 +102,11 @@ class choice:
     def __call__(self, option: str, text: str) -> str:
         """Return the text; raise ``UsageError`` for any other."""
         if text not in self.choices:
-            place = f"`{option}`: " if option else ""  # an argument has no name to be found by
-            raise UsageError(f"{place}'{shown(text)}' is none of {', '.join(self.choices)}")
+            # an argument has no name to be found by
+            place = f"`{option}`: " if option else ""
+            raise UsageError(
+                f"{place}'{shown(text)}' is none of {', '.join(self.choices)}"
+            )
         return text
 
 
@@ -114,11 +117,15 @@ def auto_or(parse: Parser) -> Parser:
 
 def times(option: str, text: str) -> tuple[float, ...]:
     """Return time constants in seconds, given as ``T1,T2,…``; ``0`` means none."""
-    values = tuple(not_negative(option, in_seconds(option, part)) for part in text.split(","))
+    values = tuple(
+        not_negative(option, in_seconds(option, part)) for part in text.split(",")
+    )
     if values == (0.0,):
         return ()
     if 0.0 in values or len(set(values)) < len(values):
-        raise UsageError(f"`{option}`: time constants must differ and be above 0: '{shown(text)}'")
+        raise UsageError(
+            f"`{option}`: time constants must differ and be above 0: '{shown(text)}'"
+        )
     return tuple(sorted(values))
 
 
@@ -175,7 +182,9 @@ def offset(option: str, text: str) -> float | str:
     return text if text == "auto" else number(option, in_seconds(option, text))
 
 
-_FIGURE_AND_UNIT = pattern(r"\s*([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([^\W\d][^\d]*|/s)\s*")
+_FIGURE_AND_UNIT = pattern(
+    r"\s*([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([^\W\d][^\d]*|/s)\s*"
+)
 
 
 def in_seconds(option: str, text: str) -> str:
@@ -215,7 +224,9 @@ def in_hertz(option: str, text: str) -> str:
 
     factor = hertz(match[2])
     if factor is None:
-        raise UsageError(f"`{option}` {shown(text)}: '{match[2]}' is no unit of a rate (Hz, kHz, MHz, S/s)")
+        raise UsageError(
+            f"`{option}` {shown(text)}: '{match[2]}' is no unit of a rate (Hz, kHz, MHz, S/s)"
+        )
     return repr(number(option, match[1]) * factor)
 
 
@@ -228,7 +239,9 @@ def names(option: str, text: str) -> tuple[str, ...]:
     """Return names that commas divide."""
     words = tuple(name.strip() for name in text.split(","))
     if not all(words):
-        raise UsageError(f"`{option}` {shown(text)}: give names with commas between them")
+        raise UsageError(
+            f"`{option}` {shown(text)}: give names with commas between them"
+        )
     return words
 
 
@@ -268,7 +281,11 @@ def shown(text: str) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-figure, figure_above_0, limit = with_unit(number), with_unit(positive), with_unit(not_negative)
+figure, figure_above_0, limit = (
+    with_unit(number),
+    with_unit(positive),
+    with_unit(not_negative),
+)
 PARSERS: dict[str, Parser] = {
     "A:B": rows, "AMPERE": figure_above_0, "DRIVE": address, "FACTOR": number, "FARAD": figure_above_0,
     "FILE": address, "HZ": of_unit(positive, in_hertz), "LOG": address, "LOW:HIGH": span,

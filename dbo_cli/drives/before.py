@@ -26,7 +26,8 @@ from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, StartName
 
 CHOSEN_SECONDS = 60.0  # s: so long the program may choose to take before any move
-CHOSEN_MOVES = 10.0  # times the move's own seconds: so long it may choose to take before a longer one
+# times the move's own seconds: so long it may choose to take before a longer one
+CHOSEN_MOVES = 10.0
 WHOLE_ROW = 1e-9  # of a row: what rounding may add to a number of rows
 
 
@@ -72,18 +73,25 @@ class BeforeMove:
         Raises
         ------
         UsageError
-            From where the amplifier comes is not known, or a piece is too long for any memory.
+            From where the amplifier comes is not known, or a piece is too long for any
+            memory.
         LimitError
             Seconds that were typed are too few for the slew limit.
         """
         options = self.options
         lead = self._lead(first)
-        chosen = [] if _typed(options.lead) else [Chosen("the lead", lead.size, "`lead` SECONDS")]
+        chosen = (
+            []
+            if _typed(options.lead)
+            else [Chosen("the lead", lead.size, "`lead` SECONDS")]
+        )
         known = self._state is not None or options.from_ is not None
         if not known and not options.condition and options.approach is None:
             return Before(NOTHING, NOTHING, lead, None, tuple(chosen))
         if self.last is None and not options.condition:
-            raise UsageError("`approach` needs `from_` VOLT (what the amplifier stands at) or a `state`")
+            raise UsageError(
+                "`approach` needs `from_` VOLT (what the amplifier stands at) or a `state`"
+            )
         inwards = self._inwards()
         swept = self._swept()
         rest = self._rest(inwards)
@@ -91,12 +99,16 @@ class BeforeMove:
         played = self._played(voltage)
         path = self._way(played, first)
         if not (options.condition and _typed(options.approach)):
-            chosen.append(Chosen("the ramp into the range", inwards.size, "a larger `max_slew`"))
+            chosen.append(
+                Chosen("the ramp into the range", inwards.size, "a larger `max_slew`")
+            )
         remedy = "a larger `max_slew`, or `state` instead of `condition`"
         chosen.append(Chosen("the sweep", swept.size, remedy))
         chosen.append(Chosen("the rest", rest.size, "a larger `max_slew`"))
         if options.condition or not _typed(options.approach):
-            chosen.append(Chosen("the way to the first row", path.size, "`approach` SECONDS"))
+            chosen.append(
+                Chosen("the way to the first row", path.size, "`approach` SECONDS")
+            )
         desired = np.concatenate([path, lead])
         return Before(voltage, played.expected, desired, played.state, tuple(chosen))
 
@@ -130,7 +142,9 @@ class BeforeMove:
         if self.last is None or self.options.approach is None:
             return NOTHING
         seconds = self.options.approach if self.options.condition else "auto"
-        voltage = ramp("approach", self.last, self._inside(), self.step, seconds, self.limits)
+        voltage = ramp(
+            "approach", self.last, self._inside(), self.step, seconds, self.limits
+        )
         if self._state is not None:
             return voltage  # the state's own row was played before
         return np.concatenate([[self.last], voltage])
@@ -155,7 +169,9 @@ class BeforeMove:
         """Play the voltages, from the state or from a start at the first of them."""
         model, state = self.model, self._state
         if voltage.size == 0 and state is not None:
-            reached = 0.0 if self.options.approach is None else model.displacement_of(state)
+            reached = (
+                0.0 if self.options.approach is None else model.displacement_of(state)
+            )
             return _Played(state, NOTHING, reached, 0.0)
         rows = voltage
         if voltage.size == 0 and self.last is not None:
@@ -175,7 +191,15 @@ class BeforeMove:
         if not self.options.condition and self.options.approach is not None:
             seconds = self.options.approach
         ends = played.displacement, first
-        return way(self.model, played.state, ends, played.creep, self.step, seconds, self.limits)
+        return way(
+            self.model,
+            played.state,
+            ends,
+            played.creep,
+            self.step,
+            seconds,
+            self.limits,
+        )
 
 
 def _typed(seconds: Seconds) -> bool:
@@ -188,7 +212,9 @@ def longest_chosen(move_seconds: float) -> float:
     return max(CHOSEN_SECONDS, CHOSEN_MOVES * move_seconds)
 
 
-def require_short(name: str, chosen: tuple[Chosen, ...], step: float, move_seconds: float) -> None:
+def require_short(
+    name: str, chosen: tuple[Chosen, ...], step: float, move_seconds: float
+) -> None:
     """Refuse what the program chose itself where it is long beside the move (LimitError).
 
     Parameters

@@ -16,13 +16,20 @@ from dbo_cli.hysteresis.model_state import DriveLimits
 from dbo_cli.logs.sample_block import GAP_STEPS, SAME_RATE, median_step
 
 TOLERANCE = 1e-3  # of the drive's range: a converter of 10 bits rounds to half of it
-MOST_BY_NOISE = 6.0  # standard deviations: white noise reaches 5 once in two million rows
-EXACT = 1e-12  # of a variance: what sums and transforms of double precision leave of two equal drives
-FEWEST_SHARED = 0.25  # of the shorter of the two: in a few rows everything is like everything
-ANOTHER = 0.5  # correlation below which a recording is of another drive; chosen, in between
-OTHER_SPEED = 0.1  # of what is left at the right speed: less at another one, and it was played at that
-LARGEST = 1e100  # in any unit; sums of squares of what is beyond leave the range of float64
-FEWEST_FOR_PARTS = 16  # rows from which on a part of a row is looked for: three numbers are fitted to them
+# standard deviations: white noise reaches 5 once in two million rows
+MOST_BY_NOISE = 6.0
+# of a variance: what sums and transforms of double precision leave of two equal drives
+EXACT = 1e-12
+# of the shorter of the two: in a few rows everything is like everything
+FEWEST_SHARED = 0.25
+# correlation below which a recording is of another drive; chosen, in between
+ANOTHER = 0.5
+# of what is left at the right speed: less at another one, and it was played at that
+OTHER_SPEED = 0.1
+# in any unit; sums of squares of what is beyond leave the range of float64
+LARGEST = 1e100
+# rows from which on a part of a row is looked for: three numbers are fitted to them
+FEWEST_FOR_PARTS = 16
 
 
 @dataclass
@@ -38,7 +45,8 @@ class CheckedDrive:
     played : dict
         With a recording: rows, lag, gain, offset, largest difference.
     outside : int
-        How many rows, the first ones, are outside the limits, on the way inwards from ``from_``.
+        How many rows, the first ones, are outside the limits, on the way inwards from
+        ``from_``.
     """
 
     figures: DriveFigures
@@ -71,7 +79,8 @@ def check_drive(
     loop
         The drive is looped: the step from its last row to its first counts, too.
     tolerance
-        By how much a row may miss a limit: the noise of what is a recording of the drive, not the drive.
+        By how much a row may miss a limit: the noise of what is a recording of the
+        drive, not the drive.
     place
         How messages call a row (from 0).
     suffix
@@ -80,19 +89,28 @@ def check_drive(
     Raises
     ------
     InputError
-        A slew limit is to be checked and no time is known; or a row is no voltage at all.
+        A slew limit is to be checked and no time is known; or a row is no voltage at
+        all.
     """
     require_voltages(drive, place, suffix)
     checked = CheckedDrive(DriveFigures())
-    steps = None if time is None or time.size < 2 else _check_clock(checked, time, place)
+    steps = (
+        None if time is None or time.size < 2 else _check_clock(checked, time, place)
+    )
     if steps is None and limits.max_slew is not None:
-        raise InputError("there is no time, and `max_slew` depends on it (`time` COLUMN or `sample_rate` HZ)")
+        raise InputError(
+            "there is no time, and `max_slew` depends on it (`time` COLUMN or `sample_rate` HZ)"
+        )
     checked.figures.see(drive, steps)
-    allowed = replace(limits, v_min=limits.v_min - tolerance, v_max=limits.v_max + tolerance)
+    allowed = replace(
+        limits, v_min=limits.v_min - tolerance, v_max=limits.v_max + tolerance
+    )
     waits = steps
-    if steps is not None and limits.max_slew:  # both rows of a step may miss by the tolerance
+    # both rows of a step may miss by the tolerance
+    if steps is not None and limits.max_slew:
         waits = steps + 2.0 * tolerance / limits.max_slew
-    # On a slow ramp a recorder gives the same value twice; a drive that was computed moves in every row.
+    # On a slow ramp a recorder gives the same value twice; a drive that was computed
+    # moves in every row.
     gate = DriveGate(allowed, from_, suffix, may_wait=tolerance > 0.0)
     before = np.concatenate([[drive[0] if from_ is None else from_], drive[:-1]])
     bad = gate.broken(drive, waits)
@@ -101,27 +119,42 @@ def check_drive(
         bad[-1] = True  # it never came inside
     if bad.any():
         row = int(np.argmax(bad))
-        reason = DriveGate(limits, suffix=suffix).reason(float(drive[row]), float(before[row]))
-        reason += f" by more than the tolerance, {tolerance:.3g}{suffix}" if tolerance else ""
+        reason = DriveGate(limits, suffix=suffix).reason(
+            float(drive[row]), float(before[row])
+        )
+        reason += (
+            f" by more than the tolerance, {tolerance:.3g}{suffix}" if tolerance else ""
+        )
         checked.problems.append(_problem(place, bad, reason))
     if loop:
         seam = gate.violation(drive[:1], None if waits is None else waits[:1])
-        problem = f"from the last row to the first: {seam}" if seam else _open_seam(drive, suffix)
+        problem = (
+            f"from the last row to the first: {seam}"
+            if seam
+            else _open_seam(drive, suffix)
+        )
         checked.problems += [problem] if problem else []
     return checked
 
 
-def require_voltages(drive: Floats, place: Callable[[int], str], suffix: str = "") -> None:
+def require_voltages(
+    drive: Floats, place: Callable[[int], str], suffix: str = ""
+) -> None:
     """Refuse figures that no amplifier has and no sum of squares holds (InputError)."""
     beyond = ~(np.abs(drive) <= LARGEST)
     if beyond.any():
         row = int(np.argmax(beyond))
-        raise InputError(f"{place(row)}: {drive[row]:g}{suffix} is no voltage: it is beyond {LARGEST:g}")
+        raise InputError(
+            f"{place(row)}: {drive[row]:g}{suffix} is no voltage: it is beyond {LARGEST:g}"
+        )
 
 
 def _open_seam(drive: Floats, suffix: str) -> str:
     """Return what is said of a loop whose last step is not of its kind; nothing where it closes."""
-    seam, inside = abs(drive[0] - drive[-1]), float(np.abs(np.diff(drive)).max(initial=0.0))
+    seam, inside = (
+        abs(drive[0] - drive[-1]),
+        float(np.abs(np.diff(drive)).max(initial=0.0)),
+    )
     if seam <= 3.0 * inside:  # as a period that does not close (see ``loops``)
         return ""
     return (
@@ -130,12 +163,15 @@ def _open_seam(drive: Floats, suffix: str) -> str:
     )
 
 
-def _check_clock(checked: CheckedDrive, time: Floats, place: Callable[[int], str]) -> Floats:
+def _check_clock(
+    checked: CheckedDrive, time: Floats, place: Callable[[int], str]
+) -> Floats:
     """Note what is odd about time stamps; return the seconds before each row, none of them below 0."""
     steps = np.diff(time)
     forward = steps[steps > 0.0]
     usual = median_step(forward) if forward.size else 0.0
-    first = steps[0] if steps[0] > 0.0 else usual  # as ``compensate`` counts the row before the first
+    # as ``compensate`` counts the row before the first
+    first = steps[0] if steps[0] > 0.0 else usual
     steps = np.concatenate([[first], steps])
     for what, odd in (
         ("time goes backwards", steps < 0.0),
@@ -167,7 +203,8 @@ class Likeness(NamedTuple):
     largest, left
         The largest difference, and what is left of it after gain and offset.
     ends, cut
-        The recording's range, and what is left of the difference where the drive is cut off there.
+        The recording's range, and what is left of the difference where the drive is cut
+        off there.
     """
 
     lag: int
@@ -184,7 +221,8 @@ class Likeness(NamedTuple):
 
 def noise_of(played: Floats) -> float:
     """Return the standard deviation of a recording's read-back noise; 0 where none is evident."""
-    from dbo_cli.hysteresis.identification.drive_range import read_back_noise  # with all of identification
+    # with all of identification
+    from dbo_cli.hysteresis.identification.drive_range import read_back_noise
 
     return read_back_noise(played)
 
@@ -192,8 +230,8 @@ def noise_of(played: Floats) -> float:
 def played_tolerance(drive: Floats, played: Floats, tolerance: float | None) -> float:
     """Return by how much a recording may differ from a drive (its unit).
 
-    Where no ``tolerance`` is given, that is a thousandth of the drive's range, or what the noise of the
-    recording makes of it if that is more.
+    Where no ``tolerance`` is given, that is a thousandth of the drive's range, or what
+    the noise of the recording makes of it if that is more.
     """
     if tolerance is not None:
         return tolerance
@@ -216,7 +254,8 @@ def check_played(
     drive, played
         What was computed, and what was recorded.
     steps
-        Seconds a row of the two, where they are known: at another rate the drive is interpolated.
+        Seconds a row of the two, where they are known: at another rate the drive is
+        interpolated.
     tolerance
         Largest difference allowed; see ``played_tolerance``.
     gain
@@ -227,7 +266,11 @@ def check_played(
     most = played_tolerance(drive, played * gain, tolerance)
     step, played_step = steps
     count, ratio = drive.size, None
-    if step is not None and played_step is not None and abs(played_step / step - 1.0) > SAME_RATE:
+    if (
+        step is not None
+        and played_step is not None
+        and abs(played_step / step - 1.0) > SAME_RATE
+    ):
         ratio = played_step / step
         count = int((drive.size - 1) / ratio + 1e-9) + 1
     likeness, speed = _found(drive, played * gain, most, count, ratio)
@@ -240,7 +283,9 @@ def check_played(
         "tolerance": most, "read_back_noise": noise_of(played * gain), "speed": speed, "amplifier_gain": gain,
     }  # fmt: skip
     if likeness.alike < ANOTHER:
-        checked.problems.append("what was played is another drive: the two have nothing in common")
+        checked.problems.append(
+            "what was played is another drive: the two have nothing in common"
+        )
         return
     if speed != 1.0:
         checked.problems.append(
@@ -248,7 +293,9 @@ def check_played(
             "frequency, or the recording's clock)"
         )
     elif likeness.rows < count:
-        checked.problems.append(f"{count - likeness.rows:,} of {count:,} rows were not played")
+        checked.problems.append(
+            f"{count - likeness.rows:,} of {count:,} rows were not played"
+        )
     if likeness.largest > most:
         checked.problems.append(
             f"what was played differs by up to {likeness.largest:.6g}{suffix}, more than {most:.3g}{suffix} "
@@ -256,13 +303,19 @@ def check_played(
         )
 
 
-def _cause(likeness: Likeness, drive: Floats, most: float, gain: float, suffix: str) -> str:
+def _cause(
+    likeness: Likeness, drive: Floats, most: float, gain: float, suffix: str
+) -> str:
     """Return in words what explains a difference: a cut, or a gain and an offset."""
     cause = "neither a gain nor an offset explains it"
     explained = likeness.left <= 0.5 * likeness.largest
     if likeness.cut <= most:
         beyond = (likeness.ends[0] - drive.min(), drive.max() - likeness.ends[1])
-        cut = [f"{end:.6g}" for end, by in zip(likeness.ends, beyond, strict=True) if by > most]
+        cut = [
+            f"{end:.6g}"
+            for end, by in zip(likeness.ends, beyond, strict=True)
+            if by > most
+        ]
         cause = f"it is the drive cut off at {' and '.join(cut)}{suffix}: a limit of the amplifier?"
     elif explained:
         cause = f"gain {likeness.gain:.6g} and offset {likeness.offset:.6g}{suffix} explain all but "
@@ -280,10 +333,14 @@ def _found(
 ) -> tuple[Likeness, float]:
     """Return how a recording is like a drive in ``count`` rows, and how many times as fast it was played."""
     likeness, speed = _likeness(_stretched(drive, count, ratio), played, most), 1.0
-    if likeness.alike < ANOTHER or likeness.left > most:  # at another speed: row for row, or from end to end?
+    # at another speed: row for row, or from end to end?
+    if likeness.alike < ANOTHER or likeness.left > most:
         for rows in sorted({drive.size, played.size} - {count}):
             again = _likeness(_stretched(drive, rows), played, most)
-            if again.left < OTHER_SPEED * likeness.left and again.alike > likeness.alike:
+            if (
+                again.left < OTHER_SPEED * likeness.left
+                and again.alike > likeness.alike
+            ):
                 likeness, speed = again, count / rows
     return likeness, speed
 
@@ -293,7 +350,9 @@ def _stretched(drive: Floats, count: int, step: float | None = None) -> Floats:
     if count == drive.size:
         return drive
     each = (drive.size - 1) / max(count - 1, 1) if step is None else step
-    return interpolated(np.arange(float(drive.size)), drive, each * np.arange(float(count)))[0]
+    return interpolated(
+        np.arange(float(drive.size)), drive, each * np.arange(float(count))
+    )[0]
 
 
 def _likeness(drive: Floats, played: Floats, most: float) -> Likeness:
@@ -301,7 +360,11 @@ def _likeness(drive: Floats, played: Floats, most: float) -> Likeness:
     lag = _lag(drive, played)
     begin, end = max(0, -lag), min(drive.size, played.size - lag)
     likeness = _fitted(drive[begin:end], played[begin + lag : end + lag], lag, 0.0)
-    if likeness.left <= most or end - begin < FEWEST_FOR_PARTS or likeness.alike < ANOTHER:
+    if (
+        likeness.left <= most
+        or end - begin < FEWEST_FOR_PARTS
+        or likeness.alike < ANOTHER
+    ):
         return likeness
     curve, part = _Curve(drive), 0.0
     rows = np.arange(begin + 1.0, end - 1.0)
@@ -312,15 +375,18 @@ def _likeness(drive: Floats, played: Floats, most: float) -> Likeness:
         gain, _, slope = np.linalg.lstsq(columns, b, rcond=None)[0].tolist()
         part = min(max(part - slope / gain, -1.0), 1.0) if gain else 0.0
     again = _fitted(curve.at(rows - part)[0], b, lag, part)
-    return again._replace(rows=likeness.rows) if again.left < likeness.left else likeness
+    return (
+        again._replace(rows=likeness.rows) if again.left < likeness.left else likeness
+    )
 
 
 class _Curve:
     """The cubic spline through rows at 0, 1, 2, ...; its first two and last two pieces are one cubic each.
 
-    The second derivatives m solve m[k-1] + 4 m[k] + m[k+1] = 6 (d[k-1] - 2 d[k] + d[k+1]) inside, and
-    m[0] - 2 m[1] + m[2] = 0 at either end. Powers of z = sqrt(3) - 2 solve the equation without its right
-    side: two-sided ones are its answer to a single row, one-sided ones bring the ends about.
+    The second derivatives m solve m[k-1] + 4 m[k] + m[k+1] = 6 (d[k-1] - 2 d[k] +
+    d[k+1]) inside, and m[0] - 2 m[1] + m[2] = 0 at either end. Powers of z = sqrt(3) -
+    2 solve the equation without its right side: two-sided ones are its answer to a
+    single row, one-sided ones bring the ends about.
     """
 
     POLE = math.sqrt(3.0) - 2.0
@@ -339,7 +405,9 @@ class _Curve:
         decays = np.stack([powers, powers[::-1]])
         first, last = decays[:, :3] @ ends, decays[:, -3:] @ ends
         missed = np.array([inner[:3] @ ends, inner[-3:] @ ends])
-        self.bend: Floats = inner - np.linalg.solve(np.stack([first, last]), missed) @ decays
+        self.bend: Floats = (
+            inner - np.linalg.solve(np.stack([first, last]), missed) @ decays
+        )
 
     def at(self, places: Floats) -> tuple[Floats, Floats]:
         """Return the curve and its slope (per row) between the first row and the last."""
@@ -364,8 +432,17 @@ def _fitted(a: Floats, b: Floats, lag: int, part: float) -> Likeness:
     columns = np.column_stack([a - a.mean(), np.ones(a.size)])
     gain, middle = np.linalg.lstsq(columns, b, rcond=None)[0].tolist()
     offset = middle - gain * float(a.mean())
-    alike = 1.0 if np.ptp(a) == 0.0 else abs(float(np.corrcoef(a, b)[0, 1])) if np.ptp(b) > 0.0 else 0.0
-    largest, left = float(np.abs(b - a).max()), float(np.abs(b - gain * a - offset).max())
+    alike = (
+        1.0
+        if np.ptp(a) == 0.0
+        else abs(float(np.corrcoef(a, b)[0, 1]))
+        if np.ptp(b) > 0.0
+        else 0.0
+    )
+    largest, left = (
+        float(np.abs(b - a).max()),
+        float(np.abs(b - gain * a - offset).max()),
+    )
     ends = float(b.min()), float(b.max())
     cut = float(np.abs(b - np.clip(a, *ends)).max())
     return Likeness(lag, part, a.size, gain, offset, alike, largest, left, ends, cut)
@@ -374,20 +451,24 @@ def _fitted(a: Floats, b: Floats, lag: int, part: float) -> Likeness:
 def _lag(drive: Floats, played: Floats) -> int:
     """Return by how many rows the recording is later: where the rows that belong together tell it best.
 
-    That is the logarithm of the likelihood that one is the other times a gain, n log(1/(1 - r^2)) of n rows
-    whose correlation is r: a recording may begin late and end early.
+    That is the logarithm of the likelihood that one is the other times a gain, n
+    log(1/(1 - r^2)) of n rows whose correlation is r: a recording may begin late and
+    end early.
     """
     a, b = drive - drive.mean(), played - played.mean()
     lags = np.arange(1 - a.size, b.size)
     begin, end = np.maximum(0, -lags), np.minimum(a.size, b.size - lags)
     count = end - begin
     sums = [
-        (total := np.concatenate([[0.0], np.cumsum(values)]))[end + shift] - total[begin + shift]
+        (total := np.concatenate([[0.0], np.cumsum(values)]))[end + shift]
+        - total[begin + shift]
         for values, shift in ((a, 0), (b, lags), (a * a, 0), (b * b, lags))
     ]
     spread = (sums[2] - sums[0] ** 2 / count) * (sums[3] - sums[1] ** 2 / count)
     shared = _correlated(b, a) - sums[0] * sums[1] / count
-    moving = (spread > EXACT * spread.max()) & (count >= FEWEST_SHARED * min(a.size, b.size))
+    moving = (spread > EXACT * spread.max()) & (
+        count >= FEWEST_SHARED * min(a.size, b.size)
+    )
     alike = np.divide(shared**2, spread, out=np.zeros(lags.size), where=moving)
     evidence = -count * np.log(np.maximum(1.0 - alike, EXACT))
     near = lags[evidence >= evidence.max() * (1.0 - 1e-9)]

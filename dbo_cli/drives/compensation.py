@@ -1,8 +1,8 @@
 """Compensation: the drive that makes an actuator follow a trajectory, within the drive's limits.
 
-The rows before a move (the sweep into a known state, the way from where the amplifier stands, the rest that
-dynamics need) and the move itself are one signal through one inverse in one state; every row of it passes the
-gate.
+The rows before a move (the sweep into a known state, the way from where the amplifier
+stands, the rest that dynamics need) and the move itself are one signal through one
+inverse in one state; every row of it passes the gate.
 """
 
 from __future__ import annotations
@@ -29,15 +29,23 @@ from dbo_cli.drives.pieces import Before, ramp, sweep_range
 from dbo_cli.errors import InputError, LimitError, Remarks, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
-from dbo_cli.hysteresis.move_error import MOST_ROWS, UNLIKE, ZERO_STAYS, MoveError, move_error
+from dbo_cli.hysteresis.move_error import (
+    MOST_ROWS,
+    UNLIKE,
+    ZERO_STAYS,
+    MoveError,
+    move_error,
+)
 from dbo_cli.logs.plain_text import counted
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock, even_step, median_step
 from dbo_cli.logs.sources import Source
 
 NOTHING_BROUGHT: Mapping[str, Any] = MappingProxyType({})
-REACH_SLACK = 0.01  # of the range: a trajectory this little outside is clipped and counted like any other
+# of the range: a trajectory this little outside is clipped and counted like any other
+REACH_SLACK = 0.01
 SLACK = 1e-9  # of the range: what rounding may add to a drive that ends at its limit
-SAME_DRIVE = 1e-9  # of the range: two drives that agree to this are one; chosen, far above rounding
+# of the range: two drives that agree to this are one; chosen, far above rounding
+SAME_DRIVE = 1e-9
 
 
 class Watcher(Protocol):
@@ -66,12 +74,14 @@ class Compensation(ModelRun):
     clipped : Tally
         The rows whose drive a limit clipped.
     first_value_missed : float
-        How far the drive's first row is off the first value of the trajectory, because the settled curve
-        steps over that; 0 where it does not. In the displacement's unit.
+        How far the drive's first row is off the first value of the trajectory, because
+        the settled curve steps over that; 0 where it does not. In the displacement's
+        unit.
     unreachable : int
         The rows of the move outside the range of the model's displacement.
     streamed : bool
-        Whether rows are written before all are read, so that too large a loss ends the run at once.
+        Whether rows are written before all are read, so that too large a loss ends the
+        run at once.
     loss : MoveLoss
         What the move loses by clipping.
     stream_ends : int, or None
@@ -87,10 +97,11 @@ class Compensation(ModelRun):
     drive_figures : DriveFigures
         Figures of the whole drive, the rows before and after the move included.
     first_drives : list of tuples
-        The first rows' drive and their time steps (None without time), block by block; the expected error of
-        the move is computed from them.
+        The first rows' drive and their time steps (None without time), block by block;
+        the expected error of the move is computed from them.
     came_from : float, or None
-        The voltage at which the amplifier stands before the first row, where that is known.
+        The voltage at which the amplifier stands before the first row, where that is
+        known.
     limits : DriveLimits
         What the drive may do.
     gate : DriveGate
@@ -115,7 +126,9 @@ class Compensation(ModelRun):
     lead_in_seconds: float = 0.0
     move_figures: DriveFigures = field(default_factory=DriveFigures)
     drive_figures: DriveFigures = field(default_factory=DriveFigures)
-    first_drives: list[tuple[FloatArray, FloatArray | None]] = field(default_factory=list)
+    first_drives: list[tuple[FloatArray, FloatArray | None]] = field(
+        default_factory=list
+    )
     came_from: float | None = field(init=False)
     limits: DriveLimits = field(init=False)
     gate: DriveGate = field(init=False)
@@ -125,13 +138,15 @@ class Compensation(ModelRun):
 
     compensates = True
     repeats = False  # whether the trajectory goes on from its last row to its first
-    states_error = True  # whether the error that the model states is to be expected of this drive
+    # whether the error that the model states is to be expected of this drive
+    states_error = True
     first_what = "row"
     among_them = ""
     remedies = "`condition` sweeps it there, "
     or_after_a_sweep = " or after `condition`"
     before_its_first_sweep = (
-        "; an actuator that never went over its range may err more (`condition` sweeps it)"
+        "; an actuator that never went over its range may err more"
+        " (`condition` sweeps it)"
     )
 
     def __post_init__(self) -> None:
@@ -153,7 +168,8 @@ class Compensation(ModelRun):
         InputError
             The source is bad, time goes backwards, or nothing of it can be reached.
         LimitError
-            A limit of the drive was met, and that is refused; or no drive could begin within the limits.
+            A limit of the drive was met, and that is refused; or no drive could begin
+            within the limits.
         GateError
             A row breaks a limit: this program's fault.
         """
@@ -168,7 +184,9 @@ class Compensation(ModelRun):
                 blocks = self._read_enough(before, step, blocks)
                 count = before.voltage.size + before.desired.size
                 # From one step before the first row on.
-                times = step * np.arange(-count - 1, 0.0) + (stamps[0] if stamps.size else 0.0)
+                times = step * np.arange(-count - 1, 0.0) + (
+                    stamps[0] if stamps.size else 0.0
+                )
                 self.lead_in_seconds = count * step
                 yield from self._played(before, times[: before.voltage.size + 1], step)
                 blocks = chain(self._way_in(before, times), blocks)
@@ -179,11 +197,17 @@ class Compensation(ModelRun):
                 self._see(desired, drive)
             if self.stream_ends is not None:
                 if self.stream_ends > 0:
-                    yield _first_rows(Response(block.time, desired, drive), self.stream_ends)
+                    yield _first_rows(
+                        Response(block.time, desired, drive), self.stream_ends
+                    )
                 raise LimitError(self._stream_ended())
             yield Response(block.time, desired, drive)
         self._require_reached()
-        if self.options.return_ is not None and self.state is not None and self.state.time is not None:
+        if (
+            self.options.return_ is not None
+            and self.state is not None
+            and self.state.time is not None
+        ):
             yield self._return(self.state, self.state.time, step)
 
     def _way_in(self, before: Before, times: FloatArray) -> Iterator[SampleBlock]:
@@ -191,7 +215,9 @@ class Compensation(ModelRun):
         count = before.desired.size
         if count:
             values = {self.input.quantity: before.desired}
-            yield SampleBlock(range(1 - count, 1), None, times[times.size - count :], values)
+            yield SampleBlock(
+                range(1 - count, 1), None, times[times.size - count :], values
+            )
 
     def _read_enough(
         self, before: Before, step: float, blocks: Iterator[SampleBlock]
@@ -234,7 +260,8 @@ class Compensation(ModelRun):
         InputError
             Nothing of the trajectory can be reached, which is no drive's fault.
         LimitError
-            The limits, or the delay, cost too much of the move, and that was not asked for.
+            The limits, or the delay, cost too much of the move, and that was not asked
+            for.
         """
         rows = self.rows - self.rows_before
         goes_on = isinstance(self.start, ModelState)
@@ -297,7 +324,9 @@ class Compensation(ModelRun):
         for watcher in self.watchers:
             watcher.add(desired, drive)
 
-    def _played(self, before: Before, times: FloatArray, step: float) -> Iterator[Response]:
+    def _played(
+        self, before: Before, times: FloatArray, step: float
+    ) -> Iterator[Response]:
         """Play the voltages before a move, and go on from the state that they leave."""
         if before.voltage.size:
             self.lead_in_figures.see(before.voltage, None)
@@ -319,8 +348,13 @@ class Compensation(ModelRun):
             left_at = self.model.drive_of(self.start)
             if left_at is None:
                 return typed
-            if typed is not None and abs(typed - left_at) > SAME_DRIVE * self.output.span:
-                raise UsageError(f"`from_` {typed:g} contradicts `state`, which was left at {left_at:g}")
+            if (
+                typed is not None
+                and abs(typed - left_at) > SAME_DRIVE * self.output.span
+            ):
+                raise UsageError(
+                    f"`from_` {typed:g} contradicts `state`, which was left at {left_at:g}"
+                )
             return left_at
         if typed is None and self.start in ("empty", "full"):
             low_end, high_end = self.model.covered_gears.operator.x_range
@@ -363,14 +397,20 @@ class Compensation(ModelRun):
         """Return the ramp after the move; nothing is desired there."""
         assert self.gate.last is not None
         _, target = self._rest_after()
-        voltage = ramp("return_", self.gate.last, target, step, self.options.return_, self.limits)
+        voltage = ramp(
+            "return_", self.gate.last, target, step, self.options.return_, self.limits
+        )
         time = last_time + step * np.arange(1.0, voltage.size + 1.0)
         if voltage.size:
-            done = self.model.simulate(voltage, dataclasses.replace(state, undoing=None), time_step=step)
+            done = self.model.simulate(
+                voltage, dataclasses.replace(state, undoing=None), time_step=step
+            )
             self.state = dataclasses.replace(done.state, time=float(time[-1]))
         return self._response(time, np.full(voltage.size, math.nan), voltage, step)
 
-    def _response(self, time: FloatArray, desired: FloatArray, drive: FloatArray, step: float) -> Response:
+    def _response(
+        self, time: FloatArray, desired: FloatArray, drive: FloatArray, step: float
+    ) -> Response:
         """Let voltages that are played as they are pass the gate."""
         self.gate.admit(drive, step)
         self.drive_figures.see(drive, step)
@@ -390,18 +430,28 @@ class Compensation(ModelRun):
         before = self.state
         done, steps = super().feed(block, x), self.time_step
         if not self.drive_figures.rows:
-            self.gate.require_start(None if steps is None else float(np.ravel(steps)[0]))
+            self.gate.require_start(
+                None if steps is None else float(np.ravel(steps)[0])
+            )
         if not block.before_move:  # what cannot be reached before a move is none of it
             reach, slack = self.model.output, REACH_SLACK * self.model.output.span
-            desired = x if self.model.dynamics is None else block.values[self.input.quantity]
-            outside = (desired < reach.minimum - slack) | (desired > reach.maximum + slack)
+            desired = (
+                x if self.model.dynamics is None else block.values[self.input.quantity]
+            )
+            outside = (desired < reach.minimum - slack) | (
+                desired > reach.maximum + slack
+            )
             self.unreachable += int(np.count_nonzero(outside))
             self._count_clipped(done, block)
             if self.clipped.count:
-                reached = self.model.without_dynamics_and_delay.follow(done.y, before, steps).y
+                reached = self.model.without_dynamics_and_delay.follow(
+                    done.y, before, steps
+                ).y
                 self._add_lost(x - reached, steps)
                 if self.stream_ends is not None:
-                    self._uncount_behind_end(done, self.stream_ends + 1, x, before, steps)
+                    self._uncount_behind_end(
+                        done, self.stream_ends + 1, x, before, steps
+                    )
         else:
             self.lead_in_figures.see(done.y, None)
         self.first_value_missed = self.first_value_missed or done.first_missed
@@ -409,7 +459,9 @@ class Compensation(ModelRun):
         self.drive_figures.see(done.y, steps)
         room = MOST_ROWS - sum(drive.size for drive, _ in self.first_drives)
         if room > 0:  # on its first rows the error to expect is looked at in the end
-            every = None if steps is None else np.broadcast_to(steps, done.y.shape)[:room]
+            every = (
+                None if steps is None else np.broadcast_to(steps, done.y.shape)[:room]
+            )
             self.first_drives.append((done.y[:room], every))
         return done
 
@@ -430,7 +482,12 @@ class Compensation(ModelRun):
             self.stream_ends = first_beyond(squares, rows, lost, allowed)
 
     def _uncount_behind_end(
-        self, done: Simulated, count: int, x: FloatArray, before: ModelState, steps: float | FloatArray | None
+        self,
+        done: Simulated,
+        count: int,
+        x: FloatArray,
+        before: ModelState,
+        steps: float | FloatArray | None,
     ) -> None:
         """Take back what was counted of a block behind its first ``count`` rows, where a stream ends."""
         part = steps[:count] if isinstance(steps, np.ndarray) else steps
@@ -465,8 +522,11 @@ class Compensation(ModelRun):
                 f"{self.source.name}: the displacement starts {missed} off its first value, at which an "
                 "actuator that has settled does not stand (`state` empty or `condition`)"
             )
-        beyond = beyond_range(self.model.input, self.drive_figures.low, self.drive_figures.high)
-        if beyond and self.options.extrapolate:  # else the amplifier stood there, and only came inwards
+        beyond = beyond_range(
+            self.model.input, self.drive_figures.low, self.drive_figures.high
+        )
+        # else the amplifier stood there, and only came inwards
+        if beyond and self.options.extrapolate:
             remarks.warn(f"{self.source.name}: the drive goes {beyond}")
         self._add_ends_outside(remarks)
 
@@ -481,7 +541,11 @@ class Compensation(ModelRun):
             )
         rest, target = self._rest_after()
         if self.options.return_ is not None and rest != target:
-            came = "where the drive came from" if self.came_from is not None else "where drives rest"
+            came = (
+                "where the drive came from"
+                if self.came_from is not None
+                else "where drives rest"
+            )
             remarks.warn(
                 f"{name}: the drive returns to {target:.6g}{unit} alone: {rest:.6g}{unit}, {came}, is "
                 f"outside {within}"
@@ -499,7 +563,10 @@ class Compensation(ModelRun):
         farad, drive = self.options.farad, self.drive_figures
         if farad is not None and drive.seconds:
             volts = float(volts_a_unit(self.model))
-            coulombs, joules = farad * volts * drive.travel, farad * volts**2 * drive.work
+            coulombs, joules = (
+                farad * volts * drive.travel,
+                farad * volts**2 * drive.work,
+            )
             remarks.notes.append(
                 f"{name}: into {farad:g} F the drive takes {farad * volts * drive.fastest:.3g} A at most, "
                 f"{coulombs / drive.seconds:.3g} A and {joules / drive.seconds:.3g} W (voltage times "
@@ -508,8 +575,11 @@ class Compensation(ModelRun):
         error = None
         if self.expecting and self.expected_rmse()[0] is not None:
             error = self._move_error()
-        # Where clipping is the error, what is left of the move tells nothing of the logs.
-        if error is not None and not error.form < max(error.straight_line, self._lost_rms()):
+        # Where clipping is the error, what is left of the move tells nothing of the
+        # logs.
+        if error is not None and not error.form < max(
+            error.straight_line, self._lost_rms()
+        ):
             unit = self.model.output.suffix
             remarks.warn(
                 f"{name}: the expected error of the move, {error.form:.3g}{unit}, is no better than that of "
@@ -521,7 +591,9 @@ class Compensation(ModelRun):
         """Say in which units limits are read, how the drive begins, where it may step, and what to expect."""
         options = self.options
         drive = self.model.input
-        units_read = plain_in(drive.unit, options.v_min, options.v_max, options.max_slew, options.from_)
+        units_read = plain_in(
+            drive.unit, options.v_min, options.v_max, options.max_slew, options.from_
+        )
         if units_read:
             yield units_read
         if self.lead_in_figures.rows:
@@ -613,11 +685,16 @@ class Compensation(ModelRun):
         if self._past_is_known:
             return ""
         if not error.past_matters:
-            # From the lower end a model knows one past alone: what an actuator at rest does, it cannot say.
+            # From the lower end a model knows one past alone: what an actuator at rest
+            # does, it cannot say.
             return self.before_its_first_sweep if self.start == "auto" else ""
         unit = self.model.output.suffix
         whole = math.hypot(error.from_any_past, self._lost_rms())
-        start = "settled at the first row" if self.start in ("auto", "settled") else self.start
+        start = (
+            "settled at the first row"
+            if self.start in ("auto", "settled")
+            else self.start
+        )
         return (
             f"; that is from the start assumed ({start}){self.or_after_a_sweep}, from an unknown past "
             f"{_rounded_up(whole):.3g}{unit}"
@@ -635,7 +712,10 @@ class Compensation(ModelRun):
     def summary_of_error(self) -> dict[str, Any]:
         """Return the parts of the expected error and what belongs to them as plain values."""
         output = self.model.output
-        values: dict[str, Any] = {"unit": output.unit, "model_range": [output.minimum, output.maximum]}
+        values: dict[str, Any] = {
+            "unit": output.unit,
+            "model_range": [output.minimum, output.maximum],
+        }
         move = self.move_figures
         if move.low <= move.high:
             values["move_range"] = [move.low, move.high]
@@ -645,7 +725,9 @@ class Compensation(ModelRun):
         values["expected_from_any_past"] = None
         if error is not None:
             past = error.from_any_past if self._past_matters(error) else error.rmse
-            values["expected_from_any_past"] = math.hypot(past, self._lost_rms(), self._delay_left_rms())
+            values["expected_from_any_past"] = math.hypot(
+                past, self._lost_rms(), self._delay_left_rms()
+            )
         return values
 
     def expected_rmse(self) -> tuple[float | None, float | None]:
@@ -693,7 +775,9 @@ class Compensation(ModelRun):
     def _clipping_words(self) -> str:
         """Say how much of a trajectory the drive's limits do not allow."""
         drive, limits = self.model.input, self.limits
-        allowed = f"{drive.quantity} {limits.v_min:.6g} to {limits.v_max:.6g}{drive.suffix}"
+        allowed = (
+            f"{drive.quantity} {limits.v_min:.6g} to {limits.v_max:.6g}{drive.suffix}"
+        )
         if limits.max_slew is not None:
             allowed += f", {limits.max_slew:.6g}{drive.suffix}/s"
         return f"{self._counted(self.clipped)} beyond what the limits of the drive allow ({allowed})"
@@ -731,15 +815,16 @@ def compensation(
     options
         What is asked of the drive.
     brought
-        What the options that extras bring were given, by name. An extra either watches the run, or makes
-        another one in its place.
+        What the options that extras bring were given, by name. An extra either watches
+        the run, or makes another one in its place.
     last_row
         The last row that is answered; rows after it are only read ahead.
 
     Raises
     ------
     UsageError
-        The limits are not in order, options exclude each other, or nothing brings one of them.
+        The limits are not in order, options exclude each other, or nothing brings one
+        of them.
     ModelError
         The model is an inverse one.
     """
@@ -757,7 +842,9 @@ def compensation(
             raise UsageError(f"`{name}` is no parameter of compensate")
         of_make[name] = value
     if make is None:
-        return Compensation(model, source, last_row=last_row, options=options, watchers=watchers)
+        return Compensation(
+            model, source, last_row=last_row, options=options, watchers=watchers
+        )
     run = make(model, source, options, of_make, last_row)
     run.watchers = watchers
     return run

@@ -1,8 +1,8 @@
 """The gate: no row leaves for an amplifier that breaks a limit, wherever it was computed.
 
-Planning keeps the limits; the gate only looks. What it finds is a fault of this program (GateError), and
-nothing is written. ``dbo check`` asks the same gate about drives of other programs. What passes is measured
-(``DriveFigures``).
+Planning keeps the limits; the gate only looks. What it finds is a fault of this program
+(GateError), and nothing is written. ``dbo check`` asks the same gate about drives of
+other programs. What passes is measured (``DriveFigures``).
 """
 
 from __future__ import annotations
@@ -35,13 +35,14 @@ class DriveGate:
     limits : DriveLimits
         What the drive may do.
     last : float, optional
-        Where the drive stands before the first row, where that is known. From outside the range it may only
-        come inwards.
+        Where the drive stands before the first row, where that is known. From outside
+        the range it may only come inwards.
     suffix : str
         The unit, behind a blank, for messages.
     may_wait : bool
-        Whether a drive that comes from outside may stand still there: a converter does, which saves up for a
-        step larger than its slew limit. Otherwise its first row alone may be where it stood.
+        Whether a drive that comes from outside may stand still there: a converter does,
+        which saves up for a step larger than its slew limit. Otherwise its first row
+        alone may be where it stood.
 
     Attributes
     ----------
@@ -50,9 +51,18 @@ class DriveGate:
     """
 
     def __init__(
-        self, limits: DriveLimits, last: float | None = None, suffix: str = "", may_wait: bool = True
+        self,
+        limits: DriveLimits,
+        last: float | None = None,
+        suffix: str = "",
+        may_wait: bool = True,
     ) -> None:
-        self.limits, self.last, self.suffix, self.may_wait = limits, last, suffix, may_wait
+        self.limits, self.last, self.suffix, self.may_wait = (
+            limits,
+            last,
+            suffix,
+            may_wait,
+        )
         self.outside = 0
         self._begun = False
 
@@ -89,7 +99,9 @@ class DriveGate:
     def _inwards(self, drive: Floats, last: float) -> int:
         """Return how many rows, the first ones, come inwards from outside the range and are outside still."""
         limits = self.limits
-        bound, sign = (limits.v_max, 1.0) if last > limits.v_max else (limits.v_min, -1.0)
+        bound, sign = (
+            (limits.v_max, 1.0) if last > limits.v_max else (limits.v_min, -1.0)
+        )
         before = _before(drive, last)
         outwards: Bools = sign * drive > sign * before
         refused = outwards if self.may_wait else outwards | (drive == before)
@@ -115,7 +127,9 @@ class DriveGate:
         if not limits.v_min <= drive <= limits.v_max:
             return f"{drive:.9g}{unit} is outside {limits.v_min:.9g} to {limits.v_max:.9g}{unit}"
         most = f"{limits.max_slew:g}{unit} per second"
-        return f"from {before:.9g} to {drive:.9g}{unit} in one row is faster than {most}"
+        return (
+            f"from {before:.9g} to {drive:.9g}{unit} in one row is faster than {most}"
+        )
 
     def admit(self, drive: Floats, time_step: float | Floats | None = None) -> None:
         """Let rows pass.
@@ -131,7 +145,9 @@ class DriveGate:
                 "(please report it)"
             )
 
-    def require_start(self, time_step: float | None, first: float | None = None) -> None:
+    def require_start(
+        self, time_step: float | None, first: float | None = None
+    ) -> None:
         """Refuse a first row that cannot be reached from where the amplifier stands.
 
         Parameters
@@ -152,7 +168,11 @@ class DriveGate:
             return
         low, high = (limits.v_min, limits.v_max) if first is None else (first, first)
         if max(low - last, last - high) > step:
-            aim = f"{first:.6g}" if first is not None else f"its limits, {low:.6g} to {high:.6g}"
+            aim = (
+                f"{first:.6g}"
+                if first is not None
+                else f"its limits, {low:.6g} to {high:.6g}"
+            )
             raise LimitError(
                 f"the drive comes from {last:.6g}{unit}, and {limits.max_slew:g}{unit} per second does not "
                 f"bring it to {aim}{unit}, in one row (`approach` SECONDS ramps there)"
@@ -197,8 +217,13 @@ class DriveFigures:
         """See consecutive rows."""
         if not drive.size:
             return
-        self.low, self.high = min(self.low, float(drive.min())), max(self.high, float(drive.max()))
-        change = np.abs(np.diff(drive, prepend=drive[0] if self.last is None else self.last))
+        self.low, self.high = (
+            min(self.low, float(drive.min())),
+            max(self.high, float(drive.max())),
+        )
+        change = np.abs(
+            np.diff(drive, prepend=drive[0] if self.last is None else self.last)
+        )
         if steps is not None:
             time = np.broadcast_to(steps, drive.shape)[int(self.last is None) :]
             moved = change[int(self.last is None) :]

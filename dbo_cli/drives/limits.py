@@ -1,7 +1,7 @@
 """What a drive may do: the range on which a model was identified, cut by the limits that were typed.
 
-Limits only narrow. Beyond the identified range a drive goes where that was asked for by name
-(``extrapolate``), and only as far as the typed limits say.
+Limits only narrow. Beyond the identified range a drive goes where that was asked for by
+name (``extrapolate``), and only as far as the typed limits say.
 """
 
 from __future__ import annotations
@@ -38,21 +38,25 @@ def drive_limits(
     drive : Quantity
         The voltages of a model: their unit, and the range on which it was identified.
     v_min, v_max, max_slew : float or str, optional
-        The limits as they were typed: numbers in the drive's unit, or texts with a unit.
+        The limits as they were typed: numbers in the drive's unit, or texts with a
+        unit.
     extrapolate : bool
         Take ``v_min`` and ``v_max`` as they are, where they lie beyond the range, too.
 
     Raises
     ------
     UsageError
-        A limit cannot be read, is probably in another unit, or leaves nothing of the range.
+        A limit cannot be read, is probably in another unit, or leaves nothing of the
+        range.
     """
     low = drive.minimum if v_min is None else voltage_in("v_min", v_min, drive)
     high = drive.maximum if v_max is None else voltage_in("v_max", v_max, drive)
     slew = None if max_slew is None else slew_in("max_slew", max_slew, drive)
     if extrapolate:
         if v_min is None and v_max is None:
-            raise UsageError("`extrapolate` goes as far as `v_min` and `v_max` say: give one of them")
+            raise UsageError(
+                "`extrapolate` goes as far as `v_min` and `v_max` say: give one of them"
+            )
     else:
         _require_overlap(drive, low, high)
         low, high = max(low, drive.minimum), min(high, drive.maximum)
@@ -67,8 +71,8 @@ def voltage_in(name: str, typed: float | str, drive: Quantity) -> float:
     Raises
     ------
     UsageError
-        It cannot be read, or it is a plain number that was probably meant in another unit: the drive's unit
-        has a prefix, and it lies far beyond the model's range.
+        It cannot be read, or it is a plain number that was probably meant in another
+        unit: the drive's unit has a prefix, and it lies far beyond the model's range.
     """
     value = in_unit(name, typed, drive.unit)
     if math.isnan(value):
@@ -91,8 +95,8 @@ def slew_in(name: str, typed: float | str, drive: Quantity) -> float:
     Raises
     ------
     UsageError
-        It cannot be read, or it is a plain number and the drive's unit has a prefix: nothing tells whether
-        volts or kilovolts per second were meant.
+        It cannot be read, or it is a plain number and the drive's unit has a prefix:
+        nothing tells whether volts or kilovolts per second were meant.
     """
     value = in_unit(name, typed, drive.unit, "s")
     base = without_prefix(drive.unit)
@@ -135,7 +139,9 @@ def _require_overlap(drive: Quantity, low: float, high: float) -> None:
     )
 
 
-def limits_note(drive: Quantity, limits: DriveLimits, v_min: Figure, v_max: Figure) -> str:
+def limits_note(
+    drive: Quantity, limits: DriveLimits, v_min: Figure, v_max: Figure
+) -> str:
     """Say which limits held, where some were typed; nothing where none were."""
     if v_min is None and v_max is None:
         return ""

@@ -25,7 +25,13 @@ from dbo_cli.hysteresis.dynamics import (
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import ModelState, Quantity, Simulated, StartName
 from dbo_cli.hysteresis.operators import Outside
-from dbo_cli.logs.sample_block import GAP_STEPS, JITTER, FloatArray, SampleBlock, require_even
+from dbo_cli.logs.sample_block import (
+    GAP_STEPS,
+    JITTER,
+    FloatArray,
+    SampleBlock,
+    require_even,
+)
 from dbo_cli.logs.sources import Source, remarks_of
 
 CLOCK_SAMPLES = 101
@@ -89,28 +95,37 @@ class Inputs:
     _ends_off: float = 0.0
     _rest: SampleBlock | None = None
 
-    def blocks(self, read: Iterable[SampleBlock], begun: ModelState | None = None) -> Iterator[Taken]:
+    def blocks(
+        self, read: Iterable[SampleBlock], begun: ModelState | None = None
+    ) -> Iterator[Taken]:
         """Return each block with what goes into the model, ``begun`` being the state before the first.
 
         Raises
         ------
         InputError
-            The clock is not even where it must be, or does not resolve the dynamics, or there are fewer
-            samples than are read ahead.
+            The clock is not even where it must be, or does not resolve the dynamics, or
+            there are fewer samples than are read ahead.
         UsageError
             The low-pass cannot be had at this rate.
         """
         role, last, dynamics = self.input.quantity, self.last_row, self.dynamics
         self.start, step = begun or self.start, 0.0
         blocks = read if last is None else _split(read, last)
-        if last is None and dynamics is None and self.bandwidth is None and not self.delay:
+        if (
+            last is None
+            and dynamics is None
+            and self.bandwidth is None
+            and not self.delay
+        ):
             for block in blocks:
                 yield block, block.values[role]
             return
         if dynamics is not None or self.bandwidth is not None:
             why = EVEN_FOR_BANDWIDTH if dynamics is None else EVEN_FOR_DYNAMICS
             undoing = None if self.start is None else self.start.undoing
-            step, blocks = even_clock(self.source, blocks, why, undoing.time_step if undoing else None)
+            step, blocks = even_clock(
+                self.source, blocks, why, undoing.time_step if undoing else None
+            )
         taken: Iterable[Taken] = ((block, block.values[role]) for block in blocks)
         if self.bandwidth is not None:
             taken = self._rounded(taken, ZeroPhaseLowPass(self.bandwidth, step), step)
@@ -126,7 +141,9 @@ class Inputs:
     def _ahead(self, taken: Iterable[Taken], delay: DelayStage) -> Iterator[Taken]:
         """Read ahead by a delay, and note what it leaves."""
         self.delay_left = DelayLeft(delay, DELAY_ROWS)
-        timed = (((block, x), block.time, x) for block, x in taken if block.time is not None)
+        timed = (
+            ((block, x), block.time, x) for block, x in taken if block.time is not None
+        )
         for (block, x), ahead in read_ahead(timed, abs(delay.seconds), delay.between):
             if block.time is not None and block is not self._rest:
                 self.delay_left.add(block.time, x, ahead)
@@ -154,7 +171,10 @@ class Inputs:
                 f"{abs(self._ends_off):.3g}{unit} more (let it end at rest; `bandwidth` HZ rounds it)"
             )
         if self._corners and self.dynamics is not None:
-            lowest = min((resonance.frequency for resonance in self.dynamics.resonances), default=None)
+            lowest = min(
+                (resonance.frequency for resonance in self.dynamics.resonances),
+                default=None,
+            )
             propose = f" {lowest / PROPOSED_PART:.3g}" if lowest is not None else " HZ"
             remarks.notes.append(
                 f"{name}: in {self._corners:,} samples the corners and the speed of the trajectory, not its "
@@ -162,16 +182,21 @@ class Inputs:
             )
         return remarks
 
-    def _rounded(self, taken: Iterable[Taken], low_pass: ZeroPhaseLowPass, step: float) -> Iterator[Taken]:
+    def _rounded(
+        self, taken: Iterable[Taken], low_pass: ZeroPhaseLowPass, step: float
+    ) -> Iterator[Taken]:
         for block, x in low_pass.blocks(self._with_rest(taken, low_pass.reach, step)):
             if block is not self._rest:
                 self.note_rounding(block.values[self.input.quantity], x)
             yield block, x
 
-    def _with_rest(self, taken: Iterable[Taken], count: int, step: float) -> Iterator[Taken]:
+    def _with_rest(
+        self, taken: Iterable[Taken], count: int, step: float
+    ) -> Iterator[Taken]:
         """Add rows that hold the last value: rounded, the move goes on in them, and comes to rest.
 
-        What is read ahead by is then the rounded move, not one that stops dead at its last row.
+        What is read ahead by is then the rounded move, not one that stops dead at its
+        last row.
         """
         block, x = None, np.zeros(0)
         for block, x in taken:
@@ -180,7 +205,9 @@ class Inputs:
             rows, times = np.arange(1, count + 1), step * np.arange(1.0, count + 1.0)
             end = None if block.time is None else block.time[-1] + times
             resting = np.full(count, x[-1])
-            self._rest = SampleBlock(block.rows[-1] + rows, None, end, {self.input.quantity: resting})
+            self._rest = SampleBlock(
+                block.rows[-1] + rows, None, end, {self.input.quantity: resting}
+            )
             yield self._rest, resting
 
     def note_rounding(self, before: FloatArray, after: FloatArray) -> None:
@@ -190,7 +217,9 @@ class Inputs:
         self._largest = max(self._largest, float(np.abs(away).max()))
         self._smoothed += away.size
 
-    def _undone(self, taken: Iterable[Taken], inverter: DynamicsInverter) -> Iterator[Taken]:
+    def _undone(
+        self, taken: Iterable[Taken], inverter: DynamicsInverter
+    ) -> Iterator[Taken]:
         """Undo the dynamics; from a state's memory where the signal goes on from it, else from a rest."""
         low, high = self.input.minimum, self.input.maximum
         rest = iter(taken)
@@ -199,7 +228,11 @@ class Inputs:
         if first is not None and start is not None:
             if start.time is not None and first[0].time is not None:
                 late = float(first[0].time[0]) - start.time
-            memory = start.memory_for(inverter) if late <= GAP_STEPS * inverter.time_step else None
+            memory = (
+                start.memory_for(inverter)
+                if late <= GAP_STEPS * inverter.time_step
+                else None
+            )
         begun = memory is not None
 
         def counted() -> Iterator[tuple[Taken, FloatArray]]:
@@ -217,7 +250,9 @@ class Inputs:
                 begun, self._starts_off = True, float(u[0] - x[0])
             beyond = (u < low) | (u > high)
             if beyond.any():
-                self._corners += int(np.count_nonzero(beyond & (x >= low) & (x <= high)))
+                self._corners += int(
+                    np.count_nonzero(beyond & (x >= low) & (x <= high))
+                )
             self.memory, self._ends_off = after, float(u[-1] - x[-1])
             yield block, u
 
@@ -227,7 +262,8 @@ def even_clock(
 ) -> tuple[float, Iterator[SampleBlock]]:
     """Return the step (s) of an even clock, and the same blocks, each refused where its clock is not even.
 
-    With a ``known`` step, of a run that is gone on with, that one is returned where the stamps agree with it.
+    With a ``known`` step, of a run that is gone on with, that one is returned where the
+    stamps agree with it.
 
     Raises
     ------
@@ -239,10 +275,14 @@ def even_clock(
     rest = iter(blocks)
     first, stamps = first_blocks(rest)
     steps = np.diff(stamps)
-    if known is not None and (not steps.size or abs(float(np.mean(steps)) - known) <= JITTER * known):
+    if known is not None and (
+        not steps.size or abs(float(np.mean(steps)) - known) <= JITTER * known
+    ):
         step = known
     elif not steps.size:
-        raise InputError(f"{source.name}: holds a single sample, which is no clock, and {why}")
+        raise InputError(
+            f"{source.name}: holds a single sample, which is no clock, and {why}"
+        )
     else:
         step = require_even(source.name, stamps, why)
     slack = JITTER * step + 2.0 * float(np.abs(steps - step).max(initial=0.0))
@@ -251,7 +291,9 @@ def even_clock(
         last: float | None = None
         for block in chain(first, rest):
             if block.time is not None and len(block):
-                steps = np.diff(block.time, prepend=block.time[0] - step if last is None else last)
+                steps = np.diff(
+                    block.time, prepend=block.time[0] - step if last is None else last
+                )
                 odd = np.abs(steps - step) > slack
                 if odd.any():
                     index = int(np.argmax(odd))
@@ -288,17 +330,21 @@ def _split(blocks: Iterable[SampleBlock], last_row: int) -> Iterator[SampleBlock
         yield block.part(count, len(block))
 
 
-LONG_WORK = 2_000_000  # rows from which on the Python kernel's slowness is worth a word: it takes seconds
-ASSUMED_SPREAD = 0.01  # of the range: what the past may matter at the start without a word; chosen
+# rows from which on the Python kernel's slowness is worth a word: it takes seconds
+LONG_WORK = 2_000_000
+# of the range: what the past may matter at the start without a word; chosen
+ASSUMED_SPREAD = 0.01
 FASTER = 2.0
 """Times the fastest drive of the identification's logs: beyond, what the model says of lag is a guess.
-Measured: docs/choices.md."""
+Measured: docs/choices.md.
+"""
 
 FAST_PART = 0.05  # of the samples: a few faster ones are not worth a word; chosen
 SAME_STEP = 1e-6
 """A run goes on without a pause where its first sample comes one step after the last one's, to this fraction.
 
-Time stamps are row numbers over a rate, rounded; a rounding error is 1e-9 of a step after 10^7 rows.
+Time stamps are row numbers over a rate, rounded; a rounding error is 1e-9 of a step
+after 10^7 rows.
 """
 
 LAG_DEPENDS = "this model's lag, creep or delay depends on it"
@@ -329,17 +375,22 @@ class TimeSteps:
     source : Source
         Where the samples come from.
     why : str, optional
-        Why the time is needed, for the refusal of a source without; None: it is not needed.
+        Why the time is needed, for the refusal of a source without; None: it is not
+        needed.
     last : float, optional
-        When the sample before the first one was (s), from a state that knows it; then that of the last one.
+        When the sample before the first one was (s), from a state that knows it; then
+        that of the last one.
     """
 
-    def __init__(self, source: Source, why: str | None, last: float | None = None) -> None:
+    def __init__(
+        self, source: Source, why: str | None, last: float | None = None
+    ) -> None:
         self.needed = why is not None
         self.name = source.name
         if why is not None:
             source.require_time(why)
-        # One number where samples are evenly spaced by definition: a delay of whole samples is exact then.
+        # One number where samples are evenly spaced by definition: a delay of whole
+        # samples is exact then.
         rate = source.even_rate
         self.step = None if rate is None else 1.0 / rate
         self.last = last
@@ -359,7 +410,9 @@ class TimeSteps:
             self._begin(block.time)
         if self.step is not None:
             return self.step
-        steps: FloatArray = np.diff(block.time, prepend=0.0 if self.last is None else self.last)
+        steps: FloatArray = np.diff(
+            block.time, prepend=0.0 if self.last is None else self.last
+        )
         if (steps < 0.0).any():
             place = block.place(self.name, int(np.argmax(steps < 0.0)))
             raise InputError(
@@ -372,16 +425,30 @@ class TimeSteps:
     def _begin(self, time: FloatArray) -> None:
         """Find when the sample before the first one was.
 
-        Only after a saved state does the very first step count. Where the state does not know its time, or
-        the clock began anew since, the first sample comes one step after it. The stamp of the state's own
-        last sample is a repeated one: no time has passed.
+        Only after a saved state does the very first step count. Where the state does
+        not know its time, or the clock began anew since, the first sample comes one
+        step after it. The stamp of the state's own last sample is a repeated one: no
+        time has passed.
         """
         self._begun = True
         first = float(time[0])
-        usual = self.step if self.step is not None else float(time[1]) - first if len(time) > 1 else 0.0
-        if self.last is None or self.last > first or (self.step is not None and self.last == first):
+        usual = (
+            self.step
+            if self.step is not None
+            else float(time[1]) - first
+            if len(time) > 1
+            else 0.0
+        )
+        if (
+            self.last is None
+            or self.last > first
+            or (self.step is not None and self.last == first)
+        ):
             self.last = first - usual
-        elif self.step is not None and abs(first - self.last - self.step) > SAME_STEP * self.step:
+        elif (
+            self.step is not None
+            and abs(first - self.last - self.step) > SAME_STEP * self.step
+        ):
             self.step = None  # a pause: from here on the stamps count
 
 
@@ -414,7 +481,8 @@ class ModelRun:
     time_step : float, array or None
         Seconds between the samples of the block run last.
     input, output : Quantity
-        What goes into the run and comes out of it: a compensation's are its model's, exchanged.
+        What goes into the run and comes out of it: a compensation's are its model's,
+        exchanged.
     """
 
     model: ActuatorModel
@@ -447,7 +515,10 @@ class ModelRun:
 
     def __post_init__(self) -> None:
         """Refuse a source without time where the model needs one."""
-        model, begun = self.model, self.start if isinstance(self.start, ModelState) else None
+        model, begun = (
+            self.model,
+            self.start if isinstance(self.start, ModelState) else None,
+        )
         self.input, self.output = model.input, model.output
         if self.compensates:
             self.input, self.output = model.output, model.input
@@ -459,14 +530,24 @@ class ModelRun:
         self._run = functools.partial(model.simulate, outside=self.outside)
         delay = model.delay if inverting and model.delay_seconds > 0.0 else None
         dynamics = model.dynamics if inverting else None
-        self.inputs = Inputs(self.source, self.input, delay, dynamics, self.bandwidth, self.last_row, begun)
+        self.inputs = Inputs(
+            self.source,
+            self.input,
+            delay,
+            dynamics,
+            self.bandwidth,
+            self.last_row,
+            begun,
+        )
 
     @property
     def voltage_scale(self) -> str | None:
         """What the voltages of the model's logs were multiplied by, ``times 20``; None where by nothing."""
         inputs: Any = self.model.provenance.get("inputs") or []
         reads = [log.get("read", {}) for log in inputs]
-        scales = {read.get("columns", {}).get("voltage", {}).get("scale") for read in reads}
+        scales = {
+            read.get("columns", {}).get("voltage", {}).get("scale") for read in reads
+        }
         return scales.pop() if len(scales) == 1 else None
 
     def responses(self) -> Iterator[Response]:
@@ -475,7 +556,8 @@ class ModelRun:
         Raises
         ------
         InputError
-            The source is bad, time goes backwards, or a sample is outside where that is refused.
+            The source is bad, time goes backwards, or a sample is outside where that is
+            refused.
         """
         role = self.input.quantity
         for block, x in self.inputs.blocks(self.source.blocks()):
@@ -494,7 +576,9 @@ class ModelRun:
                 f"range of the model ({self._range()}) (`outside` extend or hold)"
             ) from None
         time = None if block.time is None else float(block.time[-1])
-        self.state = dataclasses.replace(done.state, time=time, undoing=self.inputs.memory)
+        self.state = dataclasses.replace(
+            done.state, time=time, undoing=self.inputs.memory
+        )
         self.rows += len(x)
         if block.before_move:  # what is before a move is not what the file asks for
             self.rows_before += len(x)
@@ -504,7 +588,9 @@ class ModelRun:
             self._watch_speed(done.y if self.compensates else x, steps, block)
         return done
 
-    def _watch_speed(self, drive: FloatArray, steps: float | FloatArray, block: SampleBlock) -> None:
+    def _watch_speed(
+        self, drive: FloatArray, steps: float | FloatArray, block: SampleBlock
+    ) -> None:
         """Count the samples whose drive is faster than any that the model was identified from."""
         fastest = self.model.fit.get("fastest_drive")
         if not isinstance(fastest, float) or self.model.dynamics is not None:
@@ -539,7 +625,9 @@ class ModelRun:
                 "speed of use"
             )
         if kernel.KIND == "python" and self.rows >= LONG_WORK:
-            remarks.warn("the compiled kernel is not there and Python does the work, a hundred times slower")
+            remarks.warn(
+                "the compiled kernel is not there and Python does the work, a hundred times slower"
+            )
         return remarks
 
     def _add_limits(self, remarks: Remarks) -> None:
@@ -551,7 +639,11 @@ class ModelRun:
             )
 
     def _counted(self, tally: Tally) -> str:
-        place = f"row {tally.first_row:,}" if tally.first_row > 0 else "the rows before row 1"
+        place = (
+            f"row {tally.first_row:,}"
+            if tally.first_row > 0
+            else "the rows before row 1"
+        )
         first = place if tally.count == 1 else f"first in {place}"
         rows = self.rows - (self.rows_before if tally.first_row > 0 else 0)
         return f"{self.source.name}: {tally.count:,} of {rows:,} samples ({first})"
@@ -571,7 +663,9 @@ class ModelRun:
         """Remember by how much the displacement at the start depends on an unknown past."""
         if self.start == "auto" and not self.found_start:
             spread = self.model.start_spread(begun, first)
-            self.assumed = spread if spread > ASSUMED_SPREAD * self.displacement.span else 0.0
+            self.assumed = (
+                spread if spread > ASSUMED_SPREAD * self.displacement.span else 0.0
+            )
 
 
 def _largest_change(values: FloatArray, before: float) -> float:
@@ -592,7 +686,11 @@ def found_start(model: ActuatorModel, name: str, first: float) -> StartName | No
         known = log if isinstance(log, dict) else {}
         named = name == known.get("name") or name.endswith(f"/{known.get('name')}")
         for start in model_state.START_NAMES:
-            if named and known.get("begins_at") == first and known.get("start") == start:
+            if (
+                named
+                and known.get("begins_at") == first
+                and known.get("start") == start
+            ):
                 return start
     return None
 

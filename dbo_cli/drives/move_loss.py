@@ -12,7 +12,8 @@ from dbo_cli.hysteresis.model import ActuatorModel
 
 ALLOWED_PART = 0.01
 """Of the move: so much of it (RMS) may be lost without being asked for. The order of the error that is
-left where a model is good; chosen."""
+left where a model is good; chosen.
+"""
 
 
 STREAMED_ROWS = 100
@@ -22,8 +23,9 @@ STREAMED_ROWS = 100
 class MoveLoss:
     """Adds up what a move loses.
 
-    It knows only of the rows added: those from the block of the first clipped row on, whatever rows of that
-    block come before it. All rows before lose nothing; they count in ``rms`` by their number.
+    It knows only of the rows added: those from the block of the first clipped row on,
+    whatever rows of that block come before it. All rows before lose nothing; they count
+    in ``rms`` by their number.
 
     Parameters
     ----------
@@ -47,13 +49,14 @@ class MoveLoss:
     def add(self, lost: Floats, time_step: float | Floats | None) -> Floats:
         """Add consecutive rows; return what they lose.
 
-        The first call brings the whole block of the first clipped row, the next ones every block after it.
+        The first call brings the whole block of the first clipped row, the next ones
+        every block after it.
 
         Parameters
         ----------
         lost
-            What the gears and the points were to reach, less what they do; what lies behind them answers as
-            it answers everything else.
+            What the gears and the points were to reach, less what they do; what lies
+            behind them answers as it answers everything else.
         time_step
             Seconds since the row before.
         """

@@ -1,8 +1,8 @@
 """The pieces of a drive around a move: ramps, the sweep into a known state, and the way to the first value.
 
-Voltages are played as they are. The way to the first value is a stretch of displacement that the inverse
-follows as it follows the move, in the same state: where the two meet there is no join, whatever the model
-remembers.
+Voltages are played as they are. The way to the first value is a stretch of displacement
+that the inverse follows as it follows the move, in the same state: where the two meet
+there is no join, whatever the model remembers.
 """
 
 from __future__ import annotations
@@ -20,17 +20,23 @@ from dbo_cli.hysteresis.excitation import MOST_SAMPLES, Floats, swing_samples, s
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState
 
-SWEEP_SECONDS = 1.0  # over the whole range, where no slew limit asks for more; as ``excite`` by default
+# over the whole range, where no slew limit asks for more; as ``excite`` by default
+SWEEP_SECONDS = 1.0
 QUIET = 14.0  # time constants: what rings is down to a millionth
-LONGEST_REST = 10.0  # s; a resonance that rings longer was hardly excited by swings of a second
+# s; a resonance that rings longer was hardly excited by swings of a second
+LONGEST_REST = 10.0
 SLEW_SPARE = 0.9
 """Of the slew limit: what lag and resonance add to a swing planned without them, and what the digits of time
-stamps take away (since 1970, 0.2 us each)."""
-SHORTEST_WAY = 0.1  # of the sweep's seconds: however short a way, what it excites stays small
+stamps take away (since 1970, 0.2 us each).
+"""
+# of the sweep's seconds: however short a way, what it excites stays small
+SHORTEST_WAY = 0.1
 MUCH_LONGER = 2.0
 """Times the rows of a swing of the drive: a way in displacement that takes more becomes that swing. Chosen;
-up to there the way in displacement is the gentler one for dynamics."""
-PLANS = 6  # tries to find how long a swing takes; the second is right where no memory matters
+up to there the way in displacement is the gentler one for dynamics.
+"""
+# tries to find how long a swing takes; the second is right where no memory matters
+PLANS = 6
 
 
 NOTHING = np.zeros(0)
@@ -66,7 +72,14 @@ class Before(NamedTuple):
     chosen: tuple[Chosen, ...] = ()
 
 
-def ramp(name: str, begin: float, end: float, step: float, seconds: Seconds, limits: DriveLimits) -> Floats:
+def ramp(
+    name: str,
+    begin: float,
+    end: float,
+    step: float,
+    seconds: Seconds,
+    limits: DriveLimits,
+) -> Floats:
     """Return the voltages after ``begin`` of a half-cosine ramp to ``end``; ``name`` is what asks for it.
 
     Raises
@@ -86,8 +99,8 @@ def ramp(name: str, begin: float, end: float, step: float, seconds: Seconds, lim
 def sweep(model: ActuatorModel, limits: DriveLimits, step: float) -> Floats:
     """Return the voltages of a sweep from the lower end of the range to the upper and back, and a rest there.
 
-    A drive at or below X_0 clears every bit, so that the past is wiped out; the rest lets resonances and lags
-    die away.
+    A drive at or below X_0 clears every bit, so that the past is wiped out; the rest
+    lets resonances and lags die away.
     """
     low, high = sweep_range(model, limits)
     count = _rows("`condition`: the sweep", high - low, step, SWEEP_SECONDS, limits)
@@ -140,8 +153,8 @@ def way(
     ends
         The displacement there, and the one to go to.
     creep
-        The displacement's last change there, a row: the way begins with that speed, since a mass cannot stop
-        at once.
+        The displacement's last change there, a row: the way begins with that speed,
+        since a mass cannot stop at once.
     step, seconds, limits
         Seconds a row; seconds asked for, or ``auto``; limits of the drive.
 
@@ -155,7 +168,11 @@ def way(
         return np.zeros(0)
     part = min(abs(end - begin) / model.output.span, 1.0)
     free = SWEEP_SECONDS * part if limits.max_slew is None else 0.0
-    duration = float(seconds) if isinstance(seconds, float | int) else max(free, SHORTEST_WAY * SWEEP_SECONDS)
+    duration = (
+        float(seconds)
+        if isinstance(seconds, float | int)
+        else max(free, SHORTEST_WAY * SWEEP_SECONDS)
+    )
     count = swing_samples(end - begin, step, duration)
     if limits.max_slew is None:
         path = _way(begin, end, creep, count, step)
@@ -168,8 +185,9 @@ def way(
 class _Slowed:
     """Finds a way to a displacement that the drive can go within its slew limit.
 
-    A smooth way in displacement asks for a fast drive where the curve is flat. Slowed down everywhere, it may
-    take far longer than the drive needs for its own way; then the way is that of a smooth swing of the drive.
+    A smooth way in displacement asks for a fast drive where the curve is flat. Slowed
+    down everywhere, it may take far longer than the drive needs for its own way; then
+    the way is that of a smooth swing of the drive.
     """
 
     def __init__(
@@ -182,7 +200,9 @@ class _Slowed:
         limits: DriveLimits,
     ) -> None:
         self._model = model.without_lag
-        self._state = dataclasses.replace(state, dynamics=None, undoing=None, history=None, drive_lag=None)
+        self._state = dataclasses.replace(
+            state, dynamics=None, undoing=None, history=None, drive_lag=None
+        )
         self._ends, self._creep, self._step = ends, creep, step
         self._limits = DriveLimits(limits.v_min, limits.v_max)
         self._first = self._model.drive_of(self._state)
@@ -211,7 +231,9 @@ class _Slowed:
         return _way(*self._ends, self._creep, count, self._step)
 
     def _drive_of(self, path: Floats) -> Floats:
-        done = self._model.compensate(path, self._state, limits=self._limits, time_step=self._step)
+        done = self._model.compensate(
+            path, self._state, limits=self._limits, time_step=self._step
+        )
         return done.y
 
     def _largest_step(self, drive: Floats) -> float:
@@ -245,9 +267,14 @@ class _Slowed:
 
 def _way(begin: float, end: float, creep: float, count: int, step: float) -> Floats:
     """Return a smooth way of so many rows: no jump of speed or acceleration at either end."""
-    t = np.arange(1.0, require_rows("the way to the first row", count, step) + 1.0) / count
+    t = (
+        np.arange(1.0, require_rows("the way to the first row", count, step) + 1.0)
+        / count
+    )
     values: Floats = (
-        begin + soft_rise(t) * (end - begin) + creep * count * t * (1.0 - t) ** 3 * (1.0 + 3.0 * t)
+        begin
+        + soft_rise(t) * (end - begin)
+        + creep * count * t * (1.0 - t) ** 3 * (1.0 + 3.0 * t)
     )
     values[-1] = end
     return values
@@ -268,7 +295,9 @@ def require_rows(what: str, count: int, step: float) -> int:
     return count
 
 
-def _rows(what: str, distance: float, step: float, seconds: float, limits: DriveLimits) -> int:
+def _rows(
+    what: str, distance: float, step: float, seconds: float, limits: DriveLimits
+) -> int:
     """Return how many rows a swing takes within the slew limit, or refuse one that no memory could hold."""
     slew = None if limits.max_slew is None else SLEW_SPARE * limits.max_slew
     slowest = 0.0 if slew is None else 0.5 * math.pi * abs(distance) / slew

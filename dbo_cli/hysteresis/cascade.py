@@ -18,13 +18,18 @@ from dbo_cli.errors import InputError, ModelError
 from dbo_cli.hysteresis import kernel, operators
 from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.kernel import Floats
-from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator, DiscretePointOperator
+from dbo_cli.hysteresis.operators import (
+    BacklashState,
+    DiscreteBacklashOperator,
+    DiscretePointOperator,
+)
 from dbo_cli.interpolation import smooth
 
 Payload = TypeVar("Payload")
 Between = Literal["smooth", "linear"]
 MOST_DELAYED = 10_000_000  # samples: 80 MB; a delay of 100 s at 100 kHz
-WHOLE = 1e-9  # samples: a time this close to a whole number of them is that; rounding leaves less
+# samples: a time this close to a whole number of them is that; rounding leaves less
+WHOLE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -42,7 +47,11 @@ class ScaleStage:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be inverted."""
-        if not math.isfinite(self.gain) or self.gain == 0.0 or not math.isfinite(1.0 / self.gain):
+        if (
+            not math.isfinite(self.gain)
+            or self.gain == 0.0
+            or not math.isfinite(1.0 / self.gain)
+        ):
             raise ModelError(f"gain: {self.gain!r} is not a finite number other than 0")
         if not math.isfinite(self.offset) or not math.isfinite(self.offset / self.gain):
             raise ModelError(f"offset: {self.offset!r} is not a finite number")
@@ -61,12 +70,15 @@ class ScaleStage:
 def interpolated(times: Floats, values: Floats, wanted: Floats) -> tuple[Floats, int]:
     """Return a signal at other times, linearly between its samples, and the sample before the last of them.
 
-    Before the first sample the first value holds, after the last one the last. A time within 1e-9 of a
-    sample's (in steps) is that sample's, so that shifting there and back is exact. Neither times fall.
+    Before the first sample the first value holds, after the last one the last. A time
+    within 1e-9 of a sample's (in steps) is that sample's, so that shifting there and
+    back is exact. Neither times fall.
     """
     wanted, values_wanted = np.ascontiguousarray(wanted), np.empty(wanted.size)
     signal = np.ascontiguousarray(times), np.ascontiguousarray(values)
-    return values_wanted, kernel.CHOSEN.interpolated(*signal, wanted, values_wanted, WHOLE)
+    return values_wanted, kernel.CHOSEN.interpolated(
+        *signal, wanted, values_wanted, WHOLE
+    )
 
 
 def whole_and_part(samples: float) -> tuple[int, float]:
@@ -106,8 +118,9 @@ class DelayStage:
     seconds
         How late the output is.
     between
-        How a value between two samples is taken. ``smooth``: from six samples (``interpolation.smooth``), of
-        those alone that have come; a delay of less than two samples has fewer of them behind the time wanted.
+        How a value between two samples is taken. ``smooth``: from six samples
+        (``interpolation.smooth``), of those alone that have come; a delay of less than
+        two samples has fewer of them behind the time wanted.
 
     Raises
     ------
@@ -141,14 +154,19 @@ class DelayStage:
         return max(late + smooth.AFTER - 1, smooth.WINDOW - 1)
 
     def lag(
-        self, x: Floats, time_step: float | Floats, history: DelayHistory | None, overwrite: bool = False
+        self,
+        x: Floats,
+        time_step: float | Floats,
+        history: DelayHistory | None,
+        overwrite: bool = False,
     ) -> tuple[Floats, DelayHistory | None]:
         """Return one block delayed, and the history after it; ``overwrite``: ``x`` is not needed any more.
 
-        A long block is delayed in pieces: what they take of memory stays in the processor's caches.
-        Before the first sample ever the first value holds. With a single ``time_step`` (s) the delay is
-        counted in samples, so that a whole number of them shifts exactly; with one step for each sample
-        (that of the very first does not matter) it is looked up by time.
+        A long block is delayed in pieces: what they take of memory stays in the
+        processor's caches. Before the first sample ever the first value holds. With a
+        single ``time_step`` (s) the delay is counted in samples, so that a whole number
+        of them shifts exactly; with one step for each sample (that of the very first
+        does not matter) it is looked up by time.
 
         Raises
         ------
@@ -158,7 +176,9 @@ class DelayStage:
             A single time step is not greater than 0.
         """
         if self.seconds < 0.0:
-            raise ModelError("a delay below 0 reads ahead and has no place in a forward model")
+            raise ModelError(
+                "a delay below 0 reads ahead and has no place in a forward model"
+            )
         if x.size <= PIECE:
             return self._lag_piece(x, time_step, history)
         y = x if overwrite else np.empty_like(x)
@@ -166,7 +186,9 @@ class DelayStage:
         while begin < x.size:
             waiting = 0 if history is None else len(history.times)
             end = begin + max(PIECE, 2 * waiting)
-            steps = time_step[begin:end] if isinstance(time_step, np.ndarray) else time_step
+            steps = (
+                time_step[begin:end] if isinstance(time_step, np.ndarray) else time_step
+            )
             y[begin:end], history = self._lag_piece(x[begin:end], steps, history)
             begin = end
         return y, history
@@ -177,27 +199,38 @@ class DelayStage:
         """Return what ``lag`` does."""
         if x.size == 0:
             return x, history
-        past_times, past_values = (history.times, history.values) if history else ((0.0,), (float(x[0]),))
+        past_times, past_values = (
+            (history.times, history.values) if history else ((0.0,), (float(x[0]),))
+        )
         all_times = np.concatenate([past_times, np.broadcast_to(time_step, x.shape)])
         now = len(past_times) - 1
         if history is None:
             all_times[1] = 0.0
-        all_times[now:] = np.cumsum(all_times[now:])  # one after the other: any block size
+        # one after the other: any block size
+        all_times[now:] = np.cumsum(all_times[now:])
         all_values = np.concatenate([past_values, x])
         if np.ndim(time_step) == 0:
-            return self._by_count(float(np.asarray(time_step)), all_times, all_values, x.size)
+            return self._by_count(
+                float(np.asarray(time_step)), all_times, all_values, x.size
+            )
         return self._by_time(all_times, all_values, x.size)
 
-    def _by_time(self, times: Floats, values: Floats, count: int) -> tuple[Floats, DelayHistory]:
+    def _by_time(
+        self, times: Floats, values: Floats, count: int
+    ) -> tuple[Floats, DelayHistory]:
         """Delay the last ``count`` samples, looked up by time."""
         if self.between == "linear":
             y, begin = interpolated(times, values, times[-count:] - self.seconds)
         else:
             times, values = _with_rest_before(times, values, count)
             newest = values.size - count
-            y, before = smooth.interpolated(times, values, times[-count:] - self.seconds, newest)
+            y, before = smooth.interpolated(
+                times, values, times[-count:] - self.seconds, newest
+            )
             begin = max(before - (smooth.WINDOW - 1), 0)
-        return y, DelayHistory(tuple(times[begin:].tolist()), tuple(values[begin:].tolist()))
+        return y, DelayHistory(
+            tuple(times[begin:].tolist()), tuple(values[begin:].tolist())
+        )
 
     def _by_count(
         self, step: float, times: Floats, values: Floats, count: int
@@ -219,11 +252,15 @@ class DelayStage:
             times = np.concatenate([times[0] - step * np.arange(missing, 0, -1), times])
         begin = values.size - count - needed
         if place:
-            y = smooth.shifted_by_part(values[begin : begin + count + smooth.WINDOW - 1], place, 1.0 - part)
+            y = smooth.shifted_by_part(
+                values[begin : begin + count + smooth.WINDOW - 1], place, 1.0 - part
+            )
         else:
             y = late_by(values[begin : begin + count + 1], part)
         behind = slice(-needed, None)
-        return y, DelayHistory(tuple(times[behind].tolist()), tuple(values[behind].tolist()))
+        return y, DelayHistory(
+            tuple(times[behind].tolist()), tuple(values[behind].tolist())
+        )
 
 
 class DelayLeft:
@@ -257,7 +294,8 @@ class DelayLeft:
             self._rows_left = 0
             return
         late, self._history = self._delay.lag(ahead, steps, self._history)
-        known = time >= self._begin + self._delay.seconds  # before, what was is not of this signal
+        # before, what was is not of this signal
+        known = time >= self._begin + self._delay.seconds
         left = (late - wanted)[known]
         self._squares += float(left @ left)
         self._rows += left.size
@@ -295,12 +333,15 @@ def _from_six(x: Floats, first: int, place: int, part: float) -> Floats:
 def window_place(whole: int) -> int:
     """Return which step of six samples a delay of ``whole`` samples and a part lies in.
 
-    Three of the six come after the time wanted (place 2) where they have come already, else two or one.
+    Three of the six come after the time wanted (place 2) where they have come already,
+    else two or one.
     """
     return max(2, 4 - whole)
 
 
-def _with_rest_before(times: Floats, values: Floats, count: int) -> tuple[Floats, Floats]:
+def _with_rest_before(
+    times: Floats, values: Floats, count: int
+) -> tuple[Floats, Floats]:
     """Put five samples of the first value before a signal that has just begun, at its first step."""
     past = values.size - count
     if past > 1 or values.size < 2:
@@ -308,21 +349,27 @@ def _with_rest_before(times: Floats, values: Floats, count: int) -> tuple[Floats
     first = times[1:] if times.size > 2 and times[1] == times[0] else times
     step = float(first[1] - first[0])
     rest = first[0] - step * np.arange(smooth.WINDOW - 1.0, 0.0, -1.0)
-    return np.concatenate([rest, times]), np.concatenate([np.full(rest.size, values[0]), values])
+    return np.concatenate([rest, times]), np.concatenate(
+        [np.full(rest.size, values[0]), values]
+    )
 
 
 def read_ahead(
-    blocks: Iterable[tuple[Payload, Floats, Floats]], seconds: float, between: Between = "smooth"
+    blocks: Iterable[tuple[Payload, Floats, Floats]],
+    seconds: float,
+    between: Between = "smooth",
 ) -> Iterator[tuple[Payload, Floats]]:
     """Shift a signal to earlier by ``seconds``: the value wanted at t + seconds, for every sample at t.
 
-    Takes (payload, time, values) and yields (payload, values) for the same blocks, each as soon as enough of
-    the future is known; the last value holds. The result does not depend on how
-    the signal is cut into blocks; empty blocks are dropped.
+    Takes (payload, time, values) and yields (payload, values) for the same blocks, each
+    as soon as enough of the future is known; the last value holds. The result does not
+    depend on how the signal is cut into blocks; empty blocks are dropped.
     """
     ahead = _linear_ahead if between == "linear" else _smooth_ahead
-    after = 1 if between == "linear" else smooth.AFTER  # samples needed behind the last time wanted
-    fewest = 2 if between == "linear" else smooth.WINDOW  # the first samples are made of the first six, too
+    # samples needed behind the last time wanted
+    after = 1 if between == "linear" else smooth.AFTER
+    # the first samples are made of the first six, too
+    fewest = 2 if between == "linear" else smooth.WINDOW
     waiting: deque[tuple[Payload, Floats, Floats]] = deque()
     past_times, past_values = np.zeros(0), np.zeros(0)
     for block in chain(blocks, [None]):
@@ -330,19 +377,29 @@ def read_ahead(
             continue
         waiting.extend([block] if block is not None else [])
         while waiting:
-            if block is not None and past_times.size + sum(entry[1].size for entry in waiting) < fewest:
+            if (
+                block is not None
+                and past_times.size + sum(entry[1].size for entry in waiting) < fewest
+            ):
                 break
-            if block is not None and not _reaches(waiting, float(waiting[0][1][-1]) + seconds, after):
+            if block is not None and not _reaches(
+                waiting, float(waiting[0][1][-1]) + seconds, after
+            ):
                 break
             time = np.concatenate([past_times, *(entry[1] for entry in waiting)])
             values = np.concatenate([past_values, *(entry[2] for entry in waiting)])
             payload, block_time, _ = waiting.popleft()
             yield payload, ahead(time, values, block_time + seconds)
             gone = slice(past_times.size + block_time.size)
-            past_times, past_values = time[gone][-smooth.WINDOW :], values[gone][-smooth.WINDOW :]
+            past_times, past_values = (
+                time[gone][-smooth.WINDOW :],
+                values[gone][-smooth.WINDOW :],
+            )
 
 
-def _reaches(waiting: Iterable[tuple[Any, Floats, Floats]], wanted: float, after: int) -> bool:
+def _reaches(
+    waiting: Iterable[tuple[Any, Floats, Floats]], wanted: float, after: int
+) -> bool:
     """Tell whether so many samples are known behind a time."""
     beyond = 0
     for _, time, _ in reversed(list(waiting)):
@@ -355,8 +412,8 @@ def _reaches(waiting: Iterable[tuple[Any, Floats, Floats]], wanted: float, after
 def _linear_ahead(time: Floats, values: Floats, wanted: Floats) -> Floats:
     """Return a signal at later times, linearly.
 
-    Mirrored in time, so that the sample after takes the part of the one before: lagging the result by the
-    delay again finds the same pairs of samples.
+    Mirrored in time, so that the sample after takes the part of the one before: lagging
+    the result by the delay again finds the same pairs of samples.
     """
     found, _ = interpolated(-time[::-1], values[::-1], -wanted[::-1])
     return found[::-1]
@@ -384,18 +441,31 @@ class OtherHysteresis(ABC):
 
 MemoryFreeStage = DiscretePointOperator | ScaleStage
 MemoryFree = tuple[MemoryFreeStage, ...]
-Stage = DiscreteBacklashOperator | MemoryFreeStage | DynamicsStage | DelayStage | OtherHysteresis
+Stage = (
+    DiscreteBacklashOperator
+    | MemoryFreeStage
+    | DynamicsStage
+    | DelayStage
+    | OtherHysteresis
+)
 
 
 def memory_free(stages: Sequence[Stage]) -> MemoryFree:
     """Return the points and scales among stages."""
-    return tuple(stage for stage in stages if isinstance(stage, DiscretePointOperator | ScaleStage))
+    return tuple(
+        stage
+        for stage in stages
+        if isinstance(stage, DiscretePointOperator | ScaleStage)
+    )
 
 
-def through(stages: Sequence[MemoryFreeStage], x: Floats, overwrite: bool = False) -> Floats:
+def through(
+    stages: Sequence[MemoryFreeStage], x: Floats, overwrite: bool = False
+) -> Floats:
     """Pass a block through memory-free stages; ``overwrite``: ``x`` is not needed any more.
 
-    A new array for every stage would cost more than the stages: memory that was given back is empty pages.
+    A new array for every stage would cost more than the stages: memory that was given
+    back is empty pages.
     """
     for stage in stages:
         x = stage.run(x, x if overwrite else None)
@@ -410,13 +480,18 @@ def least_slope(stage: MemoryFreeStage) -> float:
     return float(np.min(stage.dy / stage.dx))
 
 
-def slow_output_range(stages: Sequence[Stage], v_min: float, v_max: float) -> tuple[float, float]:
+def slow_output_range(
+    stages: Sequence[Stage], v_min: float, v_max: float
+) -> tuple[float, float]:
     """Return the least and the greatest output of a forward cascade at rest at the ends of its input.
 
-    Slowly: relaxation has come to rest at either end; dynamics and a delay do not matter. The voltage goes
-    from empty to ``v_max``, then to ``v_min``; a negative gain exchanges the two.
+    Slowly: relaxation has come to rest at either end; dynamics and a delay do not
+    matter. The voltage goes from empty to ``v_max``, then to ``v_min``; a negative gain
+    exchanges the two.
     """
-    place, operator = next((k, s) for k, s in enumerate(stages) if isinstance(s, DiscreteBacklashOperator))
+    place, operator = next(
+        (k, s) for k, s in enumerate(stages) if isinstance(s, DiscreteBacklashOperator)
+    )
     head, tail = memory_free(stages[:place]), memory_free(stages[place:])
     state, ends = operator.empty(), []
     for voltage in (v_max, v_min):
@@ -441,34 +516,46 @@ ROUNDED = 1e-6
 """Of a gear: the ends of the covered range may be so far off its edges, which are sums of rounded widths."""
 
 
-def covered_gears(gears: DiscreteBacklashOperator, low: float, top: float) -> CoveredGears:
+def covered_gears(
+    gears: DiscreteBacklashOperator, low: float, top: float
+) -> CoveredGears:
     """Return the gears of a forward operator that a drive from ``low`` to ``top`` moves.
 
-    A model may have gears to spare, so that a drive that goes a little further turns there as it does
-    inside. They come last in the table, so that the bits of the others keep their places. Where some reach
-    below ``low``, the drive finds them engaged after one swing over the covered range, and there they stay.
+    A model may have gears to spare, so that a drive that goes a little further turns
+    there as it does inside. They come last in the table, so that the bits of the others
+    keep their places. Where some reach below ``low``, the drive finds them engaged
+    after one swing over the covered range, and there they stay.
     """
     core, bits, x0, y0 = gears, 0, gears.x0, gears.y0
     if low > gears.x0 + 0.5 * float(gears.dx[-1]):
         at_once = np.zeros((1, len(gears.relaxation.tau))) if gears.relaxation else None
         beyond = ROUNDED * float(gears.dx.min())
         ends = [top + beyond, low - beyond]
-        _, state, _ = gears.run(ends, gears.empty(), decay=at_once)  # relaxation plays no part
+        # relaxation plays no part
+        _, state, _ = gears.run(ends, gears.empty(), decay=at_once)
         count = _gears_within(gears, top - low)
-        if state.bits & ((1 << count) - 1) == 0:  # else the gears do not divide the range: nothing to spare
+        # else the gears do not divide the range: nothing to spare
+        if state.bits & ((1 << count) - 1) == 0:
             bits, x0 = state.bits, low
             y0 = gears.coordinates(BacklashState(bits))[1]
     count = _gears_within(gears, top - x0)
     if count < gears.n or bits:
         core = DiscreteBacklashOperator(
-            gears.dx[:count], gears.dy[:count], x0, y0, gears.relaxation, gears.memory_on
+            gears.dx[:count],
+            gears.dy[:count],
+            x0,
+            y0,
+            gears.relaxation,
+            gears.memory_on,
         )
     return CoveredGears(core, bits)
 
 
 def _gears_within(gears: DiscreteBacklashOperator, width: float) -> int:
     """Return how many gears, the first ones, are needed to span ``width``."""
-    count = int(np.searchsorted(np.cumsum(gears.dx), width - 0.5 * float(gears.dx[-1]))) + 1
+    count = (
+        int(np.searchsorted(np.cumsum(gears.dx), width - 0.5 * float(gears.dx[-1]))) + 1
+    )
     return min(count, gears.n)
 
 
@@ -481,7 +568,11 @@ def digest_of(stages: Sequence[Stage]) -> str:
         if isinstance(stage, ScaleStage):
             parts.append([f"{stage.gain:.9e}", f"{stage.offset:.9e}"])
         elif isinstance(stage, DelayStage):
-            parts.append(stage.seconds if stage.between == "linear" else [stage.seconds, stage.between])
+            parts.append(
+                stage.seconds
+                if stage.between == "linear"
+                else [stage.seconds, stage.between]
+            )
         elif isinstance(stage, DynamicsStage):
             parts.append([dataclasses.asdict(section) for section in stage.sections])
         elif isinstance(stage, OtherHysteresis):

@@ -1,23 +1,27 @@
 """The dynamics stage of a model: sections one after the other, and their exact inverses (beyond the paper).
 
-What moves is a mass on springs behind an amplifier. Sections of unit gain follow one another: resonances,
-1/(1 + 2ζs/ω + s²/ω²), each perhaps with an antiresonance as numerator, and first-order lags.
+What moves is a mass on springs behind an amplifier. Sections of unit gain follow one
+another: resonances, 1/(1 + 2ζs/ω + s²/ω²), each perhaps with an antiresonance as
+numerator, and first-order lags.
 
-A resonance is discretised with a first-order hold: exact for an input that is straight between samples, for
-any time between them. In p, the output of 1/(1 + 2ζs/ω + s²/ω²), and q, its rate over ω, one sample changes
-p by p_by_q q + S (u - p) + R (u' - u), where u and u' are the input before and now, S the step response after
-one time step and R the response to a ramp. A rest, u = p and q = 0, stays a rest to the last bit. A
-first-order hold of a lag has its zero near -1, whose inverse rings for ever. With δ = 1 - 1/z the lag is
-taken as (1 - βδ)/(1 + (τ/Δt - β)δ): late by τ at any rate, its zero at -β/(1 - β), -2/3 here, its error in
-amplitude, (1/2 - β) τΔtω², a fifth of the backward difference's (β = 0).
+A resonance is discretised with a first-order hold: exact for an input that is straight
+between samples, for any time between them. In p, the output of 1/(1 + 2ζs/ω + s²/ω²),
+and q, its rate over ω, one sample changes p by p_by_q q + S (u - p) + R (u' - u), where
+u and u' are the input before and now, S the step response after one time step and R the
+response to a ramp. A rest, u = p and q = 0, stays a rest to the last bit. A first-order
+hold of a lag has its zero near -1, whose inverse rings for ever. With δ = 1 - 1/z the
+lag is taken as (1 - βδ)/(1 + (τ/Δt - β)δ): late by τ at any rate, its zero at -β/(1 -
+β), -2/3 here, its error in amplitude, (1/2 - β) τΔtω², a fifth of the backward
+difference's (β = 0).
 
-The inverse. With the output given, u - p and q follow a recursion of two eigenvalues, the zeros of the
-discretised section. For a resonance one lies near -0.268 and is run forward; the other near -3.73 and is
-run backward, as a sum over the next samples. Both are driven by differences of the signal alone, so that the
-inverse of a rest is the same rest. The zeros of an antiresonance are both inside, and run forward.
+The inverse. With the output given, u - p and q follow a recursion of two eigenvalues,
+the zeros of the discretised section. For a resonance one lies near -0.268 and is run
+forward; the other near -3.73 and is run backward, as a sum over the next samples. Both
+are driven by differences of the signal alone, so that the inverse of a rest is the same
+rest. The zeros of an antiresonance are both inside, and run forward.
 
-Beside them a zero-phase low-pass, which reads ahead as the inverse does: it rounds the corners of a
-trajectory and bounds what is learned.
+Beside them a zero-phase low-pass, which reads ahead as the inverse does: it rounds the
+corners of a trajectory and bounds what is learned.
 """
 
 from __future__ import annotations
@@ -46,13 +50,18 @@ SectionStates = tuple[tuple[float, float, float], ...]
 FEWEST_SAMPLES = 3.0
 """Samples a period of the resonance from which on the inverse is taken. Measured: docs/choices.md."""
 LEFT_OVER = 1e-17  # of the whole sum over the future: less than rounding does to it
-LONGEST_AHEAD = 2000  # samples; beyond, the zero is so near the unit circle that the inverse rings
+# samples; beyond, the zero is so near the unit circle that the inverse rings
+LONGEST_AHEAD = 2000
 LAG_ZERO = 0.4
 """β of a lag, see above. Measured: docs/choices.md."""
-_SERIES = 1.0  # radians of the resonance a step, below which responses are summed as series: no cancellation
+# radians of the resonance a step, below which responses are summed as series: no
+# cancellation
+_SERIES = 1.0
 _TERMS = 24  # of the series; the last is below 1e-20 of the first at one radian
-LOW_PASS_LEFT_OVER = 1e-10  # of a low-pass's weight in the middle, at which its weights are cut off
-LONGEST_REACH = 20_000  # samples of a low-pass on either side; the work of a sample grows with them
+# of a low-pass's weight in the middle, at which its weights are cut off
+LOW_PASS_LEFT_OVER = 1e-10
+# samples of a low-pass on either side; the work of a sample grows with them
+LONGEST_REACH = 20_000
 
 
 def _positive(key: str, value: float, most: float = math.inf) -> None:
@@ -96,7 +105,9 @@ class Resonance(Mode):
     def highest(self) -> float:
         """The higher of the resonance's and the antiresonance's frequency (Hz)."""
         beside = self.antiresonance
-        return self.frequency if beside is None else max(self.frequency, beside.frequency)
+        return (
+            self.frequency if beside is None else max(self.frequency, beside.frequency)
+        )
 
     @property
     def output(self) -> tuple[float, float]:
@@ -104,7 +115,9 @@ class Resonance(Mode):
         if self.antiresonance is None:
             return 0.0, 0.0
         ratio = self.frequency / self.antiresonance.frequency
-        return ratio * ratio, 2.0 * ratio * (self.antiresonance.damping - ratio * self.damping)
+        return ratio * ratio, 2.0 * ratio * (
+            self.antiresonance.damping - ratio * self.damping
+        )
 
     def step(self, time_step: Floats) -> Floats:
         """Return the kernel's six numbers for each time step (s): what p and q change by."""
@@ -113,9 +126,13 @@ class Resonance(Mode):
             return _even_step(angle.item(), zeta)
         sine, cosine = _turned(angle, zeta)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            step = np.where(angle < _SERIES, _series(angle, zeta, 0), 1.0 - (cosine + zeta * sine))
+            step = np.where(
+                angle < _SERIES, _series(angle, zeta, 0), 1.0 - (cosine + zeta * sine)
+            )
             ramp = np.where(
-                angle < _SERIES, _series(angle, zeta, 1), 1.0 - (2.0 * zeta * step + sine) / angle
+                angle < _SERIES,
+                _series(angle, zeta, 1),
+                1.0 - (2.0 * zeta * step + sine) / angle,
             )
             rate = np.where(angle > 0.0, step / angle, 0.0)
         return np.column_stack([sine, step, ramp, cosine - zeta * sine, sine, rate])
@@ -141,21 +158,36 @@ def _even_step(angle: float, zeta: float) -> Floats:
     """Return ``Resonance.step`` of a single time step, in plain numbers: the same bits."""
     sine, cosine = (turned.item() for turned in _turned(np.array([angle]), zeta))
     step = _series(angle, zeta, 0)
-    return np.array([[sine, step, _series(angle, zeta, 1), cosine - zeta * sine, sine, step / angle]])
+    return np.array(
+        [
+            [
+                sine,
+                step,
+                _series(angle, zeta, 1),
+                cosine - zeta * sine,
+                sine,
+                step / angle,
+            ]
+        ]
+    )
 
 
 def _series(angle: Any, zeta: float, order: int) -> Any:
     """Return p after an input that rises from 0 to 1 at once (``order`` 0) or evenly (1), as a power series.
 
-    p'' + 2ζp' + p = input in units of 1/ω; the terms d_n = c_n angleⁿ follow from the two before.
+    p'' + 2ζp' + p = input in units of 1/ω; the terms d_n = c_n angleⁿ follow from the
+    two before.
     """
     squared = angle * angle
     before = now = total = 0.0 * squared  # d_0 and d_1
     plain = isinstance(angle, float)
     for n in range(_TERMS):
         forcing = squared if n == order else 0.0
-        following = (forcing - 2.0 * zeta * (n + 1) * angle * now - squared * before) / ((n + 2) * (n + 1))
-        # Where two terms change nothing, no later one does: each is less than the larger of the two before.
+        following = (
+            forcing - 2.0 * zeta * (n + 1) * angle * now - squared * before
+        ) / ((n + 2) * (n + 1))
+        # Where two terms change nothing, no later one does: each is less than the
+        # larger of the two before.
         if plain and n > order and total + now == total == total + following:
             break
         total = total + following
@@ -182,7 +214,9 @@ class Lag:
         """Refuse what is none, naming the key."""
         _positive("lag", self.seconds)
         if not 0.0 <= self.lead < self.seconds:
-            raise ModelError(f"lead: {self.lead!r} is not from 0 to less than the lag of {self.seconds!r} s")
+            raise ModelError(
+                f"lead: {self.lead!r} is not from 0 to less than the lag of {self.seconds!r} s"
+            )
 
     @property
     def output(self) -> tuple[float, float]:
@@ -235,15 +269,21 @@ def section_inverse(section: Section, time_step: float) -> SectionInverse:
     """
     if isinstance(section, Resonance) and section.highest * time_step >= 0.5:
         raise _unresolved(section, time_step)
-    p_q, p_lead, p_change, q_q, q_lead, q_change = section.step(np.array([time_step]))[0].tolist()
+    p_q, p_lead, p_change, q_q, q_lead, q_change = section.step(np.array([time_step]))[
+        0
+    ].tolist()
     by_lead, by_q = section.output
     by_drive = (1.0 - by_lead) * p_change + by_lead + by_q * q_change
-    # The change of the input that gives a wanted change of the output, by u - p, q and that change:
+    # The change of the input that gives a wanted change of the output, by u - p, q and
+    # that change:
     from_lead = -((1.0 - by_lead) * p_lead + by_q * q_lead) / by_drive
     from_q = -((1.0 - by_lead) * p_q + by_q * (q_q - 1.0)) / by_drive
     matrix = np.array(
         [
-            [1.0 - p_lead + (1.0 - p_change) * from_lead, -p_q + (1.0 - p_change) * from_q],
+            [
+                1.0 - p_lead + (1.0 - p_change) * from_lead,
+                -p_q + (1.0 - p_change) * from_q,
+            ],
             [q_lead + q_change * from_lead, q_q + q_change * from_q],
         ]
     )
@@ -271,7 +311,9 @@ def section_inverse(section: Section, time_step: float) -> SectionInverse:
     return SectionInverse(numbers, weight, np.array([inside[0], [0.0, 0.0]]))
 
 
-def _mode(matrix: Floats, drive: Floats, out: Floats, zero: float) -> tuple[Floats, float]:
+def _mode(
+    matrix: Floats, drive: Floats, out: Floats, zero: float
+) -> tuple[Floats, float]:
     """Return the part of the inverse that belongs to one eigenvalue: as seen in the result, and its drive."""
     left = np.array([matrix[1, 0], zero - matrix[0, 0]])
     right = np.array([matrix[0, 1], zero - matrix[0, 0]])
@@ -280,7 +322,12 @@ def _mode(matrix: Floats, drive: Floats, out: Floats, zero: float) -> tuple[Floa
 
 
 def _forward_only(
-    section: Resonance, time_step: float, matrix: Floats, drive: Floats, out: Floats, largest: float
+    section: Resonance,
+    time_step: float,
+    matrix: Floats,
+    drive: Floats,
+    out: Floats,
+    largest: float,
 ) -> SectionInverse:
     """Return an inverse without a look ahead: both zeros are inside the unit circle."""
     if not largest < 1.0 or section.antiresonance is None:
@@ -345,7 +392,9 @@ class DynamicsStage:
     @property
     def resonances(self) -> tuple[Resonance, ...]:
         """The second-order sections, lowest first."""
-        resonances = [section for section in self.sections if isinstance(section, Resonance)]
+        resonances = [
+            section for section in self.sections if isinstance(section, Resonance)
+        ]
         return tuple(sorted(resonances, key=lambda section: section.frequency))
 
     def response(self, frequency: ArrayLike) -> Complexes:
@@ -377,20 +426,25 @@ class DynamicsStage:
     ) -> tuple[Floats, SectionStates | None]:
         """Return one block after the forward stage, and (p, q, u) of each section after it.
 
-        Without a state the stage is at rest at the first sample, whose time step does not matter.
+        Without a state the stage is at rest at the first sample, whose time step does
+        not matter.
         """
         if x.size == 0:
             return x, state
-        memory = np.array(self.rest(float(x[0])) if state is None else state, dtype=np.float64)
+        memory = np.array(
+            self.rest(float(x[0])) if state is None else state, dtype=np.float64
+        )
         y = np.empty_like(x)
-        kernel.CHOSEN.dynamics_run(self._output, memory, np.ascontiguousarray(x), y, self.rows(time_step))
+        kernel.CHOSEN.dynamics_run(
+            self._output, memory, np.ascontiguousarray(x), y, self.rows(time_step)
+        )
         return y, _as_states(memory)
 
     def loop(self, x: Floats, time_step: float) -> tuple[Floats, SectionStates]:
         """Return one period after the forward stage when it has been repeated for ever, and the state then.
 
-        What a state before the period adds to that after it is linear: the state that a period leaves
-        unchanged solves two equations.
+        What a state before the period adds to that after it is linear: the state that a
+        period leaves unchanged solves two equations.
         """
         signal, states = np.ascontiguousarray(x), []
         for section in self.sections:
@@ -409,7 +463,9 @@ class DynamicsStage:
         return DynamicsInverter(self, time_step)
 
 
-def _loop_of(stage: DynamicsStage, x: Floats, time_step: float) -> tuple[Floats, tuple[float, float, float]]:
+def _loop_of(
+    stage: DynamicsStage, x: Floats, time_step: float
+) -> tuple[Floats, tuple[float, float, float]]:
     """Return what ``DynamicsStage.loop`` does, for a stage of one section."""
 
     def after(p: float, q: float) -> tuple[Floats, Floats]:
@@ -436,7 +492,9 @@ def _repeated(
     after: Callable[[float, float], tuple[Floats, Floats]], periodic: slice
 ) -> tuple[Floats, Floats]:
     """Return a period, and the state after it, from the two numbers of the state that it leaves unchanged."""
-    base, *ends = (after(*pair)[1][periodic] for pair in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))
+    base, *ends = (
+        after(*pair)[1][periodic] for pair in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
+    )
     columns = np.column_stack([end - base for end in ends])
     first, second = np.linalg.solve(np.eye(2) - columns, base).tolist()
     return after(first, second)
@@ -476,7 +534,9 @@ class DynamicsInverter:
     def memory_of(self, states: SectionStates) -> InverseMemory:
         """Return the memory with which the inverse goes on from a state of the forward stage."""
         memories = []
-        for part, (p, q, u), section in zip(self.parts, states, self.stage.sections, strict=True):
+        for part, (p, q, u), section in zip(
+            self.parts, states, self.stage.sections, strict=True
+        ):
             by_lead, by_q = section.output
             a, b = (part.from_state @ np.array([u - p, q])).tolist()
             memories.append((p + (by_lead * (u - p) + by_q * q), a, b))
@@ -491,10 +551,15 @@ class DynamicsInverter:
             numbers, weight = part.numbers, part.weight
             section = np.array(states[k])
             out = np.empty(signal.size - weight.size)
-            kernel.CHOSEN.dynamics_undo(numbers, weight, section, signal[: count + weight.size], out[:count])
+            kernel.CHOSEN.dynamics_undo(
+                numbers, weight, section, signal[: count + weight.size], out[:count]
+            )
             states[k] = (float(section[0]), float(section[1]), float(section[2]))
-            if out.size > count:  # what the next section reads ahead, without going on from there
-                kernel.CHOSEN.dynamics_undo(numbers, weight, section, signal[count:], out[count:])
+            # what the next section reads ahead, without going on from there
+            if out.size > count:
+                kernel.CHOSEN.dynamics_undo(
+                    numbers, weight, section, signal[count:], out[count:]
+                )
             signal = out
         return signal, InverseMemory(self.time_step, tuple(states))
 
@@ -506,10 +571,13 @@ class DynamicsInverter:
         return signal
 
 
-def with_future(blocks: Iterable[tuple[Payload, Floats]], ahead: int) -> Iterator[tuple[Payload, Floats]]:
+def with_future(
+    blocks: Iterable[tuple[Payload, Floats]], ahead: int
+) -> Iterator[tuple[Payload, Floats]]:
     """Yield each block with ``ahead`` samples of those after it; at the end the last value holds."""
     waiting: deque[tuple[Payload, int]] = deque()
-    values = np.empty(0)  # of the blocks that wait, and what is known of those after them
+    # of the blocks that wait, and what is known of those after them
+    values = np.empty(0)
     for block in chain(blocks, [None]):
         if block is None:
             part = np.full(ahead, values[-1]) if values.size else values
@@ -525,12 +593,14 @@ def with_future(blocks: Iterable[tuple[Payload, Floats]], ahead: int) -> Iterato
 
 
 def undone(
-    blocks: Iterable[tuple[Payload, Floats]], inverter: DynamicsInverter, memory: InverseMemory | None = None
+    blocks: Iterable[tuple[Payload, Floats]],
+    inverter: DynamicsInverter,
+    memory: InverseMemory | None = None,
 ) -> Iterator[tuple[Payload, Floats, InverseMemory]]:
     """Undo a stage block by block: (payload, input of the stage, memory after the block).
 
-    Before the first sample the first value holds, after the last one the last. The bits do not depend on how
-    the signal is cut into blocks; empty blocks are dropped.
+    Before the first sample the first value holds, after the last one the last. The bits
+    do not depend on how the signal is cut into blocks; empty blocks are dropped.
     """
     for payload, values in with_future(blocks, inverter.ahead):
         begun = inverter.rest(float(values[0])) if memory is None else memory
@@ -541,9 +611,10 @@ def undone(
 class ZeroPhaseLowPass:
     """A symmetric low-pass of gain 1/(1 + (f/f_c)^2n): a Butterworth filter of order n, run both ways.
 
-    Its weights are the two-sided impulse response, the sum over the stable poles s of Re(-s e^(s|t|)), taken
-    at the samples and made to add up to 1. A constant comes through unchanged, to the last bit. Of order 2
-    nothing overshoots a step by more than 3.4 % of it.
+    Its weights are the two-sided impulse response, the sum over the stable poles s of
+    Re(-s e^(s|t|)), taken at the samples and made to add up to 1. A constant comes
+    through unchanged, to the last bit. Of order 2 nothing overshoots a step by more
+    than 3.4 % of it.
 
     Parameters
     ----------
@@ -557,7 +628,8 @@ class ZeroPhaseLowPass:
     Raises
     ------
     UsageError
-        The cut-off is above half the sampling rate, or so low that a sample would need 20,000 neighbours.
+        The cut-off is above half the sampling rate, or so low that a sample would need
+        20,000 neighbours.
     """
 
     def __init__(self, cutoff: float, time_step: float, order: int = 2) -> None:
@@ -567,9 +639,16 @@ class ZeroPhaseLowPass:
                 f"`bandwidth` {cutoff:g}: above half the sampling rate of {rate:.6g} Hz (at most "
                 f"{0.5 * rate:.6g})"
             )
-        angles = [math.pi * (2 * k + 1 + order) / (2 * order) for k in range(order // 2)]
-        poles = [2.0 * math.pi * cutoff * time_step * cmath.exp(1j * angle) for angle in angles]
-        self.reach = math.ceil(math.log(LOW_PASS_LEFT_OVER) / max(pole.real for pole in poles))
+        angles = [
+            math.pi * (2 * k + 1 + order) / (2 * order) for k in range(order // 2)
+        ]
+        poles = [
+            2.0 * math.pi * cutoff * time_step * cmath.exp(1j * angle)
+            for angle in angles
+        ]
+        self.reach = math.ceil(
+            math.log(LOW_PASS_LEFT_OVER) / max(pole.real for pole in poles)
+        )
         if self.reach > LONGEST_REACH:
             lowest = cutoff * self.reach / LONGEST_REACH
             raise UsageError(
@@ -577,8 +656,17 @@ class ZeroPhaseLowPass:
                 f"{lowest:.3g}, or `resample` at a lower rate)"
             )
         at, middle = np.arange(1.0, self.reach + 1.0), -sum(pole.real for pole in poles)
-        weight = sum(((-pole * np.exp(pole * at)).real for pole in poles), np.zeros(self.reach)) / middle
-        self.cutoff, self.weight = cutoff, weight / (1.0 + 2.0 * math.fsum(weight.tolist()))
+        weight = (
+            sum(
+                ((-pole * np.exp(pole * at)).real for pole in poles),
+                np.zeros(self.reach),
+            )
+            / middle
+        )
+        self.cutoff, self.weight = (
+            cutoff,
+            weight / (1.0 + 2.0 * math.fsum(weight.tolist())),
+        )
 
     def run(self, x: Floats) -> Floats:
         """Return all but the first and the last ``reach`` samples, smoothed."""
@@ -594,7 +682,9 @@ class ZeroPhaseLowPass:
         """Return one period of a signal that repeats, smoothed."""
         return self.run(np.pad(x, self.reach, mode="wrap"))
 
-    def blocks(self, blocks: Iterable[tuple[Payload, Floats]]) -> Iterator[tuple[Payload, Floats]]:
+    def blocks(
+        self, blocks: Iterable[tuple[Payload, Floats]]
+    ) -> Iterator[tuple[Payload, Floats]]:
         """Smooth a signal block by block; the bits do not depend on how it is cut. See ``whole``."""
         past: Floats | None = None
         for payload, values in with_future(blocks, self.reach):

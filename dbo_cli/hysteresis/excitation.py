@@ -1,8 +1,9 @@
 """The drive from which a model is identified well: random turns over the whole range at many speeds.
 
-It is made of half-cosine swings between turning points, as every drive of this program is: the speed is zero
-at each turn, so a drive turns exactly where it says, and a slew limit only makes a swing longer. A small
-sweep about the middle of the range may follow, from which an actuator's dynamics are identified.
+It is made of half-cosine swings between turning points, as every drive of this program
+is: the speed is zero at each turn, so a drive turns exactly where it says, and a slew
+limit only makes a swing longer. A small sweep about the middle of the range may follow,
+from which an actuator's dynamics are identified.
 """
 
 from __future__ import annotations
@@ -20,22 +21,29 @@ from dbo_cli.errors import UsageError
 
 Floats = NDArray[np.float64]
 
-_WHOLE = 1e-9  # a time this close, in samples, to that of a sample is that of the sample
+# a time this close, in samples, to that of a sample is that of the sample
+_WHOLE = 1e-9
 MOST_SAMPLES = 100_000_000  # a row takes some 30 bytes of text: 3 GB
-FEWEST_CYCLES = 6  # one for the sweeps and one for return and rest leave four for the random turns
-SAMPLES_A_CYCLE = 20  # with fewer, interpolation between samples no longer shows where a swing turns
+# one for the sweeps and one for return and rest leave four for the random turns
+FEWEST_CYCLES = 6
+# with fewer, interpolation between samples no longer shows where a swing turns
+SAMPLES_A_CYCLE = 20
 
 _FASTEST, _SLOWEST = -0.9, 0.6
 """log10 of a swing's time in that of the sweep's part between the same levels. Measured: docs/choices.md."""
 LARGEST = 1e60  # of a limit, in the drive's unit, as in model files
 SMALLEST = 1e-60  # from limit to limit; likewise
-AT_AN_END = 0.12  # chance that a turn lies at an end of the range: loops that hang there tell of asymmetry
+# chance that a turn lies at an end of the range: loops that hang there tell of
+# asymmetry
+AT_AN_END = 0.12
 _HOLD_CHANCE = 0.15  # chance that a turn is held; chosen
 _HOLD = 0.4  # periods; only at rest does creep show apart from hysteresis
 _REST = 0.5
 """Periods at rest at the end, where it began: equal voltages tell drift. Measured: docs/choices.md."""
 
-FASTER = 10.0  # a sweep's highest frequency over that of the loops: their fastest swings have 8 times it
+# a sweep's highest frequency over that of the loops: their fastest swings have 8 times
+# it
+FASTER = 10.0
 
 SWEEP_SECONDS = 2.0  # at least; chosen
 SWEEP_PERIODS = 120.0
@@ -46,12 +54,17 @@ AMPLITUDE = 0.01
 """Of the range, from the middle to the crest, at the lower end of the sweep. Measured: docs/choices.md."""
 FADED = 0.25
 """Of the amplitude, at the upper end: it falls with the logarithm of the frequency, since what a resonance
-makes of it grows and what the gears do does not."""
-SAMPLES_A_PERIOD = 10.0  # of the sweep's highest frequency, so that a resonance there is resolved
-TAPER = 0.05  # of the sweep at either end, over which it rises and falls: no jump that would ring; chosen
+makes of it grows and what the gears do does not.
+"""
+# of the sweep's highest frequency, so that a resonance there is resolved
+SAMPLES_A_PERIOD = 10.0
+# of the sweep at either end, over which it rises and falls: no jump that would ring;
+# chosen
+TAPER = 0.05
 SETTLE = 0.3  # s at rest before and after it, for creep to slow down; chosen
 
-Leg = tuple[float, int]  # a turning point as a part of the range, and the steps on the way there
+# a turning point as a part of the range, and the steps on the way there
+Leg = tuple[float, int]
 
 
 def swings(turns: Sequence[float], samples: Sequence[int]) -> Floats:
@@ -69,7 +82,9 @@ def swings(turns: Sequence[float], samples: Sequence[int]) -> Floats:
     return out
 
 
-def swing_samples(distance: float, time_step: float, seconds: float, max_slew: float | None = None) -> int:
+def swing_samples(
+    distance: float, time_step: float, seconds: float, max_slew: float | None = None
+) -> int:
     """Return how many steps a half-cosine swing takes: ``seconds``, or longer where the slew is limited.
 
     The steepest part of the swing rises by pi/2 times its mean slope.
@@ -83,17 +98,20 @@ def swing_samples(distance: float, time_step: float, seconds: float, max_slew: f
 class Excitation:
     """A drive from which a model can be identified well.
 
-    Why this shape. (1) It begins at the lower end and sweeps the whole range: that wipes out the past, so the
-    state of every gear is known. (2) Then it turns at random levels, some at the ends: loops of every size,
-    nested anywhere, so that gears and asymmetry come apart. (3) Every swing has a speed of its own, spread
-    evenly in its logarithm from eight times the sweep's to a quarter, and some turns are held: lag, creep and
-    loop width, which one speed confounds, come apart. (4) It returns and rests where it began, so that the
-    sensor's drift shows as a difference between equal voltages. Never outside [v_min, v_max].
+    Why this shape. (1) It begins at the lower end and sweeps the whole range: that
+    wipes out the past, so the state of every gear is known. (2) Then it turns at random
+    levels, some at the ends: loops of every size, nested anywhere, so that gears and
+    asymmetry come apart. (3) Every swing has a speed of its own, spread evenly in its
+    logarithm from eight times the sweep's to a quarter, and some turns are held: lag,
+    creep and loop width, which one speed confounds, come apart. (4) It returns and
+    rests where it began, so that the sensor's drift shows as a difference between equal
+    voltages. Never outside [v_min, v_max].
 
-    What the duration buys, at 1 Hz on five virtual actuators (``benchmarks/tracking.py --excite``), as the
-    RMS error of compensated moves that were not in the drive, geometric mean in % of the stroke: 8 s 0.14,
-    15 s 0.058, 30 s 0.061. 30 s of decaying amplitudes, as this program made before, give 0.060; what was
-    then identified from them gave 0.14.
+    What the duration buys, at 1 Hz on five virtual actuators (``benchmarks/tracking.py
+    --excite``), as the RMS error of compensated moves that were not in the drive,
+    geometric mean in % of the stroke: 8 s 0.14, 15 s 0.058, 30 s 0.061. 30 s of
+    decaying amplitudes, as this program made before, give 0.060; what was then
+    identified from them gave 0.14.
 
     Parameters
     ----------
@@ -104,14 +122,16 @@ class Excitation:
     duration : float
         Seconds from the first row to the end of the last.
     frequency : float
-        Sweeps over the whole range and back, a second; other swings are faster and slower than that.
+        Sweeps over the whole range and back, a second; other swings are faster and
+        slower than that.
     max_slew : float, optional
         Fastest change, ``unit`` per second: swings that would be faster take longer.
     seed : int
-        Chooses turns, speeds and holds; the same seed gives the same drive, byte for byte.
+        Chooses turns, speeds and holds; the same seed gives the same drive, byte for
+        byte.
     sweep_to : float, optional
-        Highest frequency, Hz, of a small sweep that follows in the middle of the range, for the dynamics; it
-        takes 4 s more, below 60 Hz longer (see ``sweep``).
+        Highest frequency, Hz, of a small sweep that follows in the middle of the range,
+        for the dynamics; it takes 4 s more, below 60 Hz longer (see ``sweep``).
     sweep_amplitude : float, optional
         Of the sweep, in ``unit``.
     unit : str
@@ -120,8 +140,9 @@ class Excitation:
     Raises
     ------
     UsageError
-        The limits are not in order or no drive's, or the duration holds fewer than six periods, or a period
-        fewer than 20 samples, or the slew limit does not allow the sweep; with the values that would do.
+        The limits are not in order or no drive's, or the duration holds fewer than six
+        periods, or a period fewer than 20 samples, or the slew limit does not allow the
+        sweep; with the values that would do.
     """
 
     v_min: float
@@ -153,7 +174,9 @@ class Excitation:
         if not self.v_min < self.v_max:
             raise UsageError(f"`v_min` {low} must be below `v_max` {high}")
         if not max(abs(self.v_min), abs(self.v_max)) <= LARGEST:
-            raise UsageError(f"`v_min` {low} and `v_max` {high}: give limits within {LARGEST:g}{self.unit}")
+            raise UsageError(
+                f"`v_min` {low} and `v_max` {high}: give limits within {LARGEST:g}{self.unit}"
+            )
         if self.span < SMALLEST:
             raise UsageError(
                 f"`v_min` {low} and `v_max` {high}: give limits at least {SMALLEST:g}{self.unit} apart"
@@ -175,13 +198,15 @@ class Excitation:
         if self.max_slew is not None and fastest > self.max_slew:
             slowed = self.max_slew / (math.pi * self.span)
             unit = 10.0 ** (math.floor(math.log10(slowed)) - 2)
-            slowed = float(f"{math.floor(slowed / unit) * unit:.3g}")  # no larger, of three digits
+            # no larger, of three digits
+            slowed = float(f"{math.floor(slowed / unit) * unit:.3g}")
             raise UsageError(
                 f"`max_slew` {self.with_unit(self.max_slew)}/s: the whole range at {frequency:g} Hz needs "
                 f"{fastest:.6g} {self.unit}/s "
                 f"(`frequency` {slowed:g} and a `duration` of at least {math.ceil(FEWEST_CYCLES / slowed)})"
             )
-        if duration * frequency < FEWEST_CYCLES * (1.0 - 1e-9):  # 1e-9: rounding is no cycle missed
+        # 1e-9: rounding is no cycle missed
+        if duration * frequency < FEWEST_CYCLES * (1.0 - 1e-9):
             raise UsageError(
                 f"`duration` {duration:g}: {duration * frequency:.3g} cycles of {frequency:g} Hz, at least "
                 f"{FEWEST_CYCLES} are needed (a `duration` of {FEWEST_CYCLES / frequency:g})"
@@ -225,26 +250,43 @@ class Excitation:
         if self.sweep_to is None:
             return np.empty(0)
         ends = (self.v_min, self.v_max)
-        return sweep(*ends, self.sample_rate, self.sweep_to, self.sweep_amplitude, self.max_slew, self.unit)
+        return sweep(
+            *ends,
+            self.sample_rate,
+            self.sweep_to,
+            self.sweep_amplitude,
+            self.max_slew,
+            self.unit,
+        )
 
 
-SAMPLE_RATE = 1000.0  # rows a second where nothing is said: 50 in a swing of the fastest, at 1 Hz
+# rows a second where nothing is said: 50 in a swing of the fastest, at 1 Hz
+SAMPLE_RATE = 1000.0
 
 
 def excitation_of(
-    *, sample_rate: float | None = None, points: int | None = None, duration: float, **fields: Any
+    *,
+    sample_rate: float | None = None,
+    points: int | None = None,
+    duration: float,
+    **fields: Any,
 ) -> Excitation:
     """Return an excitation at a rate, or of so many rows in all, whose rate follows from the duration.
 
     Raises
     ------
     UsageError
-        Both are given, the points are too few for the frequencies, or as for ``Excitation``.
+        Both are given, the points are too few for the frequencies, or as for
+        ``Excitation``.
     """
     if points is None:
-        return Excitation(sample_rate=sample_rate or SAMPLE_RATE, duration=duration, **fields)
+        return Excitation(
+            sample_rate=sample_rate or SAMPLE_RATE, duration=duration, **fields
+        )
     if sample_rate is not None:
-        raise UsageError("`points` and `sample_rate` exclude each other: the rate follows from the points")
+        raise UsageError(
+            "`points` and `sample_rate` exclude each other: the rate follows from the points"
+        )
     sweep_to = fields.get("sweep_to")
 
     def swept(rate: float) -> int:
@@ -252,9 +294,13 @@ def excitation_of(
             return 0
         amplitude, max_slew = fields.get("sweep_amplitude"), fields.get("max_slew")
         unit = fields.get("unit", "V")
-        return sweep(fields["v_min"], fields["v_max"], rate, sweep_to, amplitude, max_slew, unit).size
+        return sweep(
+            fields["v_min"], fields["v_max"], rate, sweep_to, amplitude, max_slew, unit
+        ).size
 
-    fewest = max(SAMPLES_A_CYCLE * fields["frequency"], SAMPLES_A_PERIOD * (sweep_to or 0.0))
+    fewest = max(
+        SAMPLES_A_CYCLE * fields["frequency"], SAMPLES_A_PERIOD * (sweep_to or 0.0)
+    )
     seconds = duration + swept(2.0 * fewest) / (2.0 * fewest)
     rate = points / seconds
     if rate < fewest:
@@ -262,14 +308,17 @@ def excitation_of(
             f"`points` {points:,}: {rate:.4g} rows a second, at least {fewest:g} are needed (`points` "
             f"{math.ceil(fewest * seconds):,})"
         )
-    return Excitation(sample_rate=rate, duration=(points - swept(rate)) / rate, **fields)
+    return Excitation(
+        sample_rate=rate, duration=(points - swept(rate)) / rate, **fields
+    )
 
 
 def _legs(drive: Excitation, steps: int) -> list[Leg]:
     """Return two sweeps, random turns and holds, the return and the rest, ``steps`` in all."""
     step, period = 1.0 / drive.sample_rate, 1.0 / drive.frequency
     slew = None if drive.max_slew is None else drive.max_slew / drive.span
-    chance = random.Random(drive.seed).random  # the one generator whose numbers Python never changes
+    # the one generator whose numbers Python never changes
+    chance = random.Random(drive.seed).random
 
     def swing(distance: float, slowness: float = 1.0) -> int:
         count = swing_samples(distance, step, 0.5 * period * distance * slowness, slew)
@@ -285,7 +334,8 @@ def _legs(drive: Excitation, steps: int) -> list[Leg]:
         if chance() < _HOLD_CHANCE:
             legs.append((turn, round(_HOLD * period / step)))
         used += sum(count for _, count in legs)
-        if turns and used + swing(turn) > steps - 2 * sweep - rest:  # the way back included
+        # the way back included
+        if turns and used + swing(turn) > steps - 2 * sweep - rest:
             break
         turns += legs
         level = turn
@@ -298,7 +348,10 @@ def _stretched(legs: list[Leg], steps: int) -> list[Leg]:
     """Return the same legs, each longer by the same part, so that they take ``steps``."""
     ends = np.cumsum([count for _, count in legs])
     ends = ends * steps // ends[-1]
-    return [(turn, int(count)) for (turn, _), count in zip(legs, np.diff(ends, prepend=0), strict=True)]
+    return [
+        (turn, int(count))
+        for (turn, _), count in zip(legs, np.diff(ends, prepend=0), strict=True)
+    ]
 
 
 def sweep(
@@ -315,13 +368,15 @@ def sweep(
     Parameters
     ----------
     v_min, v_max : float
-        The drive's range, in ``unit``; the drive is at rest at ``v_min`` before and after.
+        The drive's range, in ``unit``; the drive is at rest at ``v_min`` before and
+        after.
     sample_rate : float
         Rows a second.
     sweep_to : float
         Highest frequency, Hz.
     amplitude : float, optional
-        From the middle to a crest at the sweep's lower end, in ``unit``; by default 1 % of the range.
+        From the middle to a crest at the sweep's lower end, in ``unit``; by default 1 %
+        of the range.
     max_slew : float, optional
         Fastest change, ``unit`` per second.
     unit : str
@@ -330,8 +385,8 @@ def sweep(
     Raises
     ------
     UsageError
-        The rate does not resolve the frequency, or the amplitude is none or too large, or too fast; with the
-        values that would do.
+        The rate does not resolve the frequency, or the amplitude is none or too large,
+        or too fast; with the values that would do.
     """
     span = v_max - v_min
     crest = AMPLITUDE * span if amplitude is None else amplitude
@@ -353,7 +408,12 @@ def sweep(
 
 
 def _check(
-    span: float, sample_rate: float, sweep_to: float, crest: float, max_slew: float | None, unit: str
+    span: float,
+    sample_rate: float,
+    sweep_to: float,
+    crest: float,
+    max_slew: float | None,
+    unit: str,
 ) -> None:
     if not 0.0 < sweep_to < math.inf:
         raise UsageError(f"`sweep_to` {sweep_to:g}: give a frequency in Hz above 0")
@@ -363,7 +423,9 @@ def _check(
             f"{SAMPLES_A_PERIOD * sweep_to:g}, or a sweep to {sample_rate / SAMPLES_A_PERIOD:g})"
         )
     if not 0.0 < crest <= 0.5 * span:
-        raise UsageError(f"`sweep_amplitude` {crest:g}{unit}: give one above 0, at most {0.5 * span:g}{unit}")
+        raise UsageError(
+            f"`sweep_amplitude` {crest:g}{unit}: give one above 0, at most {0.5 * span:g}{unit}"
+        )
     fastest = 2.0 * math.pi * sweep_to * crest * FADED
     if max_slew is not None and fastest > max_slew:
         raise UsageError(

@@ -1,16 +1,19 @@
 """The recursions of the paper in readable Python, and the choice between them and the compiled kernel.
 
-The functions here and those of the extension ``_kernel`` (``dbo_kernel.c``, ``dbo_dynamics.c``) have the same
-arguments and give the same bits: every floating-point operation is written in the same order in both. The
-compiled kernel is taken where it was built; ``DBO_KERNEL=python`` in the environment chooses the Python twin,
+The functions here and those of the extension ``_kernel`` (``dbo_kernel.c``,
+``dbo_dynamics.c``) have the same arguments and give the same bits: every floating-point
+operation is written in the same order in both. The compiled kernel is taken where it
+was built; ``DBO_KERNEL=python`` in the environment chooses the Python twin,
 ``DBO_KERNEL=compiled`` insists on the other.
 
-Equation numbers are those of Aye and Ang (2018). The state's bits are runs of ones and zeros, since a move
-changes the lowest first: it is kept as the ends of the runs (``dbo_kernel.h`` says how), and how many gears
-of a run are crossed is looked up. The kernel's table has a row for each ``run`` of equal gears,
-``(dx, dy, slope, crossing_fraction, x, y)``: the two widths of (10), dy/dx, the fraction of a gear at which
-it counts as crossed, and where the first of them begins; one more row begins where the last gear ends.
-``guide`` tells the compiled kernel where to look first; nothing here uses it.
+Equation numbers are those of Aye and Ang (2018). The state's bits are runs of ones and
+zeros, since a move changes the lowest first: it is kept as the ends of the runs
+(``dbo_kernel.h`` says how), and how many gears of a run are crossed is looked up. The
+kernel's table has a row for each ``run`` of equal gears, ``(dx, dy, slope,
+crossing_fraction, x, y)``: the two widths of (10), dy/dx, the fraction of a gear at
+which it counts as crossed, and where the first of them begins; one more row begins
+where the last gear ends. ``guide`` tells the compiled kernel where to look first;
+nothing here uses it.
 """
 
 from __future__ import annotations
@@ -32,11 +35,13 @@ from dbo_cli.errors import DboError, UsageError
 Floats = NDArray[np.float64]
 
 
-def dynamics_run(output: Floats, state: Floats, x: Floats, y: Floats, step: Floats) -> None:
+def dynamics_run(
+    output: Floats, state: Floats, x: Floats, y: Floats, step: Floats
+) -> None:
     """Fill ``y`` with ``x`` after all sections; ``state`` (sections × 3: p, q, u) becomes that after it.
 
-    ``output`` has two numbers a section, ``step`` six a section in one row or in one row for each sample; see
-    ``dbo_dynamics.h`` for their meaning.
+    ``output`` has two numbers a section, ``step`` six a section in one row or in one
+    row for each sample; see ``dbo_dynamics.h`` for their meaning.
     """
     sections = state.size // 3
     memories = [list(row) for row in state.reshape(sections, 3).tolist()]
@@ -59,11 +64,13 @@ def dynamics_run(output: Floats, state: Floats, x: Floats, y: Floats, step: Floa
     state[:] = np.array(memories).reshape(state.shape)
 
 
-def dynamics_undo(numbers: Floats, weight: Floats, state: Floats, y: Floats, u: Floats) -> None:
+def dynamics_undo(
+    numbers: Floats, weight: Floats, state: Floats, y: Floats, u: Floats
+) -> None:
     """Fill ``u`` with the input of one section whose output is ``y``, which goes on for ``len(weight)`` more.
 
-    ``numbers`` are aa, ab, ba, bb, a_in, b_in, a_out, b_out of ``dbo_section_inverse``; ``state`` (y, a, b)
-    becomes that after the samples of ``u``.
+    ``numbers`` are aa, ab, ba, bb, a_in, b_in, a_out, b_out of ``dbo_section_inverse``;
+    ``state`` (y, a, b) becomes that after the samples of ``u``.
     """
     count = u.size
     future = np.zeros(count)
@@ -88,7 +95,8 @@ def smooth(weight: Floats, x: Floats, y: Floats) -> None:
     total = np.zeros(count)
     for j in range(reach, 0, -1):
         total += weight[j - 1] * (
-            (x[reach - j : reach - j + count] - middle) + (x[reach + j : reach + j + count] - middle)
+            (x[reach - j : reach - j + count] - middle)
+            + (x[reach + j : reach + j + count] - middle)
         )
     y[:] = middle + total
 
@@ -120,8 +128,8 @@ def find_first_zero(bits: int) -> int:
 class _Walk:
     """The state on its way through a block: the ends of its runs, and X_B, Y_B relative to X_0, Y_0 (1)-(5).
 
-    ``ends`` begins with n, the end of the highest run; its last is the end of the lowest, which is of
-    ``ones`` or of zeros.
+    ``ends`` begins with n, the end of the highest run; its last is the end of the
+    lowest, which is of ``ones`` or of zeros.
     """
 
     def __init__(self, gears: Floats, n: int, run: int, words: Words) -> None:
@@ -166,7 +174,8 @@ class _Walk:
             self.ends.pop()
         if gear < end:
             self.ends.append(gear)
-        elif self.ones == rising or len(self.ends) > 1:  # the run melts into the one above
+        # the run melts into the one above
+        elif self.ones == rising or len(self.ends) > 1:
             self.ends.pop()
             self.ends = self.ends or [self.n]
         self.ones = rising
@@ -194,11 +203,12 @@ def _travel(
 ) -> tuple[int, float, bool]:
     """Carry out steps 1 to 4 for the relative input u: the engaged gear, u - X_B, and whether it went up.
 
-    Gears are taken with the input widths ``dx + kappa dy``, and none is crossed that would leave
-    [low, high] on the output. Only one direction is taken for one sample, so that it always ends. A
-    sample that crosses a gear by the tolerance falls short of the new X_B and keeps that gear's own
-    slope: an operator and its inverse then see the same fraction of the same gear, and decide alike.
-    ``tell`` hears of the gears crossed, from one up to another, and 1 or -1.
+    Gears are taken with the input widths ``dx + kappa dy``, and none is crossed that
+    would leave [low, high] on the output. Only one direction is taken for one sample,
+    so that it always ends. A sample that crosses a gear by the tolerance falls short of
+    the new X_B and keeps that gear's own slope: an operator and its inverse then see
+    the same fraction of the same gear, and decide alike. ``tell`` hears of the gears
+    crossed, from one up to another, and 1 or -1.
     """
     rising = u - (walk.x + kappa * walk.y) >= 0.0
     sign, last = 1.0 if rising else -1.0, walk.n
@@ -216,7 +226,10 @@ def _travel(
     while True:
         gear, end = walk.open(rising)
         first = walk.begin(gear)
-        reached = bisect.bisect_left(range(gear, end), True, key=lambda i: not crossed(i)) + gear
+        reached = (
+            bisect.bisect_left(range(gear, end), True, key=lambda i: not crossed(i))
+            + gear
+        )
         if reached == gear:
             break
         if tell is not None:
@@ -224,10 +237,16 @@ def _travel(
         walk.cross(rising, reached)
         last = reached - 1
     d = u - (walk.x + kappa * walk.y)
-    return (last if last < walk.n and (d < 0.0 if rising else d > 0.0) else gear), d, rising
+    return (
+        (last if last < walk.n and (d < 0.0 if rising else d > 0.0) else gear),
+        d,
+        rising,
+    )
 
 
-def _solve(walk: _Walk, u: float, kappa: float, low: float, high: float, extend: bool) -> tuple[float, bool]:
+def _solve(
+    walk: _Walk, u: float, kappa: float, low: float, high: float, extend: bool
+) -> tuple[float, bool]:
     """Return the relative output for the relative input u, and "outside"; see ``_travel``."""
     gear, d, rising = _travel(walk, u, kappa, low, high)
     dx, dy, _, fraction, _, _ = walk.gear(gear)
@@ -244,11 +263,18 @@ def _follow_output(walk: _Walk, y: float, rising: bool) -> None:
 
 
 def _solve_within(
-    walk: _Walk, u: float, kappa: float, y0: float, low: float, high: float, extend: bool
+    walk: _Walk,
+    u: float,
+    kappa: float,
+    y0: float,
+    low: float,
+    high: float,
+    extend: bool,
 ) -> tuple[float, float, bool]:
     """Return the output within [low, high], by how much it was clipped, and "outside".
 
-    The state becomes that of the operator with exchanged axes driven by the clipped output.
+    The state becomes that of the operator with exchanged axes driven by the clipped
+    output.
     """
     low_part, high_part = low - y0, high - y0
     rising = u - (walk.x + kappa * walk.y) >= 0.0
@@ -290,7 +316,9 @@ def _recalled(weights: list[float], memories: list[float]) -> float:
     return total
 
 
-def _known_part(weights: list[float], memories: list[float], decay: list[float]) -> tuple[float, float]:
+def _known_part(
+    weights: list[float], memories: list[float], decay: list[float]
+) -> tuple[float, float]:
     """Return what the terms keep of the past, and their part kappa of the present output."""
     remembered = kappa = 0.0
     for c, memory, a in zip(weights, memories, decay, strict=True):
@@ -299,18 +327,22 @@ def _known_part(weights: list[float], memories: list[float], decay: list[float])
     return remembered, kappa
 
 
-def window(low: float, high: float, step: float | None, last: float | None) -> tuple[float, float]:
+def window(
+    low: float, high: float, step: float | None, last: float | None
+) -> tuple[float, float]:
     """Return the output limits of one sample; the range wins over the slew limit."""
     if step is None or last is None or math.isnan(last):
         return low, high
-    return min(max(towards(last, -step), low), high), max(min(towards(last, step), high), low)
+    return min(max(towards(last, -step), low), high), max(
+        min(towards(last, step), high), low
+    )
 
 
 def towards(last: float, step: float) -> float:
     """Return last + step, rounded towards ``last``, so that a slew limit is kept to the last bit.
 
-    What the sum lost (two-sum, exact) tells which way it was rounded; one part in 2^52 is at least its last
-    digit.
+    What the sum lost (two-sum, exact) tells which way it was rounded; one part in 2^52
+    is at least its last digit.
     """
     total = last + step
     part = total - last
@@ -351,13 +383,15 @@ def backlash_run(
 ) -> tuple[int, int, int, int]:
     """Fill ``y`` by (1)-(12) from ``x``; ``words`` and ``memory`` become the state after the block.
 
-    Relaxation terms L_j = a_j L_j + (1 - a_j)(z - reference) follow z, the input or the output; a_j is
-    ``decay`` and the part of the output they make up is sum gain_j L_j. On the output they are solved
-    for together with the gears: their part kappa = sum gain_j (1 - a_j) of the present output widens
-    every gear from dx to dx + kappa dy, and the rest is known. Returns the counts of ``dbo_counts``.
+    Relaxation terms L_j = a_j L_j + (1 - a_j)(z - reference) follow z, the input or the
+    output; a_j is ``decay`` and the part of the output they make up is sum gain_j L_j.
+    On the output they are solved for together with the gears: their part kappa = sum
+    gain_j (1 - a_j) of the present output widens every gear from dx to dx + kappa dy,
+    and the rest is known. Returns the counts of ``dbo_counts``.
     """
     walk = _Walk(gears, n, run, words)
-    flags: list[tuple[bool, bool]] = []  # of each sample: whether it lies outside, and was clipped
+    # of each sample: whether it lies outside, and was clipped
+    flags: list[tuple[bool, bool]] = []
     weights: list[float] = gain.tolist()
     memories: list[float] = memory.tolist()
     steps: list[float | None] = [None] if not step.size else step.tolist()
@@ -375,7 +409,9 @@ def backlash_run(
         excess = -1.0
         if limited:
             least, most = window(low, high, steps[k if len(steps) > 1 else 0], last)
-            last, excess, outside = _solve_within(walk, u, kappa, y0, least, most, extend)
+            last, excess, outside = _solve_within(
+                walk, u, kappa, y0, least, most, extend
+            )
         else:
             rest, outside = _solve(walk, u, kappa, -math.inf, math.inf, extend)
             last = y0 + (rest + remembered) if after else y0 + rest
@@ -385,7 +421,10 @@ def backlash_run(
             _remember(memories, a, last - reference)
     walk.finish()
     memory[:] = memories
-    return (*_counted([flag[0] for flag in flags]), *_counted([flag[1] for flag in flags]))
+    return (
+        *_counted([flag[0] for flag in flags]),
+        *_counted([flag[1] for flag in flags]),
+    )
 
 
 def backlash_decay(
@@ -404,7 +443,8 @@ def backlash_decay(
 ) -> None:
     """Fill ``words`` with the state after an oscillation of the drive that decays to ``drive``.
 
-    The gears stop flipping from the highest to the lowest: see ``DiscreteBacklashOperator.settled``.
+    The gears stop flipping from the highest to the lowest: see
+    ``DiscreteBacklashOperator.settled``.
     """
     walk = _Walk(gears, n, run, np.zeros_like(words))
     axis = 1 if memory_on_output else 0
@@ -428,8 +468,9 @@ def backlash_start(
 ) -> tuple[float, float]:
     """Return the drive whose own settled state leads to ``output``, twice, by halving a range of drives.
 
-    Where the output steps over it, these are the drives next to the step. ``forward`` and ``inverse`` are the
-    first arguments of ``backlash_run``; they rest at every sample.
+    Where the output steps over it, these are the drives next to the step. ``forward``
+    and ``inverse`` are the first arguments of ``backlash_run``; they rest at every
+    sample.
     """
     size, gain = state_words(forward[2]), forward[7]
 
@@ -486,8 +527,9 @@ def backlash_engagement(
 ) -> None:
     """Fill ``rows`` (samples × ceil(n / group_size)) with the part of the gears that is in the output.
 
-    Row k is phi with y - y0 = sum phi_i dy_i (before any relaxation); with ``group_size`` > 1 that
-    many neighbours share a column, their mean. ``crossed`` is scratch, one number a column.
+    Row k is phi with y - y0 = sum phi_i dy_i (before any relaxation); with
+    ``group_size`` > 1 that many neighbours share a column, their mean. ``crossed`` is
+    scratch, one number a column.
     """
     walk = _Walk(gears, n, run, words)
     columns, part = len(crossed), 1.0 / group_size
@@ -511,12 +553,16 @@ def backlash_engagement(
     walk.finish()
 
 
-def memory_run(reference: float, memory: Floats, x: Floats, rows: Floats, decay: Floats) -> None:
+def memory_run(
+    reference: float, memory: Floats, x: Floats, rows: Floats, decay: Floats
+) -> None:
     """Fill ``rows`` (samples × terms) with L_j after each sample; ``memory`` becomes the last row."""
     memories: list[float] = memory.tolist()
     terms = len(memories)
     table = rows.reshape(-1, terms) if terms else rows
-    for k, (value, a) in enumerate(zip(x.tolist(), _decay_rows(decay, terms, x.size), strict=True)):
+    for k, (value, a) in enumerate(
+        zip(x.tolist(), _decay_rows(decay, terms, x.size), strict=True)
+    ):
         _remember(memories, a, value - reference)
         if terms:
             table[k] = memories
@@ -526,8 +572,9 @@ def memory_run(reference: float, memory: Floats, x: Floats, rows: Floats, decay:
 def point_run(segments: Floats, x0: float, y0: float, x: Floats, y: Floats) -> None:
     """Fill ``y`` by (13)-(16); rows of ``segments`` are (X_C - X_0, Y_C - Y_0, slope).
 
-    The paper leaves a breakpoint to the segment found last; here it always begins the upper one, so that
-    the last bit of the output does not depend on the past. The end segments extend.
+    The paper leaves a breakpoint to the segment found last; here it always begins the
+    upper one, so that the last bit of the output does not depend on the past. The end
+    segments extend.
     """
     u = x - x0
     c = np.searchsorted(segments[1:, 0], u, side="right")
@@ -535,7 +582,9 @@ def point_run(segments: Floats, x0: float, y0: float, x: Floats, y: Floats) -> N
     y[:] = y0 + (height + slope * (u - start))
 
 
-def interpolated(times: Floats, values: Floats, wanted: Floats, out: Floats, whole: float) -> int:
+def interpolated(
+    times: Floats, values: Floats, wanted: Floats, out: Floats, whole: float
+) -> int:
     """Fill ``found`` with a signal at the times wanted; see ``cascade.interpolated``."""
     first = np.clip(np.searchsorted(times, wanted, side="right") - 1, 0, None)
     second = np.minimum(first + 1, times.size - 1)
@@ -592,7 +641,9 @@ def choose(wish: str) -> tuple[str, Any]:
         The compiled one was built from another state of the sources.
     """
     if wish not in {"", "python", "compiled"}:
-        raise UsageError(f"environment DBO_KERNEL: no kernel is called {wish!r} (use python or compiled)")
+        raise UsageError(
+            f"environment DBO_KERNEL: no kernel is called {wish!r} (use python or compiled)"
+        )
     compiled = None if wish == "python" else compiled_kernel()
     if compiled is not None:
         require_this_state(compiled)

@@ -1,9 +1,10 @@
 """The model of an actuator: a cascade of stages, its inverse, its states, simulation and compensation.
 
-displacement = Y0 + K · S(Γ(v − X0)): Γ the backlash operator, S the point operator, K and Y0 a scale stage.
-Dynamics stand behind them, and a delay last, on the output. Beyond the paper, points may also stand before
-Γ: an asymmetry that acts on the drive; and a lag before all, that of the amplifier. The inverse (17)-(18)
-inverts every stage and reverses their order; started in the same state, model and inverse compose to the
+displacement = Y0 + K · S(Γ(v − X0)): Γ the backlash operator, S the point operator, K
+and Y0 a scale stage. Dynamics stand behind them, and a delay last, on the output.
+Beyond the paper, points may also stand before Γ: an asymmetry that acts on the drive;
+and a lag before all, that of the amplifier. The inverse (17)-(18) inverts every stage
+and reverses their order; started in the same state, model and inverse compose to the
 identity, to rounding.
 """
 
@@ -21,10 +22,29 @@ from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis import cascade, drive_lag, model_state, operators
-from dbo_cli.hysteresis.cascade import DelayStage, ScaleStage, Stage, slow_output_range, through
+from dbo_cli.hysteresis.cascade import (
+    DelayStage,
+    ScaleStage,
+    Stage,
+    slow_output_range,
+    through,
+)
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag
-from dbo_cli.hysteresis.model_state import NEGLIGIBLE, DriveLimits, ModelState, Quantity, Simulated, StartName
-from dbo_cli.hysteresis.operators import Counts, DiscreteBacklashOperator, OutputLimits, Outside, Relaxation
+from dbo_cli.hysteresis.model_state import (
+    NEGLIGIBLE,
+    DriveLimits,
+    ModelState,
+    Quantity,
+    Simulated,
+    StartName,
+)
+from dbo_cli.hysteresis.operators import (
+    Counts,
+    DiscreteBacklashOperator,
+    OutputLimits,
+    Outside,
+    Relaxation,
+)
 
 __all__ = [
     "NEGLIGIBLE",
@@ -61,9 +81,9 @@ class ActuatorModel:
     Parameters
     ----------
     direction : {"forward", "inverse"}
-        Forward: one backlash stage, points and scales around it, then dynamics and a delay, each once at
-        most; dynamics of one lag may also stand first.
-        Inverse: the mirror image.
+        Forward: one backlash stage, points and scales around it, then dynamics and a
+        delay, each once at most; dynamics of one lag may also stand first. Inverse: the
+        mirror image.
     input, output : Quantity
         What goes in and comes out; the output's range is what the model reaches slowly.
     stages : tuple of Stage
@@ -76,7 +96,8 @@ class ActuatorModel:
     head, tail : tuple of points and scales
         Before the gears, and behind them.
     drive_lag, dynamics : DynamicsStage, or None
-        The lag on the drive's side of the gears, and the dynamics on the other, as they stand in this model.
+        The lag on the drive's side of the gears, and the dynamics on the other, as they
+        stand in this model.
     delay : DelayStage, or None
         The delay as it stands in this model.
 
@@ -104,7 +125,11 @@ class ActuatorModel:
     def __post_init__(self) -> None:
         """Check the order of the stages."""
         forward = self.direction == "forward"
-        gears = [k for k, stage in enumerate(self.stages) if isinstance(stage, DiscreteBacklashOperator)]
+        gears = [
+            k
+            for k, stage in enumerate(self.stages)
+            if isinstance(stage, DiscreteBacklashOperator)
+        ]
         if not gears:
             raise ModelError("stages: no backlash stage is among them")
         if len(gears) > 1:
@@ -114,9 +139,14 @@ class ActuatorModel:
         axis: operators.Axis = "input" if forward else "output"
         if backlash.memory_on != axis:
             if backlash.relaxation is not None:
-                raise ModelError(f"stages[{gears[0]}].relaxation.on: must be {axis!r} in this direction")
-            # Without relaxation a file does not say which axis is the drive's; the direction does.
-            drawn = DiscreteBacklashOperator(backlash.dx, backlash.dy, backlash.x0, backlash.y0, None, axis)
+                raise ModelError(
+                    f"stages[{gears[0]}].relaxation.on: must be {axis!r} in this direction"
+                )
+            # Without relaxation a file does not say which axis is the drive's; the
+            # direction does.
+            drawn = DiscreteBacklashOperator(
+                backlash.dx, backlash.dy, backlash.x0, backlash.y0, None, axis
+            )
             self._put(backlash, drawn)
         self._take_apart(gears[0])
 
@@ -125,13 +155,21 @@ class ActuatorModel:
         self._check_dynamics(hysteresis)
         self._check_delay()
         before, behind = self.stages[:hysteresis], self.stages[hysteresis + 1 :]
-        near, far = (before, behind) if self.direction == "forward" else (behind, before)
+        near, far = (
+            (before, behind) if self.direction == "forward" else (behind, before)
+        )
         self.__dict__.update(
             head=cascade.memory_free(before),
             tail=cascade.memory_free(behind),
-            drive_lag=next((stage for stage in near if isinstance(stage, DynamicsStage)), None),
-            dynamics=next((stage for stage in far if isinstance(stage, DynamicsStage)), None),
-            delay=next((stage for stage in self.stages if isinstance(stage, DelayStage)), None),
+            drive_lag=next(
+                (stage for stage in near if isinstance(stage, DynamicsStage)), None
+            ),
+            dynamics=next(
+                (stage for stage in far if isinstance(stage, DynamicsStage)), None
+            ),
+            delay=next(
+                (stage for stage in self.stages if isinstance(stage, DelayStage)), None
+            ),
         )
 
     def _check_dynamics(self, hysteresis: int) -> None:
@@ -143,15 +181,29 @@ class ActuatorModel:
             if (place < hysteresis) == forward:
                 end = "first" if forward else "last"
                 if place != (0 if forward else len(self.stages) - 1):
-                    raise ModelError(f"stages[{place}]: dynamics on the drive's side stand {end}, and once")
+                    raise ModelError(
+                        f"stages[{place}]: dynamics on the drive's side stand {end}, and once"
+                    )
                 lag = stage.sections[0]
-                if not (len(stage.sections) == 1 and isinstance(lag, Lag) and lag.lead == 0.0):
-                    raise ModelError(f"stages[{place}].sections: one lag alone may stand {end}")
+                if not (
+                    len(stage.sections) == 1
+                    and isinstance(lag, Lag)
+                    and lag.lead == 0.0
+                ):
+                    raise ModelError(
+                        f"stages[{place}].sections: one lag alone may stand {end}"
+                    )
             else:
                 outer = self.stages[place + 1 :] if forward else self.stages[:place]
                 if not all(isinstance(stage, DelayStage) for stage in outer):
-                    where = "after all stages but a delay" if forward else "before all stages but a delay"
-                    raise ModelError(f"stages[{place}]: dynamics stand {where}, and once")
+                    where = (
+                        "after all stages but a delay"
+                        if forward
+                        else "before all stages but a delay"
+                    )
+                    raise ModelError(
+                        f"stages[{place}]: dynamics stand {where}, and once"
+                    )
             self._turn(stage)
 
     def _check_delay(self) -> None:
@@ -160,9 +212,13 @@ class ActuatorModel:
         for place, stage in enumerate(self.stages):
             if isinstance(stage, DelayStage):
                 if place != (len(self.stages) - 1 if forward else 0):
-                    raise ModelError(f"stages[{place}]: a delay stands {'last' if forward else 'first'}")
+                    raise ModelError(
+                        f"stages[{place}]: a delay stands {'last' if forward else 'first'}"
+                    )
                 if (stage.seconds < 0.0) if forward else (stage.seconds > 0.0):
-                    raise ModelError(f"stages[{place}].seconds: {stage.seconds!r} has the wrong sign here")
+                    raise ModelError(
+                        f"stages[{place}].seconds: {stage.seconds!r} has the wrong sign here"
+                    )
 
     def _turn(self, stage: DynamicsStage | cascade.OtherHysteresis) -> None:
         """Let a stage act, or be undone, as the direction tells."""
@@ -171,26 +227,39 @@ class ActuatorModel:
 
     def _put(self, old: Stage, new: Stage) -> None:
         """Put a stage in another's place, while the model is made."""
-        object.__setattr__(self, "stages", tuple(new if stage is old else stage for stage in self.stages))
+        object.__setattr__(
+            self,
+            "stages",
+            tuple(new if stage is old else stage for stage in self.stages),
+        )
 
     def require(self, direction: Direction, place: str = "the model") -> None:
         """Raise ModelError, with the remedy, where the model is of the other direction."""
         if self.direction != direction:
             is_one, needed = (
-                f"a{'n' if name == 'inverse' else ''} {name}" for name in (self.direction, direction)
+                f"a{'n' if name == 'inverse' else ''} {name}"
+                for name in (self.direction, direction)
             )
-            raise ModelError(f"{place}: is {is_one} model where {needed} one is needed (dbo invert turns it)")
+            raise ModelError(
+                f"{place}: is {is_one} model where {needed} one is needed (dbo invert turns it)"
+            )
 
     def inverse(self) -> Self:
         """Return the inverse model (17)-(18): every stage inverted, the order reversed."""
         direction: Direction = "inverse" if self.direction == "forward" else "forward"
         stages = tuple(stage.inverse() for stage in reversed(self.stages))
-        return type(self)(direction, self.output, self.input, stages, self.fit, self.provenance)
+        return type(self)(
+            direction, self.output, self.input, stages, self.fit, self.provenance
+        )
 
     @cached_property
     def backlash(self) -> DiscreteBacklashOperator:
         """The backlash stage as it stands in this model."""
-        return next(stage for stage in self.stages if isinstance(stage, DiscreteBacklashOperator))
+        return next(
+            stage
+            for stage in self.stages
+            if isinstance(stage, DiscreteBacklashOperator)
+        )
 
     @cached_property
     def forward_backlash(self) -> DiscreteBacklashOperator:
@@ -202,7 +271,9 @@ class ActuatorModel:
         """The forward gears that a drive inside the covered range moves; others take no part in starts."""
         bent = self.head if self.direction == "forward" else self.tail_inverse
         ends = through(bent, np.array([self.drive.minimum, self.drive.maximum]))
-        return cascade.covered_gears(self.forward_backlash, float(ends.min()), float(ends.max()))
+        return cascade.covered_gears(
+            self.forward_backlash, float(ends.min()), float(ends.max())
+        )
 
     @cached_property
     def head_inverse(self) -> cascade.MemoryFree:
@@ -231,7 +302,9 @@ class ActuatorModel:
 
     def without(self, *dropped: Stage | None) -> Self:
         """Return the same model without some of its stages."""
-        stages = tuple(stage for stage in self.stages if not any(stage is gone for gone in dropped))
+        stages = tuple(
+            stage for stage in self.stages if not any(stage is gone for gone in dropped)
+        )
         return dataclasses.replace(self, stages=stages)
 
     def drive_of(self, state: ModelState) -> float | None:
@@ -240,13 +313,17 @@ class ActuatorModel:
             return state.drive_lag[0][2]
         if state.drive is None:
             return None
-        return (self if self.direction == "inverse" else self.inverted).outer_drive(state.drive)
+        return (self if self.direction == "inverse" else self.inverted).outer_drive(
+            state.drive
+        )
 
     def displacement_of(self, state: ModelState) -> float:
         """Return the displacement that gears and memories of a state hold, at its own voltage."""
         assert state.drive is not None
         slow = self.without_lag
-        at_rest = dataclasses.replace(state, dynamics=None, drive_lag=None, history=None, undoing=None)
+        at_rest = dataclasses.replace(
+            state, dynamics=None, drive_lag=None, history=None, undoing=None
+        )
         voltage = self.inverted.outer_drive(state.drive)
         return float(slow.simulate([voltage], at_rest, time_step=0.0).y[0])
 
@@ -284,7 +361,9 @@ class ActuatorModel:
     @cached_property
     def digest(self) -> str:
         """A name for everything a state refers to: equal for a model and its inverse."""
-        return cascade.digest_of(self.stages if self.direction == "forward" else self.inverse().stages)
+        return cascade.digest_of(
+            self.stages if self.direction == "forward" else self.inverse().stages
+        )
 
     def _before_backlash(self, x: ArrayLike) -> Floats:
         """Return what reaches the backlash stage of this model."""
@@ -293,8 +372,8 @@ class ActuatorModel:
     def inner_limits(self, limits: DriveLimits) -> DriveLimits:
         """Return limits on the drive as the backlash stage of an inverse model meets them.
 
-        Where points stand between, the steepest step they may let through is counted on everywhere, so that
-        the slew limit is kept with something to spare.
+        Where points stand between, the steepest step they may let through is counted on
+        everywhere, so that the slew limit is kept with something to spare.
         """
         if not self.tail:
             return limits
@@ -304,21 +383,33 @@ class ActuatorModel:
             for stage in self.tail_inverse:
                 slew *= cascade.least_slope(stage)
             slew *= 1.0 - NEGLIGIBLE  # the points round
-        low = float(ends.min())  # a window of a last digit may be none behind the points
-        return DriveLimits(low, max(float(ends.max()), math.nextafter(low, math.inf)), slew)
+        # a window of a last digit may be none behind the points
+        low = float(ends.min())
+        return DriveLimits(
+            low, max(float(ends.max()), math.nextafter(low, math.inf)), slew
+        )
 
     def output_limits(self, limits: DriveLimits, steps: Steps | None) -> OutputLimits:
         """Return limits that the backlash stage of an inverse model meets, in the operator's terms."""
         low, high = self.backlash.y_range
-        return OutputLimits(limits.v_min, limits.v_max, limits.largest_step(steps), limits.slack(high - low))
+        return OutputLimits(
+            limits.v_min,
+            limits.v_max,
+            limits.largest_step(steps),
+            limits.slack(high - low),
+        )
 
     def start(
-        self, first_input: float, state: StartName | ModelState = "auto", limits: DriveLimits | None = None
+        self,
+        first_input: float,
+        state: StartName | ModelState = "auto",
+        limits: DriveLimits | None = None,
     ) -> ModelState:
         """Return the state before the first sample.
 
-        For an inverse model ``auto`` and ``settled`` ask for the voltage (within ``limits``) whose own start
-        leads to the first displacement, so that the forward model, driven by the output, starts alike.
+        For an inverse model ``auto`` and ``settled`` ask for the voltage (within
+        ``limits``) whose own start leads to the first displacement, so that the forward
+        model, driven by the output, starts alike.
         """
         if isinstance(state, ModelState):
             return state
@@ -326,7 +417,9 @@ class ActuatorModel:
         covered = self.covered_gears
         operator = covered.operator
         if self.direction == "forward" or state in {"empty", "full"}:
-            return ModelState(covered.whole(model_state.start_state(operator, value, state)))
+            return ModelState(
+                covered.whole(model_state.start_state(operator, value, state))
+            )
         model_state.start_state(operator, value, state)  # refuses a name that is none
         inner = None if limits is None else self.inner_limits(limits)
         bounds = (inner.v_min, inner.v_max) if inner else (-math.inf, math.inf)
@@ -348,17 +441,20 @@ class ActuatorModel:
         Parameters
         ----------
         x : array_like
-            The input. An inverse model with a delay gets it read ahead (``cascade.read_ahead``), one with
-            dynamics with these undone (``dynamics.undone``): both need samples that come later.
+            The input. An inverse model with a delay gets it read ahead
+            (``cascade.read_ahead``), one with dynamics with these undone
+            (``dynamics.undone``): both need samples that come later.
         state : ModelState
             From ``start``, or from the block before.
         time_step : float or array_like, optional
-            Seconds since the sample before, one number or one for each; that of the very first sample does
-            not matter. Needed with relaxation, a delay or a slew limit.
+            Seconds since the sample before, one number or one for each; that of the
+            very first sample does not matter. Needed with relaxation, a delay or a slew
+            limit.
         outside : {"extend", "hold", "error"}
             Beyond the range: go on with the last slope, hold, or raise OutsideError.
         limits : DriveLimits, optional
-            Of an inverse model: clip the voltage; the state is that of the forward model it drives.
+            Of an inverse model: clip the voltage; the state is that of the forward
+            model it drives.
 
         Raises
         ------
@@ -376,7 +472,9 @@ class ActuatorModel:
         else:
             assert steps is not None
             behind = self.without_drive_lag
-            done = drive_lag.simulate(self.drive_lag, behind, x, state, steps, outside, limits)
+            done = drive_lag.simulate(
+                self.drive_lag, behind, x, state, steps, outside, limits
+            )
             if self.direction == "inverse":
                 return done
         beyond = self._beyond(x)  # of the model's input range, too
@@ -388,7 +486,12 @@ class ActuatorModel:
         return done._replace(outside_count=count, first_outside=first)
 
     def _simulate_prompt(
-        self, x: Floats, state: ModelState, steps: Steps | None, outside: Outside, limits: DriveLimits | None
+        self,
+        x: Floats,
+        state: ModelState,
+        steps: Steps | None,
+        outside: Outside,
+        limits: DriveLimits | None,
     ) -> Simulated:
         """Return what ``simulate`` does, for a model without a lag before its gears."""
         given = x
@@ -398,10 +501,13 @@ class ActuatorModel:
         drive = float(x[-1]) if x.size else None
         inner = None if limits is None else self.inner_limits(limits)
         room = None if x is given else x
-        y, after, counts, missed = self._backlash_block(x, state, steps, outside, inner, room)
+        y, after, counts, missed = self._backlash_block(
+            x, state, steps, outside, inner, room
+        )
         y = through(self.tail, y, overwrite=y is not given)
         if limits is not None and self.tail:
-            y = np.clip(y, limits.v_min, limits.v_max)  # rounding on the way back through the points
+            # rounding on the way back through the points
+            y = np.clip(y, limits.v_min, limits.v_max)
         if self.direction == "forward":
             if drive is not None:
                 after = dataclasses.replace(after, drive=drive)
@@ -409,7 +515,9 @@ class ActuatorModel:
                 y, sections = self.dynamics.run(y, steps, state.dynamics)
                 after = dataclasses.replace(after, dynamics=sections)
             if steps is not None and self.delay and self.delay.seconds > 0.0:
-                y, history = self.delay.lag(y, steps, state.history, overwrite=y is not given)
+                y, history = self.delay.lag(
+                    y, steps, state.history, overwrite=y is not given
+                )
                 after = dataclasses.replace(after, history=history)
         return Simulated(y, after, *counts, missed)
 
@@ -430,19 +538,30 @@ class ActuatorModel:
         return np.clip(x, *core.x_range)
 
     def _steps(
-        self, time_step: float | ArrayLike | None, count: int, state: ModelState, limits: DriveLimits | None
+        self,
+        time_step: float | ArrayLike | None,
+        count: int,
+        state: ModelState,
+        limits: DriveLimits | None,
     ) -> Steps | None:
         """Return the time steps, checked; that of a first sample is set to 0."""
         if time_step is None:
             if self.needs_time or (limits is not None and limits.max_slew is not None):
-                raise ModelError("this needs the time between samples (a time column, or `sample_rate`)")
+                raise ModelError(
+                    "this needs the time between samples (a time column, or `sample_rate`)"
+                )
             return None
         if np.ndim(time_step) == 0:
             return float(np.asarray(time_step))
         steps = np.array(time_step, dtype=np.float64)
         if steps.shape != (count,):
             raise ModelError(f"{steps.size} time steps for {count} samples")
-        if count and state.drive is None and state.history is None and state.dynamics is None:
+        if (
+            count
+            and state.drive is None
+            and state.history is None
+            and state.dynamics is None
+        ):
             steps[0] = 0.0
         return steps
 
@@ -461,7 +580,8 @@ class ActuatorModel:
         """
         if x.size == 0:
             return x, state, Counts(), 0.0
-        if state.first is not None:  # the block begins with a voltage found by ``start``
+        # the block begins with a voltage found by ``start``
+        if state.first is not None:
             first, (low, high) = state.first, self.backlash.x_range
             _, backlash, _ = self.forward_backlash.run([first.voltage], state.backlash)
             _, _, unbound = self.backlash.run(x[:1], state.backlash)
@@ -469,8 +589,12 @@ class ActuatorModel:
             short = abs(missed) > NEGLIGIBLE * (high - low)
             clipped = short and limits is not None and first.at_limit
             rest_steps = steps[1:] if isinstance(steps, np.ndarray) else steps
-            begun = dataclasses.replace(state, backlash=backlash, drive=first.voltage, first=None, time=None)
-            y, after, counts, _ = self._backlash_block(x[1:], begun, rest_steps, outside, limits)
+            begun = dataclasses.replace(
+                state, backlash=backlash, drive=first.voltage, first=None, time=None
+            )
+            y, after, counts, _ = self._backlash_block(
+                x[1:], begun, rest_steps, outside, limits
+            )
             total = Counts(unbound.outside, 0, int(clipped), 0).then(counts, 1)
             # By the mean size of this model's input per unit of the stage's input.
             miss = missed if short and not clipped and not unbound.outside else 0.0
@@ -480,9 +604,17 @@ class ActuatorModel:
         decay = relaxation.decay(steps) if relaxation and steps is not None else None
         bound = None if limits is None else self.output_limits(limits, steps)
         y, backlash, counts = self.backlash.run(
-            x, state.backlash, decay=decay, outside=outside, limits=bound, last=state.drive, out=room
+            x,
+            state.backlash,
+            decay=decay,
+            outside=outside,
+            limits=bound,
+            last=state.drive,
+            out=room,
         )
-        after = dataclasses.replace(state, backlash=backlash, drive=float(y[-1]), time=None)
+        after = dataclasses.replace(
+            state, backlash=backlash, drive=float(y[-1]), time=None
+        )
         return y, after, counts, 0.0
 
     @cached_property
@@ -491,7 +623,9 @@ class ActuatorModel:
         ends = through(self.head_inverse, np.array(self.backlash.x_range))
         if self.direction == "inverse":
             return self.input.minimum, self.input.maximum
-        return max(self.input.minimum, float(ends.min())), min(self.input.maximum, float(ends.max()))
+        return max(self.input.minimum, float(ends.min())), min(
+            self.input.maximum, float(ends.max())
+        )
 
     def _beyond(self, x: Floats) -> NDArray[np.intp]:
         """Return the samples beyond the model's input range; usually there are none, which the ends tell."""
@@ -516,20 +650,32 @@ class ActuatorModel:
     ) -> Simulated:
         """Return the drive of a forward model for one block of desired displacement; see ``simulate``.
 
-        The state may have come from ``start_compensation``, or from ``simulate`` of this model.
+        The state may have come from ``start_compensation``, or from ``simulate`` of
+        this model.
         """
         self.require("forward")
-        done = self.inverted.simulate(desired, state, time_step=time_step, limits=limits)
+        done = self.inverted.simulate(
+            desired, state, time_step=time_step, limits=limits
+        )
         if self.dynamics is None or done.y.size == 0:
             return done
-        # What the limits cut off does not reach the actuator, so its dynamics follow the drive itself.
+        # What the limits cut off does not reach the actuator, so its dynamics follow
+        # the drive itself.
         moved = self.follow(done.y, state, time_step).state
-        after = dataclasses.replace(done.state, dynamics=moved.dynamics, history=moved.history)
+        after = dataclasses.replace(
+            done.state, dynamics=moved.dynamics, history=moved.history
+        )
         return done._replace(state=after)
 
-    def follow(self, drive: ArrayLike, state: ModelState, time_step: float | ArrayLike | None) -> Simulated:
+    def follow(
+        self, drive: ArrayLike, state: ModelState, time_step: float | ArrayLike | None
+    ) -> Simulated:
         """Return what this forward model makes of a drive that ``compensate`` computed from a state."""
-        begun = state if state.first is None else dataclasses.replace(state, first=None, drive=None)
+        begun = (
+            state
+            if state.first is None
+            else dataclasses.replace(state, first=None, drive=None)
+        )
         return self.simulate(drive, begun, time_step=time_step)
 
     def start_compensation(
@@ -537,24 +683,31 @@ class ActuatorModel:
     ) -> ModelState:
         """Return the state of ``compensate`` in which ``simulate`` of its output starts.
 
-        An actuator that starts ``empty`` or ``full`` stands at that end of the drive's range, so a slew limit
-        holds from the first sample on.
+        An actuator that starts ``empty`` or ``full`` stands at that end of the drive's
+        range, so a slew limit holds from the first sample on.
         """
         self.require("forward")
         begun = self.inverted.start(first_desired, state, limits)
         inner = self.inverted.inner_limits(limits)
         if state in ("empty", "full") and inner.max_slew is not None:
             drive = self.covered_gears.operator.x_range[0 if state == "empty" else 1]
-            begun = dataclasses.replace(begun, drive=min(max(drive, inner.v_min), inner.v_max))
+            begun = dataclasses.replace(
+                begun, drive=min(max(drive, inner.v_min), inner.v_max)
+            )
         return begun
 
     def start_spread(self, begun: ModelState, first_input: float) -> float:
         """Return by how much the displacement at rest, where a run begins, depends on what was before.
 
-        ``begun`` is what ``start`` gave for the first input; the result is in the displacement's unit.
+        ``begun`` is what ``start`` gave for the first input; the result is in the
+        displacement's unit.
         """
         gears = self.forward_backlash
-        drive = begun.first.voltage if begun.first else float(self._before_backlash([first_input])[0])
+        drive = (
+            begun.first.voltage
+            if begun.first
+            else float(self._before_backlash([first_input])[0])
+        )
         covered = self.covered_gears
         pasts = (covered.operator.empty(), covered.operator.full())
         ends = [gears.run([drive], covered.whole(past))[0] for past in pasts]

@@ -1,8 +1,9 @@
 """Model files and state files: UTF-8 JSON with stable key order, checked to the last key on reading.
 
-The same values give the same bytes, floats are written so that reading them back gives the same float64, and
-there is no time of day and no host name in them. A file that contradicts itself is refused with the key that
-is wrong, spelled as a path: ``stages[0].dx[3]``.
+The same values give the same bytes, floats are written so that reading them back gives
+the same float64, and there is no time of day and no host name in them. A file that
+contradicts itself is refused with the key that is wrong, spelled as a path:
+``stages[0].dx[3]``.
 """
 
 from __future__ import annotations
@@ -22,9 +23,27 @@ from typing import Any, NamedTuple, cast
 
 from dbo_cli import extensions
 from dbo_cli.errors import InputError, ModelError
-from dbo_cli.hysteresis.cascade import DelayHistory, DelayStage, OtherHysteresis, ScaleStage, Stage
-from dbo_cli.hysteresis.dynamics import Antiresonance, InverseMemory, Lag, Resonance, Section, SectionStates
-from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DynamicsStage, PointStage
+from dbo_cli.hysteresis.cascade import (
+    DelayHistory,
+    DelayStage,
+    OtherHysteresis,
+    ScaleStage,
+    Stage,
+)
+from dbo_cli.hysteresis.dynamics import (
+    Antiresonance,
+    InverseMemory,
+    Lag,
+    Resonance,
+    Section,
+    SectionStates,
+)
+from dbo_cli.hysteresis.model import (
+    ActuatorModel,
+    BacklashStage,
+    DynamicsStage,
+    PointStage,
+)
 from dbo_cli.hysteresis.model_state import ModelState, Quantity
 from dbo_cli.hysteresis.operators import Axis, BacklashState, Relaxation
 
@@ -33,27 +52,43 @@ STATE_FORMAT = "dbo-state"
 SET_FORMAT = "dbo-model-set"
 VERSION = 3
 """The newest of model files. Version 1 had every width written out; up to version 2 a delay is linear between
-samples, from version 3 on smooth. A model without a delay, or with a linear one, is written as version 2."""
+samples, from version 3 on smooth. A model without a delay, or with a linear one, is
+written as version 2.
+"""
 STATE_VERSION = 2
 """Of state files. States of version 1 did not know their time."""
 
-MOST_STAGES = 16  # twice what identification makes; 400 of a million segments took minutes to be refused
-MOST_GEARS = 1_000_000  # a file of some bytes must not ask for more memory than a machine has
+# twice what identification makes; 400 of a million segments took minutes to be refused
+MOST_STAGES = 16
+# a file of some bytes must not ask for more memory than a machine has
+MOST_GEARS = 1_000_000
 LARGEST = 1e60  # of every number: products of five of them are still within float64
 SMALLEST = 1e-60  # of widths and damping; likewise
-SHORTEST = 1e-15  # s; and Hz: what is shorter than a period of light, or takes 30 million years
-SHORTEST_RUN = 3  # equal widths in a row are written once from this many on: two are shorter as they are
+# s; and Hz: what is shorter than a period of light, or takes 30 million years
+SHORTEST = 1e-15
+# equal widths in a row are written once from this many on: two are shorter as they are
+SHORTEST_RUN = 3
 LINE = 100  # characters, after which the next line of a list begins
-_BEGIN_OF_SET = re.compile(rb'(\xef\xbb\xbf)?\s*\{\s*"format":\s*"' + SET_FORMAT.encode() + rb'"')
+_BEGIN_OF_SET = re.compile(
+    rb'(\xef\xbb\xbf)?\s*\{\s*"format":\s*"' + SET_FORMAT.encode() + rb'"'
+)
 AMOUNTS_OF_FIT = (
     *("rmse", "rmse_percent", "cross_validated_rmse", "straight_line_rmse"),
     *("expected_rmse", "expected_percent", "expected_shape_rmse", "expected_zero"),
-    *("left_out_rmse", "left_out_ratio", "line_left_out_rmse", "zero_drift", "zero_drift_rate"),
+    *(
+        "left_out_rmse",
+        "left_out_ratio",
+        "line_left_out_rmse",
+        "zero_drift",
+        "zero_drift_rate",
+    ),
     *("fastest_drive", "trusted_hz", "gain_uncertainty", "scale_uncertainty_percent"),
 )
 """Keys of ``fit`` that commands print or compute with: null or numbers of at least 0."""
-SIGNED_OF_FIT = ("gain", "drive_bend", "lag_seconds", "loop_width_percent")  # null or numbers
-_NOTE_DEPTH = 20  # objects within one another in what is carried along: a bound for recursion
+# null or numbers
+SIGNED_OF_FIT = ("gain", "drive_bend", "lag_seconds", "loop_width_percent")
+# objects within one another in what is carried along: a bound for recursion
+_NOTE_DEPTH = 20
 
 Json = dict[str, Any]
 
@@ -67,11 +102,17 @@ class Node(NamedTuple):
 
     def at(self, key: str) -> str:
         """Return the path of a key."""
-        return f"{self.path}{'' if key.startswith('[') else '.'}{key}" if self.path else key
+        return (
+            f"{self.path}{'' if key.startswith('[') else '.'}{key}"
+            if self.path
+            else key
+        )
 
     def refuse(self, key: str, what: str) -> ModelError:
         """Return the error for a key; an empty key is the object itself."""
-        return ModelError(f"{self.file}: {self.at(key) if key else self.path or 'the file'}: {what}")
+        return ModelError(
+            f"{self.file}: {self.at(key) if key else self.path or 'the file'}: {what}"
+        )
 
     def only(self, required: tuple[str, ...], optional: tuple[str, ...] = ()) -> None:
         """Refuse missing and unknown keys."""
@@ -88,7 +129,10 @@ class Node(NamedTuple):
 
     def numbers(self, key: str) -> list[float]:
         """Return a list of finite numbers."""
-        return [self.finite(f"{key}[{i}]", value) for i, value in enumerate(self.listed(key, "numbers"))]
+        return [
+            self.finite(f"{key}[{i}]", value)
+            for i, value in enumerate(self.listed(key, "numbers"))
+        ]
 
     def widths(self, key: str) -> list[float]:
         """Return a list of finite numbers in which (from version 2 on) a run of equal ones may stand once."""
@@ -100,10 +144,16 @@ class Node(NamedTuple):
                 at.only(("repeat", "value"))
                 count = item["repeat"]
                 if isinstance(count, bool) or not isinstance(count, int) or count < 1:
-                    raise at.refuse("repeat", f"{json.dumps(count)} is not a number of times")
+                    raise at.refuse(
+                        "repeat", f"{json.dumps(count)} is not a number of times"
+                    )
             if len(numbers) + count > MOST_GEARS:
                 raise self.refuse(key, f"has more than {MOST_GEARS:,} entries")
-            value = self.finite(f"{key}[{place}]", item) if at is self else at.number("value")
+            value = (
+                self.finite(f"{key}[{place}]", item)
+                if at is self
+                else at.number("value")
+            )
             numbers.extend([value] * count)
         return numbers
 
@@ -125,14 +175,18 @@ class Node(NamedTuple):
         if not math.isfinite(number):
             raise self.refuse(key, f"{number!r} is not a finite number")
         if abs(number) > LARGEST:
-            raise self.refuse(key, f"{number!r} is beyond {LARGEST:g}, which no signal reaches")
+            raise self.refuse(
+                key, f"{number!r} is beyond {LARGEST:g}, which no signal reaches"
+            )
         return number
 
     def lengths(self, key: str) -> list[float]:
         """Return widths (``widths``) of which none is too small to be divided by."""
         numbers = self.widths(key)
         if small := [number for number in numbers if 0.0 < abs(number) < SMALLEST]:
-            raise self.refuse(f"{key}[{numbers.index(small[0])}]", self._too_small(small[0]))
+            raise self.refuse(
+                f"{key}[{numbers.index(small[0])}]", self._too_small(small[0])
+            )
         return numbers
 
     def length(self, key: str) -> float:
@@ -151,12 +205,17 @@ class Node(NamedTuple):
 
     def times(self, key: str) -> list[float]:
         """Return a list of times in seconds."""
-        return [self.as_time(f"{key}[{i}]", number) for i, number in enumerate(self.numbers(key))]
+        return [
+            self.as_time(f"{key}[{i}]", number)
+            for i, number in enumerate(self.numbers(key))
+        ]
 
     def as_time(self, key: str, number: float) -> float:
         """Return a number that may be a time (s) or a frequency (Hz)."""
         if number != 0.0 and not SHORTEST <= abs(number) <= 1.0 / SHORTEST:
-            raise self.refuse(key, f"{number!r} is not from {SHORTEST:g} to {1.0 / SHORTEST:g}")
+            raise self.refuse(
+                key, f"{number!r} is not from {SHORTEST:g} to {1.0 / SHORTEST:g}"
+            )
         return number
 
     def text(self, key: str) -> str:
@@ -165,7 +224,9 @@ class Node(NamedTuple):
         if not isinstance(value, str):
             raise self.refuse(key, f"{json.dumps(value)} is not a text")
         if not value.isprintable():
-            raise self.refuse(key, f"{json.dumps(value)} holds characters that cannot be shown")
+            raise self.refuse(
+                key, f"{json.dumps(value)} holds characters that cannot be shown"
+            )
         return value
 
     def node(self, key: str) -> Node:
@@ -186,7 +247,11 @@ class Node(NamedTuple):
             if isinstance(value, dict | list):
                 if depth == 0:
                     raise self.refuse(key, "is nested too deeply")
-                entries = value if isinstance(value, dict) else {f"[{i}]": x for i, x in enumerate(value)}
+                entries = (
+                    value
+                    if isinstance(value, dict)
+                    else {f"[{i}]": x for i, x in enumerate(value)}
+                )
                 Node(self.file, self.at(key), entries).check_notes(depth - 1)
 
     def build(self, make: Callable[[], Any]) -> Any:
@@ -207,7 +272,8 @@ class Field(NamedTuple):
     read : callable
         What the object is built with, from the node and the key.
     write : callable, optional
-        The value in the file, from what is written; else it is the attribute as it stands.
+        The value in the file, from what is written; else it is the attribute as it
+        stands.
     attribute : str
         Its name in the program, where it is another than the key.
     optional : bool
@@ -222,13 +288,20 @@ class Field(NamedTuple):
 
 
 def _read(
-    node: Node, make: Callable[..., Any], fields: Sequence[Field], besides: tuple[str, ...] = ()
+    node: Node,
+    make: Callable[..., Any],
+    fields: Sequence[Field],
+    besides: tuple[str, ...] = (),
 ) -> Any:
     """Return what ``make`` builds of an object's keys; those ``besides`` the fields take no part."""
     needed = tuple(field.key for field in fields if not field.optional)
-    node.only((*besides, *needed), tuple(field.key for field in fields if field.optional))
+    node.only(
+        (*besides, *needed), tuple(field.key for field in fields if field.optional)
+    )
     present = [field for field in fields if field.key in node.values]
-    values = {field.attribute or field.key: field.read(node, field.key) for field in present}
+    values = {
+        field.attribute or field.key: field.read(node, field.key) for field in present
+    }
     return node.build(lambda: make(**values))
 
 
@@ -236,7 +309,11 @@ def _written(thing: Any, fields: Sequence[Field]) -> Json:
     """Return the keys and values of an object."""
     values: Json = {}
     for field in fields:
-        value = field.write(thing) if field.write else getattr(thing, field.attribute or field.key)
+        value = (
+            field.write(thing)
+            if field.write
+            else getattr(thing, field.attribute or field.key)
+        )
         if value or not field.optional:
             values[field.key] = value
     return values
@@ -253,22 +330,35 @@ def read_relaxation(node: Node, key: str) -> tuple[Relaxation, Axis]:
     axis = terms.text("on")
     if axis not in {"input", "output"}:
         raise terms.refuse("on", f"{axis!r} is neither 'input' nor 'output'")
-    reference, tau, gain = terms.number("reference"), terms.times("tau"), terms.numbers("gain")
-    return node.build(lambda: Relaxation(reference, tuple(tau), tuple(gain))), cast(Axis, axis)
+    reference, tau, gain = (
+        terms.number("reference"),
+        terms.times("tau"),
+        terms.numbers("gain"),
+    )
+    return node.build(lambda: Relaxation(reference, tuple(tau), tuple(gain))), cast(
+        Axis, axis
+    )
 
 
 def relaxation_values(terms: Relaxation | None, axis: Axis) -> Json | None:
     """Return relaxation and the axis that it follows as plain values."""
     if terms is None:
         return None
-    return {"on": axis, "reference": terms.reference, "tau": list(terms.tau), "gain": list(terms.gain)}
+    return {
+        "on": axis,
+        "reference": terms.reference,
+        "tau": list(terms.tau),
+        "gain": list(terms.gain),
+    }
 
 
 def _memory_values(stage: BacklashStage) -> Json | None:
     return relaxation_values(stage.relaxation, stage.memory_on)
 
 
-def _backlash(relaxation: tuple[Relaxation | None, Axis] = (None, "input"), **gears: Any) -> BacklashStage:
+def _backlash(
+    relaxation: tuple[Relaxation | None, Axis] = (None, "input"), **gears: Any
+) -> BacklashStage:
     return BacklashStage(**gears, relaxation=relaxation[0], memory_on=relaxation[1])
 
 
@@ -285,7 +375,9 @@ def _sections(node: Node, key: str) -> tuple[Section, ...]:
     sections = node.listed(key, "sections")
     nodes = [node.below(f"{key}[{k}]", values) for k, values in enumerate(sections)]
     return tuple(
-        _read(section, Lag, LAG) if "lag" in section.values else _read(section, Resonance, RESONANCE)
+        _read(section, Lag, LAG)
+        if "lag" in section.values
+        else _read(section, Resonance, RESONANCE)
         for section in nodes
     )
 
@@ -314,8 +406,14 @@ QUANTITY = (
     Field("max", Node.number, attribute="maximum"),
 )
 MODE = Field("frequency", Node.time), Field("damping", Node.length)
-RESONANCE = (*MODE, Field("antiresonance", _antiresonance, _antiresonance_values, optional=True))
-LAG = Field("lag", Node.time, attribute="seconds"), Field("lead", Node.time, optional=True)
+RESONANCE = (
+    *MODE,
+    Field("antiresonance", _antiresonance, _antiresonance_values, optional=True),
+)
+LAG = (
+    Field("lag", Node.time, attribute="seconds"),
+    Field("lead", Node.time, optional=True),
+)
 CURVE = (
     Field("x0", Node.number),
     Field("y0", Node.number),
@@ -324,7 +422,11 @@ CURVE = (
 )
 GEARS = (*CURVE, Field("relaxation", read_relaxation, _memory_values, optional=True))
 SECTIONS = (
-    Field("sections", _sections, lambda stage: [section_values(section) for section in stage.sections]),
+    Field(
+        "sections",
+        _sections,
+        lambda stage: [section_values(section) for section in stage.sections],
+    ),
 )
 
 
@@ -339,7 +441,11 @@ class Kind(NamedTuple):
 STAGES = {
     "backlash": Kind(BacklashStage, _backlash, GEARS),
     "point": Kind(PointStage, PointStage, CURVE),
-    "scale": Kind(ScaleStage, ScaleStage, (Field("gain", Node.number), Field("offset", Node.number))),
+    "scale": Kind(
+        ScaleStage,
+        ScaleStage,
+        (Field("gain", Node.number), Field("offset", Node.number)),
+    ),
     "dynamics": Kind(DynamicsStage, DynamicsStage, SECTIONS),
     "delay": Kind(DelayStage, DelayStage, (Field("seconds", Node.time),)),
 }
@@ -368,7 +474,9 @@ def _brought(stages: Iterable[Stage]) -> StageInFiles | None:
     """Return what reads the other hysteresis of a cascade; None where it has gears."""
     for stage in stages:
         if isinstance(stage, OtherHysteresis):
-            brought: StageInFiles = extensions.find("model", stage.file_values()["type"])
+            brought: StageInFiles = extensions.find(
+                "model", stage.file_values()["type"]
+            )
             return brought
     return None
 
@@ -376,14 +484,16 @@ def _brought(stages: Iterable[Stage]) -> StageInFiles | None:
 def read_model(path: str) -> ActuatorModel:
     """Read a model file, or one model of a set (``FILE::CHANNEL``); ``-`` is standard input.
 
-    A file that has not changed is not read again: a thousand logs are run through one model.
+    A file that has not changed is not read again: a thousand logs are run through one
+    model.
 
     Raises
     ------
     InputError
         The file cannot be read, or the set has no such channel.
     ModelError
-        It is not a model, of a newer version, or contradicts itself; the message names file and key.
+        It is not a model, of a newer version, or contradicts itself; the message names
+        file and key.
     """
     file, separator, channel = path.partition("::")
     if separator and not os.path.exists(path):
@@ -432,17 +542,23 @@ def _read_single(path: str) -> ActuatorModel:
     InputError
         The file cannot be read.
     ModelError
-        It is not a model, of a newer version, or contradicts itself; the message names file and key.
+        It is not a model, of a newer version, or contradicts itself; the message names
+        file and key.
     """
     return model_of(load_document(path, MODEL_FORMAT, "model"))
 
 
 def model_of(root: Node) -> ActuatorModel:
     """Return the model that an object describes, checked to the last key (ModelError)."""
-    root.only(("format", "version", "direction", "input", "output", "stages"), ("fit", "provenance"))
+    root.only(
+        ("format", "version", "direction", "input", "output", "stages"),
+        ("fit", "provenance"),
+    )
     direction = root.text("direction")
     if direction not in {"forward", "inverse"}:
-        raise root.refuse("direction", f"{direction!r} is neither 'forward' nor 'inverse'")
+        raise root.refuse(
+            "direction", f"{direction!r} is neither 'forward' nor 'inverse'"
+        )
     cascade = _stages(root, "stages")
     if root.values["version"] < 3:
         cascade = tuple(_with_linear_delay(stage) for stage in cascade)
@@ -451,11 +567,17 @@ def model_of(root: Node) -> ActuatorModel:
         note.check_notes(_NOTE_DEPTH)
     if "fit" in notes:
         _check_fit(notes["fit"])
-    source, result = (_read(root.node(key), Quantity, QUANTITY) for key in ("input", "output"))
+    source, result = (
+        _read(root.node(key), Quantity, QUANTITY) for key in ("input", "output")
+    )
     carried = {key: note.values for key, note in notes.items()}
     brought = _brought(cascade)
-    make: Callable[..., ActuatorModel] = ActuatorModel if brought is None else brought.model
-    model: ActuatorModel = root.build(lambda: make(direction, source, result, cascade, **carried))
+    make: Callable[..., ActuatorModel] = (
+        ActuatorModel if brought is None else brought.model
+    )
+    model: ActuatorModel = root.build(
+        lambda: make(direction, source, result, cascade, **carried)
+    )
     return model
 
 
@@ -478,7 +600,10 @@ def _with_linear_delay(stage: Stage) -> Stage:
 
 def _version(model: ActuatorModel) -> int:
     """Return the oldest version of the model file that says what a model is."""
-    smooth = any(isinstance(stage, DelayStage) and stage.between == "smooth" for stage in model.stages)
+    smooth = any(
+        isinstance(stage, DelayStage) and stage.between == "smooth"
+        for stage in model.stages
+    )
     return VERSION if smooth else 2
 
 
@@ -494,18 +619,28 @@ def load_document(path: str, wanted: str, noun: str, newest: int = VERSION) -> N
     """
     name = "standard input" if path == "-" else path
     try:
-        text = (sys.stdin.buffer.read() if path == "-" else Path(path).read_bytes()).decode("utf-8-sig")
+        text = (
+            sys.stdin.buffer.read() if path == "-" else Path(path).read_bytes()
+        ).decode("utf-8-sig")
     except OSError as problem:
-        raise InputError(f"{name}: cannot be read: {problem.strerror or problem}") from None
+        raise InputError(
+            f"{name}: cannot be read: {problem.strerror or problem}"
+        ) from None
     except UnicodeDecodeError as problem:
-        raise ModelError(f"{name}: byte {problem.start + 1} is not UTF-8; this is no {noun} file") from None
+        raise ModelError(
+            f"{name}: byte {problem.start + 1} is not UTF-8; this is no {noun} file"
+        ) from None
     if not text.strip():
         raise ModelError(f"{name}: is empty; this is no {noun} file")
     try:
         values = parsed(name, text)
     except json.JSONDecodeError as problem:
-        log = "" if text.lstrip()[:1] in "{[" else " (identify makes a model from a log)"
-        raise ModelError(f"{name}:{problem.lineno}: is not JSON: {problem.msg}{log}") from None
+        log = (
+            "" if text.lstrip()[:1] in "{[" else " (identify makes a model from a log)"
+        )
+        raise ModelError(
+            f"{name}:{problem.lineno}: is not JSON: {problem.msg}{log}"
+        ) from None
     except (ValueError, RecursionError):
         raise ModelError(f"{name}: is not readable JSON") from None
     if isinstance(values, dict) and values.get("format") == SET_FORMAT != wanted:
@@ -530,7 +665,8 @@ def parsed(name: str, text: str) -> Any:
     """
     values = json.loads(text, object_pairs_hook=functools.partial(_distinct, name))
     if "\\u" in text:
-        json.dumps(values, ensure_ascii=False).encode()  # raises at half a surrogate pair
+        # raises at half a surrogate pair
+        json.dumps(values, ensure_ascii=False).encode()
     return values
 
 
@@ -544,7 +680,10 @@ def checked_version(root: Node, newest: int = VERSION) -> Node:
     if isinstance(version, bool) or not isinstance(version, int) or version < 1:
         raise root.refuse("version", f"{json.dumps(version)} is not a version")
     if version > newest:
-        raise root.refuse("version", f"{version} is newer than this program reads, {newest}; upgrade dbo-cli")
+        raise root.refuse(
+            "version",
+            f"{version} is newer than this program reads, {newest}; upgrade dbo-cli",
+        )
     return root
 
 
@@ -568,7 +707,9 @@ def _stage(node: Node) -> Stage:
         if brought is None:
             of_extras = [key for key in extensions.keys("model") if key != SET_FORMAT]
             known = ", ".join([*STAGES, *of_extras])
-            raise node.refuse("type", f"{kind!r} is not a known stage; there are: {known}")
+            raise node.refuse(
+                "type", f"{kind!r} is not a known stage; there are: {known}"
+            )
         return brought.read_stage(node)
     stage: Stage = _read(node, STAGES[kind].make, STAGES[kind].fields, ("type",))
     return stage
@@ -580,7 +721,9 @@ def _stages(node: Node, key: str) -> tuple[Stage, ...]:
         raise node.refuse(key, "is not a list")
     if len(stages) > MOST_STAGES:
         raise node.refuse(key, f"has {len(stages):,} entries, more than {MOST_STAGES}")
-    return tuple(_stage(node.below(f"{key}[{i}]", stage)) for i, stage in enumerate(stages))
+    return tuple(
+        _stage(node.below(f"{key}[{i}]", stage)) for i, stage in enumerate(stages)
+    )
 
 
 def read_stages(values: object, key: str) -> tuple[Stage, ...]:
@@ -613,7 +756,11 @@ def stage_values(stage: Stage) -> Json:
     """Return a stage as plain values."""
     if isinstance(stage, OtherHysteresis):
         return stage.file_values()
-    kind, fields = next((name, kind.fields) for name, kind in STAGES.items() if isinstance(stage, kind.stage))
+    kind, fields = next(
+        (name, kind.fields)
+        for name, kind in STAGES.items()
+        if isinstance(stage, kind.stage)
+    )
     return {"type": kind, **_written(stage, fields)}
 
 
@@ -624,30 +771,44 @@ def document_bytes(values: Mapping[str, Any]) -> bytes:
 
 def _layout(value: Any, indent: str) -> str:
     flat = json.dumps(value, ensure_ascii=False, allow_nan=False)
-    if not isinstance(value, dict | list) or not value or len(indent) + len(flat) <= LINE:
+    if (
+        not isinstance(value, dict | list)
+        or not value
+        or len(indent) + len(flat) <= LINE
+    ):
         return flat
     inner = indent + "  "
     if isinstance(value, list) and all(
-        isinstance(item, int | float) or (isinstance(item, dict) and item.keys() == {"repeat", "value"})
+        isinstance(item, int | float)
+        or (isinstance(item, dict) and item.keys() == {"repeat", "value"})
         for item in value
     ):  # numbers, or numbers that are repeated: lines of as many as fit
         items = [json.dumps(item, ensure_ascii=False) for item in value]
         return f"[\n{filled(items, LINE, inner)}\n{indent}]"
     if isinstance(value, dict):
         parts = [
-            f"{json.dumps(key, ensure_ascii=False)}: {_layout(item, inner)}" for key, item in value.items()
+            f"{json.dumps(key, ensure_ascii=False)}: {_layout(item, inner)}"
+            for key, item in value.items()
         ]
     else:
         parts = [_layout(item, inner) for item in value]
     opening, closing = ("{", "}") if isinstance(value, dict) else ("[", "]")
-    return opening + "\n" + ",\n".join(inner + part for part in parts) + "\n" + indent + closing
+    return (
+        opening
+        + "\n"
+        + ",\n".join(inner + part for part in parts)
+        + "\n"
+        + indent
+        + closing
+    )
 
 
 def filled(items: Sequence[str], width: int, indent: str) -> str:
     """Return items with commas between them, in lines of at most ``width`` characters where they fit."""
     import textwrap  # most runs write no list
 
-    whole = ", ".join(item.replace(" ", "\0") for item in items)  # a line does not end inside an item
+    # a line does not end inside an item
+    whole = ", ".join(item.replace(" ", "\0") for item in items)
     lines = textwrap.fill(
         whole, width, initial_indent=indent, subsequent_indent=indent, break_long_words=False,
         break_on_hyphens=False,
@@ -664,12 +825,15 @@ def state_to_bytes(state: ModelState, model: ActuatorModel) -> bytes:
         **model.state_values(state.backlash),
         "time": state.time,
         "drive": state.drive,
-        "delay": state.history and {name: list(samples) for name, samples in vars(state.history).items()},
+        "delay": state.history
+        and {name: list(samples) for name, samples in vars(state.history).items()},
     }
     if state.dynamics is not None or state.undoing is not None:
         values["dynamics"] = _dynamics_values(state)
     if state.drive_lag is not None:
-        values["drive_lag"] = {"sections": [list(section) for section in state.drive_lag]}
+        values["drive_lag"] = {
+            "sections": [list(section) for section in state.drive_lag]
+        }
     return document_bytes(values)
 
 
@@ -686,13 +850,27 @@ def read_state(path: str, model: ActuatorModel) -> ModelState:
     root = load_document(path, STATE_FORMAT, "state", STATE_VERSION)
     timed = root.values["version"] > 1
     brought = _brought(model.stages)
-    key, read = ("backlash", _bits_and_memory) if brought is None else ("plays", brought.read_state)
+    key, read = (
+        ("backlash", _bits_and_memory)
+        if brought is None
+        else ("plays", brought.read_state)
+    )
     root.only(
-        ("format", "version", "model", key, *(("time",) if timed else ()), "drive", "delay"),
+        (
+            "format",
+            "version",
+            "model",
+            key,
+            *(("time",) if timed else ()),
+            "drive",
+            "delay",
+        ),
         ("dynamics", "drive_lag") if timed else (),
     )
     if root.text("model") != model.digest:
-        raise root.refuse("model", "the state belongs to another model (save it again with this one)")
+        raise root.refuse(
+            "model", "the state belongs to another model (save it again with this one)"
+        )
     backlash = read(root.node(key), model)
     drive = None if root.values["drive"] is None else root.number("drive")
     time = None if not timed or root.values["time"] is None else root.number("time")
@@ -703,14 +881,25 @@ def read_state(path: str, model: ActuatorModel) -> ModelState:
 def _bits_and_memory(node: Node, model: ActuatorModel) -> BacklashState:
     node.only(("gears", "bits", "memory"))
     if node.values["gears"] != model.backlash.n:
-        raise node.refuse("gears", f"is not {model.backlash.n}, the number of gears of the model")
+        raise node.refuse(
+            "gears", f"is not {model.backlash.n}, the number of gears of the model"
+        )
     digits = node.text("bits")
-    if not digits or set(digits) - set("0123456789abcdef") or int(digits, 16) >> model.backlash.n:
-        raise node.refuse("bits", f"is not a hexadecimal number of {model.backlash.n} bits")
+    if (
+        not digits
+        or set(digits) - set("0123456789abcdef")
+        or int(digits, 16) >> model.backlash.n
+    ):
+        raise node.refuse(
+            "bits", f"is not a hexadecimal number of {model.backlash.n} bits"
+        )
     memory = None if node.values["memory"] is None else tuple(node.numbers("memory"))
     terms = len(model.backlash.relaxation.tau) if model.backlash.relaxation else 0
     if memory is not None and len(memory) != terms:
-        raise node.refuse("memory", f"has {len(memory)} entries where the model has {terms} relaxation terms")
+        raise node.refuse(
+            "memory",
+            f"has {len(memory)} entries where the model has {terms} relaxation terms",
+        )
     return BacklashState(int(digits, 16), memory)
 
 
@@ -755,13 +944,17 @@ def _with_dynamics(state: ModelState, root: Node, model: ActuatorModel) -> Model
 def _section_states(node: Node, count: int) -> SectionStates:
     items = node.values["sections"]
     if not isinstance(items, list) or len(items) != count:
-        raise node.refuse("sections", f"is not a list of {count}, the number of sections of the model")
+        raise node.refuse(
+            "sections", f"is not a list of {count}, the number of sections of the model"
+        )
     states = []
     for k, item in enumerate(items):
         place = f"sections[{k}]"
         if not isinstance(item, list) or len(item) != 3:
             raise node.refuse(place, "is not a list of three numbers")
-        first, second, third = (node.finite(f"{place}[{i}]", value) for i, value in enumerate(item))
+        first, second, third = (
+            node.finite(f"{place}[{i}]", value) for i, value in enumerate(item)
+        )
         states.append((first, second, third))
     return tuple(states)
 
@@ -774,7 +967,9 @@ def _history(root: Node) -> DelayHistory | None:
     node.only(("times", "values"))
     times, values = tuple(node.numbers("times")), tuple(node.numbers("values"))
     if len(times) != len(values) or not times:
-        raise node.refuse("values", f"has {len(values)} entries where times has {len(times)}")
+        raise node.refuse(
+            "values", f"has {len(values)} entries where times has {len(times)}"
+        )
     if any(later < earlier for earlier, later in pairwise(times)):
         raise node.refuse("times", "goes backwards")
     return DelayHistory(times, values)

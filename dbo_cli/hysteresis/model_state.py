@@ -1,10 +1,11 @@
 """Values that go into and come out of a model: quantities, limits, states and blocks of output.
 
-What the operator has been through before the first sample is one of four: ``empty`` (the actuator has been at
-or below its lower end), ``full``, ``settled`` (after an oscillation that decays from the whole range to the
-first sample) and ``auto``: ``empty`` where the first voltage is at or below the lower end, else ``settled``.
-Where the first voltage is not given but asked for, because the first value known is a displacement, it is the
-one whose own start leads to that displacement.
+What the operator has been through before the first sample is one of four: ``empty``
+(the actuator has been at or below its lower end), ``full``, ``settled`` (after an
+oscillation that decays from the whole range to the first sample) and ``auto``:
+``empty`` where the first voltage is at or below the lower end, else ``settled``. Where
+the first voltage is not given but asked for, because the first value known is a
+displacement, it is the one whose own start leads to that displacement.
 """
 
 from __future__ import annotations
@@ -17,7 +18,12 @@ from dbo_cli.errors import InputError, ModelError
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.cascade import DelayHistory
 from dbo_cli.hysteresis.dynamics import DynamicsInverter, InverseMemory, SectionStates
-from dbo_cli.hysteresis.operators import CROSSING_TOLERANCE, BacklashState, DiscreteBacklashOperator, Floats
+from dbo_cli.hysteresis.operators import (
+    CROSSING_TOLERANCE,
+    BacklashState,
+    DiscreteBacklashOperator,
+    Floats,
+)
 
 StartName = Literal["auto", "empty", "full", "settled"]
 START_NAMES: tuple[StartName, ...] = ("auto", "empty", "full", "settled")
@@ -29,7 +35,8 @@ class DriveStart(NamedTuple):
     Attributes
     ----------
     at_limit : bool
-        Whether the voltage stands at a limit, because that is in the way or because it leads there.
+        Whether the voltage stands at a limit, because that is in the way or because it
+        leads there.
     """
 
     voltage: float
@@ -38,7 +45,9 @@ class DriveStart(NamedTuple):
     at_limit: bool = False
 
 
-def start_state(operator: DiscreteBacklashOperator, voltage: float, name: StartName) -> BacklashState:
+def start_state(
+    operator: DiscreteBacklashOperator, voltage: float, name: StartName
+) -> BacklashState:
     """Return the state named ``name`` for a forward operator whose first input is ``voltage``.
 
     Raises
@@ -47,7 +56,9 @@ def start_state(operator: DiscreteBacklashOperator, voltage: float, name: StartN
         There is no state of that name.
     """
     if name not in START_NAMES:
-        raise ModelError(f"no initial state is called {name!r}; there are: {', '.join(START_NAMES)}")
+        raise ModelError(
+            f"no initial state is called {name!r}; there are: {', '.join(START_NAMES)}"
+        )
     if name == "full":
         return operator.full()
     if name == "empty" or (name == "auto" and voltage <= operator.x0):
@@ -56,30 +67,46 @@ def start_state(operator: DiscreteBacklashOperator, voltage: float, name: StartN
 
 
 def start_drive(
-    operator: DiscreteBacklashOperator, displacement: float, low: float = -math.inf, high: float = math.inf
+    operator: DiscreteBacklashOperator,
+    displacement: float,
+    low: float = -math.inf,
+    high: float = math.inf,
 ) -> DriveStart:
     """Return the voltage in [low, high] whose own start, ``auto``, leads to ``displacement``.
 
-    The output at rest after that start rises with the voltage, but by steps where the start changes: where
-    it steps over ``displacement``, the voltage on the nearer side of the step is taken. ``operator`` is the
-    forward one. The voltage is found by halving the range, and within the reach of one state exactly.
+    The output at rest after that start rises with the voltage, but by steps where the
+    start changes: where it steps over ``displacement``, the voltage on the nearer side
+    of the step is taken. ``operator`` is the forward one. The voltage is found by
+    halving the range, and within the reach of one state exactly.
     """
     inverse = operator.inverse()
     for end in (operator.empty(), operator.full()):
         voltage = float(inverse.run([displacement], end)[0][0])
-        if voltage <= operator.x_range[0] if end.bits == 0 else voltage >= operator.x_range[1]:
+        if (
+            voltage <= operator.x_range[0]
+            if end.bits == 0
+            else voltage >= operator.x_range[1]
+        ):
             return _within(operator, voltage, low, high)
     constants = operator.constants(True), inverse.constants(True)
-    below, above = kernel.CHOSEN.backlash_start(*constants, displacement, *operator.x_range)
+    below, above = kernel.CHOSEN.backlash_start(
+        *constants, displacement, *operator.x_range
+    )
     if below == above:
         return _within(operator, below, low, high)
-    # A little off the step, so that a voltage that was rounded on its way still starts on the same side.
+    # A little off the step, so that a voltage that was rounded on its way still starts
+    # on the same side.
     off = CROSSING_TOLERANCE * (operator.x_range[1] - operator.x_range[0])
-    ends = (_within(operator, below - off, low, high), _within(operator, above + off, low, high))
+    ends = (
+        _within(operator, below - off, low, high),
+        _within(operator, above + off, low, high),
+    )
     return min(ends, key=lambda end: abs(end.reached - displacement))
 
 
-def _within(operator: DiscreteBacklashOperator, voltage: float, low: float, high: float) -> DriveStart:
+def _within(
+    operator: DiscreteBacklashOperator, voltage: float, low: float, high: float
+) -> DriveStart:
     """Return the start at ``voltage``, or at the limit that is in the way."""
     allowed = min(max(voltage, low), high)
     state = start_state(operator, allowed, "auto")
@@ -100,7 +127,8 @@ class OutsideError(InputError):
     index : int
         Position of the first such sample in the block.
     value, low, high : float
-        Its value, and the range of the backlash stage it lies outside of, in that stage's input.
+        Its value, and the range of the backlash stage it lies outside of, in that
+        stage's input.
     """
 
     def __init__(self, index: int, value: float, low: float, high: float) -> None:
@@ -118,7 +146,8 @@ class Quantity:
     Raises
     ------
     ModelError
-        The range is not finite, or its ends are not in order; the message begins with the key.
+        The range is not finite, or its ends are not in order; the message begins with
+        the key.
     """
 
     quantity: str
@@ -132,7 +161,9 @@ class Quantity:
             if not math.isfinite(value):
                 raise ModelError(f"{key}: {value!r} is not a finite number")
         if not self.minimum < self.maximum:
-            raise ModelError(f"max: {self.maximum!r} is not greater than min, {self.minimum!r}")
+            raise ModelError(
+                f"max: {self.maximum!r} is not greater than min, {self.minimum!r}"
+            )
 
     @property
     def span(self) -> float:
@@ -172,7 +203,9 @@ class DriveLimits:
                 f"the lower voltage limit, {self.v_min!r}, is not below the upper, {self.v_max!r}"
             )
         if self.max_slew is not None and not self.max_slew > 0.0:
-            raise ModelError(f"the largest slew, {self.max_slew!r}, is not greater than 0")
+            raise ModelError(
+                f"the largest slew, {self.max_slew!r}, is not greater than 0"
+            )
         if self.max_slew == math.inf:  # times a step of 0 s it would be no number
             object.__setattr__(self, "max_slew", None)
 
@@ -214,9 +247,11 @@ class ModelState:
     history : DelayHistory, or None
         What a delay still holds back.
     first : DriveStart, or None
-        Of an inverse about to start: its first voltage, and the output of the backlash stage it reaches.
+        Of an inverse about to start: its first voltage, and the output of the backlash
+        stage it reaches.
     time : float, or None
-        When the last sample was (s), where that is known: what comes next may come after a pause.
+        When the last sample was (s), where that is known: what comes next may come
+        after a pause.
     dynamics : tuple, or None
         (p, q, u) of each section of the dynamics; None: at rest at the sample to come.
     undoing : InverseMemory, or None
@@ -250,8 +285,8 @@ class Simulated(NamedTuple):
     Attributes
     ----------
     first_missed : float
-        How far the first sample of a compensation is from the first value wanted, in the unit wanted,
-        because the settled curve steps over it (0 where it does not).
+        How far the first sample of a compensation is from the first value wanted, in
+        the unit wanted, because the settled curve steps over it (0 where it does not).
     """
 
     y: Floats

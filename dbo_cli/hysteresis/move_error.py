@@ -1,10 +1,11 @@
 """What error to expect of a move, from how far other models that explain the logs as well go apart on it.
 
-A log cannot tell everything: other slopes, another bend or another memory may explain it as well, and predict
-other things of one move and the same of another. Identification keeps such models with the one it chose
-(``fit.alternatives``); they are played over the very move. What the logs themselves tell, the error on what
-was left out of the fit, is in every figure, and the wider the less the move's swings, between its turns, are
-like the logs' own.
+A log cannot tell everything: other slopes, another bend or another memory may explain
+it as well, and predict other things of one move and the same of another. Identification
+keeps such models with the one it chose (``fit.alternatives``); they are played over the
+very move. What the logs themselves tell, the error on what was left out of the fit, is
+in every figure, and the wider the less the move's swings, between its turns, are like
+the logs' own.
 """
 
 from __future__ import annotations
@@ -23,45 +24,66 @@ from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis.cascade import DelayStage, through
 from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import Node, read_relaxation, read_stages, stage_values
+from dbo_cli.hysteresis.model_file import (
+    Node,
+    read_relaxation,
+    read_stages,
+    stage_values,
+)
 from dbo_cli.hysteresis.model_state import StartName
 from dbo_cli.hysteresis.operators import Floats, Relaxation
 
 Integers = NDArray[np.int64]
 
-SMALLEST_TURN = 0.02  # a reversal smaller than this share of the drive's range is noise, not a turn; chosen
+# a reversal smaller than this share of the drive's range is noise, not a turn; chosen
+SMALLEST_TURN = 0.02
 MOST_SWINGS = 256  # are kept with a model: some 4 kB
 NEAREST = 0.02  # of the range: swings that lie closer together are kept once; chosen
 
-MOST_ROWS = 131_072  # of a move are looked at: its first ones, 1 MB of drive and some 30 ms
+# of a move are looked at: its first ones, 1 MB of drive and some 30 ms
+MOST_ROWS = 131_072
 MOST = 8  # other models are played: identification keeps five
-DIGITS = 4  # of the other models' numbers: their rounding, 1e-5 of the range, is nothing beside the rest
+# of the other models' numbers: their rounding, 1e-5 of the range, is nothing beside the
+# rest
+DIGITS = 4
 LEFT_OUT = 0.85
 """Of the error on what was left out, the worst of three ways to leave something out, what counts for the
-shape. Measured: docs/choices.md."""
+shape. Measured: docs/choices.md.
+"""
 WIDENING = 4.0
 """How much the error on what was left out grows with how unlike the logs' swings a move's are (a unit of the
-range). Measured: docs/choices.md."""
+range). Measured: docs/choices.md.
+"""
 APART = 1.0
 """How much the distance of the other models counts. Measured: docs/choices.md."""
 GAIN_LATER = 0.75
 """Of the change of the gain along a log, what a later move meets: the model holds the middle of the log, and
-half of the change is there at its end. Measured: docs/choices.md."""
+half of the change is there at its end. Measured: docs/choices.md.
+"""
 LINE = 4.0 / 3.0
 """Times the error that a straight line leaves of what was left out: no shape is stated to err by more.
-Chosen: docs/choices.md."""
-UNLIKE = 0.2  # of the range: swings further from the logs' own are said to be unlike them; chosen
-ZERO_STAYS = "where it stays as it was in the logs"  # the zero: under this condition it is as stated
+Chosen: docs/choices.md.
+"""
+# of the range: swings further from the logs' own are said to be unlike them; chosen
+UNLIKE = 0.2
+# the zero: under this condition it is as stated
+ZERO_STAYS = "where it stays as it was in the logs"
 SMALL = 0.25  # of the range: swings below it stay inside the loop; chosen
-MOSTLY = 0.5  # of a move's rows: from which share of small repeated swings on they are spoken of; chosen
-PASTS: tuple[StartName, ...] = ("empty", "full", "settled")  # what may have been before the first row
-PAST_MATTERS = 1.2  # times the expected error: from which on it is said that the past makes it so much larger
+# of a move's rows: from which share of small repeated swings on they are spoken of;
+# chosen
+MOSTLY = 0.5
+# what may have been before the first row
+PASTS: tuple[StartName, ...] = ("empty", "full", "settled")
+# times the expected error: from which on it is said that the past makes it so much
+# larger
+PAST_MATTERS = 1.2
 
 
 def turning_points(signal: Floats, threshold: float) -> Integers:
     """Rows where ``signal`` reverses by more than ``threshold``: alternating maxima and minima.
 
-    The first sample of a plateau counts as the turn. The two ends of the signal are not turning points.
+    The first sample of a plateau counts as the turn. The two ends of the signal are not
+    turning points.
     """
     slope = np.sign(np.diff(signal))
     moving = np.flatnonzero(slope)
@@ -98,7 +120,9 @@ def swings_between_turns(drive: Floats, span: float) -> tuple[Integers, Floats]:
 def travelled(drive: Floats, span: float) -> Floats:
     """Return how far a drive has gone since its first sample, in its unit; noise is no way."""
     way = np.zeros(len(drive))
-    for first, last in itertools.pairwise(swings_between_turns(drive, span)[0].tolist()):
+    for first, last in itertools.pairwise(
+        swings_between_turns(drive, span)[0].tolist()
+    ):
         gone = np.maximum.accumulate(np.abs(drive[first : last + 1] - drive[first]))
         way[first : last + 1] = way[first] + gone
     return way
@@ -108,7 +132,9 @@ def thinned(swings: Floats, span: float) -> Floats:
     """Return at most ``MOST_SWINGS`` of the swings, one of those that lie close together."""
     near = NEAREST * span
     while True:
-        kept: Floats = swings[np.unique(np.round(swings / near), axis=0, return_index=True)[1]]
+        kept: Floats = swings[
+            np.unique(np.round(swings / near), axis=0, return_index=True)[1]
+        ]
         if len(kept) <= MOST_SWINGS:
             return kept
         near *= 2.0
@@ -117,8 +143,8 @@ def thinned(swings: Floats, span: float) -> Floats:
 def unlike(drive: Floats, known: Floats, span: float, begin: int = 0) -> float:
     """Return how far the swings of a drive are from the nearest known ones, in units of the range, RMS.
 
-    A swing is a point: where it comes from and where it goes. Swings count as long as they take, from the row
-    ``begin`` on.
+    A swing is a point: where it comes from and where it goes. Swings count as long as
+    they take, from the row ``begin`` on.
     """
     edges, swings = swings_between_turns(drive, span)
     rows = np.maximum(edges[1:] - np.maximum(edges[:-1], begin), 0)
@@ -131,8 +157,8 @@ def unlike(drive: Floats, known: Floats, span: float, begin: int = 0) -> float:
 def repeats_small_swings(drive: Floats, span: float, begin: int = 0) -> bool:
     """Whether a drive mostly swings to and fro within a small part of the range, from the row ``begin`` on.
 
-    Where a loop forgets, as those of Duhem and of Bouc and Wen do, such a swing does not close, and wanders
-    towards the middle of the large loop as it repeats.
+    Where a loop forgets, as those of Duhem and of Bouc and Wen do, such a swing does
+    not close, and wanders towards the middle of the large loop as it repeats.
     """
     edges, swings = swings_between_turns(drive[begin:], span)
     if len(swings) < 3:
@@ -140,7 +166,9 @@ def repeats_small_swings(drive: Floats, span: float, begin: int = 0) -> bool:
     small = np.abs(swings[:, 1] - swings[:, 0]) < SMALL * span
     again = np.abs(swings[2:] - swings[:-2]).max(axis=1) < NEAREST * span
     again &= small[2:]
-    repeats = np.concatenate((again, [False, False])) | np.concatenate(([False, False], again))
+    repeats = np.concatenate((again, [False, False])) | np.concatenate(
+        ([False, False], again)
+    )
     rows = np.diff(edges)[repeats].sum()
     return bool(rows > MOSTLY * (len(drive) - begin))
 
@@ -149,9 +177,10 @@ def repeats_small_swings(drive: Floats, span: float, begin: int = 0) -> bool:
 class Alternative:
     """A model that explains the logs about as well: what it has changed, and how much it counts (0 to 1).
 
-    ``forgetting`` acts beside its gears as their relaxation does, but by the way gone instead of the time:
-    L' = |u'| (u - L) / tau, so its ``tau`` are volts. So do the models of Duhem and of Bouc and Wen forget,
-    whose small loops do not close. It only says what to expect: beside gears its inverse is not exact.
+    ``forgetting`` acts beside its gears as their relaxation does, but by the way gone
+    instead of the time: L' = |u'| (u - L) / tau, so its ``tau`` are volts. So do the
+    models of Duhem and of Bouc and Wen forget, whose small loops do not close. It only
+    says what to expect: beside gears its inverse is not exact.
     """
 
     kind: str
@@ -163,11 +192,14 @@ class Alternative:
         """Return it as plain values for the model file."""
         gears = self.model.stages.index(self.model.backlash)
         stages = [stage_values(stage) for stage in self.model.stages]
-        # What stands before the gears says where a drive meets their edges, and where it starts.
+        # What stands before the gears says where a drive meets their edges, and where
+        # it starts.
         stages[gears:] = _rounded(stages[gears:])
         found = {"changed": self.kind, "weight": self.weight, "stages": stages}
         if self.forgetting is not None:
-            found["forgetting"] = {"on": "input"} | _rounded(dataclasses.asdict(self.forgetting))
+            found["forgetting"] = {"on": "input"} | _rounded(
+                dataclasses.asdict(self.forgetting)
+            )
         return found
 
     def played(self, drive: Floats, time_step: float | Floats | None) -> Floats:
@@ -177,15 +209,18 @@ class Alternative:
         tail = self.model.tail
         steps = np.diff(travelled(drive, self.model.input.span), prepend=0.0)
         beside = self.forgetting.lags(drive, steps)[0] @ np.array(self.forgetting.gain)
-        return through(tail, played(self.model.without(*tail), drive, time_step) + beside)
+        return through(
+            tail, played(self.model.without(*tail), drive, time_step) + beside
+        )
 
 
 @dataclass(frozen=True)
 class StatedError:
     """The error to state, in the displacement's unit.
 
-    ``shape`` is the RMS of the error less its mean; ``still_zero`` the size of that mean, where the zero
-    stays as it was in the logs; ``moved`` by how much the zero moved along them.
+    ``shape`` is the RMS of the error less its mean; ``still_zero`` the size of that
+    mean, where the zero stays as it was in the logs; ``moved`` by how much the zero
+    moved along them.
     """
 
     shape: float
@@ -207,11 +242,13 @@ class StatedError:
 class MoveError:
     """What to expect of a move, in the displacement's unit.
 
-    ``rmse`` is the RMS of the error, where the zero stays as it was in the logs and the actuator starts as
-    the model takes it to; ``shape`` and ``zero`` are its parts (``StatedError``; None where only the whole is
-    known). ``from_any_past`` is the RMS where it may have been anywhere before, ``straight_line`` the error
-    of a straight line, and ``unlike`` how far the swings are from the logs' own, in units of the range.
-    ``repeats_small`` says whether the move goes to and fro within a small part of the range.
+    ``rmse`` is the RMS of the error, where the zero stays as it was in the logs and the
+    actuator starts as the model takes it to; ``shape`` and ``zero`` are its parts
+    (``StatedError``; None where only the whole is known). ``from_any_past`` is the RMS
+    where it may have been anywhere before, ``straight_line`` the error of a straight
+    line, and ``unlike`` how far the swings are from the logs' own, in units of the
+    range. ``repeats_small`` says whether the move goes to and fro within a small part
+    of the range.
     """
 
     rmse: float
@@ -240,7 +277,10 @@ def _rounded(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_rounded(one) for one in value]
     if isinstance(value, dict):
-        return {key: one if key in ("x0", "dx") else _rounded(one) for key, one in value.items()}
+        return {
+            key: one if key in ("x0", "dx") else _rounded(one)
+            for key, one in value.items()
+        }
     return value
 
 
@@ -254,7 +294,8 @@ def alternatives_of(model: ActuatorModel) -> list[Alternative]:
     """
     known: list[Alternative] | None = vars(model).get(_READ)
     if known is None:
-        vars(model)[_READ] = known = _read_alternatives(model)  # kept with it, as its cached properties are
+        # kept with it, as its cached properties are
+        vars(model)[_READ] = known = _read_alternatives(model)
     return known
 
 
@@ -268,9 +309,15 @@ def _read_alternatives(model: ActuatorModel) -> list[Alternative]:
     for place, one in enumerate(kept[:MOST] if isinstance(kept, list) else []):
         path = f"fit.alternatives[{place}]"
         try:
-            kind, weight, values = str(one["changed"]), float(one["weight"]), one["stages"]
+            kind, weight, values = (
+                str(one["changed"]),
+                float(one["weight"]),
+                one["stages"],
+            )
         except (TypeError, KeyError, ValueError):
-            raise ModelError(f"{path}: needs `changed`, `weight` and `stages`") from None
+            raise ModelError(
+                f"{path}: needs `changed`, `weight` and `stages`"
+            ) from None
         stages = read_stages(values, f"{path}.stages")
         beside = None
         if "forgetting" in one:
@@ -282,7 +329,11 @@ def _read_alternatives(model: ActuatorModel) -> list[Alternative]:
 def _behind(model: ActuatorModel, stages: Sequence[Any]) -> ActuatorModel:
     """Return another model's slow stages with the dynamics of this one, which were found besides."""
     if model.dynamics is not None or model.drive_lag is not None:
-        own = [stage for stage in model.stages if isinstance(stage, DynamicsStage | DelayStage)]
+        own = [
+            stage
+            for stage in model.stages
+            if isinstance(stage, DynamicsStage | DelayStage)
+        ]
         first = own[:1] if model.drive_lag is not None else []
         slow = [stage for stage in stages if not isinstance(stage, DelayStage)]
         stages = [*first, *slow, *own[len(first) :]]
@@ -302,7 +353,8 @@ def move_error(
     ----------
     model : forward, with its ``fit``
     drive : voltages, shape (rows,); all of them are played
-    time_step : seconds since the row before, one number or one for each; None without a clock
+    time_step : seconds since the row before, one number or one for each; None without a
+        clock
     begin : the first row that counts
     start : what was before the first row
     """
@@ -315,10 +367,16 @@ def move_error(
     straight = rms(own - _straight(model, drive[begin:]))
     shape, zero, distance = None, None, 0.0
     if isinstance(known, float):
-        others = [one for one in alternatives_of(model) if steps is not None or not one.model.needs_time]
+        others = [
+            one
+            for one in alternatives_of(model)
+            if steps is not None or not one.model.needs_time
+        ]
         apart = spread(own, [(one, one.played(drive, steps)[begin:]) for one in others])
         drifted = changed_gain(own, model.fit.get("gain_trend"))
-        zero_drift = ZeroDrift(_of_fit(model, "zero_drift"), _of_fit(model, "zero_drift_rate"))
+        zero_drift = ZeroDrift(
+            _of_fit(model, "zero_drift"), _of_fit(model, "zero_drift_rate")
+        )
         moving = zero_drift.during(_seconds(steps, drive.size, begin))
         distance = _unlike(model, drive, begin)
         error = stated(known, distance, apart, drifted, moving)
@@ -344,7 +402,11 @@ def _of_fit(model: ActuatorModel, key: str) -> float:
 
 
 def _past(
-    model: ActuatorModel, drive: Floats, steps: float | Floats | None, begin: int, own: Floats
+    model: ActuatorModel,
+    drive: Floats,
+    steps: float | Floats | None,
+    begin: int,
+    own: Floats,
 ) -> float:
     """Return by how much a move differs, RMS, between the starts that a model knows; the most of them."""
     apart = 0.0
@@ -363,8 +425,8 @@ class ZeroDrift:
     def during(self, seconds: float) -> StatedError:
         """Return what it adds to the error of a move that lasts so long.
 
-        As a whole the move may be off by as much as the zero moved; and while it lasts the zero moves on, at
-        most as far, evenly.
+        As a whole the move may be off by as much as the zero moved; and while it lasts
+        the zero moves on, at most as far, evenly.
         """
         goes_on = min(self.rate * seconds, self.span)
         return StatedError(goes_on / math.sqrt(12.0), 0.0, self.span)
@@ -374,7 +436,11 @@ STILL = ZeroDrift(0.0, 0.0)
 
 
 def stated(
-    known: float, distance: float, apart: StatedError, drifted: StatedError, zero: StatedError
+    known: float,
+    distance: float,
+    apart: StatedError,
+    drifted: StatedError,
+    zero: StatedError,
 ) -> StatedError:
     """Return the error to state.
 
@@ -422,17 +488,22 @@ def _straight(model: ActuatorModel, drive: Floats) -> Floats:
 
 
 def played(
-    model: ActuatorModel, drive: Floats, time_step: float | Floats | None, start: StartName = "auto"
+    model: ActuatorModel,
+    drive: Floats,
+    time_step: float | Floats | None,
+    start: StartName = "auto",
 ) -> Floats:
     """Return the displacement that a model predicts from a start, its own one by default."""
-    return model.simulate(drive, model.start(float(drive[0]), start), time_step=time_step).y
+    return model.simulate(
+        drive, model.start(float(drive[0]), start), time_step=time_step
+    ).y
 
 
 def spread(own: Floats, others: Sequence[tuple[Alternative, Floats]]) -> StatedError:
     """Return how far other models' predictions are from the chosen one's, in shape and in zero.
 
-    Of each kind of change the one that goes farthest counts, weighted by how well it explains the logs; their
-    squares add up.
+    Of each kind of change the one that goes farthest counts, weighted by how well it
+    explains the logs; their squares add up.
     """
     farthest: dict[str, tuple[float, float]] = {}
     for one, predicted in others:
@@ -461,7 +532,8 @@ def rms(values: Floats) -> float:
 
 RESONANCE_PART = 3.0
 """A model is trusted to its lowest resonance over this, where its identification says nothing else.
-Measured: docs/choices.md."""
+Measured: docs/choices.md.
+"""
 
 
 def trusted_frequency(model: ActuatorModel) -> float | None:

@@ -1,11 +1,13 @@
 """The Discrete Backlash Operator, the Discrete Point Operator, their states and their inverses.
 
-Operators are values: they hold no state and are never changed. A state goes in and a new one comes out,
-and the output does not depend, to the last bit, on how a signal is cut into blocks. First come
-the widths of gears and segments (what is refused, and the grid that makes their sums exact), and relaxation.
+Operators are values: they hold no state and are never changed. A state goes in and a
+new one comes out, and the output does not depend, to the last bit, on how a signal is
+cut into blocks. First come the widths of gears and segments (what is refused, and the
+grid that makes their sums exact), and relaxation.
 
-Source: Y. N. Aye and W. T. Ang (2018), "A Discrete Backlash Operator for Identification and Compensation of
-Hysteresis and Non-linearity for Piezoelectric Actuator"; equation numbers are the paper's.
+Source: Y. N. Aye and W. T. Ang (2018), "A Discrete Backlash Operator for Identification
+and Compensation of Hysteresis and Non-linearity for Piezoelectric Actuator"; equation
+numbers are the paper's.
 """
 
 from __future__ import annotations
@@ -30,12 +32,15 @@ Outside = Literal["extend", "hold", "error"]
 CROSSING_TOLERANCE = 1e-9
 """A gear counts as crossed when all but this fraction of it is travelled (more where rounding is coarse)."""
 
-_ROUNDING_STEPS = 64.0 * np.finfo(np.float64).eps  # chosen: more than the additions of a signal's way lose
-_NARROWEST = 2.0**-42  # of the sum: the grid of 2^-53 then moves no width by more than 2^-12 of itself
+# chosen: more than the additions of a signal's way lose
+_ROUNDING_STEPS = 64.0 * np.finfo(np.float64).eps
+# of the sum: the grid of 2^-53 then moves no width by more than 2^-12 of itself
+_NARROWEST = 2.0**-42
 _LARGEST_TOLERANCE = 1.0 / 16.0  # what 64 steps of rounding are of such a width
 _FEW, _LOOKED_AT = 16, 256
 """So few different steps among so many first rows are taken for all: looking one up costs 8 to 10 ns a
-row, the exponential function with five terms 45 to 95."""
+row, the exponential function with five terms 45 to 95.
+"""
 
 
 def checked_widths(key: str, widths: ArrayLike) -> Floats:
@@ -44,12 +49,16 @@ def checked_widths(key: str, widths: ArrayLike) -> Floats:
     if values.size == 0:
         raise ModelError(f"{key}: is empty; at least one width is needed")
     for i in np.flatnonzero(~(np.isfinite(values) & (values > 0.0)))[:1]:
-        raise ModelError(f"{key}[{i}]: {float(values[i])!r} is not a finite width greater than 0")
+        raise ModelError(
+            f"{key}[{i}]: {float(values[i])!r} is not a finite width greater than 0"
+        )
     values.flags.writeable = False
     return values
 
 
-def checked_pair(dx: ArrayLike, dy: ArrayLike, x0: float, y0: float) -> tuple[Floats, Floats]:
+def checked_pair(
+    dx: ArrayLike, dy: ArrayLike, x0: float, y0: float
+) -> tuple[Floats, Floats]:
     """Return both axes' widths, checked against each other and the origins."""
     widths, heights = checked_widths("dx", dx), checked_widths("dy", dy)
     if widths.size != heights.size:
@@ -63,19 +72,23 @@ def checked_pair(dx: ArrayLike, dy: ArrayLike, x0: float, y0: float) -> tuple[Fl
 def on_binary_grid(key: str, widths: Floats) -> Floats:
     """Round widths to multiples of the power of two that makes every sum of them exact in float64.
 
-    The grid is 2^-53 of the power of two above their sum, so no width moves by more than 2^-53 of the
-    sum. Adding and subtracting them, (6)-(9), then never rounds: X_B and Y_B equal (2)-(3) exactly after
-    any number of transitions. Rounding what is rounded changes nothing.
+    The grid is 2^-53 of the power of two above their sum, so no width moves by more
+    than 2^-53 of the sum. Adding and subtracting them, (6)-(9), then never rounds: X_B
+    and Y_B equal (2)-(3) exactly after any number of transitions. Rounding what is
+    rounded changes nothing.
 
     Raises
     ------
     ModelError
-        A width is smaller than 2^-42 of the sum, or the sum is beyond what float64 holds.
+        A width is smaller than 2^-42 of the sum, or the sum is beyond what float64
+        holds.
     """
     while True:
         total = math.fsum(widths.tolist())
         if not 1e-280 < total < 1e280:
-            raise ModelError(f"{key}: the widths add up to {total!r}, beyond the range of the arithmetic")
+            raise ModelError(
+                f"{key}: the widths add up to {total!r}, beyond the range of the arithmetic"
+            )
         grid = math.ldexp(1.0, math.frexp(total)[1] - 53)
         rounded: Floats = np.rint(widths / grid) * grid
         for i in np.flatnonzero(rounded < _NARROWEST * total)[:1]:
@@ -90,11 +103,12 @@ def on_binary_grid(key: str, widths: Floats) -> Floats:
 def gear_table(dx: Floats, dy: Floats, scale_x: float, scale_y: float) -> Floats:
     """Return a row (dx, dy, slope, crossing_fraction) for each gear, of widths on the binary grid.
 
-    ``crossing_fraction`` is where a gear counts as crossed: all but 1e-9 of it, since a drive
-    that turns on a breakpoint is the usual case and one unit in the last place must not decide which gear
-    engages on the way back. Where a gear is so narrow beside the numbers that are added and subtracted
-    (``scale_x``, ``scale_y``) that rounding exceeds that, the tolerance is 64 rounding steps of the coarser
-    axis. Exchanging the axes leaves it as it is, so an operator and its inverse decide alike.
+    ``crossing_fraction`` is where a gear counts as crossed: all but 1e-9 of it, since a
+    drive that turns on a breakpoint is the usual case and one unit in the last place
+    must not decide which gear engages on the way back. Where a gear is so narrow beside
+    the numbers that are added and subtracted (``scale_x``, ``scale_y``) that rounding
+    exceeds that, the tolerance is 64 rounding steps of the coarser axis. Exchanging the
+    axes leaves it as it is, so an operator and its inverse decide alike.
 
     Raises
     ------
@@ -117,20 +131,22 @@ def gear_table(dx: Floats, dy: Floats, scale_x: float, scale_y: float) -> Floats
 def equal_run(gears: Floats) -> int:
     """Return how many neighbours are equal from every multiple of that number on.
 
-    The last run may be shorter. Identification gives many gears one slope, so that runs are long; 1 where
-    nothing repeats.
+    The last run may be shorter. Identification gives many gears one slope, so that runs
+    are long; 1 where nothing repeats.
     """
     starts = np.flatnonzero(np.any(gears[1:] != gears[:-1], axis=1)) + 1
     run = math.gcd(*starts.tolist()) or len(gears)
-    return run if run * len(gears) < 2**32 else 1  # the kernel divides by a 32-bit multiplication
+    # the kernel divides by a 32-bit multiplication
+    return run if run * len(gears) < 2**32 else 1
 
 
 def kernel_table(gears: Floats, run: int) -> tuple[Floats, NDArray[np.uint32]]:
     """Return the kernel's table, a row for each ``run`` of equal gears, and its guide.
 
-    To the row of its gears, each row adds where the first of them begins; one more stands behind the last and
-    begins where the last gear ends. The guide cuts the range of the input into as many equal parts as there
-    are rows, and says in which row each begins.
+    To the row of its gears, each row adds where the first of them begins; one more
+    stands behind the last and begins where the last gear ends. The guide cuts the range
+    of the input into as many equal parts as there are rows, and says in which row each
+    begins.
     """
     ends = np.cumsum(gears[:, :2], axis=0)  # exact: the widths lie on one binary grid
     begins = np.vstack([[0.0, 0.0], ends[run - 1 : -1 : run], ends[-1]])
@@ -146,7 +162,9 @@ def checked_steps(time_step: float | ArrayLike) -> Floats:
     """Return time steps (s) as an array; InputError where one is negative or not a number."""
     steps = np.asarray(time_step, dtype=np.float64).reshape(-1)
     for k in np.flatnonzero(~(steps >= 0.0))[:1]:
-        raise InputError(f"time step {k + 1}: {float(steps[k])!r} s; time must not go backwards")
+        raise InputError(
+            f"time step {k + 1}: {float(steps[k])!r} s; time must not go backwards"
+        )
     return steps
 
 
@@ -154,7 +172,8 @@ def checked_steps(time_step: float | ArrayLike) -> Floats:
 class Relaxation:
     """Lag and creep beside the gears: sum_j gain_j L_j, each L_j a first-order lag of the voltage.
 
-    L_j,k = a_j L_j,k-1 + (1 - a_j)(v_k - reference), a_j = exp(-Δt_k/tau_j). Beyond the paper.
+    L_j,k = a_j L_j,k-1 + (1 - a_j)(v_k - reference), a_j = exp(-Δt_k/tau_j). Beyond the
+    paper.
 
     Attributes
     ----------
@@ -173,7 +192,9 @@ class Relaxation:
     def __post_init__(self) -> None:
         """Refuse what no actuator has, naming the key."""
         if not math.isfinite(self.reference):
-            raise ModelError(f"relaxation.reference: {self.reference!r} is not a finite number")
+            raise ModelError(
+                f"relaxation.reference: {self.reference!r} is not a finite number"
+            )
         if not self.tau:
             raise ModelError("relaxation.tau: is empty; leave relaxation out instead")
         if len(self.tau) != len(self.gain):
@@ -182,15 +203,20 @@ class Relaxation:
             )
         for j, (tau, gain) in enumerate(zip(self.tau, self.gain, strict=True)):
             if not (math.isfinite(tau) and tau > 0.0):
-                raise ModelError(f"relaxation.tau[{j}]: {tau!r} is not a finite time greater than 0")
+                raise ModelError(
+                    f"relaxation.tau[{j}]: {tau!r} is not a finite time greater than 0"
+                )
             if not (math.isfinite(gain) and gain >= 0.0):
-                raise ModelError(f"relaxation.gain[{j}]: {gain!r} is not a finite number of at least 0")
+                raise ModelError(
+                    f"relaxation.gain[{j}]: {gain!r} is not a finite number of at least 0"
+                )
 
     def decay(self, time_step: float | ArrayLike) -> Floats:
         """Return a_j = exp(-Δt/tau_j) as rows: one for a single time step (s), else one per sample.
 
-        Steps that are all the same come as one row, too. An even clock written in decimals has two or three
-        different steps: each is computed once, with the bits of the exponential function all the same.
+        Steps that are all the same come as one row, too. An even clock written in
+        decimals has two or three different steps: each is computed once, with the bits
+        of the exponential function all the same.
 
         Raises
         ------
@@ -210,11 +236,16 @@ class Relaxation:
         return factors if unlike or steps.size == 1 else factors.take(which, axis=0)
 
     def lags(
-        self, x: ArrayLike, time_step: float | ArrayLike, memory: Sequence[float] | None = None
+        self,
+        x: ArrayLike,
+        time_step: float | ArrayLike,
+        memory: Sequence[float] | None = None,
     ) -> tuple[Floats, tuple[float, ...]]:
         """Return L_j after each sample (len(x) × terms) and after the last; at rest first without memory."""
         drive = np.ascontiguousarray(x, dtype=np.float64)
-        memories = np.array(memory if memory is not None else [0.0] * len(self.tau), dtype=np.float64)
+        memories = np.array(
+            memory if memory is not None else [0.0] * len(self.tau), dtype=np.float64
+        )
         rows = np.empty((drive.size, len(self.tau)))
         decay = self.decay(time_step)
         start = 0
@@ -222,7 +253,9 @@ class Relaxation:
             rows[0] = memories[:] = drive[0] - self.reference
             start = 1
         later = decay if len(decay) == 1 else np.ascontiguousarray(decay[start:])
-        kernel.CHOSEN.memory_run(self.reference, memories, drive[start:], rows[start:], later)
+        kernel.CHOSEN.memory_run(
+            self.reference, memories, drive[start:], rows[start:], later
+        )
         return rows, tuple(memories.tolist())
 
 
@@ -243,7 +276,10 @@ class BacklashState:
 
     def to_json_dict(self) -> dict[str, object]:
         """Return the state as plain JSON values; ``bits`` is hexadecimal."""
-        return {"bits": f"{self.bits:x}", "memory": None if self.memory is None else list(self.memory)}
+        return {
+            "bits": f"{self.bits:x}",
+            "memory": None if self.memory is None else list(self.memory),
+        }
 
 
 @dataclass(frozen=True)
@@ -255,7 +291,8 @@ class OutputLimits:
     low, high : float
         The range of the output; it wins over the slew limit.
     step : float, array, or None
-        Largest change of the output since the sample before, one number or one for each sample.
+        Largest change of the output since the sample before, one number or one for each
+        sample.
     slack : float
         A sample counts as clipped when clipping moved it by more than this.
     """
@@ -301,17 +338,19 @@ class DiscreteBacklashOperator:
     relaxation : Relaxation, optional
         Lag and creep; they follow the voltage.
     memory_on : {"input", "output"}
-        Which of the two signals is the voltage: the input of a forward operator, the output of an inverse.
+        Which of the two signals is the voltage: the input of a forward operator, the
+        output of an inverse.
 
     Raises
     ------
     ModelError
-        Lengths differ, a width is not > 0, or too narrow beside the others; the message begins with the key.
+        Lengths differ, a width is not > 0, or too narrow beside the others; the message
+        begins with the key.
 
     Notes
     -----
-    Outside [X_0, X_0 + Σ ΔX_i] the paper says nothing. ``extend`` goes on with the slope of gear n - 1, the
-    last one engaged on the way there; ``hold`` keeps Y_B.
+    Outside [X_0, X_0 + Σ ΔX_i] the paper says nothing. ``extend`` goes on with the
+    slope of gear n - 1, the last one engaged on the way there; ``hold`` keeps Y_B.
 
     A gear counts as crossed when all but 1e-9 of it is travelled (see ``gear_table``).
     """
@@ -330,12 +369,17 @@ class DiscreteBacklashOperator:
         self.relaxation, self.memory_on = relaxation, memory_on
         self.n = self.dx.size
         widths, heights = on_binary_grid("dx", self.dx), on_binary_grid("dy", self.dy)
-        self._width, self._height = math.fsum(widths.tolist()), math.fsum(heights.tolist())
+        self._width, self._height = (
+            math.fsum(widths.tolist()),
+            math.fsum(heights.tolist()),
+        )
         scale_x = max(abs(self.x0), abs(self.x0 + self._width), self._width)
         scale_y = max(abs(self.y0), abs(self.y0 + self._height), self._height)
         if relaxation is not None:
             drive = scale_x if memory_on == "input" else scale_y
-            remembered = math.fsum(relaxation.gain) * (drive + abs(relaxation.reference))
+            remembered = math.fsum(relaxation.gain) * (
+                drive + abs(relaxation.reference)
+            )
             scale_x += remembered * (memory_on == "output")
             scale_y += remembered * (memory_on == "input")
         self.gears = gear_table(widths, heights, scale_x, scale_y)
@@ -363,7 +407,9 @@ class DiscreteBacklashOperator:
         low, high = self.x0, self.x0 + self._width
         if self.memory_on == "input":
             return low, high
-        return low + self._at_rest(self.y0), high + self._at_rest(self.y0 + self._height)
+        return low + self._at_rest(self.y0), high + self._at_rest(
+            self.y0 + self._height
+        )
 
     @property
     def y_range(self) -> tuple[float, float]:
@@ -380,7 +426,9 @@ class DiscreteBacklashOperator:
     @functools.cached_property
     def _inverse(self) -> DiscreteBacklashOperator:
         axis: Axis = "output" if self.memory_on == "input" else "input"
-        return DiscreteBacklashOperator(self.dy, self.dx, self.y0, self.x0, self.relaxation, axis)
+        return DiscreteBacklashOperator(
+            self.dy, self.dx, self.y0, self.x0, self.relaxation, axis
+        )
 
     def empty(self) -> BacklashState:
         """Return B = 0: the actuator has been at or below its lower end."""
@@ -393,12 +441,14 @@ class DiscreteBacklashOperator:
     def settled(self, voltage: float) -> BacklashState:
         """Return the state after an oscillation that decays from the whole range to ``voltage``.
 
-        The oscillation turns at ``voltage + A`` and ``voltage - A``, both cut off at the ends of the range;
-        A falls arbitrarily slowly to 0 and the first turn is the upper one. The gears stop flipping from
-        the highest to the lowest. With the gears up to k spanning [low, high], gear k stops when A no longer
-        reaches high (it stays 0) or low (it stays 1), whichever comes first: the end that is farther from
-        ``voltage``. A tie, as with even gears halfway, stays 1; a tolerance decides that, not rounding.
-        Close to an end the state passes over into ``empty`` or ``full``.
+        The oscillation turns at ``voltage + A`` and ``voltage - A``, both cut off at
+        the ends of the range; A falls arbitrarily slowly to 0 and the first turn is the
+        upper one. The gears stop flipping from the highest to the lowest. With the
+        gears up to k spanning [low, high], gear k stops when A no longer reaches high
+        (it stays 0) or low (it stays 1), whichever comes first: the end that is farther
+        from ``voltage``. A tie, as with even gears halfway, stays 1; a tolerance
+        decides that, not rounding. Close to an end the state passes over into ``empty``
+        or ``full``.
         """
         axis = 0 if self.memory_on == "input" else 1
         span = self._width if axis == 0 else self._height
@@ -413,7 +463,9 @@ class DiscreteBacklashOperator:
 
     def coordinates(self, state: BacklashState) -> tuple[float, float]:
         """Return X_B and Y_B, (2)-(3)."""
-        stored = state.bits.to_bytes(max(self.n, state.bits.bit_length()) // 8 + 1, "little")
+        stored = state.bits.to_bytes(
+            max(self.n, state.bits.bit_length()) // 8 + 1, "little"
+        )
         bits = np.unpackbits(np.frombuffer(stored, dtype=np.uint8), bitorder="little")
         chosen = np.flatnonzero(bits[: self.n])
         return (
@@ -424,7 +476,9 @@ class DiscreteBacklashOperator:
     def _words(self, state: BacklashState) -> NDArray[np.uint64]:
         """Return the kernel's buffer with the state's bits in it."""
         if state.bits < 0 or state.bits >> self.n:
-            raise ModelError(f"state: has bits beyond the {self.n} gears of this operator")
+            raise ModelError(
+                f"state: has bits beyond the {self.n} gears of this operator"
+            )
         content = state.bits.to_bytes(8 * kernel.state_words(self.n), "little")
         return np.frombuffer(content, dtype="<u8").astype(np.uint64)
 
@@ -452,12 +506,14 @@ class DiscreteBacklashOperator:
         state : BacklashState
             The state before it.
         decay : array, optional
-            ``Relaxation.decay`` of the time steps: one row, or one for each sample. Needed with relaxation.
+            ``Relaxation.decay`` of the time steps: one row, or one for each sample.
+            Needed with relaxation.
         outside : {"extend", "hold", "error"}
             ``error`` computes what ``extend`` does; the caller refuses by the counts.
         limits : OutputLimits, optional
-            Clip the output; the state is then that of the inverse of this operator driven by the clipped
-            output. Not for an operator whose memory follows its input.
+            Clip the output; the state is then that of the inverse of this operator
+            driven by the clipped output. Not for an operator whose memory follows its
+            input.
         last : float, optional
             The output before this block, for the slew limit.
         out : array, optional
@@ -471,12 +527,20 @@ class DiscreteBacklashOperator:
         x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
         y = np.empty_like(x) if out is None else out
         words, terms = self._words(state), self._gain.size
-        if limits is not None and self.relaxation is not None and self.memory_on == "input":
-            raise ModelError("limits on the output of an operator whose memory follows its input")
+        if (
+            limits is not None
+            and self.relaxation is not None
+            and self.memory_on == "input"
+        ):
+            raise ModelError(
+                "limits on the output of an operator whose memory follows its input"
+            )
         bound = limits or NO_LIMITS
         memory = np.array(state.memory or [0.0] * terms, dtype=np.float64)
         if memory.size != terms:
-            raise ModelError(f"state: remembers {memory.size} relaxation terms, this model has {terms}")
+            raise ModelError(
+                f"state: remembers {memory.size} relaxation terms, this model has {terms}"
+            )
         counts, before = Counts(), math.nan if last is None else last
         for begin, end, factors, steps in self._spans(x.size, state, decay, bound.step):
             counted = kernel.CHOSEN.backlash_run(
@@ -502,35 +566,58 @@ class DiscreteBacklashOperator:
         return *table, extend, self._gain, reference, self.memory_on == "output"
 
     def _spans(
-        self, count: int, state: BacklashState, decay: Floats | None, step: float | Floats | None
+        self,
+        count: int,
+        state: BacklashState,
+        decay: Floats | None,
+        step: float | Floats | None,
     ) -> list[tuple[int, int, Floats, Floats]]:
         """Return (begin, end, decay, step) of the kernel's calls: a sample at rest is one of its own."""
-        steps = NO_FACTORS if step is None else np.array(step, dtype=np.float64).reshape(-1)
+        steps = (
+            NO_FACTORS if step is None else np.array(step, dtype=np.float64).reshape(-1)
+        )
         if self.relaxation is None or not count:
             return [(0, count, NO_FACTORS, steps)] if count else []
         at_rest = state.memory is None
         spans = []
-        for begin, end in pairwise([0, 1, count] if at_rest and count > 1 else [0, count]):
+        for begin, end in pairwise(
+            [0, 1, count] if at_rest and count > 1 else [0, count]
+        ):
             factors = decay
             if at_rest and begin == 0:
                 factors = np.zeros((1, self._gain.size))
             elif factors is None:
-                raise ModelError("relaxation needs the time between samples (`sample_rate`)")
+                raise ModelError(
+                    "relaxation needs the time between samples (`sample_rate`)"
+                )
             if len(factors) not in (1, end - begin):
                 factors = factors[begin:end]
             steps_of_span = steps[begin:end] if steps.size > 1 else steps
-            spans.append((begin, end, np.ascontiguousarray(factors), np.ascontiguousarray(steps_of_span)))
+            spans.append(
+                (
+                    begin,
+                    end,
+                    np.ascontiguousarray(factors),
+                    np.ascontiguousarray(steps_of_span),
+                )
+            )
         return spans
 
     def engagement(
-        self, x: ArrayLike, state: BacklashState, *, group_size: int = 1, outside: Outside = "extend"
+        self,
+        x: ArrayLike,
+        state: BacklashState,
+        *,
+        group_size: int = 1,
+        outside: Outside = "extend",
     ) -> tuple[Floats, BacklashState]:
         """Return the part of the gears that is in the output of every sample, and the state after.
 
-        The rows phi (len(x) × n) fulfil y - y0 = phi @ dy: 1 for a crossed gear, 0 for an open one, a
-        fraction for the engaged one, so that heights are linear unknowns of the output. With ``group_size``
-        > 1 that many neighbours share one column (len(x) × ceil(n / group_size)), their mean: the unknowns
-        are then the heights of the groups, equal within each. Relaxation is not in them (see
+        The rows phi (len(x) × n) fulfil y - y0 = phi @ dy: 1 for a crossed gear, 0 for
+        an open one, a fraction for the engaged one, so that heights are linear unknowns
+        of the output. With ``group_size`` > 1 that many neighbours share one column
+        (len(x) × ceil(n / group_size)), their mean: the unknowns are then the heights
+        of the groups, equal within each. Relaxation is not in them (see
         ``Relaxation.lags``).
         """
         x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
@@ -550,7 +637,8 @@ class DiscretePointOperator:
     dx, dy : array_like
         ΔX_i and ΔY_i of (15), > 0, lowest segment first.
     x0, y0 : float
-        X_0 and Y_0, where the first segment begins. The end segments extend beyond the range.
+        X_0 and Y_0, where the first segment begins. The end segments extend beyond the
+        range.
 
     Raises
     ------
@@ -558,12 +646,16 @@ class DiscretePointOperator:
         Lengths differ or a width is not > 0; the message begins with the key.
     """
 
-    def __init__(self, dx: ArrayLike, dy: ArrayLike, x0: float = 0.0, y0: float = 0.0) -> None:
+    def __init__(
+        self, dx: ArrayLike, dy: ArrayLike, x0: float = 0.0, y0: float = 0.0
+    ) -> None:
         self.dx, self.dy = checked_pair(dx, dy, x0, y0)
         self.x0, self.y0 = float(x0), float(y0)
         self.m = self.dx.size
         widths, heights = on_binary_grid("dx", self.dx), on_binary_grid("dy", self.dy)
-        starts = [np.concatenate([[0.0], np.cumsum(axis)]) for axis in (widths, heights)]
+        starts = [
+            np.concatenate([[0.0], np.cumsum(axis)]) for axis in (widths, heights)
+        ]
         self.x_range = (self.x0, self.x0 + float(starts[0][-1]))
         self.y_range = (self.y0, self.y0 + float(starts[1][-1]))
         self.segments: Floats = np.ascontiguousarray(

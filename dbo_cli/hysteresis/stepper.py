@@ -1,9 +1,10 @@
 """One operator or many, one sample at a time: the kernel with states that stay where they are.
 
-``DiscreteBacklashOperator.run`` checks, allocates and converts for every block, which a block pays once and a
-live sample would pay each time (``benchmarks/live_speed.py``). The bits are the same. A mirror of a thousand
-actuators asks for a thousand voltages a frame: a bank works through the steppers of all of them, and what
-stands before and behind their gears, in one call.
+``DiscreteBacklashOperator.run`` checks, allocates and converts for every block, which a
+block pays once and a live sample would pay each time (``benchmarks/live_speed.py``).
+The bits are the same. A mirror of a thousand actuators asks for a thousand voltages a
+frame: a bank works through the steppers of all of them, and what stands before and
+behind their gears, in one call.
 """
 
 from __future__ import annotations
@@ -19,25 +20,31 @@ from numpy.typing import NDArray
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage
 from dbo_cli.hysteresis.kernel import Floats, Words
-from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator, OutputLimits
+from dbo_cli.hysteresis.operators import (
+    BacklashState,
+    DiscreteBacklashOperator,
+    OutputLimits,
+)
 
 ROUNDING = 8.0 * 2.0**-52
 """Of the larger voltage: the last digits of a step between two rows, each rounded once or twice on its way
-through points and scales. A slew limit is kept to that, a range exactly."""
+through points and scales. A slew limit is kept to that, a range exactly.
+"""
 
 
 def may_follow(volts: float, last: float, low: float, high: float, most: float) -> bool:
     """Return whether a voltage may follow ``last``: ``DriveGate`` for one row.
 
-    It is within ``low`` to ``high``, or on the way there where ``last`` is outside; and no further away
-    than ``most``. NaN: there is no last one, any change is allowed.
+    It is within ``low`` to ``high``, or on the way there where ``last`` is outside; and
+    no further away than ``most``. NaN: there is no last one, any change is allowed.
     """
     inside = low <= volts <= high
     if not inside and last < low:
         inside = last <= volts <= low
     elif not inside and last > high:
         inside = high <= volts <= last
-    if not (inside and math.isfinite(volts)):  # infinity is inside a range without an end
+    # infinity is inside a range without an end
+    if not (inside and math.isfinite(volts)):
         return False
     return not abs(volts - last) > most + ROUNDING * max(abs(last), abs(volts))
 
@@ -57,19 +64,53 @@ def inwards(last: float, low: float, high: float, most: float) -> float | None:
 class PythonStepper:
     """The extension's ``Stepper`` in Python: the operator's ``constants``, then what each step needs.
 
-    That is ``decay`` (one row), ``limited``, ``low``, ``high`` and ``slack``, as ``kernel.backlash_run`` has
-    them, and ``step``, the largest change of the output, or NaN.
+    That is ``decay`` (one row), ``limited``, ``low``, ``high`` and ``slack``, as
+    ``kernel.backlash_run`` has them, and ``step``, the largest change of the output, or
+    NaN.
     """
 
     def __init__(self, *numbers: Any) -> None:
-        gears, guide, n, run, x0, y0, extend, gain, reference, memory_on_output, self._decay, *limits = (
-            numbers
+        (
+            gears,
+            guide,
+            n,
+            run,
+            x0,
+            y0,
+            extend,
+            gain,
+            reference,
+            memory_on_output,
+            self._decay,
+            *limits,
+        ) = numbers
+        self._table = (
+            gears,
+            guide,
+            n,
+            run,
+            x0,
+            y0,
+            extend,
+            gain,
+            reference,
+            memory_on_output,
         )
-        self._table = gears, guide, n, run, x0, y0, extend, gain, reference, memory_on_output
         limited, low, high, slack, step = limits
         exchanged = np.ascontiguousarray(gears[:, [1, 0, 2, 3, 5, 4]])
         exchanged[:, 2] = gears[:, 0] / gears[:, 1]
-        self._exchanged = exchanged, guide, n, run, y0, x0, extend, gain, reference, not memory_on_output
+        self._exchanged = (
+            exchanged,
+            guide,
+            n,
+            run,
+            y0,
+            x0,
+            extend,
+            gain,
+            reference,
+            not memory_on_output,
+        )
         steps = np.array([] if math.isnan(step) else [step])
         self._limits = limited, low, high, slack, steps
         self._words = np.zeros(kernel.state_words(n), np.uint64)
@@ -82,7 +123,14 @@ class PythonStepper:
         """Return the output for an input, without going on to the state that it leads to."""
         words, memory, y = self._words.copy(), self._memory.copy(), np.empty(1)
         counts = kernel.backlash_run(
-            *self._table, words, memory, self.last, np.array([x], np.float64), y, self._decay, *self._limits
+            *self._table,
+            words,
+            memory,
+            self.last,
+            np.array([x], np.float64),
+            y,
+            self._decay,
+            *self._limits,
         )
         self.clipped = counts[2]
         self._planned = words, memory, y.item()
@@ -109,7 +157,12 @@ class PythonStepper:
 
     def set(self, words: Words, memory: Floats, last: float) -> None:
         """Take over the bits, the memory and the output before."""
-        self._words[:], self._memory[:], self.last, self._planned = words, memory, last, None
+        self._words[:], self._memory[:], self.last, self._planned = (
+            words,
+            memory,
+            last,
+            None,
+        )
 
     def get(self, words: Words, memory: Floats) -> float:
         """Fill the bits and the memory; return the output before."""
@@ -138,10 +191,12 @@ class BacklashStepper:
     plan : callable
         ``plan(x) -> y``: the output for an input; nothing changes yet.
     commit : callable
-        ``commit()``: go on to the state that was worked out last. ValueError where none was.
+        ``commit()``: go on to the state that was worked out last. ValueError where none
+        was.
     follow : callable
-        ``follow(y)``: work out the state that this output leads to, that of the operator with exchanged axes
-        driven by it; nothing changes yet. ValueError where memory follows the input.
+        ``follow(y)``: work out the state that this output leads to, that of the
+        operator with exchanged axes driven by it; nothing changes yet. ValueError where
+        memory follows the input.
     """
 
     def __init__(
@@ -153,20 +208,46 @@ class BacklashStepper:
         limits: OutputLimits | None = None,
     ) -> None:
         terms, bound = operator.relaxation, limits or OutputLimits()
-        decay = terms.decay(time_step) if terms and time_step is not None else np.zeros((0, 0))
+        decay = (
+            terms.decay(time_step)
+            if terms and time_step is not None
+            else np.zeros((0, 0))
+        )
         step = math.nan if bound.step is None else float(np.asarray(bound.step))
-        make = PythonStepper if kernel.CHOSEN is kernel.PythonKernel else kernel.CHOSEN.Stepper
+        make = (
+            PythonStepper
+            if kernel.CHOSEN is kernel.PythonKernel
+            else kernel.CHOSEN.Stepper
+        )
         self._operator, self._made_with = operator, (time_step, limits)
         self.inner = make(
-            *operator.constants(True), decay, limits is not None, bound.low, bound.high, bound.slack, step
+            *operator.constants(True),
+            decay,
+            limits is not None,
+            bound.low,
+            bound.high,
+            bound.slack,
+            step,
         )
-        self._words, self._memory = operator._words(state), np.zeros(len(terms.gain) if terms else 0)
-        self.plan, self.commit, self.follow = self.inner.plan, self.inner.commit, self.inner.follow
+        self._words, self._memory = (
+            operator._words(state),
+            np.zeros(len(terms.gain) if terms else 0),
+        )
+        self.plan, self.commit, self.follow = (
+            self.inner.plan,
+            self.inner.commit,
+            self.inner.follow,
+        )
         self.set(state, last)
 
     def __reduce__(self) -> Any:
         """Pickle the committed state; what was planned stays behind."""
-        return BacklashStepper, (self._operator, self.state, self.last, *self._made_with)
+        return BacklashStepper, (
+            self._operator,
+            self.state,
+            self.last,
+            *self._made_with,
+        )
 
     @property
     def clipped(self) -> int:
@@ -177,7 +258,11 @@ class BacklashStepper:
     def state(self) -> BacklashState:
         """The committed state."""
         self.inner.get(self._words, self._memory)
-        memory = tuple(self._memory.tolist()) if self._operator.relaxation is not None else None
+        memory = (
+            tuple(self._memory.tolist())
+            if self._operator.relaxation is not None
+            else None
+        )
         return BacklashState(self._operator._bits(self._words), memory)
 
     @property
@@ -199,11 +284,13 @@ class PythonBank:
     steppers
         Of every channel, with a state.
     before, before_places, after, after_places, back, back_places
-        The curves of every channel (``packed``): before the gears, behind them, and what undoes those behind.
+        The curves of every channel (``packed``): before the gears, behind them, and
+        what undoes those behind.
     limits
-        Rows low, high, most, last, a column of each channel: the range, the largest change (or NaN), and the
-        voltage that stands (or NaN); then the least and the greatest input, and the least and the greatest
-        voltage played: what is not between them is refused.
+        Rows low, high, most, last, a column of each channel: the range, the largest
+        change (or NaN), and the voltage that stands (or NaN); then the least and the
+        greatest input, and the least and the greatest voltage played: what is not
+        between them is refused.
     """
 
     def __init__(self, steppers: tuple[Any, ...], *curves_and_limits: Any) -> None:
@@ -261,7 +348,12 @@ class PythonBank:
 
     def _limits(self, k: int) -> tuple[float, float, float, float]:
         """Return last, low, high and most of a channel, as ``may_follow`` takes them."""
-        return float(self._last[k]), float(self._low[k]), float(self._high[k]), float(self._most[k])
+        return (
+            float(self._last[k]),
+            float(self._low[k]),
+            float(self._high[k]),
+            float(self._most[k]),
+        )
 
     def _planned_volts(self, k: int, wanted: float, gate: bool) -> tuple[float, bool]:
         """Return the voltage of one channel, and whether its limits hold it back."""
@@ -302,7 +394,8 @@ def _run(numbers: list[float], x: float) -> float:
 def packed(stages: Sequence[MemoryFree]) -> tuple[Floats, Words]:
     """Return the curves of every channel as numbers, and where each channel's begin.
 
-    A scale is ``0, gain, offset``; points are ``1, m, x0, y0`` and three numbers a segment.
+    A scale is ``0, gain, offset``; points are ``1, m, x0, y0`` and three numbers a
+    segment.
     """
     rows: list[Floats] = []
     for group in stages:
@@ -312,9 +405,14 @@ def packed(stages: Sequence[MemoryFree]) -> tuple[Floats, Words]:
                 parts.append(np.array([0.0, stage.gain, stage.offset]))
             else:
                 head = np.array([1.0, float(len(stage.segments)), stage.x0, stage.y0])
-                parts += [head, np.asarray(stage.segments, dtype=np.float64).reshape(-1)]
+                parts += [
+                    head,
+                    np.asarray(stage.segments, dtype=np.float64).reshape(-1),
+                ]
         rows.append(np.concatenate(parts))
-    places = np.concatenate([[0], np.cumsum([row.size for row in rows])]).astype(np.uint64)
+    places = np.concatenate([[0], np.cumsum([row.size for row in rows])]).astype(
+        np.uint64
+    )
     return np.concatenate(rows), places
 
 
@@ -335,7 +433,15 @@ def make_bank(
     limits
         As ``PythonBank`` has them.
     """
-    make: Any = PythonBank if kernel.CHOSEN is kernel.PythonKernel else kernel.CHOSEN.Bank
+    make: Any = (
+        PythonBank if kernel.CHOSEN is kernel.PythonKernel else kernel.CHOSEN.Bank
+    )
     back = [tuple(stage.inverse() for stage in reversed(group)) for group in after]
-    curves: list[Any] = [part for stages in (before, after, back) for part in packed(stages)]
-    return make(tuple(stepper.inner for stepper in steppers), *curves, np.ascontiguousarray(limits))
+    curves: list[Any] = [
+        part for stages in (before, after, back) for part in packed(stages)
+    ]
+    return make(
+        tuple(stepper.inner for stepper in steppers),
+        *curves,
+        np.ascontiguousarray(limits),
+    )

@@ -1,16 +1,17 @@
 """A signal between its samples: a cubic with limited slopes, from six samples.
 
-The slope at a sample is that of the polynomial through five samples, and is limited as in H. T. Huynh,
-"Accurate Monotone Cubic Interpolation", SIAM J. Numer. Anal. 30 (1993), scheme M3-A: where the samples rise,
-what is between them rises; a turn lies between two samples only where the second differences on both sides
-agree that there is one. So a step or a corner is not overshot, and a smooth peak keeps its height.
+The slope at a sample is that of the polynomial through five samples, and is limited as
+in H. T. Huynh, "Accurate Monotone Cubic Interpolation", SIAM J. Numer. Anal. 30 (1993),
+scheme M3-A: where the samples rise, what is between them rises; a turn lies between two
+samples only where the second differences on both sides agree that there is one. So a
+step or a corner is not overshot, and a smooth peak keeps its height.
 
-Half a step between the samples of a sine, the error (RMS, in percent of peak to peak) is 1.3 with 5 samples a
-period, 0.05 with 10, 0.002 with 20 and 0.00002 with 50; linearly it is 6.8, 1.7, 0.44 and 0.07
-(``benchmarks/clock.py``).
+Half a step between the samples of a sine, the error (RMS, in percent of peak to peak)
+is 1.3 with 5 samples a period, 0.05 with 10, 0.002 with 20 and 0.00002 with 50;
+linearly it is 6.8, 1.7, 0.44 and 0.07 (``benchmarks/clock.py``).
 
-``dbo_interpolation.h`` has the same functions in C, for the extension and for what ``export`` writes. This
-module is their readable twin, with the same bits.
+``dbo_interpolation.h`` has the same functions in C, for the extension and for what
+``export`` writes. This module is their readable twin, with the same bits.
 """
 
 from __future__ import annotations
@@ -48,16 +49,25 @@ def nearer(a: float, b: float) -> float:
     return 0.0
 
 
-def divided_differences(times: Sequence[float], values: Sequence[float]) -> list[list[float]]:
+def divided_differences(
+    times: Sequence[float], values: Sequence[float]
+) -> list[list[float]]:
     """Return the divided differences of six samples; row k has those of order k."""
     table = [list(values)]
     for order in range(1, 5):
         row = table[-1]
-        table.append([(row[i + 1] - row[i]) / (times[i + order] - times[i]) for i in range(WINDOW - order)])
+        table.append(
+            [
+                (row[i + 1] - row[i]) / (times[i + order] - times[i])
+                for i in range(WINDOW - order)
+            ]
+        )
     return table
 
 
-def slope_of_five(times: Sequence[float], table: list[list[float]], start: int, at: int) -> float:
+def slope_of_five(
+    times: Sequence[float], table: list[list[float]], start: int, at: int
+) -> float:
     """Return the slope at sample ``at`` of the polynomial through the five samples from ``start`` on."""
     value, slope = table[4][start], 0.0
     for i in range(3, -1, -1):
@@ -93,7 +103,9 @@ def limited_slope(times: Sequence[float], table: list[list[float]], at: int) -> 
     return min(max(slope, low), high)
 
 
-def between(times: Sequence[float], values: Sequence[float], k: int, part: float) -> float:
+def between(
+    times: Sequence[float], values: Sequence[float], k: int, part: float
+) -> float:
     """Return the signal the ``part`` (0 to 1) of a step behind sample ``k`` of six, whose times rise."""
     table = divided_differences(times, values)
     step, rise = times[k + 1] - times[k], values[k + 1] - values[k]
@@ -103,7 +115,14 @@ def between(times: Sequence[float], values: Sequence[float], k: int, part: float
     return values[k] + part * (rise + rest * (rest * begins - part * ends))
 
 
-def smooth(times: Floats, values: Floats, wanted: Floats, found: Floats, newest: int, whole: float) -> int:
+def smooth(
+    times: Floats,
+    values: Floats,
+    wanted: Floats,
+    found: Floats,
+    newest: int,
+    whole: float,
+) -> int:
     """Fill ``found``; see ``interpolated``, whose arguments these are, in Python."""
     t, v = times.tolist(), values.tolist()
     last, before = len(t) - 1, 0
@@ -121,9 +140,13 @@ def smooth(times: Floats, values: Floats, wanted: Floats, found: Floats, newest:
             known = max(min(newest + k, last), after)
             begin = max(min(before - 2, known - 5), 0)
             window = t[begin : begin + WINDOW]
-            rises = begin + 5 <= known and all(window[i] < window[i + 1] for i in range(WINDOW - 1))
+            rises = begin + 5 <= known and all(
+                window[i] < window[i + 1] for i in range(WINDOW - 1)
+            )
             if rises:
-                found[k] = between(window, v[begin : begin + WINDOW], before - begin, part)
+                found[k] = between(
+                    window, v[begin : begin + WINDOW], before - begin, part
+                )
             else:
                 found[k] = v[before] + part * (v[after] - v[before])
     return before
@@ -160,7 +183,8 @@ def shifted_by_part(values: Floats, k: int, part: float) -> Floats:
     values
         Five samples more than come out.
     k
-        0 to 4: 2 has as many samples of the six before the step as behind it, 4 none behind it.
+        0 to 4: 2 has as many samples of the six before the step as behind it, 4 none
+        behind it.
     part
         0 to 1.
     """
@@ -169,7 +193,9 @@ def shifted_by_part(values: Floats, k: int, part: float) -> Floats:
     return found
 
 
-def value_between(times: Sequence[float], values: Sequence[float], k: int, part: float) -> float:
+def value_between(
+    times: Sequence[float], values: Sequence[float], k: int, part: float
+) -> float:
     """Return what ``between`` does, by the compiled code where there is some."""
     return float(CHOSEN.between(array("d", times), array("d", values), k, part))
 
@@ -179,9 +205,10 @@ def interpolated(
 ) -> tuple[Floats, int]:
     """Return a signal at other times, and the sample before the last of them.
 
-    Before the first sample the first value holds, after the last one the last. A time within 1e-9 of a
-    sample's (in steps) is that sample's, so that a shift by whole samples is exact. Where fewer than six
-    samples are known, or two of them have one stamp, it is linear.
+    Before the first sample the first value holds, after the last one the last. A time
+    within 1e-9 of a sample's (in steps) is that sample's, so that a shift by whole
+    samples is exact. Where fewer than six samples are known, or two of them have one
+    stamp, it is linear.
 
     Parameters
     ----------
@@ -190,11 +217,16 @@ def interpolated(
     wanted
         The times wanted, which do not fall either.
     newest
-        For a signal that comes in sample by sample: the newest sample known at the first time wanted; one
-        more is known at each that follows. No value is made of samples to come. None: all are known.
+        For a signal that comes in sample by sample: the newest sample known at the
+        first time wanted; one more is known at each that follows. No value is made of
+        samples to come. None: all are known.
     """
     count = wanted.size
     found = np.empty(count)
     known = len(times) - 1 if newest is None else newest
-    signal = np.ascontiguousarray(times), np.ascontiguousarray(values), np.ascontiguousarray(wanted)
+    signal = (
+        np.ascontiguousarray(times),
+        np.ascontiguousarray(values),
+        np.ascontiguousarray(wanted),
+    )
     return found, int(CHOSEN.smooth(*signal, found, known, WHOLE))

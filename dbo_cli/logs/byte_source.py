@@ -22,7 +22,8 @@ _GZIP_MAGIC = b"\x1f\x8b"  # RFC 1952, 2.3.1
 _UTF16 = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
 HDF5 = b"\x89HDF\r\n\x1a\n"  # HDF5 file format specification, II.A
 _UNPACK = "unpack it, or compress it with gzip"
-# First bytes of files that are not read, by the file(1) database, and what messages say of them.
+# First bytes of files that are not read, by the file(1) database, and what messages say
+# of them.
 _UNREAD = {
     b"PK\x03\x04": "a zip archive: a workbook ends in .xlsx, a NumPy archive in .npz",
     b"BZh": f"compressed with bzip2: {_UNPACK}",
@@ -43,7 +44,9 @@ def _no_text(start: bytes) -> str:
     if not name and kind_of is not None:
         kind = kind_of(start, "")
         name = "" if kind is None else kind.name
-    return f"{name}: give it as a file, not through a pipe or compressed" if name else ""
+    return (
+        f"{name}: give it as a file, not through a pipe or compressed" if name else ""
+    )
 
 
 class _Hashing(io.RawIOBase):
@@ -69,7 +72,8 @@ class ByteSource:
     Parameters
     ----------
     request
-        What is to be read; without a codec forced by the user a byte-order mark decides, else it is UTF-8.
+        What is to be read; without a codec forced by the user a byte-order mark
+        decides, else it is UTF-8.
 
     Raises
     ------
@@ -91,7 +95,8 @@ class ByteSource:
         self._file = self._open(request)
         self._owned = [] if address.is_stream else [self._file]
         self._begun = self._now()  # how a regular file was when it was opened
-        self._largest = 0 if self._begun is None else self._begun.st_size  # bytes that it has had since
+        # bytes that it has had since
+        self._largest = 0 if self._begun is None else self._begun.st_size
         try:
             self._stream, start = self._unpacked()
             self._decode = self._decoder(request.options.encoding, start)
@@ -110,7 +115,9 @@ class ByteSource:
             try:
                 data = data if self._decode is None else self._decode(data)
             except UnicodeError as problem:
-                raise InputError(f"{self.name}: the text does not fit its encoding: {problem}") from None
+                raise InputError(
+                    f"{self.name}: the text does not fit its encoding: {problem}"
+                ) from None
             if self._at_start and data:
                 data = data.removeprefix(codecs.BOM_UTF8)
                 self._classic_mac = b"\n" not in data and b"\r" in data[:-1]
@@ -127,7 +134,11 @@ class ByteSource:
             if self._live:
                 data: bytes = self._stream.read1(size)  # type: ignore[attr-defined]
             else:
-                data = self._stream.read(size) if self.is_regular else self._patiently(size)
+                data = (
+                    self._stream.read(size)
+                    if self.is_regular
+                    else self._patiently(size)
+                )
         except _UNREADABLE as problem:
             raise self._why_unreadable(problem) from None
         self._refuse_change(ended=not data)
@@ -135,7 +146,8 @@ class ByteSource:
 
     def _why_unreadable(self, problem: BaseException) -> InputError:
         self._refuse_change(ended=True)
-        if not isinstance(problem, OSError) or problem.errno is None:  # gzip's own complaint
+        # gzip's own complaint
+        if not isinstance(problem, OSError) or problem.errno is None:
             return InputError(f"{self.name}: the gzip data are damaged or end early")
         return InputError(f"{self.name}: cannot be read: {problem.strerror or problem}")
 
@@ -151,7 +163,9 @@ class ByteSource:
         if now is None or self._begun is None:
             return
         same = now.st_size == self._begun.st_size
-        if now.st_size < self._largest or (ended and same and now.st_mtime_ns != self._begun.st_mtime_ns):
+        if now.st_size < self._largest or (
+            ended and same and now.st_mtime_ns != self._begun.st_mtime_ns
+        ):
             raise InputError(f"{self.name}: {CHANGED}")
         self._largest = now.st_size
 
@@ -181,7 +195,11 @@ class ByteSource:
         now = self._now()
         if now is None or self._begun is None:
             return "in a stream"
-        return "in a file that is still growing" if now.st_size != self._begun.st_size else None
+        return (
+            "in a file that is still growing"
+            if now.st_size != self._begun.st_size
+            else None
+        )
 
     def close(self) -> None:
         """Close what was opened here (never standard input)."""
@@ -192,7 +210,9 @@ class ByteSource:
     def _open(self, request: Request) -> IO[bytes]:
         address = request.address
         if request.content is not None:
-            return cast(IO[bytes], io.BufferedReader(cast(Any, io.BytesIO(request.content))))
+            return cast(
+                IO[bytes], io.BufferedReader(cast(Any, io.BytesIO(request.content)))
+            )
         if address.is_stream:
             return sys.stdin.buffer
         try:
@@ -209,7 +229,9 @@ class ByteSource:
         """Return the stream of the text itself, and how it starts; refuse what is plainly no text."""
         stream = self._file
         if self._hash is not None:
-            stream = cast(IO[bytes], io.BufferedReader(_Hashing(stream, self._hash), 1 << 20))
+            stream = cast(
+                IO[bytes], io.BufferedReader(_Hashing(stream, self._hash), 1 << 20)
+            )
         start = self._first_bytes(stream)
         if start.startswith(_GZIP_MAGIC):
             import gzip
@@ -225,13 +247,18 @@ class ByteSource:
 
     def _decoder(self, encoding: str | None, start: bytes) -> Any:
         if encoding is None:
-            encoding = next((name for mark, name in _UTF16.items() if start.startswith(mark)), None)
+            encoding = next(
+                (name for mark, name in _UTF16.items() if start.startswith(mark)), None
+            )
         if encoding is None and b"\0" in start:
             even, odd = start[0:40:2], start[1:40:2]
-            if len(start) >= 4 and any(even) != any(odd):  # all NUL is no text of 16 bits either
+            # all NUL is no text of 16 bits either
+            if len(start) >= 4 and any(even) != any(odd):
                 encoding = "utf-16-le" if any(even) else "utf-16-be"
             if encoding is None:
-                problem = "this is a binary file, not a text log: export it as CSV or HDF5"
+                problem = (
+                    "this is a binary file, not a text log: export it as CSV or HDF5"
+                )
                 raise InputError(f"{self.name}: {problem}")
         if encoding is None:
             return None
@@ -239,7 +266,8 @@ class ByteSource:
         return lambda data: decoder.decode(data).encode("utf-8")
 
 
-# --- where a model comes from ------------------------------------------------------------------------
+# --- where a model comes from
+# ------------------------------------------------------------------------
 
 
 def file_sha256(path: str) -> str:
@@ -256,7 +284,9 @@ def file_sha256(path: str) -> str:
         with open(path, "rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as problem:
-        raise InputError(f"{path}: cannot be read: {problem.strerror or problem}") from None
+        raise InputError(
+            f"{path}: cannot be read: {problem.strerror or problem}"
+        ) from None
 
 
 def input_record(
@@ -264,10 +294,19 @@ def input_record(
 ) -> dict[str, Any]:
     """Record an input: its name without folders (they differ between machines), its digest and the rows used.
 
-    ``sha256`` must be given for standard input, which cannot be read twice (``SignalLog.sha256``); ``others``
-    are the addresses of further files of the same log, whose records are ``joined``.
+    ``sha256`` must be given for standard input, which cannot be read twice
+    (``SignalLog.sha256``); ``others`` are the addresses of further files of the same
+    log, whose records are ``joined``.
     """
     parsed = parse_address(address)
     name = os.path.basename(parsed.path) + (f"::{parsed.group}" if parsed.group else "")
-    record = {"name": cleaned(name), "sha256": sha256 or file_sha256(parsed.path), "rows": rows}
-    return record | ({"joined": [input_record(address, rows) for address in joined]} if joined else {})
+    record = {
+        "name": cleaned(name),
+        "sha256": sha256 or file_sha256(parsed.path),
+        "rows": rows,
+    }
+    return record | (
+        {"joined": [input_record(address, rows) for address in joined]}
+        if joined
+        else {}
+    )

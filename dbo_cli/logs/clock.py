@@ -1,12 +1,14 @@
 """The clock of a log: the time column as seconds, the sample rate that a file states, and what is doubtful.
 
-Figures whose unit is not stated are read as seconds, unless they can only be a calendar's (milliseconds since
-1970, a spreadsheet's days). What is read without being stated is warned of, with the remedy.
+Figures whose unit is not stated are read as seconds, unless they can only be a
+calendar's (milliseconds since 1970, a spreadsheet's days). What is read without being
+stated is warned of, with the remedy.
 
-A rate is used only where its meaning is plain. An attribute called ``sample_rate`` of ``10 kHz`` is 10,000
-samples a second; one without a unit is taken in the unit that its name implies (hertz for a rate, seconds
-for a step), with a note; a unit that is none of a rate or a step, or two statements that disagree, are
-refused as soon as the rate is needed.
+A rate is used only where its meaning is plain. An attribute called ``sample_rate`` of
+``10 kHz`` is 10,000 samples a second; one without a unit is taken in the unit that its
+name implies (hertz for a rate, seconds for a step), with a note; a unit that is none of
+a rate or a step, or two statements that disagree, are refused as soon as the rate is
+needed.
 """
 
 from __future__ import annotations
@@ -33,7 +35,13 @@ from dbo_cli.logs.columns import (
 )
 from dbo_cli.logs.plain_text import clean_text, pattern, shortened
 from dbo_cli.logs.request import ReadingOptions
-from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock, TimeCheck
+from dbo_cli.logs.sample_block import (
+    TIME,
+    ColumnInfo,
+    FloatArray,
+    SampleBlock,
+    TimeCheck,
+)
 from dbo_cli.logs.units import (
     FACTORS,
     HHMMSS,
@@ -45,9 +53,16 @@ from dbo_cli.logs.units import (
     time_unit,
 )
 
-# --- what a file states -----------------------------------------------------------------------------------
+# --- what a file states
+# -----------------------------------------------------------------------------------
 
-_WORDS = frozenset(word for word in UNIT_OF if len(word) > 1) - {"min", "mins", "std", "ore", "milli"}
+_WORDS = frozenset(word for word in UNIT_OF if len(word) > 1) - {
+    "min",
+    "mins",
+    "std",
+    "ore",
+    "milli",
+}
 """Spellings that count as the unit wherever they stand in a time column's name (min may be a minimum)."""
 
 _COUNTED = frozenset(
@@ -62,12 +77,15 @@ _NO_UNIT = frozenset(
 )  # fmt: skip
 """What is written in the brackets of a time column where other columns have their unit."""
 
-_OTHER_HALVES = frozenset(("date", "time", "datum", "zeit", "uhrzeit", "fecha", "hora", "clock", "day"))
+_OTHER_HALVES = frozenset(
+    ("date", "time", "datum", "zeit", "uhrzeit", "fecha", "hora", "clock", "day")
+)
 # ``Time / ms``, ``ms since 2026-01-02``, ``10us``.
 _STATED = pattern(r"(?P<left>.+?)(?:\s*/\s*|\s+in\s+)(?P<right>\S+)", re.IGNORECASE)
 _SINCE = pattern(r"(?P<unit>\S+)\s+since\s+(?P<origin>\d.*)", re.IGNORECASE)
 
-# Names of rates and steps without blanks and signs, from the formats and manuals in docs/instruments.md.
+# Names of rates and steps without blanks and signs, from the formats and manuals in
+# docs/instruments.md.
 _RATES = {"samplerate", "samplingrate", "samplingfrequency", "samplefrequency", "samplingfreq", "samplefreq",
           "acquisitionrate", "acquisitionfrequency", "fs", "srate", "sfreq", "scanrate", "abtastrate",
           "abtastfrequenz", "messfrequenz", "messrate", "framerate", "framespersecond", "samplespersecond",
@@ -75,16 +93,26 @@ _RATES = {"samplerate", "samplingrate", "samplingfrequency", "samplefrequency", 
 _STEPS = {"wfincrement", "sampleperiod", "samplingperiod", "sampleinterval", "samplinginterval", "sampletime",
           "timestep", "timeincrement", "dt", "deltat", "ts", "tinterval", "xincrement", "xinc", "tinc",
           "abtastintervall", "abtastzeit", "abtastperiode", "timeinterval", "timeresolution"}  # fmt: skip
-_BARE = {"rate": "rate", "sampling": "rate", "interval": "step"}  # of what? only the unit shows it
+# of what? only the unit shows it
+_BARE = {"rate": "rate", "sampling": "rate", "interval": "step"}
 _PER_SECOND = ("Hz", "hz", "HZ", "Hertz", "hertz", "S/s", "Sa/s", "sps", "SPS", "Sps", "samples/s",
                "Samples/s", "sample/s", "samples/sec", "samples/second", "samplespersecond", "scans/s",
                "1/s", "s^-1", "s-1", "/s", "fps", "FPS", "frames/s")  # fmt: skip
 _LARGE = {"": 1.0, "k": 1e3, "K": 1e3, "M": 1e6, "G": 1e9}
-# Hertz for each unit: the SI's prefixes, of the small ones only that of mHz, which nothing else is called.
-_HERTZ = {prefix + unit: factor for prefix, factor in _LARGE.items() for unit in _PER_SECOND} | {"mHz": 1e-3}
-_AMOUNT = pattern(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(1/s|s\^?-1|[^\d]*?)\s*")
-_LONGEST = 80  # characters of a name or of an amount with its unit; the patterns' time grows with the square
-_SAME = 1e-6  # rates that differ by less were rounded when the file was written (0.000333333 s, 3000 Hz)
+# Hertz for each unit: the SI's prefixes, of the small ones only that of mHz, which
+# nothing else is called.
+_HERTZ = {
+    prefix + unit: factor for prefix, factor in _LARGE.items() for unit in _PER_SECOND
+} | {"mHz": 1e-3}
+_AMOUNT = pattern(
+    r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(1/s|s\^?-1|[^\d]*?)\s*"
+)
+# characters of a name or of an amount with its unit; the patterns' time grows with the
+# square
+_LONGEST = 80
+# rates that differ by less were rounded when the file was written (0.000333333 s, 3000
+# Hz)
+_SAME = 1e-6
 
 
 class StatedTime(NamedTuple):
@@ -114,7 +142,9 @@ def stated_time(place: str, column: ColumnInfo, given: str | None = None) -> Sta
     """
     if given is not None:
         return StatedTime(*parse_time_unit(given))
-    words = re.findall(r"[^\W_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", column.quantity).lower())
+    words = re.findall(
+        r"[^\W_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", column.quantity).lower()
+    )
     behind = _behind(column.quantity)
     units = _named_units(words) | {unit for word in behind if (unit := time_unit(word))}
     unknown = ""
@@ -131,7 +161,9 @@ def stated_time(place: str, column: ColumnInfo, given: str | None = None) -> Sta
                     f"{place}: the time column '{column.name}' is in {units.pop()} by its name and in {unit} "
                     "by its unit (`time_unit` says which is right)"
                 )
-            return StatedTime(unit, FACTORS[unit], since["origin"].strip() if since else None)
+            return StatedTime(
+                unit, FACTORS[unit], since["origin"].strip() if since else None
+            )
         unknown = column.unit
     elif column.unit is None and is_torn(column.quantity):
         unknown = column.quantity
@@ -139,7 +171,14 @@ def stated_time(place: str, column: ColumnInfo, given: str | None = None) -> Sta
         unit = units.pop()
         return StatedTime(unit, FACTORS[unit])
     else:
-        unknown = next(iter([word for word in words[1:] if word in _COUNTED] or sorted(units) or behind), "")
+        unknown = next(
+            iter(
+                [word for word in words[1:] if word in _COUNTED]
+                or sorted(units)
+                or behind
+            ),
+            "",
+        )
     if unknown:
         raise InputError(
             f"{place}: the time column '{column.name}' counts '{unknown}', which is no known unit of time "
@@ -168,7 +207,10 @@ def _behind(quantity: str) -> list[str]:
 def is_other_kind(unit: str | None) -> bool:
     """Return whether a unit measures something that is plainly no time (a temperature called T)."""
     kind = kind_of_unit(unit)
-    return kind not in (None, "time", "count", "number of samples") and time_unit(unit or "") is None
+    return (
+        kind not in (None, "time", "count", "number of samples")
+        and time_unit(unit or "") is None
+    )
 
 
 @dataclass(frozen=True)
@@ -197,10 +239,16 @@ def _kind_of(name: str) -> tuple[str, str, str | None]:
     key = re.sub(r"[\s_\-.]+", "", quantity).lower()
     if key.endswith("hz") and key.removesuffix("hz") in _RATES:
         key, unit = key.removesuffix("hz"), unit or "Hz"
-    return ("rate" if key in _RATES else "step" if key in _STEPS else _BARE.get(key, "")), key, unit
+    return (
+        ("rate" if key in _RATES else "step" if key in _STEPS else _BARE.get(key, "")),
+        key,
+        unit,
+    )
 
 
-def read_statements(name: str, value: object, unit: object = None, *, sure: bool = False) -> list[Statement]:
+def read_statements(
+    name: str, value: object, unit: object = None, *, sure: bool = False
+) -> list[Statement]:
     """Read an attribute, variable or header line as a statement of rate or step; none where it is none.
 
     Parameters
@@ -212,7 +260,8 @@ def read_statements(name: str, value: object, unit: object = None, *, sure: bool
     unit
         A unit that the file gives beside it.
     sure
-        The format itself defines the unit (seconds or hertz), so that nothing is assumed without one.
+        The format itself defines the unit (seconds or hertz), so that nothing is
+        assumed without one.
     """
     kind, key, own = _kind_of(name)
     if not kind:
@@ -222,21 +271,38 @@ def read_statements(name: str, value: object, unit: object = None, *, sure: bool
     stated = stated or written or own or ""
     if key in _BARE and (not stated or _factor(kind, stated) is None):
         return []
-    text = f"'{name}' {shown}" + (f" {stated}" if stated and stated not in shown else "")
+    text = f"'{name}' {shown}" + (
+        f" {stated}" if stated and stated not in shown else ""
+    )
     if amount is None:
-        # Text and lists under the name of a step are time stamps (``ts``) more often than steps.
-        return [Statement(text, None, f"{text} is no single number")] if kind == "rate" and count > 1 else []
+        # Text and lists under the name of a step are time stamps (``ts``) more often
+        # than steps.
+        return (
+            [Statement(text, None, f"{text} is no single number")]
+            if kind == "rate" and count > 1
+            else []
+        )
     if not amount > 0.0 or not math.isfinite(amount):
         return []  # what an instrument writes when it does not know
     factor = _factor(kind, stated)
     if factor is None:
-        proper = "a rate (Hz, kHz, S/s)" if kind == "rate" else "a time step (s, ms, us)"
+        proper = (
+            "a rate (Hz, kHz, S/s)" if kind == "rate" else "a time step (s, ms, us)"
+        )
         return [Statement(text, None, f"{text} is not in a unit of {proper}")]
     rate = amount * factor if kind == "rate" else factor / amount
-    return [Statement(text, rate, assumed="" if stated or sure else "Hz" if kind == "rate" else "s")]
+    return [
+        Statement(
+            text,
+            rate,
+            assumed="" if stated or sure else "Hz" if kind == "rate" else "s",
+        )
+    ]
 
 
-def agreed_rate(place: str, statements: Iterable[Statement], notes: list[str]) -> float | None:
+def agreed_rate(
+    place: str, statements: Iterable[Statement], notes: list[str]
+) -> float | None:
     """Return the one sample rate (Hz) that all statements give; None without any.
 
     Raises
@@ -245,9 +311,12 @@ def agreed_rate(place: str, statements: Iterable[Statement], notes: list[str]) -
         A statement cannot be read, or two disagree; ``sample_rate`` is the remedy.
     """
     found = list(dict.fromkeys(statements))
-    for one in sorted(found, key=lambda one: one.rate is not None):  # what cannot be read goes first
+    # what cannot be read goes first
+    for one in sorted(found, key=lambda one: one.rate is not None):
         if one.rate is None:
-            raise InputError(f"{place}: {one.problem} (`sample_rate` HZ gives the rate instead)")
+            raise InputError(
+                f"{place}: {one.problem} (`sample_rate` HZ gives the rate instead)"
+            )
         rate = found[0].rate or 0.0
         if abs(one.rate - rate) > _SAME * rate:
             raise InputError(
@@ -272,7 +341,12 @@ def _taken_apart(value: object) -> tuple[int, float | None, str, str]:
     if isinstance(value, str | bytes):
         text = clean_text(value).strip()
         found = _AMOUNT.fullmatch(text) if len(text) <= _LONGEST else None
-        return 1, float(found[1]) if found else None, found[2] if found else "", shortened(text)
+        return (
+            1,
+            float(found[1]) if found else None,
+            found[2] if found else "",
+            shortened(text),
+        )
     try:
         array = np.asarray(value).ravel()
     except ValueError:  # a list of lists of unlike lengths
@@ -283,7 +357,12 @@ def _taken_apart(value: object) -> tuple[int, float | None, str, str]:
     amount = float(array[0]) if numbers and not np.any(array != array[0]) else None
     if array.size != 1:
         return array.size, amount, "", f"({array.size} values)"
-    return 1, amount, "", f"{array[0]:g}" if numbers else shortened(clean_text(array[0]))
+    return (
+        1,
+        amount,
+        "",
+        f"{array[0]:g}" if numbers else shortened(clean_text(array[0])),
+    )
 
 
 def _factor(kind: str, unit: str) -> float | None:
@@ -296,11 +375,13 @@ def _factor(kind: str, unit: str) -> float | None:
     plain = plain.replace(" ", "").replace("µ", "u").replace("μ", "u")
     for suffix in ("/sample", "/S", "/Sa", "persample"):
         plain = plain.removesuffix(suffix)
-    size = FACTORS.get(time_unit(plain) or "")  # dividing keeps 0.1 ms at exactly 10,000 samples a second
+    # dividing keeps 0.1 ms at exactly 10,000 samples a second
+    size = FACTORS.get(time_unit(plain) or "")
     return None if size is None else size.denominator / size.numerator
 
 
-# --- the time column -------------------------------------------------------------------------------------
+# --- the time column
+# -------------------------------------------------------------------------------------
 
 DATE = "the date"  # the place among the roles of the column of dates beside clock times
 
@@ -318,40 +399,78 @@ class _Calendar(NamedTuple):
     offset: float = 0.0  # s, added to count from 1970
 
 
-# Each range spans the years 2000 to about 2050 (1e9 s after 1970 was in 2001): no log is older than the
-# instruments that write such stamps, and the ranges of neighbouring units lie a factor of 250 apart.
+# Each range spans the years 2000 to about 2050 (1e9 s after 1970 was in 2001): no log
+# is older than the instruments that write such stamps, and the ranges of neighbouring
+# units lie a factor of 250 apart.
 _CALENDARS = (
     _Calendar("s since 1970", 1e9, 4.1e9, ONE),
     _Calendar("ms since 1970", 9e11, 4.1e12, UnitFactor(1, 10**3)),
     _Calendar("us since 1970", 9e14, 4.1e15, UnitFactor(1, 10**6)),
-    _Calendar("100 ns since 1601", 1.25e17, 1.45e17, UnitFactor(1, _TEN_MILLION), -11_644_473_600.0),
-    _Calendar("100 ns since year 1", 6.3e17, 6.5e17, UnitFactor(1, _TEN_MILLION), -62_135_596_800.0),
+    _Calendar(
+        "100 ns since 1601",
+        1.25e17,
+        1.45e17,
+        UnitFactor(1, _TEN_MILLION),
+        -11_644_473_600.0,
+    ),
+    _Calendar(
+        "100 ns since year 1",
+        6.3e17,
+        6.5e17,
+        UnitFactor(1, _TEN_MILLION),
+        -62_135_596_800.0,
+    ),
     _Calendar("ns since 1970", 9e17, 4.1e18, UnitFactor(1, 10**9)),
 )
 # Excel's and LibreOffice's serial dates, and MATLAB's datenum.
 _DAY_CALENDARS = (
-    _Calendar("days since 1899-12-30", 36_526.0, 55_153.0, UnitFactor(86_400), -25_569.0 * 86_400.0),
-    _Calendar("days since year 0", 730_486.0, 749_113.0, UnitFactor(86_400), -719_529.0 * 86_400.0),
+    _Calendar(
+        "days since 1899-12-30",
+        36_526.0,
+        55_153.0,
+        UnitFactor(86_400),
+        -25_569.0 * 86_400.0,
+    ),
+    _Calendar(
+        "days since year 0",
+        730_486.0,
+        749_113.0,
+        UnitFactor(86_400),
+        -719_529.0 * 86_400.0,
+    ),
 )
-# Stamps near 45,000 are a spreadsheet's days or the seconds of a day. 2e-5 s would be 50,000 samples a second
-# by a clock that has run for half a day; 2e-5 days are 1.7 s, slower than any log of a hysteresis loop.
-# Up to ten times as much, either may be meant.
+# Stamps near 45,000 are a spreadsheet's days or the seconds of a day. 2e-5 s would be
+# 50,000 samples a second by a clock that has run for half a day; 2e-5 days are 1.7 s,
+# slower than any log of a hysteresis loop. Up to ten times as much, either may be
+# meant.
 _DAY_STEP = 2e-5
 # After how many seconds a clock begins anew, and how that moment is called.
 _BITS = (8, 16, 24, 31, 32)  # of the counters of microcontrollers and cards
 _PERIODS = {"clock": (86_400.0, "midnight"), "minutes": (3_600.0, "the full hour")}
 _PLAIN_NAMES = frozenset(TIME_NAMES) - {"t"}  # T is a temperature as often as a time
-_DATE_WORDS = ("date", "datum", "timestamp", "datetime", "serial", "datenum", "excel", "zeitstempel")
+_DATE_WORDS = (
+    "date",
+    "datum",
+    "timestamp",
+    "datetime",
+    "serial",
+    "datenum",
+    "excel",
+    "zeitstempel",
+)
 
-# A loop takes seconds and holds hundreds of samples: whoever logs one each second or slower states it.
+# A loop takes seconds and holds hundreds of samples: whoever logs one each second or
+# slower states it.
 LONG_STEP = 1.0
 # No loop is recorded at less than a sample an hour, whatever the header states.
 LONGEST_STEP = 3600.0
 # 1e8 s are three years; a clock that counts seconds of a run never gets there.
 LATEST_STAMP = 1e8
-# A piezo under load does not pass its range in a millisecond: figures that end before count hours or days.
+# A piezo under load does not pass its range in a millisecond: figures that end before
+# count hours or days.
 SHORTEST_LOG = 1e-3
-# A sensor's column taken for the time goes back in about half of its rows, a clock set by a server once.
+# A sensor's column taken for the time goes back in about half of its rows, a clock set
+# by a server once.
 BACKWARD_SHARE = 0.05
 
 
@@ -368,7 +487,8 @@ class TimeColumn:
     stated
         What the header states.
     described
-        How the figures are read, for the line on what was read: ``ms``, ``clock times``.
+        How the figures are read, for the line on what was read: ``ms``, ``clock
+        times``.
     """
 
     place: str
@@ -376,7 +496,8 @@ class TimeColumn:
     date: ColumnInfo | None
     stated: StatedTime
     given: bool  # by the user, so that nothing is doubted
-    part: UnitFactor | None = None  # s in one count of ``date``, where that is a part of a second
+    # s in one count of ``date``, where that is a part of a second
+    part: UnitFactor | None = None
     described: str = ""
     notes: list[str] = field(default_factory=list)
     _calendar: _Calendar | None = None
@@ -401,7 +522,11 @@ class TimeColumn:
             return self.described
         if self.stated.unit is None:
             return "no unit, read as s"
-        return f"{self.stated.unit} since {self.stated.origin}" if self.stated.origin else self.stated.unit
+        return (
+            f"{self.stated.unit} since {self.stated.origin}"
+            if self.stated.origin
+            else self.stated.unit
+        )
 
     def held_back(self, blocks: Iterator[SampleBlock]) -> Iterator[SampleBlock]:
         """Keep blocks until it is known what the figures count: at most until the second time stamp."""
@@ -444,8 +569,13 @@ class TimeColumn:
         if self.stated.unit == HHMMSS:
             minutes, seconds = np.divmod(raw, 100.0)
             hours, minutes = np.divmod(minutes, 100.0)
-            self._require(bool((seconds < 60.0).all() and (minutes < 60.0).all()), f"is no {HHMMSS}")
-            return self._unrolled(hours * 3600.0 + minutes * 60.0 + seconds, *_PERIODS["clock"])
+            self._require(
+                bool((seconds < 60.0).all() and (minutes < 60.0).all()),
+                f"is no {HHMMSS}",
+            )
+            return self._unrolled(
+                hours * 3600.0 + minutes * 60.0 + seconds, *_PERIODS["clock"]
+            )
         self._whole = self._whole and bool((raw == np.rint(raw)).all())
         if self._calendar is not None:
             return self._calendar.factor.apply(raw) + self._calendar.offset
@@ -469,13 +599,22 @@ class TimeColumn:
     def _decide(self, figures: FloatArray, last: bool) -> bool:
         """Look for a calendar in the first stamps; False where a second one is needed."""
         first = float(figures[0]) if len(figures) else 0.0
-        found = next((one for one in (*_CALENDARS, *_DAY_CALENDARS) if one.low <= first < one.high), None)
+        found = next(
+            (
+                one
+                for one in (*_CALENDARS, *_DAY_CALENDARS)
+                if one.low <= first < one.high
+            ),
+            None,
+        )
         if found in _DAY_CALENDARS:
             others = figures[figures != first]
             if not len(others) and not last:
                 return False
             step = abs(float(others[0]) - first) if len(others) else np.inf
-            if step >= _DAY_STEP and not any(word in self.column.name.lower() for word in _DATE_WORDS):
+            if step >= _DAY_STEP and not any(
+                word in self.column.name.lower() for word in _DATE_WORDS
+            ):
                 self._doubt = found.name if found and step < 10.0 * _DAY_STEP else ""
                 return True
         if found is not None:
@@ -533,7 +672,9 @@ class TimeColumn:
     def _of_figures(self, check: TimeCheck) -> str:
         """Return why figures without a unit can hardly be seconds."""
         first, last, step = check.first, check.last or 0.0, check.step
-        remedy = "(`time_unit` ms, us, … or s says what they count, or `sample_rate` HZ)"
+        remedy = (
+            "(`time_unit` ms, us, … or s says what they count, or `sample_rate` HZ)"
+        )
         if self._doubt:
             return (
                 f"has no unit: stamps from {first:.6g} on are read as seconds of a day, but may be "
@@ -541,18 +682,31 @@ class TimeColumn:
             )
         if self._calendar is not None:
             if LONG_STEP < step < np.inf:
-                return f"has {self.described}, and a usual step of {step:.4g} s {remedy}"
+                return (
+                    f"has {self.described}, and a usual step of {step:.4g} s {remedy}"
+                )
             days = self._calendar in _DAY_CALENDARS
-            return f"has {self.described} (`time_unit` s if they are seconds of a day)" if days else ""
+            return (
+                f"has {self.described} (`time_unit` s if they are seconds of a day)"
+                if days
+                else ""
+            )
         if self._whole and step == 1.0:
             return (
                 "has no unit and counts whole numbers one by one: read as seconds, though it may count rows "
                 f"or milliseconds {remedy}"
             )
         before, after = check.gap.before, check.gap.after
-        if before % 100.0 >= 59.0 and after % 100.0 < 1.0 and after - before < 4041.0 and check.gap.count:
+        if (
+            before % 100.0 >= 59.0
+            and after % 100.0 < 1.0
+            and after - before < 4041.0
+            and check.gap.count
+        ):
             asked = "are these hours, minutes and seconds?"
-            return f"goes from {before:.7g} to {after:.7g}: {asked} (`time_unit` {HHMMSS})"
+            return (
+                f"goes from {before:.7g} to {after:.7g}: {asked} (`time_unit` {HHMMSS})"
+            )
         if LONG_STEP <= step < np.inf:
             odd = f"its usual step is {step:.6g} s"
         elif max(abs(first), abs(last)) > LATEST_STAMP:
@@ -565,7 +719,10 @@ class TimeColumn:
 
 
 def time_column(
-    place: str, column: ColumnInfo, columns: Sequence[ColumnInfo], given: str | None = None
+    place: str,
+    column: ColumnInfo,
+    columns: Sequence[ColumnInfo],
+    given: str | None = None,
 ) -> TimeColumn:
     """Prepare a time column, and find the dates beside clock times.
 
@@ -589,8 +746,18 @@ def time_column(
         beside = None if given is not None else _part_beside(column, columns)
         if beside is not None:
             text = f"s and {beside[1]} in '{beside[0].name}'"
-            return TimeColumn(place, column, beside[0], StatedTime("s"), True, FACTORS[beside[1]], text)
-        return TimeColumn(place, column, None, stated_time(place, column, given), given is not None)
+            return TimeColumn(
+                place,
+                column,
+                beside[0],
+                StatedTime("s"),
+                True,
+                FACTORS[beside[1]],
+                text,
+            )
+        return TimeColumn(
+            place, column, None, stated_time(place, column, given), given is not None
+        )
     if given is not None:
         raise InputError(
             f"{place}: the time column '{column.name}' holds dates or clock times, which say by themselves "
@@ -601,11 +768,25 @@ def time_column(
             f"{place}: column '{column.name}' holds dates without a time of day "
             "(`time` the column of clock times, whose dates are taken from here)"
         )
-    dates = [one for one in columns if one.written == "date"] if column.written == "clock" else []
+    dates = (
+        [one for one in columns if one.written == "date"]
+        if column.written == "clock"
+        else []
+    )
     date = dates[0] if len(dates) == 1 else None
-    kinds = {"stamp": "dates and clock times", "clock": "clock times", "minutes": "minutes and seconds"}
-    text = kinds[column.written] if date is None else f"clock times, dates in '{date.name}'"
-    return TimeColumn(place, replace(column, unit=None), date, StatedTime("s"), True, described=text)
+    kinds = {
+        "stamp": "dates and clock times",
+        "clock": "clock times",
+        "minutes": "minutes and seconds",
+    }
+    text = (
+        kinds[column.written]
+        if date is None
+        else f"clock times, dates in '{date.name}'"
+    )
+    return TimeColumn(
+        place, replace(column, unit=None), date, StatedTime("s"), True, described=text
+    )
 
 
 class FoundTime(NamedTuple):
@@ -617,7 +798,10 @@ class FoundTime(NamedTuple):
 
 
 def find_time_column(
-    place: str, columns: list[ColumnInfo], options: ReadingOptions, named: Sequence[ColumnInfo]
+    place: str,
+    columns: list[ColumnInfo],
+    options: ReadingOptions,
+    named: Sequence[ColumnInfo],
 ) -> FoundTime:
     """Find the time column; a sample rate given by the user replaces one that was only guessed.
 
@@ -641,13 +825,20 @@ def find_time_column(
         found = [find_column(place, columns, options.time, "time")]
     else:
         used = {column.number for column in named}
-        found = _time_candidates([column for column in columns if column.number not in used])
+        found = _time_candidates(
+            [column for column in columns if column.number not in used]
+        )
     if options.sample_rate is not None:
-        notes = [f"{place}: `sample_rate` replaces the column '{one.name}'" for one in found[:1]]
+        notes = [
+            f"{place}: `sample_rate` replaces the column '{one.name}'"
+            for one in found[:1]
+        ]
         return FoundTime(None, found if len(found) == 1 else [], notes)
     if len(found) > 1:
         same = len({column.name for column in found}) < len(found)
-        names = [f"{one.number} '{one.name}'" if same else f"'{one.name}'" for one in found]
+        names = [
+            f"{one.number} '{one.name}'" if same else f"'{one.name}'" for one in found
+        ]
         asked = f"which column is the time, {any_of(names)}?"
         raise InputError(f"{place}: {asked} (choose with `time` NAME or NUMBER)")
     if not found:
@@ -656,13 +847,19 @@ def find_time_column(
     return FoundTime(clock, list(clock.picks.values()), [])
 
 
-def _part_beside(column: ColumnInfo, columns: Sequence[ColumnInfo]) -> tuple[ColumnInfo, str] | None:
+def _part_beside(
+    column: ColumnInfo, columns: Sequence[ColumnInfo]
+) -> tuple[ColumnInfo, str] | None:
     """Find the parts of a second beside a column of seconds (``sec``, ``nanosec``), and their unit."""
     first, last = _last_word(column.name)
     if last not in _SECONDS:
         return None
-    counted = [(one, *_last_word(one.name)) for one in columns if one.written == "numbers"]
-    beside = [(one, time_unit(word) or "") for one, start, word in counted if start == first]
+    counted = [
+        (one, *_last_word(one.name)) for one in columns if one.written == "numbers"
+    ]
+    beside = [
+        (one, time_unit(word) or "") for one, start, word in counted if start == first
+    ]
     found = [(one, unit) for one, unit in beside if unit in ("ms", "us", "ns")]
     return found[0] if len(found) == 1 else None
 
@@ -674,10 +871,20 @@ def _last_word(name: str) -> tuple[str, str]:
 
 def _time_candidates(columns: list[ColumnInfo]) -> list[ColumnInfo]:
     """Find the columns that may hold the time: figures by name, then stamps by name, then stamps."""
-    fitting = [one for one in columns if not is_other_kind(one.unit) or one.quantity.lower() in _PLAIN_NAMES]
-    found = guess_columns(fitting, TIME_NAMES) or guess_columns(fitting, MORE_TIME_NAMES)
+    fitting = [
+        one
+        for one in columns
+        if not is_other_kind(one.unit) or one.quantity.lower() in _PLAIN_NAMES
+    ]
+    found = guess_columns(fitting, TIME_NAMES) or guess_columns(
+        fitting, MORE_TIME_NAMES
+    )
     figures = [column for column in found if column.written == "numbers"]
-    pairs = [(one, part[0]) for one in fitting if (part := _part_beside(one, fitting)) is not None]
+    pairs = [
+        (one, part[0])
+        for one in fitting
+        if (part := _part_beside(one, fitting)) is not None
+    ]
     if len(pairs) == 1 and set(figures) <= set(pairs[0]):
         return [pairs[0][0]]
     if figures:
@@ -687,6 +894,12 @@ def _time_candidates(columns: list[ColumnInfo]) -> list[ColumnInfo]:
             stamps = [column for column in some if column.written in writings]
             if stamps:
                 return stamps
-    if not found and columns and columns[0].written == "numbers" and time_unit(columns[0].unit or ""):
-        return [one for one in columns if time_unit(one.unit or "")]  # an oscilloscope's "Source" in Second
+    if (
+        not found
+        and columns
+        and columns[0].written == "numbers"
+        and time_unit(columns[0].unit or "")
+    ):
+        # an oscilloscope's "Source" in Second
+        return [one for one in columns if time_unit(one.unit or "")]
     return found

@@ -1,9 +1,10 @@
 """How far two recorders' clocks are apart, found from what they recorded.
 
-A displacement follows the voltage through a loop: it turns where the voltage turns, but is no function of
-it. So the displacement is described by the voltage, its powers and plays of it (a Prandtl-Ishlinskii sum,
-linear in its weights), by a straight drift, and by its own derivative: the weight of that is the offset. A
-second derivative column that grows with time gives the drift of one clock against the other.
+A displacement follows the voltage through a loop: it turns where the voltage turns, but
+is no function of it. So the displacement is described by the voltage, its powers and
+plays of it (a Prandtl-Ishlinskii sum, linear in its weights), by a straight drift, and
+by its own derivative: the weight of that is the offset. A second derivative column that
+grows with time gives the drift of one clock against the other.
 
 A delay of the actuator or its sensor looks the same, and is part of what is found.
 """
@@ -34,11 +35,15 @@ STEPS = 12  # of Gauss and Newton at most
 FEWEST = 0.1  # of the sensor's rows must lie where the drive's past is known
 AT_END = 0.005  # of the drive's range: so near its end the drive has been there
 CANDIDATES = 6  # best places of the coarse search that are refined
-ALIKE = 1.15  # times the least residual: a second place that explains the records as well
+# times the least residual: a second place that explains the records as well
+ALIKE = 1.15
 EXPLAINED = 0.3  # of the displacement's scatter may be left unexplained
-FIFTH = 0.2  # of a sample of the slower clock: what an offset must be known to (two standard deviations)
+# of a sample of the slower clock: what an offset must be known to (two standard
+# deviations)
+FIFTH = 0.2
 DRIFT_FROM = 10.0  # s, from which on a drift is looked for
-# standard deviations of a drift from which on it is one; they come from PARTS - 2 degrees of freedom
+# standard deviations of a drift from which on it is one; they come from PARTS - 2
+# degrees of freedom
 SURE = 5.0
 PARTS = 8  # of a record, each with an offset of its own
 
@@ -47,8 +52,8 @@ PARTS = 8  # of a record, each with an offset of its own
 class ClockOffset:
     """What is to be added to the drive's clock, in seconds, and its standard deviation.
 
-    ``drift`` is how much faster the sensor's clock runs (seconds a second), ``about`` the time on the drive's
-    clock at which the offset holds.
+    ``drift`` is how much faster the sensor's clock runs (seconds a second), ``about``
+    the time on the drive's clock at which the offset holds.
     """
 
     seconds: float
@@ -76,7 +81,11 @@ class _Fit:
 
 
 def find_offset(
-    drive_time: FloatArray, drive: FloatArray, sensor_time: FloatArray, sensor: FloatArray, place: str
+    drive_time: FloatArray,
+    drive: FloatArray,
+    sensor_time: FloatArray,
+    sensor: FloatArray,
+    place: str,
 ) -> ClockOffset:
     """Return the offset of the drive's clock, and the drift where it is sure and the records last.
 
@@ -99,7 +108,9 @@ def find_offset(
     drive_time, drive = fine, interpolated(drive_time, drive, fine)[0]
     sensor_time, sensor = _thinned(sensor_time, sensor, MOST_SENSOR)
     if float(np.ptp(drive)) == 0.0 or float(np.ptp(sensor)) == 0.0:
-        raise InputError(f"{place}: `clock_offset` auto finds nothing: one of the two stands still")
+        raise InputError(
+            f"{place}: `clock_offset` auto finds nothing: one of the two stands still"
+        )
     columns = _columns(drive)
     fits: list[_Fit] = []
     for start in _coarse(drive_time, drive, sensor_time, sensor, slower):
@@ -107,19 +118,26 @@ def find_offset(
         if fit is not None:
             fits.append(fit)
     if not fits:
-        raise InputError(f"{place}: `clock_offset` auto finds nothing that the two have in common")
+        raise InputError(
+            f"{place}: `clock_offset` auto finds nothing that the two have in common"
+        )
     fits.sort(key=lambda fit: fit.residual)
     best = fits[0]
-    fewer = np.hstack([columns[:, :3], columns[:, 3::2]])  # every second play: does the description matter?
+    # every second play: does the description matter?
+    fewer = np.hstack([columns[:, :3], columns[:, 3::2]])
     again = _refined(drive_time, fewer, sensor_time, sensor, best.offset)
     if again is not None:
-        best = replace(best, deviation=math.hypot(best.deviation, again.offset - best.offset))
+        best = replace(
+            best, deviation=math.hypot(best.deviation, again.offset - best.offset)
+        )
     _require_sure(best, fits[1:], slower, place)
     drift = 0.0
     lasts = min(np.ptp(drive_time), np.ptp(sensor_time)) >= DRIFT_FROM
     if lasts and abs(best.drift) > SURE * best.drift_deviation:
         drift = best.drift
-    return ClockOffset(best.offset, best.deviation, drift, best.drift_deviation, best.about)
+    return ClockOffset(
+        best.offset, best.deviation, drift, best.drift_deviation, best.about
+    )
 
 
 def _require_sure(best: _Fit, others: list[_Fit], slower: float, place: str) -> None:
@@ -155,14 +173,18 @@ def _usual_step(time: FloatArray) -> float:
     )
 
 
-def _thinned(time: FloatArray, values: FloatArray, most: int) -> tuple[FloatArray, FloatArray]:
+def _thinned(
+    time: FloatArray, values: FloatArray, most: int
+) -> tuple[FloatArray, FloatArray]:
     """Return means of as many neighbours as leave no more than ``most``."""
     group = -(-len(time) // most)
     if group <= 1:
         return time, values
     count = len(time) // group
     cut = slice(count * group)
-    return time[cut].reshape(count, group).mean(axis=1), values[cut].reshape(count, group).mean(axis=1)
+    return time[cut].reshape(count, group).mean(axis=1), values[cut].reshape(
+        count, group
+    ).mean(axis=1)
 
 
 def _columns(drive: FloatArray) -> FloatArray:
@@ -178,12 +200,16 @@ def _columns(drive: FloatArray) -> FloatArray:
 
 
 def _coarse(
-    drive_time: FloatArray, drive: FloatArray, sensor_time: FloatArray, sensor: FloatArray, slower: float
+    drive_time: FloatArray,
+    drive: FloatArray,
+    sensor_time: FloatArray,
+    sensor: FloatArray,
+    slower: float,
 ) -> list[float]:
     """Return offsets (s) at which the two look most alike, the best first.
 
-    The two are laid on one grid and shifted against each other; what counts is their correlation where both
-    are, whatever its sign.
+    The two are laid on one grid and shifted against each other; what counts is their
+    correlation where both are, whatever its sign.
     """
     shorter = min(float(np.ptp(drive_time)), float(np.ptp(sensor_time)))
     step = max(slower, shorter / COARSE)
@@ -196,19 +222,26 @@ def _coarse(
 
     def shifted(of_drive: Spectrum, of_sensor: Spectrum) -> FloatArray:
         """Sum products at every shift of the sensor's grid against the drive's."""
-        return np.roll(np.fft.irfft(np.conj(of_drive) * of_sensor, size), len(v) - 1)[: len(v) + len(y) - 1]
+        return np.roll(np.fft.irfft(np.conj(of_drive) * of_sensor, size), len(v) - 1)[
+            : len(v) + len(y) - 1
+        ]
 
     count = np.rint(shifted(ones[0], ones[1]))
     enough = count >= ENOUGH * min(len(v), len(y))
     count = np.maximum(count, 1.0)
-    mean_v, mean_y = shifted(seen[0], ones[1]) / count, shifted(ones[0], seen[2]) / count
+    mean_v, mean_y = (
+        shifted(seen[0], ones[1]) / count,
+        shifted(ones[0], seen[2]) / count,
+    )
     scatter_v = shifted(seen[1], ones[1]) / count - mean_v**2
     scatter_y = shifted(ones[0], seen[3]) / count - mean_y**2
     both = shifted(seen[0], seen[2]) / count - mean_v * mean_y
     floor = 1e-6 * float(np.mean(v * v)) * float(np.mean(y * y))
     alike = np.where(enough, both**2 / np.maximum(scatter_v * scatter_y, floor), 0.0)
     peaks = [
-        k for k in range(1, len(alike) - 1) if alike[k - 1] <= alike[k] >= alike[k + 1] and alike[k] > 0.0
+        k
+        for k in range(1, len(alike) - 1)
+        if alike[k - 1] <= alike[k] >= alike[k + 1] and alike[k] > 0.0
     ]
     peaks.sort(key=lambda k: -alike[k])
     begin = float(sensor_time[0]) - float(drive_time[0])
@@ -216,7 +249,11 @@ def _coarse(
 
 
 def _refined(
-    drive_time: FloatArray, columns: FloatArray, sensor_time: FloatArray, sensor: FloatArray, start: float
+    drive_time: FloatArray,
+    columns: FloatArray,
+    sensor_time: FloatArray,
+    sensor: FloatArray,
+    start: float,
 ) -> _Fit | None:
     """Return the best fit near an offset, by Gauss and Newton; None where too little is in common."""
     offset, known = start, drive_time[_known_from(columns[:, 0])]
@@ -241,7 +278,9 @@ def _refined(
         left = y - (whole / scale) @ weights
         change = float(np.clip(weights[-1] / scale[-1], -farthest, farthest))
         offset += change
-        unexplained = float(np.mean(left**2) / np.var(y)) if float(np.var(y)) > 0.0 else 1.0
+        unexplained = (
+            float(np.mean(left**2) / np.var(y)) if float(np.var(y)) > 0.0 else 1.0
+        )
         fit = _with_drift(offset, at, left, speed, unexplained)
         if abs(change) < 0.02 * fit.deviation + 1e-9 * span:
             break
@@ -249,11 +288,16 @@ def _refined(
 
 
 def _with_drift(
-    offset: float, at: FloatArray, left: FloatArray, speed: FloatArray, unexplained: float
+    offset: float,
+    at: FloatArray,
+    left: FloatArray,
+    speed: FloatArray,
+    unexplained: float,
 ) -> _Fit:
     """Return offset and drift with their deviations, by how the offset scatters in the record.
 
-    What is wrong with the description of the loop scatters with it, so the deviations count that, too.
+    What is wrong with the description of the loop scatters with it, so the deviations
+    count that, too.
     """
     parts = np.array_split(np.arange(len(at)), PARTS)
     times, apart, weights = np.zeros(PARTS), np.zeros(PARTS), np.zeros(PARTS)
@@ -266,11 +310,18 @@ def _with_drift(
     middle = float(np.dot(weights, times))
     mean = float(np.dot(weights, apart))
     spread = float(np.dot(weights, (times - middle) ** 2))
-    drift = float(np.dot(weights, (times - middle) * (apart - mean))) / max(spread, 1e-300)
+    drift = float(np.dot(weights, (times - middle) * (apart - mean))) / max(
+        spread, 1e-300
+    )
     rest = apart - mean - drift * (times - middle)
     variance = float(np.dot(weights, rest**2)) / (PARTS - 2)
     return _Fit(
-        offset, drift, math.sqrt(variance), math.sqrt(variance / max(spread, 1e-300)), middle, unexplained
+        offset,
+        drift,
+        math.sqrt(variance),
+        math.sqrt(variance / max(spread, 1e-300)),
+        middle,
+        unexplained,
     )
 
 

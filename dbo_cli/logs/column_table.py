@@ -1,7 +1,8 @@
 """A log as a list of columns that can be sliced: what every format but text comes down to.
 
-A reader of a format finds the columns, their units, scales and the clock; everything a user meets afterwards
-(blocks, bad values, unequal lengths, conflicting rates, a file that changes) is here, once.
+A reader of a format finds the columns, their units, scales and the clock; everything a
+user meets afterwards (blocks, bad values, unequal lengths, conflicting rates, a file
+that changes) is here, once.
 """
 
 from __future__ import annotations
@@ -58,7 +59,8 @@ class ColumnSource:
     unit
         As the file gives it, or None.
     scale, offset
-        The value is stored · scale + offset (netCDF's ``scale_factor`` and ``add_offset``).
+        The value is stored · scale + offset (netCDF's ``scale_factor`` and
+        ``add_offset``).
     missing
         Stored values that stand for "no value" (netCDF's ``_FillValue``).
     clock
@@ -70,7 +72,8 @@ class ColumnSource:
     problem
         Why this column cannot be used, or an empty text.
     written
-        ``numbers``, or how its texts write time stamps (``stamp``, ``clock``, ``minutes``, ``date``).
+        ``numbers``, or how its texts write time stamps (``stamp``, ``clock``,
+        ``minutes``, ``date``).
     """
 
     label: str
@@ -107,7 +110,9 @@ def _stamps_of(cells: Any, written: str) -> FloatArray:
 
     read = READERS[written]
     seconds = [read(clean_text(cell).strip()) for cell in cells.tolist()]
-    return np.array([np.nan if second is None else second for second in seconds], dtype=np.float64)
+    return np.array(
+        [np.nan if second is None else second for second in seconds], dtype=np.float64
+    )
 
 
 def text_source(label: str, length: int, fetch: Fetch) -> ColumnSource | None:
@@ -118,7 +123,9 @@ def text_source(label: str, length: int, fetch: Fetch) -> ColumnSource | None:
     if not all(isinstance(cell, str | bytes) for cell in cells):
         return None
     written = writing_of([clean_text(cell).strip() for cell in cells])
-    return None if written is None else ColumnSource(label, length, fetch, written=written)
+    return (
+        None if written is None else ColumnSource(label, length, fetch, written=written)
+    )
 
 
 def from_first_row(source: ColumnSource, unit: str) -> ColumnSource:
@@ -133,14 +140,19 @@ def from_first_row(source: ColumnSource, unit: str) -> ColumnSource:
         if not first:
             first.append(int(np.asarray(source.fetch(0, 1))[0]))
         counts = np.asarray(source.fetch(start, stop))
-        return ((counts.astype(np.int64) if counts.dtype.kind in "iu" else counts) - first[0]) / per_second
+        return (
+            (counts.astype(np.int64) if counts.dtype.kind in "iu" else counts)
+            - first[0]
+        ) / per_second
 
     return replace(source, fetch=fetch, unit="s")
 
 
 def array_source(label: str, values: Any, unit: str | None = None) -> ColumnSource:
     """Make a column of an array in memory."""
-    return ColumnSource(label, len(values), lambda start, stop: values[start:stop], unit)
+    return ColumnSource(
+        label, len(values), lambda start, stop: values[start:stop], unit
+    )
 
 
 def listed_source(name: str, values: list[Any]) -> ColumnSource | None:
@@ -158,15 +170,22 @@ def listed_source(name: str, values: list[Any]) -> ColumnSource | None:
         if stamps and isinstance(value, str):
             value = to_number(value, ".") if start is None else stamp_seconds(value)
             if value is not None and start is not None:
-                value, unit = round(value - start, 6), "s"  # a float64 of seconds since 1970 has no more
+                # a float64 of seconds since 1970 has no more
+                value, unit = round(value - start, 6), "s"
         if isinstance(value, int | float):
             numbers[index] = value
         elif value is not None or stamps:
             bad.append(index)
     if 2 * len(bad) >= len(values):
         return None
-    odd = [f"is not a number in record {k + 1}: {values[k]!r} (leave it out)" for k in bad[:1]]
-    return replace(array_source(name, numbers, unit), problem=f"column '{name}' {odd[0]}" if odd else "")
+    odd = [
+        f"is not a number in record {k + 1}: {values[k]!r} (leave it out)"
+        for k in bad[:1]
+    ]
+    return replace(
+        array_source(name, numbers, unit),
+        problem=f"column '{name}' {odd[0]}" if odd else "",
+    )
 
 
 def matrix_sources(name: str, array: Any) -> list[ColumnSource]:
@@ -177,7 +196,9 @@ def matrix_sources(name: str, array: Any) -> list[ColumnSource]:
         return [array_source(name, array)]
     table = array if array.shape[0] >= array.shape[1] else array.T
     width = table.shape[1]
-    labels = [f"{name}[{number}]" for number in range(1, width + 1)] if width > 1 else [name]
+    labels = (
+        [f"{name}[{number}]" for number in range(1, width + 1)] if width > 1 else [name]
+    )
     return [array_source(label, table[:, index]) for index, label in enumerate(labels)]
 
 
@@ -191,19 +212,27 @@ def with_unit(source: ColumnSource, member: Callable[[str], Any]) -> ColumnSourc
     """Take a unit from a text beside the column (``voltage_unit``) where it has none itself."""
     if source.unit:
         return source
-    texts = (member(f"{source.label}{ending}") for ending in ("_units", "_unit", "Unit"))
-    return replace(source, unit=next((text for text in texts if isinstance(text, str) and text), None))
+    texts = (
+        member(f"{source.label}{ending}") for ending in ("_units", "_unit", "Unit")
+    )
+    return replace(
+        source,
+        unit=next((text for text in texts if isinstance(text, str) and text), None),
+    )
 
 
 def statements_in(values: Mapping[str, Any]) -> list[Statement]:
     """Read what named values state of the sample rate; its unit is ``NAME_units`` or ``NAME_unit``."""
     statements: list[Statement] = []
     for name, value in values.items():
-        statements += read_statements(name, value, values.get(f"{name}_units", values.get(f"{name}_unit")))
+        statements += read_statements(
+            name, value, values.get(f"{name}_units", values.get(f"{name}_unit"))
+        )
     return statements
 
 
-# What netCDF's library leaves where nothing was written: NC_FILL_FLOAT and NC_FILL_DOUBLE, one number.
+# What netCDF's library leaves where nothing was written: NC_FILL_FLOAT and
+# NC_FILL_DOUBLE, one number.
 NETCDF_FILL = 9.969209968386869e36
 
 
@@ -216,7 +245,10 @@ def number_in(value: Any, index: int = 0) -> float | None:
 
 
 def unpacked(
-    source: ColumnSource, number: Callable[[str], float | None], unsigned: bool, filled: bool
+    source: ColumnSource,
+    number: Callable[[str], float | None],
+    unsigned: bool,
+    filled: bool,
 ) -> ColumnSource:
     """Apply netCDF's conventions: packed values, values that stand for none.
 
@@ -238,7 +270,9 @@ def unpacked(
         scale=number("scale_factor") or 1.0,
         offset=number("add_offset") or 0.0,
         missing=missing or ((NETCDF_FILL,) if filled else ()),
-        problem=f"column '{source.label}' is stored as _Unsigned, which is not read" if unsigned else "",
+        problem=f"column '{source.label}' is stored as _Unsigned, which is not read"
+        if unsigned
+        else "",
     )
 
 
@@ -265,7 +299,8 @@ class ColumnTable(Table):
     damaged
         The errors that the format's library raises for a damaged file while it is read.
     held, remedy
-        What the file holds instead, where there is no column of numbers, and what to do about it.
+        What the file holds instead, where there is no column of numbers, and what to do
+        about it.
 
     Raises
     ------
@@ -280,7 +315,12 @@ class ColumnTable(Table):
     start: float = 0.0
     where: str = ""
     at_close: Callable[[], object] | None = None
-    damaged: tuple[type[BaseException], ...] = (OSError, RuntimeError, TypeError, ValueError)
+    damaged: tuple[type[BaseException], ...] = (
+        OSError,
+        RuntimeError,
+        TypeError,
+        ValueError,
+    )
     held: Iterable[str] = ()
     remedy: str = ""
 
@@ -289,12 +329,16 @@ class ColumnTable(Table):
         self.place = self.request.place
         if not self.sources:
             instead = ", ".join(self.held) or "nothing"
-            raise InputError(f"{self.place}: no columns of numbers: it holds {instead}{self.remedy}")
+            raise InputError(
+                f"{self.place}: no columns of numbers: it holds {instead}{self.remedy}"
+            )
         self.notes, self.columns = [], []
         self.dropped, self.doubtful = DroppedRows(), []
         for number, source in enumerate(self.sources, start=1):
             info = column_info(source.label.rsplit("/", 1)[-1], number, source.unit)
-            self.columns.append(replace(info, name=source.label, written=source.written))
+            self.columns.append(
+                replace(info, name=source.label, written=source.written)
+            )
 
     def describe(self) -> str:
         """Describe in one line how the log is written, for ``verbose``."""
@@ -316,7 +360,9 @@ class ColumnTable(Table):
         rate = agreed_rate(self.place, statements or self.clock, self.notes)
         starts = {source.start for source in picked}
         if len(starts) > 1:
-            listed = ", ".join(f"'{source.label}' at {source.start:g} s" for source in picked)
+            listed = ", ".join(
+                f"'{source.label}' at {source.start:g} s" for source in picked
+            )
             raise InputError(
                 f"{self.place}: the columns do not start at the same time: {listed} "
                 "(`sample_rate` HZ takes them row by row)"
@@ -329,8 +375,8 @@ class ColumnTable(Table):
         Raises
         ------
         InputError
-            The columns are of unequal length, a value is not finite (unless ``skip_bad``), or the file
-            changes while it is read.
+            The columns are of unequal length, a value is not finite (unless
+            ``skip_bad``), or the file changes while it is read.
         """
         wanted = list(picks.values())
         sources = [self.sources[pick.number - 1] for pick in wanted]
@@ -340,21 +386,32 @@ class ColumnTable(Table):
             self.notes.extend(f"{self.place}: {remark}" for remark in source.remarks)
         lengths, options = [source.length for source in sources], self.request.options
         if len(set(lengths)) > 1:
-            listed = ", ".join(f"'{s.label}' {n}" for s, n in zip(sources, lengths, strict=True))
-            raise InputError(f"{self.place}: the columns are of unequal length: {listed}")
+            listed = ", ".join(
+                f"'{s.label}' {n}" for s, n in zip(sources, lengths, strict=True)
+            )
+            raise InputError(
+                f"{self.place}: the columns are of unequal length: {listed}"
+            )
         end = min(lengths[0], options.rows[1] or lengths[0])
         for start in range(options.rows[0] - 1, end, options.block_rows):
             stop = min(end, start + options.block_rows)
             with self.request.reading(self.kind, self.damaged):
                 arrays = [source.read(start, stop) for source in sources]
-            block = SampleBlock(range(start + 1, stop + 1), None, None, dict(zip(picks, arrays, strict=True)))
+            block = SampleBlock(
+                range(start + 1, stop + 1),
+                None,
+                None,
+                dict(zip(picks, arrays, strict=True)),
+            )
             good = [are_measured(array) for array in arrays]
             whole = np.logical_and.reduce(good)
             if not whole.all():
                 blank = [
-                    pick.may_be_blank & np.isnan(array) for pick, array in zip(wanted, arrays, strict=True)
+                    pick.may_be_blank & np.isnan(array)
+                    for pick, array in zip(wanted, arrays, strict=True)
                 ]
-                bad = np.argwhere(~np.logical_or(good, blank).T)  # row and column, the first row first
+                # row and column, the first row first
+                bad = np.argwhere(~np.logical_or(good, blank).T)
                 if len(bad):
                     rows, first = np.unique(bad[:, 0], return_index=True)
                     named = (
@@ -362,7 +419,9 @@ class ColumnTable(Table):
                         for row, number in bad[first[:MOST_NAMED]].tolist()
                     )
                     if not options.skip_bad:
-                        remedy = remedy_for(len(rows) - 1, len(block) - 1 - int(rows[0]))
+                        remedy = remedy_for(
+                            len(rows) - 1, len(block) - 1 - int(rows[0])
+                        )
                         raise InputError(f"{next(named)} {remedy}")
                     self.dropped.extend(DroppedRows(len(rows), list(named)))
                 block = block.chosen(whole)
@@ -371,13 +430,20 @@ class ColumnTable(Table):
             self.notes.append(self.dropped.note())
 
     def _bad_row(
-        self, start: int, wanted: Sequence[ColumnInfo], arrays: Sequence[FloatArray], row: int, number: int
+        self,
+        start: int,
+        wanted: Sequence[ColumnInfo],
+        arrays: Sequence[FloatArray],
+        row: int,
+        number: int,
     ) -> BadRow:
         """Name a row of a block that begins at ``start`` by the column that holds no number there."""
         value = str(float(arrays[number][row]))
         at = start + row + 1
         return BadRow(
-            at, f"{self.place}: row {at}", f"{column_label(wanted[number])} is not finite: {value!r}"
+            at,
+            f"{self.place}: row {at}",
+            f"{column_label(wanted[number])} is not finite: {value!r}",
         )
 
     def close(self) -> None:

@@ -1,8 +1,9 @@
 """Which column is meant: names, units and guesses.
 
-A header such as ``voltage_V``, ``displacement (um)`` or ``Position [µm]`` names a quantity and a unit.  Units
-are carried, never guessed: a suffix after an underscore counts as a unit only when it is a known one.  Two
-columns that may be meant are asked about, never taken by their order.
+A header such as ``voltage_V``, ``displacement (um)`` or ``Position [µm]`` names a
+quantity and a unit.  Units are carried, never guessed: a suffix after an underscore
+counts as a unit only when it is a known one.  Two columns that may be meant are asked
+about, never taken by their order.
 """
 
 from __future__ import annotations
@@ -18,30 +19,46 @@ from numpy.typing import ArrayLike
 from dbo_cli.errors import InputError, OutputError, UsageError
 from dbo_cli.logs.plain_text import cleaned, counted, pattern
 from dbo_cli.logs.sample_block import ColumnInfo
-from dbo_cli.logs.units import DRIVING_KINDS, MOVED_KINDS, is_known_unit, kind_of_unit, normalise_unit
+from dbo_cli.logs.units import (
+    DRIVING_KINDS,
+    MOVED_KINDS,
+    is_known_unit,
+    kind_of_unit,
+    normalise_unit,
+)
 
-# How headers state units: ``voltage (V)``, ``voltage/V``, ``voltage_V``, ``voltage in milli volts``.
-_BRACKETED = pattern(r"^(?P<quantity>.*?)\s*[\[(<{](?P<unit>[^\[\](){}<>]*)[\])>}]\s*$", re.DOTALL)
-_SLASHED = pattern(r"^(?P<quantity>.*?)\s*(?:/|\bin\b|,)\s*(?P<unit>\S{1,30})$", re.DOTALL)
+# How headers state units: ``voltage (V)``, ``voltage/V``, ``voltage_V``, ``voltage in
+# milli volts``.
+_BRACKETED = pattern(
+    r"^(?P<quantity>.*?)\s*[\[(<{](?P<unit>[^\[\](){}<>]*)[\])>}]\s*$", re.DOTALL
+)
+_SLASHED = pattern(
+    r"^(?P<quantity>.*?)\s*(?:/|\bin\b|,)\s*(?P<unit>\S{1,30})$", re.DOTALL
+)
 _SUFFIXED = pattern(r"^(?P<quantity>.+)[_ ](?P<unit>[^_ ]+)$", re.DOTALL)
 
 _PREFIXED = pattern(
-    r"(?P<quantity>.+?)[_ /-](?P<prefix>milli|micro|nano|pico|kilo|mega|centi)", re.IGNORECASE
+    r"(?P<quantity>.+?)[_ /-](?P<prefix>milli|micro|nano|pico|kilo|mega|centi)",
+    re.IGNORECASE,
 )
 
-_INDEX = pattern(r"[-+]?\d+([.:,]\s*\d+)*|ch(an(nel)?)?[ _]?\w|:")  # data[2], x(1), Voltage (CH1)
+# data[2], x(1), Voltage (CH1)
+_INDEX = pattern(r"[-+]?\d+([.:,]\s*\d+)*|ch(an(nel)?)?[ _]?\w|:")
 _BESIDES = frozenset(
     ("n", "no", "index", "idx", "row", "sample", "flag", "temp", "temperature", "loop", "cycle", "trigger",
      "status", "marker", "segment", "remark", "comment", "date", "time")
 )  # fmt: skip
 """Names of columns that stand beside the signals in many logs and are none."""
-_SYMBOL = pattern(r"[A-SU-Za-su-z]\([^()]*\)")  # V(drive), as simulators name a node; t(ticks) has its unit
+# V(drive), as simulators name a node; t(ticks) has its unit
+_SYMBOL = pattern(r"[A-SU-Za-su-z]\([^()]*\)")
 _CHANNEL = pattern(
     r"(ch|chan|channel|kanal|canal|voie|ai|ao|in|out|input|output|signal|probe|column|col|data|trace)"
     r"[ _.#-]?[a-z]?\d{0,3}",
     re.IGNORECASE,
 )
-_READINGS = frozenset(("monitor", "mon", "readback", "actual", "meas", "ist", "istwert", "laser", "read"))
+_READINGS = frozenset(
+    ("monitor", "mon", "readback", "actual", "meas", "ist", "istwert", "laser", "read")
+)
 """Words that say that a column was measured, on which scale nobody knows."""
 _CARD = pattern(r"(?:^|[/ ])(ao|ai)[ _]?\d{1,3}$", re.IGNORECASE)
 _REMARKS = frozenset(
@@ -54,8 +71,10 @@ _REMARKS = frozenset(
 _HASHED = pattern(r"/#[^\W\d]")  # TIME/#secs may have been ms
 
 _LISTED = 20  # names of columns that a message holds at most
-_NAMING = ("length", "angle")  # a column called "um" is in um; "m" and "Volts" may be anything
-_LETTERED = ("", "channel", "ch", "chan", "input", "probe")  # "Channel A" is not in amperes
+# a column called "um" is in um; "m" and "Volts" may be anything
+_NAMING = ("length", "angle")
+# "Channel A" is not in amperes
+_LETTERED = ("", "channel", "ch", "chan", "input", "probe")
 
 
 @dataclass(frozen=True)
@@ -65,35 +84,38 @@ class ColumnWish:
     Parameters
     ----------
     selector
-        What the user gave (a header name, a dataset path, a number counted from 1), or None: the column is
-        guessed by what follows.
+        What the user gave (a header name, a dataset path, a number counted from 1), or
+        None: the column is guessed by what follows.
     guesses
         Names of the quantity, in lower case.
     required
-        Whether the absence of the column is an error. Two columns that may be meant are refused either way.
+        Whether the absence of the column is an error. Two columns that may be meant are
+        refused either way.
     option
         The parameter that messages name in the remedy.
     letters
-        Names of one letter, tried as whole names where none of the ``guesses`` is there. They do nothing
-        without ``proving_units``.
+        Names of one letter, tried as whole names where none of the ``guesses`` is
+        there. They do nothing without ``proving_units``.
     kinds
         What the unit may measure (None: anything).
     contrary
         Words that give a column another role: it is not taken.
     by_unit
-        Names that count only with a unit of ``proving_units``; ``ch`` stands for all names of channels
-        (``CH1 (V)``).
+        Names that count only with a unit of ``proving_units``; ``ch`` stands for all
+        names of channels (``CH1 (V)``).
     proving_units
-        Kinds of units that prove the role: a column in such a unit needs a lesser name, or none where it is
-        the only one. Empty: the ``guesses`` alone decide.
+        Kinds of units that prove the role: a column in such a unit needs a lesser name,
+        or none where it is the only one. Empty: the ``guesses`` alone decide.
     preferred
         Names that go before all others.
     may_be_blank
-        Whether this cell may be empty. A row in which it is empty is left out; elsewhere it is refused.
+        Whether this cell may be empty. A row in which it is empty is left out;
+        elsewhere it is refused.
     role
         The key of ``ROLES`` that this wish was made from, if any.
     by_quantity
-        Whether a wish that is not required may be met by a unit, a quantity or a card's channel, too.
+        Whether a wish that is not required may be met by a unit, a quantity or a card's
+        channel, too.
     instead
         What a message names beside the ``option`` where no column is recognised.
     """
@@ -129,14 +151,16 @@ def _names_of_other_roles(role: str) -> frozenset[str]:
     return frozenset(names.difference(ROLES[role].guesses))
 
 
-# --- the names under which columns are looked for, role by role (docs/instruments.md lists them) -----
+# --- the names under which columns are looked for, role by role (docs/instruments.md
+# lists them) -----
 #
-# A name counts where it is a column's whole name or, failing that, one of its words; a letter only as the
-# whole name. Of what is found this way, columns are left out whose unit measures something else, or that a
-# word such as ``target`` gives another role.
+# A name counts where it is a column's whole name or, failing that, one of its words; a
+# letter only as the whole name. Of what is found this way, columns are left out whose
+# unit measures something else, or that a word such as ``target`` gives another role.
 
 TIME_NAMES = ("time", "t", "x_value", "zeit")  # x_value: what LabVIEW writes
-# Names below are those of the manuals and files in docs/instruments.md, in the languages of their software.
+# Names below are those of the manuals and files in docs/instruments.md, in the
+# languages of their software.
 MORE_TIME_NAMES = (
     "timestamp", "time_stamp", "timestamps", "elapsed", "seconds", "millis", "micros", "milliseconds",
     "microseconds", "nanoseconds", "msec", "usec", "datetime", "zeitstempel", "uhrzeit", "temps", "tiempo",
@@ -166,7 +190,8 @@ _MOVED_WORDS = frozenset(
      "polarization", "dehnung", "winkel", "drehmoment", "kraft", "durchfluss")
 )  # fmt: skip
 """Words of what actuators give besides a displacement."""
-_PLACES = frozenset(("length", "angle", "voltage", "share", "count"))  # a sensor may well give volts
+# a sensor may well give volts
+_PLACES = frozenset(("length", "angle", "voltage", "share", "count"))
 
 # Each role has one table of names:
 # guesses    names that are enough by themselves
@@ -237,16 +262,19 @@ def column_wish(
     Parameters
     ----------
     role
-        ``voltage``, ``displacement``, ``measured``, ``desired``, ``trajectory`` (a displacement that may be
-        called desired), or a quantity with no names but its own.
+        ``voltage``, ``displacement``, ``measured``, ``desired``, ``trajectory`` (a
+        displacement that may be called desired), or a quantity with no names but its
+        own.
     selector
         What the user named, or None to guess.
     option
         The parameter that messages name.
     quantity, unit
-        What a model calls the quantity, and its unit: a column in a unit of that kind is not left out.
+        What a model calls the quantity, and its unit: a column in a unit of that kind
+        is not left out.
     required
-        Whether its absence is an error; two columns that may be meant are refused either way.
+        Whether its absence is an error; two columns that may be meant are refused
+        either way.
     may_be_blank
         Whether this cell may be empty; a row in which it is empty is left out.
     """
@@ -280,7 +308,8 @@ def column_wish(
     )
 
 
-# --- headers -----------------------------------------------------------------------------------------
+# --- headers
+# -----------------------------------------------------------------------------------------
 
 
 def split_header(header: str) -> tuple[str, str | None]:
@@ -295,7 +324,8 @@ def split_header(header: str) -> tuple[str, str | None]:
         return match["quantity"].strip().rstrip("_,"), normalise_unit(match["unit"])
     for written in (_SLASHED, _SUFFIXED):
         match = written.match(text)
-        if match is None or match["unit"].strip("[](){}<>") != match["unit"]:  # half a bracket is no unit
+        # half a bracket is no unit
+        if match is None or match["unit"].strip("[](){}<>") != match["unit"]:
             continue
         quantity, unit = match["quantity"].strip(), match["unit"]
         apart = _PREFIXED.fullmatch(quantity)
@@ -308,29 +338,44 @@ def split_header(header: str) -> tuple[str, str | None]:
 
 def is_torn(text: str) -> bool:
     """Return whether brackets do not fit, or a # stands for a letter of the unit: it is not clear."""
-    unlike = any(text.count(left) != text.count(right) for left, right in ("()", "[]", "{}"))
+    unlike = any(
+        text.count(left) != text.count(right) for left, right in ("()", "[]", "{}")
+    )
     return unlike or _HASHED.search(text) is not None
 
 
 @lru_cache(maxsize=256)
 def column_info(header: str | None, number: int, unit: str | None = None) -> ColumnInfo:
     """Describe column ``number`` (from 1) by its header cell; a unit given apart (units line) goes first."""
-    header, unit = cleaned(header or ""), cleaned(unit or "")  # no command for a terminal, no half a letter
+    # no command for a terminal, no half a letter
+    header, unit = cleaned(header or ""), cleaned(unit or "")
     if header[:1] == "'" and header[1:2] in ("=", "+", "-", "@"):
         header = header[1:]  # what keeps a spreadsheet from taking it for a formula
     if not header:
         return ColumnInfo(str(number), normalise_unit(unit or ""), "", number)
     quantity, unit_in_name = split_header(header)
     bare = header.strip(" /_")  # "/nm": the name is lost
-    if unit_in_name is None and bare != "m" and kind_of_unit(normalise_unit(bare)) in _NAMING:
+    if (
+        unit_in_name is None
+        and bare != "m"
+        and kind_of_unit(normalise_unit(bare)) in _NAMING
+    ):
         unit_in_name = normalise_unit(bare)
-    return ColumnInfo(header, normalise_unit(unit or "") or unit_in_name, quantity, number)
+    return ColumnInfo(
+        header, normalise_unit(unit or "") or unit_in_name, quantity, number
+    )
 
 
 def contradicted_unit(column: ColumnInfo) -> str | None:
     """Return the unit that a column's name states where it is another than the one it was given apart."""
-    unit_in_name = split_header(column.name.rsplit("/", 1)[-1])[1] if column.quantity else None
-    known = unit_in_name is not None and column.unit is not None and is_known_unit(unit_in_name)
+    unit_in_name = (
+        split_header(column.name.rsplit("/", 1)[-1])[1] if column.quantity else None
+    )
+    known = (
+        unit_in_name is not None
+        and column.unit is not None
+        and is_known_unit(unit_in_name)
+    )
     return unit_in_name if known and unit_in_name != column.unit else None
 
 
@@ -359,7 +404,9 @@ def any_of(names: Sequence[str]) -> str:
     return " or ".join(names[:_LISTED]) + more
 
 
-def find_column(place: str, columns: Sequence[ColumnInfo], selector: str, option: str) -> ColumnInfo:
+def find_column(
+    place: str, columns: Sequence[ColumnInfo], selector: str, option: str
+) -> ColumnInfo:
     """Find the column that the user named, or gave a part of the name with ``*`` for the rest.
 
     Raises
@@ -381,7 +428,9 @@ def find_column(place: str, columns: Sequence[ColumnInfo], selector: str, option
     return _column_named(place, columns, selector, option)
 
 
-def _column_number(place: str, columns: Sequence[ColumnInfo], number: int, typed: str) -> ColumnInfo:
+def _column_number(
+    place: str, columns: Sequence[ColumnInfo], number: int, typed: str
+) -> ColumnInfo:
     if number < 1:
         raise UsageError(f"{typed}: columns are counted from 1")
     if number > len(columns):
@@ -390,7 +439,9 @@ def _column_number(place: str, columns: Sequence[ColumnInfo], number: int, typed
     return columns[number - 1]
 
 
-def _column_named(place: str, columns: Sequence[ColumnInfo], selector: str, option: str) -> ColumnInfo:
+def _column_named(
+    place: str, columns: Sequence[ColumnInfo], selector: str, option: str
+) -> ColumnInfo:
     """Find a column by its name, by its name in other capitals, its quantity, or a part of its name."""
     wanted = cleaned(selector)
     lower = wanted.lower()
@@ -416,19 +467,30 @@ def _column_named(place: str, columns: Sequence[ColumnInfo], selector: str, opti
         )
     if fitting:
         return fitting[0]
-    raise InputError(f"{place}: there is no column '{selector}': {list_columns(columns)}")
+    raise InputError(
+        f"{place}: there is no column '{selector}': {list_columns(columns)}"
+    )
 
 
 def fits_pattern(name: str, pattern: str) -> bool:
     """Tell whether a name is what a pattern with ``*`` for any letters asks for, capitals aside."""
     parts = map(re.escape, pattern.split("*"))
-    return "*" in pattern and re.fullmatch(".*".join(parts), name, re.IGNORECASE | re.DOTALL) is not None
+    return (
+        "*" in pattern
+        and re.fullmatch(".*".join(parts), name, re.IGNORECASE | re.DOTALL) is not None
+    )
 
 
-def _ask_about_number(place: str, columns: Sequence[ColumnInfo], selector: str, option: str) -> None:
+def _ask_about_number(
+    place: str, columns: Sequence[ColumnInfo], selector: str, option: str
+) -> None:
     """Refuse a number that is the name of another column than the one at that place (InputError)."""
     number = int(selector)
-    named = [column for column in columns if column.quantity and column.name.strip() == selector]
+    named = [
+        column
+        for column in columns
+        if column.quantity and column.name.strip() == selector
+    ]
     if any(column.number != number for column in named) and 1 <= number <= len(columns):
         raise InputError(
             f"{place}: `{option}` {selector}: column {selector}, '{columns[number - 1].name}', or column "
@@ -437,19 +499,26 @@ def _ask_about_number(place: str, columns: Sequence[ColumnInfo], selector: str, 
         )
 
 
-def guess_columns(columns: Sequence[ColumnInfo], guesses: Sequence[str]) -> list[ColumnInfo]:
+def guess_columns(
+    columns: Sequence[ColumnInfo], guesses: Sequence[str]
+) -> list[ColumnInfo]:
     """Find the columns whose quantity is one of ``guesses``, or else contains one as a word."""
     exact = [column for column in columns if column.quantity.lower() in guesses]
-    return exact or [column for column in columns if set(_words(column.quantity)) & set(guesses)]
+    return exact or [
+        column for column in columns if set(_words(column.quantity)) & set(guesses)
+    ]
 
 
-def matching_columns(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[ColumnInfo]:
+def matching_columns(
+    columns: Sequence[ColumnInfo], wish: ColumnWish
+) -> list[ColumnInfo]:
     """Find the columns that a wish may mean; the log is clear where it is one.
 
-    Names are tried from the surest to the weakest: preferred names, the guesses, then letters and names that
-    need a unit. What is found by less than a whole name, or by a letter beside other axes' letters, has to
-    stand alone: beside it, whatever has a unit that proves the role may be meant as well, and so may a name
-    that is only misspelled.
+    Names are tried from the surest to the weakest: preferred names, the guesses, then
+    letters and names that need a unit. What is found by less than a whole name, or by a
+    letter beside other axes' letters, has to stand alone: beside it, whatever has a
+    unit that proves the role may be meant as well, and so may a name that is only
+    misspelled.
     """
     fitting = [column for column in columns if may_be(column, wish)]
     preferred = guess_columns(fitting, wish.preferred)
@@ -469,7 +538,9 @@ def matching_columns(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[Co
         possible = {*by_name, *_misspelled(fitting, wish), *other_axes}
         return [column for column in fitting if column in possible]
     if not by_name and guess_columns(columns, wish.guesses):
-        return []  # the column of that name is in a unit that cannot be meant: no lesser name replaces it
+        # the column of that name is in a unit that cannot be meant: no lesser name
+        # replaces it
+        return []
     lesser = [column for column in proved if _has_lesser_name(column, wish)]
     if not (by_name or lettered or lesser):
         return []  # a unit alone is not enough here, see `_only_candidate`
@@ -495,28 +566,41 @@ def _misspelled(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[ColumnI
     names = [name for name in wish.guesses if len(name) >= 4]
 
     def is_slip(column: ColumnInfo) -> bool:
-        words = {*_words(column.quantity), *re.findall(r"[^\W_]+", column.quantity.lower())} - wish.foreign
+        words = {
+            *_words(column.quantity),
+            *re.findall(r"[^\W_]+", column.quantity.lower()),
+        } - wish.foreign
         return any(_one_letter_off(word, name) for word in words for name in names)
 
     return [column for column in columns if is_slip(column)]
 
 
 def _suspects(
-    fitting: Sequence[ColumnInfo], wish: ColumnWish, has_name: bool, lesser: Sequence[ColumnInfo]
+    fitting: Sequence[ColumnInfo],
+    wish: ColumnWish,
+    has_name: bool,
+    lesser: Sequence[ColumnInfo],
 ) -> list[ColumnInfo]:
     """Find what may be meant beside a column that has no whole name: names run together, letters in words.
 
-    Where no unit supports what was found by a lesser name, any column of an unknown name may be meant.
+    Where no unit supports what was found by a lesser name, any column of an unknown
+    name may be meant.
     """
-    sure = has_name or all(kind_of_unit(column.unit) in wish.proving_units for column in lesser)
+    sure = has_name or all(
+        kind_of_unit(column.unit) in wish.proving_units for column in lesser
+    )
     long_names = [name for name in wish.guesses if len(name) >= 4]
     return [
         column
         for column in fitting
         if any(name in _letters(column) for name in long_names)  # positionmm, Posi)tion
-        or any(_letters(column).startswith(name) for name in wish.guesses if len(name) == 3)  # Wegccm
+        or any(
+            _letters(column).startswith(name) for name in wish.guesses if len(name) == 3
+        )  # Wegccm
         or _runs_into_unit(column, wish)
-        or (column.unit is None and is_torn(column.quantity))  # nothing of the name is left: ) (mm)
+        or (
+            column.unit is None and is_torn(column.quantity)
+        )  # nothing of the name is left: ) (mm)
         or set(_words(column.quantity)) & set(wish.letters)
         or (not sure and column.unit is None and _is_unknown(column, wish))
     ]
@@ -529,8 +613,14 @@ def _letters(column: ColumnInfo) -> str:
 def _runs_into_unit(column: ColumnInfo, wish: ColumnWish) -> bool:
     """Return whether a name and a unit of the right kind stand without anything between them: Wegµm."""
     word = _letters(column)
-    ends = [word[len(name) :] for name in (*wish.guesses, *wish.letters) if word.startswith(name)]
-    return any(kind_of_unit(normalise_unit(end)) in wish.proving_units for end in ends if end)
+    ends = [
+        word[len(name) :]
+        for name in (*wish.guesses, *wish.letters)
+        if word.startswith(name)
+    ]
+    return any(
+        kind_of_unit(normalise_unit(end)) in wish.proving_units for end in ends if end
+    )
 
 
 def _is_unknown(column: ColumnInfo, wish: ColumnWish) -> bool:
@@ -567,11 +657,15 @@ def _one_changed_or_swapped(word: str, name: str) -> bool:
 
 def _has_lesser_name(column: ColumnInfo, wish: ColumnWish) -> bool:
     words = set(_words(column.quantity))
-    if words & set(wish.by_unit) and not words & {"monitor", "mon"}:  # a monitor has a scale of its own
+    # a monitor has a scale of its own
+    if words & set(wish.by_unit) and not words & {"monitor", "mon"}:
         return True
     if "ch" not in wish.by_unit:
         return False
-    return bool(_CHANNEL.fullmatch(column.quantity.strip())) or normalise_unit(column.quantity) == column.unit
+    return (
+        bool(_CHANNEL.fullmatch(column.quantity.strip()))
+        or normalise_unit(column.quantity) == column.unit
+    )
 
 
 def may_be(column: ColumnInfo, wish: ColumnWish) -> bool:
@@ -585,7 +679,12 @@ def may_be(column: ColumnInfo, wish: ColumnWish) -> bool:
 
 
 def _words(quantity: str) -> list[str]:
-    return [word.lower() for word in re.findall(r"[^\W\d_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", quantity))]
+    return [
+        word.lower()
+        for word in re.findall(
+            r"[^\W\d_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", quantity)
+        )
+    ]
 
 
 def choose_columns(
@@ -611,7 +710,8 @@ def choose_columns(
     timed
         Whether the samples' time is known; else the remedy names a time column, too.
     notes
-        Takes what is to be said of columns that were taken for their unit or place alone.
+        Takes what is to be said of columns that were taken for their unit or place
+        alone.
 
     Raises
     ------
@@ -626,11 +726,18 @@ def choose_columns(
     free = [column for column in columns if column.number not in used]
     _refuse_named_away(place, columns, free, wishes, role_columns)
     reasons: dict[str, str] = {}
-    unclear = _guess_roles(columns, free, wishes, role_columns, None if notes is None else reasons)
+    unclear = _guess_roles(
+        columns, free, wishes, role_columns, None if notes is None else reasons
+    )
     if notes is not None:
         for role, reason in reasons.items():
-            name, remedy = role_columns[role].name, f"(`{wishes[role].option}` names another)"
-            notes.append(f"{place}: '{name}' is taken for the {_ROLE_WORDS[role]}: {reason} {remedy}")
+            name, remedy = (
+                role_columns[role].name,
+                f"(`{wishes[role].option}` names another)",
+            )
+            notes.append(
+                f"{place}: '{name}' is taken for the {_ROLE_WORDS[role]}: {reason} {remedy}"
+            )
     if unclear:
         numbers = [column.number for column in free]
         raise InputError(_not_unique(place, columns, wishes, unclear, numbers, timed))
@@ -650,7 +757,8 @@ def _refuse_named_away(
 ) -> None:
     """Refuse, for a role that is only ever named, the column that by its name is another role's (InputError).
 
-    A lesser column would else be guessed for the other role: the standard deviation for the displacement.
+    A lesser column would else be guessed for the other role: the standard deviation for
+    the displacement.
     """
     for role, wish in wishes.items():
         if wish.selector is None or wish.guesses:
@@ -686,8 +794,8 @@ def _guess_roles(
     role_columns
         Takes what is found.
     reasons
-        Takes why a column was taken for its unit or its place alone, by role; None where nobody hears it:
-        names alone count then.
+        Takes why a column was taken for its unit or its place alone, by role; None
+        where nobody hears it: names alone count then.
 
     Returns
     -------
@@ -698,7 +806,9 @@ def _guess_roles(
     for role, wish in wishes.items():
         if role in role_columns:
             continue
-        candidates, reason = _candidates(free, columns, role, wish, len(wishes), reasons is not None)
+        candidates, reason = _candidates(
+            free, columns, role, wish, len(wishes), reasons is not None
+        )
         if len(candidates) == 1:
             role_columns[role] = candidates[0]
             free.remove(candidates[0])
@@ -714,7 +824,11 @@ def _guess_roles(
         reasons[role] = reason
         free.remove(column)
         del unclear[role]
-    if "voltage" in wishes and "voltage" not in role_columns and wishes["voltage"].by_quantity:
+    if (
+        "voltage" in wishes
+        and "voltage" not in role_columns
+        and wishes["voltage"].by_quantity
+    ):
         drive = _only_drive(free, wishes["voltage"])
         if drive is not None:
             role_columns["voltage"] = drive
@@ -743,7 +857,11 @@ def _candidates(
 
 def _last_column(free: Sequence[ColumnInfo], wish: ColumnWish) -> list[ColumnInfo]:
     """Return the column that is left for the only wish, unless its unit or name speaks against it."""
-    return [column for column in free if may_be(column, wish) and column.quantity.lower() not in wish.foreign]
+    return [
+        column
+        for column in free
+        if may_be(column, wish) and column.quantity.lower() not in wish.foreign
+    ]
 
 
 def _only_candidate(
@@ -751,16 +869,23 @@ def _only_candidate(
 ) -> tuple[list[ColumnInfo], str]:
     """Find a column that no name gives away, and why it is meant: its unit, or its place on a card.
 
-    Not beside a column of the right name whose unit cannot be meant, nor one whose name says something else;
-    a monitor has a scale of its own.
+    Not beside a column of the right name whose unit cannot be meant, nor one whose name
+    says something else; a monitor has a scale of its own.
     """
     if guess_columns(columns, wish.guesses):
         return [], ""
-    proved = [column for column in free if may_be(column, wish) and _has_proving_unit(column, wish)]
+    proved = [
+        column
+        for column in free
+        if may_be(column, wish) and _has_proving_unit(column, wish)
+    ]
     if len(proved) == 1:
         contrary_words = wish.foreign | _BESIDES | _READINGS
         if not contrary_words & set(_words(proved[0].quantity)):
-            return proved, f"no other column is in a unit of {kind_of_unit(proved[0].unit)}"
+            return (
+                proved,
+                f"no other column is in a unit of {kind_of_unit(proved[0].unit)}",
+            )
     if proved or wish.preferred:
         return [], ""
     return _only_card_channel(free, columns, wish)
@@ -768,7 +893,11 @@ def _only_candidate(
 
 _RESULTS = frozenset(("displacement", "measured"))
 """Roles of what comes out of an actuator, whatever quantity it is; ``voltage`` is that of what drives it."""
-_ROLE_WORDS = {"voltage": "drive", "displacement": "displacement", "measured": "measured signal"}
+_ROLE_WORDS = {
+    "voltage": "drive",
+    "displacement": "displacement",
+    "measured": "measured signal",
+}
 
 
 def _by_what_is_left(
@@ -776,18 +905,21 @@ def _by_what_is_left(
 ) -> tuple[dict[str, ColumnInfo], str]:
     """Find the drive and what came out by elimination, in logs of other actuators than piezos.
 
-    Where one role is known, the only column that is left has the other; so has the only one that drives
-    actuators (a pressure, a current) or that they give (an angle, a strain). Of two columns left for two
-    roles each must fit one of them alone.
+    Where one role is known, the only column that is left has the other; so has the only
+    one that drives actuators (a pressure, a current) or that they give (an angle, a
+    strain). Of two columns left for two roles each must fit one of them alone.
 
     Returns
     -------
     dict, str
-        The column of each role that is absent, and why it is meant; empty where that is not clear.
+        The column of each role that is absent, and why it is meant; empty where that is
+        not clear.
     """
     if not set(absent) <= {"voltage", *_RESULTS}:
         return {}, ""
-    numbered = [column for column in free if column.written == "numbers" and column.quantity]
+    numbered = [
+        column for column in free if column.written == "numbers" and column.quantity
+    ]
     if any(_is_called_a_voltage_in_vain(column) for column in numbered):
         return {}, ""
     measured = [column for column in numbered if not _ORDERS & set(_words(column.name))]
@@ -799,8 +931,14 @@ def _by_what_is_left(
     orders = []
     for drive, result in (measured, measured[::-1]):
         if _drives(drive) and _is_moved(result):
-            orders.append({role: drive if role == "voltage" else result for role in absent})
-    return (orders[0], "of the two columns it alone can be") if len(orders) == 1 else ({}, "")
+            orders.append(
+                {role: drive if role == "voltage" else result for role in absent}
+            )
+    return (
+        (orders[0], "of the two columns it alone can be")
+        if len(orders) == 1
+        else ({}, "")
+    )
 
 
 def _the_rest(
@@ -808,7 +946,11 @@ def _the_rest(
 ) -> tuple[ColumnInfo | None, str]:
     """Find the column of the only role that is absent, and why it is meant; None where that is not clear."""
     if role == "voltage":
-        fits, contrary, wrong_words = _drives, _is_moved, wish.contrary - _TEMPERATURES | _ORDERS
+        fits, contrary, wrong_words = (
+            _drives,
+            _is_moved,
+            wish.contrary - _TEMPERATURES | _ORDERS,
+        )
     else:
         fits, contrary, wrong_words = _is_moved, _drives, wish.contrary | _ORDERS
     fitting, rest = [], []
@@ -826,7 +968,9 @@ def _the_rest(
     if words & wish.contrary:
         return None, ""
     if words & _READINGS:
-        return rest[0], "no other column is left; a monitor's scale is its own (`scale` gives it)"
+        return rest[
+            0
+        ], "no other column is left; a monitor's scale is its own (`scale` gives it)"
     return rest[0], "no other column is left"
 
 
@@ -840,7 +984,9 @@ def _only_drive(free: Sequence[ColumnInfo], wish: ColumnWish) -> ColumnInfo | No
     for column in free:
         if column.written != "numbers" or not _drives(column):
             continue
-        if kind_of_unit(column.unit) != "temperature" and not contrary_words & set(_words(column.name)):
+        if kind_of_unit(column.unit) != "temperature" and not contrary_words & set(
+            _words(column.name)
+        ):
             drives.append(column)
     return drives[0] if len(drives) == 1 else None
 
@@ -902,7 +1048,10 @@ def _not_unique(
         options = [wishes[role].option for role in unclear]
         if not timed and len(free) > len(unclear):
             options.insert(0, "time")
-        example = " ".join(f"`{option}` {number}" for option, number in zip(options, free, strict=False))
+        example = " ".join(
+            f"`{option}` {number}"
+            for option, number in zip(options, free, strict=False)
+        )
         which = ", which the ".join(role_names.values())
         return f"{place}: {list_columns(columns)}: which is the {which}? (such as {example})"
     questions, absent, absent_roles = [], [], []
@@ -917,7 +1066,9 @@ def _not_unique(
         nothing = f"no column is recognised as the {' nor as the '.join(absent)}"
         questions.append(f"{nothing}: {list_columns(columns)}")
     if set(absent_roles) == {"voltage", "displacement"} and len(free) == 2:
-        first, second = (f"'{column.name}'" for column in columns if column.number in free)
+        first, second = (
+            f"'{column.name}'" for column in columns if column.number in free
+        )
         both_ways = f"`voltage` {first} `displacement` {second}, or `voltage` {second} `displacement` {first}"
         return f"{place}: {' '.join(questions)} ({both_ways})"
     options = [f"`{wishes[role].option}`" for role in unclear]
@@ -943,12 +1094,17 @@ def is_order(column: ColumnInfo, wish: ColumnWish) -> bool:
     """Return whether a column says what was wanted, where what was measured is looked for."""
     if not wish.contrary >= _ORDERS:
         return False  # what was wanted may be meant
-    if wish.kinds is not None and column.unit is not None and kind_of_unit(column.unit) not in wish.kinds:
+    if (
+        wish.kinds is not None
+        and column.unit is not None
+        and kind_of_unit(column.unit) not in wish.kinds
+    ):
         return False
     return bool(_ORDERS & set(_words(column.name)))
 
 
-# --- columns that are written ---------------------------------------------------------------------------
+# --- columns that are written
+# ---------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -984,13 +1140,16 @@ def unique_headers(columns: Sequence[OutColumn]) -> list[str]:
     return headers
 
 
-def require_finite(columns: Sequence[OutColumn], headers: Sequence[str], arrays: Sequence[ArrayLike]) -> None:
+def require_finite(
+    columns: Sequence[OutColumn], headers: Sequence[str], arrays: Sequence[ArrayLike]
+) -> None:
     """Refuse to write NaN or infinity: the model or the signal is beyond the range of the arithmetic.
 
     Raises
     ------
     OutputError
-        An array holds one, and it is no NaN of a column that may be blank; its header is named.
+        An array holds one, and it is no NaN of a column that may be blank; its header
+        is named.
     """
     for column, header, array in zip(columns, headers, arrays, strict=True):
         good = np.isfinite(array)

@@ -1,9 +1,10 @@
 """Several files as one log: what each has of the same moments stands beside each other.
 
-Rows belong together by time. Every file needs a clock for that, a column or a rate that it states; what has
-other rows than the displacement's file is interpolated onto the rows of that one. Without clocks rows belong
-together by number, but only where ``sample_rate`` says so (or ``time`` names a column of another file), and
-the files must be equally long.
+Rows belong together by time. Every file needs a clock for that, a column or a rate that
+it states; what has other rows than the displacement's file is interpolated onto the
+rows of that one. Without clocks rows belong together by number, but only where
+``sample_rate`` says so (or ``time`` names a column of another file), and the files must
+be equally long.
 """
 
 from __future__ import annotations
@@ -57,7 +58,8 @@ class _File:
     table: Table
     columns: dict[int, ColumnInfo]
     time: ColumnInfo | None = None
-    rate: tuple[float, float] | None = None  # samples a second, and the first row's time (s)
+    # samples a second, and the first row's time (s)
+    rate: tuple[float, float] | None = None
     wishes: list[str] = field(default_factory=list)
 
     @property
@@ -92,11 +94,18 @@ class JoinedTable(Table):
         Opens another file.
     """
 
-    def __init__(self, first: Table, options: ReadingOptions, open_table: Callable[[Request], Table]) -> None:
+    def __init__(
+        self,
+        first: Table,
+        options: ReadingOptions,
+        open_table: Callable[[Request], Table],
+    ) -> None:
         self.place, self.notes = first.place, first.notes
         self.dropped, self.doubtful = DroppedRows(), first.doubtful
         self.columns = list(first.columns)
-        self.files = {"": _File(first, {column.number: column for column in first.columns})}
+        self.files = {
+            "": _File(first, {column.number: column for column in first.columns})
+        }
         self.warnings: list[str] = []
         self._options = options
         self._open_table = open_table
@@ -116,7 +125,9 @@ class JoinedTable(Table):
         named = other_file(wish.selector)
         if named is None:
             path, mark, _ = (wish.selector or "").partition("::")
-            if mark and all(wish.selector not in (one.name, one.quantity) for one in self.columns):
+            if mark and all(
+                wish.selector not in (one.name, one.quantity) for one in self.columns
+            ):
                 takes = f"`{wish.option}` FILE::COLUMN takes a column of another file"
                 raise InputError(f"{path}: no such file ({takes})")
             return wish.selector
@@ -128,7 +139,9 @@ class JoinedTable(Table):
             self.files[address] = _File(table, {})
         file = self.files[address]
         file.wishes.append(role)
-        self._append(file, find_column(file.place, file.table.columns, selector, wish.option))
+        self._append(
+            file, find_column(file.place, file.table.columns, selector, wish.option)
+        )
         return f"number={len(self.columns)}"
 
     def _guessed_in(self, wish: ColumnWish, role: str) -> str:
@@ -137,12 +150,18 @@ class JoinedTable(Table):
         if address not in self.files:
             there = replace(self._options, format=None, time=None)
             self.others = [*self.others, address]
-            self.files[address] = _File(self._open_table(Request(parse_address(address), there, [])), {})
+            self.files[address] = _File(
+                self._open_table(Request(parse_address(address), there, [])), {}
+            )
         file = self.files[address]
         file.wishes.append(role)
         columns = file.table.columns
-        time = find_time_column(file.place, columns, replace(self._options, time=None), [])
-        guessed = choose_columns(file.place, columns, {role: replace(wish, selector=None)}, time.taken)
+        time = find_time_column(
+            file.place, columns, replace(self._options, time=None), []
+        )
+        guessed = choose_columns(
+            file.place, columns, {role: replace(wish, selector=None)}, time.taken
+        )
         self._append(file, guessed[role])
         return f"number={len(self.columns)}"
 
@@ -164,14 +183,22 @@ class JoinedTable(Table):
         InputError
             A file has none, and nothing says that rows belong together by number.
         """
-        if options.sample_rate is not None or (options.time is not None and "number=" in options.time):
+        if options.sample_rate is not None or (
+            options.time is not None and "number=" in options.time
+        ):
             self._refuse_offset("rows belong together by number here")
             return
         first, *others = self.files.values()
-        self._target = next((file for file in others if set(file.wishes) & set(TARGETS)), first)
+        self._target = next(
+            (file for file in others if set(file.wishes) & set(TARGETS)), first
+        )
         for file in self.files.values():
             self._find_clock(file, options)
-        needed = [file for file in self.files.values() if file is not first or self._first_is_used()]
+        needed = [
+            file
+            for file in self.files.values()
+            if file is not first or self._first_is_used()
+        ]
         for file in needed:
             if file.time is None and file.rate is None:
                 raise InputError(
@@ -215,8 +242,13 @@ class JoinedTable(Table):
             return FoundTime(None, taken, [])
         if self._target is first:
             return FoundTime(clock, [*taken, *clock.picks.values()], [])
-        added = {role: self._append(self._target, column) for role, column in clock.picks.items()}
-        clock.column = replace(added[TIME], unit=clock.column.unit, written=clock.column.written)
+        added = {
+            role: self._append(self._target, column)
+            for role, column in clock.picks.items()
+        }
+        clock.column = replace(
+            added[TIME], unit=clock.column.unit, written=clock.column.written
+        )
         if clock.date is not None:
             clock.date = next(column for role, column in added.items() if role != TIME)
         return FoundTime(clock, [*taken, *added.values()], [])
@@ -241,7 +273,8 @@ class JoinedTable(Table):
         Raises
         ------
         InputError
-            Files without clocks are not equally long; or clocks have no moment in common.
+            Files without clocks are not equally long; or clocks have no moment in
+            common.
         """
         wanted = {}
         for address, file in self.files.items():
@@ -260,22 +293,37 @@ class JoinedTable(Table):
             self.dropped.extend(file.table.dropped)
             if address:
                 self.notes.extend(file.table.notes)
-                self.doubtful.extend(f"{file.place}: {text}" for text in file.table.doubtful)
+                self.doubtful.extend(
+                    f"{file.place}: {text}" for text in file.table.doubtful
+                )
 
-    def _joined_by_row(self, wanted: Mapping[str, Mapping[str, ColumnInfo]]) -> Iterator[SampleBlock]:
+    def _joined_by_row(
+        self, wanted: Mapping[str, Mapping[str, ColumnInfo]]
+    ) -> Iterator[SampleBlock]:
         """Put rows of equal number beside each other; a row dropped in one file is dropped in all."""
         places = [self.files[address].place for address in wanted]
-        streams = [self.files[address].table.blocks(own) for address, own in wanted.items()]
+        streams = [
+            self.files[address].table.blocks(own) for address, own in wanted.items()
+        ]
         unequal: list[str] = []
         for parts in _in_step(places, streams, self._options.skip_bad, unequal):
             yield _merged(parts)
         self.notes.extend(unequal)
         self.doubtful.extend(unequal)
 
-    def _joined_by_time(self, wanted: Mapping[str, Mapping[str, ColumnInfo]]) -> Iterator[SampleBlock]:
+    def _joined_by_time(
+        self, wanted: Mapping[str, Mapping[str, ColumnInfo]]
+    ) -> Iterator[SampleBlock]:
         """Interpolate what other files have onto the rows of one."""
         target = self._target
-        own = next((columns for address, columns in wanted.items() if self.files[address] is target), {})
+        own = next(
+            (
+                columns
+                for address, columns in wanted.items()
+                if self.files[address] is target
+            ),
+            {},
+        )
         rows = self._read(target, own)
         _require_forward(target.place, rows)
         keep = np.ones(len(rows.block), dtype=bool)
@@ -308,7 +356,9 @@ class JoinedTable(Table):
         for block in filter(len, stream if clock is None else clock.held_back(stream)):
             if clock is not None:
                 times.append(clock.seconds(dict(block.values)))
-            pieces.append(replace(block, values={role: block.values[role] for role in columns}))
+            pieces.append(
+                replace(block, values={role: block.values[role] for role in columns})
+            )
         if not pieces:
             raise InputError(f"{file.place}: no data rows")
         whole = joined(pieces)
@@ -316,10 +366,16 @@ class JoinedTable(Table):
             return _Timed(whole, np.concatenate(times))
         assert file.rate is not None
         rate, start = file.rate
-        return _Timed(whole, start + (np.asarray(whole.rows, dtype=np.float64) - 1.0) / rate)
+        return _Timed(
+            whole, start + (np.asarray(whole.rows, dtype=np.float64) - 1.0) / rate
+        )
 
     def _on_clock_of(
-        self, rows: _Timed, file: _File, given: _Timed, columns: Mapping[str, ColumnInfo]
+        self,
+        rows: _Timed,
+        file: _File,
+        given: _Timed,
+        columns: Mapping[str, ColumnInfo],
     ) -> _Timed:
         """Return another file's rows on the clock of the one whose rows are kept, each stamp once.
 
@@ -336,11 +392,18 @@ class JoinedTable(Table):
         place = f"{file.place} and {self._target.place}"
         if isinstance(asked, float):
             return given._replace(time=given.time + asked)
-        drive = next((given.block.values[role] for role in columns if role in DRIVES), None)
-        sensor = next((rows.block.values[role] for role in rows.block.values if role in TARGETS), None)
+        drive = next(
+            (given.block.values[role] for role in columns if role in DRIVES), None
+        )
+        sensor = next(
+            (rows.block.values[role] for role in rows.block.values if role in TARGETS),
+            None,
+        )
         if drive is None or sensor is None:
             if asked == "auto":
-                raise InputError(f"{place}: `clock_offset` auto needs a drive and a displacement")
+                raise InputError(
+                    f"{place}: `clock_offset` auto needs a drive and a displacement"
+                )
             return given
         if asked == "auto":
             moved = find_offset(given.time, drive, rows.time, sensor, place)
@@ -359,7 +422,13 @@ class JoinedTable(Table):
         self.notes.append(text)
 
     def _warn_of_offset(
-        self, file: _File, rows: _Timed, given: _Timed, drive: FloatArray, sensor: FloatArray, place: str
+        self,
+        file: _File,
+        rows: _Timed,
+        given: _Timed,
+        drive: FloatArray,
+        sensor: FloatArray,
+        place: str,
     ) -> None:
         """Warn where the two clocks are apart by what the signals show."""
         if _overlap(rows.time, given.time) <= 0.0:
@@ -368,7 +437,10 @@ class JoinedTable(Table):
             apart = find_offset(given.time, drive, rows.time, sensor, place)
         except InputError:
             return
-        slower = max(median_step(np.diff(given.time)), float(np.ptp(rows.time)) / max(len(rows.time) - 1, 1))
+        slower = max(
+            median_step(np.diff(given.time)),
+            float(np.ptp(rows.time)) / max(len(rows.time) - 1, 1),
+        )
         if abs(apart.seconds) > slower + APART * apart.deviation:
             self.warnings.append(
                 f"{place}: by what they recorded their clocks are {abs(apart.seconds):.3g} s apart "
@@ -399,7 +471,11 @@ class JoinedTable(Table):
         place = np.searchsorted(given.time, rows.time, side="right") - 1
         exact = given.time[np.clip(place, 0, None)] == rows.time
         gaps = np.isin(place, np.flatnonzero(_gaps(given))) & ~exact
-        for left, why in ((before, "before it begins"), (behind, "after it ends"), (gaps, "in its gaps")):
+        for left, why in (
+            (before, "before it begins"),
+            (behind, "after it ends"),
+            (gaps, "in its gaps"),
+        ):
             if left.any():
                 self.notes.append(
                     f"{self._target.place}: {int(np.count_nonzero(left)):,} rows are left out: "
@@ -440,7 +516,9 @@ def _overlap(here: FloatArray, there: FloatArray) -> float:
 
 def _same_rows(rows: _Timed, given: _Timed) -> bool:
     """Tell whether two files have the same rows at the same times, to a twentieth of a step."""
-    if len(rows.time) != len(given.time) or not np.array_equal(rows.block.rows, given.block.rows):
+    if len(rows.time) != len(given.time) or not np.array_equal(
+        rows.block.rows, given.block.rows
+    ):
         return False
     if len(rows.time) < 2:
         return bool(np.array_equal(rows.time, given.time))
@@ -460,7 +538,8 @@ def _require_forward(place: str, given: _Timed) -> None:
 
 def _gaps(given: _Timed) -> NDArray[np.bool_]:
     """Return after which rows at least one is missing."""
-    missing = np.diff(np.asarray(given.block.rows)) > 1  # rows that were left out as they were read
+    # rows that were left out as they were read
+    missing = np.diff(np.asarray(given.block.rows)) > 1
     steps = np.diff(given.time)
     if len(steps):
         missing |= steps > GAP_STEPS * median_step(steps)
@@ -478,17 +557,24 @@ def _between_gaps(given: _Timed, role: str, wanted: FloatArray) -> FloatArray:
         if end < len(values):
             last = int(np.searchsorted(wanted, given.time[end], side="left"))
         piece = slice(begin, end)
-        found[done:last], _ = interpolated(given.time[piece], values[piece], wanted[done:last])
+        found[done:last], _ = interpolated(
+            given.time[piece], values[piece], wanted[done:last]
+        )
         begin, done = end, last
     return found
 
 
 def _each_stamp_once(given: _Timed) -> _Timed:
     """Return rows with the mean of those that have one stamp."""
-    stamps, begins, counts = np.unique(given.time, return_index=True, return_counts=True)
+    stamps, begins, counts = np.unique(
+        given.time, return_index=True, return_counts=True
+    )
     if len(stamps) == len(given.time):
         return given
-    values = {role: np.add.reduceat(signal, begins) / counts for role, signal in given.block.values.items()}
+    values = {
+        role: np.add.reduceat(signal, begins) / counts
+        for role, signal in given.block.values.items()
+    }
     first_of_stamp = np.zeros(len(given.time), dtype=bool)
     first_of_stamp[begins] = True
     block = given.block.chosen(first_of_stamp)
@@ -501,13 +587,19 @@ def _merged(parts: Sequence[SampleBlock]) -> SampleBlock:
     for part in parts[1:]:
         if len(part) != len(common) or not np.array_equal(part.rows, common):
             common = np.intersect1d(common, np.asarray(part.rows), assume_unique=True)
-    parts = [one if len(one) == len(common) else one.chosen(np.isin(one.rows, common)) for one in parts]
+    parts = [
+        one if len(one) == len(common) else one.chosen(np.isin(one.rows, common))
+        for one in parts
+    ]
     values = dict(itertools.chain.from_iterable(part.values.items() for part in parts))
     return replace(parts[0], time=None, values=values)
 
 
 def _in_step(
-    places: Sequence[str], found: Sequence[Iterator[SampleBlock]], skip_bad: bool, notes: list[str]
+    places: Sequence[str],
+    found: Sequence[Iterator[SampleBlock]],
+    skip_bad: bool,
+    notes: list[str],
 ) -> Iterator[list[SampleBlock]]:
     """Cut the blocks of several files at common rows.
 
@@ -525,14 +617,26 @@ def _in_step(
         cuts = [bisect_right(block.rows, upto) for block in blocks]
         yield [block.part(0, cut) for block, cut in zip(blocks, cuts, strict=True)]
         last = [int(block.rows[-1]) for block in blocks]
-        rests = [block.part(cut, len(block)) for block, cut in zip(blocks, cuts, strict=True)]
-        pending = [rest if len(rest) else next(one, None) for rest, one in zip(rests, streams, strict=True)]
+        rests = [
+            block.part(cut, len(block)) for block, cut in zip(blocks, cuts, strict=True)
+        ]
+        pending = [
+            rest if len(rest) else next(one, None)
+            for rest, one in zip(rests, streams, strict=True)
+        ]
     if not any(pending):
         return
     for number, block in enumerate(pending):
-        for rest in [block, *streams[number]] if block is not None else []:  # how far are they apart?
+        # how far are they apart?
+        for rest in [block, *streams[number]] if block is not None else []:
             last[number] = int(rest.rows[-1])
-    counts = ", ".join(f"{name} {count}" for name, count in zip(places, last, strict=True))
+    counts = ", ".join(
+        f"{name} {count}" for name, count in zip(places, last, strict=True)
+    )
     if not skip_bad:
-        raise InputError(f"the files are not equally long: {counts} rows (`rows` A:B cuts all of them)")
-    notes.append(f"the files do not end at the same row: {counts}: the rows beyond the shortest are left out")
+        raise InputError(
+            f"the files are not equally long: {counts} rows (`rows` A:B cuts all of them)"
+        )
+    notes.append(
+        f"the files do not end at the same row: {counts}: the rows beyond the shortest are left out"
+    )

@@ -1,9 +1,10 @@
 """Compiled libraries and the process they run in.
 
-Some of them change what belongs to the whole process: polars puts a handler of its own before Python's, and
-the libraries behind Parquet and workbooks write pages to standard error at damaged bytes, or end the process.
-Whether anything is done about that is for the process to decide: a ``Host`` does nothing, and ``dbo`` as a
-process sets one of its own (``cli.app``).
+Some of them change what belongs to the whole process: polars puts a handler of its own
+before Python's, and the libraries behind Parquet and workbooks write pages to standard
+error at damaged bytes, or end the process. Whether anything is done about that is for
+the process to decide: a ``Host`` does nothing, and ``dbo`` as a process sets one of its
+own (``cli.app``).
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ class Host:
     def imported(self, module: str) -> None:
         """Take note that a library has been imported."""
 
-    def contained(self, place: str, kind: str) -> contextlib.AbstractContextManager[None]:
+    def contained(
+        self, place: str, kind: str
+    ) -> contextlib.AbstractContextManager[None]:
         """Surround a call that reads the file ``place``, which should be of a ``kind`` (``Parquet``)."""
         return contextlib.nullcontext()
 
@@ -68,6 +71,8 @@ def import_extra(module: str, place: str) -> Any:
     try:
         library = importlib.import_module(module)
     except ImportError:
-        raise InputError(f"{place}: reading it needs the library {module}: pip install {module}") from None
+        raise InputError(
+            f"{place}: reading it needs the library {module}: pip install {module}"
+        ) from None
     _host.imported(module)
     return library

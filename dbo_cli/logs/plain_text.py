@@ -21,9 +21,12 @@ else:
             return method
 
 
-# C0 and C1 controls (among them the escape that begins a terminal's commands), the marks that turn the
-# direction of writing round, and halves of surrogate pairs, which no encoding takes.
-_UNSAFE = pattern("[\x00-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufeff]")
+# C0 and C1 controls (among them the escape that begins a terminal's commands), the
+# marks that turn the direction of writing round, and halves of surrogate pairs, which
+# no encoding takes.
+_UNSAFE = pattern(
+    "[\x00-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufeff]"
+)
 
 
 _SHOWN = 40  # characters of what a user or a file gave are enough for a message
@@ -58,8 +61,8 @@ def _unescaped(text: str) -> str:
 def cleaned(text: str) -> str:
     """Return text that any output takes and no terminal obeys, on one line.
 
-    Bytes that were no UTF-8 (a file's name, an HDF5 attribute) are read as the Western code page; control
-    characters become blanks, and runs of blanks one.
+    Bytes that were no UTF-8 (a file's name, an HDF5 attribute) are read as the Western
+    code page; control characters become blanks, and runs of blanks one.
     """
     if text.isascii() and text.isprintable() and "  " not in text:
         return text.strip()
@@ -77,4 +80,6 @@ _PARAMETER = pattern(r"`([a-z]\w*)`")
 
 def as_options(text: str) -> str:
     """Return a message with its parameters spelled as the shell's options."""
-    return _PARAMETER.sub(lambda match: "--" + match[1].rstrip("_").replace("_", "-"), text)
+    return _PARAMETER.sub(
+        lambda match: "--" + match[1].rstrip("_").replace("_", "-"), text
+    )

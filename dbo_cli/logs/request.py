@@ -1,7 +1,7 @@
 """What is asked for: where a signal is read from or written to, and how a log is to be read.
 
-An address is a file, a group of an HDF5 file, or a standard stream. Options are checked once, when
-they are made. A ``Request`` hands both to the reader of a format.
+An address is a file, a group of an HDF5 file, or a standard stream. Options are checked
+once, when they are made. A ``Request`` hands both to the reader of a format.
 """
 
 from __future__ import annotations
@@ -23,10 +23,12 @@ from dbo_cli.logs.libraries import GAVE_UP
 if TYPE_CHECKING:
     from dbo_cli.logs.units import Scale
 
-# What loggers, oscilloscopes and LabVIEW call delimited text, and HDF5 by its users (HDF-EOS, MATLAB, NeXus).
+# What loggers, oscilloscopes and LabVIEW call delimited text, and HDF5 by its users
+# (HDF-EOS, MATLAB, NeXus).
 TEXT_ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".asc", ".lvm", ".prn", ".log")
 HDF5_ENDINGS = (".h5", ".hdf5", ".hdf", ".he5", ".mat", ".nxs")
-# Endings of files that hold something else; a signal under such a name would not be what it is called.
+# Endings of files that hold something else; a signal under such a name would not be
+# what it is called.
 _NOT_WRITTEN = {
     ".mat": "MATLAB's own files are not written: call it .h5, and MATLAB's h5read reads it",
     ".nxs": "NeXus is not written: call it .h5",
@@ -52,19 +54,33 @@ _NOT_WRITTEN = {
         ".zst", ".lz4", ".7z",
     )
 }  # fmt: skip
-# What a model, a state or a report is written as; every other known ending is that of something else.
-_DOCUMENTS = {"json": (".json",), "csv": (".csv",), "html": (".html", ".htm"), "text": ()}
+# What a model, a state or a report is written as; every other known ending is that of
+# something else.
+_DOCUMENTS = {
+    "json": (".json",),
+    "csv": (".csv",),
+    "html": (".html", ".htm"),
+    "text": (),
+}
 # What ``format`` may be, and the kind of file that it is.
-FORMATS = {"csv": "text", "tsv": "text", "txt": "text", "dat": "text", "h5": "hdf5", "hdf5": "hdf5"}
+FORMATS = {
+    "csv": "text",
+    "tsv": "text",
+    "txt": "text",
+    "dat": "text",
+    "h5": "hdf5",
+    "hdf5": "hdf5",
+}
 
 
 @dataclass(frozen=True)
 class Address:
     """What the text of a file's name means; made once, where a text comes in, and handed on as it is.
 
-    ``path`` is ``-`` for a standard stream, ``group`` what stands after ``::``; ``format`` was asked for
-    beside the name, and ``kind`` is ``text`` or ``hdf5`` by either, or None where only the content can tell.
-    ``table`` holds the columns of a log that is in memory already (``channels.HeldTable``).
+    ``path`` is ``-`` for a standard stream, ``group`` what stands after ``::``;
+    ``format`` was asked for beside the name, and ``kind`` is ``text`` or ``hdf5`` by
+    either, or None where only the content can tell. ``table`` holds the columns of a
+    log that is in memory already (``channels.HeldTable``).
     """
 
     text: str
@@ -92,7 +108,11 @@ class Address:
     @property
     def delimiter(self) -> str:
         """The delimiter of text that is written there."""
-        tabs = _plain(self.path).endswith(".tsv") if self.format is None else self.format == "tsv"
+        tabs = (
+            _plain(self.path).endswith(".tsv")
+            if self.format is None
+            else self.format == "tsv"
+        )
         return "\t" if tabs else ","
 
     def or_format(self, named: str | None) -> Address:
@@ -103,8 +123,13 @@ class Address:
 
     def refuse_other(self, named: str, shown: str | None = None) -> None:
         """Refuse a format that contradicts the name (UsageError); a name without a known ending does not."""
-        kind, unlike = _kind_by_name(self.path), {"csv": ".tsv", "tsv": ".csv"}.get(named, "::")
-        if kind is not None and (kind != FORMATS[named] or _plain(self.path).endswith(unlike)):
+        kind, unlike = (
+            _kind_by_name(self.path),
+            {"csv": ".tsv", "tsv": ".csv"}.get(named, "::"),
+        )
+        if kind is not None and (
+            kind != FORMATS[named] or _plain(self.path).endswith(unlike)
+        ):
             raise UsageError(
                 f"{shown or self.text}: `format` {named} contradicts this name: leave one of them out"
             )
@@ -146,7 +171,9 @@ def parse_address(source: Given, format: str | None = None) -> Address:
     if not separator:
         return Address(text, path, None, kind, format)
     if kind == "text":
-        raise UsageError(f"{text}: '::' names a group of an HDF5 file, and this is a text file")
+        raise UsageError(
+            f"{text}: '::' names a group of an HDF5 file, and this is a text file"
+        )
     return Address(text, path, group or "/", kind or "hdf5", format)
 
 
@@ -156,8 +183,8 @@ def parse_output(source: Given, format: str | None = None) -> Address:
     Raises
     ------
     UsageError
-        As for :func:`parse_address`; or the name belongs to a format that is not written, or contradicts
-        ``format``.
+        As for :func:`parse_address`; or the name belongs to a format that is not
+        written, or contradicts ``format``.
     """
     target = parse_address(source, format)
     lower = target.path.lower()
@@ -195,11 +222,17 @@ def check_document(address: Given, what: str, form: str) -> None:
             stem = stem[: -len(ending)]
         kind = "text" if form == "text" else form.upper()
         better = stem + (endings[0] if endings else ".txt")
-        raise UsageError(f"{path}: {what} is written as {kind}, not as {named}: call it {better}")
+        raise UsageError(
+            f"{path}: {what} is written as {kind}, not as {named}: call it {better}"
+        )
 
 
 def _longest_ending(path: str, endings: Collection[str]) -> str:
-    return max((ending for ending in endings if path.lower().endswith(ending)), key=len, default="")
+    return max(
+        (ending for ending in endings if path.lower().endswith(ending)),
+        key=len,
+        default="",
+    )
 
 
 def check_format(named: str | None, addresses: Sequence[Address]) -> None:
@@ -229,8 +262,15 @@ def other_file(selector: str | None) -> tuple[str, str] | None:
 def selected_files(*selectors: str | None) -> list[str]:
     """List the files that ``FILE::COLUMN`` names: no output may overwrite them."""
     named = [other_file(selector) for selector in selectors]
-    alone = [selector for selector in selectors if selector is not None and os.path.isfile(selector)]
-    return [*(match[0].partition("::")[0] for match in named if match is not None), *alone]
+    alone = [
+        selector
+        for selector in selectors
+        if selector is not None and os.path.isfile(selector)
+    ]
+    return [
+        *(match[0].partition("::")[0] for match in named if match is not None),
+        *alone,
+    ]
 
 
 def without_folder(selector: str) -> str:
@@ -241,17 +281,21 @@ def without_folder(selector: str) -> str:
     return f"{os.path.basename(path)}::{rest}"
 
 
-# --- how a log is to be read -----------------------------------------------------------------------------
+# --- how a log is to be read
+# -----------------------------------------------------------------------------
 
 Rows = tuple[int, int | None]
 """The first and the last data row that take part, counted from 1; None: to the end."""
 
 ALL_ROWS: Rows = (1, None)
-BLOCK_ROWS = 1 << 17  # a megabyte a column: half costs a tenth more time in all, twice as much is no faster
+# a megabyte a column: half costs a tenth more time in all, twice as much is no faster
+BLOCK_ROWS = 1 << 17
 PIPE_ROWS = 1 << 16  # of a pipe: what comes slowly is not waited for any longer
-_LOWEST_RATE, _HIGHEST_RATE = 1e-9, 1e12  # beyond them a step of time is lost in rounding, or the rows are
+# beyond them a step of time is lost in rounding, or the rows are
+_LOWEST_RATE, _HIGHEST_RATE = 1e-9, 1e12
 
-FEWEST_TO_JUDGE = 20  # rows after a bad one, from which on it is said how many of them are bad, too
+# rows after a bad one, from which on it is said how many of them are bad, too
+FEWEST_TO_JUDGE = 20
 
 
 FILL_GAPS = "bring the signals to common times first (pandas: interpolate(method='index'), dropna)"
@@ -260,7 +304,8 @@ FILL_GAPS = "bring the signals to common times first (pandas: interpolate(method
 def remedy_for(bad: int, rows: int, cause: str = "") -> str:
     """Return what to do about a bad row, of whose next ``rows`` rows ``bad`` are bad, too.
 
-    To drop them is no remedy where most of a log would go; ``cause`` is what to do instead.
+    To drop them is no remedy where most of a log would go; ``cause`` is what to do
+    instead.
     """
     if rows < FEWEST_TO_JUDGE or 2 * bad <= rows:
         return "(`skip_bad` drops such rows)"
@@ -269,7 +314,14 @@ def remedy_for(bad: int, rows: int, cause: str = "") -> str:
 
 
 BLANKS = " "  # the delimiter that stands for any run of blanks and tabs
-DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "blanks": BLANKS, "space": BLANKS, "pipe": "|"}
+DELIMITERS = {
+    "comma": ",",
+    "semicolon": ";",
+    "tab": "\t",
+    "blanks": BLANKS,
+    "space": BLANKS,
+    "pipe": "|",
+}
 DECIMALS = {"point": ".", "comma": ",", ".": ".", ",": ","}
 
 
@@ -282,14 +334,16 @@ class ReadingOptions:
     time : str, optional
         The time column: a header name, a dataset path, or a number counted from 1.
     time_unit : str, optional
-        What the figures of the time column count (``ms``, ``10us``); goes before what the header states.
+        What the figures of the time column count (``ms``, ``10us``); goes before what
+        the header states.
     scale : tuple of str
         Factors by role, ``voltage=20`` or ``displacement=10um/V``.
     sample_rate : float, optional
-        Samples a second (Hz) of a log without a time column; replaces a column that was only guessed.
+        Samples a second (Hz) of a log without a time column; replaces a column that was
+        only guessed.
     clock_offset : float or "auto", optional
-        Seconds to be added to the clock of the drive's file where columns of several files are joined by
-        time; auto: found from what both recorded.
+        Seconds to be added to the clock of the drive's file where columns of several
+        files are joined by time; auto: found from what both recorded.
     rows : tuple of int
         The first and the last data row to take, counted from 1 (last None: to the end).
     skip_bad : bool
@@ -299,10 +353,11 @@ class ReadingOptions:
     format : str, optional
         ``csv``, ``tsv`` or ``hdf5``, where no file name shows it.
     delimiter, decimal, comment : str, optional
-        Of text: a name of ``DELIMITERS`` or a single character; ``point`` or ``comma``; the characters that
-        start a comment line.
+        Of text: a name of ``DELIMITERS`` or a single character; ``point`` or ``comma``;
+        the characters that start a comment line.
     skip_lines, header_lines : int, optional
-        Of text: lines of junk above the header; 0 (no header), 1 (names) or 2 (names, then units).
+        Of text: lines of junk above the header; 0 (no header), 1 (names) or 2 (names,
+        then units).
     encoding : str, optional
         Of text: a codec's name.
     block_rows : int
@@ -333,28 +388,42 @@ class ReadingOptions:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be meant."""
-        object.__setattr__(self, "scale", (self.scale,) if isinstance(self.scale, str) else tuple(self.scale))
+        object.__setattr__(
+            self,
+            "scale",
+            (self.scale,) if isinstance(self.scale, str) else tuple(self.scale),
+        )
         object.__setattr__(self, "rows", parse_rows(self.rows))
         self._check_time()
         self.scales  # noqa: B018 - parsed once; refuses what is none
         if self.format is not None and self.format not in FORMATS:
-            raise UsageError(f"`format` {self.format}: the formats are {', '.join(FORMATS)}")
+            raise UsageError(
+                f"`format` {self.format}: the formats are {', '.join(FORMATS)}"
+            )
         if self.header_lines is not None and self.header_lines not in (0, 1, 2):
-            raise UsageError(f"`header_lines`: '{self.header_lines}' is none of 0, 1, 2")
+            raise UsageError(
+                f"`header_lines`: '{self.header_lines}' is none of 0, 1, 2"
+            )
         for name, least in (("skip_lines", 0), ("block_rows", 1)):
             count = getattr(self, name)
             if count is not None and count < least:
                 raise UsageError(f"`{name}`: must be at least {least}, not {count}")
         for name in ("delimiter", "comment"):
-            if any("\ud800" <= letter <= "\udfff" for letter in getattr(self, name) or ""):
-                raise UsageError(f"`{name}`: holds a byte that is no character in this terminal's encoding")
+            if any(
+                "\ud800" <= letter <= "\udfff" for letter in getattr(self, name) or ""
+            ):
+                raise UsageError(
+                    f"`{name}`: holds a byte that is no character in this terminal's encoding"
+                )
         self.delimiter_character  # noqa: B018
         self.decimal_sign  # noqa: B018
         try:
             # refuses codecs that are no text encodings, too
             "".encode("utf-8" if self.encoding is None else self.encoding)
         except (LookupError, ValueError):
-            raise UsageError(f"`encoding` {self.encoding}: there is no such text encoding") from None
+            raise UsageError(
+                f"`encoding` {self.encoding}: there is no such text encoding"
+            ) from None
 
     def _check_time(self) -> None:
         """Refuse rates and units of time that are none, or that exclude each other."""
@@ -391,7 +460,9 @@ class ReadingOptions:
                 chosen[option.name] = value
         if "rows" in chosen:
             first, last = self.rows
-            chosen["rows"] = f"{first if first > 1 else ''}:{'' if last is None else last}"
+            chosen["rows"] = (
+                f"{first if first > 1 else ''}:{'' if last is None else last}"
+            )
         return chosen
 
     @cached_property
@@ -405,10 +476,14 @@ class ReadingOptions:
         """
         if self.delimiter is None:
             return None
-        character = DELIMITERS.get(self.delimiter.lower(), self.delimiter.replace("\\t", "\t"))
+        character = DELIMITERS.get(
+            self.delimiter.lower(), self.delimiter.replace("\\t", "\t")
+        )
         if len(character) != 1 or character.isalnum() or character in '."\n\r':
             names = ", ".join(DELIMITERS)
-            raise UsageError(f"`delimiter` {self.delimiter}: give a single character or one of {names}")
+            raise UsageError(
+                f"`delimiter` {self.delimiter}: give a single character or one of {names}"
+            )
         return character
 
     @cached_property
@@ -433,9 +508,13 @@ def checked_rate(rate: float | None, name: str = "sample_rate") -> float | None:
     if rate is None:
         return None
     if not isinstance(rate, numbers.Real) or isinstance(rate, bool):
-        raise UsageError(f"`{name}` {rate!r}: give a positive number of samples a second")
+        raise UsageError(
+            f"`{name}` {rate!r}: give a positive number of samples a second"
+        )
     if not 0.0 < rate < math.inf:
-        raise UsageError(f"`{name}` {rate:g}: give a positive number of samples a second")
+        raise UsageError(
+            f"`{name}` {rate:g}: give a positive number of samples a second"
+        )
     if not _LOWEST_RATE <= rate <= _HIGHEST_RATE:
         limits = f"{_LOWEST_RATE:g} and {_HIGHEST_RATE:g}"
         raise UsageError(f"`{name}` {rate:g}: give between {limits} samples a second")
@@ -452,11 +531,17 @@ def parse_rows(rows: object) -> Rows:
     """
     pair = _split_rows(rows) if isinstance(rows, str) else rows
     if not _is_pair_of_rows(pair):
-        raise UsageError(f"`rows` {rows}: give A:B, data rows counted from 1, both ends included")
+        raise UsageError(
+            f"`rows` {rows}: give A:B, data rows counted from 1, both ends included"
+        )
     first, last = pair
     if first < 1 or (last is not None and last < first):
-        text = rows if isinstance(rows, str) else f"{first}:{'' if last is None else last}"
-        raise UsageError(f"`rows` {text}: rows are counted from 1, and the last is not before the first")
+        text = (
+            rows if isinstance(rows, str) else f"{first}:{'' if last is None else last}"
+        )
+        raise UsageError(
+            f"`rows` {text}: rows are counted from 1, and the last is not before the first"
+        )
     return first, last
 
 
@@ -475,7 +560,8 @@ def _is_pair_of_rows(pair: object) -> TypeGuard[Rows]:
     return type(pair[0]) is int and type(pair[1] or 1) is int
 
 
-# --- what a reader of a format is given ------------------------------------------------------------------
+# --- what a reader of a format is given
+# ------------------------------------------------------------------
 
 CHANGED = "the file changed while it was read: read it when its writer is done, or read a copy"
 
@@ -533,7 +619,8 @@ class Request:
     digest
         Hash the bytes of a stream as they are read: it cannot be read again.
     content
-        The text itself, where another format has been turned into text (a workbook's sheet).
+        The text itself, where another format has been turned into text (a workbook's
+        sheet).
     watch
         Of the file, from now on.
     """
@@ -556,7 +643,9 @@ class Request:
         return self.address.text
 
     @contextlib.contextmanager
-    def reading(self, kind: str, errors: tuple[type[BaseException], ...] = (Exception,)) -> Iterator[None]:
+    def reading(
+        self, kind: str, errors: tuple[type[BaseException], ...] = (Exception,)
+    ) -> Iterator[None]:
         """Turn whatever a library raises at damaged bytes into one line (InputError).
 
         ``kind`` is what the file should be, as messages call it (``Parquet``).
@@ -568,12 +657,22 @@ class Request:
             raise
         except errors as problem:
             self.watch.check()
-            raise InputError(f"{self.place}: damaged {kind}: {brief(problem)}") from None
+            raise InputError(
+                f"{self.place}: damaged {kind}: {brief(problem)}"
+            ) from None
 
 
 def brief(problem: BaseException) -> str:
     """Keep the reason in brackets of a library's message, or its first line."""
     if type(problem).__name__ == "PanicException":  # describes the library's own lines
         return GAVE_UP
-    text = str(problem).strip("'\"").splitlines()[0] if str(problem) else type(problem).__name__
-    return text[text.find("(") + 1 : text.rfind(")")] if "(" in text and text.endswith(")") else text
+    text = (
+        str(problem).strip("'\"").splitlines()[0]
+        if str(problem)
+        else type(problem).__name__
+    )
+    return (
+        text[text.find("(") + 1 : text.rfind(")")]
+        if "(" in text and text.endswith(")")
+        else text
+    )

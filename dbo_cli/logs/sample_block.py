@@ -1,6 +1,7 @@
 """What every format gives: a table of columns, and blocks of samples that know their place in the file.
 
-Behind them the clock: what is odd about time stamps, and even sampling only where it is asked for.
+Behind them the clock: what is odd about time stamps, and even sampling only where it is
+asked for.
 """
 
 from __future__ import annotations
@@ -20,18 +21,20 @@ from dbo_cli.interpolation.smooth import AFTER, WINDOW, interpolated
 FloatArray = NDArray[np.float64]
 Places = range | NDArray[np.int64]
 
-TIME = "the clock"  # the time column's place among the roles; no quantity of a model is called so
+# the time column's place among the roles; no quantity of a model is called so
+TIME = "the clock"
 
 
 @dataclass(frozen=True)
 class ColumnInfo:
     """One column of a log.
 
-    ``name`` is the header as written (or the number where there is none), ``quantity`` the header without its
-    unit, ``unit`` the normalised unit or None (units are never guessed), ``number`` counts from 1.
-    ``written`` is ``numbers``, or how a column of time stamps is written: ``stamp``, ``clock``, ``minutes``,
-    ``date`` (logs.text.lines); such columns are read as seconds. Rows without a value in a column that
-    ``may_be_blank`` are left out.
+    ``name`` is the header as written (or the number where there is none), ``quantity``
+    the header without its unit, ``unit`` the normalised unit or None (units are never
+    guessed), ``number`` counts from 1. ``written`` is ``numbers``, or how a column of
+    time stamps is written: ``stamp``, ``clock``, ``minutes``, ``date``
+    (logs.text.lines); such columns are read as seconds. Rows without a value in a
+    column that ``may_be_blank`` are left out.
     """
 
     name: str
@@ -42,8 +45,8 @@ class ColumnInfo:
     may_be_blank: bool = False
 
 
-# What instruments send in place of a value that is beyond their range (9.9E37) or none (9.91E37): SCPI-99,
-# volume 1, 7.2.1. Their 32-bit numbers are a little off.
+# What instruments send in place of a value that is beyond their range (9.9E37) or none
+# (9.91E37): SCPI-99, volume 1, 7.2.1. Their 32-bit numbers are a little off.
 _OVERFLOW_FROM, _OVERFLOW_TO = 9.899e37, 9.911e37
 
 
@@ -55,7 +58,8 @@ def is_overflow(value: float) -> bool:
 def are_measured(values: FloatArray) -> NDArray[np.bool_]:
     """Tell which numbers are finite and no instrument's overflow."""
     size = np.abs(values)
-    usual: NDArray[np.bool_] = size < _OVERFLOW_FROM  # False for NaN and infinity as well
+    # False for NaN and infinity as well
+    usual: NDArray[np.bool_] = size < _OVERFLOW_FROM
     if not usual.all():
         usual = usual | ((size >= _OVERFLOW_TO) & np.isfinite(values))
     return usual
@@ -65,9 +69,10 @@ def are_measured(values: FloatArray) -> NDArray[np.bool_]:
 class SampleBlock:
     """Samples of a log in their order; rows may be missing between them.
 
-    ``rows`` are data row numbers from 1, with gaps where bad rows were dropped: ``rows[index]`` is the row of
-    a sample, and ``rows[0] + index`` need not be. ``lines`` are the line numbers in the file (None for
-    formats that have none); ``time`` is in seconds, None where it is not known or not yet separated from the
+    ``rows`` are data row numbers from 1, with gaps where bad rows were dropped:
+    ``rows[index]`` is the row of a sample, and ``rows[0] + index`` need not be.
+    ``lines`` are the line numbers in the file (None for formats that have none);
+    ``time`` is in seconds, None where it is not known or not yet separated from the
     other columns; ``values`` holds one float64 array of the same length a role.
     """
 
@@ -111,11 +116,19 @@ class SampleBlock:
 
     def place(self, name: str, index: int) -> str:
         """Return where a sample stands: file and line, or row where there are no lines."""
-        return f"{name}: {self.where(index)}" if self.lines is None else f"{name}:{int(self.lines[index])}"
+        return (
+            f"{name}: {self.where(index)}"
+            if self.lines is None
+            else f"{name}:{int(self.lines[index])}"
+        )
 
     def where(self, index: int) -> str:
         """Return where in its file a sample stands: ``line 5``, or ``row 4`` where there are no lines."""
-        return f"row {int(self.rows[index])}" if self.lines is None else f"line {int(self.lines[index])}"
+        return (
+            f"row {int(self.rows[index])}"
+            if self.lines is None
+            else f"line {int(self.lines[index])}"
+        )
 
 
 def joined(parts: Sequence[SampleBlock]) -> SampleBlock:
@@ -128,7 +141,10 @@ def joined(parts: Sequence[SampleBlock]) -> SampleBlock:
         join_places([part.rows for part in parts]),
         join_places(lines) if lines else None,
         np.concatenate(times) if times else None,
-        {role: np.concatenate([part.values[role] for part in parts]) for role in parts[0].values},
+        {
+            role: np.concatenate([part.values[role] for part in parts])
+            for role in parts[0].values
+        },
     )
 
 
@@ -139,7 +155,11 @@ def join_places(parts: Sequence[Places]) -> Places:
     first = int(parts[0][0]) if len(parts[0]) else 1
     following = first
     for part in parts:
-        if not isinstance(part, range) or part.step != 1 or (len(part) and part[0] != following):
+        if (
+            not isinstance(part, range)
+            or part.step != 1
+            or (len(part) and part[0] != following)
+        ):
             return np.concatenate([np.asarray(part, dtype=np.int64) for part in parts])
         following += len(part)
     return range(first, following)
@@ -191,10 +211,13 @@ class Table:
     columns: list[ColumnInfo]
     notes: list[str]
     dropped: DroppedRows  # what ``skip_bad`` left out; complete after the last block
-    doubtful: list[str]  # lines that were passed over in silence and may have been rows; likewise
+    # lines that were passed over in silence and may have been rows; likewise
+    doubtful: list[str]
     others: Sequence[str] = ()  # the addresses of further files that were joined
-    warnings: Sequence[str] = ()  # what may spoil a result; complete after the last block
-    found_time: Any = None  # what ``clock.find_time_column`` found, where it looked already
+    # what may spoil a result; complete after the last block
+    warnings: Sequence[str] = ()
+    # what ``clock.find_time_column`` found, where it looked already
+    found_time: Any = None
 
     def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
         """Find the sample rate (Hz) that the file states for these columns, and the first row's time (s)."""
@@ -219,10 +242,14 @@ class Table:
 
 # ---- the clock
 
-_LEARNING = 1000  # time stamps from which the usual step is taken, whatever the block size
-GAP_STEPS = 1.5  # usual steps; where more lie between two stamps, at least one sample is missing
-SAME_RATE = 1e-3  # two clocks may differ by this fraction: chosen, ten times what quartz is off by
-JITTER = 0.05  # of a step; what the clocks of operating systems jitter by, and no model notices
+# time stamps from which the usual step is taken, whatever the block size
+_LEARNING = 1000
+# usual steps; where more lie between two stamps, at least one sample is missing
+GAP_STEPS = 1.5
+# two clocks may differ by this fraction: chosen, ten times what quartz is off by
+SAME_RATE = 1e-3
+# of a step; what the clocks of operating systems jitter by, and no model notices
+JITTER = 0.05
 
 
 @dataclass
@@ -234,7 +261,13 @@ class Finding:
     before: float = 0.0
     after: float = 0.0
 
-    def add(self, block: SampleBlock, at: NDArray[np.intp], before: FloatArray, after: FloatArray) -> None:
+    def add(
+        self,
+        block: SampleBlock,
+        at: NDArray[np.intp],
+        before: FloatArray,
+        after: FloatArray,
+    ) -> None:
         """Count the places ``at`` (indices into the block)."""
         if len(at) and not self.count:
             index = int(at[0])
@@ -247,17 +280,20 @@ def median_step(steps: FloatArray) -> float:
     """Return the median of time steps; ``np.median`` would load ``numpy.ma``, 8 ms of every start."""
     ordered = np.sort(steps)
     half = len(ordered) // 2
-    return float(ordered[half] if len(ordered) % 2 else 0.5 * (ordered[half - 1] + ordered[half]))
+    return float(
+        ordered[half] if len(ordered) % 2 else 0.5 * (ordered[half - 1] + ordered[half])
+    )
 
 
 @dataclass
 class TimeCheck:
     """Watches time stamps block by block and notes what is odd about them, in constant memory.
 
-    A clock that goes back by one of its ``periods`` (s) is a counter that wraps, and refused (InputError).
-    The usual step (``step``, s; infinite where the clock stands) is the median of the first thousand, so that
-    the verdict does not depend on the block size.  Feed every block, then ask for ``notes()``; only then are
-    ``first`` and ``last``, the stamps at both ends, known.
+    A clock that goes back by one of its ``periods`` (s) is a counter that wraps, and
+    refused (InputError). The usual step (``step``, s; infinite where the clock stands)
+    is the median of the first thousand, so that the verdict does not depend on the
+    block size.  Feed every block, then ask for ``notes()``; only then are ``first`` and
+    ``last``, the stamps at both ends, known.
     """
 
     place: str
@@ -282,7 +318,12 @@ class TimeCheck:
     def rate(self) -> float | None:
         """Return samples a second (Hz) where every step is about the usual one, else None."""
         self._learn()
-        odd = self.restart.count + self.backward.count + self.repeat.count + self.gap.count
+        odd = (
+            self.restart.count
+            + self.backward.count
+            + self.repeat.count
+            + self.gap.count
+        )
         if odd or self.rows < 2 or self.last is None or not self.is_even:
             return None
         return (self.rows - 1) / (self.last - self.first)
@@ -343,7 +384,9 @@ class TimeCheck:
         steps = time - before
         usual = steps
         if steps.min() <= 0.0 or steps.max() > GAP_STEPS * self.step:
-            begins = (np.abs(time - self.first) <= 2.0 * self.step) & (-steps > 2.0 * self.step)
+            begins = (np.abs(time - self.first) <= 2.0 * self.step) & (
+                -steps > 2.0 * self.step
+            )
             gap = steps > GAP_STEPS * self.step
             forward = not self.backward.count
             for finding, which in (
@@ -364,7 +407,11 @@ class TimeCheck:
         """Refuse a clock that is a counter which began anew at the end of its range (InputError)."""
         found = self.backward
         for period in self.periods:
-            if abs(found.before - found.after + self.step - period) <= self.step <= period / 16.0:
+            if (
+                abs(found.before - found.after + self.step - period)
+                <= self.step
+                <= period / 16.0
+            ):
                 raise InputError(
                     f"{self.place}: the time begins anew after {period:.10g} s at {found.where} (from "
                     f"{_stamp(found.before)} s to {_stamp(found.after)} s): its counter wraps "
@@ -380,9 +427,9 @@ def _stamp(time: float) -> str:
 def even_step(time: FloatArray) -> float | None:
     """Return the common step (s) of evenly sampled time stamps, or None where they are not even.
 
-    Stamps count as even when none is further than 5 % of a step from the straight line through the first and
-    the last, or, where the log has too few digits for that, when rounding to those digits explains the
-    distance.
+    Stamps count as even when none is further than 5 % of a step from the straight line
+    through the first and the last, or, where the log has too few digits for that, when
+    rounding to those digits explains the distance.
     """
     if len(time) < 2:
         return None
@@ -393,8 +440,14 @@ def even_step(time: FloatArray) -> float | None:
     if away <= JITTER * step:
         return step
     for digits in range(0, 10):
-        if np.abs(time - np.round(time, digits)).max() <= 1e-9 * max(1.0, float(np.abs(time).max())):
-            return step if away <= 1.01 * 10.0**-digits and 10.0**-digits <= step / 2.0 else None
+        if np.abs(time - np.round(time, digits)).max() <= 1e-9 * max(
+            1.0, float(np.abs(time).max())
+        ):
+            return (
+                step
+                if away <= 1.01 * 10.0**-digits and 10.0**-digits <= step / 2.0
+                else None
+            )
     return None
 
 
@@ -414,15 +467,18 @@ def require_even(place: str, time: FloatArray, why: str) -> float:
 
 
 _NEW_ROWS = 1 << 16  # made at a time; chosen, half a megabyte a column
-_MOST_NEW_ROWS, _MOST_FACTOR = 20_000_000, 100  # more, and a rate or a time stamp is wrong
+# more, and a rate or a time stamp is wrong
+_MOST_NEW_ROWS, _MOST_FACTOR = 20_000_000, 100
 
 
-def resampled(place: str, blocks: Iterator[SampleBlock], rate: float) -> Iterator[SampleBlock]:
+def resampled(
+    place: str, blocks: Iterator[SampleBlock], rate: float
+) -> Iterator[SampleBlock]:
     """Interpolate blocks to ``rate`` (Hz), from the first time stamp to the last.
 
-    The samples stand at first + k/rate and are made of their six neighbours (``interpolation.smooth``), so
-    that the result does not depend on the block size. ``rows`` of the new blocks count the new samples; their
-    ``lines`` are None.
+    The samples stand at first + k/rate and are made of their six neighbours
+    (``interpolation.smooth``), so that the result does not depend on the block size.
+    ``rows`` of the new blocks count the new samples; their ``lines`` are None.
 
     Raises
     ------
@@ -444,10 +500,14 @@ def resampled(place: str, blocks: Iterator[SampleBlock], rate: float) -> Iterato
         start = float(piece.time[0]) if start is None else start
         carried = [piece.part(max(len(piece) - _KNOWN_BEFORE, 0), len(piece))]
         read += 0 if block is None else len(block)
-        known = len(piece) if block is None else len(piece) - AFTER  # samples with enough behind them
+        # samples with enough behind them
+        known = len(piece) if block is None else len(piece) - AFTER
         if block is not None and len(piece) < _KNOWN_BEFORE:
             continue
-        reached = int(np.floor((float(piece.time[known - 1]) - start) * rate * (1.0 + 1e-12))) + 1
+        reached = (
+            int(np.floor((float(piece.time[known - 1]) - start) * rate * (1.0 + 1e-12)))
+            + 1
+        )
         if reached > _MOST_NEW_ROWS + _MOST_FACTOR * read:
             raise InputError(
                 f"{place}: `resample` {rate:g} makes {reached:,} rows of {read:,}: give a lower rate"
@@ -457,7 +517,9 @@ def resampled(place: str, blocks: Iterator[SampleBlock], rate: float) -> Iterato
             values = {}
             for role, signal in piece.values.items():
                 values[role], _ = interpolated(piece.time, signal, time)
-            yield SampleBlock(range(first + 1, first + len(time) + 1), None, time, values)
+            yield SampleBlock(
+                range(first + 1, first + len(time) + 1), None, time, values
+            )
         done = max(done, reached)
 
 
@@ -472,4 +534,6 @@ def _require_advance(place: str, piece: SampleBlock, time: FloatArray) -> None:
         index = int(stuck[0]) + 1
         jump = f"from {_stamp(time[index - 1])} s to {_stamp(time[index])} s"
         cannot = "so it cannot be resampled (cut the log with `rows` A:B)"
-        raise InputError(f"{place}: time does not advance at {piece.where(index)} ({jump}), {cannot}")
+        raise InputError(
+            f"{place}: time does not advance at {piece.where(index)} ({jump}), {cannot}"
+        )

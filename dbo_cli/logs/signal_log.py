@@ -1,8 +1,8 @@
 """Recorded logs and trajectories: one way to read them, whatever their format.
 
-What a file is called matters less than what it is: its first bytes choose the reader, and a library is
-imported only then. A column of another file (``FILE::COLUMN``) stands beside those of the first, joined by
-time (``logs.joined_files``)::
+What a file is called matters less than what it is: its first bytes choose the reader,
+and a library is imported only then. A column of another file (``FILE::COLUMN``) stands
+beside those of the first, joined by time (``logs.joined_files``)::
 
     with open_log("run.csv", {"voltage": ColumnWish(None, ("voltage", "drive"))}) as log:
         for block in log.blocks():
@@ -23,7 +23,12 @@ from dbo_cli import extensions
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.byte_source import HDF5, input_record
 from dbo_cli.logs.clock import FoundTime, find_time_column
-from dbo_cli.logs.columns import ColumnWish, choose_columns, contradicted_unit, find_column
+from dbo_cli.logs.columns import (
+    ColumnWish,
+    choose_columns,
+    contradicted_unit,
+    find_column,
+)
 from dbo_cli.logs.joined_files import JoinedTable, names_file
 from dbo_cli.logs.request import (
     ALL_ROWS,
@@ -49,7 +54,8 @@ from dbo_cli.logs.text.text_table import TextTable
 from dbo_cli.logs.units import Scale, kind_of_unit, quantity_name
 
 _USER_BLOCKS = (0, 512, 1024, 2048)  # where an HDF5 file may begin (MATLAB v7.3: 512)
-_TEXT = (".csv", ".tsv", ".txt", ".dat", ".gz", "")  # endings of text; others may be an extra's
+# endings of text; others may be an extra's
+_TEXT = (".csv", ".tsv", ".txt", ".dat", ".gz", "")
 
 
 def open_table(request: Request) -> Table:
@@ -80,7 +86,9 @@ def _reader_by_content(address: Address) -> Callable[[Request], Table] | None:
     InputError
         It is what this program wrote and no log.
     """
-    if address.is_stream or not (os.path.isfile(address.path) and os.access(address.path, os.R_OK)):
+    if address.is_stream or not (
+        os.path.isfile(address.path) and os.access(address.path, os.R_OK)
+    ):
         return _open_hdf5 if address.kind == "hdf5" else None
     with open(address.path, "rb") as file:
         head = file.read(2056)
@@ -88,7 +96,9 @@ def _reader_by_content(address: Address) -> Callable[[Request], Table] | None:
     if own is not None:
         remedy = "; a report takes a model as `model`" if own[1] == b"model" else ""
         kind = own[1].decode()
-        raise InputError(f"{address.text}: this is a {kind}, not a log (give a recording{remedy})")
+        raise InputError(
+            f"{address.text}: this is a {kind}, not a log (give a recording{remedy})"
+        )
     if any(head[at : at + len(HDF5)] == HDF5 for at in _USER_BLOCKS):
         return _open_hdf5
     kind_of = extensions.find_installed("reader", "by content")
@@ -112,7 +122,8 @@ def _open_hdf5(request: Request) -> Table:
     return open_hdf5(request)
 
 
-# --- the log -----------------------------------------------------------------------------------------
+# --- the log
+# -----------------------------------------------------------------------------------------
 
 
 class SignalLog(Source):
@@ -132,31 +143,53 @@ class SignalLog(Source):
     warns_of_units = True
 
     def __init__(
-        self, address: Address, table: Table, wishes: Mapping[str, ColumnWish], options: ReadingOptions
+        self,
+        address: Address,
+        table: Table,
+        wishes: Mapping[str, ColumnWish],
+        options: ReadingOptions,
     ) -> None:
         """Choose columns and clock of an opened table."""
         place = table.place
         named = []
         for wish in wishes.values():
             if wish.selector is not None:
-                named.append(find_column(place, table.columns, wish.selector, wish.option))
-        found_time: FoundTime = table.found_time or find_time_column(place, table.columns, options, named)
+                named.append(
+                    find_column(place, table.columns, wish.selector, wish.option)
+                )
+        found_time: FoundTime = table.found_time or find_time_column(
+            place, table.columns, options, named
+        )
         clock = found_time.clock
         rate = options.sample_rate
         start = 0.0  # s
         if clock is None and options.time_unit is not None:
-            raise InputError(f"{place}: no column is recognised as the time (`time` COLUMN names it)")
+            raise InputError(
+                f"{place}: no column is recognised as the time (`time` COLUMN names it)"
+            )
         timed = clock is not None or rate is not None
-        picks = choose_columns(place, table.columns, wishes, found_time.taken, timed, table.notes)
+        picks = choose_columns(
+            place, table.columns, wishes, found_time.taken, timed, table.notes
+        )
         if rate is None and clock is None:
             rate, start = table.even_clock(picks.values())
-        may_have_gaps = options.skip_bad or any(column.may_be_blank for column in picks.values())
+        may_have_gaps = options.skip_bad or any(
+            column.may_be_blank for column in picks.values()
+        )
         even_rate = None if may_have_gaps else rate
         timed = clock is not None or rate is not None
-        super().__init__(place, dict(picks), timed, options.resample or even_rate, options.resample or rate)
+        super().__init__(
+            place,
+            dict(picks),
+            timed,
+            options.resample or even_rate,
+            options.resample or rate,
+        )
         self._scales = _scales_by_role(options, wishes, picks)
         for role, scale in self._scales.items():
-            self._factors[role], self.columns[role] = scale.applied_to(self.name, picks[role])
+            self._factors[role], self.columns[role] = scale.applied_to(
+                self.name, picks[role]
+            )
         table.notes.extend(found_time.notes)
         self.notes = table.notes
         doubts = [_doubtful_unit(self.name, column) for column in picks.values()]
@@ -171,7 +204,8 @@ class SignalLog(Source):
         self.sample_rate = rate
         self.rows_read = 0
         self._check: TimeCheck | None = None
-        self._times: tuple[float, float] | None = None  # s, of the first and the last sample
+        # s, of the first and the last sample
+        self._times: tuple[float, float] | None = None
 
     def __enter__(self) -> SignalLog:
         """Use the log as a context manager that closes it."""
@@ -183,7 +217,9 @@ class SignalLog(Source):
 
     def describe(self) -> str:
         """Describe in one line how the log is written and what was chosen, for ``verbose``."""
-        chosen = [f"{role} is column {column.number}" for role, column in self.columns.items()]
+        chosen = [
+            f"{role} is column {column.number}" for role, column in self.columns.items()
+        ]
         if self.time is not None:
             chosen.insert(0, f"time is column {self.time.number}")
         return f"{self._table.describe()}; {', '.join(chosen)}"
@@ -196,20 +232,35 @@ class SignalLog(Source):
         """Describe what was read, once all blocks were: rows, duration, rate, and the column of each role."""
         rate, seconds = self._rate_and_seconds()
         known = [f"{self.rows_read:,} row{'s' if self.rows_read != 1 else ''}"]
-        return self._line(known if self.has_time else [*known, "no time"], rate, seconds)
+        return self._line(
+            known if self.has_time else [*known, "no time"], rate, seconds
+        )
 
-    def _line(self, known: list[str], rate: float | None, seconds: float | None = None) -> str:
+    def _line(
+        self, known: list[str], rate: float | None, seconds: float | None = None
+    ) -> str:
         if rate is not None:
             source = ""
             if self.sample_rate is not None:
-                source = " (given)" if self._options.sample_rate is not None else " (from the file)"
-            about = "about " if self._check is not None and not self._check.is_even else ""
+                source = (
+                    " (given)"
+                    if self._options.sample_rate is not None
+                    else " (from the file)"
+                )
+            about = (
+                "about " if self._check is not None and not self._check.is_even else ""
+            )
             plural = "" if _plain(rate) == "1" else "s"
             text = f"{about}{_plain(rate)} sample{plural}/s{source}"
-            known = [*known, text if seconds is None else f"{_plain(seconds, 3)} s at {text}"]
+            known = [
+                *known,
+                text if seconds is None else f"{_plain(seconds, 3)} s at {text}",
+            ]
         read = []
         for role, column, unit in self._used():  # voltage 'CH1' (V)
-            called = f"'{column.name}'" if column.quantity else f"column {column.number}"
+            called = (
+                f"'{column.name}'" if column.quantity else f"column {column.number}"
+            )
             scale = f", {self._scale_text(role)}" if role in self._scales else ""
             quantity = quantity_name(role, unit)
             read.append(f"{quantity} {called} ({unit or 'no unit'}{scale})")
@@ -219,7 +270,9 @@ class SignalLog(Source):
         """List role, column and unit of what is read, the time first."""
         clock = self._clock
         timed = [] if clock is None else [("time", clock.column, clock.reading())]
-        return timed + [(role, column, column.unit) for role, column in self._picks.items()]
+        return timed + [
+            (role, column, column.unit) for role, column in self._picks.items()
+        ]
 
     def reading_record(self) -> dict[str, Any]:
         """Return what ``reading_line`` states as plain values, for a model's provenance."""
@@ -228,9 +281,18 @@ class SignalLog(Source):
         for role, column, unit in self._used():
             name = without_folder(column.name) if self._table.others else column.name
             found = {"column": name, "unit": unit, "scale": self._scale_text(role)}
-            columns.append((role, {key: value for key, value in found.items() if value is not None}))
+            columns.append(
+                (
+                    role,
+                    {key: value for key, value in found.items() if value is not None},
+                )
+            )
         time = None if self._clock is None else columns.pop(0)[1]
-        record: dict[str, Any] = {"rows": self.rows_read, "seconds": seconds, "sample_rate": rate}
+        record: dict[str, Any] = {
+            "rows": self.rows_read,
+            "seconds": seconds,
+            "sample_rate": rate,
+        }
         record |= {"time": time, "columns": dict(columns)}
         return {key: value for key, value in record.items() if value is not None}
 
@@ -239,7 +301,11 @@ class SignalLog(Source):
         rate, seconds = self.sample_rate, None
         if self._times is not None:
             seconds = self._times[1] - self._times[0]
-        if self.rows_read and self._check is not None and 0.0 < self._check.step < np.inf:
+        if (
+            self.rows_read
+            and self._check is not None
+            and 0.0 < self._check.step < np.inf
+        ):
             rate = 1.0 / self._check.step
         return rate, seconds
 
@@ -291,7 +357,9 @@ class SignalLog(Source):
 
     def record(self) -> dict[str, Any]:
         """Record this log for a model's provenance, once it has been read (a stream: with ``digest``)."""
-        return input_record(self._address, self.rows_read, self._table.sha256, self._table.others)
+        return input_record(
+            self._address, self.rows_read, self._table.sha256, self._table.others
+        )
 
     def _as_recorded(self) -> Iterator[SampleBlock]:
         clock = self._clock
@@ -312,14 +380,18 @@ class SignalLog(Source):
                     time = self._start_time + (rows - 1.0) / self.sample_rate
                 block = replace(part, time=time, values=self.in_units(values))
                 if time is not None and len(time):
-                    self._times = self._times[0] if self._times else float(time[0]), float(time[-1])
+                    self._times = (
+                        self._times[0] if self._times else float(time[0]),
+                        float(time[-1]),
+                    )
                     if check is not None:
                         check.feed(block)
                 self.rows_read += len(block.rows)
                 yield block
         if check is not None and clock is not None:
             self.notes.extend([*clock.notes, *check.notes()])
-            self.warnings[:0] = clock.warnings(check)  # a clock in another unit makes all else wrong
+            # a clock in another unit makes all else wrong
+            self.warnings[:0] = clock.warnings(check)
         self.warnings.extend(self._table.warnings)
         self._check = check
         if not self.rows_read:
@@ -366,8 +438,9 @@ def open_log(
     Parameters
     ----------
     address
-        A file, ``FILE::/group`` of an HDF5 file, or ``-`` for standard input. ``options.format`` is forced on
-        a name, and goes to an address whose own name does not tell its format.
+        A file, ``FILE::/group`` of an HDF5 file, or ``-`` for standard input.
+        ``options.format`` is forced on a name, and goes to an address whose own name
+        does not tell its format.
     wishes
         Role to wish.
     options
@@ -385,10 +458,18 @@ def open_log(
         The address or a column's number is none.
     """
     options = options or ReadingOptions()
-    selectors = [one for one in (*(wish.selector for wish in wishes.values()), options.time) if one]
-    named = [one for one in selectors if other_file(one) is None and not os.path.isfile(one)]
+    selectors = [
+        one
+        for one in (*(wish.selector for wish in wishes.values()), options.time)
+        if one
+    ]
+    named = [
+        one for one in selectors if other_file(one) is None and not os.path.isfile(one)
+    ]
     if options.clock_offset is not None and len(named) == len(selectors):
-        raise UsageError("`clock_offset` joins two files: name the other one's column, FILE::COLUMN")
+        raise UsageError(
+            "`clock_offset` joins two files: name the other one's column, FILE::COLUMN"
+        )
     if isinstance(address, Address):
         target = address.or_format(options.format)
     else:
@@ -398,10 +479,14 @@ def open_log(
         if any("::" in one or names_file(one, table.columns) for one in selectors):
             first, table = table, (joint := JoinedTable(table, options, open_table))
             wishes = {
-                role: replace(wish, selector=joint.number_of(wish, role)) for role, wish in wishes.items()
+                role: replace(wish, selector=joint.number_of(wish, role))
+                for role, wish in wishes.items()
             }
             if options.time is not None:
-                options = replace(options, time=joint.number_of(ColumnWish(options.time, option="time")))
+                options = replace(
+                    options,
+                    time=joint.number_of(ColumnWish(options.time, option="time")),
+                )
             joint.find_clocks(options)
             table = joint if joint.others else first
         return SignalLog(target, table, wishes, options)
@@ -411,7 +496,9 @@ def open_log(
 
 
 def _scales_by_role(
-    options: ReadingOptions, wishes: Mapping[str, ColumnWish], columns: Mapping[str, ColumnInfo]
+    options: ReadingOptions,
+    wishes: Mapping[str, ColumnWish],
+    columns: Mapping[str, ColumnInfo],
 ) -> dict[str, Scale]:
     """Give each scale its role, which may be called as the parameter that names its column is.
 
@@ -420,7 +507,11 @@ def _scales_by_role(
     UsageError
         There is no such role here, or one is scaled twice.
     """
-    names = {name: role for role, wish in wishes.items() for name in (wish.option.lower(), role.lower())}
+    names = {
+        name: role
+        for role, wish in wishes.items()
+        for name in (wish.option.lower(), role.lower())
+    }
     if "measured" in wishes:
         names.setdefault("displacement", "measured")
     found: dict[str, Scale] = {}
@@ -428,7 +519,9 @@ def _scales_by_role(
         role = names.get(scale.role)
         if role is None:
             there = ", ".join(dict.fromkeys(names.values()))
-            raise UsageError(f"`scale` {scale}: there is no {scale.role} here, but {there}")
+            raise UsageError(
+                f"`scale` {scale}: there is no {scale.role} here, but {there}"
+            )
         if role in found:
             raise UsageError(f"`scale` {scale}: {role} is scaled twice")
         if role in columns:

@@ -19,13 +19,20 @@ from dbo_cli.logs.libraries import import_polars
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.request import BLOCK_ROWS, Address, Given, parse_output
 from dbo_cli.logs.sample_block import FloatArray
-from dbo_cli.logs.whole_output import KEPT, KeptSignal, check_output, is_replaceable, opened
+from dbo_cli.logs.whole_output import (
+    KEPT,
+    KeptSignal,
+    check_output,
+    is_replaceable,
+    opened,
+)
 from dbo_cli.version import program_version_string
 
 if TYPE_CHECKING:
     from concurrent.futures import Future, ThreadPoolExecutor
 
-PLAIN_CELLS = 1 << 16  # with fewer cells importing polars costs more than it saves (benchmarks/text_speed.py)
+# with fewer cells importing polars costs more than it saves (benchmarks/text_speed.py)
+PLAIN_CELLS = 1 << 16
 _FORMULA_SIGNS = ("=", "+", "-", "@")  # what begins a formula in Excel and LibreOffice
 _WORTH_A_THREAD = 1 << 14  # rows of a block; chosen
 
@@ -41,8 +48,9 @@ class SignalWriter(Protocol):
 class TextWriter:
     """Appends rows of delimited text to a binary stream.
 
-    With ``behind``, where nothing is to be flushed, formatting and writing go on in a thread while the caller
-    works on the next rows; the arrays must not change after they were handed in.
+    With ``behind``, where nothing is to be flushed, formatting and writing go on in a
+    thread while the caller works on the next rows; the arrays must not change after
+    they were handed in.
     """
 
     stream: IO[bytes]
@@ -59,7 +67,9 @@ class TextWriter:
         self._headers = unique_headers(self.columns)
         self._blanks = any(column.may_be_blank for column in self.columns)
         self._own = (
-            self.behind and not self.flush and isinstance(self.stream, io.BufferedWriter)
+            self.behind
+            and not self.flush
+            and isinstance(self.stream, io.BufferedWriter)
         )  # gzip's is none
         cells = [header_cell(header, self.delimiter) for header in self._headers]
         self.stream.write((self.comment + self.delimiter.join(cells) + "\n").encode())
@@ -101,8 +111,16 @@ class TextWriter:
         if np.size(arrays[0]):
             require_finite(self.columns, self._headers, arrays)
             for start in range(0, np.size(arrays[0]), BLOCK_ROWS):
-                rows = [np.asarray(array)[start : start + BLOCK_ROWS] for array in arrays]
-                write_rows(self.stream, rows, self.delimiter, blanks=self._blanks, own_file=self._own)
+                rows = [
+                    np.asarray(array)[start : start + BLOCK_ROWS] for array in arrays
+                ]
+                write_rows(
+                    self.stream,
+                    rows,
+                    self.delimiter,
+                    blanks=self._blanks,
+                    own_file=self._own,
+                )
 
 
 class _Keeper:
@@ -120,7 +138,10 @@ class _Keeper:
 
     def arrays(self) -> tuple[FloatArray, ...]:
         """Return all rows, an array a column."""
-        return tuple(parts[0] if len(parts) == 1 else np.concatenate(parts) for parts in self._parts)
+        return tuple(
+            parts[0] if len(parts) == 1 else np.concatenate(parts)
+            for parts in self._parts
+        )
 
 
 @contextlib.contextmanager
@@ -145,7 +166,8 @@ def signal_writer(
     format
         ``csv``, ``tsv`` or ``hdf5``, where the name does not tell.
     attributes
-        Finds what an HDF5 output carries beside the columns (``sample_rate``, ``model_sha256``, ``command``).
+        Finds what an HDF5 output carries beside the columns (``sample_rate``,
+        ``model_sha256``, ``command``).
     flush
         Hand every write on at once.
     protect
@@ -156,7 +178,8 @@ def signal_writer(
     Raises
     ------
     UsageError
-        The output is an input, HDF5 is to go down a pipe, or the name is that of another format.
+        The output is an input, HDF5 is to go down a pipe, or the name is that of
+        another format.
     OutputError
         It cannot be written.
     """
@@ -164,7 +187,11 @@ def signal_writer(
     if (outputs := KEPT.get()) is not None:
         keeper = _Keeper(columns)
         yield keeper
-        outputs.signals.append(KeptSignal(target, columns, format, attributes(), keeper.arrays(), commented))
+        outputs.signals.append(
+            KeptSignal(
+                target, columns, format, attributes(), keeper.arrays(), commented
+            )
+        )
         return
     check_output(target, protect)
     if target.kind == "hdf5":
@@ -178,7 +205,14 @@ def signal_writer(
         if commented:  # where the output comes from
             stated = (f"{key}: {value}" for key, value in attributes().items())
             comment = f"# {cleaned('; '.join([program_version_string(), *stated]))}\n"
-        writer = TextWriter(stream, columns, target.delimiter, flush, is_replaceable(target.path), comment)
+        writer = TextWriter(
+            stream,
+            columns,
+            target.delimiter,
+            flush,
+            is_replaceable(target.path),
+            comment,
+        )
         try:
             yield writer
             writer.finish()
@@ -186,14 +220,15 @@ def signal_writer(
             writer.close()
 
 
-# --- rows as text ---------------------------------------------------------------------------------------
+# --- rows as text
+# ---------------------------------------------------------------------------------------
 
 
 def header_cell(text: str, delimiter: str) -> str:
     """Write a header as a cell of delimited text.
 
-    A header that a spreadsheet would take for a formula (``=cmd|...``, ``-V``) gets an apostrophe before it,
-    the spreadsheet's own sign for text.
+    A header that a spreadsheet would take for a formula (``=cmd|...``, ``-V``) gets an
+    apostrophe before it, the spreadsheet's own sign for text.
     """
     if text.startswith(_FORMULA_SIGNS):
         text = "'" + text
@@ -231,15 +266,18 @@ def write_rows(
     blanks
         Whether a NaN may be among the numbers, which is an empty cell.
     own_file
-        The stream is a file that nobody else knows: polars writes into it by itself, and no byte is copied.
-        It would do so to standard output, too, but there a closed pipe and Ctrl-C are Python's to hear of.
+        The stream is a file that nobody else knows: polars writes into it by itself,
+        and no byte is copied. It would do so to standard output, too, but there a
+        closed pipe and Ctrl-C are Python's to hear of.
     """
     if "polars" not in sys.modules and len(arrays) * np.size(arrays[0]) < PLAIN_CELLS:
         stream.write(_plain_rows(arrays, delimiter))
         return
     names = map(str, range(len(arrays)))
     columns = map(np.ascontiguousarray, arrays, repeat(np.float64))
-    table = import_polars().DataFrame(dict(zip(names, columns, strict=False)), nan_to_null=blanks)
+    table = import_polars().DataFrame(
+        dict(zip(names, columns, strict=False)), nan_to_null=blanks
+    )
     if own_file:
         stream.flush()
         table.write_csv(stream, include_header=False, separator=delimiter)
@@ -263,5 +301,7 @@ def _packed(file: IO[bytes], target: Address) -> AbstractContextManager[IO[bytes
     import gzip
 
     # no name and no time in the gzip header: the same signal gives the same bytes
-    packed = gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=file, mtime=0)
+    packed = gzip.GzipFile(
+        filename="", mode="wb", compresslevel=6, fileobj=file, mtime=0
+    )
     return cast(AbstractContextManager[IO[bytes]], packed)

@@ -1,7 +1,8 @@
 """The one way in: logs, tables and arrays as sources of samples, with the same checks for all.
 
-A source hands out blocks of finite float64 samples by role, in the unit that is asked for, and knows its
-clock. ``SignalLog`` is one for files; arrays and tables become one here.
+A source hands out blocks of finite float64 samples by role, in the unit that is asked
+for, and knows its clock. ``SignalLog`` is one for files; arrays and tables become one
+here.
 """
 
 from __future__ import annotations
@@ -18,8 +19,21 @@ from numpy.typing import ArrayLike
 from dbo_cli.errors import InputError, Remarks, UsageError
 from dbo_cli.logs.clock import find_time_column
 from dbo_cli.logs.columns import ColumnWish, choose_columns, column_info, find_column
-from dbo_cli.logs.request import ALL_ROWS, BLOCK_ROWS, ReadingOptions, Rows, checked_rate
-from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, TimeCheck, joined, require_even
+from dbo_cli.logs.request import (
+    ALL_ROWS,
+    BLOCK_ROWS,
+    ReadingOptions,
+    Rows,
+    checked_rate,
+)
+from dbo_cli.logs.sample_block import (
+    ColumnInfo,
+    FloatArray,
+    SampleBlock,
+    TimeCheck,
+    joined,
+    require_even,
+)
 from dbo_cli.logs.units import ONE, UnitFactor, unit_factor
 
 if TYPE_CHECKING:
@@ -45,7 +59,8 @@ class Source:
     stated_rate
         Samples a second (Hz) as it was given, rows that were dropped aside, or None.
     notes, warnings
-        What is worth knowing, and what may spoil a result; complete after the last block.
+        What is worth knowing, and what may spoil a result; complete after the last
+        block.
     """
 
     name: str
@@ -98,7 +113,9 @@ class Source:
             return
         if factor is None:
             remedy = f"`scale` ROLE=FACTOR{wanted}/{unit} converts it"
-            raise InputError(f"{called} is in {unit}, but {taker} in {wanted} ({remedy})")
+            raise InputError(
+                f"{called} is in {unit}, but {taker} in {wanted} ({remedy})"
+            )
         self.notes.append(f"{called} is converted from {unit} to {wanted}")
         if factor != ONE:
             self.columns[role] = replace(self.columns[role], unit=wanted)
@@ -108,7 +125,10 @@ class Source:
         """Return samples by role in the units that they are to be handed out in."""
         if not self._factors:
             return dict(values)
-        return {role: self._factors.get(role, ONE).apply(array) for role, array in values.items()}
+        return {
+            role: self._factors.get(role, ONE).apply(array)
+            for role, array in values.items()
+        }
 
     def reading_line(self) -> str | None:
         """Describe what was read, once it was; None where nothing was."""
@@ -134,16 +154,20 @@ def samples(name: str, values: ArrayLike) -> FloatArray:
     Raises
     ------
     InputError
-        It has another shape, no samples, masked ones, or one that is not a finite number; or it holds truth
-        values or times.
+        It has another shape, no samples, masked ones, or one that is not a finite
+        number; or it holds truth values or times.
     """
     if isinstance(values, np.ma.MaskedArray) and np.ma.is_masked(values):
         row = int(np.argmax(np.ma.getmaskarray(values)))
-        raise InputError(f"`{name}`: sample {row + 1} is masked (leave it out, or fill it with what it was)")
+        raise InputError(
+            f"`{name}`: sample {row + 1} is masked (leave it out, or fill it with what it was)"
+        )
     try:
         array = np.asarray(values)
         objects = array.reshape(-1) if array.dtype.kind == "O" else ()
-        if array.dtype.kind not in "iufO" or any(isinstance(value, bool | np.bool_) for value in objects):
+        if array.dtype.kind not in "iufO" or any(
+            isinstance(value, bool | np.bool_) for value in objects
+        ):
             raise TypeError
         signal = np.ascontiguousarray(array, dtype=np.float64)
     except (TypeError, ValueError):
@@ -154,7 +178,9 @@ def samples(name: str, values: ArrayLike) -> FloatArray:
         raise InputError(f"`{name}`: has the shape {signal.shape}; give one dimension")
     if not (math.isfinite(signal.min()) and math.isfinite(signal.max())):
         row = int(np.argmin(np.isfinite(signal)))
-        raise InputError(f"`{name}`: sample {row + 1} is not finite: {float(signal[row])!r} (leave it out)")
+        raise InputError(
+            f"`{name}`: sample {row + 1} is not finite: {float(signal[row])!r} (leave it out)"
+        )
     return signal
 
 
@@ -167,16 +193,27 @@ def stamps(values: ArrayLike) -> FloatArray:
         See ``samples``; or a date is missing (NaT).
     """
     array = values if np.ma.isMaskedArray(values) else np.asarray(values)
-    if array.dtype.kind == "O" and array.size and hasattr(array.reshape(-1)[0], "isoformat"):
+    if (
+        array.dtype.kind == "O"
+        and array.size
+        and hasattr(array.reshape(-1)[0], "isoformat")
+    ):
         array = array.astype("datetime64[us]")
-    elif array.dtype.kind == "O" and array.size and hasattr(array.reshape(-1)[0], "total_seconds"):
+    elif (
+        array.dtype.kind == "O"
+        and array.size
+        and hasattr(array.reshape(-1)[0], "total_seconds")
+    ):
         array = array.astype("timedelta64[us]")
     if array.dtype.kind not in "mM":
         return samples("time", values)
     if np.isnat(array).any():
         row = int(np.argmax(np.isnat(array)))
         raise InputError(f"`time`: sample {row + 1} is missing (NaT) (leave it out)")
-    count, second = array.astype(f"{array.dtype.kind}8[ns]").astype(np.int64), 1_000_000_000
+    count, second = (
+        array.astype(f"{array.dtype.kind}8[ns]").astype(np.int64),
+        1_000_000_000,
+    )
     return samples("time", count // second + (count % second) / 1e9)
 
 
@@ -234,22 +271,32 @@ class ArraySource(Source):
         units: Mapping[str, str | None] = {},
     ) -> None:
         if time is not None and sample_rate is not None:
-            raise UsageError("`time` and `sample_rate` exclude each other: give the one or the other")
+            raise UsageError(
+                "`time` and `sample_rate` exclude each other: give the one or the other"
+            )
         self.sample_rate = checked_rate(sample_rate)
         self.clock_was_judged = False
         self.values = {role: samples(role, signal) for role, signal in values.items()}
         self.time = None if time is None else stamps(time)
         self.rows = rows
         first, count = next((role, signal.size) for role, signal in self.values.items())
-        for role, signal in [*self.values.items(), *([] if self.time is None else [("time", self.time)])]:
+        for role, signal in [
+            *self.values.items(),
+            *([] if self.time is None else [("time", self.time)]),
+        ]:
             if signal.size != count:
-                raise InputError(f"`{role}` has {signal.size} samples where `{first}` has {count}")
+                raise InputError(
+                    f"`{role}` has {signal.size} samples where `{first}` has {count}"
+                )
         infos = [
-            replace(column_info(role, n), unit=units.get(role)) for n, role in enumerate(values, start=1)
+            replace(column_info(role, n), unit=units.get(role))
+            for n, role in enumerate(values, start=1)
         ]
         columns = columns or dict(zip(values, infos, strict=True))
         has_time = self.time is not None or self.sample_rate is not None
-        super().__init__(name, dict(columns), has_time, self.sample_rate, self.sample_rate)
+        super().__init__(
+            name, dict(columns), has_time, self.sample_rate, self.sample_rate
+        )
 
     def add(self, role: str, signal: ArrayLike, unit: str | None) -> None:
         """Take one more signal (InputError where it is of another length, or not of finite numbers)."""
@@ -287,7 +334,9 @@ class ArraySource(Source):
         if first > count:
             raise InputError(f"{self.name}: there is no row {first}: {count} samples")
         values = self.in_units(self.values)
-        whole = SampleBlock(rows, None, time, values).part(first - 1, min(last or count, count))
+        whole = SampleBlock(rows, None, time, values).part(
+            first - 1, min(last or count, count)
+        )
         for begin in range(0, len(whole), BLOCK_ROWS):
             yield whole.part(begin, min(begin + BLOCK_ROWS, len(whole)))
 
@@ -331,8 +380,9 @@ def table_source(
 ) -> ArraySource:
     """Return the wanted columns of a DataFrame as a source.
 
-    Units come from ``attrs["units"]`` (as ``read_log`` leaves them) or from the column names
-    (``voltage_V``); the time from a column that is named or guessed, or from ``time`` as an array.
+    Units come from ``attrs["units"]`` (as ``read_log`` leaves them) or from the column
+    names (``voltage_V``); the time from a column that is named or guessed, or from
+    ``time`` as an array.
 
     Raises
     ------
@@ -340,13 +390,22 @@ def table_source(
         A column is absent, several may be meant, or it holds no finite numbers.
     """
     units: Mapping[str, str | None] = table.attrs.get("units", {})
-    infos = [column_info(str(name), k, units.get(name)) for k, name in enumerate(table.columns, start=1)]
-    rate = table.attrs.get("sample_rate") if sample_rate is None and time is None else sample_rate
+    infos = [
+        column_info(str(name), k, units.get(name))
+        for k, name in enumerate(table.columns, start=1)
+    ]
+    rate = (
+        table.attrs.get("sample_rate")
+        if sample_rate is None and time is None
+        else sample_rate
+    )
     warnings: list[str] = []
     taken: list[ColumnInfo] = []
     if sample_rate is None and (time is None or isinstance(time, str)):
         named = [
-            find_column(TABLE, infos, wish.selector, wish.option) for wish in want.values() if wish.selector
+            find_column(TABLE, infos, wish.selector, wish.option)
+            for wish in want.values()
+            if wish.selector
         ]
         time_column = find_time_column(TABLE, infos, ReadingOptions(time=time), named)
         taken = time_column.taken
@@ -355,11 +414,21 @@ def table_source(
             if column.dtype.kind in "mM" or column.dtype.kind == "O":
                 time, rate = stamps(column.to_numpy()), None
             else:
-                time, rate = time_column.clock.whole(samples("time", column.to_numpy()), warnings), None
+                time, rate = (
+                    time_column.clock.whole(
+                        samples("time", column.to_numpy()), warnings
+                    ),
+                    None,
+                )
     columns = choose_columns(TABLE, infos, want, taken)
-    values = {role: table.iloc[:, column.number - 1].to_numpy() for role, column in columns.items()}
+    values = {
+        role: table.iloc[:, column.number - 1].to_numpy()
+        for role, column in columns.items()
+    }
     stamped = None if time is None or isinstance(time, str) else time
-    source = ArraySource(values, stamped, rate if stamped is None else None, columns, TABLE, rows)
+    source = ArraySource(
+        values, stamped, rate if stamped is None else None, columns, TABLE, rows
+    )
     source.warnings.extend(warnings)
     source.clock_was_judged = isinstance(time, str) or bool(taken)
     return source

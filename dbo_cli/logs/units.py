@@ -1,7 +1,7 @@
 """Units: how they are spelled, what they measure, and how one becomes another.
 
-A unit is carried, never guessed.  SI prefixes of one unit are converted, unlike units are not:
-``unit_factor`` gives the number.
+A unit is carried, never guessed.  SI prefixes of one unit are converted, unlike units
+are not: ``unit_factor`` gives the number.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.plain_text import pattern, shortened
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray
 
-# SI units and prefixes as instruments spell them; below, other spellings that lower-case names have in use.
+# SI units and prefixes as instruments spell them; below, other spellings that
+# lower-case names have in use.
 _BASES = {
     "V": "voltage", "A": "current", "m": "length", "N": "force", "Hz": "frequency", "s": "time",
     "rad": "angle", "Pa": "pressure", "T": "induction", "g": "mass", "C": "charge", "W": "power",
@@ -51,7 +52,8 @@ _SPELLED = {
     "нм": "nm", "мм": "mm", "微米": "um", "纳米": "nm", "毫米": "mm", "伏": "V",
 } | {word: unit for unit, words in TIME_WORDS.items() for word in words}  # fmt: skip
 
-_SIZES: dict[str, tuple[str, int, int]] = {  # what it measures, and its size as a fraction in base units
+# what it measures, and its size as a fraction in base units
+_SIZES: dict[str, tuple[str, int, int]] = {
     prefix + unit: (kind, 10 ** max(power, 0), 10 ** max(-power, 0))
     for prefix, power in _PREFIXES.items()
     for unit, kind in _BASES.items()
@@ -86,8 +88,9 @@ _OTHER_KINDS = {
 class UnitFactor(NamedTuple):
     """Multiplies (or divides) a signal so that it comes out in another unit.
 
-    The factor is a fraction of whole numbers.  Dividing by 1000 gives the float64 nearest to the true
-    quotient, multiplying by 0.001 need not: so the inverse of a whole number is applied as a division.
+    The factor is a fraction of whole numbers.  Dividing by 1000 gives the float64
+    nearest to the true quotient, multiplying by 0.001 need not: so the inverse of a
+    whole number is applied as a division.
     """
 
     numerator: int = 1
@@ -125,7 +128,9 @@ _MICRO = pattern(r"[µμ](?=[^\W\d])")  # before a unit, nowhere else
 
 def normalise_unit(text: str) -> str | None:
     """Spell a unit plainly: ``µm`` and ``microns`` are ``um``, ``Volts`` is ``V``; None for an empty one."""
-    plain = text.strip().strip("[](){}<>").strip().replace("°C", "degC").replace("Ω", "ohm")
+    plain = (
+        text.strip().strip("[](){}<>").strip().replace("°C", "degC").replace("Ω", "ohm")
+    )
     plain = _MICRO.sub("u", plain)
     return _SPELLED.get(plain.lower(), plain) or None
 
@@ -143,7 +148,9 @@ def kind_of_unit(unit: str | None) -> str | None:
     return size[0] if size else _OTHER_KINDS.get(unit)
 
 
-DRIVING_KINDS = frozenset(("pressure", "current", "force", "field", "temperature", "charge", "power"))
+DRIVING_KINDS = frozenset(
+    ("pressure", "current", "force", "field", "temperature", "charge", "power")
+)
 """What drives actuators besides a voltage."""
 MOVED_KINDS = frozenset(("strain", "force", "torque", "induction"))
 """What actuators give besides a displacement, which may be a length or an angle."""
@@ -157,10 +164,12 @@ def quantity_name(role: str, unit: str | None) -> str:
     role
         ``voltage`` or ``displacement``.
     unit
-        A drive in N is a force, an output in ppm a strain; in V, um, deg, % and units that are not known
-        the role says it.
+        A drive in N is a force, an output in ppm a strain; in V, um, deg, % and units
+        that are not known the role says it.
     """
-    kinds = {"voltage": DRIVING_KINDS, "displacement": MOVED_KINDS}.get(role, frozenset())
+    kinds = {"voltage": DRIVING_KINDS, "displacement": MOVED_KINDS}.get(
+        role, frozenset()
+    )
     kind = kind_of_unit(unit)
     return kind if kind in kinds else role
 
@@ -182,7 +191,9 @@ def without_prefix(unit: str | None) -> str | None:
     return base if base in _SIZES and unit[0] in _PREFIXES else None
 
 
-def require_unit(name: str, figure: float | str | None, unit: str | None, per: str | None = None) -> None:
+def require_unit(
+    name: str, figure: float | str | None, unit: str | None, per: str | None = None
+) -> None:
     """Refuse a plain number where the unit that it would be read in has a prefix, as kV has.
 
     Parameters
@@ -190,7 +201,8 @@ def require_unit(name: str, figure: float | str | None, unit: str | None, per: s
     name
         The parameter, for messages.
     given
-        A figure; 0 means the same in all units, and a text with a unit of its own is taken.
+        A figure; 0 means the same in all units, and a text with a unit of its own is
+        taken.
     unit, per
         What it would be read in, and the unit of time of a speed.
 
@@ -240,7 +252,8 @@ def unit_factor(unit: str | None, wanted: str | None) -> UnitFactor | None:
 class Scale:
     """A factor that the user gives for one role: ``voltage=20``, ``displacement=10um/V``.
 
-    ``factor`` multiplies; with units, figures in ``unit_in`` become figures in ``unit_out``.
+    ``factor`` multiplies; with units, figures in ``unit_in`` become figures in
+    ``unit_out``.
     """
 
     role: str
@@ -253,7 +266,9 @@ class Scale:
         units = f"{self.unit_out}/{self.unit_in}" if self.unit_out else ""
         return f"{self.role}={float(self.factor):.15g}{units}"
 
-    def applied_to(self, place: str, column: ColumnInfo) -> tuple[UnitFactor, ColumnInfo]:
+    def applied_to(
+        self, place: str, column: ColumnInfo
+    ) -> tuple[UnitFactor, ColumnInfo]:
         """Return the whole factor, and the column as it is afterwards.
 
         Raises
@@ -266,8 +281,12 @@ class Scale:
         before = unit_factor(column.unit, self.unit_in)
         if before is None:
             stated = f"column '{column.name}' is in {column.unit}"
-            raise InputError(f"{place}: {stated}, but `scale` {self} takes {self.unit_in}")
-        return self.factor.times(before.numerator, before.denominator), replace(column, unit=self.unit_out)
+            raise InputError(
+                f"{place}: {stated}, but `scale` {self} takes {self.unit_in}"
+            )
+        return self.factor.times(before.numerator, before.denominator), replace(
+            column, unit=self.unit_out
+        )
 
 
 _NUMBER = r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
@@ -278,7 +297,8 @@ _SCALE = pattern(
 _FIGURE = pattern(
     rf"\s*(?P<number>{_NUMBER})\s*(?P<unit>[^\s\d./][^\s\d/]*)?(?:/(?P<per>[^\s\d/]+(?:/[^\s\d/]+)?))?\s*"
 )
-_LARGEST_POWER = 250  # of ten; float64 ends at 308, and a conversion of units besides takes up to 42 of them
+# of ten; float64 ends at 308, and a conversion of units besides takes up to 42 of them
+_LARGEST_POWER = 250
 
 
 def parse_factor(text: str) -> UnitFactor | None:
@@ -289,13 +309,20 @@ def parse_factor(text: str) -> UnitFactor | None:
         number = Decimal(text)
     except ArithmeticError:  # an exponent that no machine counts
         return None
-    return UnitFactor(*number.as_integer_ratio()) if abs(number.adjusted()) <= _LARGEST_POWER else None
+    return (
+        UnitFactor(*number.as_integer_ratio())
+        if abs(number.adjusted()) <= _LARGEST_POWER
+        else None
+    )
 
 
-def in_unit(name: str, figure: float | str, unit: str | None, per: str | None = None) -> float:
+def in_unit(
+    name: str, figure: float | str, unit: str | None, per: str | None = None
+) -> float:
     """Return a figure in ``unit``: a number is in it already, a text such as ``1.2kV`` is converted.
 
-    With ``per``, a unit of time, it is a speed: ``2V/ms``. ``name`` is the parameter, for messages.
+    With ``per``, a unit of time, it is a speed: ``2V/ms``. ``name`` is the parameter,
+    for messages.
 
     Raises
     ------
@@ -314,11 +341,17 @@ def in_unit(name: str, figure: float | str, unit: str | None, per: str | None = 
         )
     if own_unit is None:
         return value
-    above = unit_factor(own_unit, unit) if unit is not None and kind_of_unit(own_unit) is not None else None
+    above = (
+        unit_factor(own_unit, unit)
+        if unit is not None and kind_of_unit(own_unit) is not None
+        else None
+    )
     below = unit_factor(per_time, per)
     if above is None or below is None or bool(per_time) != bool(per):
         wanted = f"in {unit}{f'/{per}' if per else ''}" if unit else "without a unit"
-        raise UsageError(f"`{name}` {figure}: cannot be converted; a figure {wanted} is needed")
+        raise UsageError(
+            f"`{name}` {figure}: cannot be converted; a figure {wanted} is needed"
+        )
     return float(above.times(below.denominator, below.numerator).apply(np.array(value)))
 
 
@@ -355,7 +388,8 @@ def parse_scale(text: str) -> Scale:
     return Scale(match["role"].lower(), factor, *units)
 
 
-# --- units of time ---------------------------------------------------------------------------------------
+# --- units of time
+# ---------------------------------------------------------------------------------------
 
 FACTORS = {
     "s": ONE, "ms": UnitFactor(1, 10**3), "us": UnitFactor(1, 10**6), "ns": UnitFactor(1, 10**9),
@@ -377,17 +411,30 @@ _MORE_WORDS = {
     "h": ("h", "hr", "hrs", "hour", "stunde", "stunden", "std", "heure", "heures", "horas", "ore"),
     "d": ("d", "day", "days", "tag", "tage", "jour", "jours", "dias", "giorni"),
 }  # fmt: skip
-SPELLINGS = {unit: (*TIME_WORDS.get(unit, ()), *words) for unit, words in _MORE_WORDS.items()}
+SPELLINGS = {
+    unit: (*TIME_WORDS.get(unit, ()), *words) for unit, words in _MORE_WORDS.items()
+}
 """Every known spelling of a unit of time; capitals do not matter (mS in a time column is no conductance)."""
 
-UNIT_OF = {spelling: unit for unit, spellings in SPELLINGS.items() for spelling in spellings}
+UNIT_OF = {
+    spelling: unit for unit, spellings in SPELLINGS.items() for spelling in spellings
+}
 _COUNT = pattern(r"(?P<number>\d+(?:\.\d+)?)\s*(?P<unit>[^\d\s.].*)")
 
 
 def time_unit(text: str) -> str | None:
     """Return how a unit of time is spelled here (``s``, ``ms``, …), or None where it is not known."""
-    plain = text.strip().strip("[](){}<>").strip().rstrip(".").replace("µ", "u").replace("μ", "u")
-    return UNIT_OF.get(plain.lower().replace("milli ", "milli").replace("micro ", "micro"))
+    plain = (
+        text.strip()
+        .strip("[](){}<>")
+        .strip()
+        .rstrip(".")
+        .replace("µ", "u")
+        .replace("μ", "u")
+    )
+    return UNIT_OF.get(
+        plain.lower().replace("milli ", "milli").replace("micro ", "micro")
+    )
 
 
 def parse_time_unit(text: str) -> tuple[str, UnitFactor]:
@@ -405,5 +452,7 @@ def parse_time_unit(text: str) -> tuple[str, UnitFactor]:
     count = parse_factor(match["number"]) if match else ONE
     if unit is None or count is None or not count.numerator:
         names = ", ".join(FACTORS).replace(", d", " or d")
-        raise UsageError(f"`time_unit` {shortened(text)}: give {names}, or a number of them such as 10us")
+        raise UsageError(
+            f"`time_unit` {shortened(text)}: give {names}, or a number of them such as 10us"
+        )
     return text.strip() if match else unit, count.times(*FACTORS[unit])

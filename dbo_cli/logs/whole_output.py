@@ -1,9 +1,10 @@
 """Outputs appear whole or not at all, several of them together or none.
 
-Everything is written under a temporary name in the folder of the output, brought to the disk, and renamed
-when complete; whatever ends the work before that (an error, Ctrl-C, SIGTERM, a full disk) removes the
-temporary files and leaves the old ones as they were. What a killed process left behind is cleaned up by the
-next one. No output overwrites an input or another output, whatever they are called::
+Everything is written under a temporary name in the folder of the output, brought to the
+disk, and renamed when complete; whatever ends the work before that (an error, Ctrl-C,
+SIGTERM, a full disk) removes the temporary files and leaves the old ones as they were.
+What a killed process left behind is cleaned up by the next one. No output overwrites an
+input or another output, whatever they are called::
 
     with all_or_none():
         with signal_writer("drive.csv", columns) as writer: ...
@@ -35,16 +36,22 @@ if TYPE_CHECKING:
     from dbo_cli.logs.columns import OutColumn
     from dbo_cli.logs.sample_block import FloatArray
 
-# --- which file an output is ------------------------------------------------------------------------
+# --- which file an output is
+# ------------------------------------------------------------------------
 
 # Linux' names of open files, and the names that ``partial_path`` gives.
-_DESCRIPTOR = pattern(r"/(?:dev/fd|proc/(?:self|thread-self|\d+(?:/task/\d+)?)/fd)/(\d{1,9})")
+_DESCRIPTOR = pattern(
+    r"/(?:dev/fd|proc/(?:self|thread-self|\d+(?:/task/\d+)?)/fd)/(\d{1,9})"
+)
 _PARTIAL = pattern(r"\..*\.(\d{1,10})-[0-9a-f]{8}\.partial", re.DOTALL)
-_NAME_BYTES = 100  # of the output's own name; most file systems allow 255 bytes for all of it
+# of the output's own name; most file systems allow 255 bytes for all of it
+_NAME_BYTES = 100
 WINDOWS = os.name == "nt"
-# Names that Windows gives to devices, with any ending, and names that it cannot give to a file at all.
+# Names that Windows gives to devices, with any ending, and names that it cannot give to
+# a file at all.
 _NO_FILE = pattern(
-    r"(con|prn|aux|com[0-9]|lpt[0-9])(\..*)?|nul\..*|.*[<>:\"|?*].*|.*[. ]", re.IGNORECASE | re.DOTALL
+    r"(con|prn|aux|com[0-9]|lpt[0-9])(\..*)?|nul\..*|.*[<>:\"|?*].*|.*[. ]",
+    re.IGNORECASE | re.DOTALL,
 )
 _MOST_LINKS = 40  # a longer chain of symbolic links is a circle; the kernel's own limit
 
@@ -54,8 +61,8 @@ FileIdentity = tuple[object, ...]
 def descriptor_of(path: str) -> int | None:
     """Return the open file descriptor that a path stands for (``/dev/stdout``, ``/dev/fd/3``), or None.
 
-    Such a path leads on to whatever the shell has opened there, perhaps a log that is being appended to:
-    it is to be written to, never replaced or cut.
+    Such a path leads on to whatever the shell has opened there, perhaps a log that is
+    being appended to: it is to be written to, never replaced or cut.
     """
     if os.name != "posix" or "\0" in path:
         return None
@@ -82,18 +89,22 @@ def is_replaceable(path: str) -> bool:
 def identity_of(address: Given, *, reading: bool = False) -> FileIdentity | None:
     """Return what two spellings of one file have in common, also of a file that is not there yet.
 
-    None for what may be used twice without harm: devices such as ``/dev/null``, a terminal, a pipe that
-    is read. Links, hard links, ``./``, ``..`` and, where the file system ignores it, case are seen through.
+    None for what may be used twice without harm: devices such as ``/dev/null``, a
+    terminal, a pipe that is read. Links, hard links, ``./``, ``..`` and, where the file
+    system ignores it, case are seen through.
 
     Parameters
     ----------
     address
-        A file, a group of an HDF5 file (the file counts), ``-`` or a path such as ``/dev/fd/3``.
+        A file, a group of an HDF5 file (the file counts), ``-`` or a path such as
+        ``/dev/fd/3``.
     reading
         Whether ``-`` is standard input.
     """
     target = parse_address(address)
-    descriptor = (0 if reading else 1) if target.is_stream else descriptor_of(target.path)
+    descriptor = (
+        (0 if reading else 1) if target.is_stream else descriptor_of(target.path)
+    )
     try:
         status = os.stat(target.path) if descriptor is None else os.fstat(descriptor)
     except ValueError:
@@ -133,23 +144,37 @@ def check_outputs(outputs: Sequence[Given], inputs: Sequence[Given] = ()) -> Non
     Raises
     ------
     UsageError
-        Two outputs are one file, an output is an input, or two inputs are standard input.
+        Two outputs are one file, an output is an input, or two inputs are standard
+        input.
     OutputError
         A folder is missing or not writable, an output is a folder, a name is too long.
     """
-    if sum(address == "-" or (isinstance(address, Address) and address.is_stream) for address in inputs) > 1:
-        raise UsageError("two inputs are standard input, which can be read once: give one of them as a file")
+    if (
+        sum(
+            address == "-" or (isinstance(address, Address) and address.is_stream)
+            for address in inputs
+        )
+        > 1
+    ):
+        raise UsageError(
+            "two inputs are standard input, which can be read once: give one of them as a file"
+        )
     targets = [parse_address(output) for output in outputs]
     read = {identity_of(address, reading=True) for address in _readable(inputs)}
     written: dict[FileIdentity, Address] = {}
     for target in targets:
-        which = identity_of(target) or (object(),)  # what may be used twice is like nothing else
+        # what may be used twice is like nothing else
+        which = identity_of(target) or (object(),)
         if which in read:
-            raise UsageError(f"{_called(target)}: this output is also an input: write to another file")
+            raise UsageError(
+                f"{_called(target)}: this output is also an input: write to another file"
+            )
         if which in written:
             first, again = _called(written[which]), _called(target)
             same = f"{first} and {again} are" if first != again else f"{first} is"
-            raise UsageError(f"{same} one file, and two outputs go there: give each a file of its own")
+            raise UsageError(
+                f"{same} one file, and two outputs go there: give each a file of its own"
+            )
         written[which] = target
         if not target.is_stream:
             _check_place(target.path)
@@ -187,15 +212,21 @@ def _check_place(path: str) -> None:
         raise OutputError(f"{path!r}: this is no file name: {problem}") from None
     except OSError as problem:
         if problem.errno in (errno.ENAMETOOLONG, errno.ELOOP):
-            raise OutputError(f"{path}: cannot be written: {problem.strerror}") from None
-    folder = os.path.dirname(os.path.realpath(path) if os.path.islink(path) else path) or "."
+            raise OutputError(
+                f"{path}: cannot be written: {problem.strerror}"
+            ) from None
+    folder = (
+        os.path.dirname(os.path.realpath(path) if os.path.islink(path) else path) or "."
+    )
     special = bool(kind) and not stat.S_ISREG(kind)
     if stat.S_ISDIR(kind):
         raise OutputError(f"{path}: this is a folder: give a file name")
     if not os.path.isdir(folder):
         raise OutputError(f"{path}: there is no folder '{folder}': create it first")
     if not os.access(path if special else folder, os.W_OK):
-        raise OutputError(f"{path}: the {'device' if special else 'folder'} is not writable")
+        raise OutputError(
+            f"{path}: the {'device' if special else 'folder'} is not writable"
+        )
     if kind and not os.access(path, os.W_OK):
         raise OutputError(f"{path}: the file is write-protected")
 
@@ -208,12 +239,15 @@ def _check_descriptor(path: str, descriptor: int) -> None:
     except OSError:
         raise OutputError(f"{path}: file descriptor {descriptor} is not open") from None
     if mode == os.O_RDONLY:
-        raise OutputError(f"{path}: file descriptor {descriptor} is not open for writing")
+        raise OutputError(
+            f"{path}: file descriptor {descriptor} is not open for writing"
+        )
     if descriptor == 1 and sys.stdout is not None:
         sys.stdout.flush()
 
 
-# --- temporary names ------------------------------------------------------------------------------
+# --- temporary names
+# ------------------------------------------------------------------------------
 
 
 def partial_path(target: str) -> str:
@@ -226,8 +260,9 @@ def partial_path(target: str) -> str:
 def open_partial(path: str, buffering: int = -1) -> IO[bytes]:
     """Open a temporary file for writing and lock it for as long as it is open.
 
-    The lock shows the clean-up of a process that cannot see this one (another container, another machine
-    on the same network drive) that its writer lives. HDF5 locks its files by itself.
+    The lock shows the clean-up of a process that cannot see this one (another
+    container, another machine on the same network drive) that its writer lives. HDF5
+    locks its files by itself.
     """
     file = open(path, "wb", buffering)
     try_lock(file.fileno())
@@ -237,7 +272,8 @@ def open_partial(path: str, buffering: int = -1) -> IO[bytes]:
 def try_lock(handle: int) -> bool:
     """Lock an open file against other processes; False where one of them has locked it.
 
-    True without a lock on systems and file systems that have none: HDF5 does without there, too.
+    True without a lock on systems and file systems that have none: HDF5 does without
+    there, too.
     """
     try:
         import fcntl
@@ -256,7 +292,9 @@ def writers_in(folder: str, start: str = ".") -> dict[str, int]:
         names = os.listdir(folder or ".")
     except OSError:
         return {}  # a folder that may be written but not listed
-    matches = ((name, _PARTIAL.fullmatch(name)) for name in names if name.startswith(start))
+    matches = (
+        (name, _PARTIAL.fullmatch(name)) for name in names if name.startswith(start)
+    )
     return {name: int(match[1]) for name, match in matches if match is not None}
 
 
@@ -290,7 +328,8 @@ def _is_locked(path: str) -> bool:
         os.close(handle)
 
 
-# --- outputs under temporary names, and their renames -----------------------------------------------
+# --- outputs under temporary names, and their renames
+# -----------------------------------------------
 
 _ERRNO = pattern(r"(?:errno = |os error )(\d+)")  # in the texts of HDF5 and of polars
 
@@ -342,11 +381,17 @@ class OutputSet:
             with contextlib.ExitStack() as prepared:
                 for output in self.pending:
                     with _telling(output.path):
-                        output.exclusive = prepared.enter_context(output.prepare(output.temporary))
+                        output.exclusive = prepared.enter_context(
+                            output.prepare(output.temporary)
+                        )
                         # Else a power failure leaves an empty file.
                         _bring_to_disk(output.temporary, os.O_RDWR)
-                        with contextlib.suppress(OSError):  # the permissions of the file that it replaces
-                            os.chmod(output.temporary, stat.S_IMODE(os.stat(output.target).st_mode))
+                        # the permissions of the file that it replaces
+                        with contextlib.suppress(OSError):
+                            os.chmod(
+                                output.temporary,
+                                stat.S_IMODE(os.stat(output.target).st_mode),
+                            )
                 done = self._renamed()
         for output in self.pending:
             _remove(output.backup)
@@ -407,7 +452,8 @@ class OutputSet:
                     os.replace(output.target, output.temporary)
                 if output.backup is not None:
                     os.replace(output.backup, output.target)
-            _remove(output.backup)  # still there where nothing had been renamed: both names were one file's
+            # still there where nothing had been renamed: both names were one file's
+            _remove(output.backup)
             output.renamed, output.backup = False, None
 
 
@@ -452,12 +498,14 @@ def kept_outputs() -> Iterator[KeptOutputs]:
 def all_or_none() -> Iterator[None]:
     """Let all outputs written inside the block appear together at its end, or none of them.
 
-    :func:`replacing`, :func:`write_whole` and ``signal_writer`` join by themselves, however deep below they
-    are called (in the same thread); an inner block joins the outer one. Standard output, pipes and devices
-    are written at once: what has gone there cannot be taken back.
+    :func:`replacing`, :func:`write_whole` and ``signal_writer`` join by themselves,
+    however deep below they are called (in the same thread); an inner block joins the
+    outer one. Standard output, pipes and devices are written at once: what has gone
+    there cannot be taken back.
 
-    After a failure or whatever else unwinds the stack everything is as it was. Only a process that is killed
-    (or a power failure) between the renames, some microseconds apart, can leave a part of them.
+    After a failure or whatever else unwinds the stack everything is as it was. Only a
+    process that is killed (or a power failure) between the renames, some microseconds
+    apart, can leave a part of them.
 
     Raises
     ------
@@ -492,14 +540,16 @@ def _current_or_new() -> Iterator[OutputSet]:
 def replacing(path: str, prepare: Prepare = _unprepared) -> Iterator[str]:
     """Give a temporary name beside ``path`` to write to; rename it to ``path`` at the end, or remove it.
 
-    Inside :func:`all_or_none` the rename waits for the other outputs. A device or named pipe cannot be
-    replaced and is given as it is; so is a path such as ``/dev/fd/3``. Where ``prepare`` found no file called
-    ``path`` and there is one after all, it is called again.
+    Inside :func:`all_or_none` the rename waits for the other outputs. A device or named
+    pipe cannot be replaced and is given as it is; so is a path such as ``/dev/fd/3``.
+    Where ``prepare`` found no file called ``path`` and there is one after all, it is
+    called again.
 
     Raises
     ------
     OutputError
-        Writing failed (disk full, folder gone, no permission), or another output has this name.
+        Writing failed (disk full, folder gone, no permission), or another output has
+        this name.
     """
     if not is_replaceable(path):
         with _telling(path):
@@ -508,8 +558,12 @@ def replacing(path: str, prepare: Prepare = _unprepared) -> Iterator[str]:
     target = os.path.realpath(path)  # through a symbolic link, its target is replaced
     with _current_or_new() as outputs:
         which = identity_of(target)
-        if which is not None and any(identity_of(output.target) == which for output in outputs.pending):
-            raise OutputError(f"{path}: two outputs go there: give each a file of its own")
+        if which is not None and any(
+            identity_of(output.target) == which for output in outputs.pending
+        ):
+            raise OutputError(
+                f"{path}: two outputs go there: give each a file of its own"
+            )
         remove_orphans(os.path.dirname(target))
         pending = _Pending(path, target, partial_path(target), prepare)
         with _telling(path):
@@ -553,7 +607,8 @@ def opened(path: str, buffering: int = -1) -> Iterator[IO[bytes]]:
     Raises
     ------
     OutputError
-        It cannot be written (a full disk behind a redirection, too); a closed pipe stays a BrokenPipeError.
+        It cannot be written (a full disk behind a redirection, too); a closed pipe
+        stays a BrokenPipeError.
     """
     descriptor = 1 if path == "-" else descriptor_of(path)
     if descriptor == 1:
@@ -563,7 +618,8 @@ def opened(path: str, buffering: int = -1) -> Iterator[IO[bytes]]:
             sys.stdout.buffer.flush()
     elif descriptor is not None:
         with _telling(path), os.fdopen(os.dup(descriptor), "wb", buffering) as stream:
-            yield stream  # opened anew by its name, the file behind it would be cut to nothing
+            # opened anew by its name, the file behind it would be cut to nothing
+            yield stream
     else:
         with replacing(path) as temporary, open_partial(temporary, buffering) as stream:
             yield stream
@@ -577,7 +633,9 @@ def _telling(path: str) -> Iterator[None]:
         raise
     except OSError as problem:
         raise OutputError(f"{path}: {reason_of(problem)}") from None
-    except RuntimeError as problem:  # what HDF5 raises at a full disk when it closes a file
+    except (
+        RuntimeError
+    ) as problem:  # what HDF5 raises at a full disk when it closes a file
         if _ERRNO.search(str(problem)) is None:
             raise
         raise OutputError(f"{path}: {reason_of(OSError(str(problem)))}") from None
@@ -625,6 +683,8 @@ def write_whole(address: Given, data: bytes, *, protect: Sequence[Given] = ()) -
         return
     check_output(target, protect)
     if target.group is not None:
-        raise UsageError(f"{target.text}: '::' names a group of an HDF5 file, and this output is no signal")
+        raise UsageError(
+            f"{target.text}: '::' names a group of an HDF5 file, and this output is no signal"
+        )
     with opened(target.path) as file:
         file.write(data)

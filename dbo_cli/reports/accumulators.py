@@ -1,13 +1,15 @@
 """Accumulators of a stream: sums, distributions, and what the figures of a log are drawn from.
 
-They work in constant memory, and the result does not depend on how the stream was cut, to the last bit:
-every accumulator takes batches of exactly ``BATCH`` samples, cut by ``sample_pairs.Batches`` from whatever
-pieces arrive, so that a sum is always formed over the same samples in the same order. The sums of the batches
-are added with compensation (Neumaier 1974), so 10^9 samples lose no more digits than 10^3 do.
+They work in constant memory, and the result does not depend on how the stream was cut,
+to the last bit: every accumulator takes batches of exactly ``BATCH`` samples, cut by
+``sample_pairs.Batches`` from whatever pieces arrive, so that a sum is always formed
+over the same samples in the same order. The sums of the batches are added with
+compensation (Neumaier 1974), so 10^9 samples lose no more digits than 10^3 do.
 
-Curves against time are thinned to the least and the greatest value of every stretch (so no spike is lost),
-curves of one signal against another to the pixels they pass, the error to a histogram and an averaged
-periodogram. A log of up to ``WHOLE`` samples is kept as it is.
+Curves against time are thinned to the least and the greatest value of every stretch (so
+no spike is lost), curves of one signal against another to the pixels they pass, the
+error to a histogram and an averaged periodogram. A log of up to ``WHOLE`` samples is
+kept as it is.
 
 The error is *measured - desired* throughout.
 """
@@ -24,9 +26,17 @@ from numpy.typing import NDArray
 
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.sample_block import SampleBlock
-from dbo_cli.reports.sample_pairs import BATCH, Batches, Floats, comparable, only, row_numbers
+from dbo_cli.reports.sample_pairs import (
+    BATCH,
+    Batches,
+    Floats,
+    comparable,
+    only,
+    row_numbers,
+)
 
-# Bins are leading bits: 9 of the mantissa tell 0.1 %, 128 octaves from 2^-64 on cover any unit.
+# Bins are leading bits: 9 of the mantissa tell 0.1 %, 128 octaves from 2^-64 on cover
+# any unit.
 _MANTISSA_BITS = 9
 _SHIFT = 52 - _MANTISSA_BITS  # float64 has 52
 _LOWEST = (1023 - 64) << _MANTISSA_BITS  # 1023 is the exponent of 1 in float64
@@ -34,8 +44,10 @@ _BINS = 128 << _MANTISSA_BITS  # on either side of 0
 
 SMALLEST_SPAN = 1e-290  # below it a span is taken for this, so that bins keep a width
 
-WHOLE = 8192  # samples of a log that is kept as it is: some eight for every pixel of a figure
-BUCKETS = 2048  # stretches: at least one for every pixel, as they double from half of it
+# samples of a log that is kept as it is: some eight for every pixel of a figure
+WHOLE = 8192
+# stretches: at least one for every pixel, as they double from half of it
+BUCKETS = 2048
 PIXELS = 1024  # either way; a figure has about as many
 WINDOW = 4096  # samples of a periodogram: 2,048 frequencies, two for every pixel
 SIGNALS = ("desired", "measured", "error", "drive")
@@ -44,14 +56,17 @@ SIGNALS = ("desired", "measured", "error", "drive")
 class DoublingBins:
     """Bins along one axis, a power of two wide; they double in width whenever the range outgrows them.
 
-    No range need be known beforehand. What they hold is an array whose last axis they are.
+    No range need be known beforehand. What they hold is an array whose last axis they
+    are.
 
     Parameters
     ----------
     most : int
-        Bins to keep at most; more than half of them are in use once the signal has moved.
+        Bins to keep at most; more than half of them are in use once the signal has
+        moved.
     still : float
-        The range to begin with for a signal that does not move, as a part of its magnitude (at least 1).
+        The range to begin with for a signal that does not move, as a part of its
+        magnitude (at least 1).
     """
 
     def __init__(self, most: int, still: float) -> None:
@@ -65,7 +80,9 @@ class DoublingBins:
         low, high = float(values.min()), float(values.max())
         if self.width == 0.0:
             span = high - low if high > low else max(abs(low), 1.0) * self._still
-            self.width = 2.0 ** math.floor(math.log2(max(span, SMALLEST_SPAN) / self._most) + 1)
+            self.width = 2.0 ** math.floor(
+                math.log2(max(span, SMALLEST_SPAN) / self._most) + 1
+            )
             self.first = math.floor(low / self.width)
         while True:
             first = min(self.first, math.floor(low / self.width))
@@ -73,7 +90,9 @@ class DoublingBins:
             if last - first < self._most:
                 break
             counts = self.double(counts)
-        return self._padded(counts, self.first - first, last - (self.first + counts.shape[-1] - 1))
+        return self._padded(
+            counts, self.first - first, last - (self.first + counts.shape[-1] - 1)
+        )
 
     def double(self, counts: NDArray[Any]) -> NDArray[Any]:
         """Return what bins of twice the width hold: the sum (of truths: either) of two neighbours."""
@@ -116,7 +135,8 @@ class CompensatedSum:
 Place = tuple[int, float | None]
 """A row of a log and its time in seconds, None where that is not known."""
 
-STRETCHES = 4096  # of a log that the error is added up over, at most; half of them at least are in use
+# of a log that the error is added up over, at most; half of them at least are in use
+STRETCHES = 4096
 
 
 class ErrorParts:
@@ -129,8 +149,10 @@ class ErrorParts:
         self._centre: float | None = None
         self._length = 1
         self._count = 0
-        self._ends: list[tuple[Place, Place]] = []  # the first and the last place of each stretch
-        self._sums: list[tuple[int, float, float]] = []  # samples, sum, sum of squares about the centre
+        # the first and the last place of each stretch
+        self._ends: list[tuple[Place, Place]] = []
+        # samples, sum, sum of squares about the centre
+        self._sums: list[tuple[int, float, float]] = []
 
     def add(self, error: Floats, pairs: SampleBlock) -> None:
         """Take one batch of errors (finite, not empty) and the rows that they are of."""
@@ -145,7 +167,11 @@ class ErrorParts:
             part = shifted[begin : begin + room]
             last = begin + len(part) - 1
             ends = _place(pairs, begin), _place(pairs, last)
-            sums = len(part), float(np.add.reduce(part)), float(np.add.reduce(part * part))
+            sums = (
+                len(part),
+                float(np.add.reduce(part)),
+                float(np.add.reduce(part * part)),
+            )
             if room < self._length:
                 self._join(ends, sums)
             else:
@@ -213,8 +239,9 @@ def _place(pairs: SampleBlock, index: int) -> Place:
 class HalfOfError:
     """The shortest piece of a log that makes half of its squared error.
 
-    ``first`` and ``last`` are row and time (s, None where not known) of its ends; ``part_of_rows`` and
-    ``part_of_error`` are parts of 1; ``rmse_elsewhere`` is what the other rows have.
+    ``first`` and ``last`` are row and time (s, None where not known) of its ends;
+    ``part_of_rows`` and ``part_of_error`` are parts of 1; ``rmse_elsewhere`` is what
+    the other rows have.
     """
 
     first: Place
@@ -227,9 +254,9 @@ class HalfOfError:
 class ErrorDistribution:
     """The distribution of the error, exact for one batch and in fine logarithmic bins beyond.
 
-    The bins are the leading bits of the number itself (9 bits of mantissa, 128 octaves, two signs) around
-    ``centre``: 1 MB, whatever the unit and however far one spike lies. A quantile is then right to 0.1 % of
-    its distance from ``centre``.
+    The bins are the leading bits of the number itself (9 bits of mantissa, 128 octaves,
+    two signs) around ``centre``: 1 MB, whatever the unit and however far one spike
+    lies. A quantile is then right to 0.1 % of its distance from ``centre``.
     """
 
     def __init__(self) -> None:
@@ -306,8 +333,8 @@ class Band:
     def smooth(self, cycles: int = 80) -> Band:
         """Return a calmer band where there are more cycles than can be told apart.
 
-        Neighbouring stretches are then joined until the edges are the envelope of the cycles instead of
-        following every one of them.
+        Neighbouring stretches are then joined until the edges are the envelope of the
+        cycles instead of following every one of them.
         """
         if len(self.x) < 2:
             return self
@@ -317,11 +344,16 @@ class Band:
             return self
         band = self
         while len(band.x) > 256:
-            if np.abs(np.diff(band.high)).sum() + np.abs(np.diff(band.low)).sum() <= 4.0 * spread:
+            if (
+                np.abs(np.diff(band.high)).sum() + np.abs(np.diff(band.low)).sum()
+                <= 4.0 * spread
+            ):
                 break
             starts = np.arange(0, len(band.x) // 2 * 2, 2)
             band = Band(
-                band.x[starts], np.minimum.reduceat(band.low, starts), np.maximum.reduceat(band.high, starts)
+                band.x[starts],
+                np.minimum.reduceat(band.low, starts),
+                np.maximum.reduceat(band.high, starts),
             )
         return band
 
@@ -342,7 +374,8 @@ class Envelope:
 
     def __init__(self) -> None:
         self._length = 1
-        self._done = np.empty((0, 4, 0))  # of each signal: time of least, least, time of greatest, greatest
+        # of each signal: time of least, least, time of greatest, greatest
+        self._done = np.empty((0, 4, 0))
         self._pending: list[Floats] = []
 
     def add(self, time: Floats, signals: Sequence[Floats]) -> None:
@@ -352,19 +385,27 @@ class Envelope:
             length *= 2
         if length > self._length:
             self._grow(length)
-        extremes = np.stack([np.stack([time, values, time, values]) for values in signals])
+        extremes = np.stack(
+            [np.stack([time, values, time, values]) for values in signals]
+        )
         self._pending.append(_merged(extremes, length))
         if len(self._pending) >= self._length // length:
-            merged = _merged(np.concatenate(self._pending, axis=2), self._length // length)
+            merged = _merged(
+                np.concatenate(self._pending, axis=2), self._length // length
+            )
             self._pending = []
-            self._done = np.concatenate([self._done.reshape(len(signals), 4, -1), merged], axis=2)
+            self._done = np.concatenate(
+                [self._done.reshape(len(signals), 4, -1), merged], axis=2
+            )
         while self._done.shape[2] > BUCKETS:
             self._grow(self._length * 2)
 
     def band(self, signal: int) -> Band:
         """Return the extremes, each drawn at the middle of the two times at which they were met."""
         extremes = np.concatenate([self._done, *self._pending], axis=2)[signal]
-        return Band(0.5 * (extremes[0] + extremes[2]), extremes[1], extremes[3]).smooth()
+        return Band(
+            0.5 * (extremes[0] + extremes[2]), extremes[1], extremes[3]
+        ).smooth()
 
     def _grow(self, length: int) -> None:
         self._done = _merged(self._done, length // self._length)
@@ -389,7 +430,8 @@ class Pixels:
 
     def __init__(self) -> None:
         self._passed = np.zeros((1, 1), dtype=bool)
-        # a signal that does not move is drawn in the middle of a range that rounding does not fill
+        # a signal that does not move is drawn in the middle of a range that rounding
+        # does not fill
         self._across, self._up = DoublingBins(PIXELS, 1e-6), DoublingBins(PIXELS, 1e-6)
         self._last: tuple[Floats, Floats] = (np.empty(0), np.empty(0))
 
@@ -409,30 +451,42 @@ class Pixels:
         usual = min(math.ceil(max(typical, 1.0)), max(8, min(32, 8 * BATCH // len(x))))
         for step in range(1, usual):
             part = step / usual
-            self._mark((1.0 - part) * across[:-1] + part * across[1:], (1.0 - part) * up[:-1] + part * up[1:])
+            self._mark(
+                (1.0 - part) * across[:-1] + part * across[1:],
+                (1.0 - part) * up[:-1] + part * up[1:],
+            )
         spikes = np.flatnonzero(jump > usual + 3.0)  # few, and not to be lost
         for at in spikes[np.argsort(-jump[spikes], kind="stable")[:200]].tolist():
             parts = np.linspace(0.0, 1.0, math.ceil(jump[at]) + 1)
-            self._mark(*(side[at] + parts * (side[at + 1] - side[at]) for side in (across, up)))
+            self._mark(
+                *(side[at] + parts * (side[at + 1] - side[at]) for side in (across, up))
+            )
 
     def _mark(self, across: Floats, up: Floats) -> None:
         # between two samples at the edge, rounding may step over it
         places = (up.astype(np.int64), across.astype(np.int64))
-        self._passed[tuple(map(np.clip, places, (0, 0), np.array(self._passed.shape) - 1))] = True
+        self._passed[
+            tuple(map(np.clip, places, (0, 0), np.array(self._passed.shape) - 1))
+        ] = True
 
     def raster(self) -> Raster:
         """Return the pixels and where they lie."""
         left, bottom = (bins.first * bins.width for bins in (self._across, self._up))
         rows, columns = self._passed.shape
-        extent = (left, left + columns * self._across.width, bottom, bottom + rows * self._up.width)
+        extent = (
+            left,
+            left + columns * self._across.width,
+            bottom,
+            bottom + rows * self._up.width,
+        )
         return Raster(self._passed, extent)
 
 
 class Spectrum:
     """The amplitude spectral density of the error, by averaged periodograms (Welch 1967).
 
-    Hann windows of ``WINDOW`` samples (a power of two no longer than a quarter of a shorter log), half
-    overlapping, the mean of each taken off.
+    Hann windows of ``WINDOW`` samples (a power of two no longer than a quarter of a
+    shorter log), half overlapping, the mean of each taken off.
     """
 
     def __init__(self) -> None:
@@ -450,10 +504,16 @@ class Spectrum:
         error = np.concatenate([self._tail, error])
         count = (len(error) - size) // hop + 1 if len(error) >= size else 0
         if count:
-            rows = np.lib.stride_tricks.sliding_window_view(error, size)[: count * hop : hop]
+            rows = np.lib.stride_tricks.sliding_window_view(error, size)[
+                : count * hop : hop
+            ]
             taper = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(size) / size)
-            content = np.fft.rfft((rows - rows.mean(axis=1, keepdims=True)) * taper, axis=1)
-            power = (content.real**2 + content.imag**2).sum(axis=0) / (taper * taper).sum()
+            content = np.fft.rfft(
+                (rows - rows.mean(axis=1, keepdims=True)) * taper, axis=1
+            )
+            power = (content.real**2 + content.imag**2).sum(axis=0) / (
+                taper * taper
+            ).sum()
             self._power = power if self._power is None else self._power + power
             self._count += count
         self._tail = error[count * hop :].copy()
@@ -503,7 +563,9 @@ class FigureData:
             tuple[float, float, float]
         ] = []  # least and greatest error: time, error, desired
         self._envelope = Envelope()
-        self._pixels = {pair: Pixels() for pair in (("desired", "measured"), ("drive", "measured"))}
+        self._pixels = {
+            pair: Pixels() for pair in (("desired", "measured"), ("drive", "measured"))
+        }
         if labels[0] == "model":
             self._pixels["drive", "desired"] = Pixels()
 
@@ -539,7 +601,8 @@ class FigureData:
     def at_largest(self, offset: float) -> tuple[float, float, float]:
         """Return time (or row) of the largest error about ``offset``, and between what it lies there.
 
-        The two values are the lesser and the greater of desired and measured, that less ``offset``.
+        The two values are the lesser and the greater of desired and measured, that less
+        ``offset``.
         """
         largest = max(self._extremes, key=lambda extreme: abs(extreme[1] - offset))
         time, error, desired = largest
@@ -556,12 +619,16 @@ class FigureData:
         error = measured - desired
         self.spectrum.add(error)
         for place in (int(error.argmin()), int(error.argmax())):
-            self._extremes.append((float(time[place]), float(error[place]), float(desired[place])))
+            self._extremes.append(
+                (float(time[place]), float(error[place]), float(desired[place]))
+            )
         least = min(self._extremes, key=lambda extreme: extreme[1])
         self._extremes = [least, max(self._extremes, key=lambda extreme: extreme[1])]
         columns = dict(zip(SIGNALS, (desired, measured, error, drive), strict=True))
         if self.samples <= WHOLE:
-            self._whole = {"time": time.copy()} | {name: column.copy() for name, column in columns.items()}
+            self._whole = {"time": time.copy()} | {
+                name: column.copy() for name, column in columns.items()
+            }
             return
         self._envelope.add(time, list(columns.values()))
         for (x, y), pixels in self._pixels.items():

@@ -1,11 +1,12 @@
 """Turn figures into PNG, SVG, or SVG fit to stand inside a page: the same values give the same bytes.
 
-The look of every figure is here and in ``figures.mplstyle``. The two colours of a comparison differ in
-lightness as well as in hue (they survive a grey print and the common colour blindnesses), and in the pattern
-of the line. ``SCHEME`` names the variable that stands for each colour where a page brings its own light and
-dark values.
+The look of every figure is here and in ``figures.mplstyle``. The two colours of a
+comparison differ in lightness as well as in hue (they survive a grey print and the
+common colour blindnesses), and in the pattern of the line. ``SCHEME`` names the
+variable that stands for each colour where a page brings its own light and dark values.
 
-Matplotlib is imported when something is drawn. It draws the same on every machine and writes no message.
+Matplotlib is imported when something is drawn. It draws the same on every machine and
+writes no message.
 """
 
 from __future__ import annotations
@@ -54,10 +55,19 @@ DOTS = 220  # an inch of a PNG: 1,100 across, sharp in print and on a dense scre
 
 # Widths in points, dashes in widths: chosen for the sizes below.
 SOLID: dict[str, Any] = {"color": FIRST, "linestyle": "-", "linewidth": 1.3}
-DASHED: dict[str, Any] = {"color": SECOND, "linestyle": (0, (3.2, 1.4)), "linewidth": 1.3}
+DASHED: dict[str, Any] = {
+    "color": SECOND,
+    "linestyle": (0, (3.2, 1.4)),
+    "linewidth": 1.3,
+}
 ALONE: dict[str, Any] = {"color": INK, "linestyle": "-", "linewidth": 0.9}
 DOTTED: dict[str, Any] = {"color": INK, "linestyle": (0, (1, 1.6)), "linewidth": 0.9}
-POINTS: dict[str, Any] = {"color": SECOND, "linestyle": "none", "marker": "o", "markersize": 3.2}
+POINTS: dict[str, Any] = {
+    "color": SECOND,
+    "linestyle": "none",
+    "marker": "o",
+    "markersize": 3.2,
+}
 SEVERAL: tuple[dict[str, Any], ...] = tuple(
     ALONE | {"color": color} for color in (SECOND, FIRST, THIRD, FOURTH, FIFTH, INK)
 )
@@ -68,18 +78,30 @@ STYLE_FILE = Path(__file__).with_name("figures.mplstyle")
 Kind = Literal["png", "svg", "inline"]
 FILES: tuple[Kind, ...] = ("png", "svg")
 
-# What a log's name ends with and a figure's need not; ``run.1.csv`` and ``run.2.csv`` keep their numbers.
+# What a log's name ends with and a figure's need not; ``run.1.csv`` and ``run.2.csv``
+# keep their numbers.
 _ENDINGS = re.compile(r"\.(?:csv|tsv|txt|dat|lvm|asc|log|h5|hdf5?|nxs|mat|npy|npz|parquet|feather|xlsx?|tdms)"
                       r"(?:\.(?:gz|bz2|xz|zst))?$", re.IGNORECASE)  # fmt: skip
-_NOTE_WIDTH = 40  # letters; beside a legend of two names they fill the width of a figure
+# letters; beside a legend of two names they fill the width of a figure
+_NOTE_WIDTH = 40
 _NOTE_PAD = 5.0  # points between the axes and a note
-_NOTE_LINE = 0.22  # inches of a line of its own, for a note that has no room beside the legend
+# inches of a line of its own, for a note that has no room beside the legend
+_NOTE_LINE = 0.22
 _NOTE_GAP = 0.1  # inches between a legend and a note in the same line
-_LONGEST_STEM = 100  # bytes: of the 255 of a file name, 60 are for the figure's key and a temporary ending
+# bytes: of the 255 of a file name, 60 are for the figure's key and a temporary ending
+_LONGEST_STEM = 100
 # Left alone: what the host has chosen for its own windows.
-_OF_THE_HOST = ("backend", "backend_fallback", "interactive", "toolbar", "webagg.", "timezone")
+_OF_THE_HOST = (
+    "backend",
+    "backend_fallback",
+    "interactive",
+    "toolbar",
+    "webagg.",
+    "timezone",
+)
 _SHIPPED_FONT = "DejaVu Sans"  # with matplotlib, so that it is there on every machine
-# Installed fonts to try for what the shipped one lacks: those of the systems, and the free ones.
+# Installed fonts to try for what the shipped one lacks: those of the systems, and the
+# free ones.
 _MORE_FONTS = (
     "Noto Sans CJK JP", "Noto Sans JP", "Hiragino Sans", "Yu Gothic", "MS Gothic", "IPAexGothic",
     "IPAGothic", "VL Gothic", "TakaoPGothic", "PingFang SC", "Microsoft YaHei", "SimHei",
@@ -92,7 +114,8 @@ _MORE_FONTS = (
 class Plot:
     """One figure: the stem of its file name, its title, what it shows in words, and how it is drawn.
 
-    ``size`` is width and height in inches; a legend of more than one line adds ``head`` inches above.
+    ``size`` is width and height in inches; a legend of more than one line adds ``head``
+    inches above.
     """
 
     key: str
@@ -106,14 +129,18 @@ class Plot:
 def draw(plot: Plot, kind: Kind, note: str = "", scope: str = "") -> bytes:
     """Return the figure as PNG, as SVG (letters as outlines), or as SVG to stand inside a page.
 
-    ``note`` is set small above the axes, at the right. The inline form has letters as text, no background,
-    the colours of ``SCHEME`` as variables, and ids that begin with ``scope`` and the figure's
-    key (they must differ within a page).
+    ``note`` is set small above the axes, at the right. The inline form has letters as
+    text, no background, the colours of ``SCHEME`` as variables, and ids that begin with
+    ``scope`` and the figure's key (they must differ within a page).
     """
     inline = kind == "inline"
     with styled({"svg.fonttype": "none"} if inline else {}):
         content = _saved(_painted(plot, note, as_outlines=not inline), kind)
-    return _for_page(content.decode(), plot, f"{scope}-{plot.key}-").encode() if inline else content
+    return (
+        _for_page(content.decode(), plot, f"{scope}-{plot.key}-").encode()
+        if inline
+        else content
+    )
 
 
 def save(plots: Sequence[Plot], folder: Path, stem: str, note: str = "") -> list[Path]:
@@ -122,7 +149,10 @@ def save(plots: Sequence[Plot], folder: Path, stem: str, note: str = "") -> list
     for plot in plots:
         with styled():
             figure = _painted(plot, note, as_outlines=True)
-            contents = {folder / f"{stem}-{plot.key}.{kind}": _saved(figure, kind) for kind in FILES}
+            contents = {
+                folder / f"{stem}-{plot.key}.{kind}": _saved(figure, kind)
+                for kind in FILES
+            }
         for path, content in contents.items():
             write_whole(str(path), content)
         written += contents
@@ -140,20 +170,34 @@ def _painted(plot: Plot, note: str, *, as_outlines: bool) -> Figure:
     plot.paint(axes)
     top = (0.32 if note or axes.get_legend() is not None else 0.2) + plot.head
     left, right, bottom = 0.66, 0.12, 0.48  # margins in inches
-    frame = left / width, bottom / height, (width - left - right) / width, (height - bottom - top) / height
+    frame = (
+        left / width,
+        bottom / height,
+        (width - left - right) / width,
+        (height - bottom - top) / height,
+    )
     axes.set_position(frame)
     if note:
         shown = short_name(cleaned(note), _NOTE_WIDTH)
-        title = axes.set_title(shown, loc="right", color=MUTED, fontsize=8.0, pad=_NOTE_PAD)
+        title = axes.set_title(
+            shown, loc="right", color=MUTED, fontsize=8.0, pad=_NOTE_PAD
+        )
         _show_plainly([title], as_outlines=as_outlines)
     legend = axes.get_legend()
-    named = [axes.xaxis.label, axes.yaxis.label, *axes.texts, *(legend.get_texts() if legend else ())]
+    named = [
+        axes.xaxis.label,
+        axes.yaxis.label,
+        *axes.texts,
+        *(legend.get_texts() if legend else ()),
+    ]
     _show_plainly(named, as_outlines=as_outlines)  # what is on the ticks are numbers
     _fit_left(figure, axes)
     if note and legend is not None and _meet(figure, title, legend):
         _add_line_above(figure, axes)
         above = _NOTE_PAD + 72.0 * _NOTE_LINE
-        axes.set_title(title.get_text(), loc="right", color=MUTED, fontsize=8.0, pad=above)
+        axes.set_title(
+            title.get_text(), loc="right", color=MUTED, fontsize=8.0, pad=above
+        )
     return figure
 
 
@@ -161,7 +205,10 @@ def _meet(figure: Figure, note: Text, legend: Legend) -> bool:
     """Whether a note at the right and a legend at the left have too little room in one line."""
     renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
     gap = _NOTE_GAP * figure.dpi
-    return bool(legend.get_window_extent(renderer).x1 + gap > note.get_window_extent(renderer).x0)
+    return bool(
+        legend.get_window_extent(renderer).x1 + gap
+        > note.get_window_extent(renderer).x0
+    )
 
 
 def _add_line_above(figure: Figure, axes: Axes) -> None:
@@ -177,20 +224,24 @@ def _saved(figure: Figure, kind: Kind) -> bytes:
     """Return a painted figure in one form; no date or version in it, so the bytes repeat."""
     out = io.BytesIO()
     if kind == "png":
-        # The figure is opaque, so it needs no fourth channel; that and the lower level of compression halve
-        # the time of writing for 3 % more bytes.
+        # The figure is opaque, so it needs no fourth channel; that and the lower level
+        # of compression halve the time of writing for 3 % more bytes.
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from PIL.Image import frombuffer
 
         figure.set_dpi(DOTS)
         canvas = FigureCanvasAgg(figure)
         canvas.draw()
-        image = frombuffer("RGBA", canvas.get_width_height(), canvas.buffer_rgba(), "raw", "RGBA", 0, 1)
+        image = frombuffer(
+            "RGBA", canvas.get_width_height(), canvas.buffer_rgba(), "raw", "RGBA", 0, 1
+        )
         image.convert("RGB").save(out, "png", compress_level=3, dpi=(DOTS, DOTS))
         FigureCanvasAgg(figure)  # the other canvas goes, and its pixels with it
     else:
         metadata = {"Date": None, "Creator": None}
-        figure.savefig(out, format="svg", metadata=metadata, transparent=kind == "inline")
+        figure.savefig(
+            out, format="svg", metadata=metadata, transparent=kind == "inline"
+        )
     return out.getvalue()
 
 
@@ -200,12 +251,15 @@ _PICTURES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".eps")
 def check_folder(folder: str) -> Path:
     """Make the folder for figures and prove that files can be written there, before any long work.
 
-    It goes again where all outputs of a run are given up. Raises OutputError with the folder's name, and
-    UsageError for the name of one picture where a folder for several is meant.
+    It goes again where all outputs of a run are given up. Raises OutputError with the
+    folder's name, and UsageError for the name of one picture where a folder for several
+    is meant.
     """
     path = Path(folder)
     if path.suffix.lower() in _PICTURES and not path.is_dir():
-        raise UsageError(f"{folder}: there are several figures: name a folder (`figures` {path.stem})")
+        raise UsageError(
+            f"{folder}: there are several figures: name a folder (`figures` {path.stem})"
+        )
     with contextlib.suppress(OutputError):  # what follows has the better message
         make_folder(folder)
     try:
@@ -223,8 +277,9 @@ def check_folder(folder: str) -> Path:
 def file_stems(names: Sequence[str]) -> list[str]:
     """Return a stem for the figure files of every log, all different, on every file system.
 
-    The name without its folder and its ending, with the group of an HDF5 file; letters of every script stay,
-    what a shell or a file system might take amiss becomes ``_``, and a long name loses its end.
+    The name without its folder and its ending, with the group of an HDF5 file; letters
+    of every script stay, what a shell or a file system might take amiss becomes ``_``,
+    and a long name loses its end.
     """
     stems: list[str] = []
     taken: set[str] = set()
@@ -272,7 +327,11 @@ def text_width(text: str) -> int:
 def _fit_left(figure: Figure, axes: Axes) -> None:
     """Give tick labels wider than usual the room they need."""
     renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
-    boxes = [box for axis in (axes.xaxis, axes.yaxis) if (box := axis.get_tightbbox(renderer)) is not None]
+    boxes = [
+        box
+        for axis in (axes.xaxis, axes.yaxis)
+        if (box := axis.get_tightbbox(renderer)) is not None
+    ]
     if not boxes:
         return
     left, right = min(box.x0 for box in boxes), max(box.x1 for box in boxes)
@@ -287,27 +346,36 @@ def _for_page(svg: str, plot: Plot, prefix: str) -> str:
     """Turn a whole SVG file into an element of a page: own ids, colours as variables, no fixed size."""
     svg = svg[svg.index("<svg") :]
     used = set(re.findall(r"(?:url\(#|href=\"#)([^)\"]+)", svg))
-    svg = re.sub(r' id="([^"]+)"', lambda match: f' id="{prefix}{match[1]}"' if match[1] in used else "", svg)
+    svg = re.sub(
+        r' id="([^"]+)"',
+        lambda match: f' id="{prefix}{match[1]}"' if match[1] in used else "",
+        svg,
+    )
     svg = re.sub(r"(url\(#|href=\"#)", lambda match: match[1] + prefix, svg)
     for color, name in SCHEME.items():
         svg = svg.replace(color, f"var(--{name})")
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     for side in ("width", "height"):
         svg = re.sub(rf'<svg ([^>]*?){side}="[^"]*"', r"<svg \1", svg, count=1)
-    return svg.replace("<svg ", f'<svg role="img" aria-label="{escape(cleaned(plot.words))}" ', 1).strip()
+    return svg.replace(
+        "<svg ", f'<svg role="img" aria-label="{escape(cleaned(plot.words))}" ', 1
+    ).strip()
 
 
 @functools.cache
 def _load() -> None:
     """Import matplotlib, unless a host program has done so already.
 
-    A notebook sets MPLBACKEND to a module that need not be installed here; this program draws into memory
-    and needs no window. Where its configuration cannot be written, matplotlib complains in three lines and
-    may leave a folder behind; here it gets a folder of its own, for as long as it looks for fonts.
+    A notebook sets MPLBACKEND to a module that need not be installed here; this program
+    draws into memory and needs no window. Where its configuration cannot be written,
+    matplotlib complains in three lines and may leave a folder behind; here it gets a
+    folder of its own, for as long as it looks for fonts.
     """
     if "matplotlib" in sys.modules:
         return
-    wanted = {name: os.environ.pop(name, None) for name in ("MPLBACKEND", "MPLCONFIGDIR")}
+    wanted = {
+        name: os.environ.pop(name, None) for name in ("MPLBACKEND", "MPLCONFIGDIR")
+    }
     log = logging.getLogger("matplotlib")
     level = log.level
     log.setLevel(logging.CRITICAL)
@@ -315,7 +383,9 @@ def _load() -> None:
         with contextlib.ExitStack() as stack:
             folder = wanted["MPLCONFIGDIR"]
             if not all(_is_writable(path) for path in _configuration_folders(folder)):
-                folder = stack.enter_context(tempfile.TemporaryDirectory(ignore_cleanup_errors=True))
+                folder = stack.enter_context(
+                    tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
+                )
             if folder is not None:
                 os.environ["MPLCONFIGDIR"] = folder
             import matplotlib
@@ -323,8 +393,11 @@ def _load() -> None:
     finally:
         log.setLevel(level)
         os.environ.pop("MPLCONFIGDIR", None)
-        os.environ.update({name: value for name, value in wanted.items() if value is not None})
-    with contextlib.suppress(ValueError):  # what the host wants for its own figures, where that exists
+        os.environ.update(
+            {name: value for name, value in wanted.items() if value is not None}
+        )
+    # what the host wants for its own figures, where that exists
+    with contextlib.suppress(ValueError):
         if wanted["MPLBACKEND"]:
             matplotlib.rcParams["backend"] = wanted["MPLBACKEND"]
 
@@ -337,8 +410,13 @@ def _configuration_folders(named: str | None) -> list[str]:
     if not sys.platform.startswith(("linux", "freebsd")):
         return [os.path.join(home, ".matplotlib")]
     return [
-        os.path.join(os.environ.get(variable) or os.path.join(home, usual), "matplotlib")
-        for variable, usual in (("XDG_CONFIG_HOME", ".config"), ("XDG_CACHE_HOME", ".cache"))
+        os.path.join(
+            os.environ.get(variable) or os.path.join(home, usual), "matplotlib"
+        )
+        for variable, usual in (
+            ("XDG_CONFIG_HOME", ".config"),
+            ("XDG_CACHE_HOME", ".cache"),
+        )
     ]
 
 
@@ -356,7 +434,11 @@ def _settings() -> dict[str, object]:
     """Return matplotlib's defaults and this program's look; the user's own configuration is left out."""
     from matplotlib import rc_params_from_file, rcParamsDefault
 
-    defaults = {key: value for key, value in rcParamsDefault.items() if not key.startswith(_OF_THE_HOST)}
+    defaults = {
+        key: value
+        for key, value in rcParamsDefault.items()
+        if not key.startswith(_OF_THE_HOST)
+    }
     return {**defaults, **rc_params_from_file(STYLE_FILE, use_default_template=False)}
 
 
@@ -367,7 +449,8 @@ def styled(settings: Mapping[str, object] = MappingProxyType({})) -> Iterator[No
     from matplotlib import rc_context
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # settings that a later release of matplotlib gives up
+        # settings that a later release of matplotlib gives up
+        warnings.simplefilter("ignore")
         with rc_context({**_settings(), **settings}):
             yield
 
@@ -375,8 +458,8 @@ def styled(settings: Mapping[str, object] = MappingProxyType({})) -> Iterator[No
 def _show_plainly(texts: Iterable[Text], *, as_outlines: bool) -> None:
     """Clean texts of a figure; as outlines, keep what the fonts at hand can draw.
 
-    Letters that the shipped font lacks are taken from an installed one; what no font has becomes a box. Text
-    that stays text is left to the fonts of whoever shows it.
+    Letters that the shipped font lacks are taken from an installed one; what no font
+    has becomes a box. Text that stays text is left to the fonts of whoever shows it.
     """
     for text in texts:
         shown = cleaned(text.get_text())
@@ -398,7 +481,9 @@ def _family_for(signs: str) -> list[str]:
     from matplotlib.font_manager import fontManager
 
     installed = {font.name for font in fontManager.ttflist}
-    fonts = [(len(_missing(signs, name)), name) for name in _MORE_FONTS if name in installed]
+    fonts = [
+        (len(_missing(signs, name)), name) for name in _MORE_FONTS if name in installed
+    ]
     fewest = min(fonts, default=(len(signs), ""), key=lambda pair: pair[0])
     return [fewest[1]] if fewest[0] < len(signs) else []
 

@@ -1,8 +1,9 @@
 """The figures of logs and of channels; ``drawing`` turns them into PNG and SVG, nothing is drawn before.
 
-In the numbers of the paper: ``drive`` is Fig. 5, ``tracking`` 6, 8 and 11, ``loop`` 7, ``error`` 9 and 12,
-``output`` 10 and 13. ``frequency`` is drawn where segments differ in theirs. Those of channels show how their
-errors are spread, and which channels they are.
+In the numbers of the paper: ``drive`` is Fig. 5, ``tracking`` 6, 8 and 11, ``loop`` 7,
+``error`` 9 and 12, ``output`` 10 and 13. ``frequency`` is drawn where segments differ
+in theirs. Those of channels show how their errors are spread, and which channels they
+are.
 """
 
 from __future__ import annotations
@@ -29,16 +30,24 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
     from matplotlib.legend import Legend
 
-OUTSIDE = 0.02  # of an axes' height: so far a curve that leaves it is drawn beyond; chosen
+# of an axes' height: so far a curve that leaves it is drawn beyond; chosen
+OUTSIDE = 0.02
 FINER = 10.0  # times, what is drawn about the largest error
 WIDE_BAND = 1.5  # times the lowest frequency, up to which segments are of one frequency
 LENGTH_UNITS = ("m", "mm", "um", "nm", "pm")
-WIDEST = 52  # letters of 9 points in 4.3 inches of legend; names that need more stand below each other
+# letters of 9 points in 4.3 inches of legend; names that need more stand below each
+# other
+WIDEST = 52
 LEGEND_LINE = 0.17  # inches
-BARS: dict[str, Any] = {"color": style.FILL, "edgecolor": style.INK, "linewidth": 0.4}  # of a histogram
-NAMED = 20  # channels up to which bars are drawn, so that each has its name, though they are numbers
+# of a histogram
+BARS: dict[str, Any] = {"color": style.FILL, "edgecolor": style.INK, "linewidth": 0.4}
+# channels up to which bars are drawn, so that each has its name, though they are
+# numbers
+NAMED = 20
 LETTERS = 52  # of 9 points, in a row below the axes
-DECADES = 30.0  # times the least RMSE, from which on even steps would put all but the worst into one bar
+# times the least RMSE, from which on even steps would put all but the worst into one
+# bar
+DECADES = 30.0
 
 
 def axis_label(quantity: str, unit: str | None) -> str:
@@ -49,17 +58,21 @@ def axis_label(quantity: str, unit: str | None) -> str:
 def decade(value: float, _: float = 0.0) -> str:
     """Return the label of a power of ten: plain from 0.01 to 1000, else 10 with a raised exponent.
 
-    Set as plain letters, which a page can select and which take a tenth of the time of set formulas.
+    Set as plain letters, which a page can select and which take a tenth of the time of
+    set formulas.
     """
     if 0.005 < value < 5000.0:
         return f"{value:g}"
-    return "10" + f"{math.log10(value):.0f}".translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return "10" + f"{math.log10(value):.0f}".translate(
+        str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+    )
 
 
 def label_decades(*axes: Axis) -> None:
     """Label logarithmic axes: every power of ten, 2, 3 and 5 where it spans less than two, all within one.
 
-    Matplotlib's own labels between are formulas, which are not set here (a dollar in a name is a dollar).
+    Matplotlib's own labels between are formulas, which are not set here (a dollar in a
+    name is a dollar).
     """
 
     def between(axis: Axis, value: float, _: float = 0.0) -> str:
@@ -69,18 +82,24 @@ def label_decades(*axes: Axis) -> None:
         lead, exponent = f"{value:.0e}".split("e")
         if high > 100.0 * low or lead not in {"2", "3", "5"}:
             return ""
-        return f"{value:g}" if 0.0005 < value < 5000.0 else f"{lead}·{decade(10.0 ** int(exponent))}"
+        return (
+            f"{value:g}"
+            if 0.0005 < value < 5000.0
+            else f"{lead}·{decade(10.0 ** int(exponent))}"
+        )
 
     for axis in axes:
         axis.set_major_formatter(decade)
         axis.set_minor_formatter(partial(between, axis))
 
 
-def plots_of_comparison(report: Report, figure_data: Sequence[FigureData]) -> list[Plot]:
+def plots_of_comparison(
+    report: Report, figure_data: Sequence[FigureData]
+) -> list[Plot]:
     """Return what shows all logs of a report at once: their errors in one figure; nothing for a single log.
 
-    Of more logs than there are colours, the first ones. Where the logs begin at different times, each counts
-    from its own first sample.
+    Of more logs than there are colours, the first ones. Where the logs begin at
+    different times, each counts from its own first sample.
     """
     if len(report.logs) < 2:
         return []
@@ -90,7 +109,9 @@ def plots_of_comparison(report: Report, figure_data: Sequence[FigureData]) -> li
     head = legend_head(len(names), columns)
     first, second = report.options.labels
     whole = (
-        "all logs" if len(shown) == len(report.logs) else f"the first {len(shown)} of {len(report.logs)} logs"
+        "all logs"
+        if len(shown) == len(report.logs)
+        else f"the first {len(shown)} of {len(report.logs)} logs"
     )
     words = f"{second.capitalize()} less {first} displacement against time, a line for each log."
 
@@ -104,13 +125,22 @@ def plots_of_comparison(report: Report, figure_data: Sequence[FigureData]) -> li
                 shape = replace(shape, x=shape.x - data.start)
             _against_time(axes, shape, look, log.figures.offset)
             handles += axes.plot([], [], **(look | {"linewidth": 1.6}))
-        axes.set(xlabel="Time since each log began (s)" if apart else "Time (s)" if timed else "Row")
+        axes.set(
+            xlabel="Time since each log began (s)"
+            if apart
+            else "Time (s)"
+            if timed
+            else "Row"
+        )
         axes.set(ylabel=axis_label("Error", report.unit))
         legend = mark_curves(axes, handles, ["log"] * len(handles), columns)
         for text, name in zip(legend.get_texts(), names, strict=True):
-            text.set_text(name)  # as a label, a name that begins with "_" would be left out
+            # as a label, a name that begins with "_" would be left out
+            text.set_text(name)
 
-    return [Plot("errors", f"Error of {whole} against time", words, style.WIDE, paint, head)]
+    return [
+        Plot("errors", f"Error of {whole} against time", words, style.WIDE, paint, head)
+    ]
 
 
 def plots_of_log(report: Report, log: LogReport, figure_data: FigureData) -> list[Plot]:
@@ -123,27 +153,61 @@ def plots_of_log(report: Report, log: LogReport, figure_data: FigureData) -> lis
     tracks = f"{both}, the first as a solid line, the second dashed."
     error = f"{second.capitalize()} less {first} displacement against time, with a band of one RMSE"
     concentrated = log.concentrated is not None
-    error += ", and the rows that make half of the squared error." if concentrated else "."
+    error += (
+        ", and the rows that make half of the squared error." if concentrated else "."
+    )
     worst = f"{first.capitalize()} and {second} about the largest error, both axes ten times finer."
     output = f"{second.capitalize()} against {first}"
     loop = f"Hysteresis loop: {view.quantity.lower()} against {view.drive_name.lower()}"
     share = "Share of all samples against their error."
     density = "Amplitude density of the error against frequency, both axes logarithmic."
     speeds = "RMS error of each segment against the frequency of the desired signal, both logarithmic."
-    has_drive, has_spectrum = figure_data.has_drive, figure_data.spectrum.density(1.0) is not None
+    has_drive, has_spectrum = (
+        figure_data.has_drive,
+        figure_data.spectrum.density(1.0) is not None,
+    )
     plots = [
         (True, Plot("tracking", both, tracks, wide, view.tracking)),
-        (True, Plot("worst", "The same about the largest error, ten times finer", worst, wide, view.worst)),
+        (
+            True,
+            Plot(
+                "worst",
+                "The same about the largest error, ten times finer",
+                worst,
+                wide,
+                view.worst,
+            ),
+        ),
         (True, Plot("error", "Error against time", error, wide, view.error)),
-        (True, Plot("output", output, f"{output}, beside the identity.", tall, view.output)),
+        (
+            True,
+            Plot(
+                "output", output, f"{output}, beside the identity.", tall, view.output
+            ),
+        ),
         (has_drive, Plot("loop", loop, f"{loop}.", tall, view.loop)),
-        (True, Plot("histogram", "Distribution of the error", share, wide, view.histogram)),
-        (has_spectrum, Plot("spectrum", "Spectrum of the error", density, wide, view.spectrum)),
+        (
+            True,
+            Plot("histogram", "Distribution of the error", share, wide, view.histogram),
+        ),
+        (
+            has_spectrum,
+            Plot("spectrum", "Spectrum of the error", density, wide, view.spectrum),
+        ),
         (
             has_drive,
-            Plot("drive", "Drive against time", f"{view.drive_name} against time.", wide, view.drive),
+            Plot(
+                "drive",
+                "Drive against time",
+                f"{view.drive_name} against time.",
+                wide,
+                view.drive,
+            ),
         ),
-        (by_frequency, Plot("frequency", "Error against frequency", speeds, wide, view.frequency)),
+        (
+            by_frequency,
+            Plot("frequency", "Error against frequency", speeds, wide, view.frequency),
+        ),
     ]
     return [plot for shown, plot in plots if shown]
 
@@ -160,15 +224,22 @@ class _LogView:
         self.by_frequency = _errors_by_frequency(log)
         known = report.unit is None or report.unit in LENGTH_UNITS
         self.drive_name = f"Drive {quantity_name('voltage', figure_data.drive_unit)}"
-        self.quantity = "Displacement" if known else "Voltage" if report.unit == "V" else "Signal"
+        self.quantity = (
+            "Displacement" if known else "Voltage" if report.unit == "V" else "Signal"
+        )
 
     def drive(self, axes: Axes) -> None:
         _against_time(axes, self._figure_data.against_time("drive"), style.SOLID)
-        axes.set(xlabel=self._time(), ylabel=axis_label(self.drive_name, self._figure_data.drive_unit))
+        axes.set(
+            xlabel=self._time(),
+            ylabel=axis_label(self.drive_name, self._figure_data.drive_unit),
+        )
 
     def tracking(self, axes: Axes) -> None:
         first, second = self._report.options.labels
-        _against_time(axes, self._figure_data.against_time("desired"), style.SOLID, label=first)
+        _against_time(
+            axes, self._figure_data.against_time("desired"), style.SOLID, label=first
+        )
         measured = self._figure_data.against_time("measured")
         _against_time(axes, measured, style.DASHED, self._offset, label=second)
         (left, right), (low, high) = self._finer(axes)
@@ -200,14 +271,20 @@ class _LogView:
         ends = axes.get_xlim(), axes.get_ylim()
         half_width = (ends[0][1] - ends[0][0]) / (2.0 * FINER)
         half_height = max((ends[1][1] - ends[1][0]) / (2.0 * FINER), 0.7 * (high - low))
-        time = min(max(time, ends[0][0] + half_width), ends[0][1] - half_width)  # the log, and nothing beside
+        # the log, and nothing beside
+        time = min(max(time, ends[0][0] + half_width), ends[0][1] - half_width)
         middle = 0.5 * (low + high)
-        return (time - half_width, time + half_width), (middle - half_height, middle + half_height)
+        return (time - half_width, time + half_width), (
+            middle - half_height,
+            middle + half_height,
+        )
 
     def error(self, axes: Axes) -> None:
         rmse = self._figures.rmse
         band = f"± RMSE {digits(rmse)} {shown_unit(self._report.unit)}".rstrip()
-        axes.axhspan(-rmse, rmse, color=style.FILL, alpha=0.35, linewidth=0.0, label=band)
+        axes.axhspan(
+            -rmse, rmse, color=style.FILL, alpha=0.35, linewidth=0.0, label=band
+        )
         half = self._log.concentrated
         if half is not None:
             at = 1 if self._figure_data.has_time else 0
@@ -215,15 +292,27 @@ class _LogView:
             begin, end = half.first[at], half.last[at]
             if begin is not None and end is not None:
                 axes.axvspan(begin, end, color=style.SECOND, alpha=0.25, label=share)
-        _against_time(axes, self._figure_data.against_time("error"), style.ALONE, self._offset)
+        _against_time(
+            axes, self._figure_data.against_time("error"), style.ALONE, self._offset
+        )
         finish(axes, self._time(), self._length("Error"))
 
     def output(self, axes: Axes) -> None:
         first, second = self._report.options.labels
         ends = [self._figures.desired_min, self._figures.desired_max]
         axes.plot(ends, ends, label="identity", zorder=3, **style.DOTTED)
-        self._curve(axes, "desired", "measured", style.DASHED | {"linestyle": "-"}, second, self._offset)
-        x, y = (self._length(f"{name.capitalize()} {self.quantity.lower()}") for name in (first, second))
+        self._curve(
+            axes,
+            "desired",
+            "measured",
+            style.DASHED | {"linestyle": "-"},
+            second,
+            self._offset,
+        )
+        x, y = (
+            self._length(f"{name.capitalize()} {self.quantity.lower()}")
+            for name in (first, second)
+        )
         finish(axes, x, y)
 
     def loop(self, axes: Axes) -> None:
@@ -232,8 +321,14 @@ class _LogView:
         look = style.DASHED if modelled else style.DASHED | {"linestyle": "-"}
         self._curve(axes, "drive", "measured", look, second, self._offset)
         if modelled:
-            self._curve(axes, "drive", "desired", style.SOLID | {"linewidth": 0.9}, first, 0.0)
-        finish(axes, axis_label(self.drive_name, self._figure_data.drive_unit), self._length(self.quantity))
+            self._curve(
+                axes, "drive", "desired", style.SOLID | {"linewidth": 0.9}, first, 0.0
+            )
+        finish(
+            axes,
+            axis_label(self.drive_name, self._figure_data.drive_unit),
+            self._length(self.quantity),
+        )
 
     def histogram(self, axes: Axes) -> None:
         values, counts = self._figure_data.distribution.values()
@@ -243,11 +338,21 @@ class _LogView:
         if high - low < margin:  # one value, or as good as one: no room for bins
             low, high = low - margin, high + margin
         share, edges = np.histogram(
-            np.clip(values - self._offset, low, high), bins, range=(low, high), weights=counts
+            np.clip(values - self._offset, low, high),
+            bins,
+            range=(low, high),
+            weights=counts,
         )
-        axes.bar(edges[:-1], 100.0 * share / self._figures.samples, np.diff(edges), align="edge", **BARS)
+        axes.bar(
+            edges[:-1],
+            100.0 * share / self._figures.samples,
+            np.diff(edges),
+            align="edge",
+            **BARS,
+        )
         if self._figures.max_abs > 3.0 * self._figures.p95_abs > 0.0:
-            axes.set_yscale("log")  # or a spike of one sample in a million is not to be seen
+            # or a spike of one sample in a million is not to be seen
+            axes.set_yscale("log")
             label_decades(axes.yaxis)
         axes.set(xlabel=self._length("Error"), ylabel="Share of samples (%)")
 
@@ -266,11 +371,20 @@ class _LogView:
     def frequency(self, axes: Axes) -> None:
         assert self.by_frequency is not None
         at, errors = self.by_frequency
-        axes.loglog(at, np.maximum(errors, errors.max() * 1e-9), **(style.POINTS | {"color": style.FIRST}))
+        axes.loglog(
+            at,
+            np.maximum(errors, errors.max() * 1e-9),
+            **(style.POINTS | {"color": style.FIRST}),
+        )
         label_decades(axes.xaxis, axes.yaxis)
-        axes.set(xlabel="Frequency of the desired signal (Hz)", ylabel=self._length("RMS error of a segment"))
+        axes.set(
+            xlabel="Frequency of the desired signal (Hz)",
+            ylabel=self._length("RMS error of a segment"),
+        )
 
-    def _curve(self, axes: Axes, x: str, y: str, look: dict[str, Any], label: str, shift: float) -> None:
+    def _curve(
+        self, axes: Axes, x: str, y: str, look: dict[str, Any], label: str, shift: float
+    ) -> None:
         shape = self._figure_data.against(x, y)
         if isinstance(shape, Curve):
             axes.plot(shape.x, shape.y - shift, label=label, **look)
@@ -288,14 +402,21 @@ class _LogView:
 def _errors_by_frequency(log: LogReport) -> tuple[Floats, Floats] | None:
     """Return frequency (Hz) and RMS error of the segments; None where they are all about as fast."""
     pairs = [(part.figures.frequency, part.figures.rmse) for part in log.segments]
-    known = np.array([pair for pair in pairs if pair[0] is not None and pair[1] > 0.0], dtype=np.float64)
+    known = np.array(
+        [pair for pair in pairs if pair[0] is not None and pair[1] > 0.0],
+        dtype=np.float64,
+    )
     if not known.size or known[:, 0].max() < WIDE_BAND * known[:, 0].min():
         return None
     return known[:, 0], known[:, 1]
 
 
 def _against_time(
-    axes: Axes, shape: Curve | Band, look: dict[str, Any], shift: float = 0.0, label: str | None = None
+    axes: Axes,
+    shape: Curve | Band,
+    look: dict[str, Any],
+    shift: float = 0.0,
+    label: str | None = None,
 ) -> None:
     """Paint a curve, or of many samples the band between least and greatest, its edges as lines."""
     if isinstance(shape, Curve):
@@ -303,13 +424,20 @@ def _against_time(
         return
     thin = look | {"linewidth": 0.8}
     axes.fill_between(
-        shape.x, shape.low - shift, shape.high - shift, color=look["color"], alpha=0.3, linewidth=0.0
+        shape.x,
+        shape.low - shift,
+        shape.high - shift,
+        color=look["color"],
+        alpha=0.3,
+        linewidth=0.0,
     )
     axes.plot(shape.x, shape.high - shift, label=label, **thin)
     axes.plot(shape.x, shape.low - shift, **thin)
 
 
-def cut_out(shape: Curve | Band, across: tuple[float, float], up: tuple[float, float]) -> Curve | Band:
+def cut_out(
+    shape: Curve | Band, across: tuple[float, float], up: tuple[float, float]
+) -> Curve | Band:
     """Return what of a curve lies in a piece of its axes; beyond that it runs along the frame, just outside.
 
     A browser counts what a clipped path would cover, so that it must not go far beyond.
@@ -320,7 +448,9 @@ def cut_out(shape: Curve | Band, across: tuple[float, float], up: tuple[float, f
     x = shape.x[inside]
     if isinstance(shape, Curve):
         return Curve(x, np.clip(shape.y[inside], low, high))
-    return Band(x, np.clip(shape.low[inside], low, high), np.clip(shape.high[inside], low, high))
+    return Band(
+        x, np.clip(shape.low[inside], low, high), np.clip(shape.high[inside], low, high)
+    )
 
 
 def _paint_raster(axes: Axes, raster: Raster, color: str, shift: float) -> None:
@@ -333,7 +463,10 @@ def _paint_raster(axes: Axes, raster: Raster, color: str, shift: float) -> None:
     for axis in (0, 1):
         passed = passed | np.roll(passed, 1, axis) | np.roll(passed, -1, axis)
     left, right, bottom, top = raster.extent
-    across, up = (right - left) / raster.passed.shape[1], (top - bottom) / raster.passed.shape[0]
+    across, up = (
+        (right - left) / raster.passed.shape[1],
+        (top - bottom) / raster.passed.shape[0],
+    )
     extent = (
         left + across * (columns[0] - 1),
         left + across * (columns[-1] + 2),
@@ -341,7 +474,8 @@ def _paint_raster(axes: Axes, raster: Raster, color: str, shift: float) -> None:
         bottom + up * (rows[-1] + 2) - shift,
     )
     axes.use_sticky_edges = False
-    # numbers of colours, scaled before they become colours, take a tenth of the memory of colours in floats
+    # numbers of colours, scaled before they become colours, take a tenth of the memory
+    # of colours in floats
     look: dict[str, Any] = {"cmap": ListedColormap(["none", color]), "norm": NoNorm()}
     look |= {"interpolation_stage": "data", "interpolation": "nearest"}
     look |= {"origin": "lower", "aspect": "auto", "zorder": 2}
@@ -350,13 +484,21 @@ def _paint_raster(axes: Axes, raster: Raster, color: str, shift: float) -> None:
 
 
 def mark_curves(
-    axes: Axes, handles: Sequence[Artist] = (), labels: Sequence[str] = (), columns: int = 3
+    axes: Axes,
+    handles: Sequence[Artist] = (),
+    labels: Sequence[str] = (),
+    columns: int = 3,
 ) -> Legend:
     """Set the legend above the axes, where it hides nothing; it names every curve that has a label."""
     if not handles:
         handles, labels = axes.get_legend_handles_labels()
     return axes.legend(
-        handles, labels, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, columnspacing=1.6
+        handles,
+        labels,
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        ncols=columns,
+        columnspacing=1.6,
     )
 
 
@@ -374,45 +516,70 @@ def legend_head(curves: int, columns: int) -> float:
 def plots_of_channels(report: Report) -> list[Plot]:
     """Return histograms of the channels' RMSE, in % of range and in the unit, and a map of it.
 
-    Numbered channels stand in the order of their numbers. Without any range the map is in the unit.
+    Numbered channels stand in the order of their numbers. Without any range the map is
+    in the unit.
     """
     names = [log.name for log in report.logs]
-    numbers = [int(name) for name in names] if all(n.isascii() and n.isdigit() for n in names) else []
-    order = sorted(range(len(names)), key=numbers.__getitem__) if numbers else range(len(names))
+    numbers = (
+        [int(name) for name in names]
+        if all(n.isascii() and n.isdigit() for n in names)
+        else []
+    )
+    order = (
+        sorted(range(len(names)), key=numbers.__getitem__)
+        if numbers
+        else range(len(names))
+    )
     names, numbers = [names[k] for k in order], sorted(numbers)
     figures = [report.logs[k].figures for k in order]
     rmse = np.array([merits.rmse for merits in figures])
-    percent = np.array([merits.nrmse_percent for merits in figures], dtype=np.float64)  # None becomes NaN
+    # None becomes NaN
+    percent = np.array([merits.nrmse_percent for merits in figures], dtype=np.float64)
     both = {"percent": (percent, "% of the move"), "rmse": (rmse, report.unit or "")}
-    shown = {key: series for key, series in both.items() if np.isfinite(series[0]).any()}
+    shown = {
+        key: series for key, series in both.items() if np.isfinite(series[0]).any()
+    }
     words = "Number of channels against their RMSE, {}; median and worst are marked."
     plots = []
     for key, (values, unit) in shown.items():
         title = f"RMSE of the channels{f', {shown_unit(unit)}' if unit else ''}"
         paint = partial(_histogram, names, values, unit)
-        plots.append(Plot(f"histogram-{key}", title, words.format(unit), style.WIDE, paint))
+        plots.append(
+            Plot(f"histogram-{key}", title, words.format(unit), style.WIDE, paint)
+        )
     values, unit = next(iter(shown.values()))
     worst = int(np.nanargmax(values))
     head = f"worst: {short_name(names[worst], 20)}, {_amount(values[worst], unit)}"
     if unit != (report.unit or ""):
         head += f", {_amount(rmse[worst], report.unit or '')}"
-    if len(names) > NAMED and numbers and len(set(numbers)) == len(names) > (numbers[-1] - numbers[0]) / 2:
+    if (
+        len(names) > NAMED
+        and numbers
+        and len(set(numbers)) == len(names) > (numbers[-1] - numbers[0]) / 2
+    ):
         width = row_width(numbers[-1] - min(numbers[0], 1) + 1)
         title = f"RMSE by channel, {width} numbers a row (not their places on a device)"
         paint = partial(_grid, numbers, width, values, unit, head)
         return [*plots, Plot("map", title, f"{title}; {head}.", style.TALL, paint)]
     paint = partial(_bars, names, values, unit, head)
-    return [*plots, Plot("map", "RMSE by channel", f"A bar a channel; {head}.", style.WIDE, paint)]
+    return [
+        *plots,
+        Plot("map", "RMSE by channel", f"A bar a channel; {head}.", style.WIDE, paint),
+    ]
 
 
 def row_width(count: int) -> int:
     """Return how many numbers stand in a row: about square, up to 2:1 where that fills all rows."""
     least = math.ceil(math.sqrt(count))
-    return next((width for width in range(least, 2 * least) if count % width == 0), least)
+    return next(
+        (width for width in range(least, 2 * least) if count % width == 0), least
+    )
 
 
 def _amount(value: float, unit: str) -> str:
-    return f"{digits(value, 3)} {shown_unit(unit.removesuffix(' of the move'))}".rstrip()
+    return (
+        f"{digits(value, 3)} {shown_unit(unit.removesuffix(' of the move'))}".rstrip()
+    )
 
 
 def _histogram(names: list[str], values: Floats, unit: str, axes: Axes) -> None:
@@ -439,23 +606,44 @@ def _histogram(names: list[str], values: Floats, unit: str, axes: Axes) -> None:
 def _bars(names: list[str], values: Floats, unit: str, head: str, axes: Axes) -> None:
     """Paint a bar a channel; of the names below, as many as there is room for."""
     places, worst = np.arange(len(names)), int(np.nanargmax(values))
-    for shown, color in ((places != worst, style.FILL), (places == worst, style.SECOND)):
-        tops = np.column_stack([np.where(shown, np.nan_to_num(values), 0.0), np.zeros(len(names))]).ravel()
-        edges = np.append(np.column_stack([places - 0.4, places + 0.4]).ravel(), len(names) - 0.4)
-        axes.stairs(tops, edges, fill=True, color=color, label=None if color == style.FILL else head)
+    for shown, color in (
+        (places != worst, style.FILL),
+        (places == worst, style.SECOND),
+    ):
+        tops = np.column_stack(
+            [np.where(shown, np.nan_to_num(values), 0.0), np.zeros(len(names))]
+        ).ravel()
+        edges = np.append(
+            np.column_stack([places - 0.4, places + 0.4]).ravel(), len(names) - 0.4
+        )
+        axes.stairs(
+            tops,
+            edges,
+            fill=True,
+            color=color,
+            label=None if color == style.FILL else head,
+        )
     labels = [short_name(name, max(LETTERS // len(names) - 1, 8)) for name in names]
     step = math.ceil(len(names) * (max(map(len, labels)) + 1) / LETTERS)
-    below: dict[str, Any] = {"transform": axes.get_xaxis_transform(), "ha": "center", "va": "top"}
+    below: dict[str, Any] = {
+        "transform": axes.get_xaxis_transform(),
+        "ha": "center",
+        "va": "top",
+    }
     for place in places[::step]:
         axes.text(place, -0.025, labels[place], **below)
     axes.grid(False, axis="x")
     axes.set_xticks(places[::step], [""] * len(places[::step]))
-    axes.set(xlim=(-0.6, len(names) - 0.4), ylim=(0.0, None), ylabel=axis_label("RMSE", unit))
+    axes.set(
+        xlim=(-0.6, len(names) - 0.4), ylim=(0.0, None), ylabel=axis_label("RMSE", unit)
+    )
     axes.set_xlabel("Channel", labelpad=11.0)
     mark_curves(axes)
 
 
-def _grid(numbers: list[int], width: int, values: Floats, unit: str, head: str, axes: Axes) -> None:
+def _grid(
+    numbers: list[int], width: int, values: Floats, unit: str, head: str, axes: Axes
+) -> None:
     """Paint rows of squares, the least number at the top left; what has no value stays blank."""
     from matplotlib.colors import LinearSegmentedColormap
     from matplotlib.patches import Rectangle
@@ -468,10 +656,20 @@ def _grid(numbers: list[int], width: int, values: Floats, unit: str, head: str, 
     shown = np.ma.masked_invalid(cells.reshape(rows, width))
     image = axes.imshow(shown, cmap=colors, aspect="auto", interpolation="nearest")
     row, column = divmod(numbers[int(np.nanargmax(values))] - first, width)
-    square: dict[str, Any] = {"fill": False, "edgecolor": style.SECOND, "linewidth": 1.8, "label": head}
-    axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1.0, 1.0, clip_on=False, **square))
+    square: dict[str, Any] = {
+        "fill": False,
+        "edgecolor": style.SECOND,
+        "linewidth": 1.8,
+        "label": head,
+    }
+    axes.add_patch(
+        Rectangle((column - 0.5, row - 0.5), 1.0, 1.0, clip_on=False, **square)
+    )
     axes.set_xlim(-0.5, 1.25 * width - 0.5)  # a fifth for the scale
-    for axis, places, start, step in ((axes.xaxis, width, 0, 1), (axes.yaxis, rows, first, width)):
+    for axis, places, start, step in (
+        (axes.xaxis, width, 0, 1),
+        (axes.yaxis, rows, first, width),
+    ):
         ticks = range(0, places, math.ceil(places / 16))
         axis.set_ticks(ticks, [str(start + step * tick) for tick in ticks])
     axes.grid(False)
@@ -479,5 +677,7 @@ def _grid(numbers: list[int], width: int, values: Floats, unit: str, head: str, 
     axes.set_xlabel("Added to the number at the left", x=0.4)
     axes.set_ylabel("First channel of the row")
     scale = axes.inset_axes((0.85, 0.0, 0.035, 1.0))
-    axes.figure.colorbar(image, cax=scale, label=axis_label("RMSE", unit)).outline.set_visible(False)
+    axes.figure.colorbar(
+        image, cax=scale, label=axis_label("RMSE", unit)
+    ).outline.set_visible(False)
     mark_curves(axes)

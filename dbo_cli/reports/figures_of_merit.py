@@ -1,10 +1,11 @@
 """How well one signal follows another: the figures of merit of a log of any length, in constant memory.
 
-The error is *measured - desired* throughout. The result does not depend on how the stream was cut into
-blocks, to the last bit: see ``accumulators``.
+The error is *measured - desired* throughout. The result does not depend on how the
+stream was cut into blocks, to the last bit: see ``accumulators``.
 
-Among them are the loop and the lag that are left. A loop is a difference between up and down, so first:
-which way a signal is going, sample by sample, whatever noise, rounding and holding do to its steps.
+Among them are the loop and the lag that are left. A loop is a difference between up and
+down, so first: which way a signal is going, sample by sample, whatever noise, rounding
+and holding do to its steps.
 """
 
 from __future__ import annotations
@@ -26,45 +27,55 @@ from dbo_cli.reports.accumulators import (
 )
 from dbo_cli.reports.sample_pairs import Batches, Floats, comparable, only
 
-# A turn must be larger than this many standard deviations of the noise: the greatest and the least of 10,000
-# normal samples lie 8 apart.
+# A turn must be larger than this many standard deviations of the noise: the greatest
+# and the least of 10,000 normal samples lie 8 apart.
 TURN_IN_NOISE = 10.0
 # ... but never need be larger than this part of the range, lest the turns of a signal of few samples a cycle,
 # whose second difference is motion and not noise, go unseen.
 LARGEST_TURN = 0.1
-# Mean of |second difference| to standard deviation, for normal noise: the difference has the variance 6.
+# Mean of |second difference| to standard deviation, for normal noise: the difference
+# has the variance 6.
 _TO_DEVIATION = math.sqrt(math.pi / 2.0) / math.sqrt(6.0)
 
-_FINE_BINS = 256  # kept; so many that doubling their width loses no more than a factor 2 in place
+# kept; so many that doubling their width loses no more than a factor 2 in place
+_FINE_BINS = 256
 _MOST_BINS = 64
 """Bins of the loop, at most. Measured: docs/choices.md."""
 _FEWEST_BINS = 8
 """Bins of the loop, at least, where they are joined. Measured: docs/choices.md."""
 _LEAST_SAMPLES = 3  # of either direction, for a bin to count ...
-_LEAST_PART = 0.1  # ... and this part of what a bin has on average, lest the noise of a few samples wins
+# ... and this part of what a bin has on average, lest the noise of a few samples wins
+_LEAST_PART = 0.1
 _CLEAR = 0.1
 """Bins are joined until the noise floor is below this part of the width. Measured: docs/choices.md."""
 
 _PLACE_OF_WAY = np.array([1, 3, 0])  # among the sums: of down, of neither, of up
-_UP, _DOWN, _OPEN = slice(0, 2), slice(2, 4), slice(4, 6)  # rows of the sums: count and sum of the error
+# rows of the sums: count and sum of the error
+_UP, _DOWN, _OPEN = slice(0, 2), slice(2, 4), slice(4, 6)
 
-# Differences are taken so far apart that the signal moves by this many standard deviations of its noise: the
-# noise then dilutes the slope by less than 1 % ...
+# Differences are taken so far apart that the signal moves by this many standard
+# deviations of its noise: the noise then dilutes the slope by less than 1 % ...
 _MOTION_IN_NOISE = 20.0
 # ... or by this part of its range, lest the bends of a signal of few samples a cycle pass for noise.
 _MOTION_IN_RANGE = 1.0 / 16.0
-_PLATEAUS = 2  # ... and at least so many plateaus apart, where a signal is held or rounded
+# ... and at least so many plateaus apart, where a signal is held or rounded
+_PLATEAUS = 2
 _MOST_OF_BATCH = 8  # ... but no further than a batch allows, divided by this
-# A batch in which the steps are no smaller than white noise makes them (the mean |second difference| of white
-# noise is 1.73 times that of the first), and whose range noise alone would show, is a rest.
+# A batch in which the steps are no smaller than white noise makes them (the mean
+# |second difference| of white noise is 1.73 times that of the first), and whose range
+# noise alone would show, is a rest.
 _WHITE = 1.0 / 0.6
-_RANGE_OF_NOISE = 25.0  # standard deviations: three times the range of a batch of normal noise (8.2)
+# standard deviations: three times the range of a batch of normal noise (8.2)
+_RANGE_OF_NOISE = 25.0
 # Of a desired signal that was sampled more slowly than the log and held in between:
-_ALIKE = 0.8  # of all plateaus have about the same length: held; those of a rounded sine differ severalfold
+# of all plateaus have about the same length: held; those of a rounded sine differ
+# severalfold
+_ALIKE = 0.8
 _ABOUT = 0.2  # of the length: a program that polls a setpoint is not punctual
 _FEWEST_PLATEAUS = 8  # chosen: of fewer nothing can be said of most
-# Where the measurement moves evenly through a plateau, no part of it does more than this much of the mean. A
-# measurement that steps with the desired signal, or follows within the plateau, does several times as much.
+# Where the measurement moves evenly through a plateau, no part of it does more than
+# this much of the mean. A measurement that steps with the desired signal, or follows
+# within the plateau, does several times as much.
 _EVENLY = 1.5
 _DEVIATIONS = 3.0  # of the noise in such a sum
 
@@ -76,8 +87,9 @@ Turn = tuple[int, int, int]
 class NoiseLevel:
     """Standard deviation of what changes from sample to sample, from the mean |second difference|.
 
-    For white noise it is that of the noise; what bends slowly hardly counts, and a jump counts once, not with
-    its square. An upper bound, therefore: for signals of few samples a cycle a high one.
+    For white noise it is that of the noise; what bends slowly hardly counts, and a jump
+    counts once, not with its square. An upper bound, therefore: for signals of few
+    samples a cycle a high one.
     """
 
     def __init__(self) -> None:
@@ -100,8 +112,9 @@ class NoiseLevel:
 class Directions:
     """The way every sample of a batch goes: 1 up, -1 down, 0 neither.
 
-    From the place ``open_from`` on it is not known yet (the zeros there mean nothing). ``earlier`` says what
-    became of the samples that were open before this batch: 1, -1, 0 (neither), or None: still open.
+    From the place ``open_from`` on it is not known yet (the zeros there mean nothing).
+    ``earlier`` says what became of the samples that were open before this batch: 1, -1,
+    0 (neither), or None: still open.
     """
 
     ways: NDArray[np.int8]
@@ -112,10 +125,11 @@ class Directions:
 class DirectionTracker:
     """Tell up from down by the last turn that stands out of the noise.
 
-    A sample that has gone further than any since the turn settles all before it: they went the same way, so
-    a held or rounded signal keeps its direction on every plateau. One that has gone back by more than the
-    least turn starts the other way. The samples between the furthest one and that (the rest at a turn, the
-    noise around it) belong to neither way; so do those before the first way and after the last.
+    A sample that has gone further than any since the turn settles all before it: they
+    went the same way, so a held or rounded signal keeps its direction on every plateau.
+    One that has gone back by more than the least turn starts the other way. The samples
+    between the furthest one and that (the rest at a turn, the noise around it) belong
+    to neither way; so do those before the first way and after the last.
     """
 
     def __init__(self) -> None:
@@ -131,7 +145,10 @@ class DirectionTracker:
         low, high = self._low, self._high
         self._low = min(low, float(values.min()))
         self._high = max(high, float(values.max()))
-        least = min(TURN_IN_NOISE * self._noise.deviation, LARGEST_TURN * (self._high - self._low))
+        least = min(
+            TURN_IN_NOISE * self._noise.deviation,
+            LARGEST_TURN * (self._high - self._low),
+        )
         turns, settled = self._turns(values, least, low, high)
         stops = []
         directions = []
@@ -142,14 +159,17 @@ class DirectionTracker:
         lengths = np.diff([0, *stops, settled, len(values)])
         earlier: int | None = None
         if turns:
-            # if nothing goes on as before, what was open lies behind the furthest sample
+            # if nothing goes on as before, what was open lies behind the furthest
+            # sample
             earlier = before if turns[0][0] else 0
         elif settled:
             earlier = before
         ways = np.repeat(np.array([*directions, direction, 0], dtype=np.int8), lengths)
         return Directions(ways, settled, earlier)
 
-    def _turns(self, values: Floats, least: float, low: float, high: float) -> tuple[list[Turn], int]:
+    def _turns(
+        self, values: Floats, least: float, low: float, high: float
+    ) -> tuple[list[Turn], int]:
         """Return the turns of a batch, and how many samples of it are settled. Every turning point is met."""
         turns: list[Turn] = []
         direction, furthest, settled = self._way, self._furthest, 0
@@ -168,9 +188,16 @@ class DirectionTracker:
                 turned = 1 if value - low > least else -1 if high - value > least else 0
                 furthest = low if turned > 0 else high
             if turned:
-                # the stretch is monotone: its first sample that is further back than the least turn
+                # the stretch is monotone: its first sample that is further back than
+                # the least turn
                 back = turned * (values[begin : place + 1] - furthest)
-                turns.append((settled, begin + int(np.searchsorted(back, least, "right")), turned))
+                turns.append(
+                    (
+                        settled,
+                        begin + int(np.searchsorted(back, least, "right")),
+                        turned,
+                    )
+                )
                 direction, furthest, settled = turned, value, place + 1
             begin = place + 1
         self._way, self._furthest = direction, furthest
@@ -196,21 +223,24 @@ class Loop(NamedTuple):
 class LoopWidth:
     """The remaining hysteresis between desired and measured.
 
-    For every bin of the desired signal, the mean error on the way down less the mean error on the way up;
-    the width is the one of largest magnitude. Positive: the output lags behind, as an uncompensated piezo
-    does; negative: it is compensated too much. This is the hysteresis error of IEC 61298-2 (largest
-    difference between upscale and downscale readings at one input), averaged over the cycles of the log.
-    A delay and a drift of the sensor open such a loop, too. Which way the signal goes, ``DirectionTracker``
-    finds out.
+    For every bin of the desired signal, the mean error on the way down less the mean
+    error on the way up; the width is the one of largest magnitude. Positive: the output
+    lags behind, as an uncompensated piezo does; negative: it is compensated too much.
+    This is the hysteresis error of IEC 61298-2 (largest difference between upscale and
+    downscale readings at one input), averaged over the cycles of the log. A delay and a
+    drift of the sensor open such a loop, too. Which way the signal goes,
+    ``DirectionTracker`` finds out.
 
-    The noise floor is what the largest of so many bins would read if there were no loop, only what changes
-    in the error from sample to sample: sqrt(2 ln 2B) times the root mean square of the bins' standard errors.
+    The noise floor is what the largest of so many bins would read if there were no
+    loop, only what changes in the error from sample to sample: sqrt(2 ln 2B) times the
+    root mean square of the bins' standard errors.
     """
 
     def __init__(self) -> None:
         self._directions = DirectionTracker()
         self._noise = NoiseLevel()
-        self._bins = DoublingBins(_FINE_BINS, 2.0**-40)  # a still signal: its rounding is in one bin
+        # a still signal: its rounding is in one bin
+        self._bins = DoublingBins(_FINE_BINS, 2.0**-40)
         self._sums = np.zeros((6, 1))
 
     def add(self, desired: Floats, error: Floats) -> None:
@@ -223,14 +253,18 @@ class LoopWidth:
         index = np.floor(desired / self._bins.width).astype(np.int64) - self._bins.first
         if directions.earlier is not None:
             if directions.earlier:
-                self._sums[_UP if directions.earlier > 0 else _DOWN] += self._sums[_OPEN]
+                self._sums[_UP if directions.earlier > 0 else _DOWN] += self._sums[
+                    _OPEN
+                ]
             self._sums[_OPEN] = 0.0
         # the ways side by side: up, down, open, neither
         bins = self._sums.shape[1]
         place = _PLACE_OF_WAY[directions.ways + 1] * bins + index
         place[directions.open_from :] = 2 * bins + index[directions.open_from :]
         self._sums[0::2] += np.bincount(place, minlength=4 * bins).reshape(4, bins)[:3]
-        self._sums[1::2] += np.bincount(place, weights=error, minlength=4 * bins).reshape(4, bins)[:3]
+        self._sums[1::2] += np.bincount(
+            place, weights=error, minlength=4 * bins
+        ).reshape(4, bins)[:3]
 
     def loop(self) -> Loop | None:
         """Return width and noise floor, or None where no bin was passed in both directions."""
@@ -248,30 +282,36 @@ class LoopWidth:
         up, down = self._sums[0], self._sums[2]
         counted = np.ones(self._sums.shape[1], dtype=bool)
         for samples in (up, down):
-            counted &= samples >= max(_LEAST_SAMPLES, _LEAST_PART * float(samples.mean()))
+            counted &= samples >= max(
+                _LEAST_SAMPLES, _LEAST_PART * float(samples.mean())
+            )
         if not counted.any():
             return None
         up_count, up_sum, down_count, down_sum = self._sums[:4, counted]
         widths = down_sum / down_count - up_sum / up_count
         variance = float(np.mean(1.0 / up_count + 1.0 / down_count))
-        floor = self._noise.deviation * math.sqrt(2.0 * math.log(2.0 * len(widths)) * variance)
+        floor = self._noise.deviation * math.sqrt(
+            2.0 * math.log(2.0 * len(widths)) * variance
+        )
         return Loop(float(widths[np.argmax(np.abs(widths))]), floor)
 
 
 class PhaseLag:
     """The delay that is left, to a fraction of a sample.
 
-    The measured signal is fitted by a desired + b slope + constant, slope being half the difference of the
-    desired signal ``h`` samples later and ``h`` samples earlier. With w the frequency of the desired signal
-    in rad a sample, from the regression of its second difference at the same spacing on itself,
-    -4 sin(w h/2)^2, the phase left is atan2(-b sin(w h), a) and the lag is the phase over w. For a sine this
-    is exact at any amplitude ratio, any length of the log and any lag below half a period; for other signals
-    it is right to first order, so a lag of many samples should be taken out first. Hysteresis shows as a
-    phase too; it is part of what is left. After ``lag``, ``cycles_a_sample`` is the frequency of the desired
-    signal.
+    The measured signal is fitted by a desired + b slope + constant, slope being half
+    the difference of the desired signal ``h`` samples later and ``h`` samples earlier.
+    With w the frequency of the desired signal in rad a sample, from the regression of
+    its second difference at the same spacing on itself, -4 sin(w h/2)^2, the phase left
+    is atan2(-b sin(w h), a) and the lag is the phase over w. For a sine this is exact
+    at any amplitude ratio, any length of the log and any lag below half a period; for
+    other signals it is right to first order, so a lag of many samples should be taken
+    out first. Hysteresis shows as a phase too; it is part of what is left. After
+    ``lag``, ``cycles_a_sample`` is the frequency of the desired signal.
 
-    ``h`` is 1 for a smooth signal. A held, rounded or noisy one says nothing about its slope from one sample
-    to the next, so ``h`` grows with its plateaus and its noise; it is chosen on the first batch that moves.
+    ``h`` is 1 for a smooth signal. A held, rounded or noisy one says nothing about its
+    slope from one sample to the next, so ``h`` grows with its plateaus and its noise;
+    it is chosen on the first batch that moves.
     """
 
     def __init__(self) -> None:
@@ -310,8 +350,11 @@ class PhaseLag:
         """Return (samples, degrees), or None where the desired signal does not move back and forth."""
         if self._count < 4 or self._spacing is None:
             return None
-        # means of desired, slope, measured, second difference, and of the products that `add` sums
-        d, s, m, bend, dd, ds, ss, dm, sm, db = (total.value / self._count for total in self._sums)
+        # means of desired, slope, measured, second difference, and of the products that
+        # `add` sums
+        d, s, m, bend, dd, ds, ss, dm, sm, db = (
+            total.value / self._count for total in self._sums
+        )
         desired_variance = dd - d * d
         slope_variance = ss - s * s
         desired_slope = ds - d * s  # covariances from here on
@@ -323,8 +366,12 @@ class PhaseLag:
             return None
         if desired_bend >= 0.0:
             return None  # a signal that goes back and forth bends towards its mean
-        along = (desired_measured * slope_variance - slope_measured * desired_slope) / determinant
-        across = (slope_measured * desired_variance - desired_measured * desired_slope) / determinant
+        along = (
+            desired_measured * slope_variance - slope_measured * desired_slope
+        ) / determinant
+        across = (
+            slope_measured * desired_variance - desired_measured * desired_slope
+        ) / determinant
         half_chord = 0.5 * math.sqrt(-desired_bend / desired_variance)
         step = 2.0 * math.asin(min(1.0, half_chord))  # phase in h samples
         phase = math.atan2(-across * math.sin(step), along)
@@ -353,7 +400,10 @@ def _spacing_of(desired: Floats) -> int | None:
         return 1
     most = max(len(desired) // _MOST_OF_BATCH, 1)
     spacing = min(math.ceil(_PLATEAUS * plateau), most)
-    while spacing < most and float(np.abs(desired[spacing:] - desired[:-spacing]).mean()) < motion:
+    while (
+        spacing < most
+        and float(np.abs(desired[spacing:] - desired[:-spacing]).mean()) < motion
+    ):
         spacing *= 2
     return min(spacing, most)
 
@@ -362,10 +412,11 @@ def _spacing_of(desired: Floats) -> int | None:
 class TrackingFigures:
     """How well the measured signal follows the desired one; lengths in the signals' own unit.
 
-    ``offset`` is what was subtracted from the error (0.0 unless it was asked for). Where a figure is not
-    defined it is None: ``nrmse_percent`` for a desired signal that never changes, ``loop_width`` and its
-    noise floor ``loop_noise`` where no value was passed both upward and downward, the lag where nothing
-    moves. ``half`` is the shortest piece that makes half of the squared error, where that was looked for.
+    ``offset`` is what was subtracted from the error (0.0 unless it was asked for).
+    Where a figure is not defined it is None: ``nrmse_percent`` for a desired signal
+    that never changes, ``loop_width`` and its noise floor ``loop_noise`` where no value
+    was passed both upward and downward, the lag where nothing moves. ``half`` is the
+    shortest piece that makes half of the squared error, where that was looked for.
     """
 
     samples: int
@@ -399,7 +450,11 @@ class TrackingFigures:
     def lag_left_seconds(self) -> float | None:
         """The lag that is left in seconds, where the clock is known."""
         lag, period = self.lag_left, self.sample_period
-        return None if lag is None or period is None or not math.isfinite(lag * period) else lag * period
+        return (
+            None
+            if lag is None or period is None or not math.isfinite(lag * period)
+            else lag * period
+        )
 
 
 def percent_of(value: float, whole: float) -> float | None:
@@ -414,7 +469,8 @@ class TrackingMetrics:
     Parameters
     ----------
     remove_offset : bool
-        Take the mean error off before anything else is said about it (a sensor's arbitrary zero).
+        Take the mean error off before anything else is said about it (a sensor's
+        arbitrary zero).
     sample_rate : float, optional
         Samples a second (Hz), where no times tell it.
     by_parts : bool
@@ -431,7 +487,11 @@ class TrackingMetrics:
     """
 
     def __init__(
-        self, *, remove_offset: bool = False, sample_rate: float | None = None, by_parts: bool = False
+        self,
+        *,
+        remove_offset: bool = False,
+        sample_rate: float | None = None,
+        by_parts: bool = False,
     ) -> None:
         self._remove_offset, self._sample_rate = remove_offset, sample_rate
         self._parts = ErrorParts() if by_parts else None
@@ -443,7 +503,8 @@ class TrackingMetrics:
         self._hold: float | None = None
         self._last_desired = math.nan
         self._sums = (CompensatedSum(), CompensatedSum())
-        self._extremes: list[tuple[float, int, float]] = []  # least and greatest error: value, row, time
+        # least and greatest error: value, row, time
+        self._extremes: list[tuple[float, int, float]] = []
         self._range = (math.inf, -math.inf)
         self._not_finite = 0
         self.missing = [0, 0]
@@ -453,7 +514,10 @@ class TrackingMetrics:
         """Take one block."""
         if not len(pairs):
             return
-        self.rows = (int(pairs.rows[0]) if self.rows is None else self.rows[0], int(pairs.rows[-1]))
+        self.rows = (
+            int(pairs.rows[0]) if self.rows is None else self.rows[0],
+            int(pairs.rows[-1]),
+        )
         for batch in self._batches.add(pairs):
             self._take(batch)
 
@@ -519,14 +583,19 @@ class TrackingMetrics:
         if not finite.all():
             self._not_finite += int(len(finite) - np.count_nonzero(finite))
             for which, column in enumerate((desired, measured)):
-                self.missing[which] += int(len(column) - np.count_nonzero(comparable(column, column)))
+                self.missing[which] += int(
+                    len(column) - np.count_nonzero(comparable(column, column))
+                )
             pairs = only(pairs, finite)
             desired, measured = desired[finite], measured[finite]
         if len(desired) == 0:
             return
         time = np.full(len(pairs), np.nan) if pairs.time is None else pairs.time
         error = measured - desired
-        self._range = (min(self._range[0], float(desired.min())), max(self._range[1], float(desired.max())))
+        self._range = (
+            min(self._range[0], float(desired.min())),
+            max(self._range[1], float(desired.max())),
+        )
         self.distribution.add(error)
         if self._parts is not None:
             self._parts.add(error, pairs)
@@ -534,8 +603,13 @@ class TrackingMetrics:
         self._sums[0].add(float(np.add.reduce(shifted)))
         self._sums[1].add(float(np.add.reduce(shifted * shifted)))
         places = int(error.argmin()), int(error.argmax())
-        extremes = [*self._extremes, *((float(error[k]), int(pairs.rows[k]), float(time[k])) for k in places)]
-        self._extremes = [end(extremes, key=lambda extreme: extreme[0]) for end in (min, max)]
+        extremes = [
+            *self._extremes,
+            *((float(error[k]), int(pairs.rows[k]), float(time[k])) for k in places),
+        ]
+        self._extremes = [
+            end(extremes, key=lambda extreme: extreme[0]) for end in (min, max)
+        ]
         self._take_motion(desired, measured)
 
     def _take_motion(self, desired: Floats, measured: Floats) -> None:
@@ -553,12 +627,14 @@ class TrackingMetrics:
 def hold_length(desired: Floats, measured: Floats) -> float | None:
     """Return the samples between new values of a desired signal that is held while the measurement goes on.
 
-    Of such a log only the samples at which the desired signal is new belong together: a value held for L
-    samples is late by up to L - 1 of them, although nobody asked for that. Where the measurement moves in
-    steps as the desired signal does, the hold is part of what was asked for, and every sample counts. A
-    coarsely rounded triangle cannot be told from a held one, and counts as held.
+    Of such a log only the samples at which the desired signal is new belong together: a
+    value held for L samples is late by up to L - 1 of them, although nobody asked for
+    that. Where the measurement moves in steps as the desired signal does, the hold is
+    part of what was asked for, and every sample counts. A coarsely rounded triangle
+    cannot be told from a held one, and counts as held.
 
-    Returns 1 where every sample counts and None where the desired signal moves too little to tell.
+    Returns 1 where every sample counts and None where the desired signal moves too
+    little to tell.
     """
     changes = np.flatnonzero(np.diff(desired)) + 1
     if len(changes) <= _FEWEST_PLATEAUS:
@@ -570,10 +646,13 @@ def hold_length(desired: Floats, measured: Floats) -> float | None:
         return 1.0
     starts = changes[:-1][alike]
     direction = np.sign(desired[starts] - desired[starts - 1])
-    # How far the measurement goes the desired signal's way in the 1st, 2nd ... sample of all plateaus.
+    # How far the measurement goes the desired signal's way in the 1st, 2nd ... sample
+    # of all plateaus.
     steps = np.diff(measured)
     places = range(int(lengths[alike].min()))
-    moved = np.array([float((direction * steps[starts - 1 + place]).sum()) for place in places])
+    moved = np.array(
+        [float((direction * steps[starts - 1 + place]).sum()) for place in places]
+    )
     noise = NoiseLevel()
     noise.add(measured)
     unsure = _DEVIATIONS * noise.deviation * math.sqrt(2.0 * len(starts))

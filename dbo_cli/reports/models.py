@@ -31,7 +31,15 @@ def plots_of_model(model: ActuatorModel) -> list[Plot]:
     if any(isinstance(stage, OtherHysteresis) for stage in model.stages):
         words = f"Output against input of the model with {model.size}, slowly up and back down."
         paint = partial(_paint_slow_loop, model)
-        return [Plot("loop", f"The loop of the model with {model.size}", words, style.TALL, paint)]
+        return [
+            Plot(
+                "loop",
+                f"The loop of the model with {model.size}",
+                words,
+                style.TALL,
+                paint,
+            )
+        ]
     gears = model.backlash
     place = next(i for i, stage in enumerate(model.stages) if stage is gears)
     first, last = place == 0, place == len(model.stages) - 1
@@ -39,22 +47,36 @@ def plots_of_model(model: ActuatorModel) -> list[Plot]:
         _quantity(model.input) if first else "Input of the gears",
         _quantity(model.output) if last else "Output of the gears",
     )
-    travelled = axis_label("Input travelled since the turn", model.input.unit if first else None)
-    # Spare gears stand beyond both ends of the logs' range; what they would do was never seen.
+    travelled = axis_label(
+        "Input travelled since the turn", model.input.unit if first else None
+    )
+    # Spare gears stand beyond both ends of the logs' range; what they would do was
+    # never seen.
     covered = model.covered_gears.operator
     if model.direction == "inverse":
         covered = covered.inverse()
     paint_loop = partial(_paint_gears, covered, labels)
     paint_slopes = partial(_paint_slopes, covered, travelled)
     loop = (
-        f"Output against input of the backlash operator over the logs' range, {covered.n} gears, up and down."
+        "Output against input of the backlash operator over the logs' range,"
+        f" {covered.n} gears, up and down."
     )
     slopes = "Slope of each gear, one step as wide as the gear, in the order they engage after a turn."
     plots = [
         Plot(
-            "gears", f"The loop of the {covered.n} gears over the logs' range", loop, style.TALL, paint_loop
+            "gears",
+            f"The loop of the {covered.n} gears over the logs' range",
+            loop,
+            style.TALL,
+            paint_loop,
         ),
-        Plot("slopes", "Slope of the gears against their width", slopes, style.WIDE, paint_slopes),
+        Plot(
+            "slopes",
+            "Slope of the gears against their width",
+            slopes,
+            style.WIDE,
+            paint_slopes,
+        ),
     ]
     usual = "after" if model.direction == "forward" else "before"
     for number, stage in enumerate(model.stages):
@@ -63,7 +85,9 @@ def plots_of_model(model: ActuatorModel) -> list[Plot]:
             title = f"The curve {side} the gears, {stage.m} segment{'' if stage.m == 1 else 's'}"
             words = f"Output against input of the point operator of {stage.m} segments {side} the gears."
             key = "points" if side == usual else f"points-{side}"
-            plots.append(Plot(key, title, words, style.TALL, partial(_paint_points, stage)))
+            plots.append(
+                Plot(key, title, words, style.TALL, partial(_paint_points, stage))
+            )
     return plots + _bode_plots(model)
 
 
@@ -71,22 +95,29 @@ def _quantity(quantity: Quantity) -> str:
     return axis_label(quantity.quantity.capitalize(), quantity.unit)
 
 
-def _corners(operator: DiscreteBacklashOperator | DiscretePointOperator) -> tuple[Floats, Floats]:
+def _corners(
+    operator: DiscreteBacklashOperator | DiscretePointOperator,
+) -> tuple[Floats, Floats]:
     """Return where the gears or segments begin and the last one ends."""
     x = operator.x0 + np.concatenate([[0.0], np.cumsum(operator.dx)])
     return x, operator.y0 + np.concatenate([[0.0], np.cumsum(operator.dy)])
 
 
-def loop_of(operator: DiscreteBacklashOperator) -> tuple[Floats, Floats, Floats, Floats]:
+def loop_of(
+    operator: DiscreteBacklashOperator,
+) -> tuple[Floats, Floats, Floats, Floats]:
     """Return the major loop, (2) and (3): x and y of the corners on the way up, then on the way down.
 
-    Both ways start with gear 0: after a turn at either end it is the first that engages.
+    Both ways start with gear 0: after a turn at either end it is the first that
+    engages.
     """
     x, y = _corners(operator)
     return x, y, x[-1] - (x - x[0]), y[-1] - (y - y[0])
 
 
-def _paint_gears(gears: DiscreteBacklashOperator, labels: tuple[str, str], axes: Axes) -> None:
+def _paint_gears(
+    gears: DiscreteBacklashOperator, labels: tuple[str, str], axes: Axes
+) -> None:
     up_x, up_y, down_x, down_y = loop_of(gears)
     marks = {"marker": "o", "markersize": 3.2} if gears.n <= FEW else {}
     axes.plot(up_x, up_y, label="up", **(style.SOLID | marks))
@@ -107,7 +138,13 @@ def _bode_plots(model: ActuatorModel) -> list[Plot]:
         return []
     words = "of the dynamics against frequency, both measured and of the model, frequency logarithmic."
     return [
-        Plot(key, f"{what} of the dynamics", f"{what} {words}", style.WIDE, partial(_paint_bode, model, what))
+        Plot(
+            key,
+            f"{what} of the dynamics",
+            f"{what} {words}",
+            style.WIDE,
+            partial(_paint_bode, model, what),
+        )
         for key, what in (("bode", "Gain"), ("bode-phase", "Phase"))
     ]
 
@@ -117,14 +154,23 @@ def _measured_response(model: ActuatorModel) -> dict[str, Floats]:
     dynamics = model.fit.get("dynamics")
     kept = dynamics.get("response") if isinstance(dynamics, Mapping) else None
     keys = ("frequency", "gain", "phase_degrees")
-    if not isinstance(kept, Mapping) or not all(isinstance(kept.get(key), list) for key in keys):
+    if not isinstance(kept, Mapping) or not all(
+        isinstance(kept.get(key), list) for key in keys
+    ):
         return {}
     try:
         found = {key: np.array(kept[key], dtype=np.float64) for key in keys}
     except (TypeError, ValueError):
         return {}
-    alike = len({values.shape for values in found.values()}) == 1 and found["frequency"].ndim == 1
-    return found if alike and found["frequency"].size and bool(np.all(found["frequency"] > 0.0)) else {}
+    alike = (
+        len({values.shape for values in found.values()}) == 1
+        and found["frequency"].ndim == 1
+    )
+    return (
+        found
+        if alike and found["frequency"].size and bool(np.all(found["frequency"] > 0.0))
+        else {}
+    )
 
 
 def _modelled_response(model: ActuatorModel) -> tuple[Floats, Complexes]:
@@ -132,15 +178,21 @@ def _modelled_response(model: ActuatorModel) -> tuple[Floats, Complexes]:
     measured = _measured_response(model)
     stages = [stage for stage in (model.drive_lag, model.dynamics) if stage is not None]
     sections = [section for stage in stages for section in stage.sections]
-    quick = [one for one in sections if not (isinstance(one, Lag) and one.lead)]  # creep is slow
+    # creep is slow
+    quick = [one for one in sections if not (isinstance(one, Lag) and one.lead)]
     corners = [
-        s.highest if isinstance(s, Resonance) else 0.5 / (np.pi * s.seconds) for s in quick or sections
+        s.highest if isinstance(s, Resonance) else 0.5 / (np.pi * s.seconds)
+        for s in quick or sections
     ]
     low, high = 0.03 * min(corners), 3.0 * max(corners)
     if measured:
-        low, high = float(measured["frequency"].min()), float(measured["frequency"].max())
+        low, high = (
+            float(measured["frequency"].min()),
+            float(measured["frequency"].max()),
+        )
     peaks = [s.frequency for s in sections if isinstance(s, Resonance)]
-    near = [peak * np.linspace(0.9, 1.1, 101) for peak in peaks]  # a peak is narrower than a step elsewhere
+    # a peak is narrower than a step elsewhere
+    near = [peak * np.linspace(0.9, 1.1, 101) for peak in peaks]
     at = np.unique(np.concatenate([np.geomspace(low, high, 400), *near]))
     at = at[(at >= low) & (at <= high)]
     return at, np.prod([stage.response(at) for stage in stages], axis=0)

@@ -19,34 +19,41 @@ from dbo_cli.reports.report import Judgement, Report, digits
 
 JSON_VERSION = 1  # of the form dbo-report; a change of meaning would need another
 WIDTH = 80  # columns of the narrowest usual terminal
-MOST_PASSED = 8  # limits that are kept are listed, at most: of a hundred channels nobody reads them
-UNBROKEN = 28  # letters of a name that stay together: nine columns beside it fit into 1,000 pixels of a page
+# limits that are kept are listed, at most: of a hundred channels nobody reads them
+MOST_PASSED = 8
+# letters of a name that stay together: nine columns beside it fit into 1,000 pixels of
+# a page
+UNBROKEN = 28
 LEFT = "Left over: hysteresis (loop: error going down less going up) and delay (lag)"
 
 
 def to_json(report: Report) -> str:
     """Return the report as JSON text: ``dbo-report`` version 1, numbers that read back exactly.
 
-    Keys, always all of them and in this order: ``format``, ``version``, ``unit`` (null: not known),
-    ``compared`` (what was compared with what; the error is the second less the first), ``offset_removed``,
-    ``logs``, ``notes``, ``limits`` (a list of ``name``, ``figure``, ``limit``, ``value``, ``passed``),
-    ``passed`` (whether all limits are kept; null where none was set) and ``warnings``. Each log: ``name``,
-    ``samples``, ``rmse``, ``nrmse_percent`` (of desired_max - desired_min; null for a constant), ``max_abs``,
-    ``max_abs_row`` (data row from 1), ``max_abs_time_s``, ``mean``, ``p95_abs`` (95 % of all |errors| are no
-    larger),
-    ``loop_width`` (signed, see ``figures_of_merit.LoopWidth``), ``loop_width_percent``, ``lag_left_samples``,
-    ``lag_left_s``, ``phase_left_degrees``, ``desired_min``, ``desired_max``, ``lag_samples`` (taken out
-    beforehand), ``lag_s``, ``offset_removed`` (subtracted from the error), ``sample_period_s``,
-    ``not_finite`` (rows left out), ``ratio_to_first`` (of the RMSE), ``loop_noise`` (what noise alone would
-    show as ``loop_width``), ``rmse_percent_of_move`` (``nrmse_percent`` under the name of its denominator),
-    ``rmse_percent_of_range`` (of the range of the model's output; null where no model is known),
-    ``expected_rmse`` (that the model states for this drive, null where it is not known; where the mean error
-    is taken off, without the mean), ``half_of_error_first_row``, ``half_of_error_last_row`` and
-    ``half_of_error_percent_of_rows`` (the shortest piece of the log that makes half of the squared error),
-    ``rmse_elsewhere`` (of all other rows), ``segments``: a list of ``number``, ``first_row``, ``last_row``,
-    the keys from ``samples`` to ``desired_max``, ``offset_removed`` (the segment's own), ``loop_noise`` and
-    ``frequency_hz`` (of the desired signal). New keys may come in later releases; none will change its
-    meaning within version 1.
+    Keys, always all of them and in this order: ``format``, ``version``, ``unit`` (null:
+    not known), ``compared`` (what was compared with what; the error is the second less
+    the first), ``offset_removed``, ``logs``, ``notes``, ``limits`` (a list of ``name``,
+    ``figure``, ``limit``, ``value``, ``passed``), ``passed`` (whether all limits are
+    kept; null where none was set) and ``warnings``. Each log: ``name``, ``samples``,
+    ``rmse``, ``nrmse_percent`` (of desired_max - desired_min; null for a constant),
+    ``max_abs``, ``max_abs_row`` (data row from 1), ``max_abs_time_s``, ``mean``,
+    ``p95_abs`` (95 % of all |errors| are no larger), ``loop_width`` (signed, see
+    ``figures_of_merit.LoopWidth``), ``loop_width_percent``, ``lag_left_samples``,
+    ``lag_left_s``, ``phase_left_degrees``, ``desired_min``, ``desired_max``,
+    ``lag_samples`` (taken out beforehand), ``lag_s``, ``offset_removed`` (subtracted
+    from the error), ``sample_period_s``, ``not_finite`` (rows left out),
+    ``ratio_to_first`` (of the RMSE), ``loop_noise`` (what noise alone would show as
+    ``loop_width``), ``rmse_percent_of_move`` (``nrmse_percent`` under the name of its
+    denominator), ``rmse_percent_of_range`` (of the range of the model's output; null
+    where no model is known), ``expected_rmse`` (that the model states for this drive,
+    null where it is not known; where the mean error is taken off, without the mean),
+    ``half_of_error_first_row``, ``half_of_error_last_row`` and
+    ``half_of_error_percent_of_rows`` (the shortest piece of the log that makes half of
+    the squared error), ``rmse_elsewhere`` (of all other rows), ``segments``: a list of
+    ``number``, ``first_row``, ``last_row``, the keys from ``samples`` to
+    ``desired_max``, ``offset_removed`` (the segment's own), ``loop_noise`` and
+    ``frequency_hz`` (of the desired signal). New keys may come in later releases; none
+    will change its meaning within version 1.
     """
     content = {
         "format": "dbo-report",
@@ -55,7 +62,8 @@ def to_json(report: Report) -> str:
         "compared": list(report.options.labels),
         "offset_removed": report.options.remove_offset,
         "logs": [
-            log.record() | {"segments": [part.record() for part in log.segments]} for log in report.logs
+            log.record() | {"segments": [part.record() for part in log.segments]}
+            for log in report.logs
         ],
         "notes": report.notes,
         "limits": [judgement.record() for judgement in report.judgements],
@@ -68,8 +76,9 @@ def to_json(report: Report) -> str:
 def to_csv(report: Report) -> str:
     """Return one line a log: the keys of the JSON form, then the unit; what is undefined is left empty.
 
-    Where there are segments, each log's follow its line, and three columns more tell them: ``segment`` (the
-    number; empty for the whole log), ``first_row`` and ``last_row``. No name is a formula to a spreadsheet.
+    Where there are segments, each log's follow its line, and three columns more tell
+    them: ``segment`` (the number; empty for the whole log), ``first_row`` and
+    ``last_row``. No name is a formula to a spreadsheet.
     """
     unit = {"unit": None if report.unit is None else no_formula(report.unit)}
     rows = []
@@ -78,8 +87,13 @@ def to_csv(report: Report) -> str:
         rows.append(whole | unit)
         for part in log.segments:
             own = part.record()
-            place = {"segment": own.pop("number"), **{key: own.pop(key) for key in ("first_row", "last_row")}}
-            rows.append(dict.fromkeys(whole) | {"name": whole["name"]} | own | unit | place)
+            place = {
+                "segment": own.pop("number"),
+                **{key: own.pop(key) for key in ("first_row", "last_row")},
+            }
+            rows.append(
+                dict.fromkeys(whole) | {"name": whole["name"]} | own | unit | place
+            )
     return csv_text(rows)
 
 
@@ -91,7 +105,9 @@ def json_text(content: Mapping[str, Any]) -> str:
 def csv_text(rows: Sequence[dict[str, Any]]) -> str:
     """Return one line a row; the longest row has all columns, what another lacks is left empty."""
     out = io.StringIO()
-    writer = csv.DictWriter(out, max(map(list[str], rows), key=len), lineterminator="\n")
+    writer = csv.DictWriter(
+        out, max(map(list[str], rows), key=len), lineterminator="\n"
+    )
     writer.writeheader()
     writer.writerows(rows)
     return out.getvalue()
@@ -99,7 +115,11 @@ def csv_text(rows: Sequence[dict[str, Any]]) -> str:
 
 def no_formula(name: str) -> str:
     """Put an apostrophe before a text that a spreadsheet would calculate instead of showing."""
-    return f"'{name}" if name[:1] in ("=", "+", "@") or (name[:1] == "-" and len(name) > 1) else name
+    return (
+        f"'{name}"
+        if name[:1] in ("=", "+", "@") or (name[:1] == "-" and len(name) > 1)
+        else name
+    )
 
 
 def to_text(report: Report) -> str:
@@ -116,7 +136,11 @@ def to_text(report: Report) -> str:
             title = "\n".join(wrapped(f"{log.name}, {segment_words(report)}"))
             parts.append(f"{title}\n{_table_of(segment_table(report), log.segments)}")
     if report.notes:
-        parts.append("\n".join(line for note in report.notes for line in wrapped(f"Note: {note}")))
+        parts.append(
+            "\n".join(
+                line for note in report.notes for line in wrapped(f"Note: {note}")
+            )
+        )
     return "\n\n".join(parts) + "\n"
 
 
@@ -129,7 +153,10 @@ def verdict_lines(report: Report) -> list[str]:
         return [f"FAILED: {_judgement_words(report, missed[0])}"]
     if missed:
         count = f"{len(missed)} of {len(report.judgements)} limits missed"
-        return [f"FAILED: {count}", *[_judgement_words(report, judgement) for judgement in missed]]
+        return [
+            f"FAILED: {count}",
+            *[_judgement_words(report, judgement) for judgement in missed],
+        ]
     words = [_judgement_words(report, judgement) for judgement in report.judgements]
     if len(words) == 1:
         return [f"PASSED: {words[0]}"]
@@ -158,7 +185,11 @@ def expected_lines(report: Report) -> list[str]:
             continue
         name = f"{log.name}: " if len(report.logs) > 1 else ""
         unit = _unit(report)
-        times = f", {digits(log.figures.rmse / expected, 2)} times as much came" if expected > 0.0 else ""
+        times = (
+            f", {digits(log.figures.rmse / expected, 2)} times as much came"
+            if expected > 0.0
+            else ""
+        )
         lines.append(
             f"{name}Expected {digits(expected, 2)}{unit} RMSE (by {log.expected.source}), actual "
             f"{digits(log.figures.rmse, 2)}{unit}{times}"
@@ -174,14 +205,18 @@ def headline(report: Report) -> str:
     found = f"{best.name}: {digits(figures.rmse, 2)}{_unit(report)} RMSE"
     if best is first:
         percent = figures.nrmse_percent
-        return found if percent is None else f"{found}, {digits(percent, 2)} % of the move"
+        return (
+            found if percent is None else f"{found}, {digits(percent, 2)} % of the move"
+        )
     if not figures.rmse > 0.0 or not first.figures.rmse > 0.0:
         return f"{found}; {first.name}: {digits(first.figures.rmse, 2)}{_unit(report)} RMSE"
     times = first.figures.rmse / figures.rmse
     factor = digits(max(times, 1.0 / times), 2)
     if factor == "1.0":
         return f"{found}, as much as {first.name}"
-    return f"{found}, {factor} times {'less' if times > 1.0 else 'more'} than {first.name}"
+    return (
+        f"{found}, {factor} times {'less' if times > 1.0 else 'more'} than {first.name}"
+    )
 
 
 class Column(NamedTuple):
@@ -196,25 +231,62 @@ def log_tables(report: Report) -> tuple[list[Column], list[Column]]:
     """Return the columns of both tables of logs: their errors, and the loop and the lag that are left."""
     unit = _unit(report, " ({})")
     name = Column("log", "Log", lambda log: str(log.name))
-    errors = [name, Column("samples", "Samples", lambda log: str(log.figures.samples)), *_errors(report, 4)]
+    errors = [
+        name,
+        Column("samples", "Samples", lambda log: str(log.figures.samples)),
+        *_errors(report, 4),
+    ]
     if any(log.expected is not None for log in report.logs):
         errors.insert(
-            4, Column("% range", "% of the model's range", lambda log: digits(log.percent_of_range))
+            4,
+            Column(
+                "% range",
+                "% of the model's range",
+                lambda log: digits(log.percent_of_range),
+            ),
         )
     if any(log.expected_rmse is not None for log in report.logs):
-        expected = Column("expected", f"Expected{unit}", lambda log: digits(log.expected_rmse))
+        expected = Column(
+            "expected", f"Expected{unit}", lambda log: digits(log.expected_rmse)
+        )
         errors.insert(3, expected)
     if len(report.logs) > 1:
-        errors.append(Column("ratio", "Times the first", lambda log: digits(log.ratio_to_first)))
+        errors.append(
+            Column("ratio", "Times the first", lambda log: digits(log.ratio_to_first))
+        )
     return errors, [
         name,
-        Column("loop left", f"Hysteresis left{unit}", lambda log: digits(log.figures.loop_width)),
-        Column("% move", "the same, % of the move", lambda log: digits(log.figures.loop_width_percent)),
-        Column("by noise", f"Noise alone{unit}", lambda log: digits(log.figures.loop_noise, 2)),
-        Column("lag left", "Delay left (samples)", lambda log: digits(log.figures.lag_left, 3)),
+        Column(
+            "loop left",
+            f"Hysteresis left{unit}",
+            lambda log: digits(log.figures.loop_width),
+        ),
+        Column(
+            "% move",
+            "the same, % of the move",
+            lambda log: digits(log.figures.loop_width_percent),
+        ),
+        Column(
+            "by noise",
+            f"Noise alone{unit}",
+            lambda log: digits(log.figures.loop_noise, 2),
+        ),
+        Column(
+            "lag left",
+            "Delay left (samples)",
+            lambda log: digits(log.figures.lag_left, 3),
+        ),
         Column("seconds", "", lambda log: digits(log.figures.lag_left_seconds, 3)),
-        Column("", "Delay left (ms)", lambda log: digits(log.figures.lag_left_seconds, 3, 1000.0)),
-        Column("phase", "Phase left (360° a cycle)", lambda log: digits(log.figures.phase_left, 3) + "°"),
+        Column(
+            "",
+            "Delay left (ms)",
+            lambda log: digits(log.figures.lag_left_seconds, 3, 1000.0),
+        ),
+        Column(
+            "phase",
+            "Phase left (360° a cycle)",
+            lambda log: digits(log.figures.phase_left, 3) + "°",
+        ),
         Column("largest at row", "", lambda log: str(log.figures.max_abs_row)),
     ]
 
@@ -225,8 +297,12 @@ def segment_table(report: Report) -> list[Column]:
         Column("part", "Part", lambda part: str(part.number)),
         Column("rows", "Rows", lambda part: f"{part.first_row}:{part.last_row}"),
         *_errors(report, 3),
-        Column("loop", "Hysteresis left", lambda part: digits(part.figures.loop_width, 3)),
-        Column("lag", "Delay left (samples)", lambda part: digits(part.figures.lag_left, 3)),
+        Column(
+            "loop", "Hysteresis left", lambda part: digits(part.figures.loop_width, 3)
+        ),
+        Column(
+            "lag", "Delay left (samples)", lambda part: digits(part.figures.lag_left, 3)
+        ),
     ]
 
 
@@ -241,11 +317,27 @@ def _errors(report: Report, places: int) -> list[Column]:
     mean = "offset" if report.options.remove_offset else "mean"
     return [
         Column("RMSE", f"RMSE{unit}", lambda part: digits(part.figures.rmse, places)),
-        Column("% move", "% of the move", lambda part: digits(part.figures.nrmse_percent, places)),
-        Column("95 %", f"95 % below{unit}", lambda part: digits(part.figures.p95_abs, places)),
-        Column("largest", f"Largest{unit}", lambda part: digits(part.figures.max_abs, places)),
+        Column(
+            "% move",
+            "% of the move",
+            lambda part: digits(part.figures.nrmse_percent, places),
+        ),
+        Column(
+            "95 %",
+            f"95 % below{unit}",
+            lambda part: digits(part.figures.p95_abs, places),
+        ),
+        Column(
+            "largest",
+            f"Largest{unit}",
+            lambda part: digits(part.figures.max_abs, places),
+        ),
         Column("", "at row", lambda part: str(part.figures.max_abs_row)),
-        Column(mean, f"{mean.capitalize()}{unit}", lambda part: digits(getattr(part.figures, mean), places)),
+        Column(
+            mean,
+            f"{mean.capitalize()}{unit}",
+            lambda part: digits(getattr(part.figures, mean), places),
+        ),
     ]
 
 
@@ -275,7 +367,8 @@ def settings_line(report: Report) -> str:
 def text_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Return columns two blanks apart, the first to the left, numbers to the right.
 
-    Where that is too wide: one blank, then every name on a line of its own above its numbers.
+    Where that is too wide: one blank, then every name on a line of its own above its
+    numbers.
     """
     widths = [max(map(text_width, column)) for column in zip(head, *rows, strict=True)]
     gap = "  " if sum(widths) + 2 * (len(widths) - 1) <= WIDTH else " "
@@ -287,15 +380,23 @@ def text_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
         if text_width(name) > widths[0]:
             lines.append(short_name(name, WIDTH))
             name = ""
-        numbers = [cell.rjust(width) for cell, width in zip(cells[1:], widths[1:], strict=True)]
-        lines.append(gap.join([name + " " * (widths[0] - text_width(name)), *numbers]).rstrip())
+        numbers = [
+            cell.rjust(width) for cell, width in zip(cells[1:], widths[1:], strict=True)
+        ]
+        lines.append(
+            gap.join([name + " " * (widths[0] - text_width(name)), *numbers]).rstrip()
+        )
     return "\n".join(lines)
 
 
 def wrapped(text: str) -> list[str]:
     """Return a text as lines of at most 80 columns, the later ones indented."""
     return textwrap.wrap(
-        text, WIDTH, subsequent_indent=" " * 6, break_long_words=False, break_on_hyphens=False
+        text,
+        WIDTH,
+        subsequent_indent=" " * 6,
+        break_long_words=False,
+        break_on_hyphens=False,
     )
 
 
@@ -323,11 +424,13 @@ def to_html(
     report : Report
         The values.
     plots : sequence of sequences of Plot
-        For every log of the report, in its order, the figures to show (``figures.plots_of_log``); a log
-        that has neither figures nor segments has no section.
+        For every log of the report, in its order, the figures to show
+        (``figures.plots_of_log``); a log that has neither figures nor segments has no
+        section.
     comparison_plots : sequence of Plot
-        The figures of all logs together (``figures.plots_of_comparison``); they stand before those of each,
-        and before the tables where there are no others: the tables of channels are long.
+        The figures of all logs together (``figures.plots_of_comparison``); they stand
+        before those of each, and before the tables where there are no others: the
+        tables of channels are long.
     model_plots : sequence of Plot
         The figures of the model, where one was compared (``models.plots_of_model``).
     program, title : str
@@ -340,31 +443,42 @@ def to_html(
     parts = [_html_verdict(report), f'<p class="headline">{found}.</p>']
     parts += [f"<p>{escape(line)}.</p>" for line in expected_lines(report)]
     for warning in report.warnings:
-        parts.append(f'<div class="notes"><p><strong>Warning:</strong> {escape(warning)}</p></div>')
+        parts.append(
+            f'<div class="notes"><p><strong>Warning:</strong> {escape(warning)}</p></div>'
+        )
     parts += [
         f"<p>{escape(settings_line(report).replace(' - ', ' − ', 1))}.</p>",
         *([] if any(plots) else [together]),
         _html_table(errors, report.logs),
     ]
-    parts += ["<h2>What is left of hysteresis and delay</h2>", _html_table(left, report.logs, chief=1)]
+    parts += [
+        "<h2>What is left of hysteresis and delay</h2>",
+        _html_table(left, report.logs, chief=1),
+    ]
     first, second = map(escape, report.options.labels)
     parts.append(filled("glossary.html", first=first, second=second))
     if report.notes:
         parts.append(
-            '<div class="notes">' + "".join(f"<p>{escape(note)}</p>" for note in report.notes) + "</div>"
+            '<div class="notes">'
+            + "".join(f"<p>{escape(note)}</p>" for note in report.notes)
+            + "</div>"
         )
     if any(plots):
         parts.append(together)
     for number, (log, figures) in enumerate(zip(report.logs, plots, strict=True)):
         if not (figures or log.segments):
             continue
-        parts.append(f"<section><h2>{breakable(log.name)}</h2>{drawn_figures(figures, f'l{number}')}")
+        parts.append(
+            f"<section><h2>{breakable(log.name)}</h2>{drawn_figures(figures, f'l{number}')}"
+        )
         if log.segments:
             parts.append(f"<h3>{escape(segment_words(report).capitalize())}</h3>")
             parts.append(_html_table(segment_table(report), log.segments))
         parts.append("</section>")
     if model_plots:
-        parts.append(f"<section><h2>The model</h2>{drawn_figures(model_plots, 'model')}</section>")
+        parts.append(
+            f"<section><h2>The model</h2>{drawn_figures(model_plots, 'model')}</section>"
+        )
     return page_of(title, parts, program)
 
 
@@ -380,19 +494,25 @@ def _html_verdict(report: Report) -> str:
 
 def page_of(title: str, parts: Sequence[str], program: str) -> str:
     """Return a whole page of parts that are HTML already, between its heading and the program's name."""
-    body = "\n".join([f"<h1>{escape(title)}</h1>", *parts, f"<footer>{escape(program)}</footer>"])
+    body = "\n".join(
+        [f"<h1>{escape(title)}</h1>", *parts, f"<footer>{escape(program)}</footer>"]
+    )
     return filled("page.html", title=escape(title), style=filled("page.css"), body=body)
 
 
 def filled(name: str, **values: str) -> str:
     """Return a file that lies beside this module, its ``$names`` replaced."""
-    return Template(Path(__file__).with_name(name).read_text("utf-8")).substitute(values)
+    return Template(Path(__file__).with_name(name).read_text("utf-8")).substitute(
+        values
+    )
 
 
 def _html_table(columns: Sequence[Column], parts: Sequence[Any], chief: int = 2) -> str:
     shown = [column for column in columns if column.long]
     return html_table(
-        [column.long for column in shown], [[c.cell(part) for c in shown] for part in parts], chief
+        [column.long for column in shown],
+        [[c.cell(part) for c in shown] for part in parts],
+        chief,
     )
 
 
@@ -417,8 +537,12 @@ def breakable(name: str) -> str:
         return f'<span class="name">{escape(name)}</span>'
     pieces = []
     for piece in re.split(r"(?<=[/\\_. -])", name):
-        pieces += [piece[start : start + UNBROKEN] for start in range(0, len(piece), UNBROKEN)]
-    return "<wbr>".join(f'<span class="name">{escape(piece)}</span>' for piece in pieces if piece)
+        pieces += [
+            piece[start : start + UNBROKEN] for start in range(0, len(piece), UNBROKEN)
+        ]
+    return "<wbr>".join(
+        f'<span class="name">{escape(piece)}</span>' for piece in pieces if piece
+    )
 
 
 def drawn_figures(plots: Sequence[Plot], scope: str) -> str:
@@ -426,5 +550,7 @@ def drawn_figures(plots: Sequence[Plot], scope: str) -> str:
     drawn = []
     for plot in plots:
         image = draw(plot, "inline", scope=scope).decode()
-        drawn.append(f"<figure><figcaption>{escape(plot.title)}</figcaption>{image}</figure>")
+        drawn.append(
+            f"<figure><figcaption>{escape(plot.title)}</figcaption>{image}</figure>"
+        )
     return '<div class="figures">' + "\n".join(drawn) + "</div>" if drawn else ""

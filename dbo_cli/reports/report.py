@@ -1,8 +1,8 @@
 """What a report says about one or several logs, as values; ``renderers`` turns them into text.
 
-A stream of ``SampleBlock`` with the roles of ``sample_pairs`` is all it needs: logs larger than memory are
-fine, and so is a prediction that a model makes block by block (then ``labels`` is ``("model", "measured")``).
-To compare, for each log::
+A stream of ``SampleBlock`` with the roles of ``sample_pairs`` is all it needs: logs
+larger than memory are fine, and so is a prediction that a model makes block by block
+(then ``labels`` is ``("model", "measured")``). To compare, for each log::
 
     merit = evaluate(name, blocks, options, unit="um", sample_rate=None, figure_data=FigureData() or None)
     report = Report.of([merit, ...], options, unit="um")
@@ -26,7 +26,12 @@ from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.units import in_unit
 from dbo_cli.reports import sample_pairs
 from dbo_cli.reports.accumulators import HalfOfError
-from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics, monotone_ends, percent_of
+from dbo_cli.reports.figures_of_merit import (
+    TrackingFigures,
+    TrackingMetrics,
+    monotone_ends,
+    percent_of,
+)
 from dbo_cli.reports.sample_pairs import Floats
 
 if TYPE_CHECKING:
@@ -36,16 +41,30 @@ if TYPE_CHECKING:
 
 MOST_SEGMENTS = 10_000  # more are no report, and take seconds
 RECORD = (
-    *("samples", "rmse", "nrmse_percent", "max_abs", "max_abs_row", "max_abs_time", "mean", "p95_abs"),
+    *(
+        "samples",
+        "rmse",
+        "nrmse_percent",
+        "max_abs",
+        "max_abs_row",
+        "max_abs_time",
+        "mean",
+        "p95_abs",
+    ),
     *("loop_width", "loop_width_percent", "lag_left", "lag_left_seconds", "phase_left"),
     *("desired_min", "desired_max"),
 )
 """Figures that the JSON form has of logs and segments, in its order, and those that it calls otherwise."""
 OTHER_KEYS = {
-    **{"max_abs_time": "max_abs_time_s", "lag_left": "lag_left_samples", "lag_left_seconds": "lag_left_s"},
+    **{
+        "max_abs_time": "max_abs_time_s",
+        "lag_left": "lag_left_samples",
+        "lag_left_seconds": "lag_left_s",
+    },
     "phase_left": "phase_left_degrees",
 }
-CONCENTRATED = 0.1  # of the rows: fewer that make half of the squared error are said and drawn
+# of the rows: fewer that make half of the squared error are said and drawn
+CONCENTRATED = 0.1
 PATIENCE = 1 << 18  # samples that a rest at the lowest place may last within a cycle
 
 
@@ -62,7 +81,8 @@ class ReportOptions:
     segment : "cycles", seconds or None
         Also report every cycle of the desired signal, or every so many seconds.
     labels : pair of str
-        What is compared with what: ``("desired", "measured")`` or ``("model", "measured")``.
+        What is compared with what: ``("desired", "measured")`` or ``("model",
+        "measured")``.
     dwell : float, optional
         Only rows at which what is desired has been held for so many seconds count.
     """
@@ -86,7 +106,11 @@ class Segment:
     def record(self) -> dict[str, Any]:
         """Return the segment as plain values under the keys of the JSON form."""
         figures = self.figures
-        place = {"number": self.number, "first_row": self.first_row, "last_row": self.last_row}
+        place = {
+            "number": self.number,
+            "first_row": self.first_row,
+            "last_row": self.last_row,
+        }
         own = {"offset_removed": figures.offset, "loop_noise": figures.loop_noise}
         return place | _record(figures) | own | {"frequency_hz": figures.frequency}
 
@@ -95,8 +119,8 @@ class Segment:
 class Expected:
     """What error was to be expected of a log, and the range that a model covers; in the report's unit.
 
-    ``rmse`` is the whole error, ``shape`` that without its mean, None where they are not known; ``span`` the
-    range of the model's output; ``source`` what says so.
+    ``rmse`` is the whole error, ``shape`` that without its mean, None where they are
+    not known; ``span`` the range of the model's output; ``source`` what says so.
     """
 
     rmse: float | None
@@ -109,14 +133,17 @@ class Expected:
 class SummaryExpected(Expected):
     """What a summary of ``compensate`` states for its move; ``source`` is the file.
 
-    ``move_range`` holds the least and the greatest desired value of that move, ``move_span`` their difference
-    where the ends are not known; None where the file does not say.
+    ``move_range`` holds the least and the greatest desired value of that move,
+    ``move_span`` their difference where the ends are not known; None where the file
+    does not say.
     """
 
     move_range: tuple[float, float] | None = None
     move_span: float | None = None
 
-    def of_move(self, low: float, high: float, unit: str) -> tuple[Expected, str | None]:
+    def of_move(
+        self, low: float, high: float, unit: str
+    ) -> tuple[Expected, str | None]:
         """Return what is expected, saying of which move, and a warning where that is not this one.
 
         Parameters
@@ -162,7 +189,11 @@ class LogReport:
     @property
     def percent_of_range(self) -> float | None:
         """The RMSE in percent of the model's range; None where no model is known."""
-        return None if self.expected is None else percent_of(self.figures.rmse, self.expected.span)
+        return (
+            None
+            if self.expected is None
+            else percent_of(self.figures.rmse, self.expected.span)
+        )
 
     @property
     def expected_rmse(self) -> float | None:
@@ -183,8 +214,15 @@ class LogReport:
         """Return the log's figures as plain values under the keys of the JSON form, segments aside."""
         figures = self.figures
         period = figures.sample_period
-        lag = {"lag_samples": self.lag, "lag_s": None if period is None else _finite(self.lag * period)}
-        own = {"offset_removed": figures.offset, "sample_period_s": period, "not_finite": figures.not_finite}
+        lag = {
+            "lag_samples": self.lag,
+            "lag_s": None if period is None else _finite(self.lag * period),
+        }
+        own = {
+            "offset_removed": figures.offset,
+            "sample_period_s": period,
+            "not_finite": figures.not_finite,
+        }
         rest = {"ratio_to_first": self.ratio_to_first, "loop_noise": figures.loop_noise}
         half = figures.half
         new = {
@@ -193,7 +231,9 @@ class LogReport:
             "expected_rmse": self.expected_rmse,
             "half_of_error_first_row": None if half is None else half.first[0],
             "half_of_error_last_row": None if half is None else half.last[0],
-            "half_of_error_percent_of_rows": None if half is None else 100.0 * half.part_of_rows,
+            "half_of_error_percent_of_rows": None
+            if half is None
+            else 100.0 * half.part_of_rows,
             "rmse_elsewhere": None if half is None else half.rmse_elsewhere,
         }
         return {"name": self.name} | _record(figures) | lag | own | rest | new
@@ -203,8 +243,8 @@ class LogReport:
 class Judgement:
     """Whether a log keeps a limit.
 
-    ``title`` is the figure's name, ``value`` its value (None: undefined, which keeps no limit), ``unit`` what
-    follows the numbers, and ``option`` the limit's parameter.
+    ``title`` is the figure's name, ``value`` its value (None: undefined, which keeps no
+    limit), ``unit`` what follows the numbers, and ``option`` the limit's parameter.
     """
 
     name: str
@@ -231,7 +271,12 @@ class Judgement:
     def record(self) -> dict[str, Any]:
         """Return it as plain values for the JSON form."""
         figure = self.option.removeprefix("max_")
-        limit = {"name": self.name, "figure": figure, "limit": self.limit, "value": self.value}
+        limit = {
+            "name": self.name,
+            "figure": figure,
+            "limit": self.limit,
+            "value": self.value,
+        }
         return limit | {"passed": self.passed}
 
 
@@ -248,12 +293,19 @@ class Report:
     judgements: tuple[Judgement, ...] = ()
 
     @classmethod
-    def of(cls, logs: Sequence[LogReport], options: ReportOptions, unit: str | None) -> Report:
+    def of(
+        cls, logs: Sequence[LogReport], options: ReportOptions, unit: str | None
+    ) -> Report:
         """Put the logs side by side, each with its RMSE as a ratio to the first."""
         unit = None if unit is None else cleaned(unit)
         first = logs[0].figures.rmse if logs else 0.0
         rated = tuple(
-            replace(log, ratio_to_first=_finite(log.figures.rmse / first) if first > 0.0 else None)
+            replace(
+                log,
+                ratio_to_first=_finite(log.figures.rmse / first)
+                if first > 0.0
+                else None,
+            )
             for log in logs
         )
         return cls(unit, options, rated)
@@ -268,12 +320,14 @@ class Report:
     ) -> Report:
         """Return the report with what comes of these limits.
 
-        ``max_rmse`` and ``max_abs`` are in the report's unit, or texts with a unit of their own (``10nm``).
+        ``max_rmse`` and ``max_abs`` are in the report's unit, or texts with a unit of
+        their own (``10nm``).
 
         Raises
         ------
         UsageError
-            ``max_percent_of_range`` where no model says what the range is; a unit that cannot be converted.
+            ``max_percent_of_range`` where no model says what the range is; a unit that
+            cannot be converted.
         """
         unit = f" {self.unit}" if self.unit else ""
         max_rmse = self._limit("max_rmse", max_rmse)
@@ -288,7 +342,13 @@ class Report:
             limits = (
                 ("RMSE", figures.rmse, max_rmse, unit, "max_rmse"),
                 ("largest error", figures.max_abs, max_abs, unit, "max_abs"),
-                ("RMSE", figures.nrmse_percent, max_nrmse_percent, " % of the move", "max_nrmse_percent"),
+                (
+                    "RMSE",
+                    figures.nrmse_percent,
+                    max_nrmse_percent,
+                    " % of the move",
+                    "max_nrmse_percent",
+                ),
                 (
                     "RMSE",
                     log.percent_of_range,
@@ -299,7 +359,9 @@ class Report:
             )
             for title, value, limit, suffix, option in limits:
                 if limit is not None:
-                    judgements.append(Judgement(log.name, title, value, limit, suffix, option))
+                    judgements.append(
+                        Judgement(log.name, title, value, limit, suffix, option)
+                    )
         return replace(self, judgements=tuple(judgements))
 
     def _limit(self, name: str, limit: float | str | None) -> float | None:
@@ -345,7 +407,11 @@ class Report:
         """Return one row a segment; index: the log's name and the segment's number."""
         import pandas as pd
 
-        rows = [{"name": log.name, **part.record()} for log in self.logs for part in log.segments]
+        rows = [
+            {"name": log.name, **part.record()}
+            for log in self.logs
+            for part in log.segments
+        ]
         keys = ["name", "number"]
         return pd.DataFrame(rows, columns=None if rows else keys).set_index(keys)
 
@@ -380,26 +446,31 @@ def evaluate(
         What the log is called in messages and in the report.
     blocks : iterable of SampleBlock
         The rows in order. To compare the rows A to B of two recorded signals, read
-        ``rows_to_read((A, B), lag)``, so that the last desired rows find their measured ones too. A model's
-        prediction depends on all that came before: run the model from the first row and give ``score_rows``.
+        ``rows_to_read((A, B), lag)``, so that the last desired rows find their measured
+        ones too. A model's prediction depends on all that came before: run the model
+        from the first row and give ``score_rows``.
     sample_rate : float, optional
         Samples a second, where the blocks carry no time.
     figure_data : Collector, optional
         Sees every pair, lag taken out; see ``accumulators.FigureData``.
     score_rows : (int, int or None), optional
-        First and last desired row that count, of the rows that come; reading ends behind the last one.
+        First and last desired row that count, of the rows that come; reading ends
+        behind the last one.
     count_sweep : bool
-        Let rows before time 0, where a conditioning sweep stands, take part though others follow. They always
-        do where ``score_rows`` asks for them.
+        Let rows before time 0, where a conditioning sweep stands, take part though
+        others follow. They always do where ``score_rows`` asks for them.
 
     Raises
     ------
     InputError
-        Nothing to compare: no rows, a lag longer than the log, or no sample that is a number.
+        Nothing to compare: no rows, a lag longer than the log, or no sample that is a
+        number.
     UsageError
         ``segment`` in seconds where no time is known; more than 10,000 segments.
     """
-    evaluation = _Evaluation(cleaned(name), options, sample_rate, figure_data, score_rows)
+    evaluation = _Evaluation(
+        cleaned(name), options, sample_rate, figure_data, score_rows
+    )
     if score_rows is not None or count_sweep:
         return evaluation.run(blocks)
     parts = sample_pairs.BeforeZero(blocks)
@@ -419,8 +490,9 @@ def evaluate(
 def check_limits(report: Report, **limits: Any) -> None:
     """Raise LimitError, one line, for the first log that misses a limit; the others are counted in it.
 
-    ``limits`` are the parameters of ``Report.judged``; without any, those it was judged by. A log whose
-    figure is undefined misses its limit: a gate that cannot be judged is not passed.
+    ``limits`` are the parameters of ``Report.judged``; without any, those it was judged
+    by. A log whose figure is undefined misses its limit: a gate that cannot be judged
+    is not passed.
     """
     missed = (report.judged(**limits) if limits else report).missed
     if missed:
@@ -428,11 +500,15 @@ def check_limits(report: Report, **limits: Any) -> None:
         raise LimitError(missed[0].words() + more)
 
 
-SAME_MOVE = 0.01  # of the move: what the ends of a summary's move may differ by from those of the log's
-EQUAL = 1e-6  # of the greater end besides: what figures written with few digits may differ by
-BEYOND_EXPECTED = 2.0  # times the expected error: from which on more came than an expectation may miss
+# of the move: what the ends of a summary's move may differ by from those of the log's
+SAME_MOVE = 0.01
+# of the greater end besides: what figures written with few digits may differ by
+EQUAL = 1e-6
+# times the expected error: from which on more came than an expectation may miss
+BEYOND_EXPECTED = 2.0
 MOSTLY_ZERO = 0.7  # of the RMSE is the mean error: half of its square
-OFFSET_ALONE = 1.0 / 3.0  # of the RMSE is left, at most, without the mean: nine tenths of the square are its
+# of the RMSE is left, at most, without the mean: nine tenths of the square are its
+OFFSET_ALONE = 1.0 / 3.0
 
 
 @dataclass(frozen=True)
@@ -449,7 +525,11 @@ class _Evaluation:
         """Take all blocks and return the figures."""
         name, options, figure_data = self.name, self.options, self.figure_data
         blocks, lag, notes = self._paired(blocks)
-        dwells = None if options.dwell is None else sample_pairs.Dwells(name, options.dwell, self.sample_rate)
+        dwells = (
+            None
+            if options.dwell is None
+            else sample_pairs.Dwells(name, options.dwell, self.sample_rate)
+        )
         if dwells is not None:
             blocks = dwells.of(blocks)
         if figure_data is not None:
@@ -479,18 +559,25 @@ class _Evaluation:
                 f"{name}: without the mean error {100.0 * rest / figures.rmse:.0f} % of the RMSE is left: "
                 "where the mean is the sensor's zero, `remove_offset` takes it off"
             )
-        log = LogReport(name, figures, lag, segments=tuple(segments), notes=tuple(notes))
+        log = LogReport(
+            name, figures, lag, segments=tuple(segments), notes=tuple(notes)
+        )
         return _with_concentration(log)
 
-    def _paired(self, blocks: Iterable[SampleBlock]) -> tuple[Iterator[SampleBlock], int, list[str]]:
+    def _paired(
+        self, blocks: Iterable[SampleBlock]
+    ) -> tuple[Iterator[SampleBlock], int, list[str]]:
         """Return the pairs that count, their lag taken out, the lag and the notes on it."""
         lag, rows = self.options.lag, self.score_rows
         notes = []
         if lag == "auto":
-            if rows is not None:  # the lag of the rows that count, from these rows alone
+            # the lag of the rows that count, from these rows alone
+            if rows is not None:
                 blocks, rows = sample_pairs.scored(blocks, rows), None
             lag, blocks = sample_pairs.find_lag(self.name, blocks)
-            notes = [f"{self.name}: measured follows best at a lag of {counted(lag, 'sample')}"]
+            notes = [
+                f"{self.name}: measured follows best at a lag of {counted(lag, 'sample')}"
+            ]
         pairs = sample_pairs.lagged(self.name, blocks, lag)
         return (pairs if rows is None else sample_pairs.scored(pairs, rows)), lag, notes
 
@@ -498,11 +585,17 @@ class _Evaluation:
         segment = self.options.segment
         if segment is None:
             return blocks
-        return cycles(blocks) if segment == "cycles" else spans(blocks, segment, self.sample_rate)
+        return (
+            cycles(blocks)
+            if segment == "cycles"
+            else spans(blocks, segment, self.sample_rate)
+        )
 
     def _metrics(self, *, by_parts: bool = False) -> TrackingMetrics:
         remove_offset, sample_rate = self.options.remove_offset, self.sample_rate
-        return TrackingMetrics(remove_offset=remove_offset, sample_rate=sample_rate, by_parts=by_parts)
+        return TrackingMetrics(
+            remove_offset=remove_offset, sample_rate=sample_rate, by_parts=by_parts
+        )
 
     def _closed(self, metrics: TrackingMetrics, number: int) -> list[Segment]:
         """Return the segment that ends here; none where it holds no number."""
@@ -510,7 +603,9 @@ class _Evaluation:
         if figures is None or metrics.rows is None:
             return []
         if number > MOST_SEGMENTS:
-            raise UsageError(f"{self.name}: more than {MOST_SEGMENTS} segments (`segment` with more SECONDS)")
+            raise UsageError(
+                f"{self.name}: more than {MOST_SEGMENTS} segments (`segment` with more SECONDS)"
+            )
         return [Segment(number, *metrics.rows, figures)]
 
 
@@ -519,9 +614,10 @@ def cycles(
 ) -> Iterator[SampleBlock | None]:
     """Yield the same samples, and None at the end of every cycle of the desired signal but the last.
 
-    A cycle ends at a minimum. Turns smaller than ``part`` of the range seen so far are noise or rest and end
-    none. What follows the lowest sample so far is held back until the signal has risen by that much, at
-    most ``patience`` samples: a longer rest belongs to the cycle before it.
+    A cycle ends at a minimum. Turns smaller than ``part`` of the range seen so far are
+    noise or rest and end none. What follows the lowest sample so far is held back until
+    the signal has risen by that much, at most ``patience`` samples: a longer rest
+    belongs to the cycle before it.
     """
     turns = _Turns(part)
     held: list[SampleBlock] = []
@@ -545,10 +641,13 @@ def spans(
 ) -> Iterator[SampleBlock | None]:
     """Yield the same samples, and None at the end of every span of ``seconds`` but the last.
 
-    Without times, a span is ``seconds * sample_rate`` samples (UsageError where that is not known either).
+    Without times, a span is ``seconds * sample_rate`` samples (UsageError where that is
+    not known either).
     """
     if not seconds > 0.0:
-        raise UsageError(f"`segment` {seconds:g}: a segment must last longer than 0 seconds")
+        raise UsageError(
+            f"`segment` {seconds:g}: a segment must last longer than 0 seconds"
+        )
     origin, current, position = math.nan, 0.0, 0
     for block in blocks:
         if block.time is not None:
@@ -556,12 +655,17 @@ def spans(
         elif sample_rate is not None:
             time = (position + np.arange(len(block))) / sample_rate
         else:
-            raise UsageError("`segment` in seconds needs a time column or `sample_rate`")
+            raise UsageError(
+                "`segment` in seconds needs a time column or `sample_rate`"
+            )
         position += len(block)
         if math.isnan(origin):
             origin = float(time[0])
-        # a clock that restarts or steps back must not open a segment twice: only forward steps cut
-        number = np.fmax.accumulate(np.concatenate([[current], np.floor((time - origin) / seconds + 1e-9)]))
+        # a clock that restarts or steps back must not open a segment twice: only
+        # forward steps cut
+        number = np.fmax.accumulate(
+            np.concatenate([[current], np.floor((time - origin) / seconds + 1e-9)])
+        )
         current = float(number[-1])
         done = 0
         for place in np.flatnonzero(np.diff(number)).tolist():
@@ -579,7 +683,8 @@ class _Turns:
         self._part, self._seen = part, 0
         self._low, self._high = math.inf, -math.inf
         self._falling, self._extreme = True, math.inf
-        self.candidate = 0  # stream position before which no minimum can be found any more
+        # stream position before which no minimum can be found any more
+        self.candidate = 0
 
     def minima(self, desired: Floats) -> list[int]:
         """Return the stream positions of the minima that this block confirms."""
@@ -620,7 +725,9 @@ def digits(value: float | None, places: int = 4, factor: float = 1.0) -> str:
     return f"{value:.0f}" if "e" in text else text.rstrip(".")
 
 
-def judged_by_expected(log: LogReport, expected: Expected, unit: str | None = None) -> LogReport:
+def judged_by_expected(
+    log: LogReport, expected: Expected, unit: str | None = None
+) -> LogReport:
     """Return a log with what was expected of it, and a warning where far more came, or another move.
 
     ``unit`` is that of the comparison.
@@ -632,7 +739,9 @@ def judged_by_expected(log: LogReport, expected: Expected, unit: str | None = No
             text = f"{log.name}: {expected.source} states no expected error"
             return replace(log, expected=expected, warnings=(*log.warnings, text))
         suffix = f" {unit}" if unit else ""
-        expected, another = expected.of_move(figures.desired_min, figures.desired_max, suffix)
+        expected, another = expected.of_move(
+            figures.desired_min, figures.desired_max, suffix
+        )
     log = replace(log, expected=expected)
     if another is not None:
         return replace(log, warnings=(*log.warnings, f"{log.name}: {another}"))
@@ -686,9 +795,15 @@ def _finite(value: float) -> float | None:
 
 def _nothing(name: str, labels: tuple[str, str], missing: list[int]) -> str:
     total = max(missing)
-    empty = [label for label, count in zip(labels, missing, strict=True) if count == total]
+    empty = [
+        label for label, count in zip(labels, missing, strict=True) if count == total
+    ]
     if len(empty) == 1 and min(missing) < total:
-        column = f"another column with `{empty[0]}`" if empty[0] != "model" else "other columns or `rows`"
+        column = (
+            f"another column with `{empty[0]}`"
+            if empty[0] != "model"
+            else "other columns or `rows`"
+        )
         return f"{name}: {empty[0]} holds no number in {total} rows (choose {column})"
     return f"{name}: no row has a number in both {labels[0]} and {labels[1]} (choose other columns or `rows`)"
 
@@ -697,7 +812,11 @@ def _notes(name: str, labels: tuple[str, str], figures: TrackingFigures) -> list
     notes = []
     if figures.not_finite:
         count = counted(figures.not_finite, "sample")
-        notes.append(f"{name}: {count} without a number in {labels[0]} or {labels[1]} left out")
+        notes.append(
+            f"{name}: {count} without a number in {labels[0]} or {labels[1]} left out"
+        )
     if figures.nrmse_percent is None:
-        notes.append(f"{name}: {labels[0]} never changes, so NRMSE, loop width and lag are undefined")
+        notes.append(
+            f"{name}: {labels[0]} never changes, so NRMSE, loop width and lag are undefined"
+        )
     return notes

@@ -1,7 +1,8 @@
 """Pairs of desired and measured samples: joined from two files, checked, and lagged against each other.
 
-A pair is a sample of a block with the roles ``desired`` (what the measurement is compared with: a wish, or a
-model's prediction), ``measured`` and perhaps ``voltage``, which only figures use.
+A pair is a sample of a block with the roles ``desired`` (what the measurement is
+compared with: a wish, or a model's prediction), ``measured`` and perhaps ``voltage``,
+which only figures use.
 """
 
 from __future__ import annotations
@@ -22,8 +23,10 @@ from dbo_cli.logs.sample_block import SampleBlock, joined
 Floats = NDArray[np.float64]
 BATCH = 32768  # samples: four columns of them fit into a cache of 1 MB
 LARGEST = 1e70  # its fourth power is still a number
-LAG_WINDOW = 1 << 18  # samples in which a lag is looked for: 26 s at 10,000 a second, 4 MB
-_AT_THE_END = 1e-6  # of a step: a stamp so little beyond the trajectory's last one is the same stamp
+# samples in which a lag is looked for: 26 s at 10,000 a second, 4 MB
+LAG_WINDOW = 1 << 18
+# of a step: a stamp so little beyond the trajectory's last one is the same stamp
+_AT_THE_END = 1e-6
 SAME = 1e-9  # of the seconds of a dwell: what rounded time stamps may lack
 
 
@@ -34,8 +37,11 @@ def comparable(desired: Floats, measured: Floats) -> NDArray[np.bool_]:
 
 def row_numbers(block: SampleBlock) -> Floats:
     """Return the data row of every sample."""
-    if isinstance(block.rows, range):  # numpy would walk through it one integer at a time
-        return np.arange(block.rows.start, block.rows.stop, block.rows.step, dtype=np.float64)
+    # numpy would walk through it one integer at a time
+    if isinstance(block.rows, range):
+        return np.arange(
+            block.rows.start, block.rows.stop, block.rows.step, dtype=np.float64
+        )
     return block.rows.astype(np.float64)
 
 
@@ -45,7 +51,9 @@ def only(block: SampleBlock, mask: NDArray[np.bool_]) -> SampleBlock:
         return block
     values = {role: column[mask] for role, column in block.values.items()}
     rows = np.asarray(block.rows, dtype=np.int64)[mask]
-    return SampleBlock(rows, None, None if block.time is None else block.time[mask], values)
+    return SampleBlock(
+        rows, None, None if block.time is None else block.time[mask], values
+    )
 
 
 def with_values(block: SampleBlock, **values: Floats) -> SampleBlock:
@@ -72,8 +80,9 @@ def scored(blocks: Iterable[SampleBlock], rows: Rows) -> Iterator[SampleBlock]:
 class BeforeZero:
     """Tell the rows before time 0, with which a log may begin, from those of the trajectory itself.
 
-    A conditioning sweep stands there, and says nothing about tracking. Nothing is held back: whoever has
-    worked on ``before()`` learns from ``found`` whether the trajectory is still to come from ``after()``.
+    A conditioning sweep stands there, and says nothing about tracking. Nothing is held
+    back: whoever has worked on ``before()`` learns from ``found`` whether the
+    trajectory is still to come from ``after()``.
 
     Attributes
     ----------
@@ -103,7 +112,10 @@ class BeforeZero:
             if stop:
                 yield block.part(0, stop)
             if len(reached):
-                self.found, self._blocks = True, chain([block.part(stop, len(block))], self._blocks)
+                self.found, self._blocks = (
+                    True,
+                    chain([block.part(stop, len(block))], self._blocks),
+                )
                 return
 
     def after(self) -> Iterator[SampleBlock]:
@@ -115,10 +127,11 @@ class BeforeZero:
 class TrajectoryMatch:
     """Give every sample of a recording the desired value that belongs to it.
 
-    By time, the desired signal is interpolated linearly at the recording's times; what lies outside the
-    trajectory's time, or goes back in time, takes no part. By rows, the first recorded row belongs to the
-    first of the trajectory, and the time is the trajectory's, where it has one; what one of them has more
-    takes no part. Both are read once and side by side, never held whole, and how they are cut into blocks
+    By time, the desired signal is interpolated linearly at the recording's times; what
+    lies outside the trajectory's time, or goes back in time, takes no part. By rows,
+    the first recorded row belongs to the first of the trajectory, and the time is the
+    trajectory's, where it has one; what one of them has more takes no part. Both are
+    read once and side by side, never held whole, and how they are cut into blocks
     changes no digit.
 
     Parameters
@@ -166,7 +179,9 @@ class TrajectoryMatch:
             yield pair
         if not is_beyond:
             if not self.by_time:
-                raise InputError(f"{self.name}: no row to compare with {self.trajectory_name}")
+                raise InputError(
+                    f"{self.name}: no row to compare with {self.trajectory_name}"
+                )
             raise InputError(
                 f"{self.name}: no sample lies within the times of {self.trajectory_name}"
                 " (where their clocks differ, `match` them by rows)"
@@ -177,14 +192,19 @@ class TrajectoryMatch:
         notes = []
         if self.left_out:
             what = "outside the time of" if self.by_time else "more than in"
-            notes.append(f"{self.name}: {self.left_out:,} rows {what} {self.trajectory_name} take no part")
+            notes.append(
+                f"{self.name}: {self.left_out:,} rows {what} {self.trajectory_name} take no part"
+            )
         if self.goes_on:
-            notes.append(f"{self.trajectory_name}: goes on behind the last row of {self.name}")
+            notes.append(
+                f"{self.trajectory_name}: goes on behind the last row of {self.name}"
+            )
         return notes
 
     def _pairs_by_time(self) -> Iterator[SampleBlock]:
         times, values = np.empty(0), np.empty(0)
-        reached = -math.inf  # the recording's latest time; a sample before it has no place any more
+        # the recording's latest time; a sample before it has no place any more
+        reached = -math.inf
         for block in self.recording:
             if not len(block):
                 continue
@@ -200,23 +220,30 @@ class TrajectoryMatch:
                 self.left_out += len(block)
                 continue
             last_step = float(times[-1] - times[-2]) if len(times) > 1 else 0.0
-            inside = (block.time >= times[0]) & (block.time <= times[-1] + _AT_THE_END * last_step)
+            inside = (block.time >= times[0]) & (
+                block.time <= times[-1] + _AT_THE_END * last_step
+            )
             inside &= block.time >= onward[:-1]
             self.left_out += int(len(block) - np.count_nonzero(inside))
             if inside.any():
                 desired, _ = interpolated(times, values, block.time)
                 yield only(with_values(block, desired=desired), inside)
-            # two stay: the one to interpolate from, and one more, whose step tells where the end is
+            # two stay: the one to interpolate from, and one more, whose step tells
+            # where the end is
             keep = max(int(np.searchsorted(times, reached, side="right")) - 2, 0)
             times, values = times[keep:], values[keep:]
 
-    def _appended(self, times: Floats, values: Floats, block: SampleBlock) -> tuple[Floats, Floats]:
+    def _appended(
+        self, times: Floats, values: Floats, block: SampleBlock
+    ) -> tuple[Floats, Floats]:
         assert block.time is not None
         together = np.concatenate([times, block.time])
         back = np.flatnonzero(np.diff(together[max(len(times) - 1, 0) :]) < 0.0)
         if len(back):
             place = block.place(self.trajectory_name, int(back[0]) + (len(times) == 0))
-            raise InputError(f"{place}: time goes backwards (cut the trajectory there, or `match` by rows)")
+            raise InputError(
+                f"{place}: time goes backwards (cut the trajectory there, or `match` by rows)"
+            )
         return together, np.concatenate([values, block.values["desired"]])
 
     def _pairs_by_row(self) -> Iterator[SampleBlock]:
@@ -232,7 +259,9 @@ class TrajectoryMatch:
                 count = min(len(block) - done, len(wanted))
                 part, partner = block.part(done, done + count), wanted.part(0, count)
                 time = part.time if partner.time is None else partner.time
-                yield with_values(replace(part, time=time), desired=partner.values["desired"])
+                yield with_values(
+                    replace(part, time=time), desired=partner.values["desired"]
+                )
                 done, wanted = done + count, wanted.part(count, len(wanted))
         left = wanted is not None and len(wanted) > 0
         self.goes_on = left or next(self._coming, None) is not None
@@ -241,7 +270,8 @@ class TrajectoryMatch:
 def lagged(name: str, blocks: Iterable[SampleBlock], lag: int) -> Iterator[SampleBlock]:
     """Pair every desired sample with the one measured ``lag`` samples later (earlier where negative).
 
-    ``|lag|`` samples are held back, no more. Raises InputError where nothing is left to compare.
+    ``|lag|`` samples are held back, no more. Raises InputError where nothing is left to
+    compare.
     """
     late, early = max(lag, 0), max(-lag, 0)
     last: SampleBlock | None = None
@@ -265,12 +295,15 @@ def lagged(name: str, blocks: Iterable[SampleBlock], lag: int) -> Iterator[Sampl
         )
 
 
-def find_lag(name: str, blocks: Iterable[SampleBlock]) -> tuple[int, Iterator[SampleBlock]]:
+def find_lag(
+    name: str, blocks: Iterable[SampleBlock]
+) -> tuple[int, Iterator[SampleBlock]]:
     """Return the lag in samples at which measured follows desired best, and all blocks once more.
 
-    The lag with the least offset-free RMSE over the first ``LAG_WINDOW`` samples, which are held in memory
-    meanwhile; searched up to the first zero of the desired signal's autocorrelation (a quarter of a period
-    of a sine), so that a periodic signal is not matched with its next period.
+    The lag with the least offset-free RMSE over the first ``LAG_WINDOW`` samples, which
+    are held in memory meanwhile; searched up to the first zero of the desired signal's
+    autocorrelation (a quarter of a period of a sine), so that a periodic signal is not
+    matched with its next period.
     """
     source = iter(blocks)
     window: list[SampleBlock] = []
@@ -282,7 +315,9 @@ def find_lag(name: str, blocks: Iterable[SampleBlock]) -> tuple[int, Iterator[Sa
             break
     if not samples:
         return 0, iter(window)
-    desired, measured = (joined(window).values[role][:LAG_WINDOW] for role in ("desired", "measured"))
+    desired, measured = (
+        joined(window).values[role][:LAG_WINDOW] for role in ("desired", "measured")
+    )
     finite = comparable(desired, measured)
     if not finite.any():
         raise InputError(f"{name}: no sample is a number, so no lag can be found")
@@ -359,8 +394,12 @@ def _best_lag(desired: Floats, measured: Floats) -> int:
     head_dd, head_mm = _heads(desired * desired), _heads(measured * measured)
     late, early = np.maximum(lags, 0), np.maximum(-lags, 0)
     error = (
-        (head_mm[n - early] - head_mm[late]) + (head_dd[n - late] - head_dd[early]) - 2.0 * cross[lags]
-    ) / overlap - ((head_m[n - early] - head_m[late] - head_d[n - late] + head_d[early]) / overlap) ** 2
+        (head_mm[n - early] - head_mm[late])
+        + (head_dd[n - late] - head_dd[early])
+        - 2.0 * cross[lags]
+    ) / overlap - (
+        (head_m[n - early] - head_m[late] - head_d[n - late] + head_d[early]) / overlap
+    ) ** 2
     best = np.flatnonzero(error <= error.min() + 1e-12 * auto[0] / n)
     return int(lags[best[np.argmin(np.abs(lags[best]))]])
 
@@ -408,10 +447,13 @@ class Dwells:
                 raise InputError(
                     f"{self._name}: no time is given, and `dwell` depends on it (`time` or `sample_rate` HZ)"
                 )
-            new = desired != np.concatenate([[level], desired[:-1]])  # a blank is never held
+            # a blank is never held
+            new = desired != np.concatenate([[level], desired[:-1]])
             begun = np.maximum.accumulate(np.where(new, np.arange(len(block)), -1))
             start = np.where(begun >= 0, time[begun], since)
-            dwelling = only(block, ~new & (time - start >= self._seconds * (1.0 - SAME)))
+            dwelling = only(
+                block, ~new & (time - start >= self._seconds * (1.0 - SAME))
+            )
             level, since = float(desired[-1]), float(start[-1])
             self.read += len(block)
             self.kept += len(dwelling)

@@ -18,7 +18,9 @@ def require_display() -> None:
     """Refuse where no window can be opened (UsageError): before any long work."""
     displays = [name for name in ("DISPLAY", "WAYLAND_DISPLAY") if os.environ.get(name)]
     if sys.platform.startswith(("linux", "freebsd")) and not displays:
-        raise UsageError("`show`: there is no display to open a window on (`figures` DIR writes files)")
+        raise UsageError(
+            "`show`: there is no display to open a window on (`figures` DIR writes files)"
+        )
 
 
 def show_in_windows(plots: Sequence[Plot]) -> None:
@@ -36,7 +38,9 @@ def show_in_windows(plots: Sequence[Plot]) -> None:
         _switch_to_windows()
         for plot in plots:
             width, height = plot.size[0], plot.size[1] + plot.head
-            figure = pyplot.figure(plot.title, figsize=(SCALE * width, SCALE * height), layout="tight")
+            figure = pyplot.figure(
+                plot.title, figsize=(SCALE * width, SCALE * height), layout="tight"
+            )
             plot.paint(figure.add_subplot())
         pyplot.show(block=True)
         pyplot.close("all")

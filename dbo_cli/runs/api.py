@@ -18,7 +18,13 @@ from dbo_cli.drives.compensation import Compensation, compensation
 from dbo_cli.drives.model_run import ModelRun
 from dbo_cli.errors import DboWarning, InputError, Remarks, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import is_set, model_to_bytes, read_set, read_state, state_to_bytes
+from dbo_cli.hysteresis.model_file import (
+    is_set,
+    model_to_bytes,
+    read_set,
+    read_state,
+    state_to_bytes,
+)
 from dbo_cli.hysteresis.model_file import read_model as read_model_file
 from dbo_cli.hysteresis.model_state import ModelState, Quantity, StartName
 from dbo_cli.hysteresis.operators import Outside
@@ -58,7 +64,8 @@ class Result:
     notes, warnings : list of str
         What is good to know, and what may spoil the result.
     clipped, outside : int
-        Samples in which the drive's limits were met, or which lie outside the model's range.
+        Samples in which the drive's limits were met, or which lie outside the model's
+        range.
     """
 
     values: Floats
@@ -82,7 +89,10 @@ class Model:
     """
 
     def __init__(
-        self, actuator: ActuatorModel, summary: list[str] | None = None, remarks: Remarks | None = None
+        self,
+        actuator: ActuatorModel,
+        summary: list[str] | None = None,
+        remarks: Remarks | None = None,
     ) -> None:
         self.actuator = actuator
         self.summary = summary or []
@@ -90,8 +100,13 @@ class Model:
 
     def __repr__(self) -> str:
         """Return what the model turns into what."""
-        ends = (f"{q.quantity} {q.minimum:g} to {q.maximum:g}{q.suffix}" for q in (self.input, self.output))
-        return f"<dbo Model, {self.direction}: {' to '.join(ends)}, {self.actuator.size}>"
+        ends = (
+            f"{q.quantity} {q.minimum:g} to {q.maximum:g}{q.suffix}"
+            for q in (self.input, self.output)
+        )
+        return (
+            f"<dbo Model, {self.direction}: {' to '.join(ends)}, {self.actuator.size}>"
+        )
 
     @property
     def direction(self) -> str:
@@ -150,7 +165,8 @@ class Model:
         Parameters
         ----------
         state, path
-            What a run returned or ``Controller.state`` holds, and where to, ``state.json``.
+            What a run returned or ``Controller.state`` holds, and where to,
+            ``state.json``.
         """
         request.check_document(path, "a state", "json")
         write_whole(path, state_to_bytes(state, self.actuator))
@@ -200,20 +216,24 @@ class Model:
         Parameters
         ----------
         x : array_like of shape (samples,), DataFrame or file name
-            The input, in the unit of ``input``; an inverse model reads it ahead by its delay.
+            The input, in the unit of ``input``; an inverse model reads it ahead by its
+            delay.
         time, sample_rate
-            Seconds of shape (samples,) or a column's name, or samples a second (Hz); needed by a model with
-            lag, creep or delay.
+            Seconds of shape (samples,) or a column's name, or samples a second (Hz);
+            needed by a model with lag, creep or delay.
         rows : str
-            ``A:B``: the rows to answer, from 1; an inverse model reads what stands after them ahead.
+            ``A:B``: the rows to answer, from 1; an inverse model reads what stands
+            after them ahead.
         state
-            ``auto``, ``empty``, ``full``, ``settled``, a state returned before, or a state file.
+            ``auto``, ``empty``, ``full``, ``settled``, a state returned before, or a
+            state file.
         outside : {"extend", "hold", "error"}
             Beyond the model's range: go on with the last slope, hold, or refuse.
         return_state : bool
             Also return the state after the last sample.
         details : bool
-            Return a ``Result``; otherwise warnings go the way of Python's own (``DboWarning``).
+            Return a ``Result``; otherwise warnings go the way of Python's own
+            (``DboWarning``).
 
         Returns
         -------
@@ -222,8 +242,8 @@ class Model:
         Raises
         ------
         InputError
-            The signal is no array of finite numbers, time is missing or goes backwards, or a sample is
-            outside and that is refused.
+            The signal is no array of finite numbers, time is missing or goes backwards,
+            or a sample is outside and that is refused.
         ModelError
             The state is of another model.
         UsageError
@@ -235,7 +255,9 @@ class Model:
         files.bring_to(source, self.input.quantity, self.input, "the model")
         if outside not in OUTSIDE:
             raise UsageError(f"`outside`: '{outside}' is none of {', '.join(OUTSIDE)}")
-        run = ModelRun(self.actuator, source, files.start_of(state, self.actuator), outside, last)
+        run = ModelRun(
+            self.actuator, source, files.start_of(state, self.actuator), outside, last
+        )
         return _finished(run, return_state, details)
 
     @overload
@@ -265,8 +287,9 @@ class Model:
     ) -> Any:
         """Return the drive that makes the actuator follow a trajectory.
 
-        Delay, limits and start are seen to: ``simulate`` of the drive gives the trajectory back, to rounding;
-        a delay between samples leaves what its interpolation does (0.003 % of a sine with 20 a period).
+        Delay, limits and start are seen to: ``simulate`` of the drive gives the
+        trajectory back, to rounding; a delay between samples leaves what its
+        interpolation does (0.003 % of a sine with 20 a period).
 
         Parameters
         ----------
@@ -275,15 +298,17 @@ class Model:
         time, sample_rate
             As in ``simulate``; needed by ``max_slew``, too.
         rows : str
-            ``A:B``: the rows to answer, from 1; what stands after them is only read ahead.
-        tracked : table, file name, or pair of arrays (voltage, measured); or a list of these
-            The last pass of this trajectory, recorded once or several times: the drive becomes the next one
-            of a repeated move, better by what the recording shows.
+            ``A:B``: the rows to answer, from 1; what stands after them is only read
+            ahead.
+        tracked : table, file name, or pair (voltage, measured); or a list of these
+            The last pass of this trajectory, recorded once or several times: the drive
+            becomes the next one of a repeated move, better by what the recording shows.
         return_state, details
             As in ``simulate``.
         **options
-            What ``DriveOptions`` knows: ``v_min``, ``v_max``, ``max_slew``, ``state``, ``periodic``, … With
-            rows before or after the trajectory the drive is longer than it, and ``details`` has the times.
+            What ``DriveOptions`` knows: ``v_min``, ``v_max``, ``max_slew``, ``state``,
+            ``periodic``, … With rows before or after the trajectory the drive is longer
+            than it, and ``details`` has the times.
 
         Returns
         -------
@@ -292,51 +317,73 @@ class Model:
         Raises
         ------
         InputError, ModelError, UsageError
-            As in ``simulate``; the model is an inverse one; the limits are not in order.
+            As in ``simulate``; the model is an inverse one; the limits are not in
+            order.
         LimitError
-            A limit was met and ``on_limit`` is ``error``, or the drive cannot begin within its limits.
+            A limit was met and ``on_limit`` is ``error``, or the drive cannot begin
+            within its limits.
         """
         from dbo_cli.drives.options import DriveOptions
 
         state = files.start_of(options.get("state", "auto"), self.actuator)
-        brought = {name: options.pop(name) for name in brought_keywords("compensate") if name in options}
+        brought = {
+            name: options.pop(name)
+            for name in brought_keywords("compensate")
+            if name in options
+        }
         if np.size(tracked):
             brought["tracked"] = tracked
-        drive = record_of(DriveOptions, options | {"state": state}, "is no parameter of compensate")
+        drive = record_of(
+            DriveOptions, options | {"state": state}, "is no parameter of compensate"
+        )
         self.actuator.require("forward")
-        read, last = _rows_of(rows, not (brought.get("periodic") or "tracked" in brought))
-        want = {self.output.quantity: files.quantity_wish(self.output, option="wanted", trajectory=True)}
-        source = files.source_of(want, wanted, time=time, sample_rate=sample_rate, rows=read)
+        read, last = _rows_of(
+            rows, not (brought.get("periodic") or "tracked" in brought)
+        )
+        want = {
+            self.output.quantity: files.quantity_wish(
+                self.output, option="wanted", trajectory=True
+            )
+        }
+        source = files.source_of(
+            want, wanted, time=time, sample_rate=sample_rate, rows=read
+        )
         files.bring_to(source, self.output.quantity, self.output, "the model")
         run = compensation(self.actuator, source, drive, brought, last)
         return _finished(run, return_state, details)
 
-    def controller(self, sample_rate: float | None = None, **options: Any) -> Controller:
+    def controller(
+        self, sample_rate: float | None = None, **options: Any
+    ) -> Controller:
         """Return a controller that plans and commits one sample at a time.
 
         Parameters
         ----------
         sample_rate : float, optional
-            Samples a second (Hz); needed by a model with lag or creep and by ``max_slew``.
+            Samples a second (Hz); needed by a model with lag or creep and by
+            ``max_slew``.
         **options
-            ``v_min``, ``v_max``, ``extrapolate``, ``max_slew``, ``state`` and ``from_`` as in ``compensate``,
-            and:
+            ``v_min``, ``v_max``, ``extrapolate``, ``max_slew``, ``state`` and ``from_``
+            as in ``compensate``, and:
         dac : array_like, optional
-            The voltage of every code of a digital-to-analogue converter, from code 0 on; codes are then
-            planned, and the state follows the voltage of the code.
+            The voltage of every code of a digital-to-analogue converter, from code 0
+            on; codes are then planned, and the state follows the voltage of the code.
         ahead : bool
-            A model with a delay needs what is wanted later; with ``ahead`` the caller passes that.
+            A model with a delay needs what is wanted later; with ``ahead`` the caller
+            passes that.
         lookahead : float or "auto"
-            Seconds by which what is passed is wanted later, no less than the model needs (auto): dynamics
-            and delay are undone from it. The controller's ``lookahead`` has the samples.
+            Seconds by which what is passed is wanted later, no less than the model
+            needs (auto): dynamics and delay are undone from it. The controller's
+            ``lookahead`` has the samples.
 
         Raises
         ------
         ModelError
-            The model is an inverse one, or has a delay or dynamics and ``lookahead`` is not given.
+            The model is an inverse one, or has a delay or dynamics and ``lookahead`` is
+            not given.
         UsageError
-            The rate is missing, the limits or the converter's curve are not in order, or ``lookahead`` is
-            shorter than the model needs.
+            The rate is missing, the limits or the converter's curve are not in order,
+            or ``lookahead`` is shorter than the model needs.
         """
         options["state"] = files.start_of(options.get("state", "auto"), self.actuator)
         controller: Controller = extensions.find("run", "control a model")(
@@ -360,7 +407,9 @@ def brought_keywords(command: str) -> list[str]:
     return [option.replace("-", "_") for name, _, option in keys if name == command]
 
 
-def require_known(record: type[DataclassInstance], values: Mapping[str, Any], what: str) -> None:
+def require_known(
+    record: type[DataclassInstance], values: Mapping[str, Any], what: str
+) -> None:
     """Refuse keywords that are no fields of a record of options (UsageError, which lists the fields)."""
     known = {field.name for field in dataclasses.fields(record)}
     for name in values:
@@ -381,7 +430,8 @@ def _finished(run: ModelRun, return_state: bool, details: bool) -> Any:
         expected = run.source.count if isinstance(run.source, ArraySource) else 0
         values = _joined(_outputs(run, times if details else None), expected)
     if isinstance(run, Compensation):
-        run.expecting = details  # playing other models over the move takes longer than the drive itself
+        # playing other models over the move takes longer than the drive itself
+        run.expecting = details
         run.finish()
     remarks = run.remarks()
     assert run.state is not None
@@ -412,7 +462,8 @@ def _outputs(run: ModelRun, times: list[Floats] | None) -> Iterator[Floats]:
 def _joined(blocks: Iterator[Floats], expected: int) -> Floats:
     """Return blocks as one array, which is as long as expected, or longer or shorter.
 
-    Each block is copied and given back before the next is made: memory in use would have to be found anew.
+    Each block is copied and given back before the next is made: memory in use would
+    have to be found anew.
     """
     first = next(blocks, np.empty(0))
     if first.size >= expected:
@@ -424,7 +475,9 @@ def _joined(blocks: Iterator[Floats], expected: int) -> Floats:
     del first
     for block in blocks:
         if filled + block.size > joined.size:
-            joined = np.concatenate([joined[:filled], np.empty(max(filled, block.size))])
+            joined = np.concatenate(
+                [joined[:filled], np.empty(max(filled, block.size))]
+            )
         joined[filled : filled + block.size] = block
         filled += block.size
     return joined if filled == joined.size else joined[:filled]
@@ -450,23 +503,26 @@ def read_log(
     path
         A file, or ``FILE::/group`` of an HDF5 file.
     voltage, displacement, desired, time
-        The columns: a header name, a dataset path, or a number counted from 1; guessed where not given.
+        The columns: a header name, a dataset path, or a number counted from 1; guessed
+        where not given.
     rows
         ``A:B``, data rows counted from 1, both ends included.
     **reading
-        Whatever else ``ReadingOptions`` knows: ``sample_rate``, ``skip_bad``, ``delimiter``, …
+        Whatever else ``ReadingOptions`` knows: ``sample_rate``, ``skip_bad``,
+        ``delimiter``, …
 
     Returns
     -------
     DataFrame
-        Columns ``time`` (s), ``voltage``, ``displacement``, ``desired``, as far as they are there. ``attrs``:
-        ``units`` (by column), ``sample_rate`` (Hz, where no stamps tell the time), ``notes``, and
-        ``provenance`` (name, sha256 and rows).
+        Columns ``time`` (s), ``voltage``, ``displacement``, ``desired``, as far as they
+        are there. ``attrs``: ``units`` (by column), ``sample_rate`` (Hz, where no
+        stamps tell the time), ``notes``, and ``provenance`` (name, sha256 and rows).
 
     Raises
     ------
     InputError
-        The log is absent, unreadable or empty, or holds neither voltage nor displacement.
+        The log is absent, unreadable or empty, or holds neither voltage nor
+        displacement.
     UsageError
         An option is senseless.
     """
@@ -474,11 +530,15 @@ def read_log(
     want = {
         "voltage": column_wish("voltage", voltage, required=False, option="voltage"),
         "desired": column_wish("desired", desired, required=False, option="desired"),
-        "displacement": column_wish("displacement", displacement, required=False, option="displacement"),
+        "displacement": column_wish(
+            "displacement", displacement, required=False, option="displacement"
+        ),
     }
     with open_log(path, want, options, digest=True) as log:
         if not log.columns:  # refused by this, with what there is to choose from
-            open_log(path, files.recording_wishes(voltage, displacement), options).close()
+            open_log(
+                path, files.recording_wishes(voltage, displacement), options
+            ).close()
         frame = _frame(log)
     if list(log.columns) == ["displacement"] and log.unread:
         columns = any_of([f"'{name}'" for name in log.unread])
@@ -495,7 +555,9 @@ def _frame(log: SignalLog) -> pandas.DataFrame:
     import pandas as pd
 
     block = log.read()
-    stamps = {"time": block.time} if block.time is not None and log.even_rate is None else {}
+    stamps = (
+        {"time": block.time} if block.time is not None and log.even_rate is None else {}
+    )
     frame = pd.DataFrame(stamps | dict(block.values))
     units = {role: column.unit for role, column in log.columns.items()}
     frame.attrs |= {
@@ -532,45 +594,53 @@ def identify(
     Parameters
     ----------
     log : array_like, DataFrame, file name, or a list of tables and files
-        The drive voltage of shape (samples,) beside ``displacement``; or one or more logs of one actuator.
+        The drive voltage of shape (samples,) beside ``displacement``; or one or more
+        logs of one actuator.
     displacement : array_like of shape (samples,), optional
         The measured displacement, where ``log`` is the voltage.
     voltage, displacement : str, optional
-        The columns of tables and files, else guessed; patterns (``V{}``, ``D{}``) name many channels'.
+        The columns of tables and files, else guessed; patterns (``V{}``, ``D{}``) name
+        many channels'.
     time, sample_rate
-        Seconds of shape (samples,), of tables and files the column; or samples a second (Hz) without one.
+        Seconds of shape (samples,), of tables and files the column; or samples a second
+        (Hz) without one.
     validate
         Another log, or a list of logs, to say how well the model predicts.
     prior : Model or file name, optional
-        Keep the shape of this model, and find its gain, offset and lag again from a short log; for channels
-        a ``ModelSet`` or the file of one.
+        Keep the shape of this model, and find its gain, offset and lag again from a
+        short log; for channels a ``ModelSet`` or the file of one.
     voltage_unit, displacement_unit : str, optional
         Units of arrays, for the model to carry.
     uncertainty : array_like of shape (samples,), or str
-        The displacement's standard deviation row by row, in its unit (of tables and files the column): rows
-        count by 1 over its square.
+        The displacement's standard deviation row by row, in its unit (of tables and
+        files the column): rows count by 1 over its square.
     jobs, shared_shape, coupling
-        For channels: processes (change no result; a script that asks for several needs the usual
-        ``if __name__ == "__main__":``); one loop shape for all; and how much each shows in the others, from a
-        log in which all move (``excite --channels``).
+        For channels: processes (change no result; a script that asks for several needs
+        the usual ``if __name__ == "__main__":``); one loop shape for all; and how much
+        each shows in the others, from a log in which all move (``excite --channels``).
     **options
-        What ``IdentificationOptions`` knows (``gears``, ``delay``, …); all else is found on data left out.
+        What ``IdentificationOptions`` knows (``gears``, ``delay``, …); all else is
+        found on data left out.
 
     Returns
     -------
     Model, or of patterns a ModelSet
-        With ``summary`` and ``warnings``; warnings also go the way of Python's own (``DboWarning``).
+        With ``summary`` and ``warnings``; warnings also go the way of Python's own
+        (``DboWarning``).
 
     Raises
     ------
     InputError, FitError, UsageError
-        A log cannot be read; nothing trustworthy can be identified; options contradict each other or a log.
+        A log cannot be read; nothing trustworthy can be identified; options contradict
+        each other or a log.
     """
     from dbo_cli.hysteresis.identification import IdentificationOptions
     from dbo_cli.runs.identifying import IdentifyRun
 
     fixed = record_of(IdentificationOptions, options, "is no parameter of identify")
-    logs, columns = _given(log, displacement, voltage, time, sample_rate, voltage_unit, displacement_unit)
+    logs, columns = _given(
+        log, displacement, voltage, time, sample_rate, voltage_unit, displacement_unit
+    )
     if uncertainty is not None:
         uncertainty = _column_of_uncertainty(logs, uncertainty)
     reading = ReadingOptions(time=_column(time), sample_rate=sample_rate)
@@ -595,14 +665,24 @@ def _chosen(**switches: bool) -> dict[str, bool]:
 
 
 def _given(
-    log: Any, displacement: Any, voltage: str | None, time: Any, sample_rate: float | None, *units: str | None
+    log: Any,
+    displacement: Any,
+    voltage: str | None,
+    time: Any,
+    sample_rate: float | None,
+    *units: str | None,
 ) -> tuple[list[Any], tuple[str | None, str | None]]:
     """Return logs, or the one that two arrays are, and the columns that were named."""
     if displacement is None or voltage is not None or isinstance(displacement, str):
         return _addressed(log), (voltage, displacement)
     roles = ("voltage", "displacement")
     named = dict(zip(roles, units, strict=True))
-    source = ArraySource(dict(zip(roles, (log, displacement), strict=True)), time, sample_rate, units=named)
+    source = ArraySource(
+        dict(zip(roles, (log, displacement), strict=True)),
+        time,
+        sample_rate,
+        units=named,
+    )
     return [source], (None, None)
 
 
@@ -619,10 +699,14 @@ def _column_of_uncertainty(logs: Sequence[Any], uncertainty: Any) -> str | None:
     arrays = logs[0] if isinstance(logs[0], ArraySource) else None
     if isinstance(uncertainty, str):
         if arrays is not None:
-            raise UsageError("`uncertainty`: beside arrays of voltage and displacement it is an array, too")
+            raise UsageError(
+                "`uncertainty`: beside arrays of voltage and displacement it is an array, too"
+            )
         return uncertainty
     if arrays is None:
-        raise UsageError("`uncertainty`: of tables and files it is the name of a column")
+        raise UsageError(
+            "`uncertainty`: of tables and files it is the name of a column"
+        )
     arrays.add("uncertainty", uncertainty, arrays.columns["displacement"].unit)
     return None
 
@@ -659,7 +743,8 @@ def read_model(path: str | os.PathLike[str]) -> Any:
     Raises
     ------
     InputError, ModelError
-        The file cannot be read, is no model, or contradicts itself; the message names file and key.
+        The file cannot be read, is no model, or contradicts itself; the message names
+        file and key.
     """
     if is_set(os.fspath(path)):
         return extensions.find("run", "set from Python")(read_set(os.fspath(path)))
@@ -679,7 +764,9 @@ def simulate(model: Model | str | os.PathLike[str], x: Any, **options: Any) -> A
     return _model(model).simulate(x, **options)
 
 
-def compensate(model: Model | str | os.PathLike[str], wanted: Any, **options: Any) -> Any:
+def compensate(
+    model: Model | str | os.PathLike[str], wanted: Any, **options: Any
+) -> Any:
     """Return the drive that makes an actuator follow a trajectory.
 
     Parameters
@@ -708,9 +795,9 @@ def report(
 
     Parameters
     ----------
-    wanted : array_like of shape (samples,), DataFrame, file name, or a list of tables and file names
-        The desired displacement beside ``measured``; with ``model`` the drive voltage it predicts from; or
-        one or several tables and logs that hold both columns.
+    wanted : array_like of shape (samples,), DataFrame, file name, or a list of these
+        The desired displacement beside ``measured``; with ``model`` the drive voltage
+        it predicts from; or one or several tables and logs that hold both columns.
     measured : array_like of shape (samples,), optional
         The measured displacement.
     time, sample_rate
@@ -722,14 +809,16 @@ def report(
     unit, name : str, optional
         Unit and name of arrays.
     **options
-        What ``TrackingOptions`` knows: ``lag``, ``remove_offset``, ``segment``, ``dwell``, ``trajectory``,
-        ``match``, ``count_sweep``, ``desired``; and how tables and files are to be read. ``rows`` are the
-        desired rows that count; a model is run from the first row on.
+        What ``TrackingOptions`` knows: ``lag``, ``remove_offset``, ``segment``,
+        ``dwell``, ``trajectory``, ``match``, ``count_sweep``, ``desired``; and how
+        tables and files are to be read. ``rows`` are the desired rows that count; a
+        model is run from the first row on.
 
     Returns
     -------
     TrackingReport
-        ``report`` holds the numbers; ``to_frame()``, ``to_html()``, ``figures(folder)`` and so on show them.
+        ``report`` holds the numbers; ``to_frame()``, ``to_html()``, ``figures(folder)``
+        and so on show them.
 
     Raises
     ------
@@ -741,11 +830,23 @@ def report(
     logs = [] if measured is not None else _logs(wanted)
     tracked = _tracking_options(options, logs, voltage, time)
     predicting = None if model is None else _model(model).actuator
-    tracking = TrackingRun(tracked.scoring(predicting is not None), predicting, traced=True)
-    reading = _reading(_column(time), options.pop("rows", None), options | {"sample_rate": sample_rate})
+    tracking = TrackingRun(
+        tracked.scoring(predicting is not None), predicting, traced=True
+    )
+    reading = _reading(
+        _column(time), options.pop("rows", None), options | {"sample_rate": sample_rate}
+    )
     if not logs:
         first = "desired" if predicting is None else "voltage"
-        logs = [_pair({first: wanted, "measured": measured}, voltage, time, reading.sample_rate, unit)]
+        logs = [
+            _pair(
+                {first: wanted, "measured": measured},
+                voltage,
+                time,
+                reading.sample_rate,
+                unit,
+            )
+        ]
     names = files.short_names(logs)
     for number, log in enumerate(logs, 1):
         called = name if len(logs) < 2 else f"{name} {number}"
@@ -755,7 +856,11 @@ def report(
 
 
 def _pair(
-    signals: dict[str, Any], drive: Any, time: Any, sample_rate: float | None, unit: str | None
+    signals: dict[str, Any],
+    drive: Any,
+    time: Any,
+    sample_rate: float | None,
+    unit: str | None,
 ) -> ArraySource:
     """Return two arrays as a log, and the drive beside them; refuse one alone (InputError)."""
     if signals["measured"] is None:
@@ -763,7 +868,9 @@ def _pair(
             "what was measured is missing: give two arrays, or a table or file with both columns"
         )
     signals |= {} if drive is None or "voltage" in signals else {"voltage": drive}
-    return ArraySource(signals, time, sample_rate, units={"desired": unit, "measured": unit})
+    return ArraySource(
+        signals, time, sample_rate, units={"desired": unit, "measured": unit}
+    )
 
 
 def _column(time: Any) -> str | None:
@@ -780,11 +887,15 @@ def _tracking_options(
     values = {key: options.pop(key) for key in known & options.keys()}
     if values.get("trajectory") is not None:
         if not logs or not all(isinstance(log, Address) for log in logs):
-            raise UsageError("`trajectory` belongs to a log in a file; of arrays, give both signals")
+            raise UsageError(
+                "`trajectory` belongs to a log in a file; of arrays, give both signals"
+            )
         values["trajectory"] = request.parse_address(values["trajectory"])
     for role, column in {"voltage": voltage, "time": time}.items():
         if logs and not isinstance(column, str | int | None):
-            raise UsageError(f"`{role}`: beside tables and files give the name or number of their column")
+            raise UsageError(
+                f"`{role}`: beside tables and files give the name or number of their column"
+            )
     return TrackingOptions(**values | {"voltage": voltage if logs else None})
 
 
@@ -794,11 +905,19 @@ def _model(model: Model | str | os.PathLike[str]) -> Model:
         return model
     actuator = read_model_file(os.fspath(model))
     warnings = actuator.fit.get("warnings")
-    return Model(actuator, remarks=Remarks(warnings=list(warnings) if isinstance(warnings, list) else []))
+    return Model(
+        actuator,
+        remarks=Remarks(warnings=list(warnings) if isinstance(warnings, list) else []),
+    )
 
 
-def _reading(time: str | None, rows: str | None, options: dict[str, Any]) -> ReadingOptions:
-    values = options | {"time": time, "rows": ALL_ROWS if rows is None else request.parse_rows(rows)}
+def _reading(
+    time: str | None, rows: str | None, options: dict[str, Any]
+) -> ReadingOptions:
+    values = options | {
+        "time": time,
+        "rows": ALL_ROWS if rows is None else request.parse_rows(rows),
+    }
     return record_of(ReadingOptions, values, "says nothing about reading a log")
 
 
@@ -810,4 +929,7 @@ def _logs(logs: Any) -> list[Any]:
 
 def _addressed(logs: Any) -> list[Any]:
     """Return logs, one or a list of them, the names of files taken apart."""
-    return [request.parse_address(log) if is_file(log) else log for log in ([logs] if is_log(logs) else logs)]
+    return [
+        request.parse_address(log) if is_file(log) else log
+        for log in ([logs] if is_log(logs) else logs)
+    ]

@@ -10,14 +10,27 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dbo_cli.drives.check import CheckedDrive, check_drive, check_played, played_tolerance, require_voltages
+from dbo_cli.drives.check import (
+    CheckedDrive,
+    check_drive,
+    check_played,
+    played_tolerance,
+    require_voltages,
+)
 from dbo_cli.drives.gate import Floats
 from dbo_cli.drives.options import Figure, check_gain, limits_in, plain_in
 from dbo_cli.errors import LimitError, Remarks, UsageError, plain
 from dbo_cli.hysteresis.model_state import DriveLimits
 from dbo_cli.logs.columns import column_wish
 from dbo_cli.logs.plain_text import cleaned, counted
-from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, check_document, selected_files
+from dbo_cli.logs.request import (
+    ALL_ROWS,
+    Address,
+    Given,
+    ReadingOptions,
+    check_document,
+    selected_files,
+)
 from dbo_cli.logs.sample_block import DroppedRows, SampleBlock, even_step, joined
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.sources import remarks_of
@@ -29,10 +42,11 @@ from dbo_cli.logs.whole_output import check_output, write_whole
 class CheckOptions:
     """What a drive is checked for.
 
-    Limits are infinite where not given; numbers are in the unit of the drive's file, which may then have no
-    prefix (100 may mean volts where the file has kV), and texts have their own (``"1.2kV"``).
-    With ``against``, the drive is a recording of what was played, and ``against`` the file of what was to be;
-    ``gain`` is that of an amplifier between the two places. ``voltage`` is the drive's column.
+    Limits are infinite where not given; numbers are in the unit of the drive's file,
+    which may then have no prefix (100 may mean volts where the file has kV), and texts
+    have their own (``"1.2kV"``). With ``against``, the drive is a recording of what was
+    played, and ``against`` the file of what was to be; ``gain`` is that of an amplifier
+    between the two places. ``voltage`` is the drive's column.
     """
 
     v_min: Figure = None
@@ -49,7 +63,9 @@ class CheckOptions:
         """Refuse a gain of nothing, and one of no recording."""
         check_gain(self.gain)
         if self.gain != 1.0 and self.against is None:
-            raise UsageError("`gain` is that behind a recording (`against` FILE is the drive it is of)")
+            raise UsageError(
+                "`gain` is that behind a recording (`against` FILE is the drive it is of)"
+            )
 
     def limits_in(self, unit: str | None) -> DriveLimits:
         """Return the limits in the unit of the drive.
@@ -72,18 +88,25 @@ class CheckOptions:
     @property
     def has_plain_limits(self) -> bool:
         """Whether any limit is a number without a unit."""
-        return any(limit is not None and not isinstance(limit, str) for limit in self.figures)
+        return any(
+            limit is not None and not isinstance(limit, str) for limit in self.figures
+        )
 
 
 def check_file(
-    drive: Address, output: Address, form: str | None, reading: ReadingOptions, options: CheckOptions
+    drive: Address,
+    output: Address,
+    form: str | None,
+    reading: ReadingOptions,
+    options: CheckOptions,
 ) -> Remarks:
     """Write what is wrong with a drive, as text or JSON (``dbo-check``).
 
     Raises
     ------
     LimitError
-        A limit is broken, or something else was played; the report is written all the same.
+        A limit is broken, or something else was played; the report is written all the
+        same.
     """
     against = options.against
     chosen = form or ("json" if output.text.lower().endswith(".json") else "text")
@@ -98,15 +121,26 @@ def check_file(
     remarks = read.remarks
     most, slack = None, 0.0
     if against is not None:
-        # The drive was written in the voltages that are meant: a scale belongs to the recording.
+        # The drive was written in the voltages that are meant: a scale belongs to the
+        # recording.
         whole = dataclasses.replace(reading, rows=ALL_ROWS, time=None, scale=())
         meant = _read(against, None, whole, unit)
         remarks.add(meant.remarks)
-        problems = read.dropped + [f"{against.name}: {problem}" for problem in meant.problems]
-        most = None if options.tolerance is None else in_unit("tolerance", options.tolerance, unit)
-        slack = played_tolerance(meant.values, values * options.gain, most) / abs(options.gain)
+        problems = read.dropped + [
+            f"{against.name}: {problem}" for problem in meant.problems
+        ]
+        most = (
+            None
+            if options.tolerance is None
+            else in_unit("tolerance", options.tolerance, unit)
+        )
+        slack = played_tolerance(meant.values, values * options.gain, most) / abs(
+            options.gain
+        )
         meant_rows = meant.block.rows
-        require_voltages(meant.values, lambda row: f"{against.name}: row {meant_rows[row]:,}")
+        require_voltages(
+            meant.values, lambda row: f"{against.name}: row {meant_rows[row]:,}"
+        )
     suffix = f" {unit}" if unit else ""
     checked = check_drive(
         values,
@@ -120,11 +154,23 @@ def check_file(
     )
     checked.problems[:0] = map(cleaned, problems)
     if against is not None:
-        check_played(checked, meant.values, values, (meant.step, read.step), most, options.gain, suffix)
+        check_played(
+            checked,
+            meant.values,
+            values,
+            (meant.step, read.step),
+            most,
+            options.gain,
+            suffix,
+        )
     name = cleaned(drive.name)
     if unit is None and options.has_plain_limits:
         column = cleaned(read.column)
-        remarks.note([f"{name}: column '{column}' has no unit: limits are taken in what its figures count"])
+        remarks.note(
+            [
+                f"{name}: column '{column}' has no unit: limits are taken in what its figures count"
+            ]
+        )
     elif note := plain_in(unit, *options.figures):
         remarks.note([f"{name}: {note}"])
     if checked.outside:
@@ -135,7 +181,11 @@ def check_file(
         )
     write_whole(output, _report(name, checked, unit, chosen).encode(), protect=inputs)
     if checked.problems:
-        more_of = f" (and {len(checked.problems) - 1} more)" if len(checked.problems) > 1 else ""
+        more_of = (
+            f" (and {len(checked.problems) - 1} more)"
+            if len(checked.problems) > 1
+            else ""
+        )
         raise LimitError(f"{name}: {checked.problems[0]}{more_of}")
     return remarks
 
@@ -159,7 +209,10 @@ def _report(name: str, checked: CheckedDrive, unit: str | None, form: str) -> st
 
 def _finite(figures: dict[str, Any]) -> dict[str, Any]:
     """Return figures as JSON has them: there is no infinity in it."""
-    return {key: None if value is not None and math.isinf(value) else value for key, value in figures.items()}
+    return {
+        key: None if value is not None and math.isinf(value) else value
+        for key, value in figures.items()
+    }
 
 
 class _Drive(NamedTuple):
@@ -201,11 +254,16 @@ class _Drive(NamedTuple):
 
 
 def _read(
-    address: Address, voltage: str | None, reading: ReadingOptions, wanted: str | None = None
+    address: Address,
+    voltage: str | None,
+    reading: ReadingOptions,
+    wanted: str | None = None,
 ) -> _Drive:
     """Return a drive read whole (in ``wanted``, where both units are known)."""
     options = dataclasses.replace(reading, skip_bad=True)
-    with open_log(address, {"voltage": column_wish("voltage", voltage, option="voltage")}, options) as log:
+    with open_log(
+        address, {"voltage": column_wish("voltage", voltage, option="voltage")}, options
+    ) as log:
         if wanted is not None and log.columns["voltage"].unit is not None:
             log.convert("voltage", wanted, "the recording is")
         block = joined(list(log.blocks()))
@@ -214,12 +272,22 @@ def _read(
             step = even_step(block.time)
         column = log.columns["voltage"]
         remarks = remarks_of(log)
-        return _Drive(block, column.unit, column.name, step, _named(log.dropped), log.doubtful, remarks)
+        return _Drive(
+            block,
+            column.unit,
+            column.name,
+            step,
+            _named(log.dropped),
+            log.doubtful,
+            remarks,
+        )
 
 
 def _named(dropped: DroppedRows) -> list[str]:
     """Return a line for each row that was dropped, and one for those beyond the first ones."""
-    lines = [f"row {bad.row:,}: {cleaned(bad.problem)}" for bad in sorted(dropped.named)]
+    lines = [
+        f"row {bad.row:,}: {cleaned(bad.problem)}" for bad in sorted(dropped.named)
+    ]
     rest = dropped.count - len(lines)
     return [*lines, f"{rest:,} more rows hold no number"] if rest else lines
 

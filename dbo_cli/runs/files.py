@@ -1,7 +1,7 @@
 """The use cases from files to files, in constant memory: what a command does, without its messages.
 
-``reading.format`` is for addresses whose ending does not show their format. With ``live`` every row is
-handed on as it arrives.
+``reading.format`` is for addresses whose ending does not show their format. With
+``live`` every row is handed on as it arrives.
 """
 
 from __future__ import annotations
@@ -21,10 +21,29 @@ import numpy as np
 from dbo_cli import extensions
 from dbo_cli.drives.gate import DriveFigures, DriveGate, Floats
 from dbo_cli.drives.model_run import ModelRun, reads_ahead
-from dbo_cli.errors import SILENT, InputError, Listener, OutputError, Remarks, UsageError, plain
+from dbo_cli.errors import (
+    SILENT,
+    InputError,
+    Listener,
+    OutputError,
+    Remarks,
+    UsageError,
+    plain,
+)
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, read_state, state_to_bytes
-from dbo_cli.hysteresis.model_state import START_NAMES, DriveLimits, ModelState, Quantity, StartName
+from dbo_cli.hysteresis.model_file import (
+    model_to_bytes,
+    read_model,
+    read_state,
+    state_to_bytes,
+)
+from dbo_cli.hysteresis.model_state import (
+    START_NAMES,
+    DriveLimits,
+    ModelState,
+    Quantity,
+    StartName,
+)
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs import request
 from dbo_cli.logs.columns import ColumnWish, OutColumn, column_wish, split_header
@@ -32,7 +51,14 @@ from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, Rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.signal_writer import signal_writer
-from dbo_cli.logs.sources import ArraySource, Source, is_file, is_log, is_table, table_source
+from dbo_cli.logs.sources import (
+    ArraySource,
+    Source,
+    is_file,
+    is_log,
+    is_table,
+    table_source,
+)
 from dbo_cli.logs.units import quantity_name
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 
@@ -41,14 +67,16 @@ if TYPE_CHECKING:
     from dbo_cli.hysteresis.excitation import Excitation
 
 
-_ROWS = 1 << 14  # of drives of many channels, written at a time; chosen, bounds the memory
+# of drives of many channels, written at a time; chosen, bounds the memory
+_ROWS = 1 << 14
 
 
 class Destination(NamedTuple):
     """Where a result goes: the file, the state after it, and the inputs that must not be overwritten.
 
-    ``command`` is the command line that an HDF5 output names; ``summary`` a file for what was done, as JSON.
-    With ``commented`` text begins with a comment that names command and model, too.
+    ``command`` is the command line that an HDF5 output names; ``summary`` a file for
+    what was done, as JSON. With ``commented`` text begins with a comment that names
+    command and model, too.
     """
 
     output: Address
@@ -61,17 +89,30 @@ class Destination(NamedTuple):
 
     def beside(self, *selectors: str | None) -> Destination:
         """Protect the files that columns are taken from (``FILE::COLUMN``), too."""
-        return self._replace(protect=[*self.protect, *request.selected_files(*selectors)])
+        return self._replace(
+            protect=[*self.protect, *request.selected_files(*selectors)]
+        )
 
     def placed(self, put: Callable[[Address], Address]) -> Destination:
         """Put the name of a channel or a file into every output's."""
-        state, summary = (None if path is None else put(path) for path in (self.save_state, self.summary))
+        state, summary = (
+            None if path is None else put(path)
+            for path in (self.save_state, self.summary)
+        )
         return self._replace(output=put(self.output), save_state=state, summary=summary)
 
     def check(self) -> None:
         """Refuse outputs that cannot be written, or that are inputs or each other, before the long work."""
-        if sum(path == "-" or (isinstance(path, Address) and path.is_stream) for path in self.protect) > 1:
-            raise UsageError("standard input can be read once only: give the model or the signal as a file")
+        if (
+            sum(
+                path == "-" or (isinstance(path, Address) and path.is_stream)
+                for path in self.protect
+            )
+            > 1
+        ):
+            raise UsageError(
+                "standard input can be read once only: give the model or the signal as a file"
+            )
         request.parse_output(self.output)
         outputs = (self.output, self.save_state, self.summary)
         check_outputs([path for path in outputs if path is not None], self.protect)
@@ -122,7 +163,10 @@ class SignalRun:
         destination.check()
         check_order(model_file, self.log.text)
         request.check_format(self.reading.format, [self.log, destination.output])
-        run, model = dataclasses.replace(self, destination=destination), read_model(model_file)
+        run, model = (
+            dataclasses.replace(self, destination=destination),
+            read_model(model_file),
+        )
         if self.drive is None:
             return run._simulated(model, listener)
         model.require("forward", shown_name(model_file))
@@ -151,17 +195,24 @@ class SignalRun:
             run = ModelRun(model, log, start_of(self.state, model), self.outside, last)
             return self._written(run, log, _column_of(log, model.input), listener)
 
-    def _compensated(self, model: ActuatorModel, drive: DriveOptions, listener: Listener) -> Remarks:
+    def _compensated(
+        self, model: ActuatorModel, drive: DriveOptions, listener: Listener
+    ) -> Remarks:
         from dbo_cli.drives.compensation import compensation
 
         wanted = model.output
-        ahead = self.may_read_ahead and (reads_ahead(model) or drive.bandwidth is not None)
+        ahead = self.may_read_ahead and (
+            reads_ahead(model) or drive.bandwidth is not None
+        )
         brought = self.brought_to(model, listener)
         with self._opened(wanted, ahead, listener) as log:
             options = dataclasses.replace(drive, state=start_of(self.state, model))
-            run = compensation(model, log, options, brought, self.reading.rows[1] if ahead else None)
+            run = compensation(
+                model, log, options, brought, self.reading.rows[1] if ahead else None
+            )
             run.streamed = self.destination.output.is_stream
-            # Not under the name of what will be measured: a drive must not be taken for a recording.
+            # Not under the name of what will be measured: a drive must not be taken for
+            # a recording.
             unit = log.columns[wanted.quantity].unit or wanted.unit
             desired = OutColumn("desired", unit, "desired", may_be_blank=True)
             with all_or_none():
@@ -170,10 +221,16 @@ class SignalRun:
             return remarks
 
     @contextlib.contextmanager
-    def _opened(self, taken: Quantity, ahead: bool, listener: Listener) -> Iterator[SignalLog]:
+    def _opened(
+        self, taken: Quantity, ahead: bool, listener: Listener
+    ) -> Iterator[SignalLog]:
         """Open the log; where it is to be read ahead, those after the last row asked for are there, too."""
         trajectory = self.drive is not None
-        want = {taken.quantity: quantity_wish(taken, self.column, option=self.option, trajectory=trajectory)}
+        want = {
+            taken.quantity: quantity_wish(
+                taken, self.column, option=self.option, trajectory=trajectory
+            )
+        }
         reading, live = self.reading, self.destination.live
         if ahead and reading.resample is None:
             reading = dataclasses.replace(reading, rows=(reading.rows[0], None))
@@ -184,7 +241,9 @@ class SignalRun:
             bring_to(log, taken.quantity, taken, shown_name(self.model))
             yield log
 
-    def _written(self, run: ModelRun, log: SignalLog, wanted: OutColumn, listener: Listener) -> Remarks:
+    def _written(
+        self, run: ModelRun, log: SignalLog, wanted: OutColumn, listener: Listener
+    ) -> Remarks:
         """Run to the end of the log and write what comes out, then the state."""
         output, destination = run.output, self.destination
         out = OutColumn(output.quantity, output.unit)
@@ -192,7 +251,8 @@ class SignalRun:
             out = OutColumn(f"model_{output.quantity}", output.unit)
         columns = [*([OutColumn("time", "s")] if log.has_time else []), wanted, out]
         responses = run.responses()
-        # Computed before anything is opened: a log that is bad from the start leaves not even a header.
+        # Computed before anything is opened: a log that is bad from the start leaves
+        # not even a header.
         first = next(responses)
         figures = DriveFigures()
         with all_or_none():
@@ -206,7 +266,9 @@ class SignalRun:
                     commented=destination.commented,
                 ) as writer:
                     for response in chain([first], responses):
-                        writer.write(*(response if response.time is not None else response[1:]))
+                        writer.write(
+                            *(response if response.time is not None else response[1:])
+                        )
                         if destination.summary is not None:
                             figures.see(response.y, None)
                         listener.progressed(len(response.y))
@@ -218,10 +280,14 @@ class SignalRun:
                     "standard output: its reader left before the end, so there is no last state to save"
                 ) from None
             if destination.save_state is not None and run.state is not None:
-                write_whole(destination.save_state, state_to_bytes(run.state, run.model))
+                write_whole(
+                    destination.save_state, state_to_bytes(run.state, run.model)
+                )
             if destination.summary is not None:
                 read = read_record(log.name, log.reading_record())
-                done = summary_of(destination.command, read, figures, run.remarks(), run)
+                done = summary_of(
+                    destination.command, read, figures, run.remarks(), run
+                )
                 write_summary(destination.summary, [done])
         remarks = run.remarks()
         if destination.live:
@@ -268,9 +334,9 @@ def excitation_drives(
         What the options that extras bring were given.
     """
     for name in brought:
-        made: tuple[Floats, Mapping[str, Floats]] = extensions.find("run", f"excite --{name}")(
-            excitation, brought, points
-        )
+        made: tuple[Floats, Mapping[str, Floats]] = extensions.find(
+            "run", f"excite --{name}"
+        )(excitation, brought, points)
         return made
     time, voltage = excitation.drive()
     return time, {"voltage": voltage}
@@ -284,7 +350,8 @@ def write_excitation(
 ) -> float:
     """Write the drives that identify well, as ``excitation_drives`` returns them.
 
-    A drive in another unit than volts is called by what the unit measures (``pressure_bar``).
+    A drive in another unit than volts is called by what the unit measures
+    (``pressure_bar``).
 
     Returns
     -------
@@ -301,20 +368,31 @@ def write_excitation(
     request.check_format(form, [output])
     quantity = quantity_name("voltage", excitation.unit)
     columns = [OutColumn("time", "s")]
-    columns += [OutColumn(name.replace("voltage", quantity), excitation.unit) for name in drives]
-    with signal_writer(output.or_format(form), columns, attributes=lambda: {"sample_rate": rate}) as writer:
+    columns += [
+        OutColumn(name.replace("voltage", quantity), excitation.unit) for name in drives
+    ]
+    with signal_writer(
+        output.or_format(form), columns, attributes=lambda: {"sample_rate": rate}
+    ) as writer:
         for row in range(0, len(time), _ROWS):
-            writer.write(*(column[row : row + _ROWS] for column in (time, *drives.values())))
+            writer.write(
+                *(column[row : row + _ROWS] for column in (time, *drives.values()))
+            )
     return fastest
 
 
 def _attributes(run: ModelRun, log: SignalLog, command: str) -> dict[str, str | float]:
     """Return what an HDF5 output says of itself."""
-    attributes: dict[str, str | float] = {"model_sha256": run.model.digest, "command": command}
+    attributes: dict[str, str | float] = {
+        "model_sha256": run.model.digest,
+        "command": command,
+    }
     if log.stated_rate is not None:
         attributes["sample_rate"] = log.stated_rate
     if run.voltage_scale is not None:
-        attributes["voltage_scale"] = f"{run.voltage_scale}, of the voltages in the model's logs"
+        attributes["voltage_scale"] = (
+            f"{run.voltage_scale}, of the voltages in the model's logs"
+        )
     return attributes
 
 
@@ -357,7 +435,10 @@ def summary_of(
 
 def read_record(name: str, read: Mapping[str, Any]) -> dict[str, Any]:
     """Return what a summary says of a file that was read."""
-    return {"file": name, **{key: read[key] for key in ("rows", "seconds", "columns") if key in read}}
+    return {
+        "file": name,
+        **{key: read[key] for key in ("rows", "seconds", "columns") if key in read},
+    }
 
 
 def summary_of_values(
@@ -376,14 +457,17 @@ def write_summary(output: Address, done: Sequence[Mapping[str, Any]]) -> None:
 
 def write_json(output: Address, content: object) -> None:
     """Write plain values as JSON."""
-    write_whole(output, (json.dumps(content, indent=2, ensure_ascii=False) + "\n").encode())
+    write_whole(
+        output, (json.dumps(content, indent=2, ensure_ascii=False) + "\n").encode()
+    )
 
 
 def _column_of(log: SignalLog, taken: Quantity) -> OutColumn:
     """Return the input column under its own name."""
     column = log.columns[taken.quantity]
     stated = split_header(column.name)[1]
-    named = request.other_file(column.name)  # the column of another file goes by its own name
+    # the column of another file goes by its own name
+    named = request.other_file(column.name)
     name = (named[1] if named else column.name) if column.quantity else taken.quantity
     if stated is not None and stated != column.unit:
         name = column.quantity  # converted: the unit in its name is no longer its own
@@ -414,15 +498,22 @@ def shown_name(address: str) -> str:
     return "standard input" if address == "-" else address
 
 
-# --- what a use case takes in: the columns of a log, its source in whatever form it is given, the start ---
+# --- what a use case takes in: the columns of a log, its source in whatever form it is
+# given, the start ---
 
 
 def quantity_wish(
-    quantity: Quantity, selector: str | None = None, *, option: str, trajectory: bool = False
+    quantity: Quantity,
+    selector: str | None = None,
+    *,
+    option: str,
+    trajectory: bool = False,
 ) -> ColumnWish:
     """Return the wish for a model's quantity; a ``trajectory`` of it may also be called desired."""
     role = "trajectory" if trajectory else quantity.quantity
-    return column_wish(role, selector, option=option, quantity=quantity.quantity, unit=quantity.unit)
+    return column_wish(
+        role, selector, option=option, quantity=quantity.quantity, unit=quantity.unit
+    )
 
 
 def recording_wishes(
@@ -431,7 +522,9 @@ def recording_wishes(
     """Return the columns that an identification reads, as named or to be guessed."""
     wishes = {
         "voltage": column_wish("voltage", voltage, option="voltage"),
-        "displacement": column_wish("displacement", displacement, option="displacement"),
+        "displacement": column_wish(
+            "displacement", displacement, option="displacement"
+        ),
     }
     if uncertainty is not None:
         wishes["uncertainty"] = ColumnWish(uncertainty, option="uncertainty")
@@ -478,7 +571,9 @@ def opened(
     if is_table(log):
         return table_source(log, want, time, reading.sample_rate, reading.rows)
     if not is_file(log) and not isinstance(log, Address):
-        raise InputError("a log is a table or a file's name; give two arrays as voltage and displacement")
+        raise InputError(
+            "a log is a table or a file's name; give two arrays as voltage and displacement"
+        )
     log_file = open_log(log, want, reading, digest=digest)
     listener.opened(log_file.describe())
     return log_file
@@ -497,11 +592,13 @@ def source_of(
     Parameters
     ----------
     want
-        Role to column; arrays come in this order, and messages call them as the options.
+        Role to column; arrays come in this order, and messages call them as the
+        options.
     signals
         A file's name, a table, or one array for each role.
     time, sample_rate, rows
-        A column of a file or a table, or seconds; samples a second (Hz); the rows to take.
+        A column of a file or a table, or seconds; samples a second (Hz); the rows to
+        take.
     name
         How messages call arrays.
     """
@@ -511,7 +608,9 @@ def source_of(
         return opened(signals[0], want, reading, time=time)
     called = [wish.option for wish in want.values()]
     columns = dict(zip(called, signals, strict=True))
-    arrays = ArraySource(columns, time, sample_rate, name=name or f"`{called[0]}`", rows=rows)
+    arrays = ArraySource(
+        columns, time, sample_rate, name=name or f"`{called[0]}`", rows=rows
+    )
     arrays.values = dict(zip(want, arrays.values.values(), strict=True))
     arrays.columns = dict(zip(want, arrays.columns.values(), strict=True))
     return arrays
@@ -525,16 +624,21 @@ def start_of(
     Raises
     ------
     UsageError
-        There is neither a start nor a file of that name, or the state is of another model.
+        There is neither a start nor a file of that name, or the state is of another
+        model.
     """
     if isinstance(state, ModelState):
         if state.model not in (None, model.digest):
-            raise UsageError("`state`: is of another model (go on with the model that returned it)")
+            raise UsageError(
+                "`state`: is of another model (go on with the model that returned it)"
+            )
         return state
     path = os.fspath(state)
     if path in START_NAMES:
         return path
     if not os.path.exists(path):
         names = ", ".join(START_NAMES)
-        raise UsageError(f"`state`: '{path}' is none of {names}, and there is no such file")
+        raise UsageError(
+            f"`state`: '{path}' is none of {names}, and there is no such file"
+        )
     return dataclasses.replace(read_state(path, model), model=model.digest)

@@ -28,7 +28,14 @@ from dbo_cli.logs.signal_log import SignalLog
 from dbo_cli.logs.sources import ArraySource, Source, is_table, remarks_of
 from dbo_cli.logs.units import in_unit, kind_of_unit, quantity_name
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
-from dbo_cli.runs.files import bring_to, opened, read_record, recording_wishes, short_names, write_summary
+from dbo_cli.runs.files import (
+    bring_to,
+    opened,
+    read_record,
+    recording_wishes,
+    short_names,
+    write_summary,
+)
 from dbo_cli.runs.jobs import named
 from dbo_cli.version import program_version_string
 
@@ -55,7 +62,9 @@ class IdentifyResult:
     remarks: Remarks
 
 
-def recording_of(source: Source, name: str | None = None, listener: Listener = SILENT) -> Recording:
+def recording_of(
+    source: Source, name: str | None = None, listener: Listener = SILENT
+) -> Recording:
     """Read a source whole."""
     blocks = []
     for block in source.blocks():
@@ -112,9 +121,11 @@ def identify_recordings(
     options
         What is fixed beforehand.
     arguments
-        How the identification was called; folders differ between machines and are taken off.
+        How the identification was called; folders differ between machines and are taken
+        off.
     prior
-        A model whose shape is kept; what it was identified from stays in ``provenance``.
+        A model whose shape is kept; what it was identified from stays in
+        ``provenance``.
 
     Raises
     ------
@@ -144,7 +155,11 @@ def identify_recordings(
     remarks = Remarks(warnings=result.warnings)
     for log in [*logs, *validation]:
         remarks.add(log.remarks)
-    return IdentifyResult(dataclasses.replace(result.model, provenance=provenance), result.summary, remarks)
+    return IdentifyResult(
+        dataclasses.replace(result.model, provenance=provenance),
+        result.summary,
+        remarks,
+    )
 
 
 def _refuse_shared_columns(source: Source) -> None:
@@ -156,8 +171,13 @@ def _refuse_shared_columns(source: Source) -> None:
 
 def _refuse_one_signal(recording: Recording, source: Source) -> None:
     """Refuse one column as drive and displacement, found by way of two names of its file (InputError)."""
-    names = [source.columns[role].name.rpartition("::")[2] for role in ("voltage", "displacement")]
-    if names[0] == names[1] and np.array_equal(recording.voltage, recording.displacement):
+    names = [
+        source.columns[role].name.rpartition("::")[2]
+        for role in ("voltage", "displacement")
+    ]
+    if names[0] == names[1] and np.array_equal(
+        recording.voltage, recording.displacement
+    ):
         raise _two_roles(source, "voltage", "displacement")
 
 
@@ -188,7 +208,9 @@ def sign_line(models: Mapping[str, ActuatorModel], noun: str = "channel") -> str
         names.setdefault(model.sign, []).append(name)
     ways = sorted(names, key=lambda sign: -len(names[sign]))
     first = next(iter(models.values()))
-    line = f"{first.output.quantity} {SIGN_VERBS[ways[0]]} as {first.input.quantity} rises"
+    line = (
+        f"{first.output.quantity} {SIGN_VERBS[ways[0]]} as {first.input.quantity} rises"
+    )
     if len(ways) > 1:
         opposite = names[ways[1]]
         plural = "s" if len(opposite) > 1 else ""
@@ -205,13 +227,16 @@ def sign_warning(models: Mapping[str, ActuatorModel], noun: str) -> str | None:
     """Return a warning where the displacement of some models rises with the voltage, and of others falls."""
     if len({model.sign for model in models.values()}) < 2:
         return None
-    return f"{sign_line(models, noun)}: are leads exchanged, or does a sensor face away?"
+    return (
+        f"{sign_line(models, noun)}: are leads exchanged, or does a sensor face away?"
+    )
 
 
 def summary_of_model(result: IdentifyResult, command: str) -> dict[str, Any]:
     """Return what was identified as plain values (``dbo-summary``).
 
-    Errors are in the displacement's unit; the gain is displacement per voltage, end to end, with its sign.
+    Errors are in the displacement's unit; the gain is displacement per voltage, end to
+    end, with its sign.
     """
     model, fit = result.model, result.model.fit
     gain = model.output.span / model.input.span
@@ -268,20 +293,24 @@ class IdentifyRun:
     Attributes
     ----------
     logs, validation
-        Addresses of what is fitted, and of what the model is judged on; from Python tables and arrays, too;
-        and what was read already.
+        Addresses of what is fitted, and of what the model is judged on; from Python
+        tables and arrays, too; and what was read already.
     reading
         How logs are read; its rows are not those of the validation's.
     options
         What is fixed beforehand.
     voltage, displacement
-        The columns, guessed where not given; patterns (``V{}``) name those of many channels.
+        The columns, guessed where not given; patterns (``V{}``) name those of many
+        channels.
     uncertainty
-        The column of the displacement's standard deviation in what is fitted; None: all rows count alike.
+        The column of the displacement's standard deviation in what is fitted; None: all
+        rows count alike.
     prior
-        The file of a model whose shape is kept; from Python a mapping of models by channel, too.
+        The file of a model whose shape is kept; from Python a mapping of models by
+        channel, too.
     brought
-        Options that an extra brings, by name: of channels ``shared_shape`` and ``coupling``.
+        Options that an extra brings, by name: of channels ``shared_shape`` and
+        ``coupling``.
     time
         From Python: the column or the seconds of tables.
     summary, command
@@ -304,23 +333,38 @@ class IdentifyRun:
     def refuse_channels_options(self) -> None:
         """Refuse what is for channels where no pattern names them (UsageError)."""
         for name in self.brought:
-            raise UsageError(f"`{name}` is for channels: name their columns by patterns, 'V{{}}' and 'D{{}}'")
+            raise UsageError(
+                f"`{name}` is for channels: name their columns by patterns, 'V{{}}' and 'D{{}}'"
+            )
 
-    def arguments(self, columns: Mapping[str, str], prior: object = None, checked: bool = True) -> list[str]:
+    def arguments(
+        self, columns: Mapping[str, str], prior: object = None, checked: bool = True
+    ) -> list[str]:
         """Return how the identification of ``columns`` was called, as a shell spells it, without folders."""
         chosen = chosen_of(self.options) | self.reading.chosen()
         chosen |= self.brought
-        chosen |= dict(columns) | ({"prior": os.path.basename(prior)} if isinstance(prior, str) else {})
+        chosen |= dict(columns) | (
+            {"prior": os.path.basename(prior)} if isinstance(prior, str) else {}
+        )
         words = ["identify", *(os.path.basename(_name_of(log)) for log in self.logs)]
         for log in self.validation if checked else ():
             words += ["--validate", os.path.basename(_name_of(log))]
         for name, value in chosen.items():
-            several = isinstance(value, tuple) and value and all(isinstance(item, str) for item in value)
+            several = (
+                isinstance(value, tuple)
+                and value
+                and all(isinstance(item, str) for item in value)
+            )
             for item in value if several else [value]:
-                words += ["--" + name.replace("_", "-"), *([] if item is True else [_word(item)])]
+                words += [
+                    "--" + name.replace("_", "-"),
+                    *([] if item is True else [_word(item)]),
+                ]
         return [cleaned(request.without_folder(word)) for word in words]
 
-    def read(self, listener: Listener = SILENT, prior: str | ActuatorModel | None = None) -> Recordings:
+    def read(
+        self, listener: Listener = SILENT, prior: str | ActuatorModel | None = None
+    ) -> Recordings:
         """Read what is fitted and what is judged on, in the units of a prior, else of the first log."""
         prior_model = read_model(prior) if isinstance(prior, str) else prior
         names = short_names([*self.logs, *self.validation])
@@ -328,14 +372,20 @@ class IdentifyRun:
         judged = recording_wishes(self.voltage, self.displacement)
         fitted = recording_wishes(self.voltage, self.displacement, self.uncertainty)
 
-        def read(log: Any, reading: ReadingOptions, wishes: Mapping[str, ColumnWish]) -> RecordedLog:
+        def read(
+            log: Any, reading: ReadingOptions, wishes: Mapping[str, ColumnWish]
+        ) -> RecordedLog:
             if isinstance(log, RecordedLog):
                 return log
-            opened_log = opened(log, wishes, reading, listener, time=self.time, digest=True)
+            opened_log = opened(
+                log, wishes, reading, listener, time=self.time, digest=True
+            )
             with closing(opened_log) as source:
                 _refuse_shared_columns(source)
                 taken = source.columns["displacement"]
-                if isinstance(source, SignalLog) and is_order(taken, wishes["displacement"]):
+                if isinstance(source, SignalLog) and is_order(
+                    taken, wishes["displacement"]
+                ):
                     source.warnings.append(
                         f"{source.name}: column '{taken.name}' is what was wanted, by its name, not what was "
                         "measured: what is identified is how the drive was computed, not the actuator"
@@ -347,14 +397,27 @@ class IdentifyRun:
                     if role in units:
                         source.convert(role, units[role], "the first log is")
                 if "uncertainty" in source.columns:
-                    source.convert("uncertainty", source.columns["displacement"].unit, "the displacement is")
+                    source.convert(
+                        "uncertainty",
+                        source.columns["displacement"].unit,
+                        "the displacement is",
+                    )
                 named = names.get(log) if isinstance(log, Address) else _name_of(log)
                 recording = recording_of(source, named, listener)
                 _refuse_one_signal(recording, source)
-                units.update({role: column.unit for role, column in source.columns.items()})
+                units.update(
+                    {role: column.unit for role, column in source.columns.items()}
+                )
                 remarks = remarks_of(source)
                 if is_table(log):  # what ``read_log`` left in it
-                    remarks.add(Remarks(**{kind: list(log.attrs.get(kind, [])) for kind in vars(remarks)}))
+                    remarks.add(
+                        Remarks(
+                            **{
+                                kind: list(log.attrs.get(kind, []))
+                                for kind in vars(remarks)
+                            }
+                        )
+                    )
                 return RecordedLog(recording, _record_of(source, log), remarks)
 
         whole = dataclasses.replace(self.reading, rows=ALL_ROWS)
@@ -380,7 +443,8 @@ class IdentifyRun:
             "uncertainty": self.uncertainty,
         }
         arguments = self.arguments(
-            {key: column for key, column in columns.items() if column is not None}, self.prior
+            {key: column for key, column in columns.items() if column is not None},
+            self.prior,
         )
         rows = sum(len(log.recording.voltage) for log in fitted)
         listener.working(f"fitting {rows:,} rows")
@@ -392,7 +456,9 @@ class IdentifyRun:
             write_whole(output, model_to_bytes(result.model))
             if self.summary is not None:
                 write_summary(self.summary, [summary_of_model(result, self.command)])
-        result.remarks.read = with_sign(result.remarks.read, sign_line({"": result.model}))
+        result.remarks.read = with_sign(
+            result.remarks.read, sign_line({"": result.model})
+        )
         return result
 
     def check_outputs(self, outputs: Sequence[Address], inputs: Sequence[Any]) -> None:
@@ -415,7 +481,9 @@ def _record_of(source: Source, log: Any) -> Mapping[str, Any]:
     if isinstance(source, SignalLog):
         return dict(source.record()) | {"read": source.reading_record()}
     assert isinstance(source, ArraySource)
-    known: Mapping[str, Any] | None = log.attrs.get("provenance") if is_table(log) else None
+    known: Mapping[str, Any] | None = (
+        log.attrs.get("provenance") if is_table(log) else None
+    )
     digest = hashlib.sha256()
     for values in source.values.values():
         digest.update(values.astype("<f8").tobytes())

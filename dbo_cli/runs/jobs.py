@@ -1,7 +1,8 @@
 """Many runs of one use case, for channels or files: in one process or several, with the same results.
 
-A job is a name and a call. Its outputs are kept and handed back with its value, so that whoever asked for the
-jobs writes them: in the order of the jobs, all or none, or those that went well.
+A job is a name and a call. Its outputs are kept and handed back with its value, so that
+whoever asked for the jobs writes them: in the order of the jobs, all or none, or those
+that went well.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ if TYPE_CHECKING:
 Value = TypeVar("Value")
 Jobs = Iterable[tuple[str, Callable[[], Value]]]
 
-_AHEAD = 2  # jobs a process that are in memory at once: one is worked on while the next is read
+# jobs a process that are in memory at once: one is worked on while the next is read
+_AHEAD = 2
 FILE = "{file}"  # in the name of an output: the log's name without folder and ending
 _NAMED = 8  # channels or files that a message names at most
 _NUMBER = pattern(r"[-+]?\d[\d.,]*(?:e[-+]?\d+)?(?<![.,])")
@@ -72,7 +74,8 @@ class Failed:
 class Outcome:
     """What is to be said of a run or of all jobs, and the error to end with once the outputs are written.
 
-    ``last``: notes that come after all others. ``failures``: the errors of jobs by their names.
+    ``last``: notes that come after all others. ``failures``: the errors of jobs by
+    their names.
     """
 
     remarks: Remarks = field(default_factory=Remarks)
@@ -94,7 +97,8 @@ class Outcome:
         Parameters
         ----------
         jobs, work, keep
-            What is to be done and how (see ``run_jobs``), and whether to go on where one failed.
+            What is to be done and how (see ``run_jobs``), and whether to go on where
+            one failed.
         noun
             What a job is: ``channel`` or ``file``.
         count
@@ -116,25 +120,36 @@ class Outcome:
                 if noun != "file" or not text.startswith(end.name):
                     text = f"{noun} {end.name}: {text}"
                 if not work.keep_going:
-                    remedy = "" if work.all_needed else f" (`keep_going` writes the other {noun}s)"
+                    remedy = (
+                        ""
+                        if work.all_needed
+                        else f" (`keep_going` writes the other {noun}s)"
+                    )
                     raise type(end.problem)(text + remedy)
                 self.remarks.warn(text)
                 self.failures[end.name] = str(end.problem)
             if number < count:
                 listener.working(f"{noun} {number + 1:,} of {count:,}")
         if failed:
-            # What the others gave is written: exit code 1, whatever ended the ones that failed.
-            fate = "nothing is written" if len(failed) == count else "the others are written"
+            # What the others gave is written: exit code 1, whatever ended the ones that
+            # failed.
+            fate = (
+                "nothing is written"
+                if len(failed) == count
+                else "the others are written"
+            )
             self.failure = DboError(
                 f"{len(failed):,} of {count:,} {noun}s failed ({named(list(failed))}): {fate}"
             )
 
 
-def run_jobs(jobs: Jobs[Value], processes: int = 1, keep: bool = True) -> Iterator[Done[Value] | Failed]:
+def run_jobs(
+    jobs: Jobs[Value], processes: int = 1, keep: bool = True
+) -> Iterator[Done[Value] | Failed]:
     """Run jobs and give what came of them in their order; of several processes, each takes the next job.
 
-    Without ``keep`` each job writes its outputs itself. Calls must pickle where there is more than one
-    process. Errors that are no ``DboError`` come through.
+    Without ``keep`` each job writes its outputs itself. Calls must pickle where there
+    is more than one process. Errors that are no ``DboError`` come through.
     """
     if processes == 1:
         for name, call in jobs:
@@ -143,7 +158,8 @@ def run_jobs(jobs: Jobs[Value], processes: int = 1, keep: bool = True) -> Iterat
     import multiprocessing
     from concurrent.futures import ProcessPoolExecutor
 
-    # Not forked: a library's threads (polars has some) would be missing in the copy, their locks held.
+    # Not forked: a library's threads (polars has some) would be missing in the copy,
+    # their locks held.
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(processes, context, initializer=_prepare_worker)
     running: deque[Future[Done[Value] | Failed]] = deque()
@@ -244,7 +260,9 @@ def named(names: Sequence[str]) -> str:
     return f"{', '.join(names[: _NAMED - 1])}, … {len(names):,} in all"
 
 
-def spread_line(percents: Mapping[str, float], noun: str, what: str, why: Mapping[str, str]) -> str:
+def spread_line(
+    percents: Mapping[str, float], noun: str, what: str, why: Mapping[str, str]
+) -> str:
     """Return in one line how a figure in % is spread: below which round one nine of ten are, and the worst.
 
     Parameters
@@ -269,7 +287,8 @@ def spread_line(percents: Mapping[str, float], noun: str, what: str, why: Mappin
     )
 
 
-# --- files: each is one run, its outputs whole by themselves, whatever becomes of the others ---
+# --- files: each is one run, its outputs whole by themselves, whatever becomes of the
+# others ---
 
 
 def name_of(log: Address) -> str:

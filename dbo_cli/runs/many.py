@@ -34,10 +34,14 @@ CHANNEL = "{channel}"
 """In the name of an output: the channel's name."""
 
 _PLACES = ("{}", CHANNEL, FILE)
-_WORTH_POLARS = 32  # files of 1,000 rows: importing polars (0.1 s) costs less than formatting them in Python
+# files of 1,000 rows: importing polars (0.1 s) costs less than formatting them in
+# Python
+_WORTH_POLARS = 32
 
 
-def signals(run: SignalRun, logs: Sequence[Address], work: Work, listener: Listener) -> Outcome:
+def signals(
+    run: SignalRun, logs: Sequence[Address], work: Work, listener: Listener
+) -> Outcome:
     """Run ``simulate`` or ``compensate`` over one log, the channels that a pattern names, or many files.
 
     Raises
@@ -51,13 +55,19 @@ def signals(run: SignalRun, logs: Sequence[Address], work: Work, listener: Liste
     run.refuse_many()
     if wants_channels(output, run.column):
         if len(logs) > 1:
-            raise UsageError(f"{len(logs)} logs, and a pattern of columns of one: give one log")
-        outcome: Outcome = extensions.find("run", "signals of channels")(run, work, listener)
+            raise UsageError(
+                f"{len(logs)} logs, and a pattern of columns of one: give one log"
+            )
+        outcome: Outcome = extensions.find("run", "signals of channels")(
+            run, work, listener
+        )
         return outcome
     return _signals_of_files(run, logs, work, listener)
 
 
-def _signals_of_files(run: SignalRun, logs: Sequence[Address], work: Work, listener: Listener) -> Outcome:
+def _signals_of_files(
+    run: SignalRun, logs: Sequence[Address], work: Work, listener: Listener
+) -> Outcome:
     """Run ``simulate`` or ``compensate`` over each log."""
     if FILE not in run.destination.output.text and len(logs) > 1:
         raise UsageError(
@@ -84,7 +94,8 @@ def _of_files(destination: Destination, logs: Sequence[Address]) -> list[Destina
     Raises
     ------
     UsageError
-        Two logs have one name, or an output that every log would write lacks ``{file}``.
+        Two logs have one name, or an output that every log would write lacks
+        ``{file}``.
     OutputError
         An output cannot be written.
     """
@@ -93,22 +104,30 @@ def _of_files(destination: Destination, logs: Sequence[Address]) -> list[Destina
     for option in ("save_state", "summary"):
         address = getattr(destination, option)
         if address is not None and FILE not in address.text:
-            raise UsageError(f"`{option}` {address.text}: each log has its own (put {FILE} into its name)")
+            raise UsageError(
+                f"`{option}` {address.text}: each log has its own (put {FILE} into its name)"
+            )
     check_names(destination.output, logs)
     protected = [log for log in destination.protect if log not in set(logs)]
     places = [
-        destination._replace(protect=[*protected, log]).placed(functools.partial(of_file, log=log))
+        destination._replace(protect=[*protected, log]).placed(
+            functools.partial(of_file, log=log)
+        )
         for log in logs
     ]
     check_outputs([place.output for place in places], destination.protect)
     return places
 
 
-def identify_one_or_many(run: IdentifyRun, output: Address, work: Work, listener: Listener) -> Outcome:
+def identify_one_or_many(
+    run: IdentifyRun, output: Address, work: Work, listener: Listener
+) -> Outcome:
     """Identify one model of all logs, one of each channel, or one of each log (``{file}``)."""
     if _are_many(run.logs[:1], output, run.voltage, run.displacement):
         if wants_channels(output, run.voltage, run.displacement):
-            outcome: Outcome = extensions.find("run", "identify channels")(run, output, work, listener)
+            outcome: Outcome = extensions.find("run", "identify channels")(
+                run, output, work, listener
+            )
             return outcome
         if not run.brought:
             return identify_files(run, output, work, listener)
@@ -124,7 +143,9 @@ def reported(run: ReportRun, work: Work, listener: Listener) -> Outcome:
 
     columns = (run.options.desired, run.options.measured, run.options.voltage)
     if _are_many([], run.output, *columns):
-        outcome: Outcome = extensions.find("run", "report channels")(run, work, listener)
+        outcome: Outcome = extensions.find("run", "report channels")(
+            run, work, listener
+        )
         return outcome
     return report_logs(run, listener)
 
@@ -152,7 +173,9 @@ def wants_channels(output: Address, *selectors: str | None) -> bool:
     return False
 
 
-def identify_files(run: IdentifyRun, output: Address, work: Work, listener: Listener) -> Outcome:
+def identify_files(
+    run: IdentifyRun, output: Address, work: Work, listener: Listener
+) -> Outcome:
     """Identify a model of each log by itself."""
     from dbo_cli.runs.identifying import sign_warning
 
@@ -171,8 +194,12 @@ def identify_files(run: IdentifyRun, output: Address, work: Work, listener: List
         of_log = dataclasses.replace(run, logs=[log], summary=summary)
         calls.append((log, functools.partial(of_log.run, file)))
     results, outcome = each_file(calls, work, listener)
-    outcome.remarks.read += summed_up({name: result.remarks.read for name, result in results.items()}, "file")
-    exchanged = sign_warning({name: result.model for name, result in results.items()}, "file")
+    outcome.remarks.read += summed_up(
+        {name: result.remarks.read for name, result in results.items()}, "file"
+    )
+    exchanged = sign_warning(
+        {name: result.model for name, result in results.items()}, "file"
+    )
     if exchanged is not None:
         outcome.remarks.warn(exchanged)
     if of_all is not None:
@@ -205,9 +232,14 @@ def _summaries_of_logs(
     return summaries
 
 
-def say_found(results: Mapping[str, IdentifyResult], noun: str, remarks: Remarks) -> None:
+def say_found(
+    results: Mapping[str, IdentifyResult], noun: str, remarks: Remarks
+) -> None:
     """Sum up what was found over all channels or files."""
-    why = {channel: next(iter(one.remarks.warnings), "") for channel, one in results.items()}
+    why = {
+        channel: next(iter(one.remarks.warnings), "")
+        for channel, one in results.items()
+    }
     for key, what in (
         ("rmse_percent", "fit, RMSE of the model's range"),
         ("expected_percent", "expected on new moves, of the model's range"),
@@ -216,13 +248,19 @@ def say_found(results: Mapping[str, IdentifyResult], noun: str, remarks: Remarks
         known = {c: value for c, value in percents.items() if isinstance(value, float)}
         if known:
             remarks.notes.append(spread_line(known, noun, what, why))
-    sum_up(remarks, {channel: result.remarks for channel, result in results.items()}, noun)
+    sum_up(
+        remarks, {channel: result.remarks for channel, result in results.items()}, noun
+    )
 
 
 def in_name(name: str, channel: str) -> str:
     """Put a channel into the name of a file; a name that would lead to another folder is refused."""
-    if CHANNEL in name and (channel in (".", "..") or any(sign in channel for sign in "/\\\0")):
-        raise InputError(f"channel '{channel}' cannot be part of a file's name ('{name}')")
+    if CHANNEL in name and (
+        channel in (".", "..") or any(sign in channel for sign in "/\\\0")
+    ):
+        raise InputError(
+            f"channel '{channel}' cannot be part of a file's name ('{name}')"
+        )
     return name.replace(CHANNEL, channel)
 
 

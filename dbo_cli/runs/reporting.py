@@ -1,6 +1,7 @@
 """Reports: how well what was measured follows what was wanted, or a model what was measured.
 
-``TrackingRun`` compares sources, ``TrackingReport`` shows what came of it, ``report_logs`` reads and writes.
+``TrackingRun`` compares sources, ``TrackingReport`` shows what came of it,
+``report_logs`` reads and writes.
 """
 
 from __future__ import annotations
@@ -25,7 +26,14 @@ from dbo_cli.hysteresis.move_error import MOST_ROWS, move_error
 from dbo_cli.logs import request
 from dbo_cli.logs.columns import ColumnWish, column_wish
 from dbo_cli.logs.plain_text import shortened
-from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, Rows, selected_files
+from dbo_cli.logs.request import (
+    ALL_ROWS,
+    Address,
+    Given,
+    ReadingOptions,
+    Rows,
+    selected_files,
+)
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.sources import Source, remarks_of
@@ -81,13 +89,14 @@ class TrackingOptions:
     count_sweep : bool
         Let a conditioning sweep (rows before time 0, where others follow) take part.
     dwell : float, optional
-        Only rows at which the desired signal has been held for so many seconds count: pixels and stairs.
+        Only rows at which the desired signal has been held for so many seconds count:
+        pixels and stairs.
     state : str or ModelState
-        With ``model``, what was before the first row: ``auto``, ``empty``, ``full``, ``settled``, a state or
-        a state file.
+        With ``model``, what was before the first row: ``auto``, ``empty``, ``full``,
+        ``settled``, a state or a state file.
     expected : str, optional
-        What states the error to expect and the model's range: a summary of ``compensate``, or a model. With
-        ``model`` that one states both.
+        What states the error to expect and the model's range: a summary of
+        ``compensate``, or a model. With ``model`` that one states both.
     """
 
     lag: int | Literal["auto"] = 0
@@ -108,13 +117,17 @@ class TrackingOptions:
         """Refuse a lag or a segment that is none (UsageError)."""
         lag, segment = self.lag, self.segment
         if lag != "auto" and (not isinstance(lag, int) or isinstance(lag, bool)):
-            raise UsageError(f"`lag` {lag}: neither a whole number of samples nor 'auto'")
+            raise UsageError(
+                f"`lag` {lag}: neither a whole number of samples nor 'auto'"
+            )
         if self.dwell is not None and not 0.0 <= self.dwell < float("inf"):
             raise UsageError(f"`dwell` {self.dwell:g}: give seconds, 0 or more")
         if segment not in (None, "cycles"):
             if not isinstance(segment, int | float) or not 0.0 < segment < float("inf"):
                 shown = segment if isinstance(segment, str) else f"{segment:g}"
-                raise UsageError(f"`segment` {shown}: neither 'cycles' nor a number of seconds above 0")
+                raise UsageError(
+                    f"`segment` {shown}: neither 'cycles' nor a number of seconds above 0"
+                )
 
     def scoring(self, with_model: bool) -> ReportOptions:
         """Return how signals are compared."""
@@ -132,17 +145,22 @@ class TrackingOptions:
                 "model predicts"
             )
         if with_model and self.dwell is not None:
-            raise UsageError("`dwell` and `model` exclude each other: a model's prediction is held nowhere")
+            raise UsageError(
+                "`dwell` and `model` exclude each other: a model's prediction is held nowhere"
+            )
         return ReportOptions(self.lag, self.remove_offset, segment, labels, self.dwell)
 
     def wishes(self, model: ActuatorModel | None) -> dict[str, ColumnWish]:
         """Return the columns to be read of a log, as named or to be guessed.
 
-        The drive is needed for a model alone; without one it is drawn where it is clear.
+        The drive is needed for a model alone; without one it is drawn where it is
+        clear.
         """
         want = {"measured": column_wish("measured", self.measured, option="measured")}
         if model is None and self.trajectory is None:
-            desired = column_wish("desired", self.desired, option="desired", may_be_blank=True)
+            desired = column_wish(
+                "desired", self.desired, option="desired", may_be_blank=True
+            )
             want["desired"] = dataclasses.replace(desired, instead=ELSEWHERE)
         if model is not None:
             quantity, unit = model.input.quantity, model.input.unit
@@ -151,14 +169,20 @@ class TrackingOptions:
             )
         else:
             needed = self.voltage is not None
-            drive = column_wish("voltage", self.voltage, required=needed, option="voltage")
+            drive = column_wish(
+                "voltage", self.voltage, required=needed, option="voltage"
+            )
             want["voltage"] = dataclasses.replace(drive, by_quantity=True)
         return want
 
 
 def trajectory_wishes(desired: str | None) -> dict[str, ColumnWish]:
     """Return the column of a trajectory in a file of its own: what was wanted, whatever it is called."""
-    return {"desired": column_wish("trajectory", desired, option="desired", may_be_blank=True)}
+    return {
+        "desired": column_wish(
+            "trajectory", desired, option="desired", may_be_blank=True
+        )
+    }
 
 
 @dataclass
@@ -216,11 +240,15 @@ class TrackingRun:
         reading_of_trajectory = reading
         if trajectory is not None:
             reading, reading_of_trajectory = _scaled_apart(reading)
-        reading_of_log, score_rows = rows_to_score(reading, options.lag, from_first=from_first)
+        reading_of_log, score_rows = rows_to_score(
+            reading, options.lag, from_first=from_first
+        )
         with contextlib.ExitStack() as stack:
             want = options.wishes(self.model)
             source = stack.enter_context(
-                contextlib.closing(opened(log, want, reading_of_log, listener, time=time))
+                contextlib.closing(
+                    opened(log, want, reading_of_log, listener, time=time)
+                )
             )
             if trajectory is None:
                 wished = None
@@ -236,11 +264,17 @@ class TrackingRun:
                 run = ModelRun(self.model, source, start_of(options.state, self.model))
                 run.remedies = "`rows` leaves rows out, "
             blocks = _counted(source, listener)
-            matched = None if wished is None else _matched(source, blocks, wished, options.match)
+            matched = (
+                None
+                if wished is None
+                else _matched(source, blocks, wished, options.match)
+            )
             if matched is not None:
                 blocks = matched.pairs()
             elif run is not None:
-                drive = PredictedDrive(run, options.count_sweep or reading.rows != ALL_ROWS)
+                drive = PredictedDrive(
+                    run, options.count_sweep or reading.rows != ALL_ROWS
+                )
                 blocks = drive.predicted(blocks)
             merits = evaluate(
                 name or source.name,
@@ -252,9 +286,13 @@ class TrackingRun:
                 count_sweep=options.count_sweep or reading.rows != ALL_ROWS,
             )
             if matched is not None:
-                merits = dataclasses.replace(merits, notes=(*matched.notes(), *merits.notes))
+                merits = dataclasses.replace(
+                    merits, notes=(*matched.notes(), *merits.notes)
+                )
             if run is not None:
-                merits = judged_by_expected(merits, drive.expected(self.model_name, score_rows))
+                merits = judged_by_expected(
+                    merits, drive.expected(self.model_name, score_rows)
+                )
             elif options.expected is not None:
                 merits = self._judged_by(options.expected, merits)
             self._merits.append(merits)
@@ -265,7 +303,9 @@ class TrackingRun:
     def result(self) -> TrackingReport:
         """Return the report on all sources."""
         report = Report.of(self._merits, self.options, common_unit(self._units))
-        return TrackingReport(report, tuple(self._figure_data), self.model, self.remarks)
+        return TrackingReport(
+            report, tuple(self._figure_data), self.model, self.remarks
+        )
 
     def _bring_to_one_unit(self, source: Source, wanted: Source) -> None:
         """Compare in one unit: the model's, else that of the first log's measurement.
@@ -275,10 +315,17 @@ class TrackingRun:
         if self.model is not None:
             unit = self.model.output.unit
             bring_to(source, "voltage", self.model.input, self.model_name)
-            source.convert("measured", unit, f"{self.model_name} gives {self.model.output.quantity}")
+            source.convert(
+                "measured",
+                unit,
+                f"{self.model_name} gives {self.model.output.quantity}",
+            )
         else:
             known = [unit for _, unit in self._units if unit is not None]
-            measured, desired = source.columns["measured"].unit, wanted.columns["desired"].unit
+            measured, desired = (
+                source.columns["measured"].unit,
+                wanted.columns["desired"].unit,
+            )
             unit = known[0] if known else measured or desired
             source.convert("measured", unit, "the comparison is")
             wanted.convert("desired", unit, "the comparison is")
@@ -315,7 +362,9 @@ def _matched(
     source: Source, blocks: Iterator[SampleBlock], trajectory: Source, match: Match
 ) -> TrajectoryMatch:
     """Join a recording and a trajectory: by ``time``, by ``rows``, or by time where both have one."""
-    by_time = match == "time" or (match == "auto" and source.has_time and trajectory.has_time)
+    by_time = match == "time" or (
+        match == "auto" and source.has_time and trajectory.has_time
+    )
     wanted = trajectory.blocks()
     if by_time:
         for log in (source, trajectory):
@@ -324,10 +373,14 @@ def _matched(
             recorded, blocks = _first_time(blocks)
             begin, wanted = _first_time(wanted)
             _refuse_two_clocks(source.name, recorded, trajectory.name, begin)
-    return TrajectoryMatch(source.name, trajectory.name, blocks, wanted, by_time=by_time)
+    return TrajectoryMatch(
+        source.name, trajectory.name, blocks, wanted, by_time=by_time
+    )
 
 
-def _first_time(blocks: Iterator[SampleBlock]) -> tuple[float | None, Iterator[SampleBlock]]:
+def _first_time(
+    blocks: Iterator[SampleBlock],
+) -> tuple[float | None, Iterator[SampleBlock]]:
     """Return the time of the first sample (s; None where nothing comes), and all blocks again."""
     for block in blocks:
         if len(block):
@@ -336,11 +389,14 @@ def _first_time(blocks: Iterator[SampleBlock]) -> tuple[float | None, Iterator[S
     return None, blocks
 
 
-def _refuse_two_clocks(name: str, recorded: float | None, wanted_name: str, begin: float | None) -> None:
+def _refuse_two_clocks(
+    name: str, recorded: float | None, wanted_name: str, begin: float | None
+) -> None:
     """Refuse to match by time where a recorder seems to have started its own clock with the drive.
 
-    A drive with rows before the move begins below time 0; a recording of it that begins at 0 has either
-    left these rows out or counts from the first of them. Which, nobody can tell.
+    A drive with rows before the move begins below time 0; a recording of it that begins
+    at 0 has either left these rows out or counts from the first of them. Which, nobody
+    can tell.
 
     Raises
     ------
@@ -403,7 +459,10 @@ class PredictedDrive:
         drive = np.concatenate(self._drives)
         steps = np.concatenate(self._steps) if self._steps else None
         covered, slack = model.input, SLACK * model.input.span
-        inside = covered.minimum - slack <= drive.min() and drive.max() <= covered.maximum + slack
+        inside = (
+            covered.minimum - slack <= drive.min()
+            and drive.max() <= covered.maximum + slack
+        )
         begin = 0
         if score_rows is not None:
             begin = score_rows[0] - 1
@@ -433,18 +492,25 @@ def stated_in(path: str, unit: str | None) -> Expected:
     try:
         content = json.loads(Path(path).read_text("utf-8"))
     except (OSError, ValueError, RecursionError) as problem:
-        raise InputError(f"{path}: cannot be read as a summary or a model: {problem}") from None
+        raise InputError(
+            f"{path}: cannot be read as a summary or a model: {problem}"
+        ) from None
     if isinstance(content, dict) and content.get("format") == "dbo-summary":
         stated_unit, expected = content.get("unit"), _stated_by_summary(path, content)
     else:
         model = read_model(path)
         stated_unit, span = model.output.unit, model.output.span
-        rmse, shape = model.fit.get("expected_rmse"), model.fit.get("expected_shape_rmse")
+        rmse, shape = (
+            model.fit.get("expected_rmse"),
+            model.fit.get("expected_shape_rmse"),
+        )
         rmse = rmse if isinstance(rmse, float) else None
         shape = shape if isinstance(shape, float) else None
         expected = Expected(rmse, shape, span, f"{path} for any move inside its range")
     if stated_unit != unit:
-        raise InputError(f"{path}: is in {stated_unit or 'no unit'}, the comparison in {unit or 'no unit'}")
+        raise InputError(
+            f"{path}: is in {stated_unit or 'no unit'}, the comparison in {unit or 'no unit'}"
+        )
     return expected
 
 
@@ -466,23 +532,41 @@ def _stated_by_summary(path: str, content: Mapping[str, Any]) -> Expected:
         )
     rmse = _error_in(path, content, "expected_rmse")
     if rmse == 0.0:
-        raise InputError(f"{path}: 'expected_rmse' is 0, a number above 0 or null is needed")
+        raise InputError(
+            f"{path}: 'expected_rmse' is 0, a number above 0 or null is needed"
+        )
     shape = _error_in(path, content, "expected_shape_rmse")
     percent = _error_in(path, content, "expected_percent_of_move")
     span = None
     if rmse is not None and percent:
         span = 100.0 * rmse / percent
-    return SummaryExpected(rmse, shape, ends[1] - ends[0], path, _ends_in(path, content, "move_range"), span)
+    return SummaryExpected(
+        rmse,
+        shape,
+        ends[1] - ends[0],
+        path,
+        _ends_in(path, content, "move_range"),
+        span,
+    )
 
 
-def _ends_in(path: str, content: Mapping[str, Any], key: str) -> tuple[float, float] | None:
+def _ends_in(
+    path: str, content: Mapping[str, Any], key: str
+) -> tuple[float, float] | None:
     """Return the two ends of a range in a summary, None where it has none."""
     if key not in content:
         return None
     ends = content[key]
-    if isinstance(ends, list) and len(ends) == 2 and all(map(_is_number, ends)) and ends[0] <= ends[1]:
+    if (
+        isinstance(ends, list)
+        and len(ends) == 2
+        and all(map(_is_number, ends))
+        and ends[0] <= ends[1]
+    ):
         return float(ends[0]), float(ends[1])
-    raise InputError(f"{path}: '{key}' is {_shown(ends)}, two numbers are needed, the lesser one first")
+    raise InputError(
+        f"{path}: '{key}' is {_shown(ends)}, two numbers are needed, the lesser one first"
+    )
 
 
 def _error_in(path: str, content: Mapping[str, Any], key: str) -> float | None:
@@ -491,13 +575,19 @@ def _error_in(path: str, content: Mapping[str, Any], key: str) -> float | None:
     if value is None:
         return None
     if not _is_number(value) or value < 0.0:
-        raise InputError(f"{path}: '{key}' is {_shown(value)}, a number of at least 0 or null is needed")
+        raise InputError(
+            f"{path}: '{key}' is {_shown(value)}, a number of at least 0 or null is needed"
+        )
     return float(value)
 
 
 def _is_number(value: object) -> bool:
     """Return whether a value of a JSON file is a finite number; true and false are none."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
+    return (
+        isinstance(value, int | float)
+        and not isinstance(value, bool)
+        and abs(value) < 1e300
+    )
 
 
 def _shown(value: object) -> str:
@@ -553,7 +643,11 @@ class TrackingReport:
         of_logs, together, of_model = self._plots()
         program = program_version_string()
         return renderers.to_html(
-            self.report, of_logs, comparison_plots=together, model_plots=of_model, program=program
+            self.report,
+            of_logs,
+            comparison_plots=together,
+            model_plots=of_model,
+            program=program,
         )
 
     def rendered(self, form: str) -> bytes:
@@ -596,7 +690,9 @@ class TrackingReport:
             There is no display, or nothing that opens windows is installed.
         """
         of_logs, together, of_model = self._plots()
-        show_in_windows([plot for plots in (*of_logs, together, of_model) for plot in plots])
+        show_in_windows(
+            [plot for plots in (*of_logs, together, of_model) for plot in plots]
+        )
 
     def _plots(self) -> tuple[list[list[Plot]], list[Plot], list[Plot]]:
         """Return the figures of each log, of all together, and of the model."""
@@ -607,7 +703,8 @@ class TrackingReport:
         if len(figure_data) != len(report.logs):
             raise UsageError("nothing was kept to draw from: compare with `traced`")
         of_logs = [
-            plots_of_log(report, log, data) for log, data in zip(report.logs, figure_data, strict=True)
+            plots_of_log(report, log, data)
+            for log, data in zip(report.logs, figure_data, strict=True)
         ]
         of_model = [] if self.model is None else plots_of_model(self.model)
         return of_logs, plots_of_comparison(report, figure_data), of_model
@@ -620,8 +717,9 @@ ENDINGS = {".json": "json", ".csv": "csv", ".html": "html", ".htm": "html"}
 class ReportRun:
     """What is asked of ``report``: logs, the report's file and form, a folder for ``figures``, and limits.
 
-    ``limits`` are the parameters of ``Report.judged``; ``show`` opens a window for each figure in the end.
-    ``spelled`` spells the parameters that notes name, in reports for people: a shell has options instead.
+    ``limits`` are the parameters of ``Report.judged``; ``show`` opens a window for each
+    figure in the end. ``spelled`` spells the parameters that notes name, in reports for
+    people: a shell has options instead.
     """
 
     logs: Sequence[Address]
@@ -639,10 +737,15 @@ class ReportRun:
         options, chosen = self.options, report_form(self.output, self.form)
         request.check_document(self.output, "a report", chosen)
         places = (options.model, options.trajectory, options.expected)
-        inputs: list[Given] = [*self.logs, *(place for place in places if place is not None)]
+        inputs: list[Given] = [
+            *self.logs,
+            *(place for place in places if place is not None),
+        ]
         if isinstance(options.state, str) and options.state not in START_NAMES:
             inputs.append(options.state)
-        inputs += selected_files(options.desired, options.measured, options.voltage, self.reading.time)
+        inputs += selected_files(
+            options.desired, options.measured, options.voltage, self.reading.time
+        )
         check_output(self.output, inputs)
         if self.figures is not None:
             check_folder(self.figures)
@@ -705,7 +808,9 @@ def report_form(output: Address, form: str | None) -> str:
     """
     named = ENDINGS.get(Path(output.text).suffix.lower())
     if form is not None and named not in (None, form):
-        raise UsageError(f"{output.text}: `format` {form} contradicts this name: leave one of them out")
+        raise UsageError(
+            f"{output.text}: `format` {form} contradicts this name: leave one of them out"
+        )
     return form or named or "text"
 
 
@@ -721,8 +826,9 @@ def rows_to_score(
     lag
         Each desired row's measured one is that much further on.
     from_first
-        What the log is compared with depends on all that came before (a model's prediction) or is found by
-        going along (a trajectory elsewhere): read from the first row on, and let some of them count.
+        What the log is compared with depends on all that came before (a model's
+        prediction) or is found by going along (a trajectory elsewhere): read from the
+        first row on, and let some of them count.
 
     Raises
     ------
@@ -731,17 +837,23 @@ def rows_to_score(
     """
     samples = 0 if lag == "auto" else lag
     if not from_first:
-        return dataclasses.replace(reading, rows=rows_to_read(reading.rows, samples)), None
+        return dataclasses.replace(
+            reading, rows=rows_to_read(reading.rows, samples)
+        ), None
     if reading.rows == ALL_ROWS:
         return reading, None
     if reading.resample is not None:
         raise UsageError(
             "`rows` are those that were recorded, and after `resample` there are others (give one of them)"
         )
-    return dataclasses.replace(reading, rows=(1, rows_to_read(reading.rows, samples)[1])), reading.rows
+    return dataclasses.replace(
+        reading, rows=(1, rows_to_read(reading.rows, samples)[1])
+    ), reading.rows
 
 
-def open_trajectory(address: Address, desired: str | None, reading: ReadingOptions) -> SignalLog:
+def open_trajectory(
+    address: Address, desired: str | None, reading: ReadingOptions
+) -> SignalLog:
     """Open the file with the desired signal, on its own clock where it has one."""
     whole = dataclasses.replace(reading, rows=ALL_ROWS, time=None, sample_rate=None)
     log = open_log(address, trajectory_wishes(desired), whole)

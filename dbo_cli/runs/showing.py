@@ -13,14 +13,20 @@ from dbo_cli import extensions
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.cascade import OtherHysteresis
 from dbo_cli.hysteresis.dynamics import Lag
-from dbo_cli.hysteresis.model import SIGN_VERBS, ActuatorModel, BacklashStage, PointStage
+from dbo_cli.hysteresis.model import (
+    SIGN_VERBS,
+    ActuatorModel,
+    BacklashStage,
+    PointStage,
+)
 from dbo_cli.hysteresis.model_file import is_set, read_model, read_set, section_values
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.logs.request import Address, check_document
 from dbo_cli.logs.whole_output import write_whole
 
 WIDTH = 96  # characters of a line on the screen
-APART = ("notes", "warnings", "logs", "validation", "alternatives", "swings")  # of `fit`: elsewhere, or long
+# of `fit`: elsewhere, or long
+APART = ("notes", "warnings", "logs", "validation", "alternatives", "swings")
 
 
 def show_model(
@@ -32,12 +38,15 @@ def show_model(
 ) -> list[str]:
     """Write what is in a model or a set of them; returns notes (where figures went).
 
-    ``brought``: what the options that extras bring were given; each adds a part to what is shown of a model.
+    ``brought``: what the options that extras bring were given; each adds a part to what
+    is shown of a model.
     """
     chosen = form or ("json" if output.text.lower().endswith(".json") else "text")
     if is_set(model_file):
         for name in brought:
-            raise UsageError(f"`{name}` is of one model, and {model_file} is a set ({model_file}::CHANNEL)")
+            raise UsageError(
+                f"`{name}` is of one model, and {model_file} is a set ({model_file}::CHANNEL)"
+            )
         if figures is not None:
             raise UsageError(
                 f"`figures` draws one model, and {model_file} is a set: name one ({model_file}::CHANNEL)"
@@ -55,7 +64,11 @@ def show_model(
         forward = model if model.direction == "forward" else model.inverse()
         for name, value in brought.items():
             content |= extensions.find("run", f"show --{name}")(forward, value)
-        text = json.dumps(content, indent=2, ensure_ascii=False) if chosen == "json" else as_text(content)
+        text = (
+            json.dumps(content, indent=2, ensure_ascii=False)
+            if chosen == "json"
+            else as_text(content)
+        )
     write_whole(output, (text + "\n").encode(), protect=[model_file])
     if figures is None:
         return []
@@ -68,10 +81,17 @@ def show_model(
 def contents(model: ActuatorModel) -> dict[str, Any]:
     """Return what is in a model as plain values; lengths and voltages in the model's units, times in s."""
     fit, provenance = model.fit, model.provenance
-    backlash = next((stage for stage in model.stages if isinstance(stage, BacklashStage)), None)
-    before = model.head if model.direction == "forward" else model.tail  # between the drive and the gears
+    backlash = next(
+        (stage for stage in model.stages if isinstance(stage, BacklashStage)), None
+    )
+    # between the drive and the gears
+    before = model.head if model.direction == "forward" else model.tail
     drive_lag = model.drive_lag.sections if model.drive_lag else ()
-    loop = next(stage for stage in model.stages if isinstance(stage, BacklashStage | OtherHysteresis))
+    loop = next(
+        stage
+        for stage in model.stages
+        if isinstance(stage, BacklashStage | OtherHysteresis)
+    )
     return {
         "format": "dbo-show",
         "version": 1,
@@ -81,12 +101,17 @@ def contents(model: ActuatorModel) -> dict[str, Any]:
         "sign": model.sign,
         "gears": backlash.n if backlash else None,
         "operator": model.size,
-        "segments": [stage.m for stage in model.stages if isinstance(stage, PointStage)],
-        "segments_at_the_drive": sum(s.m for s in before if isinstance(s, PointStage)) if backlash else 0,
+        "segments": [
+            stage.m for stage in model.stages if isinstance(stage, PointStage)
+        ],
+        "segments_at_the_drive": sum(s.m for s in before if isinstance(s, PointStage))
+        if backlash
+        else 0,
         "relaxation_seconds": list(loop.relaxation.tau) if loop.relaxation else [],
         "delay_seconds": model.delay_seconds,
         "dynamics": [
-            section_values(section) for section in (model.dynamics.sections if model.dynamics else ())
+            section_values(section)
+            for section in (model.dynamics.sections if model.dynamics else ())
         ],
         "drive_lag_seconds": next(
             (section.seconds for section in drive_lag if isinstance(section, Lag)), None
@@ -119,8 +144,14 @@ def as_text(content: Mapping[str, Any]) -> str:
         lines.append(f"from {names}, by {content['program']}")
     if content["arguments"]:
         lines.append("dbo " + " ".join(map(str, content["arguments"])))
-    lines += [f"{kind[:-1]}: {text}" for kind in ("notes", "warnings") for text in content[kind]]
-    wrapped = partial(textwrap.fill, width=WIDTH, subsequent_indent="  ", break_long_words=False)
+    lines += [
+        f"{kind[:-1]}: {text}"
+        for kind in ("notes", "warnings")
+        for text in content[kind]
+    ]
+    wrapped = partial(
+        textwrap.fill, width=WIDTH, subsequent_indent="  ", break_long_words=False
+    )
     return "\n".join(map(wrapped, lines))
 
 
@@ -143,7 +174,11 @@ def _log_with_rows(log: Mapping[str, Any]) -> str:
 def _moving(content: Mapping[str, Any]) -> list[str]:
     """Return the dynamics, and how fast the model can be trusted."""
     before = content["drive_lag_seconds"]
-    parts = [f"a lag of {1e3 * before:.3g} ms before the {content['operator'].split()[-1]}"] if before else []
+    parts = (
+        [f"a lag of {1e3 * before:.3g} ms before the {content['operator'].split()[-1]}"]
+        if before
+        else []
+    )
     for section in content["dynamics"]:
         if section.get("lead"):
             late = 100.0 * (1.0 - section["lead"] / section["lag"])
@@ -152,9 +187,13 @@ def _moving(content: Mapping[str, Any]) -> list[str]:
         if "lag" in section:
             parts.append(f"a lag of {1e3 * section['lag']:.3g} ms")
             continue
-        parts.append(f"a resonance at {section['frequency']:.5g} Hz, damping {section['damping']:.3g}")
+        parts.append(
+            f"a resonance at {section['frequency']:.5g} Hz, damping {section['damping']:.3g}"
+        )
         if "antiresonance" in section:
-            parts[-1] += f", with an antiresonance at {section['antiresonance']['frequency']:.5g} Hz"
+            parts[-1] += (
+                f", with an antiresonance at {section['antiresonance']['frequency']:.5g} Hz"
+            )
     lines = [f"dynamics: {'; '.join(parts)}"] if parts else []
     trusted = content["fit"].get("trusted_hz")
     return lines + ([f"trust it to {trusted:.3g} Hz"] if trusted is not None else [])
@@ -169,16 +208,25 @@ def _goodness(content: Mapping[str, Any], unit: str | None) -> list[str]:
         share = fit.get("rmse_percent")
         percent = "" if share is None else f" ({share:.2f} % of the model's range)"
         left_out = fit.get("cross_validated_rmse")
-        more = "" if left_out is None else f", {left_out:.4g}{suffix} on cycles left out"
+        more = (
+            "" if left_out is None else f", {left_out:.4g}{suffix} on cycles left out"
+        )
         line = fit.get("straight_line_rmse")
         more += "" if line is None else f"; a straight line leaves {line:.4g}{suffix}"
-        lines.append(f"fit: RMSE {fit['rmse']:.4g}{suffix}{percent} on the rows it was identified from{more}")
+        lines.append(
+            f"fit: RMSE {fit['rmse']:.4g}{suffix}{percent} on the rows it was identified from{more}"
+        )
     lines += _uncertainty(content)
     why = fit.get("expected_from")
     if fit.get("expected_rmse") is not None:
         rests = f", from {why}" if why else ""
-        lines.append(f"expect: RMSE {fit['expected_rmse']:.4g}{suffix} on new moves inside the range{rests}")
-        if fit.get("expected_shape_rmse") is not None and fit.get("expected_zero") is not None:
+        lines.append(
+            f"expect: RMSE {fit['expected_rmse']:.4g}{suffix} on new moves inside the range{rests}"
+        )
+        if (
+            fit.get("expected_shape_rmse") is not None
+            and fit.get("expected_zero") is not None
+        ):
             lines.append(
                 f"in parts: {fit['expected_shape_rmse']:.3g}{suffix} shape (RMS of the error less its mean), "
                 f"{fit['expected_zero']:.3g}{suffix} zero (that mean; {fit['zero_from']})"
@@ -191,7 +239,11 @@ def _goodness(content: Mapping[str, Any], unit: str | None) -> list[str]:
     ]
     if fit.get("loop_width_percent") is not None:
         slopes = f"; {fit['slopes']} slopes" if fit.get("slopes") else ""
-        bend = f", drive bent by {100.0 * fit['drive_bend']:.0f} %" if fit.get("drive_bend") else ""
+        bend = (
+            f", drive bent by {100.0 * fit['drive_bend']:.0f} %"
+            if fit.get("drive_bend")
+            else ""
+        )
         width = f"{fit['loop_width_percent']:.1f} % of the model's range"
         lines.append(f"loop: {width} wide, which the model undoes{slopes}{bend}")
     return lines + _lateness(fit)
@@ -207,7 +259,9 @@ def _uncertainty(content: Mapping[str, Any]) -> list[str]:
             columns.append(column["column"])
     if columns:
         names = " and ".join(f"'{name}'" for name in columns)
-        lines.append(f"rows count by their uncertainty, column {names}, and do so in the RMSE")
+        lines.append(
+            f"rows count by their uncertainty, column {names}, and do so in the RMSE"
+        )
     fit = content["fit"]
     percent, gain = fit.get("scale_uncertainty_percent"), fit.get("gain")
     known = fit.get("gain_uncertainty")
@@ -251,7 +305,11 @@ def _asymmetry(content: Mapping[str, Any]) -> str:
 
 def _lag(content: Mapping[str, Any]) -> str:
     taus = ", ".join(f"{tau:.3g}" for tau in content["relaxation_seconds"])
-    text = f"; lag and creep with time constants of {taus} s" if taus else "; no lag, no creep"
+    text = (
+        f"; lag and creep with time constants of {taus} s"
+        if taus
+        else "; no lag, no creep"
+    )
     delay = content["delay_seconds"]
     return text + (f"; a delay of {1e3 * delay:.3g} ms" if delay else "")
 
@@ -267,4 +325,6 @@ def _quantity(quantity: Quantity) -> dict[str, Any]:
 
 def _range(quantity: Mapping[str, Any]) -> str:
     unit = f" {quantity['unit']}" if quantity["unit"] else ""
-    return f"{quantity['quantity']} {quantity['min']:.6g} to {quantity['max']:.6g}{unit}"
+    return (
+        f"{quantity['quantity']} {quantity['min']:.6g} to {quantity['max']:.6g}{unit}"
+    )

@@ -13,7 +13,8 @@ from dbo_cli.logs.clock import Statement
 from dbo_cli.logs.column_table import ColumnTable, array_source
 from dbo_cli.logs.request import Request
 
-# --- a reader: four bytes of name, the sample rate in Hz, then pairs of volts and micrometres ---
+# --- a reader: four bytes of name, the sample rate in Hz, then pairs of volts and
+# micrometres ---
 
 MAGIC = b"REC1"
 
@@ -30,14 +31,21 @@ def open_recording(request: Request) -> ColumnTable:
     with open(request.address.path, "rb") as file:
         content = file.read()
     if not content.startswith(MAGIC) or (len(content) - 12) % 16:
-        raise InputError(f"{place}: no file of our recorder, or one that ends early (record it again)")
+        raise InputError(
+            f"{place}: no file of our recorder, or one that ends early (record it again)"
+        )
     rate = float(np.frombuffer(content[4:12], "<f8")[0])
     rows = np.frombuffer(content[12:], "<f8").reshape(-1, 2)
     columns = [
         array_source("voltage", rows[:, 0], "V"),
         array_source("displacement", rows[:, 1], "um"),
     ]
-    return ColumnTable(request, "a recording", columns, clock=[Statement(f"sample rate {rate:g} Hz", rate)])
+    return ColumnTable(
+        request,
+        "a recording",
+        columns,
+        clock=[Statement(f"sample rate {rate:g} Hz", rate)],
+    )
 
 
 # --- a generator's file: one line of text a point ---

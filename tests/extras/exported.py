@@ -13,7 +13,13 @@ from compiling import WARNINGS, compile_c
 from numpy.typing import NDArray
 
 from dbo_cli.extras.export.single_code import counts_of_range
-from dbo_cli.hysteresis.model import ActuatorModel, PointStage, Quantity, Relaxation, ScaleStage
+from dbo_cli.hysteresis.model import (
+    ActuatorModel,
+    PointStage,
+    Quantity,
+    Relaxation,
+    ScaleStage,
+)
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator
 
 TYPES: dict[str, Any] = {"double": np.float64, "float": np.float32, "q31": np.int32}
@@ -22,7 +28,11 @@ TYPES: dict[str, Any] = {"double": np.float64, "float": np.float32, "q31": np.in
 def cmake(folder: Path, *words: str) -> None:
     """Run cmake with the compiler itself: cmake asks it a dozen things, and keeps its own objects."""
     subprocess.run(
-        ["cmake", *words], cwd=folder, env=os.environ | {"CC": "gcc"}, check=True, capture_output=True
+        ["cmake", *words],
+        cwd=folder,
+        env=os.environ | {"CC": "gcc"},
+        check=True,
+        capture_output=True,
     )
 
 
@@ -56,18 +66,33 @@ def compiled(
 ) -> Any:  # fmt: skip
     """Return a function (inputs, reset drive or None) -> (outputs, hashes of the crossed gears)."""
     number = {"double": "double", "float": "float", "q31": "int32_t"}[arithmetic]
-    text = HARNESS.replace("NAME", name).replace("NUMBER", number).replace("GEARS", str(gears))
+    text = (
+        HARNESS.replace("NAME", name)
+        .replace("NUMBER", number)
+        .replace("GEARS", str(gears))
+    )
     (folder / "harness.c").write_text(text)
     library = folder / "harness.so"
     sources = ["harness.c", f"{name}.c", "dbo_kernel.c", *others]
-    compile_c(folder, *WARNINGS, *flags, "-shared", "-fPIC", *sources, "-o", str(library))
+    compile_c(
+        folder, *WARNINGS, *flags, "-shared", "-fPIC", *sources, "-o", str(library)
+    )
     loaded = ctypes.CDLL(str(library))
     kind = np.ctypeslib.as_ctypes_type(TYPES[arithmetic])
     pointer = ctypes.c_void_p
-    loaded.play.argtypes = [pointer, pointer, pointer, ctypes.c_size_t, ctypes.c_int, kind]
+    loaded.play.argtypes = [
+        pointer,
+        pointer,
+        pointer,
+        ctypes.c_size_t,
+        ctypes.c_int,
+        kind,
+    ]
     loaded.play.restype = None
 
-    def play(inputs: NDArray[Any], drive: Any = None) -> tuple[NDArray[Any], NDArray[np.uint32]]:
+    def play(
+        inputs: NDArray[Any], drive: Any = None
+    ) -> tuple[NDArray[Any], NDArray[np.uint32]]:
         given = np.ascontiguousarray(inputs, dtype=TYPES[arithmetic])
         out, crossed = np.empty_like(given), np.empty(given.size, np.uint32)
         loaded.play(
@@ -107,14 +132,25 @@ def made_model(
         stages.append(PointStage(np.diff(at) * top, np.diff(bent) * top, 0.0, 0.0))
     width = top / (gears - 2 * below)
     low = -below * width
-    stages.append(DiscreteBacklashOperator(np.full(gears, width), heights, low, -0.01, relaxation))
+    stages.append(
+        DiscreteBacklashOperator(np.full(gears, width), heights, low, -0.01, relaxation)
+    )
     if points:
         knots = rng.uniform(0.8, 1.2, points)
-        stages.append(PointStage(1.2 * knots / knots.sum(), np.full(points, 1.2 / points), 0.0, 0.0))
+        stages.append(
+            PointStage(
+                1.2 * knots / knots.sum(), np.full(points, 1.2 / points), 0.0, 0.0
+            )
+        )
     sign = -1.0 if seed % 3 == 2 else 1.0
-    stages.append(ScaleStage(sign * float(rng.uniform(2.0, 200.0)), float(rng.normal())))
+    stages.append(
+        ScaleStage(sign * float(rng.uniform(2.0, 200.0)), float(rng.normal()))
+    )
     model = ActuatorModel(
-        "forward", Quantity("voltage", "V", 0.0, top), Quantity("displacement", "um", 0.0, 1.0), tuple(stages)
+        "forward",
+        Quantity("voltage", "V", 0.0, top),
+        Quantity("displacement", "um", 0.0, 1.0),
+        tuple(stages),
     )
     ends = model.simulate([top, 0.0], model.start(top, "empty"), time_step=1e6).y
     return ActuatorModel(
@@ -123,7 +159,9 @@ def made_model(
     )  # fmt: skip
 
 
-def random_moves(rng: np.random.Generator, low: float, high: float, count: int) -> NDArray[np.float64]:
+def random_moves(
+    rng: np.random.Generator, low: float, high: float, count: int
+) -> NDArray[np.float64]:
     """Return ramps between random turning points at random speeds, holds and full-range turns among them."""
     turns = low + (high - low) * rng.uniform(0.0, 1.0, count // 20 + 2)
     turns[rng.integers(0, turns.size, turns.size // 15)] = high
@@ -148,4 +186,8 @@ def as_given(moves: Any, quantity: Quantity, arithmetic: str) -> tuple[Any, Any]
 def in_units(y: Any, quantity: Quantity, arithmetic: str) -> Any:
     """Return outputs of the arithmetic in the quantity's unit."""
     middle, unit = counts_of_range(quantity)
-    return y.astype(np.float64) * unit + middle if arithmetic == "q31" else y.astype(np.float64)
+    return (
+        y.astype(np.float64) * unit + middle
+        if arithmetic == "q31"
+        else y.astype(np.float64)
+    )

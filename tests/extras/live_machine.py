@@ -1,8 +1,9 @@
 """A state machine that does with live control what a laboratory does, beside ``slow_live``.
 
-Plans, plans again, plans that are refused, commits, voltages and codes that were applied instead, knobs that
-were turned, states that are saved and gone on from; of a controller, and of banks of 1, 2 and 55 channels,
-with and without converter, slew limit, points, drive lag, dynamics and look-ahead.
+Plans, plans again, plans that are refused, commits, voltages and codes that were
+applied instead, knobs that were turned, states that are saved and gone on from; of a
+controller, and of banks of 1, 2 and 55 channels, with and without converter, slew
+limit, points, drive lag, dynamics and look-ahead.
 """
 
 from __future__ import annotations
@@ -15,7 +16,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    initialize,
+    invariant,
+    precondition,
+    rule,
+)
 from slow_live import Row, Rules, SlowChannel
 from test_runs_bank import actuator as settled_actuator
 from test_runs_controller import moving
@@ -29,9 +36,28 @@ from dbo_cli.hysteresis.model_state import DriveLimits, ModelState
 
 RATE = 20_000.0
 NEAR = 1e-7  # of the range: two ways to the same row
-KINDS = ("gears", "gears", "gears", "plain", "between", "drive lag", "lag alone", "points")
+KINDS = (
+    "gears",
+    "gears",
+    "gears",
+    "plain",
+    "between",
+    "drive lag",
+    "lag alone",
+    "points",
+)
 COUNTS = (0, 0, 0, 1, 2, 2, 55)  # channels; 0: a controller without a bank
-BAD: tuple[Any, ...] = (math.nan, math.inf, -math.inf, 1e300, True, "5", None, 1j, [1.0])
+BAD: tuple[Any, ...] = (
+    math.nan,
+    math.inf,
+    -math.inf,
+    1e300,
+    True,
+    "5",
+    None,
+    1j,
+    [1.0],
+)
 TALLY: Counter[str] = Counter()
 
 
@@ -82,7 +108,9 @@ class LiveMachine(RuleBasedStateMachine):
             count = min(count, 2)  # each row of a slow one takes a millisecond
         setting = setting._replace(channels=min(setting.channels, count))
         self.setting, self.models = setting, models_of(setting.kind, count)
-        self.looks_ahead = self.models[0].dynamics is not None or self.models[0].delay is not None
+        self.looks_ahead = (
+            self.models[0].dynamics is not None or self.models[0].delay is not None
+        )
         self.rows: list[Row] | None = None
         self.rules = [self.rules_of(model) for model in self.models]
         begins = [self.place(model, setting.begin) for model in self.models]
@@ -103,7 +131,14 @@ class LiveMachine(RuleBasedStateMachine):
         curve = self.curve(model).tolist() if self.setting.codes else None
         ahead = self.seconds_ahead() if self.looks_ahead else None
         rows = None if ahead is None else math.ceil(ahead * RATE - 1e-6)
-        return Rules(limits.v_min, limits.v_max, slew, math.inf if step is None else step, curve, rows)
+        return Rules(
+            limits.v_min,
+            limits.v_max,
+            slew,
+            math.inf if step is None else step,
+            curve,
+            rows,
+        )
 
     def curve(self, model: ActuatorModel) -> Any:
         """Return the voltage of each code: uneven, beyond the range at both ends."""
@@ -126,7 +161,9 @@ class LiveMachine(RuleBasedStateMachine):
     def made(self, begins: list[float | None], states: list[ModelState] | None) -> Any:
         """Return a controller or a bank."""
         first = self.rules[0]
-        options: dict[str, Any] = {"dac": None if first.curve is None else np.array(first.curve)}
+        options: dict[str, Any] = {
+            "dac": None if first.curve is None else np.array(first.curve)
+        }
         if self.looks_ahead:
             options["lookahead"] = self.seconds_ahead()
         each = {
@@ -142,7 +179,13 @@ class LiveMachine(RuleBasedStateMachine):
             return Controller(self.models[0], RATE, **options, **alone)
         names = [str(number) for number in range(len(self.models))]
         kept = None if states is None else dict(zip(names, states, strict=True))
-        return Bank(dict(zip(names, self.models, strict=True)), RATE, states=kept, **options, **each)
+        return Bank(
+            dict(zip(names, self.models, strict=True)),
+            RATE,
+            states=kept,
+            **options,
+            **each,
+        )
 
     # --- both as lists, a value a channel ---
 
@@ -153,7 +196,11 @@ class LiveMachine(RuleBasedStateMachine):
         return [values] if self.setting.channels == 0 else values.tolist()
 
     def states(self) -> list[ModelState | None]:
-        return [self.live.state] if self.setting.channels == 0 else list(self.live.states.values())
+        return (
+            [self.live.state]
+            if self.setting.channels == 0
+            else list(self.live.states.values())
+        )
 
     # --- rules ---
 
@@ -165,15 +212,25 @@ class LiveMachine(RuleBasedStateMachine):
             for k, model in enumerate(self.models)
         ]
         planned = self.listed(self.live.plan(self.given(wanted)))
-        self.rows = [slow.plan(value) for slow, value in zip(self.slow, wanted, strict=True)]
+        self.rows = [
+            slow.plan(value) for slow, value in zip(self.slow, wanted, strict=True)
+        ]
         self.planned = planned
         TALLY["plans"] += 1
-        TALLY["plans of rows outside the range"] += any(slow._away() > 0.0 for slow in self.slow)
-        held_back = [self.live.held_back] if self.setting.channels == 0 else self.live.held_back.tolist()
+        TALLY["plans of rows outside the range"] += any(
+            slow._away() > 0.0 for slow in self.slow
+        )
+        held_back = (
+            [self.live.held_back]
+            if self.setting.channels == 0
+            else self.live.held_back.tolist()
+        )
         for k, (slow, row) in enumerate(zip(self.slow, self.rows, strict=True)):
             self.compare(slow, row, planned[k], held_back[k])
 
-    def compare(self, slow: SlowChannel, row: Row, planned: Any, held_back: bool) -> None:
+    def compare(
+        self, slow: SlowChannel, row: Row, planned: Any, held_back: bool
+    ) -> None:
         """Hold a planned row against the slow one, and against the limits themselves."""
         rules, last, span = slow.rules, slow.last, slow.model.input.span
         if rules.curve is None:
@@ -237,7 +294,12 @@ class LiveMachine(RuleBasedStateMachine):
             if slow.rules.curve is None:
                 applied.append(self.place(slow.model, part))
             else:
-                applied.append(round(min(max(part / 1.5 + 0.2, 0.0), 1.0) * (len(slow.rules.curve) - 1)))
+                applied.append(
+                    round(
+                        min(max(part / 1.5 + 0.2, 0.0), 1.0)
+                        * (len(slow.rules.curve) - 1)
+                    )
+                )
         self.live.commit(self.given(applied))
         self.go_on(applied)
         TALLY["applied"] += 1

@@ -1,6 +1,7 @@
 """A dashboard of PyMoDAQ without a screen that moves ``examples/daq_move_Dbo.py``; for ``test_pymodaq.py``.
 
-Called as ``python pymodaq_bench.py MODEL RESULT``; where the actuator went is written as JSON.
+Called as ``python pymodaq_bench.py MODEL RESULT``; where the actuator went is written
+as JSON.
 """
 
 from __future__ import annotations
@@ -32,15 +33,21 @@ def moved(model_file, application):
     from pymodaq.utils.managers.modules.loader import PluginInfo
 
     _, dashboard = create_load_dashboard(show_dashboard=False)
-    stage = PluginInfo(id=1, name="stage", class_name="Dbo", type=ModuleType.Actuator, do_init=False)
+    stage = PluginInfo(
+        id=1, name="stage", class_name="Dbo", type=ModuleType.Actuator, do_init=False
+    )
     dashboard.module_creator.load_created_modules([[stage]])
-    wait_until(lambda: dashboard.actuators_modules, application, "the actuator is added")
+    wait_until(
+        lambda: dashboard.actuators_modules, application, "the actuator is added"
+    )
     [actuator] = dashboard.actuators_modules
     settings = actuator.settings.child(HARDWARE)
     settings.child("model").setValue(model_file)
     settings.child("v_max").setValue(10.0)
     actuator.init_hardware(True)
-    wait_until(lambda: actuator.initialized_state, application, "the actuator is initialised")
+    wait_until(
+        lambda: actuator.initialized_state, application, "the actuator is initialised"
+    )
     places = []
     arrived = []
     actuator.move_done_signal.connect(arrived.append)

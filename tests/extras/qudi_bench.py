@@ -1,7 +1,7 @@
 """What the test of ``examples/qudi_scanner.py`` puts into Qudi: cards that remember what they played.
 
-Called as ``python qudi_bench.py CONFIG RESULT`` it starts Qudi, moves the cursor, scans, and writes what the
-cards played.
+Called as ``python qudi_bench.py CONFIG RESULT`` it starts Qudi, moves the cursor,
+scans, and writes what the cards played.
 """
 
 from __future__ import annotations
@@ -56,12 +56,17 @@ class RememberingFrames(FiniteSamplingIODummy):
         try:
             return super().get_buffered_samples(number_of_samples)
         except AssertionError as problem:
-            raise ValueError(str(problem)) from problem  # what the module for real cards raises
+            # what the module for real cards raises
+            raise ValueError(str(problem)) from problem
 
     def start_buffered_frame(self):
         super().start_buffered_frame()
-        volts = {channel: list(map(float, values)) for channel, values in self._data.items()}
-        self.frames.append({"begin": time.monotonic(), "rate": self.sample_rate, "volts": volts})
+        volts = {
+            channel: list(map(float, values)) for channel, values in self._data.items()
+        }
+        self.frames.append(
+            {"begin": time.monotonic(), "rate": self.sample_rate, "volts": volts}
+        )
 
 
 def wait_until(condition, application):
@@ -94,7 +99,10 @@ def scan(manager, application, plan):
     data = logic.scan_data
     return {
         "cursor": cursor,
-        "image": [None if data is None else list(channel.shape) for channel in data.data.values()],
+        "image": [
+            None if data is None else list(channel.shape)
+            for channel in data.data.values()
+        ],
         "events": manager["ni_ao"].instance.events,
         "frames": manager["ni_finite_sampling_io"].instance.frames,
         "after": scanner.get_position(),

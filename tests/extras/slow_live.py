@@ -1,8 +1,9 @@
 """Live control as it is meant: slow, obvious, a block function of the model for every row.
 
-Nothing of ``extras/live`` is used. A row that was played is a call of ``simulate``, a row that is planned a
-call of ``compensate`` from the state before it; what looks ahead is undone from everything that was wanted
-since the beginning; a converter's codes are looked at one by one.
+Nothing of ``extras/live`` is used. A row that was played is a call of ``simulate``, a
+row that is planned a call of ``compensate`` from the state before it; what looks ahead
+is undone from everything that was wanted since the beginning; a converter's codes are
+looked at one by one.
 """
 
 from __future__ import annotations
@@ -68,13 +69,21 @@ class SlowChannel:
     def plan(self, wanted: float) -> Row:
         """Return the row for what is wanted."""
         rules, last = self.rules, self.last
-        followed = self._undone([*self.wanted, wanted])[-1] if rules.ahead is not None else wanted
+        followed = (
+            self._undone([*self.wanted, wanted])[-1]
+            if rules.ahead is not None
+            else wanted
+        )
         if rules.curve is None and self._away() > rules.step:
             inwards = last - rules.step if last > rules.high else last + rules.step
             return Row(inwards, held_back=True, wanted=wanted)
-        limits = DriveLimits(rules.low, rules.high, rules.slew if rules.curve is None else None)
+        limits = DriveLimits(
+            rules.low, rules.high, rules.slew if rules.curve is None else None
+        )
         begun = self.state or self.model.start_compensation(followed, "auto", limits)
-        done = self.model.compensate([followed], begun, limits=limits, time_step=1.0 / self.rate)
+        done = self.model.compensate(
+            [followed], begun, limits=limits, time_step=1.0 / self.rate
+        )
         row = Row(float(done.y[0]), held_back=done.clipped_count > 0, wanted=wanted)
         if rules.curve is not None:
             row.codes, slow = self._codes(row.volts)
@@ -94,8 +103,12 @@ class SlowChannel:
         gaps = [b - a for a, b in itertools.pairwise(curve)]
         if step >= max(gaps):
             return step
-        # The wider of the two codes beside the first one that is not below the voltage that stands.
-        place = min([k for k, volts in enumerate(curve) if volts >= self.last], default=len(curve) - 1)
+        # The wider of the two codes beside the first one that is not below the voltage
+        # that stands.
+        place = min(
+            [k for k, volts in enumerate(curve) if volts >= self.last],
+            default=len(curve) - 1,
+        )
         beside = [gaps[k] for k in (place - 1, place) if 0 <= k < len(gaps)]
         return min(self.saved + step, max(step, *beside))
 
@@ -103,7 +116,9 @@ class SlowChannel:
         """Return the codes that are as good as each other, and whether the slew holds a better one back."""
         curve, last, most = self.rules.curve, self.last, self._most()
         assert curve is not None
-        inside = [k for k, own in enumerate(curve) if self.rules.low <= own <= self.rules.high]
+        inside = [
+            k for k, own in enumerate(curve) if self.rules.low <= own <= self.rules.high
+        ]
         best = self._nearest(inside, volts)
         if math.isnan(last):
             return best, False
@@ -126,7 +141,9 @@ class SlowChannel:
         assert self.rules.curve is not None
         away = {code: abs(self.rules.curve[code] - volts) for code in codes}
         least = min(away.values())
-        return [code for code in codes if away[code] <= least + 1e-9 * self.model.input.span]
+        return [
+            code for code in codes if away[code] <= least + 1e-9 * self.model.input.span
+        ]
 
     # --- what looks ahead ---
 
@@ -134,17 +151,22 @@ class SlowChannel:
         """Return what the gears are to follow for each row wanted; ``memory`` afterwards is not kept."""
         return self._inverted(wanted)[0]
 
-    def _inverted(self, wanted: list[float]) -> tuple[list[float], InverseMemory | None]:
+    def _inverted(
+        self, wanted: list[float]
+    ) -> tuple[list[float], InverseMemory | None]:
         samples, model, step = self.rules.ahead, self.model, 1.0 / self.rate
         assert samples is not None
         inverter = None if model.dynamics is None else model.dynamics.inverter(step)
         ahead = 0 if inverter is None else inverter.ahead
-        before = WINDOW  # rows of what was wanted first, so that no window of samples is cut off
+        # rows of what was wanted first, so that no window of samples is cut off
+        before = WINDOW
         known = np.array([wanted[0]] * (before + samples) + wanted)
         count = len(wanted) + ahead
         places = before + np.arange(count) + model.delay_seconds / step
         newest = before + samples - ahead
-        later, _ = interpolated(np.arange(known.size, dtype=float), known, places, newest)
+        later, _ = interpolated(
+            np.arange(known.size, dtype=float), known, places, newest
+        )
         if inverter is None:
             return later.tolist(), None
         memory = self.memory
@@ -181,5 +203,7 @@ class SlowChannel:
 
     def _play(self, volts: float) -> None:
         begun = self.state or self.model.start(volts)
-        self.state = self.model.simulate([volts], begun, time_step=1.0 / self.rate).state
+        self.state = self.model.simulate(
+            [volts], begun, time_step=1.0 / self.rate
+        ).state
         self.last = volts

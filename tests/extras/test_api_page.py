@@ -13,7 +13,9 @@ import pytest
 import dbo_cli
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-spec = importlib.util.spec_from_file_location("make_api_page", DOCS / "make_api_page.py")
+spec = importlib.util.spec_from_file_location(
+    "make_api_page", DOCS / "make_api_page.py"
+)
 assert spec is not None and spec.loader is not None
 make_api_page = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(make_api_page)
@@ -39,7 +41,9 @@ def explained(text: str) -> set[str]:
 
 
 def test_the_page_is_up_to_date() -> None:
-    assert make_api_page.PAGE.read_text(encoding="utf-8") == make_api_page.page(), "run docs/make_api_page.py"
+    assert make_api_page.PAGE.read_text(encoding="utf-8") == make_api_page.page(), (
+        "run docs/make_api_page.py"
+    )
 
 
 def test_every_public_name_is_on_the_page() -> None:
@@ -58,4 +62,6 @@ def test_every_parameter_is_explained(name: str) -> None:
 
 @pytest.mark.parametrize("record", make_api_page.RECORDS, ids=lambda one: one.__name__)
 def test_every_further_keyword_is_explained(record: Any) -> None:
-    assert set(inspect.signature(record).parameters) == explained(inspect.getdoc(record) or "")
+    assert set(inspect.signature(record).parameters) == explained(
+        inspect.getdoc(record) or ""
+    )

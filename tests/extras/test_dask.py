@@ -29,15 +29,25 @@ def test_the_page_makes_models_and_drives(tmp_path: Path) -> None:
     seconds, wanted = mirror.move()
     log, frames = {"time_s": time[rows]}, {"time_s": seconds}
     for k in range(CHANNELS):
-        log |= {f"voltage_{k + 1}_V": volts[rows, k], f"displacement_{k + 1}_um": shown[:, k]}
+        log |= {
+            f"voltage_{k + 1}_V": volts[rows, k],
+            f"displacement_{k + 1}_um": shown[:, k],
+        }
         frames |= {f"desired_{k + 1}_um": wanted[:, k]}
     save_table(str(tmp_path / "log.h5"), log)
     save_table(str(tmp_path / "frames.h5"), frames)
-    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    blocks = re.findall(
+        r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL
+    )
     code = "\n".join(blocks) + '    import numpy; numpy.save("drives.npy", drives)\n'
     (tmp_path / "page.py").write_text(code, encoding="utf-8")
     done = subprocess.run(
-        [sys.executable, "page.py"], cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False
+        [sys.executable, "page.py"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     made = dbo_cli.read_model(tmp_path / "mirror.json")

@@ -67,15 +67,21 @@ def test_what_the_hardware_refused_is_not_committed(model_file: str) -> None:
     assert str(axis.failure) == "no such device" and axis.position == axis.low
 
 
-def test_a_card_gets_the_volts_before_the_amplifier(model_file: str, tmp_path: Path) -> None:
+def test_a_card_gets_the_volts_before_the_amplifier(
+    model_file: str, tmp_path: Path
+) -> None:
     wanted = 1.0 + 3.0 * (1.0 - np.cos(np.arange(200) / 20.0))
     rows = "".join(f"{k / 100},{x!r}\n" for k, x in enumerate(wanted.tolist()))
     (tmp_path / "wish.csv").write_text("time_s,displacement_um\n" + rows)
-    output = nidaqmx_live.play(model_file, str(tmp_path / "wish.csv"), "Dev1/ao0", 20.0, 0.0, 10.0)
+    output = nidaqmx_live.play(
+        model_file, str(tmp_path / "wish.csv"), "Dev1/ao0", 20.0, 0.0, 10.0
+    )
     if not isinstance(output, nidaqmx_live.SimulatedOutput):
         pytest.skip("there is a driver here, and perhaps a card")
     drive = dbo.read_model(model_file).compensate(wanted, sample_rate=100.0)
-    assert (20.0 * np.array(output.written[:200])).tolist() == pytest.approx(drive.tolist(), abs=1e-12)
+    assert (20.0 * np.array(output.written[:200])).tolist() == pytest.approx(
+        drive.tolist(), abs=1e-12
+    )
     assert output.written[-1] == 0.0
 
 
@@ -92,10 +98,15 @@ def test_a_pymodaq_actuator(model_file: str, monkeypatch: pytest.MonkeyPatch) ->
     actuator.settings.child("model").setValue(model_file)
     actuator.settings.child("v_max").setValue(10.0)
     assert actuator.ini_stage() == ("1 to 9 um", True)
-    for target in (DataActuator(data=5.0, units="um"), DataActuator(data=2500.0, units="nm")):
+    for target in (
+        DataActuator(data=5.0, units="um"),
+        DataActuator(data=2500.0, units="nm"),
+    ):
         actuator.move_abs(target)
         arrive(actuator.controller)
-        assert actuator.get_actuator_value().value("um") == pytest.approx(target.value("um"))
+        assert actuator.get_actuator_value().value("um") == pytest.approx(
+            target.value("um")
+        )
     actuator.move_home()
     arrive(actuator.controller)
     assert actuator.get_actuator_value().value("um") == 1.0
@@ -119,12 +130,16 @@ def test_a_qudi_module(model_file: str, monkeypatch: pytest.MonkeyPatch) -> None
 
     main = Main()
     options = {"model": model_file, "v_max": 10.0}
-    module = DboPositioner(qudi_main_weakref=weakref.ref(main), name="stage", config=options)
+    module = DboPositioner(
+        qudi_main_weakref=weakref.ref(main), name="stage", config=options
+    )
     module.on_activate()
     assert module.constraints.channel_limits == {CHANNEL: (1.0, 9.0)}
     assert module.constraints.channel_units == {CHANNEL: "um"}
     module.set_setpoint(CHANNEL, 4.0)
     arrive(module._axis)
-    assert module.setpoints == {CHANNEL: 4.0} and module.activity_states == {CHANNEL: True}
+    assert module.setpoints == {CHANNEL: 4.0} and module.activity_states == {
+        CHANNEL: True
+    }
     module.on_deactivate()
     assert module.last_volts == 0.0 and application is not None

@@ -37,7 +37,9 @@ def compensated(model: ActuatorModel, desired: Any, slew: float | None = None) -
 @needs_compiler
 @pytest.mark.parametrize("gears", [1, 2, 12])
 @pytest.mark.parametrize("direction", ["inverse", "forward"])
-def test_the_lookup_table_gives_the_bits_of_the_recursion(gears: int, direction: Any, tmp_path: Path) -> None:
+def test_the_lookup_table_gives_the_bits_of_the_recursion(
+    gears: int, direction: Any, tmp_path: Path
+) -> None:
     """The vectors come from the package's recursion; 10^5 more samples against the exported one."""
     model = small_model(gears % 3, gears, terms=gears % 3)
     slew = {"max_slew": 30.0 * model.input.span} if direction == "inverse" else {}
@@ -49,7 +51,9 @@ def test_the_lookup_table_gives_the_bits_of_the_recursion(gears: int, direction:
             **slew,  # type: ignore[arg-type]
         )  # fmt: skip
         quantity = model.output if direction == "inverse" else model.input
-        moves = random_moves(np.random.default_rng(gears), quantity.minimum, quantity.maximum, 100_000)
+        moves = random_moves(
+            np.random.default_rng(gears), quantity.minimum, quantity.maximum, 100_000
+        )
         moves[::97] += 0.1 * quantity.span
         outputs.append(run_flat(folder, "x", moves, None))
         outputs.append(run_flat(folder, "x", moves[:5000], 0.3 * model.input.maximum))
@@ -57,7 +61,9 @@ def test_the_lookup_table_gives_the_bits_of_the_recursion(gears: int, direction:
     assert outputs[1].tobytes() == outputs[3].tobytes()
     folder = tmp_path / "lookupTrue"
     sources = ["x_test.c", "x.c", "dbo_kernel.c", "dbo_lookup.c"]
-    compile_c(folder, *WARNINGS, *SANITIZERS, *sources, "-o", "t", compiler=COMPILERS[-1])
+    compile_c(
+        folder, *WARNINGS, *SANITIZERS, *sources, "-o", "t", compiler=COMPILERS[-1]
+    )
     subprocess.run(["./t"], cwd=folder, check=True, capture_output=True)
 
 
@@ -87,10 +93,15 @@ def run_flat(folder: Path, name: str, inputs: Any, settled: float | None) -> Any
 @needs_compiler
 def test_the_shared_library_gives_the_bits_of_compensate(tmp_path: Path) -> None:
     model = made_model(1)
-    desired = random_moves(np.random.default_rng(2), model.output.minimum, model.output.maximum, 4000)
+    desired = random_moves(
+        np.random.default_rng(2), model.output.minimum, model.output.maximum, 4000
+    )
     drive = compensated(model, desired)
     export_model(model, str(tmp_path / "out"), name="x", sample_rate=RATE, shared=True)
-    assert run_flat(tmp_path / "out", "x", desired[1:], float(drive[0])).tobytes() == drive[1:].tobytes()
+    assert (
+        run_flat(tmp_path / "out", "x", desired[1:], float(drive[0])).tobytes()
+        == drive[1:].tobytes()
+    )
     library = ctypes.CDLL(str(next((tmp_path / "out").glob("libx.*"))))
     library.x_sample_rate.restype = ctypes.c_double
     assert library.x_sample_rate() == RATE
@@ -102,7 +113,9 @@ def test_fmpy_drives_the_fmu_as_compensate_does(tmp_path: Path) -> None:
     from fmpy.validation import validate_fmu
 
     model = made_model(1, gears=90, slopes=30)
-    desired = random_moves(np.random.default_rng(3), model.output.minimum, model.output.maximum, 600)
+    desired = random_moves(
+        np.random.default_rng(3), model.output.minimum, model.output.maximum, 600
+    )
     drive = compensated(model, desired)
     export_model(model, str(tmp_path / "out"), name="x", sample_rate=RATE, fmu=True)
     path = str(tmp_path / "out" / "x.fmu")
@@ -123,13 +136,17 @@ def test_fmpy_drives_the_fmu_as_compensate_does(tmp_path: Path) -> None:
         if k == 300:
             saved = unit.serializeFMUstate(unit.getFMUstate())
         unit.setReal([1], [float(value)])
-        unit.doStep(currentCommunicationPoint=k / RATE, communicationStepSize=1.0 / RATE)
+        unit.doStep(
+            currentCommunicationPoint=k / RATE, communicationStepSize=1.0 / RATE
+        )
         outputs.append(unit.getReal([2])[0])
     assert np.array(outputs).tobytes() == drive[1:].tobytes()
     unit.setFMUstate(unit.deSerializeFMUstate(saved))
     for k, value in enumerate(desired[301:]):
         unit.setReal([1], [float(value)])
-        unit.doStep(currentCommunicationPoint=k / RATE, communicationStepSize=1.0 / RATE)
+        unit.doStep(
+            currentCommunicationPoint=k / RATE, communicationStepSize=1.0 / RATE
+        )
         again.append(unit.getReal([2])[0])
     assert again == outputs[300:]
     with pytest.raises(fmpy.fmi1.FMICallException):
@@ -141,12 +158,21 @@ def test_fmpy_drives_the_fmu_as_compensate_does(tmp_path: Path) -> None:
 @needs_compiler
 def test_the_fmu_holds_the_sources_that_it_was_made_of(tmp_path: Path) -> None:
     for k in range(2):
-        export_model(made_model(0), str(tmp_path / f"out{k}"), name="x", sample_rate=RATE, fmu=True)
+        export_model(
+            made_model(0),
+            str(tmp_path / f"out{k}"),
+            name="x",
+            sample_rate=RATE,
+            fmu=True,
+        )
     contents = [(tmp_path / f"out{k}" / "x.fmu").read_bytes() for k in range(2)]
     assert contents[0] == contents[1]
     with zipfile.ZipFile(tmp_path / "out0" / "x.fmu") as archive:
         for name in ("x.c", "x.h", "dbo_kernel.c", "dbo_kernel.h"):
-            assert archive.read(f"sources/{name}") == (tmp_path / "out0" / name).read_bytes()
+            assert (
+                archive.read(f"sources/{name}")
+                == (tmp_path / "out0" / name).read_bytes()
+            )
         archive.extractall(tmp_path / "unpacked")
     compile_c(tmp_path / "unpacked" / "sources", *WARNINGS, "-c", "x_fmu.c")
 
@@ -156,7 +182,13 @@ def test_without_a_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.delenv("CC", raising=False)
     for option in ("fmu", "shared"):
         with pytest.raises(OutputError, match="no C compiler"):
-            export_model(small_model(0), str(tmp_path / "out"), name="x", sample_rate=RATE, **{option: True})  # type: ignore[arg-type]
+            export_model(
+                small_model(0),
+                str(tmp_path / "out"),
+                name="x",
+                sample_rate=RATE,
+                **{option: True},
+            )  # type: ignore[arg-type]
     assert list(tmp_path.iterdir()) == []
 
 
@@ -172,30 +204,62 @@ def test_what_contradicts_itself_is_refused(tmp_path: Path) -> None:
                 arithmetic="q31",
                 **{option: True},  # type: ignore[arg-type]
             )
-    with pytest.raises(UsageError, match=r"^`arduino` goes with neither `fmu` nor `shared`"):
-        export_model(model, str(tmp_path / "out"), name="x", sample_rate=RATE, arduino=True, fmu=True)
     with pytest.raises(
-        ModelError, match=r"^dx: 288 gears are too many for a table of all states, 12 at most"
+        UsageError, match=r"^`arduino` goes with neither `fmu` nor `shared`"
     ):
-        export_model(model, str(tmp_path / "out"), name="x", sample_rate=RATE, lookup=True)
+        export_model(
+            model,
+            str(tmp_path / "out"),
+            name="x",
+            sample_rate=RATE,
+            arduino=True,
+            fmu=True,
+        )
+    with pytest.raises(
+        ModelError,
+        match=r"^dx: 288 gears are too many for a table of all states, 12 at most",
+    ):
+        export_model(
+            model, str(tmp_path / "out"), name="x", sample_rate=RATE, lookup=True
+        )
     assert list(tmp_path.iterdir()) == []
 
 
 def test_the_command(dbo: Any, tmp_path: Path) -> None:
     (tmp_path / "model.json").write_bytes(model_to_bytes(made_model(1)))
     done = dbo(
-        "export", "model.json", "-o", "out", "--name", "piezo", "--arithmetic", "q31", "--sample-rate", 1000
+        "export",
+        "model.json",
+        "-o",
+        "out",
+        "--name",
+        "piezo",
+        "--arithmetic",
+        "q31",
+        "--sample-rate",
+        1000,
     )
     assert (done.code, done.out) == (0, "")
     assert done.err.startswith("dbo: out: inverse model 'piezo' in q31, 288 gears in ")
     assert "dbo: error at most " in done.err
     assert (tmp_path / "out" / "piezo_test.c").exists()
-    again = dbo("export", "model.json", "-o", "out", "--name", "piezo", "--sample-rate", 1000)
+    again = dbo(
+        "export", "model.json", "-o", "out", "--name", "piezo", "--sample-rate", 1000
+    )
     assert (again.code, again.err) == (
         1, "dbo: error: out: the folder exists already (--overwrite replaces an export)\n",
     )  # fmt: skip
     quiet = dbo(
-        "export", "model.json", "-o", "out", "--name", "b", "--sample-rate", 1000, "--overwrite", "-q"
+        "export",
+        "model.json",
+        "-o",
+        "out",
+        "--name",
+        "b",
+        "--sample-rate",
+        1000,
+        "--overwrite",
+        "-q",
     )
     assert quiet == (0, "", "")
     assert not (tmp_path / "out" / "piezo.c").exists()
@@ -212,7 +276,9 @@ def test_the_command(dbo: Any, tmp_path: Path) -> None:
 
 
 def test_the_manifest_tells_what_was_asked_for(tmp_path: Path) -> None:
-    export_model(small_model(0), str(tmp_path / "out"), name="x", sample_rate=RATE, lookup=True)
+    export_model(
+        small_model(0), str(tmp_path / "out"), name="x", sample_rate=RATE, lookup=True
+    )
     told = json.loads((tmp_path / "out" / "export.json").read_text())
     assert told["table_bytes"] > 17 * 2**8
     assert "dbo_lookup.c" in told["files"]

@@ -32,7 +32,9 @@ NUMBERS = {"double": "double", "float": "float", "q31": "int32_t"}
 def built(folder: Path, sources: list[str], *flags: str) -> str:
     """Compile and run a program, warnings being errors; return what it prints."""
     compile_c(folder, *WARNINGS, *flags, *sources, "-lm", "-o", "program")
-    done = subprocess.run(["./program"], cwd=folder, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        ["./program"], cwd=folder, capture_output=True, text=True, check=True
+    )
     return done.stdout
 
 
@@ -61,7 +63,9 @@ int main(void) {
 def test_q31_repeats_its_last_output_for_what_is_no_number(tmp_path: Path) -> None:
     """NaN, infinities and what 32 bits do not hold; just inside twice the range is still a count."""
     model = made_model(1)
-    export_model(model, str(tmp_path / "x"), name="x", arithmetic="q31", sample_rate=RATE)
+    export_model(
+        model, str(tmp_path / "x"), name="x", arithmetic="q31", sample_rate=RATE
+    )
     low, high = model.output.minimum, model.output.maximum
     span, middle = high - low, 0.5 * (low + high)
     places = {
@@ -82,7 +86,10 @@ def test_q31_repeats_its_last_output_for_what_is_no_number(tmp_path: Path) -> No
     assert abs(inside - 0.99 * 2**31) < 3.0
     assert abs(under + 0.99 * 2**31) < 3.0
     page = (tmp_path / "x" / "README.md").read_text()
-    assert "beyond twice the range, are ignored: the last output comes again. X_IN(x) gives X_IGNORED" in page
+    assert (
+        "beyond twice the range, are ignored: the last output comes again. X_IN(x) gives X_IGNORED"
+        in page
+    )
 
 
 # ---- limits and slew
@@ -112,7 +119,18 @@ def played(folder: Path, arithmetic: str, inputs: Any, kinds: Any) -> list[Fract
     number = NUMBERS[arithmetic]
     (folder / "play.c").write_text(PLAY.replace("NUMBER", number))
     sources = sorted(p.name for p in folder.glob("*.c") if p.name.startswith("dbo_"))
-    compile_c(folder, *WARNINGS, "-O1", "-shared", "-fPIC", "play.c", "x.c", *sources, "-o", "play.so")
+    compile_c(
+        folder,
+        *WARNINGS,
+        "-O1",
+        "-shared",
+        "-fPIC",
+        "play.c",
+        "x.c",
+        *sources,
+        "-o",
+        "play.so",
+    )
     library = ctypes.CDLL(str(folder / "play.so"))
     given = np.ascontiguousarray(inputs, dtype=TYPES[arithmetic])
     kind, out = np.ascontiguousarray(kinds, dtype=np.intc), np.empty_like(given)
@@ -122,12 +140,16 @@ def played(folder: Path, arithmetic: str, inputs: Any, kinds: Any) -> list[Fract
     return [Fraction(value) for value in out.tolist()]
 
 
-def hostile(rng: np.random.Generator, model: ActuatorModel, arithmetic: str, count: int) -> tuple[Any, Any]:
+def hostile(
+    rng: np.random.Generator, model: ActuatorModel, arithmetic: str, count: int
+) -> tuple[Any, Any]:
     """Return inputs and kinds: moves with jumps, no numbers among them, resets to drives of every sort."""
     low, high = model.output.minimum, model.output.maximum
     moves = random_moves(rng, low, high, count)
     wild = rng.random(count)
-    moves = np.where(wild < 0.1, low + (high - low) * rng.uniform(-3.0, 4.0, count), moves)
+    moves = np.where(
+        wild < 0.1, low + (high - low) * rng.uniform(-3.0, 4.0, count), moves
+    )
     kinds = np.zeros(count, np.intc)
     kinds[rng.integers(1, count, count // 60)] = 1
     kinds[rng.integers(1, count, count // 150)] = 2
@@ -137,9 +159,13 @@ def hostile(rng: np.random.Generator, model: ActuatorModel, arithmetic: str, cou
         counted = []
         for values, quantity in ((moves, model.output), (drives, model.input)):
             middle, unit = counts_of_range(quantity)
-            counted.append(np.clip(np.rint((values - middle) / unit), -(2**31) + 1, 2**31 - 1))
+            counted.append(
+                np.clip(np.rint((values - middle) / unit), -(2**31) + 1, 2**31 - 1)
+            )
         moves, drives = counted
-        bad = np.array([-(2**31), 2**31 - 1, -(2**31) + 1, -(2**31), -(2**31)])[rng.integers(0, 5, count)]
+        bad = np.array([-(2**31), 2**31 - 1, -(2**31) + 1, -(2**31), -(2**31)])[
+            rng.integers(0, 5, count)
+        ]
     given = np.where(kinds == 1, drives, moves)
     given = np.where(rng.random(count) < 0.05, bad, given)
     given[0] = bad[0]  # no number before there was any other
@@ -151,7 +177,10 @@ def lagging(model: ActuatorModel) -> ActuatorModel:
 
 
 def resonant(model: ActuatorModel) -> ActuatorModel:
-    return replace(model, stages=(*model.stages, DynamicsStage((Resonance(60.0, 0.05), Lag(0.002)))))
+    return replace(
+        model,
+        stages=(*model.stages, DynamicsStage((Resonance(60.0, 0.05), Lag(0.002)))),
+    )
 
 
 CASES = [
@@ -168,10 +197,13 @@ def test_an_inverse_never_leaves_its_limits_or_its_slew(
 ) -> None:
     """Whatever comes in, from the first sample on, after every reset; float and q31 to the last bit.
 
-    In double a sum rounds, and a lag before the gears is held back from a billionth of the range on.
+    In double a sum rounds, and a lag before the gears is held back from a billionth of
+    the range on.
     """
     gears = 10 if lookup else (8, 90, 300)[seed]
-    model = made_model(seed, gears=gears, slopes=min(gears, 30), terms=seed, below=(0, 3, 25)[seed])
+    model = made_model(
+        seed, gears=gears, slopes=min(gears, 30), terms=seed, below=(0, 3, 25)[seed]
+    )
     model = model if changed is None else changed(model)
     rng = np.random.default_rng(seed)
     span = model.input.span
@@ -196,11 +228,24 @@ def test_an_inverse_never_leaves_its_limits_or_its_slew(
         assert max(out) <= limits.v_max
     assert limits.max_slew is not None
     asked = Fraction(limits.max_slew) / Fraction(RATE)
-    slack = {"double": Fraction(4 * np.spacing(limits.v_max)), "float": Fraction(0), "q31": Fraction(0)}
-    spare = Fraction(NEGLIGIBLE * (limits.v_max - limits.v_min)) if changed is lagging else slack[arithmetic]
-    changes = [abs(b - a) for a, b, kind in zip(out, out[1:], kinds[1:], strict=False) if kind == 0]
+    slack = {
+        "double": Fraction(4 * np.spacing(limits.v_max)),
+        "float": Fraction(0),
+        "q31": Fraction(0),
+    }
+    spare = (
+        Fraction(NEGLIGIBLE * (limits.v_max - limits.v_min))
+        if changed is lagging
+        else slack[arithmetic]
+    )
+    changes = [
+        abs(b - a)
+        for a, b, kind in zip(out, out[1:], kinds[1:], strict=False)
+        if kind == 0
+    ]
     assert max(changes) <= asked + spare
-    assert sum(change > 0.6 * asked for change in changes) > 100  # bends are counted at their steepest
+    # bends are counted at their steepest
+    assert sum(change > 0.6 * asked for change in changes) > 100
     ends = {min(out), max(out)}
     assert sum(value in ends for value in out) > 100
 
@@ -213,7 +258,9 @@ def test_limits_are_converted_inwards(q31: bool) -> None:
     middle, unit = counts_of_range(model.input) if q31 else (0.0, 1.0)
     outwards = 0
     for _ in range(300):
-        low, high = np.sort(model.input.minimum + model.input.span * rng.uniform(0.0, 1.0, 2)).tolist()
+        low, high = np.sort(
+            model.input.minimum + model.input.span * rng.uniform(0.0, 1.0, 2)
+        ).tolist()
         slew = model.input.span * float(rng.uniform(1.0, 100.0))
         plan = plan_cascade(model, "inverse", RATE, DriveLimits(low, high, slew))
         t = single_tables(plan, axes_of(plan), q31, 2.0**-10)
@@ -236,14 +283,28 @@ def test_limits_are_converted_inwards(q31: bool) -> None:
 
 
 @pytest.mark.parametrize("arithmetic", ["float", "q31"])
-def test_limits_that_an_arithmetic_cannot_hold_are_refused(arithmetic: Any, tmp_path: Path) -> None:
+def test_limits_that_an_arithmetic_cannot_hold_are_refused(
+    arithmetic: Any, tmp_path: Path
+) -> None:
     model, out = made_model(1), str(tmp_path / "out")
-    with pytest.raises(ModelError, match=r"^`v_min`, `v_max`: too close for this arithmetic \(`arith"):
+    with pytest.raises(
+        ModelError, match=r"^`v_min`, `v_max`: too close for this arithmetic \(`arith"
+    ):
         export_model(
-            model, out, name="x", arithmetic=arithmetic, sample_rate=RATE, v_min=5.1, v_max=5.1 + 1e-11
+            model,
+            out,
+            name="x",
+            arithmetic=arithmetic,
+            sample_rate=RATE,
+            v_min=5.1,
+            v_max=5.1 + 1e-11,
         )
-    with pytest.raises(ModelError, match=r"^`max_slew`: less than this arithmetic resolves in one step"):
-        export_model(model, out, name="x", arithmetic=arithmetic, sample_rate=RATE, max_slew=1e-6)
+    with pytest.raises(
+        ModelError, match=r"^`max_slew`: less than this arithmetic resolves in one step"
+    ):
+        export_model(
+            model, out, name="x", arithmetic=arithmetic, sample_rate=RATE, max_slew=1e-6
+        )
     assert list(tmp_path.iterdir()) == []
 
 
@@ -288,7 +349,9 @@ def program(exports: dict[str, tuple[str, ActuatorModel]]) -> str:
         for key, value in words.items():
             text = text.replace(key, value)
         functions += text
-    text = MAIN.replace("INCLUDES", "\n".join(f'#include "{name}/{name}.h"' for name in exports))
+    text = MAIN.replace(
+        "INCLUDES", "\n".join(f'#include "{name}/{name}.h"' for name in exports)
+    )
     text = text.replace("FUNCTIONS", functions)
     return text.replace("CALLS", "\n".join(f"    play_{name}();" for name in exports))
 
@@ -302,7 +365,13 @@ def test_exports_of_three_arithmetics_stand_in_one_program(tmp_path: Path) -> No
         "whole": ("q31", made_model(2)),
     }
     for name, (arithmetic, model) in exports.items():
-        export_model(model, str(tmp_path / name), name=name, arithmetic=arithmetic, sample_rate=RATE)  # type: ignore[arg-type]
+        export_model(
+            model,
+            str(tmp_path / name),
+            name=name,
+            arithmetic=arithmetic,
+            sample_rate=RATE,
+        )  # type: ignore[arg-type]
     sources = {
         name: [str(p.relative_to(tmp_path)) for p in sorted((tmp_path / name).glob("*.c"))
                if not p.name.endswith(("_test.c", "_main.c"))]
@@ -317,10 +386,18 @@ def test_exports_of_three_arithmetics_stand_in_one_program(tmp_path: Path) -> No
     (tmp_path / "main.c").write_text(program(exports))
     assert built(tmp_path, ["main.c", *every]) == alone
     (tmp_path / "main.c").write_text(program(dict(reversed(exports.items()))))
-    assert sorted(built(tmp_path, ["main.c", *every]).splitlines()) == sorted(alone.splitlines())
+    assert sorted(built(tmp_path, ["main.c", *every]).splitlines()) == sorted(
+        alone.splitlines()
+    )
     if shutil.which("g++"):
-        (tmp_path / "main.cpp").write_text("".join(f'#include "{name}/{name}.h"\n' for name in exports))
-        subprocess.run(["g++", "-Wall", "-Werror", "-fsyntax-only", "main.cpp"], cwd=tmp_path, check=True)
+        (tmp_path / "main.cpp").write_text(
+            "".join(f'#include "{name}/{name}.h"\n' for name in exports)
+        )
+        subprocess.run(
+            ["g++", "-Wall", "-Werror", "-fsyntax-only", "main.cpp"],
+            cwd=tmp_path,
+            check=True,
+        )
 
 
 @needs_compiler
@@ -328,7 +405,9 @@ def test_every_symbol_of_an_export_bears_its_name(tmp_path: Path) -> None:
     """The kernel's source is the package's own, byte for byte."""
     import dbo_cli.hysteresis as package
 
-    export_model(resonant(made_model(1)), str(tmp_path / "x"), name="axis", sample_rate=RATE)
+    export_model(
+        resonant(made_model(1)), str(tmp_path / "x"), name="axis", sample_rate=RATE
+    )
     kept = Path(package.__file__).parent
     for file in ("dbo_kernel.c", "dbo_dynamics.c"):
         assert (tmp_path / "x" / file).read_bytes() == (kept / file).read_bytes()
@@ -340,7 +419,9 @@ def test_every_symbol_of_an_export_bears_its_name(tmp_path: Path) -> None:
         ["nm", "-g", "--defined-only", "axis.o", "dbo_kernel.o", "dbo_dynamics.o"],
         cwd=tmp_path / "x", capture_output=True, text=True, check=True,
     )  # fmt: skip
-    symbols = [line.split()[2] for line in listed.stdout.splitlines() if len(line.split()) == 3]
+    symbols = [
+        line.split()[2] for line in listed.stdout.splitlines() if len(line.split()) == 3
+    ]
     assert "axis_dbo_backlash_step_fixed" in symbols
     assert [name for name in symbols if not name.startswith("axis_")] == []
 
@@ -350,7 +431,13 @@ def test_every_symbol_of_an_export_bears_its_name(tmp_path: Path) -> None:
 def test_two_exports_are_installed_and_found_by_cmake(tmp_path: Path) -> None:
     exports = {"Fine": ("double", made_model(0)), "quick": ("float", made_model(1))}
     for name, (arithmetic, model) in exports.items():
-        export_model(model, str(tmp_path / name), name=name, arithmetic=arithmetic, sample_rate=RATE)  # type: ignore[arg-type]
+        export_model(
+            model,
+            str(tmp_path / name),
+            name=name,
+            arithmetic=arithmetic,
+            sample_rate=RATE,
+        )  # type: ignore[arg-type]
         for step in (["-S", name, "-B", f"b_{name}"], ["--build", f"b_{name}"],
                      ["--install", f"b_{name}", "--prefix", "installed"]):  # fmt: skip
             cmake(tmp_path, *step)
@@ -366,7 +453,9 @@ def test_two_exports_are_installed_and_found_by_cmake(tmp_path: Path) -> None:
     prefix = f"-DCMAKE_PREFIX_PATH={tmp_path / 'installed'}"
     for step in (["-S", ".", "-B", "b", prefix], ["--build", "b"]):
         cmake(user, *step)
-    done = subprocess.run(["b/user"], cwd=user, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        ["b/user"], cwd=user, capture_output=True, text=True, check=True
+    )
     assert len(done.stdout.splitlines()) == 4000
 
 
@@ -375,8 +464,16 @@ def test_the_platformio_manifest_leaves_out_the_programs(tmp_path: Path) -> None
     export_model(made_model(0), str(tmp_path / "x"), name="axis", sample_rate=RATE)
     manifest = json.loads((tmp_path / "x" / "library.json").read_text())
     assert manifest["name"] == "axis"
-    assert manifest["build"]["srcFilter"] == ["+<*.c>", "-<axis_test.c>", "-<example_main.c>"]
-    mains = [p.name for p in (tmp_path / "x").glob("*.c") if "int main(void)" in p.read_text()]
+    assert manifest["build"]["srcFilter"] == [
+        "+<*.c>",
+        "-<axis_test.c>",
+        "-<example_main.c>",
+    ]
+    mains = [
+        p.name
+        for p in (tmp_path / "x").glob("*.c")
+        if "int main(void)" in p.read_text()
+    ]
     assert sorted(mains) == ["axis_test.c", "example_main.c"]
 
 
@@ -408,16 +505,28 @@ target_link_libraries(user PRIVATE axis)
 @needs_compiler
 @pytest.mark.skipif(shutil.which("cmake") is None, reason="no cmake")
 @pytest.mark.parametrize("arithmetic", ["double", "q31"])
-def test_the_zephyr_module_builds_with_stand_ins(arithmetic: Any, tmp_path: Path) -> None:
+def test_the_zephyr_module_builds_with_stand_ins(
+    arithmetic: Any, tmp_path: Path
+) -> None:
     """Zephyr itself is not at hand: its commands are those of CMake that they stand for."""
-    export_model(made_model(0), str(tmp_path / "x"), name="axis", sample_rate=RATE, arithmetic=arithmetic)
-    assert (tmp_path / "x/zephyr/module.yml").read_text() == "name: axis\nbuild:\n  cmake: zephyr\n"
+    export_model(
+        made_model(0),
+        str(tmp_path / "x"),
+        name="axis",
+        sample_rate=RATE,
+        arithmetic=arithmetic,
+    )
+    assert (
+        tmp_path / "x/zephyr/module.yml"
+    ).read_text() == "name: axis\nbuild:\n  cmake: zephyr\n"
     (tmp_path / "CMakeLists.txt").write_text(ZEPHYR)
     for step in (["-S", ".", "-B", "b"], ["--build", "b"]):
         cmake(tmp_path, *step)
     assert (
         "every bit as expected"
-        in subprocess.run(["b/user"], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+        in subprocess.run(
+            ["b/user"], cwd=tmp_path, capture_output=True, text=True, check=True
+        ).stdout
     )
 
 
@@ -440,7 +549,9 @@ def test_a_quantity_or_unit_ends_no_comment(arithmetic: Any, tmp_path: Path) -> 
         input=replace(model.input, quantity="drive */ #error\n/*", unit="V*/s"),
         output=replace(model.output, quantity="/* x */ int main(", unit="*/"),
     )
-    export_model(model, str(tmp_path / "x"), name="x", arithmetic=arithmetic, sample_rate=RATE)
+    export_model(
+        model, str(tmp_path / "x"), name="x", arithmetic=arithmetic, sample_rate=RATE
+    )
     assert built(tmp_path / "x", ["x_test.c", "x.c", "dbo_kernel.c"]) == (
         "x: 526 samples, every bit as expected\n"
     )
@@ -450,11 +561,18 @@ def test_a_quantity_or_unit_ends_no_comment(arithmetic: Any, tmp_path: Path) -> 
 def test_a_template_is_filled_by_words_lines_and_sections(tmp_path: Path) -> None:
     values: dict[str, str | bool] = {"NAME": "NUMBER", "NUMBER": "float"}
     text = fill("NAME.ino", values)
-    assert text.startswith("#include <NUMBER.h>\n\nstatic NUMBER_state state;\n")  # a value is not searched
+    # a value is not searched
+    assert text.startswith("#include <NUMBER.h>\n\nstatic NUMBER_state state;\n")
     assert "    float input = 0; /* what is wanted next */\n" in text
-    files: dict[str, str | bool] = {"TARGET_NAME": "x", "SOURCE_FILES": "x.c", "HEADER_FILES": "x.h"}
+    files: dict[str, str | bool] = {
+        "TARGET_NAME": "x",
+        "SOURCE_FILES": "x.c",
+        "HEADER_FILES": "x.h",
+    }
     for small in (True, False):
-        text = fill("CMakeLists.txt", {**files, "CONFIG_FILE": "xConfig.cmake", "small": small})
+        text = fill(
+            "CMakeLists.txt", {**files, "CONFIG_FILE": "xConfig.cmake", "small": small}
+        )
         assert ("DBO_SMALL" in text) == small
         assert "#?" not in text
     with pytest.raises(KeyError):
@@ -476,12 +594,18 @@ def test_the_fmu_of_a_model_without_time_takes_any_step(tmp_path: Path) -> None:
     described = fmpy.read_model_description(path)
     assert described.coSimulation.canHandleVariableCommunicationStepSize is True
     assert described.defaultExperiment.stepSize is None
-    unit = fmpy.instantiate_fmu(fmpy.extract(path, unzipdir=str(tmp_path / "unpacked")), described)
+    unit = fmpy.instantiate_fmu(
+        fmpy.extract(path, unzipdir=str(tmp_path / "unpacked")), described
+    )
     unit.setupExperiment(startTime=0.0)
     unit.enterInitializationMode()
     unit.exitInitializationMode()
-    desired = random_moves(np.random.default_rng(3), model.output.minimum, model.output.maximum, 200)
-    plan = plan_cascade(model, "inverse", None, DriveLimits(model.input.minimum, model.input.maximum))
+    desired = random_moves(
+        np.random.default_rng(3), model.output.minimum, model.output.maximum, 200
+    )
+    plan = plan_cascade(
+        model, "inverse", None, DriveLimits(model.input.minimum, model.input.maximum)
+    )
     expected = plan.model.simulate(desired, plan.empty_state(), limits=plan.limits).y
     outputs, time = [], 0.0
     for k, value in enumerate(desired.tolist()):

@@ -34,7 +34,10 @@ CHANNELS = ("1", "tip z", "3")
 
 def actuators(moving: bool) -> dict[str, ActuatorModel]:
     """Return models of which each needs something else: points, memory, a delay and (``moving``) a lag."""
-    made = [made_model(k, gears=GEARS, slopes=16, terms=k, points=2 * k, bend=k < 2) for k in range(3)]
+    made = [
+        made_model(k, gears=GEARS, slopes=16, terms=k, points=2 * k, bend=k < 2)
+        for k in range(3)
+    ]
     made[1] = delayed(made[1], 0.0015)
     if moving:
         lagging = (*made[2].stages, DynamicsStage((Lag(0.004),)))
@@ -61,7 +64,9 @@ def loaded(folder: Path, name: str, arithmetic: str) -> Any:
     def play(inputs: Any, drives: Any) -> Any:
         found = np.array(inputs, TYPES[arithmetic], order="C")
         first = None if drives is None else np.asarray(drives, TYPES[arithmetic])
-        library.play(found.ctypes.data, len(found), None if first is None else first.ctypes.data)
+        library.play(
+            found.ctypes.data, len(found), None if first is None else first.ctypes.data
+        )
         return found
 
     return play
@@ -69,32 +74,44 @@ def loaded(folder: Path, name: str, arithmetic: str) -> Any:
 
 @pytest.mark.skipif(not COMPILERS, reason="no C compiler")
 @pytest.mark.parametrize("arithmetic", ["double", "q31"])
-def test_a_set_has_one_kernel_and_the_bits_of_each_channel(arithmetic: Any, tmp_path: Path) -> None:
+def test_a_set_has_one_kernel_and_the_bits_of_each_channel(
+    arithmetic: Any, tmp_path: Path
+) -> None:
     models = actuators(moving=arithmetic == "double")
     folder = tmp_path / "fw"
-    made = export_set(models, str(folder), name="stage", arithmetic=arithmetic, sample_rate=RATE)
+    made = export_set(
+        models, str(folder), name="stage", arithmetic=arithmetic, sample_rate=RATE
+    )
     assert len(list(folder.glob("dbo_kernel*.c"))) == 1
-    assert {f"stage_{word}.{kind}" for word in ("1", "tip_z", "3") for kind in "ch"} <= {
-        path.name for path in folder.iterdir()
-    }
+    assert {
+        f"stage_{word}.{kind}" for word in ("1", "tip_z", "3") for kind in "ch"
+    } <= {path.name for path in folder.iterdir()}
     tested = subprocess.run(
         ["make", "test", "example", f"CC={COMPILERS[0]}", f"CFLAGS={' '.join(FLAGS)}"],
         cwd=folder, capture_output=True, text=True, check=True,
     )  # fmt: skip
     vectors = sum(one.vectors for one in made.values())
-    assert f"\nstage: {vectors} samples of 3 channels, every bit as expected\n" in tested.stdout
+    assert (
+        f"\nstage: {vectors} samples of 3 channels, every bit as expected\n"
+        in tested.stdout
+    )
     assert len(subprocess.check_output(["./example"], cwd=folder).split()) == 600
 
     rng = np.random.default_rng(4)
     wanted = [one.output for one in models.values()]
-    moves = [as_given(random_moves(rng, q.minimum, q.maximum, 2000), q, arithmetic)[0] for q in wanted]
+    moves = [
+        as_given(random_moves(rng, q.minimum, q.maximum, 2000), q, arithmetic)[0]
+        for q in wanted
+    ]
     play = loaded(folder, "stage", arithmetic)
     middles = [0.5 * (one.input.minimum + one.input.maximum) for one in models.values()]
     drives = middles if arithmetic == "double" else [0, 1000, -7]
     together = [play(np.column_stack(moves), first) for first in (None, drives)]
     for k, (model, move) in enumerate(zip(models.values(), moves, strict=True)):
         alone = tmp_path / str(k)
-        export_model(model, str(alone), name="x", arithmetic=arithmetic, sample_rate=RATE)
+        export_model(
+            model, str(alone), name="x", arithmetic=arithmetic, sample_rate=RATE
+        )
         others = tuple(path.name for path in alone.glob("dbo_dynamics.c"))
         assert bool(others) == (arithmetic == "double" and k == 2)
         own = compiled(alone, "x", arithmetic, GEARS, ("-O1",), others)
@@ -107,13 +124,19 @@ def test_a_set_has_one_kernel_and_the_bits_of_each_channel(arithmetic: Any, tmp_
 @pytest.mark.skipif(not COMPILERS, reason="no C compiler")
 def test_the_self_test_of_a_set_names_the_channel_that_differs(tmp_path: Path) -> None:
     folder = tmp_path / "fw"
-    export_set(actuators(False), str(folder), name="stage", arithmetic="q31", sample_rate=RATE)
+    export_set(
+        actuators(False), str(folder), name="stage", arithmetic="q31", sample_rate=RATE
+    )
     path = folder / "stage_tip_z_test.c"
     text = path.read_text()
     row = text.index("{\n", text.index("expected_0")) + 2
     path.write_text(text[:row] + "    1" + text[row:].lstrip())
     done = subprocess.run(
-        ["make", "test", f"CC={COMPILERS[0]}"], cwd=folder, capture_output=True, text=True, check=False
+        ["make", "test", f"CC={COMPILERS[0]}"],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode != 0
     assert "stage_tip_z: after init, sample 1: " in done.stdout
@@ -143,7 +166,9 @@ def test_the_command_writes_one_folder(dbo: Any) -> None:
     assert dbo(*words, "-o", "other", "--fmu") == (
         2, "", "dbo: error: --fmu is of one model: export a folder a channel (-o 'other/{channel}')\n"
     )  # fmt: skip
-    assert dbo("export", "set.json", "-o", "other").err.startswith("dbo: error: channel tip z: ")
+    assert dbo("export", "set.json", "-o", "other").err.startswith(
+        "dbo: error: channel tip z: "
+    )
     assert not Path("other").exists()
 
 

@@ -28,12 +28,20 @@ def test_every_place_in_the_table_has_what_it_says() -> None:
 
 
 def test_every_folder_of_extras_is_in_the_table() -> None:
-    folders = {path.parent.name for path in (ROOT / "dbo_cli" / "extras").glob("*/__init__.py")}
+    folders = {
+        path.parent.name for path in (ROOT / "dbo_cli" / "extras").glob("*/__init__.py")
+    }
     assert folders == {extra.name for extra in OWN}
 
 
-def test_a_part_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch, dbo: Any) -> None:
-    missing = Extra("gone", "what this test is about", {"command": {"vanish": "dbo_cli.extras.gone:VANISH"}})
+def test_a_part_that_is_not_installed_is_named(
+    monkeypatch: pytest.MonkeyPatch, dbo: Any
+) -> None:
+    missing = Extra(
+        "gone",
+        "what this test is about",
+        {"command": {"vanish": "dbo_cli.extras.gone:VANISH"}},
+    )
     monkeypatch.setattr(extensions, "OWN", (*OWN, missing))
     said = (
         "'vanish' belongs to the part 'gone' (what this test is about), which this installation lacks "
@@ -63,13 +71,22 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run(lab: Path, script: str) -> subprocess.CompletedProcess[str]:
     """Run Python with the laboratory's package beside this program."""
     begin = f"import sys; sys.path.insert(0, {str(lab)!r}); from dbo_cli.cli.app import main\n"
-    return subprocess.run([sys.executable, "-c", begin + script], capture_output=True, text=True, check=False)
+    return subprocess.run(
+        [sys.executable, "-c", begin + script],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
 
 
 def recording(path: Path, rate: float = 500.0) -> None:
     """Write the sample log as the laboratory's recorder would."""
-    table = np.loadtxt(ROOT / "sample_data" / "identification.csv", delimiter=",", skiprows=1)
-    path.write_bytes(b"REC1" + np.float64(rate).tobytes() + table[:, 1:3].astype("<f8").tobytes())
+    table = np.loadtxt(
+        ROOT / "sample_data" / "identification.csv", delimiter=",", skiprows=1
+    )
+    path.write_bytes(
+        b"REC1" + np.float64(rate).tobytes() + table[:, 1:3].astype("<f8").tobytes()
+    )
 
 
 def test_another_package_brings_a_reader_a_generator_a_command_and_a_name(
@@ -90,7 +107,10 @@ def test_another_package_brings_a_reader_a_generator_a_command_and_a_name(
     assert "run.rec: 5,786 rows, 11.6 s at 500 samples/s" in done.stderr
     assert "voltage 'voltage' (V), displacement 'displacement' (um)" in done.stderr
     assert "dbo: leave it at " in done.stderr
-    assert "  rest        Say at which voltage an actuator is left over night" in done.stdout
+    assert (
+        "  rest        Say at which voltage an actuator is left over night"
+        in done.stdout
+    )
     assert done.stdout.endswith("1500.0\n")
     steps = Path("d.steps").read_text().splitlines()
     drive = np.loadtxt("d.csv", delimiter=",", skiprows=1)[:, 1]
@@ -110,8 +130,12 @@ def test_another_package_s_reader_refuses_in_one_line(
 def test_another_package_that_cannot_be_imported_is_named(tmp_path: Path) -> None:
     info = tmp_path / "broken-1.0.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[dbo_cli.extras]\nbroken = no_such_module:EXTRA\n")
+    (info / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n"
+    )
+    (info / "entry_points.txt").write_text(
+        "[dbo_cli.extras]\nbroken = no_such_module:EXTRA\n"
+    )
     done = run(tmp_path, "assert main(['vanish']) == 2")
     said = (
         "the extra 'broken' (no_such_module:EXTRA) cannot be imported: ModuleNotFoundError: "

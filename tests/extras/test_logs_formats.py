@@ -46,7 +46,9 @@ def written(case: FormatFile, folder: Path) -> str:
 def opened(case: FormatFile, address: str) -> SignalLog:
     roles = ("voltage", "displacement")
     return open_log(
-        address, {role: column_wish(role, case.ask.get(role), option=role) for role in roles}, case.options
+        address,
+        {role: column_wish(role, case.ask.get(role), option=role) for role in roles},
+        case.options,
     )
 
 
@@ -79,8 +81,12 @@ def test_the_page_says_what_the_tests_hold() -> None:
 
 
 @pytest.mark.parametrize("block_rows", [1, 3])
-@pytest.mark.parametrize("case", [case for case in FILES if not case.refusal], ids=lambda case: case.name)
-def test_block_size_changes_nothing(case: FormatFile, block_rows: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "case", [case for case in FILES if not case.refusal], ids=lambda case: case.name
+)
+def test_block_size_changes_nothing(
+    case: FormatFile, block_rows: int, tmp_path: Path
+) -> None:
     address = written(case, tmp_path)
     with opened(case, address) as log:
         whole = log.read()
@@ -96,7 +102,11 @@ def test_block_size_changes_nothing(case: FormatFile, block_rows: int, tmp_path:
 
 @pytest.mark.parametrize(
     ("name", "library"),
-    [("Excel", "fastexcel"), ("TDMS waveforms", "nptdms"), ("UFF, data sets 58", "pyuff")],
+    [
+        ("Excel", "fastexcel"),
+        ("TDMS waveforms", "nptdms"),
+        ("UFF, data sets 58", "pyuff"),
+    ],
 )
 def test_an_extra_that_is_not_installed_is_named(
     name: str, library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -106,10 +116,23 @@ def test_an_extra_that_is_not_installed_is_named(
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(InputError) as raised:
         opened(case, address)
-    assert str(raised.value) == f"{address}: reading it needs the library {library}: pip install {library}"
+    assert (
+        str(raised.value)
+        == f"{address}: reading it needs the library {library}: pip install {library}"
+    )
 
 
-HEAVY = {"h5py", "scipy", "polars", "pandas", "pyarrow", "nptdms", "fastexcel", "xarray", "netCDF4"}
+HEAVY = {
+    "h5py",
+    "scipy",
+    "polars",
+    "pandas",
+    "pyarrow",
+    "nptdms",
+    "fastexcel",
+    "xarray",
+    "netCDF4",
+}
 OWN = {
     "MATLAB v7, column vectors": "scipy",
     "NumPy, an archive with a rate": "",
@@ -123,7 +146,9 @@ OWN = {
 
 
 @pytest.mark.parametrize("name", OWN)
-def test_only_the_library_that_a_file_needs_is_loaded(name: str, tmp_path: Path) -> None:
+def test_only_the_library_that_a_file_needs_is_loaded(
+    name: str, tmp_path: Path
+) -> None:
     case = next(one for one in FILES if one.name == name)
     address = written(case, tmp_path)
     script = (
@@ -132,7 +157,9 @@ def test_only_the_library_that_a_file_needs_is_loaded(name: str, tmp_path: Path)
         f"log = open_log({address!r}, {{'x': ColumnWish('2')}}); log.read()\n"
         f"print(*sorted(set({sorted(HEAVY)!r}) & set(sys.modules)))"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
     assert done.stdout.split() == [OWN[name]] * bool(OWN[name])
 
 
@@ -140,7 +167,9 @@ def test_only_the_library_that_a_file_needs_is_loaded(name: str, tmp_path: Path)
 def content_of(name: str) -> bytes:
     """Write a file once: a zip archive holds the time of its writing."""
     with tempfile.TemporaryDirectory() as folder:
-        return Path(written(next(one for one in FILES if one.name == name), Path(folder))).read_bytes()
+        return Path(
+            written(next(one for one in FILES if one.name == name), Path(folder))
+        ).read_bytes()
 
 
 DAMAGED = [
@@ -206,5 +235,7 @@ def test_a_struct_whose_label_is_no_text_is_no_channel(tmp_path: Path) -> None:
     calibration = {"Data": np.arange(3.0), "label": np.arange(3.0)}
     signals = {"t": np.array(T), "voltage": np.array(V), "displacement": np.array(D)}
     scipy.io.savemat(path, signals | {"calibration": calibration})
-    with open_log(str(path), {role: column_wish(role) for role in ("voltage", "displacement")}) as log:
+    with open_log(
+        str(path), {role: column_wish(role) for role in ("voltage", "displacement")}
+    ) as log:
         assert log.read().values["voltage"].tolist() == list(V)

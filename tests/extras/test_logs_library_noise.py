@@ -22,10 +22,14 @@ PATH = {"PYTHONPATH": str(Path(__file__).parents[2])}
 
 def frame() -> polars.DataFrame:
     values = [0.001 * k for k in range(2000)]
-    return polars.DataFrame({"time_s": values, "voltage_V": values, "displacement_um": values})
+    return polars.DataFrame(
+        {"time_s": values, "voltage_V": values, "displacement_um": values}
+    )
 
 
-def test_no_byte_of_a_parquet_file_brings_the_library_to_the_terminal(tmp_path: Path) -> None:
+def test_no_byte_of_a_parquet_file_brings_the_library_to_the_terminal(
+    tmp_path: Path,
+) -> None:
     """In a process of its own, which the library may end."""
     frame().write_parquet(tmp_path / "good.parquet", compression="uncompressed")
     script = (
@@ -46,7 +50,9 @@ def test_no_byte_of_a_parquet_file_brings_the_library_to_the_terminal(tmp_path: 
         "        print(problem)\n"
     )
     run = [sys.executable, "-c", script]
-    done = subprocess.run(run, capture_output=True, text=True, cwd=tmp_path, env=os.environ | PATH)
+    done = subprocess.run(
+        run, capture_output=True, text=True, cwd=tmp_path, env=os.environ | PATH
+    )
     assert "bad.parquet: damaged Parquet: " in done.stdout
     assert done.stderr == ""
 
@@ -69,7 +75,9 @@ def test_a_library_that_panics_and_one_that_aborts(tmp_path: Path) -> None:
         "    os.write(2, b'memory allocation failed')\n"
         "    os.abort()\n"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True
+    )
     line = f"dbo: error: b [31m.parquet: damaged Parquet: {GAVE_UP}"
     assert done.stderr.splitlines() == ["one", "two", line]
     assert done.returncode == 1
@@ -78,19 +86,29 @@ def test_a_library_that_panics_and_one_that_aborts(tmp_path: Path) -> None:
 def test_a_workbook_that_asks_for_all_memory(tmp_path: Path) -> None:
     """A cell far to the right and down: the library asks for a sheet of that size, and aborts."""
     book = openpyxl.Workbook()
-    for row in (["time_s", "voltage_V", "displacement_um"], *([k, k, k] for k in range(9))):
+    for row in (
+        ["time_s", "voltage_V", "displacement_um"],
+        *([k, k, k] for k in range(9)),
+    ):
         book.active.append(row)
     whole = io.BytesIO()
     book.save(whole)
-    with zipfile.ZipFile(whole) as packed, zipfile.ZipFile(tmp_path / "bad.xlsx", "w") as out:
+    with (
+        zipfile.ZipFile(whole) as packed,
+        zipfile.ZipFile(tmp_path / "bad.xlsx", "w") as out,
+    ):
         for name in packed.namelist():
             data = packed.read(name)
             out.writestr(name, data.replace(b'r="C10"', b'r="ZZZZZZZ99999999"'))
     words = ["identify", str(tmp_path / "bad.xlsx"), "-o", str(tmp_path / "model.json")]
-    done = subprocess.run([sys.executable, "-m", "dbo_cli", *words], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-m", "dbo_cli", *words], capture_output=True, text=True
+    )
     assert done.returncode == 1
     assert len(done.stderr.splitlines()) == 1
-    assert done.stderr.startswith(f"dbo: error: {tmp_path}/bad.xlsx: damaged workbook: ")
+    assert done.stderr.startswith(
+        f"dbo: error: {tmp_path}/bad.xlsx: damaged workbook: "
+    )
     assert os.listdir(tmp_path) == ["bad.xlsx"]
 
 
@@ -103,10 +121,15 @@ def test_nothing_is_held_back_where_standard_error_is_closed() -> None:
         "with contained('a', 'Parquet'):\n"
         "    print('read')\n"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True
+    )
     assert (done.returncode, done.stdout) == (0, "read\n")
 
 
 def test_errors_of_this_program_come_through() -> None:
-    with pytest.raises(InputError, match="mine"), CommandProcess().contained("a", "Parquet"):
+    with (
+        pytest.raises(InputError, match="mine"),
+        CommandProcess().contained("a", "Parquet"),
+    ):
         raise InputError("mine")

@@ -31,7 +31,9 @@ def open_shape(shape: Shape, path: Path, block_rows: int = 1 << 18) -> SignalLog
         str(path),
         {
             "voltage": ColumnWish(shape.ask.get("voltage"), VOLTAGE, option="voltage"),
-            "displacement": ColumnWish(shape.ask.get("displacement"), DISPLACEMENT, option="displacement"),
+            "displacement": ColumnWish(
+                shape.ask.get("displacement"), DISPLACEMENT, option="displacement"
+            ),
         },
         replace(
             shape.options,
@@ -50,7 +52,10 @@ def check(shape: Shape, log: SignalLog, block: SampleBlock) -> None:
     else:
         assert block.time is not None
         assert block.time.tolist() == list(shape.time)
-    assert (log.columns["voltage"].unit, log.columns["displacement"].unit) == shape.units
+    assert (
+        log.columns["voltage"].unit,
+        log.columns["displacement"].unit,
+    ) == shape.units
     assert list(block.rows) == list(range(1, len(shape.voltage) + 1))
     assert block.lines is not None
     assert block.lines[0] == shape.first_line
@@ -114,7 +119,9 @@ def test_numbers_survive_both_ways(tmp_path: Path) -> None:
     assert read.view(np.uint64).tolist() == np.array(values).view(np.uint64).tolist()
 
 
-def test_what_is_taken_for_a_plain_log_has_no_instruments_header(tmp_path: Path) -> None:
+def test_what_is_taken_for_a_plain_log_has_no_instruments_header(
+    tmp_path: Path,
+) -> None:
     """One line of names above numbers is not shown to the makers' readers: they would find nothing there."""
     contents = [shape.content for shape in READABLE]
     for number, one in enumerate(INSTRUMENT_FILES):

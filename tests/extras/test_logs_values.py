@@ -17,14 +17,18 @@ WANT = {"voltage": column_wish("voltage"), "displacement": column_wish("displace
 FORMATS = ["NETCDF3_CLASSIC", "NETCDF3_64BIT_OFFSET", "NETCDF4"]
 
 
-def netcdf(path: Path, format: str, kind: str, fill: float | None, stored: list[float]) -> None:
+def netcdf(
+    path: Path, format: str, kind: str, fill: float | None, stored: list[float]
+) -> None:
     """Write rows of which those with NaN are left to the library's own fill value."""
     library = pytest.importorskip("netCDF4")
     with library.Dataset(path, "w", format=format) as file:
         file.createDimension("row", len(stored))
         voltage = file.createVariable("voltage", "f8", ("row",))
         voltage[:] = np.arange(len(stored))
-        displacement = file.createVariable("displacement", kind, ("row",), fill_value=fill)
+        displacement = file.createVariable(
+            "displacement", kind, ("row",), fill_value=fill
+        )
         for row, value in enumerate(stored):
             if value == value:
                 displacement[row] = value
@@ -49,7 +53,9 @@ def test_what_was_never_written_to_netcdf_is_no_number(
 
 
 @pytest.mark.parametrize("format", FORMATS)
-def test_what_was_never_written_to_packed_netcdf_is_no_number(tmp_path: Path, format: str) -> None:
+def test_what_was_never_written_to_packed_netcdf_is_no_number(
+    tmp_path: Path, format: str
+) -> None:
     """The fill value is compared as stored, before it is scaled."""
     library = pytest.importorskip("netCDF4")
     netcdf(tmp_path / "log.nc", format, "i2", -7, [1, np.nan, 3])
@@ -60,10 +66,16 @@ def test_what_was_never_written_to_packed_netcdf_is_no_number(tmp_path: Path, fo
 
 
 @pytest.mark.parametrize("format", FORMATS)
-def test_a_value_that_another_file_would_fill_with_is_a_number(tmp_path: Path, format: str) -> None:
+def test_a_value_that_another_file_would_fill_with_is_a_number(
+    tmp_path: Path, format: str
+) -> None:
     netcdf(tmp_path / "log.nc", format, "f8", -1.0, [0.5, 9.969209968386869e36, 2.5])
     with open_log(str(tmp_path / "log.nc"), WANT) as log:
-        assert log.read().values["displacement"].tolist() == [0.5, 9.969209968386869e36, 2.5]
+        assert log.read().values["displacement"].tolist() == [
+            0.5,
+            9.969209968386869e36,
+            2.5,
+        ]
 
 
 def test_row_numbers_of_pandas_are_no_column(tmp_path: Path) -> None:
@@ -74,7 +86,10 @@ def test_row_numbers_of_pandas_are_no_column(tmp_path: Path) -> None:
     with open_log(str(tmp_path / "log.parquet"), WANT) as log:
         assert (log.time, log.read().time) == (None, None)
         with pytest.raises(InputError, match=r"it has 1 voltage_V, 2 displacement_um$"):
-            open_log(str(tmp_path / "log.parquet"), {"voltage": column_wish("voltage", "nothing")})
+            open_log(
+                str(tmp_path / "log.parquet"),
+                {"voltage": column_wish("voltage", "nothing")},
+            )
 
 
 def test_stamps_of_pandas_are_the_time(tmp_path: Path) -> None:
@@ -87,18 +102,26 @@ def test_stamps_of_pandas_are_the_time(tmp_path: Path) -> None:
         assert log.time is not None and (log.time.name, log.time.unit) == ("time", "s")
 
 
-def test_files_that_begin_at_different_times_are_joined_at_their_own(tmp_path: Path) -> None:
+def test_files_that_begin_at_different_times_are_joined_at_their_own(
+    tmp_path: Path,
+) -> None:
     """Two logs of one rate, the drive's 2 ms later: its first row belongs to the sensor's third."""
     mat = pytest.importorskip("scipy.io")
     sensor, drive = tmp_path / "sensor.mat", tmp_path / "drive.mat"
-    mat.savemat(sensor, {"displacement_um": np.arange(8.0), "Tinterval": 1e-3, "Tstart": 0.0})
-    mat.savemat(drive, {"voltage_V": 10.0 + np.arange(8.0), "Tinterval": 1e-3, "Tstart": 2e-3})
+    mat.savemat(
+        sensor, {"displacement_um": np.arange(8.0), "Tinterval": 1e-3, "Tstart": 0.0}
+    )
+    mat.savemat(
+        drive, {"voltage_V": 10.0 + np.arange(8.0), "Tinterval": 1e-3, "Tstart": 2e-3}
+    )
     wishes = {
         "displacement": column_wish("displacement"),
         "voltage": column_wish("voltage", f"{drive}::voltage_V"),
     }
     with open_log(parse_address(str(sensor)), wishes, ReadingOptions()) as log:
         block = log.read()
-    assert block.time is not None and block.time.tolist() == pytest.approx(np.arange(2, 8) / 1000.0)
+    assert block.time is not None and block.time.tolist() == pytest.approx(
+        np.arange(2, 8) / 1000.0
+    )
     assert block.values["displacement"].tolist() == [2.0, 3.0, 4.0, 5.0, 6.0, 7.0]
     assert block.values["voltage"].tolist() == [10.0, 11.0, 12.0, 13.0, 14.0, 15.0]

@@ -29,9 +29,20 @@ from test_hysteresis_model_file import (
 
 from dbo_cli.errors import DboError
 from dbo_cli.extras.channels.model_set import Coupling, set_to_bytes
-from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, InverseMemory, Lag, Resonance
+from dbo_cli.hysteresis.dynamics import (
+    Antiresonance,
+    DynamicsStage,
+    InverseMemory,
+    Lag,
+    Resonance,
+)
 from dbo_cli.hysteresis.model import ModelState
-from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, read_state, state_to_bytes
+from dbo_cli.hysteresis.model_file import (
+    model_to_bytes,
+    read_model,
+    read_state,
+    state_to_bytes,
+)
 from dbo_cli.hysteresis.operators import BacklashState
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -66,7 +77,9 @@ def test_models_and_states_with_dynamics_fit() -> None:
     moving = ((1.0, 0.0, 1.0), (2.0, 0.5, 1.0))
     for state in (
         ModelState(BacklashState(1), dynamics=moving),
-        ModelState(BacklashState(1), dynamics=moving, undoing=InverseMemory(1e-3, moving)),
+        ModelState(
+            BacklashState(1), dynamics=moving, undoing=InverseMemory(1e-3, moving)
+        ),
     ):
         CHECK.validate(json.loads(state_to_bytes(state, model)))
 
@@ -84,7 +97,10 @@ def test_every_model_and_state_that_is_written_fits() -> None:
 def test_a_coupled_set_fits() -> None:
     models = {"a": build(1), "b": build(2)}
     values = json.loads(
-        set_to_bytes(models, Coupling(("a", "b"), np.array([[1, 0.1], [0, 1]]), np.zeros(2), np.ones(2)))
+        set_to_bytes(
+            models,
+            Coupling(("a", "b"), np.array([[1, 0.1], [0, 1]]), np.zeros(2), np.ones(2)),
+        )
     )
     CHECK.validate(values)
     assert not CHECK.is_valid(values | {"version": 1})
@@ -99,7 +115,9 @@ def test_files_of_old_versions_fit(name: str) -> None:
 @pytest.mark.parametrize("page", ["model", "state"])
 def test_the_examples_of_the_page_fit_and_are_read(page: str, tmp_path: Path) -> None:
     text = (DOCS / "model-file.md").read_text(encoding="utf-8")
-    [found] = [one for one in re.findall(r"(?m)(?:^    .*\n)+", text) if f'"dbo-{page}"' in one]
+    [found] = [
+        one for one in re.findall(r"(?m)(?:^    .*\n)+", text) if f'"dbo-{page}"' in one
+    ]
     values = json.loads(found)
     CHECK.validate(values)
     if page == "model":
@@ -108,16 +126,26 @@ def test_the_examples_of_the_page_fit_and_are_read(page: str, tmp_path: Path) ->
         assert model.delay_seconds == 0.002
 
 
-CASES = [(values, message) for values, message in REFUSED if isinstance(values, dict) and is_json(values)]
+CASES = [
+    (values, message)
+    for values, message in REFUSED
+    if isinstance(values, dict) and is_json(values)
+]
 
 
-@pytest.mark.parametrize(("values", "message"), CASES, ids=[message[:50] for _, message in CASES])
-def test_what_the_reader_refuses_by_structure_the_schema_refuses(values: object, message: str) -> None:
+@pytest.mark.parametrize(
+    ("values", "message"), CASES, ids=[message[:50] for _, message in CASES]
+)
+def test_what_the_reader_refuses_by_structure_the_schema_refuses(
+    values: object, message: str
+) -> None:
     assert CHECK.is_valid(values) == bool(BEYOND.search(message))
 
 
 @pytest.mark.parametrize(("path", "value", "message"), STATES)
-def test_states_that_the_reader_refuses(tmp_path: Path, path: str, value: Any, message: str) -> None:
+def test_states_that_the_reader_refuses(
+    tmp_path: Path, path: str, value: Any, message: str
+) -> None:
     model = read_model(write(tmp_path, EXAMPLE))
     values = json.loads(state_to_bytes(state_of(model), model))
     place = values
@@ -143,7 +171,9 @@ def test_what_the_reader_takes_the_schema_takes(
     assert CHECK.is_valid(json.loads(Path(path).read_text()))
 
 
-@pytest.mark.parametrize("item", [1, 2.5, {"repeat": 7, "value": 0.5}, {"repeat": 1, "value": 3}])
+@pytest.mark.parametrize(
+    "item", [1, 2.5, {"repeat": 7, "value": 0.5}, {"repeat": 1, "value": 3}]
+)
 def test_runs_that_are_read_fit(tmp_path: Path, item: object) -> None:
     values = copy.deepcopy(EXAMPLE)
     values["stages"][1] |= {"dx": [item], "dy": [item]}
@@ -166,9 +196,15 @@ def test_widths_that_are_none_do_not_fit(tmp_path: Path, item: object) -> None:
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    [({"direction": "inverse"}, "relaxation.on"), ({"time": 1.0}, "time"), ({"version": 0}, "version")],
+    [
+        ({"direction": "inverse"}, "relaxation.on"),
+        ({"time": 1.0}, "time"),
+        ({"version": 0}, "version"),
+    ],
 )
-def test_direction_and_version_matter(tmp_path: Path, change: dict[str, Any], message: str) -> None:
+def test_direction_and_version_matter(
+    tmp_path: Path, change: dict[str, Any], message: str
+) -> None:
     values = copy.deepcopy(EXAMPLE) | change
     assert not CHECK.is_valid(values)
     with pytest.raises(DboError, match=message):
@@ -200,12 +236,18 @@ def with_dynamics(sections: object) -> dict[str, Any]:
     [[LAG], [RESONANCE], [LAG, RESONANCE, RESONANCE],
      [RESONANCE | {"antiresonance": {"frequency": 950, "damping": 0.5}}]],
 )  # fmt: skip
-def test_dynamics_that_are_read_fit_in_both_directions(tmp_path: Path, sections: object) -> None:
+def test_dynamics_that_are_read_fit_in_both_directions(
+    tmp_path: Path, sections: object
+) -> None:
     model = read_model(write(tmp_path, with_dynamics(sections)))
     CHECK.validate(with_dynamics(sections))
     for one in (model, model.inverse()):
         CHECK.validate(json.loads(model_to_bytes(one)))
-        x = one.simulate([0.5, 0.6, 0.4], one.start(0.5), time_step=0.005) if one is model else None
+        x = (
+            one.simulate([0.5, 0.6, 0.4], one.start(0.5), time_step=0.005)
+            if one is model
+            else None
+        )
         if x is not None:
             CHECK.validate(json.loads(state_to_bytes(x.state, one)))
 
@@ -252,7 +294,9 @@ def test_dynamics_stand_once_on_either_side_of_the_gears(tmp_path: Path) -> None
 )  # fmt: skip
 def test_states_of_dynamics(tmp_path: Path, held: object, good: bool) -> None:
     model = read_model(write(tmp_path, with_dynamics([LAG])))
-    values = json.loads(state_to_bytes(ModelState(BacklashState(1)), model)) | {"dynamics": held}
+    values = json.loads(state_to_bytes(ModelState(BacklashState(1)), model)) | {
+        "dynamics": held
+    }
     assert CHECK.is_valid(values) == good
     path = write(tmp_path, values, "state.json")
     if good:

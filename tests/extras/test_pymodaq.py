@@ -30,9 +30,13 @@ def installed_plugin(folder: Path) -> None:
         shutil.copy(ROOT / "examples" / name, plugins)
     facts = folder / f"{PACKAGE}-1.0.dist-info"
     facts.mkdir()
-    (facts / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {PACKAGE}\nVersion: 1.0\n")
+    (facts / "METADATA").write_text(
+        f"Metadata-Version: 2.1\nName: {PACKAGE}\nVersion: 1.0\n"
+    )
     entry = f"lab = {PACKAGE}\n"
-    (facts / "entry_points.txt").write_text(f"[pymodaq.instruments]\n{entry}\n[pymodaq.plugins]\n{entry}")
+    (facts / "entry_points.txt").write_text(
+        f"[pymodaq.instruments]\n{entry}\n[pymodaq.plugins]\n{entry}"
+    )
 
 
 def test_a_dashboard_moves_an_actuator(tmp_path: Path) -> None:
@@ -44,10 +48,22 @@ def test_a_dashboard_moves_an_actuator(tmp_path: Path) -> None:
         "HOME": str(tmp_path / "home"),
         "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}",
     }
-    words = [sys.executable, str(ROOT / "tests" / "extras" / "pymodaq_bench.py"), "model.json", "result.json"]
+    words = [
+        sys.executable,
+        str(ROOT / "tests" / "extras" / "pymodaq_bench.py"),
+        "model.json",
+        "result.json",
+    ]
     done = subprocess.run(
-        words, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300, check=False
+        words,
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
     )
     result = json.loads((tmp_path / "result.json").read_text())
     assert "failed" not in result, f"{result}\n{done.stdout}{done.stderr}"
-    assert result["places"] == pytest.approx([5.0, 2.5], abs=1e-9)  # um: of 5 um and of 2500 nm
+    # um: of 5 um and of 2500 nm
+    assert result["places"] == pytest.approx([5.0, 2.5], abs=1e-9)

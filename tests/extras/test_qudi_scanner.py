@@ -19,7 +19,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "sample_data"))
 from virtual_actuator import PRESETS, VirtualActuator
 from virtual_mirror import VirtualMirror
 
-pytest.importorskip("qudi.hardware.interfuse.ni_scanning_probe_interfuse", exc_type=ImportError)
+pytest.importorskip(
+    "qudi.hardware.interfuse.ni_scanning_probe_interfuse", exc_type=ImportError
+)
 pytestmark = pytest.mark.skipif(
     pytest.importorskip("PySide6").__version__.startswith("6.12"),
     reason="PySide6 6.12 calls other slots than those of Qudi's signals",
@@ -42,7 +44,9 @@ def model_file(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(file)
 
 
-def played_by_qudi(folder: Path, kind: str, reach: tuple[float, float], **options: Any) -> dict[str, Any]:
+def played_by_qudi(
+    folder: Path, kind: str, reach: tuple[float, float], **options: Any
+) -> dict[str, Any]:
     """Start Qudi without a window, let it move its cursor and scan, and return what its cards played."""
     hardware = folder / "lab" / "qudi" / "hardware" / "dbo"
     hardware.mkdir(parents=True)
@@ -56,7 +60,10 @@ def played_by_qudi(folder: Path, kind: str, reach: tuple[float, float], **option
         "input_channel_units": {"APD1": "c/s"},
         **options,
     }
-    outputs = {channel: {"unit": "V", "limits": CARD, "dtype": "float"} for channel in AXES.values()}
+    outputs = {
+        channel: {"unit": "V", "limits": CARD, "dtype": "float"}
+        for channel in AXES.values()
+    }
     frames = {
         "simulation_mode": "RANDOM",
         "input_channel_units": {"pfi8": "c/s"},
@@ -81,7 +88,10 @@ def played_by_qudi(folder: Path, kind: str, reach: tuple[float, float], **option
         "hardware": {
             "ni_scanner": {
                 "module.Class": kind,
-                "connect": {"scan_hardware": "ni_finite_sampling_io", "analog_output": "ni_ao"},
+                "connect": {
+                    "scan_hardware": "ni_finite_sampling_io",
+                    "analog_output": "ni_ao",
+                },
                 "options": scanner,
             },
             "ni_ao": {
@@ -96,7 +106,10 @@ def played_by_qudi(folder: Path, kind: str, reach: tuple[float, float], **option
     }
     plan = {
         "cursor": [{"x": 5e-6, "y": 4e-6}, {"x": 9e-6, "y": 9e-6}],
-        "axes": {"x": {"range": RANGE, "pixels": PIXELS}, "y": {"range": RANGE, "pixels": LINES}},
+        "axes": {
+            "x": {"range": RANGE, "pixels": PIXELS},
+            "y": {"range": RANGE, "pixels": LINES},
+        },
         "rate": RATE,
     }
     (folder / "lab.cfg").write_text(json.dumps(config))  # JSON is YAML
@@ -107,9 +120,17 @@ def played_by_qudi(folder: Path, kind: str, reach: tuple[float, float], **option
         "HOME": str(folder / "home"),
         "PYTHONPATH": str(ROOT),
     }
-    words = [sys.executable, str(ROOT / "tests" / "extras" / "qudi_bench.py"), str(folder / "lab.cfg")]
+    words = [
+        sys.executable,
+        str(ROOT / "tests" / "extras" / "qudi_bench.py"),
+        str(folder / "lab.cfg"),
+    ]
     done = subprocess.run(
-        [*words, str(folder / "played.json")], env=environment, capture_output=True, text=True, timeout=300
+        [*words, str(folder / "played.json")],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=300,
     )
     played: dict[str, Any] = json.loads((folder / "played.json").read_text())
     assert "failed" not in played, f"{played}\n{done.stdout}{done.stderr}"
@@ -154,13 +175,18 @@ def on_the_bench(played: dict[str, Any]) -> dict[str, float]:
     return errors
 
 
-def test_a_scan_by_qudi_goes_where_it_is_wanted(model_file: str, tmp_path: Path) -> None:
+def test_a_scan_by_qudi_goes_where_it_is_wanted(
+    model_file: str, tmp_path: Path
+) -> None:
     model = dbo.read_model(model_file)
     reach = (1e-6 * model.output.minimum, 1e-6 * model.output.maximum)
     for name in ("line", "dbo"):
         (tmp_path / name).mkdir()
     straight = on_the_bench(played_by_qudi(tmp_path / "line", LINE_CLASS, reach))
-    options = {"models": dict.fromkeys(AXES, model_file), "gains": dict.fromkeys(AXES, GAIN)}
+    options = {
+        "models": dict.fromkeys(AXES, model_file),
+        "gains": dict.fromkeys(AXES, GAIN),
+    }
     options |= {"start": dict.fromkeys(AXES, "empty"), "way_back": True}
     played = played_by_qudi(tmp_path / "dbo", OUR_CLASS, reach, **options)
     ours = on_the_bench(played)
@@ -201,14 +227,22 @@ def test_coupled_axes_are_played_by_a_set(tmp_path: Path) -> None:
     for place, axis in enumerate(AXES):
         log[f"displacement_{axis}_um"] = measured[:, place]
     table = np.column_stack(list(log.values()))
-    np.savetxt(tmp_path / "log.csv", table, delimiter=",", header=",".join(log), comments="")
+    np.savetxt(
+        tmp_path / "log.csv", table, delimiter=",", header=",".join(log), comments=""
+    )
     models = dbo.identify(
-        str(tmp_path / "log.csv"), voltage="voltage_{}_V", displacement="displacement_{}_um", coupling=True
+        str(tmp_path / "log.csv"),
+        voltage="voltage_{}_V",
+        displacement="displacement_{}_um",
+        coupling=True,
     )
     models.save(str(tmp_path / "scanner.json"))
     low = max(model.output.minimum for model in models.values())
     high = min(model.output.maximum for model in models.values())
-    options = {"models": str(tmp_path / "scanner.json"), "gains": dict.fromkeys(AXES, GAIN)}
+    options = {
+        "models": str(tmp_path / "scanner.json"),
+        "gains": dict.fromkeys(AXES, GAIN),
+    }
     options |= {"start": dict.fromkeys(AXES, "empty")}
     played = played_by_qudi(tmp_path, OUR_CLASS, (1e-6 * low, 1e-6 * high), **options)
     both, rows = drives_of(played)
@@ -216,7 +250,10 @@ def test_coupled_axes_are_played_by_a_set(tmp_path: Path) -> None:
     positions = mirror.displacement(np.arange(len(volts)) / RATE, volts)[rows:]
     errors = {}
     for place, axis in enumerate(AXES):
-        errors[axis] = 1000.0 * float(np.sqrt(np.mean(errors_of(positions[:, place], axis) ** 2)))
+        errors[axis] = 1000.0 * float(
+            np.sqrt(np.mean(errors_of(positions[:, place], axis) ** 2))
+        )
     print(f"RMS over the pixels of a coupled scanner, nm: {errors}")
-    # The line of one axis leaves 590 and 415: models of a log this short, a tenth of that.
+    # The line of one axis leaves 590 and 415: models of a log this short, a tenth of
+    # that.
     assert errors["x"] < 60.0 and errors["y"] < 60.0

@@ -19,7 +19,8 @@ from dbo_cli.hysteresis.model_file import model_to_bytes
 ROOT = Path(__file__).resolve().parents[2]
 
 pytestmark = pytest.mark.skipif(
-    os.name != "posix" or shutil.which("make") is None, reason="needs make and a POSIX shell"
+    os.name != "posix" or shutil.which("make") is None,
+    reason="needs make and a POSIX shell",
 )
 
 
@@ -35,13 +36,19 @@ def bench(tmp_path: Path) -> Path:
     shim.parent.mkdir()
     shim.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m dbo_cli "$@"\n')
     shim.chmod(0o755)
-    swing = np.repeat([1.0, 1.0, 0.6, 0.3], 150) * (0.5 - 0.5 * np.cos(2 * np.pi * np.arange(600) / 150))
+    swing = np.repeat([1.0, 1.0, 0.6, 0.3], 150) * (
+        0.5 - 0.5 * np.cos(2 * np.pi * np.arange(600) / 150)
+    )
     time = np.arange(600) / 100.0
     for folder in ("logs", "trajectories"):
         (tmp_path / folder).mkdir()
     for seed, name in enumerate(("a", "b", "c")):
         y = VirtualActuator(PRESETS["stack"]).play(time, 100.0 * swing, seed)
-        columns = {"time_s": (time, ""), "voltage_V": (100.0 * swing, ""), "displacement_um": (y, ".4f")}
+        columns = {
+            "time_s": (time, ""),
+            "voltage_V": (100.0 * swing, ""),
+            "displacement_um": (y, ".4f"),
+        }
         write_table(str(tmp_path / "logs" / f"{name}.csv"), columns)
         wanted = {"time_s": (time, ""), "displacement_um": (1.5 + 9.0 * swing, "")}
         write_table(str(tmp_path / "trajectories" / f"{name}.csv"), wanted)
@@ -49,14 +56,24 @@ def bench(tmp_path: Path) -> Path:
 
 
 def make(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    # These tests may themselves run under make, of which the inner one must know nothing.
-    outer = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))}
+    # These tests may themselves run under make, of which the inner one must know
+    # nothing.
+    outer = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith(("MAKE", "MFLAGS"))
+    }
     environment = outer | {
         "PATH": f"{folder / 'bin'}{os.pathsep}{os.environ['PATH']}",
         "PYTHONPATH": str(ROOT),
     }
     return subprocess.run(
-        ["make", "-j3", *words], cwd=folder, env=environment, capture_output=True, text=True, check=False
+        ["make", "-j3", *words],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
 
 
@@ -75,7 +92,9 @@ def test_three_actuators_at_once_and_only_what_changed(bench: Path) -> None:
     ]
     (bench / "tracked").mkdir()
     with open(bench / "drives" / "a.csv", encoding="utf-8") as file:
-        write_table(str(bench / "tracked" / "a.csv"), measure(read_drive(file), "stack", 9))
+        write_table(
+            str(bench / "tracked" / "a.csv"), measure(read_drive(file), "stack", 9)
+        )
     done = make(bench)
     assert done.returncode == 0, done.stderr
     [log] = json.loads((bench / "reports" / "a.json").read_text())["logs"]
@@ -87,19 +106,29 @@ def test_a_report_that_misses_its_limit_stays_missed(bench: Path) -> None:
         (bench / "logs" / f"{name}.csv").unlink()
     (bench / "tracked").mkdir()
     rows = "".join(f"{k / 100},{k % 10},{k % 10 + 1}\n" for k in range(100))
-    (bench / "tracked" / "c.csv").write_text(f"time_s,desired_um,displacement_um\n{rows}")
+    (bench / "tracked" / "c.csv").write_text(
+        f"time_s,desired_um,displacement_um\n{rows}"
+    )
     for _ in range(2):
         done = make(bench)
         assert done.returncode == 2
-        assert "dbo: error: c.csv: RMSE 11.1111 % of the move is above the limit of 2 %" in done.stderr
+        assert (
+            "dbo: error: c.csv: RMSE 11.1111 % of the move is above the limit of 2 %"
+            in done.stderr
+        )
         assert not (bench / "reports" / "c.json").exists()
 
 
 def test_a_bad_log_stops_its_own_branch_only_and_leaves_no_output(bench: Path) -> None:
-    (bench / "logs" / "b.csv").write_text("time_s,voltage_V,displacement_um\n0,1,2\n0.1,OVLD,2\n")
+    (bench / "logs" / "b.csv").write_text(
+        "time_s,voltage_V,displacement_um\n0,1,2\n0.1,OVLD,2\n"
+    )
     done = make(bench)
     assert done.returncode == 2
-    assert "dbo: error: logs/b.csv:3: column 'voltage_V' is not a number: 'OVLD'" in done.stderr
+    assert (
+        "dbo: error: logs/b.csv:3: column 'voltage_V' is not a number: 'OVLD'"
+        in done.stderr
+    )
     assert not (bench / "models" / "b.json").exists()
     assert not list((bench / "models").glob(".*"))
 
@@ -116,7 +145,9 @@ def test_five_passes_learn_a_move(bench: Path) -> None:
     assert done.returncode == 0, done.stderr
     errors = []
     for number in range(1, 6):
-        measured = np.loadtxt(bench / f"pass{number}.csv", delimiter=",", skiprows=1, usecols=2)
+        measured = np.loadtxt(
+            bench / f"pass{number}.csv", delimiter=",", skiprows=1, usecols=2
+        )
         errors.append(float(np.sqrt(np.mean((measured - move()) ** 2))))
     assert errors[1] < 0.2 * errors[0]
     assert errors[4] < 0.05 * errors[0]

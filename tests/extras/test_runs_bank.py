@@ -35,15 +35,26 @@ def actuator(seed: int) -> dbo.Model:
     memory = Relaxation(0.0, (0.01, 0.3), (0.0004, 0.0002)) if seed % 3 else None
     stages: list[Any] = [
         BacklashStage(
-            np.full(gears, 100.0 / gears), np.sort(rng.uniform(0.5, 1.5, gears)) / gears, 0.0, 0.0, memory
+            np.full(gears, 100.0 / gears),
+            np.sort(rng.uniform(0.5, 1.5, gears)) / gears,
+            0.0,
+            0.0,
+            memory,
         )
     ]
     if seed % 2:
-        stages.append(PointStage(np.array([0.3, 0.4, 0.6]), np.array([0.25, 0.4, 0.7]), 0.0, 0.0))
+        stages.append(
+            PointStage(np.array([0.3, 0.4, 0.6]), np.array([0.25, 0.4, 0.7]), 0.0, 0.0)
+        )
     if seed % 4 == 2:
-        stages.insert(0, PointStage(np.array([50.0, 50.0]), np.array([48.0, 52.0]), 0.0, 0.0))
+        stages.insert(
+            0, PointStage(np.array([50.0, 50.0]), np.array([48.0, 52.0]), 0.0, 0.0)
+        )
     stages.append(ScaleStage(10.0 + seed, -1.0))
-    given, made = Quantity("voltage", "V", 0.0, 100.0), Quantity("displacement", "um", -1.0, 9.0 + seed)
+    given, made = (
+        Quantity("voltage", "V", 0.0, 100.0),
+        Quantity("displacement", "um", -1.0, 9.0 + seed),
+    )
     return dbo.Model(ActuatorModel("forward", given, made, tuple(stages)))
 
 
@@ -59,7 +70,9 @@ def frames(seed: int = 1) -> np.ndarray:
 
 
 @pytest.fixture(params=["compiled", "python"])
-def either_kernel(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+def either_kernel(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> str:
     if request.param == "python":
         for module in (kernel, stepper.kernel):
             monkeypatch.setattr(module, "CHOSEN", kernel.PythonKernel)
@@ -79,21 +92,29 @@ LIMITS = (
 
 
 @pytest.mark.parametrize("limits", LIMITS, ids=lambda one: "-".join(one) or "none")
-def test_each_channel_gets_the_bits_of_its_own_controller(limits: dict[str, Any], either_kernel: str) -> None:
+def test_each_channel_gets_the_bits_of_its_own_controller(
+    limits: dict[str, Any], either_kernel: str
+) -> None:
     wanted = frames()
     bank = SET.controller(RATE, **limits)
     played = np.array([bank.step(frame) for frame in wanted])
     for place, (channel, model) in enumerate(SET.items()):
         alone = model.controller(RATE, **limits)
-        assert [alone.step(value) for value in wanted[:, place].tolist()] == played[:, place].tolist()
+        assert [alone.step(value) for value in wanted[:, place].tolist()] == played[
+            :, place
+        ].tolist()
         assert bank.states[channel] == alone.state
         assert bank.clipped[place] == alone.clipped
 
 
 @pytest.mark.parametrize(
-    "limits", [{}, {"max_slew": 4000.0, "dac": np.linspace(0.0, 100.0, 1024)}], ids=["volts", "codes"]
+    "limits",
+    [{}, {"max_slew": 4000.0, "dac": np.linspace(0.0, 100.0, 1024)}],
+    ids=["volts", "codes"],
 )
-def test_a_plan_that_is_not_committed_leaves_no_trace(limits: dict[str, Any], either_kernel: str) -> None:
+def test_a_plan_that_is_not_committed_leaves_no_trace(
+    limits: dict[str, Any], either_kernel: str
+) -> None:
     wanted, other = frames(), frames(2)
     bank, plain = SET.controller(RATE, **limits), SET.controller(RATE, **limits)
     for now, frame in enumerate(wanted):
@@ -102,16 +123,26 @@ def test_a_plan_that_is_not_committed_leaves_no_trace(limits: dict[str, Any], ei
         assert (bank.step(frame) == plain.step(frame)).all()
 
 
-@pytest.mark.parametrize("limits", [{}, {"dac": np.linspace(0.0, 100.0, 1024)}], ids=["volts", "codes"])
-def test_what_was_applied_instead_counts(limits: dict[str, Any], either_kernel: str) -> None:
+@pytest.mark.parametrize(
+    "limits", [{}, {"dac": np.linspace(0.0, 100.0, 1024)}], ids=["volts", "codes"]
+)
+def test_what_was_applied_instead_counts(
+    limits: dict[str, Any], either_kernel: str
+) -> None:
     wanted = frames()[:60]
     bank = SET.controller(RATE, **limits)
     alone = [model.controller(RATE, **limits) for model in SET.values()]
     for now, frame in enumerate(wanted):
         planned = bank.plan(frame)
-        one_by_one = [one.plan(value) for one, value in zip(alone, frame.tolist(), strict=True)]
+        one_by_one = [
+            one.plan(value) for one, value in zip(alone, frame.tolist(), strict=True)
+        ]
         assert planned.tolist() == one_by_one
-        applied = np.clip(planned + (1 if limits else 0.01) * (now % 3 - 1), 0, 1023 if limits else 100.0)
+        applied = np.clip(
+            planned + (1 if limits else 0.01) * (now % 3 - 1),
+            0,
+            1023 if limits else 100.0,
+        )
         bank.commit(applied)
         for one, value in zip(alone, applied.tolist(), strict=True):
             one.commit(value)
@@ -133,7 +164,10 @@ def test_going_on_from_states() -> None:
     for frame in wanted[:50]:
         bank.step(frame)
     again = SET.controller(
-        RATE, states={name: state for name, state in bank.states.items() if state is not None}
+        RATE,
+        states={
+            name: state for name, state in bank.states.items() if state is not None
+        },
     )
     for frame in wanted[50:90]:
         assert (again.step(frame) == bank.step(frame)).all()
@@ -141,33 +175,47 @@ def test_going_on_from_states() -> None:
 
 def test_what_is_refused() -> None:
     bank = SET.controller(RATE)
-    with pytest.raises(UsageError, match="nothing was planned to be committed: call plan first"):
+    with pytest.raises(
+        UsageError, match="nothing was planned to be committed: call plan first"
+    ):
         bank.commit()
     for _ in range(2):
         for wanted, message in (
-            ([1.0, 2.0], r"what is wanted has the shape \(2,\); give 9 values, one a channel"),
-            ([4.0] * 7 + [np.nan, 1.0], "channel x7: what is wanted is not a finite number: "),
+            (
+                [1.0, 2.0],
+                r"what is wanted has the shape \(2,\); give 9 values, one a channel",
+            ),
+            (
+                [4.0] * 7 + [np.nan, 1.0],
+                "channel x7: what is wanted is not a finite number: ",
+            ),
             (["a"] * 9, "what is wanted is no array of numbers"),
         ):
             with pytest.raises(InputError, match=message):
                 bank.plan(wanted)
         bank.step(np.full(9, 4.0))
-    with pytest.raises(InputError, match="channel x2: what was applied is not a finite number"):
+    with pytest.raises(
+        InputError, match="channel x2: what was applied is not a finite number"
+    ):
         bank.commit([1.0, 1.0, np.inf, *[1.0] * 6])
     with pytest.raises(UsageError, match="`v_max`: 2 values for 9 channels"):
         SET.controller(RATE, v_max=[1.0, 2.0])
     with pytest.raises(
-        UsageError, match="channel x1: this model and these limits need the time between samples"
+        UsageError,
+        match="channel x1: this model and these limits need the time between samples",
     ):
         SET.controller()
     inverse = dbo.ModelSet({"a": SET["x0"], "b": SET["x0"].inverse()})
     with pytest.raises(
-        ModelError, match="channel b: the model: is an inverse model where a forward one is needed"
+        ModelError,
+        match="channel b: the model: is an inverse model where a forward one is needed",
     ):
         inverse.controller(RATE)
     codes = SET.controller(RATE, dac=np.linspace(0.0, 100.0, 16))
     codes.step(np.full(9, 4.0))
-    with pytest.raises(InputError, match="channel x1: code 99 is not one of the converter's, 0 to 15"):
+    with pytest.raises(
+        InputError, match="channel x1: code 99 is not one of the converter's, 0 to 15"
+    ):
         codes.commit([1, 99, *[1] * 7])
 
 
@@ -183,7 +231,9 @@ def test_a_frame_that_would_break_the_limits_never_leaves(
         bank._codes._high[:] = 63  # type: ignore[union-attr]
     live = bank._live
     monkeypatch.setattr(bank, "_live", Lying(live))
-    with pytest.raises(GateError, match=r"channel x4: this program planned .* which breaks its limits"):
+    with pytest.raises(
+        GateError, match=r"channel x4: this program planned .* which breaks its limits"
+    ):
         bank.plan(np.full(9, 2.0))
 
 
@@ -277,11 +327,21 @@ def test_matrices_in_and_out() -> None:
         alone = model.compensate(wanted[:, place], sample_rate=RATE)
         assert (volts[:, place] == alone).all()
         assert (moved[:, place] == model.simulate(alone, sample_rate=RATE)).all()
-    with pytest.raises(InputError, match=r"`wanted`: has the shape \(50, 3\); give \(samples, 9 channels\)"):
+    with pytest.raises(
+        InputError,
+        match=r"`wanted`: has the shape \(50, 3\); give \(samples, 9 channels\)",
+    ):
         SET.compensate(wanted[:, :3])
 
 
-QUICK = {"gears": 4, "points": 0, "relaxation": (), "delay": 0.0, "dynamics": 0, "force": True}
+QUICK = {
+    "gears": 4,
+    "points": 0,
+    "relaxation": (),
+    "delay": 0.0,
+    "dynamics": 0,
+    "force": True,
+}
 
 
 @pytest.mark.filterwarnings("ignore::dbo_cli.DboWarning")
@@ -294,16 +354,25 @@ def test_identify_of_patterns_gives_a_set(tmp_path: Path) -> None:
     frame = pd.DataFrame({"time_s": np.arange(volts.size) * 0.01})
     for k in (1, 2):
         frame[f"V{k}_V"] = volts
-        frame[f"D{k}_um"] = k * (volts + 0.6 * np.sin(0.3 * volts)) + 0.01 * rng.normal(size=volts.size)
+        frame[f"D{k}_um"] = k * (volts + 0.6 * np.sin(0.3 * volts)) + 0.01 * rng.normal(
+            size=volts.size
+        )
     made = dbo.identify(frame, voltage="V{}", displacement="D{}", **QUICK)
     assert list(made) == ["1", "2"]
     one = dbo.identify(frame, voltage="V2", displacement="D2", **QUICK)
-    kept, alone = ({**dataclasses.asdict(m.actuator), "provenance": 0} for m in (made["2"], one))
+    kept, alone = (
+        {**dataclasses.asdict(m.actuator), "provenance": 0} for m in (made["2"], one)
+    )
     assert str(kept) == str(alone)
     frame.to_csv(tmp_path / "log.csv", index=False)
-    read = dbo.identify(tmp_path / "log.csv", voltage="V{}", displacement="D{}", **QUICK)
+    read = dbo.identify(
+        tmp_path / "log.csv", voltage="V{}", displacement="D{}", **QUICK
+    )
     assert str(read["1"].actuator.stages) == str(made["1"].actuator.stages)
-    with pytest.raises(UsageError, match="`displacement` is not given where `voltage` 'V\\{\\}' is many"):
+    with pytest.raises(
+        UsageError,
+        match="`displacement` is not given where `voltage` 'V\\{\\}' is many",
+    ):
         dbo.identify(frame, voltage="V{}", **QUICK)
 
 
@@ -312,7 +381,9 @@ def test_a_warning_of_identify_names_the_line_that_called_it() -> None:
 
     volts = np.concatenate([np.linspace(0.0, 10.0, 50), np.linspace(10.0, 0.0, 50)])
     moved = volts + 0.6 * np.sin(0.3 * volts)
-    frame = pd.DataFrame({"time_s": 0.01 * np.arange(100), "V1_V": volts, "D1_um": moved})
+    frame = pd.DataFrame(
+        {"time_s": 0.01 * np.arange(100), "V1_V": volts, "D1_um": moved}
+    )
     for names in (("V1", "D1"), ("V{}", "D{}")):
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
@@ -322,7 +393,12 @@ def test_a_warning_of_identify_names_the_line_that_called_it() -> None:
 
 @pytest.mark.parametrize("dac", [None, np.linspace(0.0, 100.0, 4096)])
 def test_a_bank_goes_on_in_another_process(either_kernel: str, dac: Any) -> None:
-    options: dict[str, Any] = {"v_min": 0.0, "v_max": 100.0, "max_slew": 9000.0, "dac": dac}
+    options: dict[str, Any] = {
+        "v_min": 0.0,
+        "v_max": 100.0,
+        "max_slew": 9000.0,
+        "dac": dac,
+    }
     stays = SET.controller(RATE, **options)
     for frame in frames()[:150]:
         stays.step(frame)

@@ -28,7 +28,9 @@ def models() -> list[Model]:
 def moves(model: Model, seed: int, samples: int = 300) -> np.ndarray[Any, Any]:
     rng = np.random.default_rng(seed)
     low, high = model.output.minimum, model.output.maximum
-    return 0.5 * (low + high) + 0.48 * (high - low) * np.sin(np.cumsum(rng.normal(0.0, 0.4, samples)))
+    return 0.5 * (low + high) + 0.48 * (high - low) * np.sin(
+        np.cumsum(rng.normal(0.0, 0.4, samples))
+    )
 
 
 @pytest.mark.parametrize("number", range(6))
@@ -42,7 +44,9 @@ def test_a_controller_gives_the_bits_of_compensate(number: int, state: str) -> N
     wanted = moves(model, number)
     live = model.controller(RATE, state=state, **limits)
     got = [live.step(x) for x in wanted]
-    result = model.compensate(wanted, sample_rate=RATE, state=state, on_limit="clip", details=True, **limits)
+    result = model.compensate(
+        wanted, sample_rate=RATE, state=state, on_limit="clip", details=True, **limits
+    )
     assert got == result.values.tolist()
     assert live.clipped == result.clipped
     assert live.state is not None
@@ -72,7 +76,10 @@ def test_what_was_applied_instead_is_what_counts(number: int) -> None:
         volts = (
             volts
             if k % 3
-            else min(max(volts + 0.01 * model.input.span, model.input.minimum), model.input.maximum)
+            else min(
+                max(volts + 0.01 * model.input.span, model.input.minimum),
+                model.input.maximum,
+            )
         )
         live.commit(volts)
         applied.append(volts)
@@ -90,7 +97,9 @@ def test_a_converter_plans_codes_and_the_state_follows_their_voltage() -> None:
     live = model.controller(RATE, dac=curve)
     codes = [live.step(x) for x in moves(model, 7)]
     assert all(isinstance(code, int) and 0 <= code < 1024 for code in codes)
-    _, state = model.simulate(curve[np.array(codes)], sample_rate=RATE, return_state=True)
+    _, state = model.simulate(
+        curve[np.array(codes)], sample_rate=RATE, return_state=True
+    )
     assert live.state is not None
     assert live.state.backlash.bits == state.backlash.bits
     reached = model.simulate(curve[np.array(codes)], sample_rate=RATE)
@@ -122,16 +131,22 @@ def test_a_delay_needs_the_future(delayed: Model) -> None:
     wanted = 5.0 + 3.0 * np.sin(2 * np.pi * 3 * t)
     live = delayed.controller(1000.0, ahead=True)
     ahead = np.concatenate([wanted[20:], np.full(20, wanted[-1])])
-    assert [live.step(x) for x in ahead] == delayed.compensate(wanted, sample_rate=1000.0).tolist()
+    assert [live.step(x) for x in ahead] == delayed.compensate(
+        wanted, sample_rate=1000.0
+    ).tolist()
 
 
 def test_senseless_controllers_are_refused() -> None:
     model = models()[0]
-    with pytest.raises(UsageError, match=r"need the time between samples \(`sample_rate` HZ\)$"):
+    with pytest.raises(
+        UsageError, match=r"need the time between samples \(`sample_rate` HZ\)$"
+    ):
         model.controller()
     with pytest.raises(UsageError, match=r"^`sample_rate` 0: "):
         model.controller(0.0)
-    with pytest.raises(ModelError, match="is an inverse model where a forward one is needed"):
+    with pytest.raises(
+        ModelError, match="is an inverse model where a forward one is needed"
+    ):
         model.inverse().controller(RATE)
     with pytest.raises(UsageError, match=r"^`dac`: give the voltage of every code"):
         model.controller(RATE, dac=[1.0, 1.0])
@@ -167,7 +182,9 @@ PATTERNS = {
 }
 
 
-@pytest.mark.parametrize("kind", ["plain", "delay", "between", "drive lag", "lag alone", "points"])
+@pytest.mark.parametrize(
+    "kind", ["plain", "delay", "between", "drive lag", "lag alone", "points"]
+)
 @pytest.mark.parametrize("pattern", PATTERNS)
 @pytest.mark.parametrize("limits", [{}, {"max_slew": 2e4}])
 def test_a_controller_with_dynamics_gives_the_bits_of_compensate(
@@ -195,8 +212,11 @@ def test_a_controller_with_dynamics_gives_the_bits_of_compensate(
 
 def test_a_plan_with_dynamics_leaves_no_trace_and_more_lookahead_is_later() -> None:
     model, wanted = moving("between"), PATTERNS["sine"](None)[:150]
-    plain, hesitant = (model.controller(LIVE, lookahead="auto", state="empty") for _ in range(2))
-    assert plain.lookahead == 40  # 30 of the resonance, 7.3 of the delay and three samples behind it
+    plain, hesitant = (
+        model.controller(LIVE, lookahead="auto", state="empty") for _ in range(2)
+    )
+    # 30 of the resonance, 7.3 of the delay and three samples behind it
+    assert plain.lookahead == 40
     first = [plain.step(x) for x in wanted]
     for k, x in enumerate(wanted):
         hesitant.plan(9.0)
@@ -208,9 +228,16 @@ def test_a_plan_with_dynamics_leaves_no_trace_and_more_lookahead_is_later() -> N
     later = model.controller(LIVE, lookahead=100 / LIVE, state="empty")
     assert later.lookahead == 100
     shifted = [later.step(x) for x in wanted]
-    assert np.allclose(shifted[60:], first[:-60], rtol=0.0, atol=1e-2)  # creep began earlier
+    # creep began earlier
+    assert np.allclose(shifted[60:], first[:-60], rtol=0.0, atol=1e-2)
     done = model.compensate(
-        wanted, sample_rate=LIVE, state="empty", lead=100 / LIVE, rows=":50", details=True, on_limit="clip"
+        wanted,
+        sample_rate=LIVE,
+        state="empty",
+        lead=100 / LIVE,
+        rows=":50",
+        details=True,
+        on_limit="clip",
     )
     assert shifted == done.values.tolist()
 
@@ -221,12 +248,20 @@ def test_a_live_positioner_errs_as_compensate_does() -> None:
     wanted = move(80.0)
     live = model.controller(LIVE, lookahead="auto", state="empty")
     late = live.lookahead
-    sent = np.array([live.step(x) for x in np.append(wanted, np.full(late, wanted[-1]))], dtype=np.float64)
+    sent = np.array(
+        [live.step(x) for x in np.append(wanted, np.full(late, wanted[-1]))],
+        dtype=np.float64,
+    )
     drives = (
-        model.compensate(wanted, sample_rate=LIVE, state="empty", on_limit="clip", details=True).values,
+        model.compensate(
+            wanted, sample_rate=LIVE, state="empty", on_limit="clip", details=True
+        ).values,
         sent,
     )
-    reached = [Model(plant).simulate(drive, sample_rate=LIVE, state="empty") for drive in drives]
+    reached = [
+        Model(plant).simulate(drive, sample_rate=LIVE, state="empty")
+        for drive in drives
+    ]
     error, error_live = rms(reached[0] - wanted), rms(reached[1][late:] - wanted)
     assert 0.005 < error < 0.1
     assert error_live < 1.1 * error
@@ -246,15 +281,24 @@ def test_with_dynamics_what_was_applied_counts_and_a_state_goes_on(kind: str) ->
         live.commit(applied[-1])
     codes = [coded.step(x) for x in wanted]
     for one, drive in ((live, np.array(applied)), (coded, curve[np.array(codes)])):
-        played, state = model.simulate(drive, sample_rate=LIVE, state="empty", return_state=True)
+        played, state = model.simulate(
+            drive, sample_rate=LIVE, state="empty", return_state=True
+        )
         assert one.state is not None
         assert one.state.backlash.bits == state.backlash.bits
-        assert np.allclose(one.state.dynamics or (), state.dynamics or (), rtol=1e-9, atol=1e-9)
+        assert np.allclose(
+            one.state.dynamics or (), state.dynamics or (), rtol=1e-9, atol=1e-9
+        )
         rest = np.full(400, wanted[-1])
         again = model.controller(LIVE, lookahead="auto", state=one.state)
         drive = np.array([again.step(x) for x in rest])
         expected = model.compensate(
-            rest, sample_rate=LIVE, state=one.state, lead="auto", on_limit="clip", details=True
+            rest,
+            sample_rate=LIVE,
+            state=one.state,
+            lead="auto",
+            on_limit="clip",
+            details=True,
         )
         assert drive.tolist() == expected.values[: rest.size].tolist()
         assert played.size == wanted.size
@@ -277,11 +321,17 @@ def test_a_lookahead_that_is_none_is_refused() -> None:
         "`lookahead` 0.001 s is 20 samples, and the inverse of this model reads 30 ahead (`lookahead` 0.0015 "
         "or auto)"
     )
-    with pytest.raises(UsageError, match=r"is 29 samples, and the inverse of this model reads 30 ahead"):
+    with pytest.raises(
+        UsageError, match=r"is 29 samples, and the inverse of this model reads 30 ahead"
+    ):
         model.controller(LIVE, lookahead=29 / LIVE)
-    with pytest.raises(UsageError, match=r"^`ahead` and `lookahead` exclude each other: "):
+    with pytest.raises(
+        UsageError, match=r"^`ahead` and `lookahead` exclude each other: "
+    ):
         model.controller(LIVE, lookahead="auto", ahead=True)
-    with pytest.raises(UsageError, match=r"need the time between samples \(`sample_rate` HZ\)$"):
+    with pytest.raises(
+        UsageError, match=r"need the time between samples \(`sample_rate` HZ\)$"
+    ):
         models()[1].controller(lookahead="auto")
     with pytest.raises(UsageError) as raised:
         model.controller(LIVE, lookahead="soon")
@@ -295,6 +345,9 @@ def test_a_bank_of_models_with_dynamics_gives_the_bits_of_each() -> None:
     bank = Bank(models, LIVE, lookahead=0.002)
     alone = [Model(one).controller(LIVE, lookahead=0.002) for one in models.values()]
     for x in PATTERNS["noise"](np.random.default_rng(8))[:60]:
-        assert bank.step([x, x + 0.5]).tolist() == [alone[0].step(x), alone[1].step(x + 0.5)]
+        assert bank.step([x, x + 0.5]).tolist() == [
+            alone[0].step(x),
+            alone[1].step(x + 0.5),
+        ]
     states = bank.states
     assert [states[name] for name in models] == [one.state for one in alone]

@@ -76,13 +76,19 @@ def test_a_row_that_was_refused_is_not_committed(begun: bool) -> None:
     live.plan(5.0)
     left_as_it_was(live, live.plan, float("nan"))
     left_as_it_was(live, live.commit)
-    with pytest.raises(UsageError, match=r"^nothing was planned to be committed: call plan first$"):
+    with pytest.raises(
+        UsageError, match=r"^nothing was planned to be committed: call plan first$"
+    ):
         live.commit()
     assert live.planned is None
 
 
 def test_channels_that_go_on_alone_forget_a_refused_frame_together() -> None:
-    bank = Bank({"a": moving("plain").actuator, "b": moving("plain").actuator}, LIVE, lookahead="auto")
+    bank = Bank(
+        {"a": moving("plain").actuator, "b": moving("plain").actuator},
+        LIVE,
+        lookahead="auto",
+    )
     for _ in range(3):
         left_as_it_was(bank, bank.plan, [6.0, np.inf])
         left_as_it_was(bank, bank.commit)
@@ -97,7 +103,10 @@ def test_channels_that_go_on_alone_forget_a_refused_frame_together() -> None:
 
 @pytest.mark.usefixtures("either_kernel")
 def test_codes_before_any_plan_are_taken_and_the_slew_is_kept() -> None:
-    bank, alone = (made.controller(RATE, max_slew=CODE_SLEW, dac=CURVE) for made in (pair(), model()))
+    bank, alone = (
+        made.controller(RATE, max_slew=CODE_SLEW, dac=CURVE)
+        for made in (pair(), model())
+    )
     bank.step([0.2, 0.2])
     alone.step(0.2)
     bank.commit([17, 500])
@@ -114,8 +123,13 @@ def test_codes_before_any_plan_are_taken_and_the_slew_is_kept() -> None:
 
 @pytest.mark.usefixtures("either_kernel")
 @pytest.mark.parametrize("turned, sign", [(105.0, -1.0), (-7.0, 1.0), (103.5, -1.0)])
-def test_after_a_knob_was_turned_the_drive_comes_inwards(turned: float, sign: float) -> None:
-    live, bank = model().controller(RATE, max_slew=SLEW), pair().controller(RATE, max_slew=SLEW)
+def test_after_a_knob_was_turned_the_drive_comes_inwards(
+    turned: float, sign: float
+) -> None:
+    live, bank = (
+        model().controller(RATE, max_slew=SLEW),
+        pair().controller(RATE, max_slew=SLEW),
+    )
     live.step(5.0)
     bank.step([5.0, 5.0])
     live.commit(turned)
@@ -172,9 +186,13 @@ def test_codes_come_inwards_too(slew: float, samples: int) -> None:
 def test_what_stands_outside_at_the_start_comes_inwards() -> None:
     for begin in ({"from_": 110.0}, {"from_": "110V"}):
         live = model().controller(RATE, max_slew=SLEW, **begin)
-        assert [live.step(5.0) for _ in range(3)] == pytest.approx([109.0, 108.0, 107.0], rel=1e-15)
+        assert [live.step(5.0) for _ in range(3)] == pytest.approx(
+            [109.0, 108.0, 107.0], rel=1e-15
+        )
     again = model().controller(RATE, max_slew=SLEW, state=live.state)
-    assert [again.step(5.0) for _ in range(8)] == pytest.approx(np.arange(106.0, 98.0, -1.0), rel=1e-14)
+    assert [again.step(5.0) for _ in range(8)] == pytest.approx(
+        np.arange(106.0, 98.0, -1.0), rel=1e-14
+    )
     free = model().controller(RATE, from_=110.0)
     assert 0.0 <= free.step(5.0) <= 100.0
 
@@ -184,13 +202,20 @@ def test_a_converter_between_two_codes_goes_to_one_of_them() -> None:
     assert live.plan(11.0) == 500
     with pytest.raises(UsageError) as raised:
         model().controller(RATE, max_slew=10.0, dac=CURVE, from_=130.0)
-    assert str(raised.value) == ("`from_`: the drive stands at 130, and the converter gives 0 to 120 (`dac`)")
+    assert str(raised.value) == (
+        "`from_`: the drive stands at 130, and the converter gives 0 to 120 (`dac`)"
+    )
 
 
 def test_an_empty_actuator_stands_at_its_lower_end_for_codes_too() -> None:
-    for dac, volts, slew in ((None, lambda x: x, SLEW), (CURVE, lambda code: CURVE[code], CODE_SLEW)):
+    for dac, volts, slew in (
+        (None, lambda x: x, SLEW),
+        (CURVE, lambda code: CURVE[code], CODE_SLEW),
+    ):
         live = model().controller(RATE, max_slew=slew, state="empty", dac=dac)
-        assert [volts(live.step(9.0)) for _ in range(3)] == pytest.approx([1.0, 2.0, 3.0])
+        assert [volts(live.step(9.0)) for _ in range(3)] == pytest.approx(
+            [1.0, 2.0, 3.0]
+        )
 
 
 # --- what is refused before anything moves ---
@@ -223,7 +248,9 @@ def test_what_is_no_number_is_refused(wrong: Any, begun: bool, dac: Any) -> None
 
 @pytest.mark.usefixtures("either_kernel")
 @pytest.mark.parametrize("dac", [None, CURVE], ids=["volts", "codes"])
-@pytest.mark.parametrize("wrong", [one for one in NO_NUMBERS if one is not None], ids=shown)
+@pytest.mark.parametrize(
+    "wrong", [one for one in NO_NUMBERS if one is not None], ids=shown
+)
 def test_a_frame_with_what_is_no_number_is_refused(wrong: Any, dac: Any) -> None:
     bank = pair().controller(RATE, max_slew=SLEW, dac=dac)
     for _ in range(2):
@@ -245,14 +272,24 @@ def test_codes_that_are_none_are_refused(code: Any) -> None:
 
 
 def test_other_numbers_are_numbers() -> None:
-    for value in (5, np.float32(5.0), np.int16(5), np.array(5.0), Fraction(5), Decimal(5)):
+    for value in (
+        5,
+        np.float32(5.0),
+        np.int16(5),
+        np.array(5.0),
+        Fraction(5),
+        Decimal(5),
+    ):
         live, plain = model().controller(RATE), model().controller(RATE)
         assert live.plan(value) == plain.plan(5.0)
         live.commit(value)
         plain.commit(5.0)
         assert live.state == plain.state
     bank = pair().controller(RATE)
-    assert bank.plan((5, Decimal(5))).tolist() == [plain.step(5.0)] * 2 or bank.planned is not None
+    assert (
+        bank.plan((5, Decimal(5))).tolist() == [plain.step(5.0)] * 2
+        or bank.planned is not None
+    )
 
 
 @pytest.mark.parametrize("name", ["from_", "v_min", "v_max", "max_slew"])
@@ -274,7 +311,9 @@ def test_messages_of_what_is_refused() -> None:
         with pytest.raises(InputError) as raised:
             live.commit(wrong)
         assert str(raised.value) == message
-    with pytest.raises(InputError, match=r"^`from_`, 1e\+09 V, is too far away to be meant "):
+    with pytest.raises(
+        InputError, match=r"^`from_`, 1e\+09 V, is too far away to be meant "
+    ):
         model().controller(RATE, from_=1e9)
     with pytest.raises(UsageError, match=r"^`v_max`: there is no channel 'c'$"):
         pair().controller(RATE, v_max={"c": 10.0})
@@ -287,7 +326,9 @@ def test_messages_of_what_is_refused() -> None:
 
 
 def test_limits_by_channel_may_be_texts_and_states_may_be_missing() -> None:
-    bank = pair().controller(RATE, v_max=["50V", 40.0], states=pair().controller(RATE).states)
+    bank = pair().controller(
+        RATE, v_max=["50V", 40.0], states=pair().controller(RATE).states
+    )
     assert bank.step([20.0, 20.0]).tolist() == [50.0, 40.0]
 
 
@@ -321,7 +362,12 @@ def test_a_ramp_to_rest_arrives_and_is_refused_whole() -> None:
     assert codes[-1] == 0 and sorted(codes, reverse=True) == codes
     live = model().controller(RATE, max_slew=SLEW)
     live.step(5.0)
-    for wrong in ({"to": float("nan")}, {"to": "5"}, {"seconds": -1.0}, {"seconds": 1e-3}):
+    for wrong in (
+        {"to": float("nan")},
+        {"to": "5"},
+        {"seconds": -1.0},
+        {"seconds": 1e-3},
+    ):
         before = live.state
         with pytest.raises(dbo.DboError):
             live.close(**wrong)
@@ -344,8 +390,15 @@ def test_codes_of_many_are_those_of_each(seed: int) -> None:
         step = None if rng.random() < 0.2 else float(10.0 ** rng.uniform(-3.0, 1.0))
         converters.append(Converter(curve, DriveLimits(float(low), float(high)), step))
     codes = Codes(converters)
-    last = np.where(rng.random(20) < 0.5, rng.choice(curve, 20), rng.uniform(curve[0], curve[-1], 20))
-    volts, saved = rng.uniform(curve[0] - 3.0, curve[-1] + 3.0, 20), rng.uniform(0.0, 0.5, 20)
+    last = np.where(
+        rng.random(20) < 0.5,
+        rng.choice(curve, 20),
+        rng.uniform(curve[0], curve[-1], 20),
+    )
+    volts, saved = (
+        rng.uniform(curve[0] - 3.0, curve[-1] + 3.0, 20),
+        rng.uniform(0.0, 0.5, 20),
+    )
     together = [part.tolist() for part in codes.next(volts, last, saved)]
     for k, converter in enumerate(converters):
         alone = converter.next(float(volts[k]), float(last[k]), float(saved[k]))

@@ -17,7 +17,18 @@ from dbo_cli.hysteresis.model_file import Node, model_of
 
 CHANNELS = [str(k) for k in range(1, 9)]
 GEARS = 64
-QUICK = ("--gears", GEARS, "--points", 0, "--relaxation", 0, "--delay", 0, "--dynamics", 0)
+QUICK = (
+    "--gears",
+    GEARS,
+    "--points",
+    0,
+    "--relaxation",
+    0,
+    "--delay",
+    0,
+    "--dynamics",
+    0,
+)
 WORDS = ("--voltage", "V{}", "--displacement", "D{}")
 
 
@@ -42,7 +53,10 @@ def drive() -> np.ndarray:
 
 
 def write_log(
-    models: dict[str, ActuatorModel], noise: float, seed: int = 1, drives: dict[str, np.ndarray] | None = None
+    models: dict[str, ActuatorModel],
+    noise: float,
+    seed: int = 1,
+    drives: dict[str, np.ndarray] | None = None,
 ) -> None:
     """Write a log of all channels, driven alike where nothing else is said."""
     rng = np.random.default_rng(seed)
@@ -50,10 +64,16 @@ def write_log(
     for channel, model in models.items():
         volts = drive() if drives is None else drives[channel]
         moved = model.simulate(volts, model.start(0.0, "empty")).y
-        columns |= {f"V{channel}_V": volts, f"D{channel}_um": moved + noise * rng.normal(size=volts.size)}
+        columns |= {
+            f"V{channel}_V": volts,
+            f"D{channel}_um": moved + noise * rng.normal(size=volts.size),
+        }
     lines = [
         ",".join(columns),
-        *(",".join(map(repr, row)) for row in zip(*(c.tolist() for c in columns.values()), strict=True)),
+        *(
+            ",".join(map(repr, row))
+            for row in zip(*(c.tolist() for c in columns.values()), strict=True)
+        ),
     ]
     Path("log.csv").write_text("\n".join(lines) + "\n")
 
@@ -71,16 +91,32 @@ def error_of(made: ActuatorModel, true: ActuatorModel) -> float:
 def test_noisy_channels_are_followed_better_with_one_shape(dbo: Any) -> None:
     true = {c: actuator(1.0 + 0.1 * k) for k, c in enumerate(CHANNELS)}
     write_log(true, noise=0.25)
-    said = dbo("identify", "log.csv", *QUICK, *WORDS, "--shared-shape", "-o", "one.json")
+    said = dbo(
+        "identify", "log.csv", *QUICK, *WORDS, "--shared-shape", "-o", "one.json"
+    )
     assert said.code == 0, said.err
-    assert "dbo: one shape, the mean of 6 channels: on 3, 7, left out of it, it leaves " in said.err
+    assert (
+        "dbo: one shape, the mean of 6 channels: on 3, 7, left out of it, it leaves "
+        in said.err
+    )
     assert dbo("identify", "log.csv", *QUICK, *WORDS, "-q", "-o", "own.json").code == 0
     shared, own = (
         np.median([error_of(read_set(name)[c], true[c]) for c in CHANNELS])
         for name in ("one.json", "own.json")
     )
     assert shared < 0.8 * own
-    again = dbo("identify", "log.csv", *QUICK, *WORDS, "--shared-shape", "-j", 2, "-q", "-o", "two.json")
+    again = dbo(
+        "identify",
+        "log.csv",
+        *QUICK,
+        *WORDS,
+        "--shared-shape",
+        "-j",
+        2,
+        "-q",
+        "-o",
+        "two.json",
+    )
     assert again.code == 0
     assert Path("one.json").read_bytes() == Path("two.json").read_bytes()
 
@@ -88,13 +124,27 @@ def test_noisy_channels_are_followed_better_with_one_shape(dbo: Any) -> None:
 def test_gains_come_back(dbo: Any) -> None:
     true = {c: actuator(1.0 + 0.1 * k) for k, c in enumerate(CHANNELS)}
     write_log(true, noise=0.02)
-    assert dbo("identify", "log.csv", *QUICK, *WORDS, "--shared-shape", "-q", "-o", "one.json").code == 0
+    assert (
+        dbo(
+            "identify",
+            "log.csv",
+            *QUICK,
+            *WORDS,
+            "--shared-shape",
+            "-q",
+            "-o",
+            "one.json",
+        ).code
+        == 0
+    )
     spans = np.array([model.output.span for model in read_set("one.json").values()])
     assert spans / spans[0] == pytest.approx(1.0 + 0.1 * np.arange(8), rel=2e-3)
 
 
 def test_channels_without_a_common_shape_are_refused(dbo: Any) -> None:
-    write_log({c: actuator(1.0, 0.1 + 0.5 * k) for k, c in enumerate(CHANNELS)}, noise=0.01)
+    write_log(
+        {c: actuator(1.0, 0.1 + 0.5 * k) for k, c in enumerate(CHANNELS)}, noise=0.01
+    )
     words = ("identify", "log.csv", *QUICK, *WORDS, "--shared-shape", "-o", "one.json")
     said = dbo(*words)
     assert said.code == 1
@@ -111,7 +161,9 @@ def test_channels_without_a_common_shape_are_refused(dbo: Any) -> None:
         (("--voltage", "V1", "--displacement", "D1"), 2, "--shared-shape is for channels: name their columns by patterns, 'V{}' and 'D{}'"),
     ],
 )  # fmt: skip
-def test_what_is_refused(dbo: Any, words: tuple[str, ...], code: int, message: str) -> None:
+def test_what_is_refused(
+    dbo: Any, words: tuple[str, ...], code: int, message: str
+) -> None:
     write_log({c: actuator(1.0) for c in CHANNELS[:2]}, 0.01)
     said = dbo("identify", "log.csv", "--shared-shape", *words)
     assert (said.code, said.err) == (code, f"dbo: error: {message}\n")
@@ -128,12 +180,18 @@ def test_few_channels_are_refused(dbo: Any) -> None:
 def test_channels_that_are_driven_differently_are_fitted_together(dbo: Any) -> None:
     true = {c: actuator(1.0 + 0.1 * k) for k, c in enumerate(CHANNELS)}
     drives = {
-        c: np.concatenate([drive()[:100], np.roll(drive()[100:], 50 * k)]) for k, c in enumerate(CHANNELS)
+        c: np.concatenate([drive()[:100], np.roll(drive()[100:], 50 * k)])
+        for k, c in enumerate(CHANNELS)
     }
     write_log(true, 0.25, drives=drives)
-    said = dbo("identify", "log.csv", *QUICK, *WORDS, "--shared-shape", "-o", "one.json")
+    said = dbo(
+        "identify", "log.csv", *QUICK, *WORDS, "--shared-shape", "-o", "one.json"
+    )
     assert said.code == 0, said.err
-    assert "dbo: one shape, fitted to the logs of 6 channels: on 3, 7, left out of it, it leaves " in said.err
+    assert (
+        "dbo: one shape, fitted to the logs of 6 channels: on 3, 7, left out of it, it leaves "
+        in said.err
+    )
     assert dbo("identify", "log.csv", *QUICK, *WORDS, "-q", "-o", "own.json").code == 0
     shared, own = (
         np.median([error_of(read_set(name)[c], true[c]) for c in CHANNELS])

@@ -1,8 +1,9 @@
 # ruff: noqa: E501  (a sentence stands on one line here)
 """The table of sentences, of the extras: fast and repeated moves, loops, exports, fringes, channels, moves.
 
-Each test holds what a sentence claims against a simulated case, and that it is silent in one of its opposite.
-More stand in ``test_sentences.py`` and ``test_sentences_of_files.py``.
+Each test holds what a sentence claims against a simulated case, and that it is silent
+in one of its opposite. More stand in ``test_sentences.py`` and
+``test_sentences_of_files.py``.
 """
 
 from __future__ import annotations
@@ -40,7 +41,9 @@ def test_what_a_bandwidth_takes_off_is_what_is_missed() -> None:
     corner = np.interp(TIME, [0.0, 0.1, 0.15, 0.2, TIME[-1]], [3.0, 3.0, 7.0, 3.0, 3.0])
     done = Model(actuator()).compensate(corner, bandwidth=100.0, **WIDE)
     reached, _ = played(actuator(), done.values)
-    off, most = figures(r"`bandwidth` 100 takes off (\S+) um \(RMS\), (\S+) um at most", texts_of(done))
+    off, most = figures(
+        r"`bandwidth` 100 takes off (\S+) um \(RMS\), (\S+) um at most", texts_of(done)
+    )
     assert off == pytest.approx(rms(reached - corner), rel=0.02)
     assert most == pytest.approx(float(np.abs(reached - corner).max()), rel=0.02)
     assert "takes off" not in texts_of(Model(actuator()).compensate(corner, **WIDE))
@@ -49,21 +52,29 @@ def test_what_a_bandwidth_takes_off_is_what_is_missed() -> None:
 def test_a_move_that_begins_on_the_move_rings_by_what_is_said() -> None:
     wanted = 6.0 + 3.0 * np.sin(2.0 * np.pi * 20.0 * TIME)
     done = Model(actuator()).compensate(wanted, **WIDE | {"on_limit": "clip"})
-    [rings] = figures(r"begins on the move, .* it rings at first, by about (\S+) um", texts_of(done))
+    [rings] = figures(
+        r"begins on the move, .* it rings at first, by about (\S+) um", texts_of(done)
+    )
     reached, _ = played(actuator(), done.values)
     worst = float(np.abs(reached - wanted)[:200].max())
     assert 0.3 * rings < worst < 3.0 * rings
-    assert "begins on the move" not in texts_of(Model(actuator()).compensate(move(), **WIDE))
+    assert "begins on the move" not in texts_of(
+        Model(actuator()).compensate(move(), **WIDE)
+    )
 
 
 # --- learning ---
 
 
-def learned(model: Model, plant: Any, shift: float = 0.0, **more: Any) -> tuple[Any, Floats]:
+def learned(
+    model: Model, plant: Any, shift: float = 0.0, **more: Any
+) -> tuple[Any, Floats]:
     """Return the second pass and what was measured of the first, its zero shifted."""
     first = model.compensate(move(), **WIDE)
     measured = played(plant, first.values)[1] + shift
-    return model.compensate(move(), tracked=(first.values, measured), **WIDE | more), measured
+    return model.compensate(
+        move(), tracked=(first.values, measured), **WIDE | more
+    ), measured
 
 
 def test_the_error_of_the_last_pass_is_the_one_that_was_measured() -> None:
@@ -73,22 +84,31 @@ def test_the_error_of_the_last_pass_is_the_one_that_was_measured() -> None:
         r"the last pass was (\S+) um off \(RMS, (\S+) % of the move\), (\S+) um of it below (\S+) Hz",
         texts_of(done),
     )
-    assert off == pytest.approx(float(np.std(error)), rel=0.01) or off == pytest.approx(rms(error), rel=0.01)
+    assert off == pytest.approx(float(np.std(error)), rel=0.01) or off == pytest.approx(
+        rms(error), rel=0.01
+    )
     assert percent == pytest.approx(100.0 * off / float(np.ptp(move())), rel=0.05)
     assert cutoff > 40.0
     reached, _ = played(actuator(), done.values)
     left = float(np.std(reached - move()))
     assert left < 0.7 * off  # what the pass takes off is gone
     assert taken <= off
-    assert "the last pass was" not in texts_of(Model(actuator()).compensate(move(), **WIDE))
+    assert "the last pass was" not in texts_of(
+        Model(actuator()).compensate(move(), **WIDE)
+    )
 
 
 def test_what_is_taken_for_the_sensor_s_zero_is_the_mean_of_the_error() -> None:
     done, measured = learned(Model(actuator(0.36)), actuator(), 2.5)
-    [zero] = figures(r"the mean of the error, (\S+) um, is taken for the sensor's zero", texts_of(done))
+    [zero] = figures(
+        r"the mean of the error, (\S+) um, is taken for the sensor's zero",
+        texts_of(done),
+    )
     assert zero == pytest.approx(float(np.mean(move() - measured)), rel=0.01)
     assert zero == pytest.approx(-2.5, abs=0.2)
-    assert "sensor's zero" not in texts_of(learned(Model(actuator(0.36)), actuator(), absolute=True)[0])
+    assert "sensor's zero" not in texts_of(
+        learned(Model(actuator(0.36)), actuator(), absolute=True)[0]
+    )
 
 
 # --- loops ---
@@ -96,7 +116,10 @@ def test_what_is_taken_for_the_sensor_s_zero_is_the_mean_of_the_error() -> None:
 
 def test_the_step_at_the_seam_is_that_of_the_drive() -> None:
     done = Model(actuator()).compensate(period(), periodic=True, passes=0, **WIDE)
-    seam, inside = figures(r"step at the loop's seam is (\S+) V, the largest inside (\S+) V", texts_of(done))
+    seam, inside = figures(
+        r"step at the loop's seam is (\S+) V, the largest inside (\S+) V",
+        texts_of(done),
+    )
     assert seam == pytest.approx(abs(float(done.values[0] - done.values[-1])), rel=0.01)
     assert inside == pytest.approx(float(np.abs(np.diff(done.values)).max()), rel=0.01)
 
@@ -171,10 +194,18 @@ def test_what_is_said_of_fringes_is_what_moved(dbo: Any) -> None:
     assert moved == pytest.approx(float(np.ptp(log.displacement)), abs=0.02)
     assert count == pytest.approx(moved / FRINGE, rel=0.01)
     assert noise == pytest.approx(2.0, rel=0.3)  # of an amplitude of about 1
-    error = 1000.0 * (np.loadtxt("out.csv", delimiter=",", skiprows=1)[:, 2] - log.displacement)
-    assert 0.3 * typical < float(np.median(np.abs(error - np.median(error)))) < 3.0 * typical
+    error = 1000.0 * (
+        np.loadtxt("out.csv", delimiter=",", skiprows=1)[:, 2] - log.displacement
+    )
+    assert (
+        0.3 * typical
+        < float(np.median(np.abs(error - np.median(error))))
+        < 3.0 * typical
+    )
     assert float(np.std(error)) < worst
-    turns, odds = figures(r"(\d+) turns of the drive, the branch taken at each at least (\S+) times", said)
+    turns, odds = figures(
+        r"(\d+) turns of the drive, the branch taken at each at least (\S+) times", said
+    )
     inside = np.diff(np.sign(np.diff(log.drive)[np.diff(log.drive) != 0.0])) != 0.0
     assert turns == np.count_nonzero(inside)
     assert odds > 100.0
@@ -184,9 +215,16 @@ def test_what_is_said_of_fringes_is_what_moved(dbo: Any) -> None:
 def test_rows_at_the_end_of_a_photodiode_are_counted(dbo: Any) -> None:
     log = simulated()
     top = float(np.quantile(log.signal, 0.97))
-    write("run.csv", time_s=log.time, voltage_V=log.drive, signal_V=np.minimum(log.signal, top))
+    write(
+        "run.csv",
+        time_s=log.time,
+        voltage_V=log.drive,
+        signal_V=np.minimum(log.signal, top),
+    )
     said = dbo("fringes", "run.csv", "--wavelength", "632.8nm", "-o", "out.csv").err
-    [clipped] = figures(r"(\S+) rows at the end of a photodiode's range say nothing", said)
+    [clipped] = figures(
+        r"(\S+) rows at the end of a photodiode's range say nothing", said
+    )
     assert clipped == pytest.approx(np.count_nonzero(log.signal >= top), rel=0.05)
 
 
@@ -195,9 +233,12 @@ def test_rows_at_the_end_of_a_photodiode_are_counted(dbo: Any) -> None:
 
 def test_how_channels_show_in_each_other_is_what_was_put_in(dbo: Any) -> None:
     write_log("log.csv", drives())
-    said = dbo("identify", "log.csv", *QUICK, *WORDS, "--coupling", "-o", "mirror.json").err
+    said = dbo(
+        "identify", "log.csv", *QUICK, *WORDS, "--coupling", "-o", "mirror.json"
+    ).err
     count, of, seen, other, percent = figures(
-        r"coupling: (\d+) of (\d+) gains are not 0; largest: (\d+) shows in (\d+), (\S+) %", said
+        r"coupling: (\d+) of (\d+) gains are not 0; largest: (\d+) shows in (\d+), (\S+) %",
+        said,
     )
     beside = GAINS - np.eye(3)
     assert (count, of) == (np.count_nonzero(beside), 6)
@@ -210,21 +251,37 @@ def test_how_channels_show_in_each_other_is_what_was_put_in(dbo: Any) -> None:
 
 def test_channels_that_hold_the_same_displacements_are_named(dbo: Any) -> None:
     write_log("log.csv", drives())
-    assert "hold the same displacements" not in dbo("identify", "log.csv", *QUICK, *WORDS, "-o", "a.json").err
+    assert (
+        "hold the same displacements"
+        not in dbo("identify", "log.csv", *QUICK, *WORDS, "-o", "a.json").err
+    )
     lines = [line.split(",") for line in Path("log.csv").read_text().splitlines()]
     first, third = lines[0].index("D1_um"), lines[0].index("D3_um")
     for line in lines[1:]:
         line[third] = line[first]
     Path("log.csv").write_text("\n".join(map(",".join, lines)) + "\n")
     said = dbo("identify", "log.csv", *QUICK, *WORDS, "--force", "-o", "b.json").err
-    assert re.search(r"channels 1, 3 hold the same displacements, sample by sample", said), said
+    assert re.search(
+        r"channels 1, 3 hold the same displacements, sample by sample", said
+    ), said
 
 
 # --- moves ---
 
 
 def test_a_raster_is_as_linear_as_is_said(dbo: Any) -> None:
-    words = ("--rate", "1000", "--range", "2:10", "--lines", "8", "--frequency", "2", "--bandwidth", "30")
+    words = (
+        "--rate",
+        "1000",
+        "--range",
+        "2:10",
+        "--lines",
+        "8",
+        "--frequency",
+        "2",
+        "--bandwidth",
+        "30",
+    )
     said = dbo("trajectory", "raster", *words, "--unit", "um", "-o", "scan.csv").err
     lines, each, line, linear = figures(
         r"raster: (\d+) lines, one in (\S+) s; of a line's (\S+) s (\S+) % are linear and inside the range",
@@ -235,7 +292,9 @@ def test_a_raster_is_as_linear_as_is_said(dbo: Any) -> None:
     speed = np.abs(np.diff(fast))
     usual = float(np.median(speed[speed > 0.0]))
     even = np.abs(speed - usual) < 1e-3 * usual
-    assert 100.0 * np.count_nonzero(even) / (lines * line * 1000.0) == pytest.approx(linear, abs=3.0)
+    assert 100.0 * np.count_nonzero(even) / (lines * line * 1000.0) == pytest.approx(
+        linear, abs=3.0
+    )
 
 
 def test_a_step_has_settled_when_it_is_said_to_have() -> None:
@@ -243,11 +302,17 @@ def test_a_step_has_settled_when_it_is_said_to_have() -> None:
 
     plant = actuator()
     seconds = settling_seconds(plant, 20.0, 60.0, 0.01)
-    drive = np.concatenate([np.full(100, 20.0), np.full(int(1.5 * seconds * RATE), 60.0)])
-    rest = plant.simulate(np.full(8_000, 20.0), plant.start(20.0, "settled"), time_step=0.01).state
+    drive = np.concatenate(
+        [np.full(100, 20.0), np.full(int(1.5 * seconds * RATE), 60.0)]
+    )
+    rest = plant.simulate(
+        np.full(8_000, 20.0), plant.start(20.0, "settled"), time_step=0.01
+    ).state
     reached = plant.simulate(drive, rest, time_step=1.0 / RATE).y[100:]
     final = plant.simulate(
-        np.full(8_000, 60.0), plant.simulate(drive[:101], rest, time_step=1.0 / RATE).state, time_step=0.01
+        np.full(8_000, 60.0),
+        plant.simulate(drive[:101], rest, time_step=1.0 / RATE).state,
+        time_step=0.01,
     ).y[-1]
     inside = np.abs(reached - final) <= 0.01
     begin = int(np.flatnonzero(~inside).max()) + 1

@@ -31,14 +31,18 @@ def test_a_turn_reaches_its_speed_times_its_rows_over_pi_further() -> None:
     assert turn.max() == pytest.approx(5.0 + 0.2 * 100 / math.pi)
     assert turn[-1] == pytest.approx(5.0, abs=1e-13)
     steps = np.diff(turn)
-    assert steps[0] == pytest.approx(0.2, rel=2e-3) and steps[-1] == pytest.approx(-0.2, rel=2e-3)
+    assert steps[0] == pytest.approx(0.2, rel=2e-3) and steps[-1] == pytest.approx(
+        -0.2, rel=2e-3
+    )
     assert np.abs(np.diff(steps)).max() < 0.2 * math.pi / 100
 
 
 def test_a_start_comes_from_rest_and_a_rise_is_one_period_of_acceleration() -> None:
     start = started(5.0, 0.2, 50)
     assert start[0] == 0.0 and start[-1] == pytest.approx(5.0) and start.size == 51
-    assert np.diff(start)[-1] == pytest.approx(0.2, rel=1e-3) and np.diff(start)[0] < 2e-4
+    assert (
+        np.diff(start)[-1] == pytest.approx(0.2, rel=1e-3) and np.diff(start)[0] < 2e-4
+    )
     rise = risen(1000)
     assert rise[-1] == 1.0
     acceleration = np.diff(rise, 2) * 1000.0**2
@@ -46,8 +50,12 @@ def test_a_start_comes_from_rest_and_a_rise_is_one_period_of_acceleration() -> N
     assert acceleration[499] == pytest.approx(0.0, abs=0.05)
 
 
-def test_a_rasters_lines_are_straight_and_the_slow_axis_stands_still_meanwhile() -> None:
-    fast, slow = made("raster", lines=5, frequency=5.0, bandwidth=50.0, pixels=32, overscan=5.0)
+def test_a_rasters_lines_are_straight_and_the_slow_axis_stands_still_meanwhile() -> (
+    None
+):
+    fast, slow = made(
+        "raster", lines=5, frequency=5.0, bandwidth=50.0, pixels=32, overscan=5.0
+    )
     room, turn = 180.0 / 1.1, 20
     inside = math.ceil(room / 32) * 32
     extra = math.ceil(0.05 * inside)
@@ -57,13 +65,26 @@ def test_a_rasters_lines_are_straight_and_the_slow_axis_stands_still_meanwhile()
         rows = slice(begin + extra, begin + extra + inside + 1)
         ends = (2.0, 6.0) if line % 2 == 0 else (6.0, 2.0)
         assert np.allclose(fast[rows], np.linspace(*ends, inside + 1), atol=1e-12)
-        assert np.all(slow[rows] == slow[rows][0]) and slow[rows][0] == pytest.approx(2.0 + line)
+        assert np.all(slow[rows] == slow[rows][0]) and slow[rows][0] == pytest.approx(
+            2.0 + line
+        )
     assert fast.size == slow.size == lead * 2 + 1 + 5 * (inside + 2 * extra) + 4 * turn
 
 
 def test_one_way_lines_all_run_up() -> None:
-    fast, slow = made("raster", lines=3, frequency=5.0, bandwidth=50.0, one_way=True, slow_range=(0.0, 1.0))
-    assert sorted(set(slow[np.diff(slow, prepend=slow[0]) == 0.0].round(12))) == [0.0, 0.5, 1.0]
+    fast, slow = made(
+        "raster",
+        lines=3,
+        frequency=5.0,
+        bandwidth=50.0,
+        one_way=True,
+        slow_range=(0.0, 1.0),
+    )
+    assert sorted(set(slow[np.diff(slow, prepend=slow[0]) == 0.0].round(12))) == [
+        0.0,
+        0.5,
+        1.0,
+    ]
     still = np.diff(slow) == 0.0
     assert np.diff(fast)[still].min() > 0.0
 
@@ -78,20 +99,30 @@ def test_one_way_lines_all_run_up() -> None:
         ("staircase", {"steps": 4, "dwell": 0.1}),
     ],
 )
-def test_every_move_begins_and_ends_at_rest_without_a_jump_of_acceleration(shape: str, asked: Any) -> None:
+def test_every_move_begins_and_ends_at_rest_without_a_jump_of_acceleration(
+    shape: str, asked: Any
+) -> None:
     for axis in made(shape, bandwidth=20.0, **asked):
         steps = np.diff(axis)
         acceleration = np.diff(steps)
         assert np.abs(steps[[0, -1]]).max() < 2e-3 * np.abs(steps).max()
-        assert np.abs(np.diff(acceleration, prepend=0.0)).max() < 0.2 * np.abs(acceleration).max()
+        assert (
+            np.abs(np.diff(acceleration, prepend=0.0)).max()
+            < 0.2 * np.abs(acceleration).max()
+        )
 
 
 def test_what_is_not_rounded_keeps_its_corners() -> None:
     (triangle,) = made("triangle", frequency=5.0)
-    assert np.allclose(triangle, 2.0 + 4.0 * (1.0 - np.abs(np.linspace(-1.0, 1.0, 201))))
+    assert np.allclose(
+        triangle, 2.0 + 4.0 * (1.0 - np.abs(np.linspace(-1.0, 1.0, 201)))
+    )
     (stairs,) = made("staircase", steps=2, dwell=0.003)
     assert stairs.tolist() == [2.0] * 4 + [4.0] * 4 + [6.0] * 4 + [4.0] * 4 + [2.0] * 4
-    assert made("staircase", steps=2, dwell=0.003, one_way=True)[0].tolist() == stairs.tolist()[:12]
+    assert (
+        made("staircase", steps=2, dwell=0.003, one_way=True)[0].tolist()
+        == stairs.tolist()[:12]
+    )
     (rested,) = made("staircase", steps=1, dwell=0.001, rest=0.002)
     assert rested.tolist() == [2.0] * 4 + [6.0] * 2 + [2.0] * 4
 
@@ -99,7 +130,11 @@ def test_what_is_not_rounded_keeps_its_corners() -> None:
 def test_tips_and_crests_reach_the_ends_and_no_further() -> None:
     for shape in ("sine", "triangle"):
         (axis,) = made(shape, cycles=3, frequency=5.0, bandwidth=20.0)
-        assert axis.max() == pytest.approx(6.0, abs=1e-3) and axis.min() >= 2.0 and axis.max() <= 6.0
+        assert (
+            axis.max() == pytest.approx(6.0, abs=1e-3)
+            and axis.min() >= 2.0
+            and axis.max() <= 6.0
+        )
 
 
 def test_a_loop_goes_on_where_it_ended() -> None:
@@ -108,7 +143,9 @@ def test_a_loop_goes_on_where_it_ended() -> None:
     (triangle,) = made("triangle", frequency=5.0, bandwidth=40.0, loop=True)
     assert triangle.size == 200
     around = np.concatenate([triangle, triangle])
-    assert np.abs(np.diff(around, 2)).max() == pytest.approx(np.abs(np.diff(triangle, 2)).max())
+    assert np.abs(np.diff(around, 2)).max() == pytest.approx(
+        np.abs(np.diff(triangle, 2)).max()
+    )
 
 
 def test_a_spiral_is_archimedes() -> None:
@@ -122,7 +159,19 @@ SINE = ["sine", "--rate", 1000, "--frequency", 5, "--range", "2:6"]
 
 
 def test_the_command_and_the_function_make_the_same_numbers(dbo: Any) -> None:
-    words = ["raster", "--rate", 2000, "--range", "2:6", "--lines", 3, "--frequency", 5, "--bandwidth", 50]
+    words = [
+        "raster",
+        "--rate",
+        2000,
+        "--range",
+        "2:6",
+        "--lines",
+        3,
+        "--frequency",
+        5,
+        "--bandwidth",
+        50,
+    ]
     done = dbo("trajectory", *words, "--unit", "um", "-o", "scan.csv")
     assert done.code == 0
     assert done.err.splitlines() == [
@@ -132,37 +181,98 @@ def test_the_command_and_the_function_make_the_same_numbers(dbo: Any) -> None:
     ]
     assert Path("scan.csv").read_text().startswith("time_s,x_um,y_um\n0.0,")
     frame = dbo_api.trajectory(
-        "raster", rate=2000.0, range=(2.0, 6.0), lines=3, frequency=5.0, bandwidth=50.0, unit="um"
+        "raster",
+        rate=2000.0,
+        range=(2.0, 6.0),
+        lines=3,
+        frequency=5.0,
+        bandwidth=50.0,
+        unit="um",
     )
     table = np.loadtxt("scan.csv", delimiter=",", skiprows=1)
     assert np.array_equal(table, frame.to_numpy()) and list(frame) == ["time", "x", "y"]
     assert frame.attrs["units"] == {"time": "s", "x": "um", "y": "um"}
-    assert ["dbo: " + note for note in frame.attrs["notes"]] == done.err.splitlines()[:-1]
+    assert ["dbo: " + note for note in frame.attrs["notes"]] == done.err.splitlines()[
+        :-1
+    ]
 
 
-def test_compensate_takes_an_axis_by_its_name_and_a_loop_as_a_period(dbo: Any, model_file: Path) -> None:
-    words = ["--rate", 2000, "--lines", 3, "--frequency", 5, "--range", "2:6", "--bandwidth", 50]
-    assert dbo("trajectory", "raster", *words, "--model", model_file, "-o", "scan.csv").code == 0
+def test_compensate_takes_an_axis_by_its_name_and_a_loop_as_a_period(
+    dbo: Any, model_file: Path
+) -> None:
+    words = [
+        "--rate",
+        2000,
+        "--lines",
+        3,
+        "--frequency",
+        5,
+        "--range",
+        "2:6",
+        "--bandwidth",
+        50,
+    ]
+    assert (
+        dbo(
+            "trajectory", "raster", *words, "--model", model_file, "-o", "scan.csv"
+        ).code
+        == 0
+    )
     for axis in ("x_um", "y_um"):
-        done = dbo("compensate", model_file, "scan.csv", "--displacement", axis, "-o", "drive.csv")
+        done = dbo(
+            "compensate",
+            model_file,
+            "scan.csv",
+            "--displacement",
+            axis,
+            "-o",
+            "drive.csv",
+        )
         assert done.code == 0, done.err
-    assert dbo("trajectory", *SINE, "--loop", "--unit", "um", "-o", "loop.csv").code == 0
-    assert dbo("compensate", model_file, "loop.csv", "--periodic", "-o", "drive.csv").code == 0
+    assert (
+        dbo("trajectory", *SINE, "--loop", "--unit", "um", "-o", "loop.csv").code == 0
+    )
+    assert (
+        dbo("compensate", model_file, "loop.csv", "--periodic", "-o", "drive.csv").code
+        == 0
+    )
     done = dbo("check", "drive.csv", "--loop", "--v-min", 0, "--v-max", 10)
     assert done.code == 0, done.err
 
 
 def test_corners_are_rounded_to_what_the_model_can_be_trusted_to(dbo: Any) -> None:
     Path("fast.json").write_text(json.dumps(RESONANT))
-    done = dbo("trajectory", "triangle", *SINE[1:], "--model", "fast.json", "-o", "t.csv")
+    done = dbo(
+        "trajectory", "triangle", *SINE[1:], "--model", "fast.json", "-o", "t.csv"
+    )
     assert done.code == 0, done.err
     assert done.err.splitlines()[-2] == (
         "dbo: triangle: turns and steps take 25 ms: the model can be trusted to 40 Hz"
     )
-    rounded = dbo("trajectory", "triangle", *SINE[1:], "--unit", "um", "--bandwidth", 40, "-o", "b.csv")
-    assert rounded.code == 0 and Path("t.csv").read_bytes() == Path("b.csv").read_bytes()
+    rounded = dbo(
+        "trajectory",
+        "triangle",
+        *SINE[1:],
+        "--unit",
+        "um",
+        "--bandwidth",
+        40,
+        "-o",
+        "b.csv",
+    )
+    assert (
+        rounded.code == 0 and Path("t.csv").read_bytes() == Path("b.csv").read_bytes()
+    )
     faster = dbo(
-        "trajectory", "sine", *SINE[1:3], "--frequency", 40, "--range", "2:6", "--model", "fast.json"
+        "trajectory",
+        "sine",
+        *SINE[1:3],
+        "--frequency",
+        40,
+        "--range",
+        "2:6",
+        "--model",
+        "fast.json",
     )
     assert (faster.code, faster.out) == (2, "")
     assert faster.err == (
@@ -203,7 +313,9 @@ RASTER = "raster --rate 1000 --range 0:10 --unit um --lines 4 "
          "turns included, and model.json reaches 1 to 9 (another --range, a lower --frequency or less --overscan)"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_made_is_refused(dbo: Any, model_file: Path, line: str, message: str) -> None:
+def test_what_cannot_be_made_is_refused(
+    dbo: Any, model_file: Path, line: str, message: str
+) -> None:
     done = dbo("trajectory", *line.split())
     assert (done.code, done.out, done.err) == (2, "", f"dbo: error: {message}\n")
     assert not Path("x.arb").exists()
@@ -217,7 +329,9 @@ def test_python_names_what_is_missing() -> None:
 
 
 def test_a_model_without_a_unit_makes_a_move_without_one(dbo: Any) -> None:
-    plain = SMALL_MODEL | {key: SMALL_MODEL[key] | {"unit": None} for key in ("input", "output")}
+    plain = SMALL_MODEL | {
+        key: SMALL_MODEL[key] | {"unit": None} for key in ("input", "output")
+    }
     Path("plain.json").write_text(json.dumps(plain))
     done = dbo("trajectory", *SINE, "--model", "plain.json", "-o", "t.csv")
     assert done.code == 0, done.err

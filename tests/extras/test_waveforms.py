@@ -28,7 +28,10 @@ DRIVE = 50.0 + 40.0 * np.sin(2.0 * np.pi * 5.0 * TIME)
 
 
 def write(name: str, *columns: Any, header: str = "time_s,voltage_V") -> None:
-    rows = "".join(",".join(map(repr, map(float, row))) + "\n" for row in zip(*columns, strict=True))
+    rows = "".join(
+        ",".join(map(repr, map(float, row))) + "\n"
+        for row in zip(*columns, strict=True)
+    )
     Path(name).write_text(header + "\n" + rows)
 
 
@@ -60,18 +63,34 @@ def test_numpy_reads_npy(bench: Any) -> None:
 
 def test_scipy_reads_wav(bench: Any) -> None:
     write("other.csv", TIME, 0.5 * DRIVE)
-    ok(bench("waveform", "drive.csv", "other.csv", "--to", "wav", "--volts", "0:100", "-o", "drive.wav"))
+    ok(
+        bench(
+            "waveform",
+            "drive.csv",
+            "other.csv",
+            "--to",
+            "wav",
+            "--volts",
+            "0:100",
+            "-o",
+            "drive.wav",
+        )
+    )
     rate, frames = scipy.io.wavfile.read("drive.wav")
     assert rate == 1000 and frames.dtype == np.int16 and frames.shape == (200, 2)
     volts = (frames.T + 32767.0) / 65534.0 * 100.0
-    assert np.abs(volts - [DRIVE, 0.5 * DRIVE]).max() <= 0.5 * 100.0 / 65534.0 * (1.0 + 1e-9)
+    assert np.abs(volts - [DRIVE, 0.5 * DRIVE]).max() <= 0.5 * 100.0 / 65534.0 * (
+        1.0 + 1e-9
+    )
 
 
 def test_nptdms_reads_tdms(bench: Any) -> None:
     ok(bench("waveform", "drive.csv", "--to", "tdms", "-o", "drive.tdms"))
     channel = nptdms.TdmsFile.read("drive.tdms")["drive"]["voltage"]
     assert np.array_equal(channel[:], DRIVE)
-    assert np.array_equal(channel.time_track(), np.arange(200) * channel.properties["wf_increment"])
+    assert np.array_equal(
+        channel.time_track(), np.arange(200) * channel.properties["wf_increment"]
+    )
     assert channel.properties["wf_increment"] == pytest.approx(1e-3, rel=1e-12)
     first = Path("drive.tdms").read_bytes()
     ok(bench("waveform", "drive.csv", "--to", "tdms", "-o", "drive.tdms"))
@@ -102,9 +121,26 @@ def test_files_of_generators_byte_for_byte(bench: Any, form: str) -> None:
 
 
 def test_codes_of_a_converter(bench: Any) -> None:
-    ok(bench("waveform", "small.csv", "--to", "uint16", "--codes", "0:4095", "--volts", "0:4", "-o", "s.bin"))
+    ok(
+        bench(
+            "waveform",
+            "small.csv",
+            "--to",
+            "uint16",
+            "--codes",
+            "0:4095",
+            "--volts",
+            "0:4",
+            "-o",
+            "s.bin",
+        )
+    )
     assert Path("s.bin").read_bytes() == struct.pack("<4H", 0, 1024, 3071, 4095)
-    ok(bench("waveform", "small.csv", "--to", "int16", "--volts", "-10:10", "-o", "s.i16"))
+    ok(
+        bench(
+            "waveform", "small.csv", "--to", "int16", "--volts", "-10:10", "-o", "s.i16"
+        )
+    )
     assert np.fromfile("s.i16", "<i2").tolist() == [0, 3276, 9830, 13106]
 
 
@@ -149,7 +185,17 @@ def test_channels_come_from_files_or_from_columns_of_one(bench: Any) -> None:
         )
     )
     assert np.array_equal(np.load("xy.npy"), [0.5 * DRIVE, DRIVE])
-    done = bench("waveform", "xy.csv", "drive.csv", "xy.csv", *columns, "--to", "npy", "-o", "no.npy")
+    done = bench(
+        "waveform",
+        "xy.csv",
+        "drive.csv",
+        "xy.csv",
+        *columns,
+        "--to",
+        "npy",
+        "-o",
+        "no.npy",
+    )
     assert (done.code, done.err) == (
         2, "dbo: error: --voltage: 2 columns of 3 files (one for each, or one for all)\n"
     )  # fmt: skip
@@ -161,7 +207,17 @@ def test_channels_come_from_files_or_from_columns_of_one(bench: Any) -> None:
 
 
 def test_one_line_says_what_to_set(bench: Any) -> None:
-    words = ["waveform", "drive.csv", "--to", "tektronix-tfw", "--gain", 20, "--loop", "--points", 4096]
+    words = [
+        "waveform",
+        "drive.csv",
+        "--to",
+        "tektronix-tfw",
+        "--gain",
+        20,
+        "--loop",
+        "--points",
+        4096,
+    ]
     assert ok(bench(*words, "-o", "d.tfw")) == (
         "dbo: drive.csv: 4,096 points at 20480 a second, 0.2 s, repeated at 5 Hz; amplitude 4 Vpp, offset 2.5 V before "
         "a gain of 20; rounding moves it by at most 0.000122 V, another rate 0.000481 V of the drive; 0 to 16382 mean "
@@ -182,14 +238,40 @@ def test_codes_next_to_a_limit_stay_inside_it() -> None:
 
 
 @pytest.mark.parametrize("gain", [20.0, -20.0, 3.3])
-def test_what_was_written_passes_the_gate_at_the_very_limits(bench: Any, gain: float) -> None:
+def test_what_was_written_passes_the_gate_at_the_very_limits(
+    bench: Any, gain: float
+) -> None:
     low, high = float(DRIVE.min()), float(DRIVE.max())
     fastest = float(np.abs(np.diff(DRIVE)).max()) * 1000.0
-    limits = ["--v-min", repr(low), "--v-max", repr(high), "--max-slew", repr(fastest * (1.0 + 1e-9))]
+    limits = [
+        "--v-min",
+        repr(low),
+        "--v-max",
+        repr(high),
+        "--max-slew",
+        repr(fastest * (1.0 + 1e-9)),
+    ]
     volts = "0:30" if gain > 0 else "-30:0"
-    for form, more in (("rigol-raf", []), ("uint16", ["--volts", volts, "--codes", "0:1023"]), ("npy", [])):
+    for form, more in (
+        ("rigol-raf", []),
+        ("uint16", ["--volts", volts, "--codes", "0:1023"]),
+        ("npy", []),
+    ):
         name = "d" + FORMATS[form].endings[0]
-        ok(bench("waveform", "drive.csv", "--to", form, "--gain", gain, *limits, *more, "-o", name))
+        ok(
+            bench(
+                "waveform",
+                "drive.csv",
+                "--to",
+                form,
+                "--gain",
+                gain,
+                *limits,
+                *more,
+                "-o",
+                name,
+            )
+        )
 
 
 def test_a_file_that_reads_back_as_something_else_is_not_written(
@@ -198,9 +280,13 @@ def test_a_file_that_reads_back_as_something_else_is_not_written(
     right = FORMATS["rigol-raf"]
     wrong = dataclasses.replace(right, read=lambda data: right.read(data) + 1)
     monkeypatch.setitem(FORMATS, "rigol-raf", wrong)
-    with pytest.raises(OutputError, match="the rigol-raf file would not read back as it was written"):
+    with pytest.raises(
+        OutputError, match="the rigol-raf file would not read back as it was written"
+    ):
         written("rigol-raf", Signals(np.array([[0, 1]]), 1.0, (0.0, 1.0)))
-    monkeypatch.setattr(waveform_files, "_rounded", lambda volts, *_: (volts, volts + 51.0, 0.0))
+    monkeypatch.setattr(
+        waveform_files, "_rounded", lambda volts, *_: (volts, volts + 51.0, 0.0)
+    )
     words = ["--to", "npy", "--v-max", 100, "--max-rounding", 100, "-o", "d.npy"]
     done = bench("waveform", "drive.csv", *words)
     assert done.code == GateError.exit_code and not Path("d.npy").exists()
@@ -210,7 +296,9 @@ def test_a_file_that_reads_back_as_something_else_is_not_written(
 def test_another_number_of_points_keeps_the_ends_or_the_period() -> None:
     once = at_points(DRIVE[None], 1000.0, 399, None, False)
     assert (
-        once.rate == pytest.approx(2000.0) and np.array_equal(once.volts[0, ::2], DRIVE) and once.moved == 0.0
+        once.rate == pytest.approx(2000.0)
+        and np.array_equal(once.volts[0, ::2], DRIVE)
+        and once.moved == 0.0
     )
     assert np.allclose(once.volts[0, 1::2], 0.5 * (DRIVE[:-1] + DRIVE[1:]))
     loop = at_points(DRIVE[None], 1000.0, 100, None, True)
@@ -218,7 +306,9 @@ def test_another_number_of_points_keeps_the_ends_or_the_period() -> None:
     moved = np.abs(np.append(loop.volts[0], DRIVE[0])[[0, 1]].mean() - DRIVE[1])
     assert 0.0 < moved <= loop.moved == pytest.approx(0.0197, abs=1e-4)
     held = at_points(DRIVE[None], 1000.0, 256, 1000.0, False)
-    assert held.held == 56 and np.array_equal(held.volts[0], np.append(DRIVE, np.full(56, DRIVE[-1])))
+    assert held.held == 56 and np.array_equal(
+        held.volts[0], np.append(DRIVE, np.full(56, DRIVE[-1]))
+    )
     same = at_points(DRIVE[None], 1000.0, 200, None, True)
     assert same.volts.base is DRIVE or np.array_equal(same.volts[0], DRIVE)
 
@@ -257,7 +347,9 @@ GAP = TIME + np.where(np.arange(200) > 50, 0.01, 0.0)
         ("drive.csv -o o.npy", 2, "--to is missing (dbo waveform --help lists what there is)"),
     ],
 )  # fmt: skip
-def test_what_would_play_something_else_is_refused(bench: Any, line: str, code: int, message: str) -> None:
+def test_what_would_play_something_else_is_refused(
+    bench: Any, line: str, code: int, message: str
+) -> None:
     write("gap.csv", GAP, DRIVE)
     write("odd.csv", ODD, DRIVE)
     write("flat.csv", TIME, np.full(200, 5.0))
@@ -284,9 +376,17 @@ def test_what_codes_of_16_14_and_12_bits_cost_in_displacement(model: Any) -> Non
     import dbo_cli as dbo_api
 
     scan = dbo_api.trajectory(
-        "raster", rate=2000.0, range=(2.0, 10.0), lines=4, frequency=4.0, bandwidth=40.0, model=model
+        "raster",
+        rate=2000.0,
+        range=(2.0, 10.0),
+        lines=4,
+        frequency=4.0,
+        bandwidth=40.0,
+        model=model,
     )
-    drive = model.compensate(scan["x"].to_numpy(), time=scan["time"].to_numpy(), details=True).values
+    drive = model.compensate(
+        scan["x"].to_numpy(), time=scan["time"].to_numpy(), details=True
+    ).values
     bench = VirtualActuator(PRESETS["stack"])
     exact = bench.displacement(scan["time"], drive)
     page = (ROOT / "docs" / "instruments-out.md").read_text(encoding="utf-8")
@@ -295,7 +395,10 @@ def test_what_codes_of_16_14_and_12_bits_cost_in_displacement(model: Any) -> Non
         played = coding.decode(coding.encode(drive, (0.0, 100.0)))
         away = 1e3 * (bench.displacement(scan["time"], played) - exact)
         rms, most = float(np.sqrt(np.mean(away**2))), float(np.abs(away).max())
-        assert f"| {bits} | {coding.step * 1e3:.2g} mV | {rms:#.2g} nm | {most:#.2g} nm |" in page
+        assert (
+            f"| {bits} | {coding.step * 1e3:.2g} mV | {rms:#.2g} nm | {most:#.2g} nm |"
+            in page
+        )
 
 
 def played(name: str, amplitude: float = 1.0) -> tuple[float, Any]:
@@ -310,7 +413,9 @@ def played(name: str, amplitude: float = 1.0) -> tuple[float, Any]:
     )
 
 
-def test_the_circle_from_a_trajectory_to_the_report_closes(dbo: Any, model: Any) -> None:
+def test_the_circle_from_a_trajectory_to_the_report_closes(
+    dbo: Any, model: Any
+) -> None:
     model.save("model.json")
     scan = [
         "--rate",
@@ -328,7 +433,16 @@ def test_the_circle_from_a_trajectory_to_the_report_closes(dbo: Any, model: Any)
     ]
     ok(dbo("trajectory", "raster", *scan, "--model", "model.json", "-o", "scan.csv"))
     limits = ["--v-min", 0, "--v-max", 100, "--max-slew", 2000]
-    way = ["--displacement", "x_um", "--from", 0, "--approach", "auto", "--return", "auto"]
+    way = [
+        "--displacement",
+        "x_um",
+        "--from",
+        0,
+        "--approach",
+        "auto",
+        "--return",
+        "auto",
+    ]
     ok(dbo("compensate", "model.json", "scan.csv", *way, *limits, "-o", "drive.csv"))
     ok(
         dbo(
@@ -351,36 +465,63 @@ def test_the_circle_from_a_trajectory_to_the_report_closes(dbo: Any, model: Any)
     early = int(0.0137 * rate)  # the recording begins before the drive
     monitor = np.concatenate([np.full(early, volts[0]), volts])
     noisy = monitor + np.random.default_rng(3).normal(0.0, 2e-4, monitor.size)
-    write("played.csv", np.arange(monitor.size) / rate, noisy, header="time_s,monitor_V")
+    write(
+        "played.csv", np.arange(monitor.size) / rate, noisy, header="time_s,monitor_V"
+    )
     done = dbo("check", "played.csv", "--against", "drive.csv", "--gain", 20)
     assert done.code == 0, done.err + done.out
     assert re.search(
-        rf"played: 16,38\d rows, {early} later \(13\.6\d ms\), gain 1, offset .*e-05 V, largest", done.out
+        rf"played: 16,38\d rows, {early} later \(13\.6\d ms\), gain 1, offset .*e-05 V, largest",
+        done.out,
     )
     assert "V, at another rate, times the amplifier's 20" in done.out
     first = np.loadtxt("drive.csv", delimiter=",", skiprows=1, usecols=0)[0]
     measured = VirtualActuator(PRESETS["stack"]).play(time, 20.0 * volts, seed=4)
     write("tracked.csv", time + first, measured, header="time_s,sensor_um")
-    done = dbo("report", "tracked.csv", "--trajectory", "drive.csv", "--max-nrmse-percent", 0.6)
+    done = dbo(
+        "report", "tracked.csv", "--trajectory", "drive.csv", "--max-nrmse-percent", 0.6
+    )
     assert done.code == 0, done.err + done.out
 
     _, wrong = played("d.arb", amplitude=1.05)  # typed wrong at the generator
     write("wrong.csv", time, wrong, header="time_s,monitor_V")
     done = dbo("check", "wrong.csv", "--against", "drive.csv", "--gain", 20)
-    assert done.code == 3 and "before the amplifier an amplitude of 105 % and an offset of" in done.err, (
-        done.err
-    )
+    assert (
+        done.code == 3
+        and "before the amplifier an amplitude of 105 % and an offset of" in done.err
+    ), done.err
 
 
 def test_a_summary_of_each_drive(bench: Any) -> None:
-    words = ("--to", "int16", "--volts", "0:5", "--gain", 20, "-o", "two.bin", "--summary", "two.json")
+    words = (
+        "--to",
+        "int16",
+        "--volts",
+        "0:5",
+        "--gain",
+        20,
+        "-o",
+        "two.bin",
+        "--summary",
+        "two.json",
+    )
     ok(bench("waveform", "drive.csv", *words))
     done = json.loads(Path("two.json").read_text())
     back = np.fromfile("two.bin", "<i2")
-    assert (done["format"], done["rows"], done["clipped"]) == ("dbo-summary", len(DRIVE), 0)
-    assert done["read"][0]["file"] == "drive.csv" and done["read"][0]["rows"] == len(DRIVE)
-    assert done["range"] == pytest.approx([DRIVE.min() / 20.0, DRIVE.max() / 20.0], abs=5.0 / 65535)
-    assert done["largest_step"] == pytest.approx(np.abs(np.diff(back.astype(float))).max() * 5.0 / 65535)
+    assert (done["format"], done["rows"], done["clipped"]) == (
+        "dbo-summary",
+        len(DRIVE),
+        0,
+    )
+    assert done["read"][0]["file"] == "drive.csv" and done["read"][0]["rows"] == len(
+        DRIVE
+    )
+    assert done["range"] == pytest.approx(
+        [DRIVE.min() / 20.0, DRIVE.max() / 20.0], abs=5.0 / 65535
+    )
+    assert done["largest_step"] == pytest.approx(
+        np.abs(np.diff(back.astype(float))).max() * 5.0 / 65535
+    )
     assert any("amplitude" in note for note in done["notes"])
     assert bench("waveform", "drive.csv", *words[:-1], "drive.csv").code == 2
     ok(
@@ -405,7 +546,9 @@ def test_a_summary_of_each_drive(bench: Any) -> None:
     )
     table = np.loadtxt("r.csv", delimiter=",", skiprows=1)
     both = json.loads(Path("r.json").read_text())
-    assert [one["range"] for one in both] == [[column.min(), column.max()] for column in table[:, 1:].T]
+    assert [one["range"] for one in both] == [
+        [column.min(), column.max()] for column in table[:, 1:].T
+    ]
     assert {one["rows"] for one in both} == {len(table)}
 
 
@@ -430,7 +573,9 @@ def test_rounding_that_takes_the_move_away_is_refused(bench: Any) -> None:
 def test_each_of_several_drives_has_to_outlast_its_rounding(bench: Any) -> None:
     write("other.csv", TIME, 50.0 + 0.0005 * (DRIVE - 50.0))
     done = bench("waveform", "drive.csv", "other.csv", "--to", "wav", "-o", "d.wav")
-    assert done.code == 3 and done.err.startswith("dbo: error: other.csv: rounding moves it by up to 0.0006")
+    assert done.code == 3 and done.err.startswith(
+        "dbo: error: other.csv: rounding moves it by up to 0.0006"
+    )
 
 
 @pytest.mark.parametrize(
@@ -442,6 +587,14 @@ def test_each_of_several_drives_has_to_outlast_its_rounding(bench: Any) -> None:
         ("--to uint16 --volts -1e308:1e308", 2, "--volts -1e+308:1e+308: the span is beyond the range of the arithmetic"),
     ],
 )  # fmt: skip
-def test_figures_beyond_the_arithmetic_are_refused(bench: Any, words: str, code: int, message: str) -> None:
-    done = bench("waveform", "drive.csv", *words.split(), "-o", f"d.{'bin' if '16' in words else 'npy'}")
+def test_figures_beyond_the_arithmetic_are_refused(
+    bench: Any, words: str, code: int, message: str
+) -> None:
+    done = bench(
+        "waveform",
+        "drive.csv",
+        *words.split(),
+        "-o",
+        f"d.{'bin' if '16' in words else 'npy'}",
+    )
     assert (done.code, done.err) == (code, f"dbo: error: {message}\n")

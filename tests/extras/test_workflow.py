@@ -32,23 +32,40 @@ def bench(tmp_path: Path) -> Path:
     (tmp_path / "logs").mkdir()
     seconds = np.arange(600) / 100
     drive = 5.0 - 5.0 * np.cos(2 * np.pi * seconds)
-    for name, ending, gain in zip(NAMES, (".csv", ".h5", ".csv.gz"), (1.0, 1.2, 0.8), strict=True):
-        columns = [OutColumn("time", "s"), OutColumn("voltage", "V"), OutColumn("displacement", "um")]
+    for name, ending, gain in zip(
+        NAMES, (".csv", ".h5", ".csv.gz"), (1.0, 1.2, 0.8), strict=True
+    ):
+        columns = [
+            OutColumn("time", "s"),
+            OutColumn("voltage", "V"),
+            OutColumn("displacement", "um"),
+        ]
         with signal_writer(str(tmp_path / "logs" / (name + ending)), columns) as writer:
             displacement = gain * (
-                drive + 0.02 * drive**2 + 0.3 * np.sign(np.gradient(drive)) * np.sqrt(drive * (10 - drive))
+                drive
+                + 0.02 * drive**2
+                + 0.3 * np.sign(np.gradient(drive)) * np.sqrt(drive * (10 - drive))
             )
             writer.write(seconds, drive, displacement)
     with signal_writer(
-        str(tmp_path / "trajectory.csv"), [OutColumn("time", "s"), OutColumn("displacement", "um")]
+        str(tmp_path / "trajectory.csv"),
+        [OutColumn("time", "s"), OutColumn("displacement", "um")],
     ) as out:
         out.write(seconds, 2.0 + np.sin(seconds))
     return tmp_path
 
 
 def by_make(folder: Path, read: str = "", code: int = 0, flag: str = "-j2") -> str:
-    words = [str(MAKE), "-f", str(WORKFLOW / "Makefile"), flag, f"PYTHON={sys.executable}"]
-    return finished([*words, f"DBO={DBO}", f"READ={read}", f"IDENTIFY={OPTIONS}"], folder, code)
+    words = [
+        str(MAKE),
+        "-f",
+        str(WORKFLOW / "Makefile"),
+        flag,
+        f"PYTHON={sys.executable}",
+    ]
+    return finished(
+        [*words, f"DBO={DBO}", f"READ={read}", f"IDENTIFY={OPTIONS}"], folder, code
+    )
 
 
 def by_make_that_goes_on(folder: Path, read: str = "", code: int = 0) -> str:
@@ -57,13 +74,23 @@ def by_make_that_goes_on(folder: Path, read: str = "", code: int = 0) -> str:
 
 def by_snakemake(folder: Path, read: str = "", code: int = 0) -> str:
     settings = [f"dbo={DBO}", f"read={read}", f"identify={OPTIONS}"]
-    words = [str(SNAKEMAKE), "-s", str(WORKFLOW / "Snakefile"), "--cores", "2", "--rerun-triggers", "mtime"]
+    words = [
+        str(SNAKEMAKE),
+        "-s",
+        str(WORKFLOW / "Snakefile"),
+        "--cores",
+        "2",
+        "--rerun-triggers",
+        "mtime",
+    ]
     return finished([*words, "--config", *settings], folder, 1 if code else 0)
 
 
 def finished(words: list[str], folder: Path, code: int = 0) -> str:
     environment = os.environ | {"PYTHONPATH": str(WORKFLOW.parent), "MAKEFLAGS": ""}
-    done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(
+        words, cwd=folder, env=environment, capture_output=True, text=True, timeout=300
+    )
     assert done.returncode == code, done.stderr
     return done.stdout + done.stderr
 
@@ -75,14 +102,26 @@ needs_snakemake = pytest.mark.skipif(SNAKEMAKE is None, reason="Snakemake is not
 def listed_by_one_command(folder: Path) -> dict[str, dict[str, Any]]:
     """Identify from all logs by one command, of which one fails, and return the list by file."""
     logs = sorted(f"logs/{path.name}" for path in (folder / "logs").iterdir())
-    words = [*DBO.split(), "identify", *logs, *OPTIONS.split(), "--keep-going", "-o", "models/{file}.json"]
+    words = [
+        *DBO.split(),
+        "identify",
+        *logs,
+        *OPTIONS.split(),
+        "--keep-going",
+        "-o",
+        "models/{file}.json",
+    ]
     finished([*words, "--summary", "all.json"], folder, code=1)
     lines = json.loads((folder / "all.json").read_text())
     return {Path(line["file"]).name: line for line in lines}
 
 
 def made_at(folder: Path) -> dict[str, int]:
-    return {path.name: path.stat().st_mtime_ns for path in (folder / "results").iterdir() if path.is_file()}
+    return {
+        path.name: path.stat().st_mtime_ns
+        for path in (folder / "results").iterdir()
+        if path.is_file()
+    }
 
 
 def table_in(folder: Path) -> dict[str, dict[str, str]]:
@@ -100,15 +139,23 @@ def table_in(folder: Path) -> dict[str, dict[str, str]]:
 def test_only_what_changed_is_made_again(engine, bench: Path) -> None:  # type: ignore[no-untyped-def]
     engine(bench)
     first = made_at(bench)
-    assert set(first) == {f"{name}.{kind}" for name in NAMES for kind in KINDS} | {"summary.csv"}
+    assert set(first) == {f"{name}.{kind}" for name in NAMES for kind in KINDS} | {
+        "summary.csv"
+    }
     summary = (bench / "results" / "summary.csv").read_text().splitlines()
     assert len(summary) == 1 + len(NAMES)
-    assert [line.split(",")[0] for line in summary[1:]] == ["left.csv", "right.h5", "spare.csv.gz"]
+    assert [line.split(",")[0] for line in summary[1:]] == [
+        "left.csv",
+        "right.h5",
+        "spare.csv.gz",
+    ]
     assert summary[0].endswith(",clipped,expected_rmse,expected_percent")
     for name, line in zip(NAMES, summary[1:], strict=True):
         told = json.loads((bench / "results" / f"{name}.drive.json").read_text())
         keys = ("clipped", "expected_rmse", "expected_percent")
-        assert line.split(",")[-3:] == ["" if told[key] is None else str(told[key]) for key in keys]
+        assert line.split(",")[-3:] == [
+            "" if told[key] is None else str(told[key]) for key in keys
+        ]
         assert told["clipped"] == 0
     for line in table_in(bench).values():
         assert (line["failed"], line["sign"], line["rows"]) == ("", "rising", "600")
@@ -181,13 +228,17 @@ def test_a_batch_ends_in_a_table_whatever_happens(engine, bench: Path) -> None: 
         "are leads exchanged, or does a sensor face away?\n"
     ) in said
 
-    # What the message names goes into one variable, for identification and report alike.
+    # What the message names goes into one variable, for identification and report
+    # alike.
     (bench / "logs" / "turned.csv").unlink()
     time.sleep(1.1)  # the file system's clock
     os.utime(bench / "logs" / "spoiled.csv")
     engine(bench, read="--skip-bad")
     table = table_in(bench)
-    assert (table["spoiled.csv"]["failed"], table["spoiled.csv"]["samples"]) == ("", "599")
+    assert (table["spoiled.csv"]["failed"], table["spoiled.csv"]["samples"]) == (
+        "",
+        "599",
+    )
 
 
 @needs_make
@@ -196,7 +247,9 @@ def test_a_log_that_is_spoiled_later_leaves_no_old_model(bench: Path) -> None:
     with open(bench / "logs" / "left.csv", "a") as log:
         log.write("6.0,0.0,OVLD\n")
     by_make(bench, code=2)
-    assert table_in(bench)["left.csv"]["failed"].startswith("identify: logs/left.csv:602: ")
+    assert table_in(bench)["left.csv"]["failed"].startswith(
+        "identify: logs/left.csv:602: "
+    )
     assert not list((bench / "results").glob("left.*"))
 
 
@@ -204,13 +257,29 @@ def test_a_log_that_is_spoiled_later_leaves_no_old_model(bench: Path) -> None:
 def test_what_cannot_be_followed_is_refused_or_counted(bench: Path) -> None:
     rows = "".join(f"{k / 100},{2.0 + k / 100}\n" for k in range(1000))
     (bench / "trajectory.csv").write_text("time_s,displacement_um\n" + rows)
-    words = [str(MAKE), "-f", str(WORKFLOW / "Makefile"), "-k", f"DBO={DBO}", f"IDENTIFY={OPTIONS}"]
+    words = [
+        str(MAKE),
+        "-f",
+        str(WORKFLOW / "Makefile"),
+        "-k",
+        f"DBO={DBO}",
+        f"IDENTIFY={OPTIONS}",
+    ]
     environment = os.environ | {"PYTHONPATH": str(WORKFLOW.parent), "MAKEFLAGS": ""}
-    done = subprocess.run(words, cwd=bench, env=environment, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(
+        words, cwd=bench, env=environment, capture_output=True, text=True, timeout=300
+    )
     assert done.returncode == 2
     table = table_in(bench)
-    assert [line["failed"].partition(":")[0] for line in table.values()] == ["compensate", "", "compensate"]
-    assert "dbo: error: trajectory.csv: " in done.stderr and "(--on-limit clip goes on)" in done.stderr
+    assert [line["failed"].partition(":")[0] for line in table.values()] == [
+        "compensate",
+        "",
+        "compensate",
+    ]
+    assert (
+        "dbo: error: trajectory.csv: " in done.stderr
+        and "(--on-limit clip goes on)" in done.stderr
+    )
     assert not (bench / "results" / "spare.drive.csv").exists()
     finished([*words, "COMPENSATE=--on-limit clip"], bench)
     lines = (bench / "results" / "summary.csv").read_text().splitlines()
@@ -233,24 +302,39 @@ def test_file_names_are_not_shell(tmp_path: Path) -> None:
     names = ["x&touch>PWNED&y", "-v,~^{µ}+@"]
     for name in names:
         small_log(tmp_path, f"{name}.csv")
-    (tmp_path / "trajectory.csv").write_text("time_s,displacement_um\n0,1\n0.01,2\n0.02,1.5\n")
+    (tmp_path / "trajectory.csv").write_text(
+        "time_s,displacement_um\n0,1\n0.01,2\n0.02,1.5\n"
+    )
     by_make(tmp_path)
     assert sorted(os.listdir(tmp_path)) == ["logs", "results", "trajectory.csv"]
     results = {path.name for path in (tmp_path / "results").iterdir() if path.is_file()}
-    assert results == {f"{name}.{kind}" for name in names for kind in KINDS} | {"summary.csv"}
+    assert results == {f"{name}.{kind}" for name in names for kind in KINDS} | {
+        "summary.csv"
+    }
     assert len((tmp_path / "results" / "summary.csv").read_text().splitlines()) == 3
 
 
 @pytest.mark.skipif(MAKE is None or os.name != "posix", reason="make is not here")
 @pytest.mark.parametrize("letter", list(" :#$%;|=*?!\\\"'`()[]\t\n"))
-def test_names_that_make_cannot_hold_are_refused_in_a_sentence(letter: str, tmp_path: Path) -> None:
+def test_names_that_make_cannot_hold_are_refused_in_a_sentence(
+    letter: str, tmp_path: Path
+) -> None:
     small_log(tmp_path, f"a{letter}b.csv")
     (tmp_path / "trajectory.csv").write_text("time_s,displacement_um\n0,1\n")
     words = [str(MAKE), "-f", str(WORKFLOW / "Makefile"), f"DBO={DBO}"]
     environment = os.environ | {"MAKEFLAGS": ""}
-    done = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        words,
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     shown = "a b.csv" if letter in "\t\n" else f"a{letter}b.csv"
-    assert f"logs/{shown}: make cannot hold this name (blanks, quotes and :" in done.stderr
+    assert (
+        f"logs/{shown}: make cannot hold this name (blanks, quotes and :" in done.stderr
+    )
     assert done.returncode == 2
     assert sorted(os.listdir(tmp_path)) == ["logs", "trajectory.csv"]
 
@@ -260,8 +344,13 @@ def test_two_logs_of_one_name_are_refused(tmp_path: Path) -> None:
     for ending in ("csv", "dat"):
         small_log(tmp_path, f"left.{ending}")
     words = [str(MAKE), "-f", str(WORKFLOW / "Makefile"), f"DBO={DBO}"]
-    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert "two logs in logs/ are called left, and their results would be the same files" in done.stderr
+    done = subprocess.run(
+        words, cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert (
+        "two logs in logs/ are called left, and their results would be the same files"
+        in done.stderr
+    )
 
 
 @pytest.mark.skipif(MAKE is None or os.name != "posix", reason="make is not here")
@@ -272,12 +361,21 @@ def test_two_makes_in_one_folder_both_succeed(bench: Path) -> None:
     by_make(bench)
     summary = bench / "results" / "summary.csv"
     expected = summary.read_text()
-    words = [str(MAKE), "-f", str(WORKFLOW / "Makefile"), f"DBO={DBO}", f"IDENTIFY={OPTIONS}"]
+    words = [
+        str(MAKE),
+        "-f",
+        str(WORKFLOW / "Makefile"),
+        f"DBO={DBO}",
+        f"IDENTIFY={OPTIONS}",
+    ]
     environment = os.environ | {"PYTHONPATH": str(WORKFLOW.parent), "MAKEFLAGS": ""}
     for _ in range(4):
         summary.unlink()
         both = [
-            subprocess.Popen(words, cwd=bench, env=environment, stdout=subprocess.DEVNULL) for _ in range(3)
+            subprocess.Popen(
+                words, cwd=bench, env=environment, stdout=subprocess.DEVNULL
+            )
+            for _ in range(3)
         ]
         assert [one.wait(120) for one in both] == [0, 0, 0]
         assert summary.read_text() == expected

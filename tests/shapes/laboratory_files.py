@@ -8,7 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from tests.shapes.format_files import HAND, NO_UNITS, D, FormatFile, T, V, hdf5, mat, rows, text
+from tests.shapes.format_files import (
+    HAND,
+    NO_UNITS,
+    D,
+    FormatFile,
+    T,
+    V,
+    hdf5,
+    mat,
+    rows,
+    text,
+)
 
 MS = tuple(range(4))
 MV, NM = tuple(1000.0 * v for v in V), tuple(1000.0 * d for d in D)

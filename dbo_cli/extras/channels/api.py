@@ -36,11 +36,14 @@ class ModelSet(Mapping[str, Model]):
     models : mapping of str to Model
         The models.
     coupling : Coupling, optional
-        How the channels show in each other (``identify`` with ``coupling``, or a set's file): ``simulate``,
-        ``compensate`` and the controller take it into account, a single model does not.
+        How the channels show in each other (``identify`` with ``coupling``, or a set's
+        file): ``simulate``, ``compensate`` and the controller take it into account, a
+        single model does not.
     """
 
-    def __init__(self, models: Mapping[str, Model], coupling: Coupling | None = None) -> None:
+    def __init__(
+        self, models: Mapping[str, Model], coupling: Coupling | None = None
+    ) -> None:
         self._models = models if isinstance(models, _ModelsOfFile) else dict(models)
         self.coupling = None if coupling is None else coupling.of(list(self._models))
 
@@ -62,7 +65,9 @@ class ModelSet(Mapping[str, Model]):
 
     def to_json(self) -> bytes:
         """Return the file of the set (docs/model-file.md): the same models give the same bytes."""
-        return set_to_bytes({channel: model.actuator for channel, model in self.items()}, self.coupling)
+        return set_to_bytes(
+            {channel: model.actuator for channel, model in self.items()}, self.coupling
+        )
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the file of the set, whole or not at all.
@@ -112,7 +117,8 @@ class ModelSet(Mapping[str, Model]):
         Returns
         -------
         array of shape (rows, channels)
-            With as many rows as samples, and those that ``approach``, ``lead`` and the like add.
+            With as many rows as samples, and those that ``approach``, ``lead`` and the
+            like add.
         """
         self._require_one_unit(options)
         if self.coupling is not None:
@@ -123,7 +129,11 @@ class ModelSet(Mapping[str, Model]):
         """Refuse plain limits for all channels where their drives have different units (UsageError)."""
         names = ("v_min", "v_max", "max_slew", "from_")
         typed = {name: limits.get(name) for name in names}
-        for_all = {name: limit for name, limit in typed.items() if isinstance(limit, str | float | int)}
+        for_all = {
+            name: limit
+            for name, limit in typed.items()
+            if isinstance(limit, str | float | int)
+        }
         units = {channel: model.actuator.drive.unit for channel, model in self.items()}
         require_one_unit(units, **for_all)
 
@@ -144,15 +154,18 @@ class ModelSet(Mapping[str, Model]):
         Parameters
         ----------
         sample_rate : float, optional
-            Frames a second (Hz); needed by models with lag or creep and by ``max_slew``.
+            Frames a second (Hz); needed by models with lag or creep and by
+            ``max_slew``.
         v_min, v_max, max_slew, from_ : float, sequence or mapping, optional
             As in ``Model.compensate``: one for all, one a channel, or by channel.
         extrapolate : bool
-            Go beyond the range on which a model was identified, as far as the limits say.
+            Go beyond the range on which a model was identified, as far as the limits
+            say.
         states : mapping of str to ModelState, optional
             The state of each channel to go on from.
         dac : array_like, optional
-            The voltage of every code of the converter that all channels have, from code 0 on.
+            The voltage of every code of the converter that all channels have, from code
+            0 on.
 
         Raises
         ------
@@ -164,11 +177,18 @@ class ModelSet(Mapping[str, Model]):
         self._require_one_unit(limits)
         limits["extrapolate"] = extrapolate
         bank: Bank = extensions.find("run", "control a set")(
-            models, sample_rate, states=states, dac=dac, coupling=self.coupling, **limits
+            models,
+            sample_rate,
+            states=states,
+            dac=dac,
+            coupling=self.coupling,
+            **limits,
         )
         return bank
 
-    def _over(self, verb: str, name: str, signals: ArrayLike, options: Mapping[str, Any]) -> Floats:
+    def _over(
+        self, verb: str, name: str, signals: ArrayLike, options: Mapping[str, Any]
+    ) -> Floats:
         matrix = self._matrix(name, signals)
         columns, times, said = [], [], {}
         for place, (channel, model) in enumerate(self.items()):
@@ -184,16 +204,21 @@ class ModelSet(Mapping[str, Model]):
         if len({column.size for column in columns}) > 1:
             places = common_rows(times)
             if places is None or "state" in options:
-                raise InputError("the channels' drives have different rows: compensate them one by one")
+                raise InputError(
+                    "the channels' drives have different rows: compensate them one by one"
+                )
             columns = [
-                np.pad(column, place, "edge") for column, place in zip(columns, places[1], strict=True)
+                np.pad(column, place, "edge")
+                for column, place in zip(columns, places[1], strict=True)
             ]
         return np.column_stack(columns)
 
     def _matrix(self, name: str, signals: ArrayLike) -> NDArray[Any]:
         matrix = np.asarray(signals)
         if matrix.ndim != 2 or matrix.shape[1] != len(self):
-            raise InputError(f"`{name}`: has the shape {matrix.shape}; give (samples, {len(self)} channels)")
+            raise InputError(
+                f"`{name}`: has the shape {matrix.shape}; give (samples, {len(self)} channels)"
+            )
         return matrix
 
 
@@ -226,7 +251,10 @@ def set_of(models: model_set.ModelSet) -> ModelSet:
 def identify_set(run: IdentifyRun, jobs: int) -> ModelSet:
     """Identify a model of each channel that the patterns of columns name, in so many processes."""
     fits, coupling = fits_of_channels(run, Work(jobs, all_needed=True), Outcome())
-    models = {channel: Model(fit.model, fit.summary, fit.remarks) for channel, fit in fits.items()}
+    models = {
+        channel: Model(fit.model, fit.summary, fit.remarks)
+        for channel, fit in fits.items()
+    }
     messages = {channel: model.warnings for channel, model in models.items()}
     for text in summed_up(messages, "channel"):
         warnings.warn(text, DboWarning, stacklevel=4)

@@ -1,8 +1,9 @@
 """Channels: columns that a pattern names, and a log that is read once for all of them.
 
-``V{}`` (or ``V{channel}``) stands for V1, V2, …; ``voltages[{}]`` for the columns of a matrix. Several
-patterns have to name the same channels. What comes out of one channel is what its columns alone would give:
-one whose rows cannot be read together with the others' is read by itself.
+``V{}`` (or ``V{channel}``) stands for V1, V2, …; ``voltages[{}]`` for the columns of a
+matrix. Several patterns have to name the same channels. What comes out of one channel
+is what its columns alone would give: one whose rows cannot be read together with the
+others' is read by itself.
 """
 
 from __future__ import annotations
@@ -14,9 +15,21 @@ from dataclasses import dataclass, field, replace
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.byte_source import file_sha256
 from dbo_cli.logs.clock import FoundTime, find_time_column
-from dbo_cli.logs.columns import MORE_TIME_NAMES, PLACE, TIME_NAMES, column_label, list_columns
+from dbo_cli.logs.columns import (
+    MORE_TIME_NAMES,
+    PLACE,
+    TIME_NAMES,
+    column_label,
+    list_columns,
+)
 from dbo_cli.logs.request import ALL_ROWS, Address, ReadingOptions, Request, Rows
-from dbo_cli.logs.sample_block import ColumnInfo, DroppedRows, SampleBlock, Table, joined
+from dbo_cli.logs.sample_block import (
+    ColumnInfo,
+    DroppedRows,
+    SampleBlock,
+    Table,
+    joined,
+)
 from dbo_cli.logs.signal_log import open_table
 from dbo_cli.logs.text.text_table import TextTable
 
@@ -35,7 +48,10 @@ def is_matrix(pattern: str) -> bool:
 
 
 def channels_of(
-    place: str, columns: Sequence[ColumnInfo], patterns: Mapping[str, str], taken: Collection[int] = ()
+    place: str,
+    columns: Sequence[ColumnInfo],
+    patterns: Mapping[str, str],
+    taken: Collection[int] = (),
 ) -> dict[str, dict[str, ColumnInfo]]:
     """Find the channels of a log: for each, the column of every pattern, in the order of the log.
 
@@ -53,9 +69,11 @@ def channels_of(
     Raises
     ------
     UsageError
-        A pattern has several places for the channel's name, or some parameters are patterns and others not.
+        A pattern has several places for the channel's name, or some parameters are
+        patterns and others not.
     InputError
-        A pattern matches nothing, two columns are one channel's, or a channel lacks a column.
+        A pattern matches nothing, two columns are one channel's, or a channel lacks a
+        column.
     """
     for option, pattern in patterns.items():
         if len(PLACE.findall(pattern)) != 1:
@@ -64,32 +82,52 @@ def channels_of(
                 " beside it"
             )
     matches = {
-        option: _matches(place, columns, option, pattern, taken) for option, pattern in patterns.items()
+        option: _matches(place, columns, option, pattern, taken)
+        for option, pattern in patterns.items()
     }
-    names = list(dict.fromkeys(channel for by_channel in matches.values() for channel in by_channel))
+    names = list(
+        dict.fromkeys(
+            channel for by_channel in matches.values() for channel in by_channel
+        )
+    )
     for option, by_channel in matches.items():
-        first, *rest = [channel for channel in names if channel not in by_channel] or [""]
+        first, *rest = [channel for channel in names if channel not in by_channel] or [
+            ""
+        ]
         if first:
             counts = ", ".join(f"`{key}` {len(matches[key]):,}" for key in matches)
             shown = [*rest[: _LISTED - 1], *(["…"] if len(rest) >= _LISTED else [])]
-            more = f" nor for {', '.join(shown)} ({len(rest) + 1:,} channels)" if rest else ""
+            more = (
+                f" nor for {', '.join(shown)} ({len(rest) + 1:,} channels)"
+                if rest
+                else ""
+            )
             raise InputError(
                 f"{place}: no column '{column_of(patterns[option], first)}' (`{option}`) for channel"
                 f" '{first}'{more} (columns found: {counts})"
             )
     return {
-        channel: {option: by_channel[channel] for option, by_channel in matches.items()} for channel in names
+        channel: {option: by_channel[channel] for option, by_channel in matches.items()}
+        for channel in names
     }
 
 
 def _matches(
-    place: str, columns: Sequence[ColumnInfo], option: str, pattern: str, taken: Collection[int]
+    place: str,
+    columns: Sequence[ColumnInfo],
+    option: str,
+    pattern: str,
+    taken: Collection[int],
 ) -> dict[str, ColumnInfo]:
     """Return the columns of one pattern by channel: by the name without its unit, else the whole name."""
     before, after = PLACE.split(pattern)
-    free = [column for column in columns if column.quantity and column.number not in taken]
+    free = [
+        column for column in columns if column.quantity and column.number not in taken
+    ]
     for fold in (str, str.lower):
-        shape = re.compile(re.escape(fold(before)) + "(.+)" + re.escape(fold(after)), re.DOTALL)
+        shape = re.compile(
+            re.escape(fold(before)) + "(.+)" + re.escape(fold(after)), re.DOTALL
+        )
         for whole in (False, True):
             by_channel: dict[str, ColumnInfo] = {}
             for column in free:
@@ -110,15 +148,23 @@ def _matches(
     alone = _only_column(before, after, free)
     if alone is not None:
         return {"1": alone}
-    raise InputError(f"{place}: `{option}` '{pattern}' matches no column: {list_columns(columns)}")
+    raise InputError(
+        f"{place}: `{option}` '{pattern}' matches no column: {list_columns(columns)}"
+    )
 
 
-def _only_column(before: str, after: str, free: Sequence[ColumnInfo]) -> ColumnInfo | None:
+def _only_column(
+    before: str, after: str, free: Sequence[ColumnInfo]
+) -> ColumnInfo | None:
     """Return the column of a matrix that has no other, and so no number behind its name."""
     if not before.endswith("[") or after != "]":
         return None
     matrix = before.removesuffix("[").lower()
-    named = [column for column in free if matrix in (column.name.lower(), column.quantity.lower())]
+    named = [
+        column
+        for column in free
+        if matrix in (column.name.lower(), column.quantity.lower())
+    ]
     return named[0] if len(named) == 1 else None
 
 
@@ -157,8 +203,12 @@ class HeldTable(Table):
         """Return a table to read from, whose notes and clock are its own."""
         time = self.found_time
         if time.clock is not None:
-            time = time._replace(clock=replace(time.clock, notes=list(time.clock.notes)))
-        return replace(self, rows=options.rows, found_time=time, notes=list(self.remarks))
+            time = time._replace(
+                clock=replace(time.clock, notes=list(time.clock.notes))
+            )
+        return replace(
+            self, rows=options.rows, found_time=time, notes=list(self.remarks)
+        )
 
     def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
         """Return the sample rate (Hz) that the file states, and the first row's time (s)."""
@@ -172,7 +222,9 @@ class HeldTable(Table):
 
     def blocks(self, picks: Mapping[str, ColumnInfo]) -> Iterator[SampleBlock]:
         """Return the rows asked for as one block; none of them is bad."""
-        values = {role: self.block.values[str(pick.number)] for role, pick in picks.items()}
+        values = {
+            role: self.block.values[str(pick.number)] for role, pick in picks.items()
+        }
         block = replace(self.block, values=values).within(self.rows)
         if len(block):
             yield block
@@ -187,7 +239,8 @@ class HeldTable(Table):
 class ChannelReader:
     """A log whose channels are read together, and handed on one by one.
 
-    Text is read whole, once; of formats whose columns can be read alone, one channel is held at a time.
+    Text is read whole, once; of formats whose columns can be read alone, one channel is
+    held at a time.
 
     Parameters
     ----------
@@ -216,19 +269,31 @@ class ChannelReader:
 
     def __post_init__(self) -> None:
         """Open the log and find its channels."""
-        if any("::" in name for name in (*self.patterns.values(), self.options.time or "")):
-            all_of_one = "takes all of them, and the time, from one log: no FILE::COLUMN"
+        if any(
+            "::" in name for name in (*self.patterns.values(), self.options.time or "")
+        ):
+            all_of_one = (
+                "takes all of them, and the time, from one log: no FILE::COLUMN"
+            )
             raise UsageError(f"a pattern of columns {all_of_one}")
         self._table = self._open()
         self._first_notes = list(self._table.notes)
         try:
             columns = self._table.columns
-            times = {c.number for c in columns if c.quantity.lower() in (*TIME_NAMES, *MORE_TIME_NAMES)}
-            self.channels = channels_of(self._table.place, columns, self.patterns, times)
+            times = {
+                c.number
+                for c in columns
+                if c.quantity.lower() in (*TIME_NAMES, *MORE_TIME_NAMES)
+            }
+            self.channels = channels_of(
+                self._table.place, columns, self.patterns, times
+            )
             named: list[ColumnInfo] = []
             for columns_of_channel in self.channels.values():
                 named += columns_of_channel.values()
-            self._time = find_time_column(self._table.place, columns, self.options, named)
+            self._time = find_time_column(
+                self._table.place, columns, self.options, named
+            )
             self._timed = {} if self._time.clock is None else self._time.clock.picks
         except BaseException:
             self._table.close()
@@ -255,9 +320,12 @@ class ChannelReader:
 
     def _open(self) -> Table:
         address = self.address.or_format(self.options.format)
-        # Read to the end, whatever rows are asked for: a channel's log takes its own rows of what is held.
+        # Read to the end, whatever rows are asked for: a channel's log takes its own
+        # rows of what is held.
         whole = replace(self.options, rows=(self.options.rows[0], None), skip_bad=False)
-        return open_table(Request(address, whole, list(self.patterns.values()), digest=self.digest))
+        return open_table(
+            Request(address, whole, list(self.patterns.values()), digest=self.digest)
+        )
 
     def _hold(self, channels: Sequence[str]) -> None:
         """Read channels together, or in two halves where a row is bad in one of them."""
@@ -273,7 +341,11 @@ class ChannelReader:
 
     def _read(self, channels: Sequence[str]) -> dict[str, HeldTable | None]:
         """Return what channels hold; None for each where any of their rows is bad."""
-        picked = {column.number: column for channel in channels for column in self.channels[channel].values()}
+        picked = {
+            column.number: column
+            for channel in channels
+            for column in self.channels[channel].values()
+        }
         picks = {str(number): column for number, column in picked.items()}
         try:
             parts = list(self._table.blocks(picks | self._timed))
@@ -284,16 +356,24 @@ class ChannelReader:
         if not parts:
             return dict.fromkeys(channels)
         block = joined(parts)
-        times = {str(column.number): block.values[role] for role, column in self._timed.items()}
+        times = {
+            str(column.number): block.values[role]
+            for role, column in self._timed.items()
+        }
         values = dict(block.values) | times
-        return {channel: self._table_of(channel, replace(block, values=values)) for channel in channels}
+        return {
+            channel: self._table_of(channel, replace(block, values=values))
+            for channel in channels
+        }
 
     def _table_of(self, channel: str, block: SampleBlock) -> HeldTable:
         """Return the columns of one channel, and the time, as a table."""
         if self._sha256 is None and self.digest:
             self._sha256 = self._table.sha256 or file_sha256(self.address.path)
         columns = [*self._timed.values(), *self.channels[channel].values()]
-        values = {str(column.number): block.values[str(column.number)] for column in columns}
+        values = {
+            str(column.number): block.values[str(column.number)] for column in columns
+        }
         return HeldTable(
             place=self._table.place,
             columns=columns,

@@ -1,12 +1,14 @@
 """Sets of models: one file with the model of every channel of a mirror, a stage or a bank of actuators.
 
-A set is ``{"format": "dbo-model-set", "version": 1, "models": {CHANNEL: a model file's object, ...}}``
-(docs/model-file.md); where the channels were found to be coupled, version 2, with ``"coupling"``.
-``FILE::CHANNEL`` names one model of it wherever a model is asked for.
+A set is ``{"format": "dbo-model-set", "version": 1, "models": {CHANNEL: a model file's
+object, ...}}`` (docs/model-file.md); where the channels were found to be coupled,
+version 2, with ``"coupling"``. ``FILE::CHANNEL`` names one model of it wherever a model
+is asked for.
 
-Coupling: what each actuator moves shows, in part, in the displacement of others. ``y - r = C (u - r)``: y is
-what the sensors of all channels show, u what each actuator would show if the others stood at their reference
-r, and C has ones on its diagonal. It is static: a frame has no memory.
+Coupling: what each actuator moves shows, in part, in the displacement of others. ``y -
+r = C (u - r)``: y is what the sensors of all channels show, u what each actuator would
+show if the others stood at their reference r, and C has ones on its diagonal. It is
+static: a frame has no memory.
 """
 
 from __future__ import annotations
@@ -30,7 +32,8 @@ from dbo_cli.hysteresis.model_file import MODEL_FORMAT, SET_FORMAT, Node
 
 MOST_CONDITION = 100.0
 """Of the matrix, in strokes of the channels: undoing it may make a model's error and the sensors' noise
-larger by so much, and of an error of 0.1 % of the stroke that leaves 10 %."""
+larger by so much, and of an error of 0.1 % of the stroke that leaves 10 %.
+"""
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,8 @@ class Coupling:
     channels : tuple of str
         In the order of the arrays.
     gains : array of shape (channels, channels)
-        Row: the channel in which it shows; column: the actuator that moves; ones on the diagonal.
+        Row: the channel in which it shows; column: the actuator that moves; ones on the
+        diagonal.
     reference : array of shape (channels,)
         Displacement of each channel at which it shows in no other.
     strokes : array of shape (channels,)
@@ -51,7 +55,8 @@ class Coupling:
     Raises
     ------
     ModelError
-        The matrix cannot be undone, or only with errors that grow more than ``MOST_CONDITION`` times.
+        The matrix cannot be undone, or only with errors that grow more than
+        ``MOST_CONDITION`` times.
     """
 
     channels: tuple[str, ...]
@@ -62,7 +67,11 @@ class Coupling:
     def __post_init__(self) -> None:
         """Refuse what cannot be undone."""
         if not self.condition <= MOST_CONDITION:
-            size = f"{self.condition:.3g}" if self.condition < 1e15 else "infinite: it is singular"
+            size = (
+                f"{self.condition:.3g}"
+                if self.condition < 1e15
+                else "infinite: it is singular"
+            )
             raise ModelError(
                 f"coupling: the condition number of the gains is {size}; above {MOST_CONDITION:g} solving "
                 "for all channels makes their errors as much larger (leave out one that moves like others)"
@@ -97,7 +106,10 @@ class Coupling:
         place = {channel: number for number, channel in enumerate(self.channels)}
         order = [place[channel] for channel in channels]
         return Coupling(
-            tuple(channels), self.gains[np.ix_(order, order)], self.reference[order], self.strokes[order]
+            tuple(channels),
+            self.gains[np.ix_(order, order)],
+            self.reference[order],
+            self.strokes[order],
         )
 
     @cached_property
@@ -158,7 +170,9 @@ def read_coupling(root: Any, strokes: Mapping[str, float]) -> Coupling:
     def known(node: Any, place: str) -> Any:
         for channel in node.values:
             if channel not in order:
-                raise root.refuse(place, f"there is no model of channel {json.dumps(channel)}")
+                raise root.refuse(
+                    place, f"there is no model of channel {json.dumps(channel)}"
+                )
         return node
 
     reference = known(root.node("reference"), "reference")
@@ -169,35 +183,44 @@ def read_coupling(root: Any, strokes: Mapping[str, float]) -> Coupling:
         shown = known(rows.node(channel), f"gains.{channel}")
         for moving in shown.values:
             if moving == channel:
-                raise shown.refuse(moving, "is the gain of a channel in itself, which is 1")
+                raise shown.refuse(
+                    moving, "is the gain of a channel in itself, which is 1"
+                )
             gains[order[channel], order[moving]] = shown.number(moving)
     at_rest = np.array([reference.number(channel) for channel in strokes])
     coupling: Coupling = root.build(
-        lambda: Coupling(tuple(strokes), gains, at_rest, np.array(list(strokes.values())))
+        lambda: Coupling(
+            tuple(strokes), gains, at_rest, np.array(list(strokes.values()))
+        )
     )
     return coupling
 
 
-SET_VERSION = 2  # of a set with a coupling; 1 of one without, which older programs read, too
+# of a set with a coupling; 1 of one without, which older programs read, too
+SET_VERSION = 2
 _LISTED = 10  # channels that a message names at most
 
 
 class ModelSet(Mapping[str, ActuatorModel]):
     """The models of a file by their channels, in the file's order.
 
-    A model is made when it is asked for. The file is read as a whole when something else is asked for, or a
-    channel that ``member_text`` does not find.
+    A model is made when it is asked for. The file is read as a whole when something
+    else is asked for, or a channel that ``member_text`` does not find.
     """
 
     def __init__(self, file: str) -> None:
         self.file = file
-        self._last: tuple[str, ActuatorModel] | None = None  # asked for a thousand times by as many files
+        # asked for a thousand times by as many files
+        self._last: tuple[str, ActuatorModel] | None = None
 
     @functools.cached_property
     def _root(self) -> Node:
         """The file, read as a whole (InputError, ModelError)."""
         root = model_file.load_document(self.file, SET_FORMAT, "model set", SET_VERSION)
-        root.only(("format", "version", "models"), ("coupling",) if root.values["version"] > 1 else ())
+        root.only(
+            ("format", "version", "models"),
+            ("coupling",) if root.values["version"] > 1 else (),
+        )
         if not root.node("models").values:
             raise root.refuse("models", "holds no model")
         return root
@@ -212,7 +235,9 @@ class ModelSet(Mapping[str, ActuatorModel]):
         if self._last is not None and self._last[0] == channel:
             return self._last[1]
         # A channel may hold any sign: the place is spelled as JSON spells the key.
-        node = Node(self.file, f"models[{json.dumps(channel)}]", self._values_of(channel))
+        node = Node(
+            self.file, f"models[{json.dumps(channel)}]", self._values_of(channel)
+        )
         if node.values.get("format") != MODEL_FORMAT:
             raise node.refuse("format", f'must be "{MODEL_FORMAT}"')
         self._last = channel, model_file.model_of(model_file.checked_version(node))
@@ -262,7 +287,9 @@ def read_set(path: str) -> ModelSet:
     try:
         status = os.stat(path)
     except OSError as problem:
-        raise InputError(f"{path}: cannot be read: {problem.strerror or problem}") from None
+        raise InputError(
+            f"{path}: cannot be read: {problem.strerror or problem}"
+        ) from None
     return _unchanged(path, status.st_mtime_ns, status.st_size)
 
 
@@ -273,9 +300,13 @@ def _unchanged(path: str, changed: int, size: int) -> ModelSet:
 
 # --- one model of a large file ---
 
-_HEAD = re.compile(rb'\{\n  "format": "dbo-model-set",\n  "version": 1,\n  "models": \{(?=\n)')
+_HEAD = re.compile(
+    rb'\{\n  "format": "dbo-model-set",\n  "version": 1,\n  "models": \{(?=\n)'
+)
 _TAIL = b"\n  }\n}\n"
-_MEMBER = re.compile(rb'\n    ("(?:[^"\\\n]|\\.)*"): (?=\{\n      "format": "dbo-model",\n)')
+_MEMBER = re.compile(
+    rb'\n    ("(?:[^"\\\n]|\\.)*"): (?=\{\n      "format": "dbo-model",\n)'
+)
 """The beginning of a set that ``set_to_bytes`` wrote, its end, and the line with which a model begins."""
 
 _END_OF_MEMBER = re.compile(rb"\n    \}(?:,(?=\n    \")|(?=\n  \}\n\}\n))")
@@ -286,9 +317,10 @@ _PIECE = 1 << 16
 def member_text(path: str, channel: str) -> str | None:
     """Return the JSON text of one model of a set, without reading the others.
 
-    Looks by halves in a file that ``set_to_bytes`` wrote: a line with a channel begins with four spaces,
-    which no other line does, and the channels stand in their natural order (2 before 10).
-    None where the file is another, or the channel is not there: then it has to be read as a whole.
+    Looks by halves in a file that ``set_to_bytes`` wrote: a line with a channel begins
+    with four spaces, which no other line does, and the channels stand in their natural
+    order (2 before 10). None where the file is another, or the channel is not there:
+    then it has to be read as a whole.
     """
     try:
         with open(path, "rb") as file:
@@ -356,10 +388,14 @@ def _text_from(file: BinaryIO, begin: int) -> str | None:
 def _natural(channel: str) -> list[tuple[bool, int, str]]:
     """Return what sorts names so that 2 comes before 10."""
     parts = re.split(r"([0-9]+)", channel)
-    return [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in parts]
+    return [
+        (part.isdigit(), int(part) if part.isdigit() else 0, part) for part in parts
+    ]
 
 
-def set_to_bytes(models: Mapping[str, ActuatorModel], coupling: Coupling | None = None) -> bytes:
+def set_to_bytes(
+    models: Mapping[str, ActuatorModel], coupling: Coupling | None = None
+) -> bytes:
     """Return the file of a set of models, and how they are coupled: the same models give the same bytes.
 
     Raises
@@ -369,12 +405,21 @@ def set_to_bytes(models: Mapping[str, ActuatorModel], coupling: Coupling | None 
     """
     if not models:
         raise ModelError("a set of no models would be written")
-    values = {channel: model_file.model_values(model) for channel, model in models.items()}
+    values = {
+        channel: model_file.model_values(model) for channel, model in models.items()
+    }
     if coupling is None:
-        return model_file.document_bytes({"format": SET_FORMAT, "version": 1, "models": values})
+        return model_file.document_bytes(
+            {"format": SET_FORMAT, "version": 1, "models": values}
+        )
     shown = coupling.of(list(models)).values()
     return model_file.document_bytes(
-        {"format": SET_FORMAT, "version": SET_VERSION, "models": values, "coupling": shown}
+        {
+            "format": SET_FORMAT,
+            "version": SET_VERSION,
+            "models": values,
+            "coupling": shown,
+        }
     )
 
 

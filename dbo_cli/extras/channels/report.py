@@ -24,7 +24,12 @@ from dbo_cli.reports.drawing import Plot, save
 from dbo_cli.reports.report import LogReport, Report, common_unit
 from dbo_cli.runs.files import short_names
 from dbo_cli.runs.jobs import Outcome, Work, spread_line
-from dbo_cli.runs.reporting import ReportRun, TrackingOptions, TrackingReport, TrackingRun
+from dbo_cli.runs.reporting import (
+    ReportRun,
+    TrackingOptions,
+    TrackingReport,
+    TrackingRun,
+)
 from dbo_cli.version import program_version_string
 
 
@@ -38,7 +43,9 @@ def report_channels(run: ReportRun, work: Work, listener: Listener) -> Outcome:
         )
     wanted = None if options.model is not None else options.desired or ""
     drive = (options.voltage or "") if options.model is not None else options.voltage
-    patterns = patterns_of(desired=wanted, measured=options.measured or "", voltage=drive)
+    patterns = patterns_of(
+        desired=wanted, measured=options.measured or "", voltage=drive
+    )
     chosen, inputs = run.prepared()
     outcome = Outcome()
     merits: list[LogReport] = []
@@ -47,8 +54,16 @@ def report_channels(run: ReportRun, work: Work, listener: Listener) -> Outcome:
     short = short_names(logs)
     with opened_readers(logs, run.reading, patterns) as readers:
         channels = list(readers[0].channels)
-        models = None if options.model is None else models_by_channel(options.model, channels)
-        if options.model is not None and is_set(options.model) and read_set(options.model).coupling:
+        models = (
+            None
+            if options.model is None
+            else models_by_channel(options.model, channels)
+        )
+        if (
+            options.model is not None
+            and is_set(options.model)
+            and read_set(options.model).coupling
+        ):
             outcome.remarks.warn(
                 f"the models of {options.model} are coupled, and each is compared by itself: what the others "
                 "show is in the error (simulate takes the coupling into account)"
@@ -57,13 +72,23 @@ def report_channels(run: ReportRun, work: Work, listener: Listener) -> Outcome:
         def jobs() -> Iterator[tuple[str, Callable[[], tuple[Report, Remarks]]]]:
             for reader, address in zip(readers, logs, strict=True):
                 for channel in channels:
-                    name = channel if len(logs) == 1 else f"{short.get(address, address.text)} {channel}"
+                    name = (
+                        channel
+                        if len(logs) == 1
+                        else f"{short.get(address, address.text)} {channel}"
+                    )
                     fields: dict[str, Any] = columns_of(patterns, channel)
                     fields |= {"model": models(channel) if models else None}
                     of_channel = dataclasses.replace(options, **fields)
                     yield (
                         name,
-                        functools.partial(_reported, reader.log(channel), name, run.reading, of_channel),
+                        functools.partial(
+                            _reported,
+                            reader.log(channel),
+                            name,
+                            run.reading,
+                            of_channel,
+                        ),
                     )
 
         count = len(channels) * len(logs)
@@ -71,24 +96,34 @@ def report_channels(run: ReportRun, work: Work, listener: Listener) -> Outcome:
             merits_of_channel, texts[done.name] = done.value
             merits += merits_of_channel.logs
             units.append((done.name, merits_of_channel.unit))
-    report = Report.of(merits, options.scoring(options.model is not None), common_unit(units))
+    report = Report.of(
+        merits, options.scoring(options.model is not None), common_unit(units)
+    )
     report = report.judged(**run.limits)
     if merits:
         _write(run, report, chosen, inputs)
     sum_up_remarks(texts, patterns["measured"], outcome.remarks)
     drawn = run.figures is not None or chosen == "html"
-    outcome.remarks.notes += _summary(merits, patterns if drawn and len(logs) == 1 else None)
+    outcome.remarks.notes += _summary(
+        merits, patterns if drawn and len(logs) == 1 else None
+    )
     return run.judged(report, chosen, outcome)
 
 
-def _summary(merits: Sequence[LogReport], drawn: Mapping[str, str] | None) -> Iterator[str]:
+def _summary(
+    merits: Sequence[LogReport], drawn: Mapping[str, str] | None
+) -> Iterator[str]:
     """Return how the errors are spread, and how the figures of the worst are made where all were drawn."""
-    percents = {log.name: x for log in merits if (x := log.figures.nrmse_percent) is not None}
+    percents = {
+        log.name: x for log in merits if (x := log.figures.nrmse_percent) is not None
+    }
     if percents:
         yield spread_line(percents, "channel", "RMSE of the move", {})
     if percents and drawn is not None:
         worst = max(percents, key=percents.__getitem__)
-        columns = ", ".join(f"`{option}` '{name}'" for option, name in columns_of(drawn, worst).items())
+        columns = ", ".join(
+            f"`{option}` '{name}'" for option, name in columns_of(drawn, worst).items()
+        )
         yield f"the figures are of all channels; for those of one name its columns: {columns}"
 
 
@@ -104,7 +139,9 @@ def _write(run: ReportRun, report: Report, form: str, inputs: Sequence[Given]) -
     report = run.for_readers(report, form)
     if form == "html":
         none, program = [()] * len(report.logs), program_version_string()
-        page = renderers.to_html(report, none, comparison_plots=plots, program=program).encode()
+        page = renderers.to_html(
+            report, none, comparison_plots=plots, program=program
+        ).encode()
     else:
         page = TrackingReport(report, (), None, Remarks()).rendered(form)
     run.write(page, inputs)
@@ -115,7 +152,9 @@ def _reported(
 ) -> tuple[Report, Remarks]:
     """Compare one channel, in whichever process."""
     model = None if options.model is None else read_model(options.model)
-    tracking = TrackingRun(options.scoring(model is not None), model, str(options.model))
+    tracking = TrackingRun(
+        options.scoring(model is not None), model, str(options.model)
+    )
     tracking.add(log, reading, options, name)
     result = tracking.result()
     return result.report, result.remarks

@@ -55,5 +55,8 @@ def _set_lines(models: Mapping[str, Mapping[str, Any]]) -> list[str]:
         gears, warned = str(content["gears"] or ""), str(len(content["warnings"]))
         rows.append((channel, *ends, content["sign"], gears, *errors, warned))
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
+    lines = [
+        "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
+        for row in rows
+    ]
     return [f"{len(models):,} models (FILE::CHANNEL names one)", "", *lines]

@@ -1,8 +1,9 @@
 """Runs over channels: patterns of columns, logs read once for all, models and files by channel, and signals.
 
-A pattern (``V{}``) names the columns, a model set the models; ``{channel}`` in a file's name makes a file of
-each. Each channel is one run of the use case of one actuator: what comes out is what it would give alone.
-``simulate`` and ``compensate`` write one table of all, matrices, or a file of each.
+A pattern (``V{}``) names the columns, a model set the models; ``{channel}`` in a file's
+name makes a file of each. Each channel is one run of the use case of one actuator: what
+comes out is what it would give alone. ``simulate`` and ``compensate`` write one table
+of all, matrices, or a file of each.
 """
 
 from __future__ import annotations
@@ -29,13 +30,27 @@ from dbo_cli.hysteresis.model_file import is_set, read_model, read_set
 from dbo_cli.hysteresis.model_state import START_NAMES
 from dbo_cli.logs import whole_output
 from dbo_cli.logs.columns import PLACE, TIME_NAMES, OutColumn, column_info, is_pattern
-from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, parse_address, parse_output
+from dbo_cli.logs.request import (
+    ALL_ROWS,
+    Address,
+    Given,
+    ReadingOptions,
+    parse_address,
+    parse_output,
+)
 from dbo_cli.logs.sample_block import FloatArray, joined
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.sources import TABLE, is_file, is_table
 from dbo_cli.logs.whole_output import KeptOutputs, KeptSignal
-from dbo_cli.runs.files import Destination, SignalRun, bring_to, check_order, quantity_wish, write_json
+from dbo_cli.runs.files import (
+    Destination,
+    SignalRun,
+    bring_to,
+    check_order,
+    quantity_wish,
+    write_json,
+)
 from dbo_cli.runs.jobs import Done, Outcome, Work, named, sum_up
 from dbo_cli.runs.many import CHANNEL, address_of, in_name, make_folder_of
 
@@ -47,15 +62,25 @@ def patterns_of(**selectors: str | None) -> dict[str, str]:
 
     A parameter of None takes no part; one of an empty text has to be given.
     """
-    given_patterns = {option: selector for option, selector in selectors.items() if selector is not None}
+    given_patterns = {
+        option: selector
+        for option, selector in selectors.items()
+        if selector is not None
+    }
     pattern = next(
-        (f"`{option}` '{selector}'" for option, selector in given_patterns.items() if is_pattern(selector)),
+        (
+            f"`{option}` '{selector}'"
+            for option, selector in given_patterns.items()
+            if is_pattern(selector)
+        ),
         "a pattern",
     )
     for option, selector in given_patterns.items():
         if not is_pattern(selector):
             problem = f"is one column, '{selector}'," if selector else "is not given"
-            raise UsageError(f"`{option}` {problem} where {pattern} is many: give a pattern for both")
+            raise UsageError(
+                f"`{option}` {problem} where {pattern} is many: give a pattern for both"
+            )
     return given_patterns
 
 
@@ -69,25 +94,40 @@ class TableReader:
 
     def __init__(self, table: Any, patterns: Mapping[str, str]) -> None:
         self._table = table
-        infos = [column_info(str(name), number) for number, name in enumerate(table.columns, 1)]
-        taken = {column.number for column in infos if column.quantity.lower() in TIME_NAMES}
+        infos = [
+            column_info(str(name), number)
+            for number, name in enumerate(table.columns, 1)
+        ]
+        taken = {
+            column.number for column in infos if column.quantity.lower() in TIME_NAMES
+        }
         self.channels = channels_of(TABLE, infos, patterns, taken)
 
     def log(self, channel: str) -> Any:
         """Return the table without the columns of other channels."""
         columns = self.channels[channel].values()
         others_columns = {
-            column.number for by_option in self.channels.values() for column in by_option.values()
+            column.number
+            for by_option in self.channels.values()
+            for column in by_option.values()
         }
         others_columns -= {column.number for column in columns}
         return self._table.iloc[
-            :, [k - 1 for k in range(1, self._table.shape[1] + 1) if k not in others_columns]
+            :,
+            [
+                k - 1
+                for k in range(1, self._table.shape[1] + 1)
+                if k not in others_columns
+            ],
         ]
 
 
 @contextlib.contextmanager
 def opened_readers(
-    logs: Sequence[Any], reading: ReadingOptions, patterns: Mapping[str, str], digest: bool = False
+    logs: Sequence[Any],
+    reading: ReadingOptions,
+    patterns: Mapping[str, str],
+    digest: bool = False,
 ) -> Iterator[list[Any]]:
     """Open logs or tables that all have the same channels (InputError where one lacks some)."""
     with contextlib.ExitStack() as stack:
@@ -106,7 +146,8 @@ def opened_readers(
             missing += [name for name in channels if name not in first]
             if missing:
                 name, first_name = (
-                    TABLE if is_table(log) else parse_address(log).text for log in (one, logs[0])
+                    TABLE if is_table(log) else parse_address(log).text
+                    for log in (one, logs[0])
                 )
                 raise InputError(
                     f"{name}: has other channels than {first_name}: {named(missing)} in one alone"
@@ -114,13 +155,16 @@ def opened_readers(
         yield readers
 
 
-def models_by_channel(model_file: str, channels: Sequence[str], matrix: bool = False) -> Callable[[str], str]:
+def models_by_channel(
+    model_file: str, channels: Sequence[str], matrix: bool = False
+) -> Callable[[str], str]:
     """Return how each channel's model is named: a file of its own, one of a set, or one model for all.
 
     Raises
     ------
     InputError
-        The set lacks a channel, or a matrix (``matrix``) has fewer columns than the set has models.
+        The set lacks a channel, or a matrix (``matrix``) has fewer columns than the set
+        has models.
     """
     if CHANNEL in model_file:
         return lambda channel: in_name(model_file, channel)
@@ -140,11 +184,14 @@ def models_by_channel(model_file: str, channels: Sequence[str], matrix: bool = F
     return lambda channel: f"{model_file}::{channel}"
 
 
-def common_rows(times: Sequence[FloatArray | None]) -> tuple[FloatArray, list[tuple[int, int]]] | None:
+def common_rows(
+    times: Sequence[FloatArray | None],
+) -> tuple[FloatArray, list[tuple[int, int]]] | None:
     """Return the times of drives of which some begin or end before others, and the rows that each lacks.
 
-    An actuator rests where its drive begins until the longest approach has brought the others there, too, and
-    rests again at the end. None where the rows in between are not the same.
+    An actuator rests where its drive begins until the longest approach has brought the
+    others there, too, and rests again at the end. None where the rows in between are
+    not the same.
     """
     known = [time for time in times if time is not None]
     if len(known) < len(times):
@@ -159,16 +206,22 @@ def common_rows(times: Sequence[FloatArray | None]) -> tuple[FloatArray, list[tu
     return everything, places
 
 
-def sum_up_remarks(remarks_of: Mapping[str, Remarks], pattern: str, remarks: Remarks) -> None:
+def sum_up_remarks(
+    remarks_of: Mapping[str, Remarks], pattern: str, remarks: Remarks
+) -> None:
     """Sum up what is to be said of all channels."""
     if not remarks_of:
         return
     first = next(iter(remarks_of.values()))
-    remarks.read += [f"{line}; {len(remarks_of):,} channels: '{pattern}'" for line in first.read]
+    remarks.read += [
+        f"{line}; {len(remarks_of):,} channels: '{pattern}'" for line in first.read
+    ]
     sum_up(remarks, remarks_of, "channel")
 
 
-def matrix_of(channels: Sequence[str], columns: Sequence[FloatArray], name: str) -> FloatArray:
+def matrix_of(
+    channels: Sequence[str], columns: Sequence[FloatArray], name: str
+) -> FloatArray:
     """Return a column a channel (InputError where their rows are not the same)."""
     for channel, column in zip(channels, columns, strict=True):
         if len(column) != len(columns[0]):
@@ -200,7 +253,9 @@ def signals_of_channels(run: SignalRun, work: Work, listener: Listener) -> Outco
         models = models_by_channel(run.model, channels, is_matrix(pattern))
         coupling, wanted = coupling_of(run.model, channels, work), run.drive is not None
         if run.drive is not None and run.drive.typed_limits:
-            units = {channel: read_model(models(channel)).drive.unit for channel in channels}
+            units = {
+                channel: read_model(models(channel)).drive.unit for channel in channels
+            }
             run.drive.require_one_unit(units)
         work = dataclasses.replace(work, all_needed=coupling is not None)
         log_of: Callable[[str], Address] = reader.log
@@ -241,11 +296,16 @@ def _check_asked(run: SignalRun) -> None:
     """Refuse what cannot be had of channels, or written for all of them at once (UsageError)."""
     destination = run.destination
     if destination.live:
-        raise UsageError("`flush` follows a log row by row, and channels are read whole (leave one out)")
+        raise UsageError(
+            "`flush` follows a log row by row, and channels are read whole (leave one out)"
+        )
     check_order(run.model, run.log.text)
     if CHANNEL in destination.output.text:
         return
-    if destination.save_state is not None and CHANNEL not in destination.save_state.text:
+    if (
+        destination.save_state is not None
+        and CHANNEL not in destination.save_state.text
+    ):
         raise UsageError(
             f"`save_state` {destination.save_state.text}: each channel has its own (put {CHANNEL} into it)"
         )
@@ -279,9 +339,13 @@ def _pad(outputs: Sequence[KeptOutputs]) -> None:
     common = common_rows([signal.arrays[0] if timed else None for signal in signals])
     if common is None:
         return  # the table says which channel has other rows
-    for output, signal, (before, after) in zip(outputs, signals, common[1], strict=True):
+    for output, signal, (before, after) in zip(
+        outputs, signals, common[1], strict=True
+    ):
         _, desired, drive = signal.arrays
-        wanted = np.concatenate([np.full(before, desired[0]), desired, np.full(after, np.nan)])
+        wanted = np.concatenate(
+            [np.full(before, desired[0]), desired, np.full(after, np.nan)]
+        )
         arrays = (common[0], wanted, np.pad(drive, (before, after), "edge"))
         output.signals[0] = dataclasses.replace(signal, arrays=arrays)
 
@@ -304,7 +368,9 @@ def _write_signal(signal: KeptSignal, protect: Sequence[Given], rows: int) -> No
             writer.write(*(array[row : row + rows] for array in signal.arrays))
 
 
-def _other_documents(done: Done[Remarks], destination: Destination) -> list[dict[str, Any]]:
+def _other_documents(
+    done: Done[Remarks], destination: Destination
+) -> list[dict[str, Any]]:
     """Write a channel's state; return its summary, which goes into one list with the others'."""
     documents = []
     for name, data in done.outputs.documents:
@@ -331,7 +397,9 @@ class ChannelTable:
     _first: KeptSignal | None = None
     _time: Any = None
     _kept: dict[str, KeptSignal] = dataclasses.field(default_factory=dict)
-    _stack: contextlib.ExitStack = dataclasses.field(default_factory=contextlib.ExitStack)
+    _stack: contextlib.ExitStack = dataclasses.field(
+        default_factory=contextlib.ExitStack
+    )
     _matrices: Any = None
 
     def add(self, channel: str, outputs: KeptOutputs) -> None:
@@ -340,16 +408,26 @@ class ChannelTable:
         timed = signal.columns[0].header == "time_s"
         time: Any = signal.arrays[0] if timed else None
         arrays = signal.arrays[timed:]
-        attributes = {key: value for key, value in signal.attributes.items() if key != "model_sha256"}
-        signal = dataclasses.replace(signal, attributes=attributes)  # the models of all are not one
+        attributes = {
+            key: value
+            for key, value in signal.attributes.items()
+            if key != "model_sha256"
+        }
+        # the models of all are not one
+        signal = dataclasses.replace(signal, attributes=attributes)
         if self._first is None:
             self._first, self._time = signal, time
-        elif len(arrays[0]) != len(self._first.arrays[0]) or not np.array_equal(time, self._time):
+        elif len(arrays[0]) != len(self._first.arrays[0]) or not np.array_equal(
+            time, self._time
+        ):
             raise InputError(
                 f"channel {channel}: its {len(arrays[0]):,} rows are not at the times of the first channel's"
                 f" {len(self._first.arrays[0]):,}: write a file a channel (-o 'out/{CHANNEL}.csv')"
             )
-        if is_matrix(self.pattern) and parse_output(self.destination.output, signal.format).kind == "hdf5":
+        if (
+            is_matrix(self.pattern)
+            and parse_output(self.destination.output, signal.format).kind == "hdf5"
+        ):
             self._write_column(channel, signal, arrays)
         else:
             self._kept[channel] = dataclasses.replace(signal, arrays=arrays)
@@ -364,7 +442,9 @@ class ChannelTable:
         columns = list(first.columns[:1]) if timed else []
         arrays = [self._time] if timed else []
         for channel, signal in self._kept.items():
-            columns += [self._column(column, channel) for column in signal.columns[timed:]]
+            columns += [
+                self._column(column, channel) for column in signal.columns[timed:]
+            ]
             arrays += signal.arrays
         whole = dataclasses.replace(first, columns=columns, arrays=tuple(arrays))
         _write_signal(whole, self.destination.protect, _ROWS)
@@ -375,16 +455,22 @@ class ChannelTable:
         if column.name.startswith(stem):
             return column
         quantity = column.quantity or column.name
-        return dataclasses.replace(column, name=f"{column.name}_{channel}", quantity=quantity)
+        return dataclasses.replace(
+            column, name=f"{column.name}_{channel}", quantity=quantity
+        )
 
-    def _write_column(self, channel: str, signal: KeptSignal, arrays: Sequence[Any]) -> None:
+    def _write_column(
+        self, channel: str, signal: KeptSignal, arrays: Sequence[Any]
+    ) -> None:
         if self._matrices is None:
             from dbo_cli.logs.hdf5.store import matrix_writer
 
             stem = PLACE.split(self.pattern)[0].removesuffix("[")
             quantities = signal.columns[len(signal.columns) - len(arrays) :]
             columns = [
-                dataclasses.replace(column, name=stem) if column.name.startswith(stem) else column
+                dataclasses.replace(column, name=stem)
+                if column.name.startswith(stem)
+                else column
                 for column in quantities
             ]
             self._matrices = self._stack.enter_context(
@@ -400,7 +486,9 @@ class ChannelTable:
 # --- coupled channels: what is wanted is taken apart, what comes out put together ---
 
 
-def coupling_of(model_file: str, channels: Sequence[str], work: Work) -> Coupling | None:
+def coupling_of(
+    model_file: str, channels: Sequence[str], work: Work
+) -> Coupling | None:
     """Return the coupling that a set holds, in the order of channels, of which none may be missing."""
     coupling = read_set(model_file).coupling if is_set(model_file) else None
     if coupling is not None and work.keep_going:
@@ -425,7 +513,10 @@ def logs_apart(
         logs[channel] = reader.log(channel)
         want = {
             "wanted": quantity_wish(
-                model.output, column_of(pattern, channel), option="displacement", trajectory=True
+                model.output,
+                column_of(pattern, channel),
+                option="displacement",
+                trajectory=True,
             )
         }
         with open_log(logs[channel], want, whole) as opened:
@@ -437,22 +528,33 @@ def logs_apart(
         table, number = log.table, reader.channels[channel]["displacement"].number
         unit = read_model(models(channel)).output.unit
         infos = [
-            dataclasses.replace(column, unit=unit) if column.number == number else column
+            dataclasses.replace(column, unit=unit)
+            if column.number == number
+            else column
             for column in table.columns
         ]
         block = dataclasses.replace(
-            table.block, values={**table.block.values, str(number): apart[:, place].copy()}
+            table.block,
+            values={**table.block.values, str(number): apart[:, place].copy()},
         )
-        logs[channel] = dataclasses.replace(log, table=dataclasses.replace(table, columns=infos, block=block))
+        logs[channel] = dataclasses.replace(
+            log, table=dataclasses.replace(table, columns=infos, block=block)
+        )
     return logs
 
 
-def put_together(outputs: Mapping[str, KeptOutputs], coupling: Coupling, result: int) -> None:
+def put_together(
+    outputs: Mapping[str, KeptOutputs], coupling: Coupling, result: int
+) -> None:
     """Let one column of all channels' kept signals (``result``: its place) be what the sensors show."""
     signals = [output.signals[0] for output in outputs.values()]
     name = signals[0].address.text
-    shown = coupling.together(matrix_of(list(outputs), [signal.arrays[result] for signal in signals], name))
-    for place, (output, signal) in enumerate(zip(outputs.values(), signals, strict=True)):
+    shown = coupling.together(
+        matrix_of(list(outputs), [signal.arrays[result] for signal in signals], name)
+    )
+    for place, (output, signal) in enumerate(
+        zip(outputs.values(), signals, strict=True)
+    ):
         arrays = list(signal.arrays)
         arrays[result] = np.ascontiguousarray(shown[:, place])
         output.signals[0] = dataclasses.replace(signal, arrays=tuple(arrays))

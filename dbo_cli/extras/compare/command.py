@@ -18,25 +18,29 @@ from dbo_cli.cli.options import (
 )  # fmt: skip
 
 MODEL_NAMES = Option(
-    "--models NAME,...", "Only these of dbo, line, pi, rate, singularity-free, asymmetric, same-stages."
+    "--models NAME,...",
+    "Only these of dbo, line, pi, rate, singularity-free, asymmetric, same-stages.",
 )
 NO_TIMINGS = Option("--no-timings", "Measure no times: the table repeats to the byte.")
 SAVE_MODELS = Option(
-    "--save-models DIR", "Also write every model that was fitted, NAME.json, into this folder."
+    "--save-models DIR",
+    "Also write every model that was fitted, NAME.json, into this folder.",
 )
 
 
 def compare(arguments: Given) -> None:
     """Compare the DBO with its relatives: each fitted to the same logs, in one table.
 
-    The relatives are a straight line and the Prandtl-Ishlinskii operators that the paper names. All get the
-    same rows, start, drift and search for a delay; one that cannot be fitted has a row that says why. The
-    last, same-stages, is the DBO's own model with plays for gears: what the operator is worth. Times
-    differ from run to run: with --no-timings the same logs give the same bytes.
+    The relatives are a straight line and the Prandtl-Ishlinskii operators that the
+    paper names. All get the same rows, start, drift and search for a delay; one that
+    cannot be fitted has a row that says why. The last, same-stages, is the DBO's own
+    model with plays for gears: what the operator is worth. Times differ from run to
+    run: with --no-timings the same logs give the same bytes.
 
     Writes
     ------
-    A table as text, JSON, CSV or an HTML page, by the name of the output; with --figures pictures.
+    A table as text, JSON, CSV or an HTML page, by the name of the output; with
+    --figures pictures.
 
     Usual options
     -------------
@@ -53,7 +57,12 @@ def compare(arguments: Given) -> None:
     from dbo_cli.hysteresis.identification import IdentificationOptions
     from dbo_cli.runs.identifying import IdentifyRun
 
-    logs = (arguments.log, arguments.validate or [], arguments.reading, IdentificationOptions())
+    logs = (
+        arguments.log,
+        arguments.validate or [],
+        arguments.reading,
+        IdentificationOptions(),
+    )
     table = TableOptions(
         arguments.models,
         arguments.skip,

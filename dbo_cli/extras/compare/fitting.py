@@ -1,10 +1,11 @@
 """A relative fitted to prepared logs: bounded least squares on the rows, folds, drift and starts of the DBO.
 
-Each has its best delay searched for, its numbers of plays and of dead zones chosen on cycles left out.
+Each has its best delay searched for, its numbers of plays and of dead zones chosen on
+cycles left out.
 
-Plays that are neighbours are nearly alike, so the columns are their differences: Σ w_i z_i =
-Σ W_i (z_i − z_{i+1}) + W_n z_n with W_i = Σ_{j≤i} w_j. The unknowns are then the slopes W_i, and rules for
-the weights are rules for their increments.
+Plays that are neighbours are nearly alike, so the columns are their differences: Σ w_i
+z_i = Σ W_i (z_i − z_{i+1}) + W_n z_n with W_i = Σ_{j≤i} w_j. The unknowns are then the
+slopes W_i, and rules for the weights are rules for their increments.
 """
 
 from __future__ import annotations
@@ -29,13 +30,17 @@ from dbo_cli.hysteresis.identification.statistics import PreparedLog, Score
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.hysteresis.operators import DiscretePointOperator, Floats
 
-USUAL_PLAYS = 25  # what the paper and the literature take, and what the delay is searched for with
+# what the paper and the literature take, and what the delay is searched for with
+USUAL_PLAYS = 25
 PLAYS = (12, 25, 50, 100)  # to choose from; chosen, each twice the one before
-SEGMENTS = (1, 2, 4, 8)  # of the dead zones' curve, to choose from; chosen, each twice the one before
-DELAY_TRIALS = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)  # sample periods
+# of the dead zones' curve, to choose from; chosen, each twice the one before
+SEGMENTS = (1, 2, 4, 8)
+# sample periods
+DELAY_TRIALS = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
 FINEST_DELAY_STEP = 0.125  # of a sample period: half of what the gears take
 NOTHING_LEFT = 1e-12  # of the range: an error below it is rounding
-FASTEST_SHARE = 0.999  # of all samples are slower than the rate that the second set of slopes belongs to
+# of all samples are slower than the rate that the second set of slopes belongs to
+FASTEST_SHARE = 0.999
 BLOCK_ROWS = 2048  # bounds the table in memory; 512 to 65,536 took the same time
 
 
@@ -48,7 +53,8 @@ class Design:
     kind : str
         Of the operator.
     plays : int
-        Their number; the radii are spread evenly from 0 to below half the range (one-sided: the whole).
+        Their number; the radii are spread evenly from 0 to below half the range
+        (one-sided: the whole).
     low, high : float
         The drive's range over all logs.
     delay : float
@@ -56,9 +62,11 @@ class Design:
     segments : int
         Of the dead zones' curve; 1: none.
     fastest : float
-        Of [7]: the rate (1/s, of the scaled drive) that the second set of slopes belongs to.
+        Of [7]: the rate (1/s, of the scaled drive) that the second set of slopes
+        belongs to.
     falling : bool
-        Whether slopes fall from play to play (loops that soften after a turn) instead of growing.
+        Whether slopes fall from play to play (loops that soften after a turn) instead
+        of growing.
     """
 
     kind: Kind
@@ -96,8 +104,11 @@ class Design:
     def columns(self, plays: Floats, drive: Floats, rate: Floats) -> Floats:
         """Return the columns of one block, shape (samples, slopes)."""
         if self.kind == "one-sided-plays":
-            cube = drive**3 / 3.0  # a₁ x³ + a₂ x as parts that rise: slopes 1 − x² and x² from 0 to 1
-            return np.hstack((_differences(plays[:, 1:]), (drive - cube)[:, None], cube[:, None]))
+            # a₁ x³ + a₂ x as parts that rise: slopes 1 − x² and x² from 0 to 1
+            cube = drive**3 / 3.0
+            return np.hstack(
+                (_differences(plays[:, 1:]), (drive - cube)[:, None], cube[:, None])
+            )
         steps = _differences(plays)
         if self.kind != "rate-plays":
             return steps
@@ -117,7 +128,9 @@ def rates_of(drive: Floats, seconds: Floats | None) -> Floats:
         return np.zeros(len(drive))
     steps = np.diff(seconds, prepend=seconds[0])
     change = np.abs(np.diff(drive, prepend=drive[0]))
-    rates: Floats = np.divide(change, steps, out=np.zeros(len(drive)), where=steps > 0.0)
+    rates: Floats = np.divide(
+        change, steps, out=np.zeros(len(drive)), where=steps > 0.0
+    )
     return rates
 
 
@@ -134,10 +147,15 @@ def rows_of(log: PreparedLog, design: Design) -> Iterator[tuple[slice, Floats]]:
     for begin in range(0, len(drive), BLOCK_ROWS):
         end = min(begin + BLOCK_ROWS, len(drive))
         plays, held_after = operator.rows(drive[begin:end], state)
-        if end < len(drive):  # the sample after, that the last ones are interpolated towards
-            plays = np.vstack((plays, operator.rows(drive[end : end + 1], held_after)[0]))
+        # the sample after, that the last ones are interpolated towards
+        if end < len(drive):
+            plays = np.vstack(
+                (plays, operator.rows(drive[end : end + 1], held_after)[0])
+            )
         state = held_after
-        rows = slice(int(np.searchsorted(before, begin)), int(np.searchsorted(before, end)))
+        rows = slice(
+            int(np.searchsorted(before, begin)), int(np.searchsorted(before, end))
+        )
         if rows.stop == rows.start or not log.used[rows].any():
             continue
         block = slice(begin, begin + len(plays))
@@ -145,19 +163,25 @@ def rows_of(log: PreparedLog, design: Design) -> Iterator[tuple[slice, Floats]]:
         first = before[rows] - begin
         part = share[rows, None]
         if part.any():
-            table = (1.0 - part) * table[first] + part * table[np.minimum(first + 1, len(table) - 1)]
+            table = (1.0 - part) * table[first] + part * table[
+                np.minimum(first + 1, len(table) - 1)
+            ]
         else:
             table = table[first]
         yield rows, table
 
 
-def delayed_rows(seconds: Floats | None, samples: int, delay: float) -> tuple[NDArray[np.int64], Floats]:
+def delayed_rows(
+    seconds: Floats | None, samples: int, delay: float
+) -> tuple[NDArray[np.int64], Floats]:
     """Return for each row the row at or before ``delay`` seconds ago, and the share of the row after it."""
     rows = np.arange(samples)
     if seconds is None or delay <= 0.0:
         return rows, np.zeros(samples)
     place = np.interp(np.maximum(seconds - delay, seconds[0]), seconds, rows)
-    before = np.maximum.accumulate(np.minimum(place.astype(np.int64), max(samples - 2, 0)))
+    before = np.maximum.accumulate(
+        np.minimum(place.astype(np.int64), max(samples - 2, 0))
+    )
     return before, np.clip(place - before, 0.0, 1.0)
 
 
@@ -178,7 +202,9 @@ class Products(statistics.FoldProducts):
         """Return the squared error on one fold of a fit to all others."""
         rest, _ = self.total(leave_out=fold)
         gram, solution = self.grams[fold], solve(self, rest)
-        return normal_equations.squared_error_free_of(gram, solution, self.nuisance[fold])
+        return normal_equations.squared_error_free_of(
+            gram, solution, self.nuisance[fold]
+        )
 
 
 def gather(logs: Sequence[PreparedLog], design: Design) -> Products:
@@ -205,7 +231,9 @@ def gather(logs: Sequence[PreparedLog], design: Design) -> Products:
                 nuisance[k] = slice(begin if alone else end - log.stretches, end)
         begin = end
     sums = tuple(grams), tuple(counts), tuple(nuisance)
-    return Products(design=design, drift=drift, grams=sums[0], rows=sums[1], nuisance=sums[2])
+    return Products(
+        design=design, drift=drift, grams=sums[0], rows=sums[1], nuisance=sums[2]
+    )
 
 
 @dataclass(frozen=True)
@@ -221,19 +249,34 @@ class Relative:
 
 RELATIVES = (
     Relative("line", "straight line", "plays", plays=(1,)),
-    Relative("pi", "Prandtl-Ishlinskii (PI), plays and dead zones [6]", "plays", segments=SEGMENTS),
-    Relative("rate", "rate-dependent PI and dead zones [7]", "rate-plays", segments=SEGMENTS),
-    Relative("singularity-free", "singularity-free PI, dead zones [8]", "singular-plays", segments=SEGMENTS),
-    Relative("asymmetric", "asymmetric PI [9], in the form of Gu et al.", "one-sided-plays"),
+    Relative(
+        "pi",
+        "Prandtl-Ishlinskii (PI), plays and dead zones [6]",
+        "plays",
+        segments=SEGMENTS,
+    ),
+    Relative(
+        "rate", "rate-dependent PI and dead zones [7]", "rate-plays", segments=SEGMENTS
+    ),
+    Relative(
+        "singularity-free",
+        "singularity-free PI, dead zones [8]",
+        "singular-plays",
+        segments=SEGMENTS,
+    ),
+    Relative(
+        "asymmetric", "asymmetric PI [9], in the form of Gu et al.", "one-sided-plays"
+    ),
 )
 
 
 def solve(products: Products, gram: Floats) -> Floats:
     """Minimise the squared equation error under the rules of the kind: a quadratic programme.
 
-    All slopes W_i are at least ``SLOPE_FLOOR`` of the mean slope, weights of further plays at least 0 (of
-    loops that soften after a turn at most 0); of [8] W_0 is free. The dead zones' slopes are above 0. Returns
-    the unknowns: slopes (as in ``Design.columns``), the dead zones' knots, drift.
+    All slopes W_i are at least ``SLOPE_FLOOR`` of the mean slope, weights of further
+    plays at least 0 (of loops that soften after a turn at most 0); of [8] W_0 is free.
+    The dead zones' slopes are above 0. Returns the unknowns: slopes (as in
+    ``Design.columns``), the dead zones' knots, drift.
     """
     design = products.design
     at, knots = design.slopes, design.knots
@@ -244,7 +287,9 @@ def solve(products: Products, gram: Floats) -> Floats:
     for begin, count in _slope_groups(design):
         rule = np.zeros((total, count))
         whole = np.ones((count, count))
-        rule[begin : begin + count] = np.triu(whole) if design.falling else np.tril(whole)
+        rule[begin : begin + count] = (
+            np.triu(whole) if design.falling else np.tril(whole)
+        )
         bounded.append(rule)
         if not one_sided:
             fixed[begin : begin + count] = floor
@@ -266,7 +311,9 @@ def solve(products: Products, gram: Floats) -> Floats:
     matrix, right = gram[:total, :total], gram[:total, total]
     right = right - matrix @ fixed
     unbound = np.hstack((free, drift))
-    return fixed + normal_equations.bounded_minimum(matrix, right, np.hstack(bounded), unbound, tie)
+    return fixed + normal_equations.bounded_minimum(
+        matrix, right, np.hstack(bounded), unbound, tie
+    )
 
 
 def _slope_groups(design: Design) -> list[tuple[int, int]]:
@@ -274,7 +321,8 @@ def _slope_groups(design: Design) -> list[tuple[int, int]]:
     n = design.plays
     if design.kind == "rate-plays":
         return [(0, n), (n, n)]
-    if design.kind == "one-sided-plays":  # the plays but the first, then each part of the curve by itself
+    # the plays but the first, then each part of the curve by itself
+    if design.kind == "one-sided-plays":
         return [(0, n - 1), (n - 1, 1), (n, 1)] if n > 1 else [(0, 1), (1, 1)]
     return [(0, n)]
 
@@ -283,13 +331,18 @@ def _widths(segments: int) -> tuple[Floats, Floats, float]:
     """Return the knots with all segments at their narrowest, what each wider one adds, and what is to add."""
     narrowest = 1.0 / (normal_equations.MAX_STEEPNESS * segments)
     least: Floats = np.arange(1.0, segments) * (narrowest - 1.0 / segments)
-    wider = np.hstack((np.tril(np.ones((segments - 1, segments - 1))), np.zeros((segments - 1, 1))))
+    wider = np.hstack(
+        (np.tril(np.ones((segments - 1, segments - 1))), np.zeros((segments - 1, 1)))
+    )
     return least, wider, 1.0 - segments * narrowest
 
 
 def cross_validated(products: Products) -> Score:
     """Leave out each fold in turn, fit the others, and measure the error on the fold left out."""
-    errors = [products.left_out(fold) / max(count, 1) for fold, count in enumerate(products.rows)]
+    errors = [
+        products.left_out(fold) / max(count, 1)
+        for fold, count in enumerate(products.rows)
+    ]
     rows = np.asarray(products.rows, dtype=float)
     return Score(np.asarray(errors), rows / rows.sum())
 
@@ -297,19 +350,26 @@ def cross_validated(products: Products) -> Score:
 def _held_out(logs: Sequence[PreparedLog], design: Design, cycles: float) -> float:
     """Return the RMS error on what was left out: whole cycles, or groups of swings where that is worse.
 
-    The groups are those of the DBO's own expectation; its other part, how far models that explain the logs as
-    well go apart, is not looked for here.
+    The groups are those of the DBO's own expectation; its other part, how far models
+    that explain the logs as well go apart, is not looked for here.
     """
     worst = cycles**2
-    for _, grouped in statistics.groupings(logs, statistics.Basis(1, design.low, design.high)):
+    for _, grouped in statistics.groupings(
+        logs, statistics.Basis(1, design.low, design.high)
+    ):
         products = gather(grouped, design)
         squares, rows = 0.0, 0
         for group in range(1, len(products.grams)):
             left_out_rows = products.rows[group]
             other_rows = sum(products.rows) - left_out_rows
-            if left_out_rows < FEWEST_ROWS or other_rows < max(FEWEST_ROWS, left_out_rows / 5):
+            if left_out_rows < FEWEST_ROWS or other_rows < max(
+                FEWEST_ROWS, left_out_rows / 5
+            ):
                 continue
-            squares += min(products.left_out(group), left_out_rows * (statistics.MAX_RATIO * cycles) ** 2)
+            squares += min(
+                products.left_out(group),
+                left_out_rows * (statistics.MAX_RATIO * cycles) ** 2,
+            )
             rows += left_out_rows
         worst = max(worst, squares / rows if rows else 0.0)
     return float(np.sqrt(worst))
@@ -320,7 +380,8 @@ def best_delay(
 ) -> tuple[float, float]:
     """Return the delay (s) with the least squared error, and that error.
 
-    ``trials`` are in periods (s) of the whole logs: rows of thinned ones stand further apart than a delay.
+    ``trials`` are in periods (s) of the whole logs: rows of thinned ones stand further
+    apart than a delay.
     """
     errors: dict[float, float] = {}
 
@@ -335,7 +396,11 @@ def best_delay(
         best = min(errors, key=lambda step: errors[step])
         below = max((step for step in errors if step < best), default=best)
         above = min((step for step in errors if step > best), default=best)
-        between = [0.5 * (best + step) for step in (below, above) if abs(step - best) > FINEST_DELAY_STEP]
+        between = [
+            0.5 * (best + step)
+            for step in (below, above)
+            if abs(step - best) > FINEST_DELAY_STEP
+        ]
         if not between:
             return best * period, errors[best]
         for step in between:
@@ -343,7 +408,10 @@ def best_delay(
 
 
 def fit(
-    relative: Relative, prepared: Prepared, recordings: Sequence[Recording], cycle: float | None
+    relative: Relative,
+    prepared: Prepared,
+    recordings: Sequence[Recording],
+    cycle: float | None,
 ) -> RelativeModel:
     """Fit one relative to prepared logs.
 
@@ -361,21 +429,43 @@ def fit(
     """
     logs = statistics.fewer_rows(prepared.logs)
     plays = USUAL_PLAYS if USUAL_PLAYS in relative.plays else relative.plays[0]
-    design = Design(relative.kind, plays, prepared.low, prepared.high, segments=relative.segments[-1])
+    design = Design(
+        relative.kind,
+        plays,
+        prepared.low,
+        prepared.high,
+        segments=relative.segments[-1],
+    )
     if relative.kind == "rate-plays":
         design = replace(design, fastest=_fastest(logs, design))
-    falls = (False,) if relative.kind == "one-sided-plays" or plays == 1 else (False, True)
-    period, longest = search.sample_period(prepared.logs) or 1.0, LONGEST_DELAY * (cycle or 0.0)
-    trials = [step for step in DELAY_TRIALS if step * period <= longest]  # without a clock 0 alone
-    ways = [(*best_delay(logs, replace(design, falling=fall), trials, period), fall) for fall in falls]
+    falls = (
+        (False,) if relative.kind == "one-sided-plays" or plays == 1 else (False, True)
+    )
+    period, longest = (
+        search.sample_period(prepared.logs) or 1.0,
+        LONGEST_DELAY * (cycle or 0.0),
+    )
+    # without a clock 0 alone
+    trials = [step for step in DELAY_TRIALS if step * period <= longest]
+    ways = [
+        (*best_delay(logs, replace(design, falling=fall), trials, period), fall)
+        for fall in falls
+    ]
     delay, _, falling = min(ways, key=lambda trial: trial[1])
     design = replace(design, delay=delay, falling=falling)
-    if trials[1:] and logs[0] is not prepared.logs[0]:  # thinned rows alone tell the delay less well
+    # thinned rows alone tell the delay less well
+    if trials[1:] and logs[0] is not prepared.logs[0]:
         near = [max(delay / period + step, 0.0) for step in (-1.0, 0.0, 1.0)]
-        design = replace(design, delay=best_delay(prepared.logs, design, near, period)[0])
-    design = _simplest(logs, [replace(design, segments=count) for count in relative.segments])
+        design = replace(
+            design, delay=best_delay(prepared.logs, design, near, period)[0]
+        )
+    design = _simplest(
+        logs, [replace(design, segments=count) for count in relative.segments]
+    )
     usable = sum(int(log.used.sum()) for log in logs)
-    counts = [count for count in relative.plays if count * search.ROWS_PER_SLOPE <= usable]
+    counts = [
+        count for count in relative.plays if count * search.ROWS_PER_SLOPE <= usable
+    ]
     counts = counts or list(relative.plays[:1])
     design = _simplest(logs, [replace(design, plays=count) for count in counts])
     products = gather(logs, design)
@@ -412,11 +502,17 @@ def _simplest(logs: Sequence[PreparedLog], designs: Sequence[Design]) -> Design:
 def _fastest(logs: Sequence[PreparedLog], design: Design) -> float:
     """Return the fastest rate of the scaled drive (1/s), the wildest samples aside."""
     if any(log.seconds is None for log in logs):
-        raise FitError("the rate needs a clock: name the time column (`time`) or give `sample_rate`")
-    rates = np.concatenate([rates_of(design.scaled(log.voltage), log.seconds) for log in logs])
+        raise FitError(
+            "the rate needs a clock: name the time column (`time`) or give `sample_rate`"
+        )
+    rates = np.concatenate(
+        [rates_of(design.scaled(log.voltage), log.seconds) for log in logs]
+    )
     fastest = float(np.quantile(rates, FASTEST_SHARE))
     if not fastest > 0.0:
-        raise FitError("the drive stands still almost everywhere, so that its rate says nothing")
+        raise FitError(
+            "the drive stands still almost everywhere, so that its rate says nothing"
+        )
     return fastest
 
 
@@ -443,26 +539,39 @@ def operator_of(slopes: Floats, design: Design) -> PlayOperator:
     else:
         weights = np.diff(slopes[:n], prepend=0.0)
     if design.kind == "rate-plays":
-        more = {"by_rate": np.diff(slopes[n:], prepend=0.0) - weights, "fastest": design.fastest}
+        more = {
+            "by_rate": np.diff(slopes[n:], prepend=0.0) - weights,
+            "fastest": design.fastest,
+        }
     try:
         return PlayOperator(design.kind, np.arange(n) / n, weights, **more)
     except ModelError as problem:
         raise FitError(f"what fits best has no inverse ({problem})") from None
 
 
-def _model_of(solution: Floats, design: Design, prepared: Prepared, recording: Recording) -> RelativeModel:
+def _model_of(
+    solution: Floats, design: Design, prepared: Prepared, recording: Recording
+) -> RelativeModel:
     """Return the model in the logs' units."""
-    slopes, knots, drift = np.split(solution, [design.slopes, design.slopes + design.knots])
+    slopes, knots, drift = np.split(
+        solution, [design.slopes, design.slopes + design.knots]
+    )
     operator = operator_of(slopes, design)
     width = (1.0 - operator.low) / (prepared.high - prepared.low)
     origin = float(drift[0])
-    stages: list[Stage] = [ScaleStage(width, operator.low - width * prepared.low), operator]
+    stages: list[Stage] = [
+        ScaleStage(width, operator.low - width * prepared.low),
+        operator,
+    ]
     offset = prepared.offset
     if design.segments > 1:
         corners = np.arange(design.segments + 1) / design.segments
         corners[1:-1] += knots
         height = np.full(design.segments, 1.0 / design.segments)
-        stages += [ScaleStage(1.0, origin), DiscretePointOperator(np.diff(corners), height)]
+        stages += [
+            ScaleStage(1.0, origin),
+            DiscretePointOperator(np.diff(corners), height),
+        ]
     else:
         offset += prepared.scale * origin
     stages.append(ScaleStage(prepared.scale, offset))
@@ -471,17 +580,28 @@ def _model_of(solution: Floats, design: Design, prepared: Prepared, recording: R
     return _ranged(stages, prepared.low, prepared.high, recording)
 
 
-def _ranged(stages: Sequence[Stage], low: float, high: float, recording: Recording) -> RelativeModel:
+def _ranged(
+    stages: Sequence[Stage], low: float, high: float, recording: Recording
+) -> RelativeModel:
     """Return the model with the range that its output reaches slowly."""
     source = Quantity(recording.voltage_quantity, recording.voltage_unit, low, high)
-    anything = Quantity(recording.displacement_quantity, recording.displacement_unit, 0.0, 1.0)
+    anything = Quantity(
+        recording.displacement_quantity, recording.displacement_unit, 0.0, 1.0
+    )
     model = RelativeModel("forward", source, anything, tuple(stages))
     still = model.without_lag
-    ends = still.simulate([low, high, high, low], still.start(low, "empty"), time_step=1e9).y[1:]
-    return replace(model, output=replace(anything, minimum=float(ends.min()), maximum=float(ends.max())))
+    ends = still.simulate(
+        [low, high, high, low], still.start(low, "empty"), time_step=1e9
+    ).y[1:]
+    return replace(
+        model,
+        output=replace(anything, minimum=float(ends.min()), maximum=float(ends.max())),
+    )
 
 
-def _levelled(model: RelativeModel, log: PreparedLog, recording: Recording) -> RelativeModel:
+def _levelled(
+    model: RelativeModel, log: PreparedLog, recording: Recording
+) -> RelativeModel:
     """Return the model with the offset that the first log's displacement asks for."""
     left = (recording.displacement - predict(model, recording, log.start))[log.used]
     offset = float(np.linalg.lstsq(log.drift[log.used], left, rcond=None)[0][0])

@@ -18,7 +18,11 @@ from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, identify
 from dbo_cli.hysteresis.identification.cleaning import cleaned
 from dbo_cli.hysteresis.identification.drive_range import drive_range, within
-from dbo_cli.hysteresis.identification.evaluation import Residual, residual_of, validation_of
+from dbo_cli.hysteresis.identification.evaluation import (
+    Residual,
+    residual_of,
+    validation_of,
+)
 from dbo_cli.hysteresis.identification.preparation import Prepared, prepare
 from dbo_cli.hysteresis.identification.recordings import (
     check_recordings,
@@ -35,11 +39,20 @@ NAMES = ("dbo", *(relative.name for relative in RELATIVES), SAME_STAGES)
 OWN_WORDS = "Discrete Backlash Operator"
 SAME_WORDS = "PI plays in the place of the DBO's gears, all its other stages kept"
 SHARED = (
-    *("points", "drive_bend", "slopes", "relaxation_seconds", "delay_seconds", "dynamics", "trusted_hz"),
+    *(
+        "points",
+        "drive_bend",
+        "slopes",
+        "relaxation_seconds",
+        "delay_seconds",
+        "dynamics",
+        "trusted_hz",
+    ),
     *("expected_rmse", "fastest_drive"),
 )
 """What the model file says of a model's stages and curve, whether gears or plays stand among them."""
-TIMED_SAMPLES = {"compiled": 100_000, "python": 2_000}  # chosen: milliseconds, which a clock resolves
+# chosen: milliseconds, which a clock resolves
+TIMED_SAMPLES = {"compiled": 100_000, "python": 2_000}
 TIMED_RUNS = 5  # the fastest counts: what else the machine does can only add
 ROUND_TRIP_SAMPLES = 50_000  # chosen: several cycles of a usual log
 EXACT = 1e-9  # of the range: a round trip within it is one to rounding
@@ -65,11 +78,12 @@ class Row:
     parameters : int
         Numbers that were fitted.
     fit_seconds, forward_ns, inverse_ns : float
-        Time to fit; the processor's a sample of the model without delay and dynamics. None: not timed, as the
-        fit of plays among the DBO's own stages, which is the DBO's, and their inverse beside memories, which
-        is in Python alone.
+        Time to fit; the processor's a sample of the model without delay and dynamics.
+        None: not timed, as the fit of plays among the DBO's own stages, which is the
+        DBO's, and their inverse beside memories, which is in Python alone.
     round_trip : float
-        The largest difference between what is wanted and what the model does with the drive of its inverse.
+        The largest difference between what is wanted and what the model does with the
+        drive of its inverse.
     refused : str
         Why it could not be fitted.
     model : ActuatorModel
@@ -107,7 +121,8 @@ def compare(
 ) -> list[Row]:
     """Fit each model to the logs and judge it; one that cannot be fitted has a row that says why.
 
-    ``skip_seconds`` are left out of every log, ``judged_from``, where given, of those of the validation.
+    ``skip_seconds`` are left out of every log, ``judged_from``, where given, of those
+    of the validation.
 
     Raises
     ------
@@ -131,18 +146,28 @@ def compare(
     judged = skip_seconds if judged_from is None else judged_from
     judge = _Judge(mended, ready, validation, judged, timed)
     fits: dict[str, tuple[str, Callable[[], ActuatorModel]]] = {
-        relative.name: (relative.words, partial(fit, relative, ready, judge.recordings, cycle))
+        relative.name: (
+            relative.words,
+            partial(fit, relative, ready, judge.recordings, cycle),
+        )
         for relative in RELATIVES
     }
-    options = IdentificationOptions(skip_seconds=skip_seconds, force=True)  # a mere line is compared, too
+    # a mere line is compared, too
+    options = IdentificationOptions(skip_seconds=skip_seconds, force=True)
     identified = cache(lambda: identify(recordings, options).model)
-    fits |= {"dbo": (OWN_WORDS, identified), SAME_STAGES: (SAME_WORDS, lambda: _same_stages(identified()))}
+    fits |= {
+        "dbo": (OWN_WORDS, identified),
+        SAME_STAGES: (SAME_WORDS, lambda: _same_stages(identified())),
+    }
     return [judge.row(name, *fits[name]) for name in dict.fromkeys(names)]
 
 
 def _same_stages(dbo: ActuatorModel) -> RelativeModel:
     """Return the DBO's own model with plays in the place of its gears; nothing is fitted again."""
-    model, figures = with_plays(dbo), {key: dbo.fit[key] for key in SHARED if key in dbo.fit}
+    model, figures = (
+        with_plays(dbo),
+        {key: dbo.fit[key] for key in SHARED if key in dbo.fit},
+    )
     figures |= {"method": SAME_STAGES, "operator": SAME_WORDS, "plays": model.plays.n}
     return dataclasses.replace(model, fit=figures | {"parameters": _parameters(dbo)})
 
@@ -165,24 +190,48 @@ class _Judge:
         except DboError as problem:
             return Row(name, words, refused=str(problem))
         except np.linalg.LinAlgError as problem:
-            return Row(name, words, refused=f"its least-squares problem cannot be solved ({problem})")
+            return Row(
+                name,
+                words,
+                refused=f"its least-squares problem cannot be solved ({problem})",
+            )
         seconds = time.perf_counter() - begun
         logs = zip(self.recordings, self.ready.logs, strict=True)
         rmse = _pooled([residual_of(model, recording, log) for recording, log in logs])
-        checks = [validation_of(model, log, self.skip_seconds) for log in self.validation]
-        expected_rmse, ratio = model.fit.get("expected_rmse"), model.fit.get("left_out_ratio")
+        checks = [
+            validation_of(model, log, self.skip_seconds) for log in self.validation
+        ]
+        expected_rmse, ratio = (
+            model.fit.get("expected_rmse"),
+            model.fit.get("left_out_ratio"),
+        )
         if ratio is not None:
             expected_rmse = rmse * float(str(ratio))
         expected = None if expected_rmse is None else float(str(expected_rmse))
         if isinstance(model, RelativeModel):
-            model = dataclasses.replace(model, fit=self._figures(model, rmse, expected, checks))
+            model = dataclasses.replace(
+                model, fit=self._figures(model, rmse, expected, checks)
+            )
         errors = rmse, expected, _pooled(checks) if checks else None
         forward, inverse = self._times(model) if self.timed else (None, None)
         cost = seconds if self.timed and name != SAME_STAGES else None, forward, inverse
-        return Row(name, words, *errors, _parameters(model), *cost, self._round_trip(model), None, model)
+        return Row(
+            name,
+            words,
+            *errors,
+            _parameters(model),
+            *cost,
+            self._round_trip(model),
+            None,
+            model,
+        )
 
     def _figures(
-        self, model: ActuatorModel, rmse: float, expected: float | None, checks: Sequence[Residual]
+        self,
+        model: ActuatorModel,
+        rmse: float,
+        expected: float | None,
+        checks: Sequence[Residual],
     ) -> dict[str, object]:
         """Return what a relative's model file says of its fit, under the names that ``identify`` uses."""
         span = abs(self.ready.scale)
@@ -191,9 +240,12 @@ class _Judge:
         figures |= {"expected_rmse": expected, "expected_percent": percent}
         if checks:
             figures["validation"] = [
-                {"name": check.name, "samples": len(check.values), "rmse": check.rmse} for check in checks
+                {"name": check.name, "samples": len(check.values), "rmse": check.rmse}
+                for check in checks
             ]
-        return {key: value for key, value in model.fit.items() if key != "left_out_ratio"} | figures
+        return {
+            key: value for key, value in model.fit.items() if key != "left_out_ratio"
+        } | figures
 
     def _step(self, model: ActuatorModel) -> float | None:
         """Return the time step (s) of the first log, where a model needs one."""
@@ -210,7 +262,9 @@ class _Judge:
         forward = self._time(still, voltage)
         if isinstance(still, RelativeModel) and still.plays.relaxation is not None:
             return forward, None
-        return forward, self._time(still.inverse(), played(still, voltage, self._step(still)))
+        return forward, self._time(
+            still.inverse(), played(still, voltage, self._step(still))
+        )
 
     def _time(self, model: ActuatorModel, signal: Floats) -> float:
         step = self._step(model)
@@ -246,6 +300,7 @@ def _parameters(model: ActuatorModel) -> int:
     count += bool(fit.get("drive_bend")) + bool(fit.get("delay_seconds"))
     if model.dynamics is not None:
         count += sum(
-            sum(v is not None for v in vars(section).values()) for section in model.dynamics.sections
+            sum(v is not None for v in vars(section).values())
+            for section in model.dynamics.sections
         )
     return count

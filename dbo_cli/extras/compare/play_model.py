@@ -1,11 +1,12 @@
 """A model whose hysteresis is a weighted sum of plays: what ``ActuatorModel`` is to the gears.
 
-Forward: a scale that brings the drive to the operator's range, the plays, points (superposed dead zones are
-a curve of straight pieces) and scales, then perhaps a delay. A straight line is one play of radius 0. With
-plays in the place of its gears a model of gears keeps all other stages (``with_plays``). The
-commands take such a model as any other; what is made for gears alone (``export``, the live controller)
-refuses it. Files have the stage and its state as in
-docs/model-file.md: ``hysteresis.model_file`` asks here when a file has a stage that it does not know.
+Forward: a scale that brings the drive to the operator's range, the plays, points
+(superposed dead zones are a curve of straight pieces) and scales, then perhaps a delay.
+A straight line is one play of radius 0. With plays in the place of its gears a model of
+gears keeps all other stages (``with_plays``). The commands take such a model as any
+other; what is made for gears alone (``export``, the live controller) refuses it. Files
+have the stage and its state as in docs/model-file.md: ``hysteresis.model_file`` asks
+here when a file has a stage that it does not know.
 """
 
 from __future__ import annotations
@@ -22,8 +23,19 @@ from dbo_cli.hysteresis.cascade import DelayStage, ScaleStage, Stage, through
 from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.model import NEGLIGIBLE, ActuatorModel, PointStage, Steps
 from dbo_cli.hysteresis.model_file import Node, StageInFiles, read_relaxation
-from dbo_cli.hysteresis.model_state import START_NAMES, DriveLimits, ModelState, StartName
-from dbo_cli.hysteresis.operators import BacklashState, Counts, Floats, OutputLimits, Outside
+from dbo_cli.hysteresis.model_state import (
+    START_NAMES,
+    DriveLimits,
+    ModelState,
+    StartName,
+)
+from dbo_cli.hysteresis.operators import (
+    BacklashState,
+    Counts,
+    Floats,
+    OutputLimits,
+    Outside,
+)
 
 
 class RelativeModel(ActuatorModel):
@@ -39,17 +51,25 @@ class RelativeModel(ActuatorModel):
 
     def __post_init__(self) -> None:
         """Check the order of the stages; the direction tells how the plays act."""
-        plays = [k for k, stage in enumerate(self.stages) if isinstance(stage, PlayOperator)]
+        plays = [
+            k for k, stage in enumerate(self.stages) if isinstance(stage, PlayOperator)
+        ]
         if len(plays) != 1:
             raise ModelError("stages: exactly one stage of plays must be among them")
         self._take_apart(plays[0])
         for place, stage in enumerate(self.stages):
             if isinstance(stage, PlayOperator):
-                if stage.relaxation is not None and stage.inverted == (self.direction == "forward"):
+                if stage.relaxation is not None and stage.inverted == (
+                    self.direction == "forward"
+                ):
                     axis = "input" if stage.inverted else "output"
-                    raise ModelError(f"stages[{place}].relaxation.on: must be {axis!r} in this direction")
+                    raise ModelError(
+                        f"stages[{place}].relaxation.on: must be {axis!r} in this direction"
+                    )
                 self._turn(stage)
-            elif not isinstance(stage, ScaleStage | PointStage | DynamicsStage | DelayStage):
+            elif not isinstance(
+                stage, ScaleStage | PointStage | DynamicsStage | DelayStage
+            ):
                 raise ModelError(f"stages[{place}]: gears and plays do not go together")
 
     @cached_property
@@ -80,7 +100,12 @@ class RelativeModel(ActuatorModel):
     @cached_property
     def needs_time(self) -> bool:
         """Whether the time between samples matters."""
-        parts = self.plays.by_rate.size, self.plays.relaxation, self.dynamics, self.drive_lag
+        parts = (
+            self.plays.by_rate.size,
+            self.plays.relaxation,
+            self.dynamics,
+            self.drive_lag,
+        )
         return any(parts) or (self.direction == "forward" and self.delay_seconds > 0.0)
 
     @property
@@ -90,19 +115,27 @@ class RelativeModel(ActuatorModel):
         return float(through(forward.head_inverse, np.array([1.0]))[0])
 
     def start(
-        self, first_input: float, state: StartName | ModelState = "auto", limits: DriveLimits | None = None
+        self,
+        first_input: float,
+        state: StartName | ModelState = "auto",
+        limits: DriveLimits | None = None,
     ) -> ModelState:
         """Return the state before the first sample; see ``ActuatorModel.start``.
 
-        ``settled`` beyond the end of the range is ``empty`` or ``full``, so that ``auto`` is ``settled``.
+        ``settled`` beyond the end of the range is ``empty`` or ``full``, so that
+        ``auto`` is ``settled``.
         """
         if isinstance(state, ModelState):
             return state
         if state not in START_NAMES:
-            raise ModelError(f"no initial state is called {state!r}; there are: {', '.join(START_NAMES)}")
+            raise ModelError(
+                f"no initial state is called {state!r}; there are: {', '.join(START_NAMES)}"
+            )
         operator = self.plays
         if state in ("empty", "full"):
-            return ModelState(_standing(operator.after(operator.low if state == "empty" else 1.0)))
+            return ModelState(
+                _standing(operator.after(operator.low if state == "empty" else 1.0))
+            )
         value = float(self._before_backlash([first_input])[0])
         if self.direction == "inverse":
             value = operator.settled_at(value)
@@ -129,7 +162,10 @@ class RelativeModel(ActuatorModel):
         value = float(self._before_backlash([first_input])[0])
         if self.direction == "inverse":
             value = operator.settled_at(value)
-        ends = [operator.slow_output(value, operator.after(end)) for end in (operator.low, 1.0)]
+        ends = [
+            operator.slow_output(value, operator.after(end))
+            for end in (operator.low, 1.0)
+        ]
         low, high = through(forward.tail, np.array(ends)).tolist()
         return float(abs(high - low))
 
@@ -167,7 +203,9 @@ class RelativeModel(ActuatorModel):
             raise ModelError("state: is not one of this model's plays")
         plays, clipped = np.array(before.plays), (0, 0)
         if self.direction == "forward":
-            share = self._share(x, plays[0] if state.drive is not None else None, steps, 1.0)
+            share = self._share(
+                x, plays[0] if state.drive is not None else None, steps, 1.0
+            )
             y, plays = operator.run(x, plays, share)
             after = _standing(plays)
             if operator.relaxation is not None and steps is not None:
@@ -175,31 +213,50 @@ class RelativeModel(ActuatorModel):
                 y, after = y + added, dataclasses.replace(after, memory=memory)
         elif operator.relaxation is not None and steps is not None:
             bounds = _bounds(limits, steps) or OutputLimits()
-            y, after, clipped = operator.solve_beside(x, before, steps, bounds, state.drive)
+            y, after, clipped = operator.solve_beside(
+                x, before, steps, bounds, state.drive
+            )
         elif operator.kind == "plays" and limits is None:
             closed = operator.closed_inverse
-            states = np.array(before.inverse_plays) if before.inverse_plays else closed.states_of(plays)
+            states = (
+                np.array(before.inverse_plays)
+                if before.inverse_plays
+                else closed.states_of(plays)
+            )
             y, states = closed.run(x, states)
-            after = PlayState(0, None, tuple(closed.plays_of(states).tolist()), tuple(states.tolist()))
+            after = PlayState(
+                0, None, tuple(closed.plays_of(states).tolist()), tuple(states.tolist())
+            )
         else:
             low, high = operator.ends
-            share = self._share(x, before.wanted, steps, (high - low) / (1.0 - operator.low))
-            y, plays, clipped = operator.solve(x, plays, share, _bounds(limits, steps), state.drive)
+            share = self._share(
+                x, before.wanted, steps, (high - low) / (1.0 - operator.low)
+            )
+            y, plays, clipped = operator.solve(
+                x, plays, share, _bounds(limits, steps), state.drive
+            )
             after = dataclasses.replace(_standing(plays), wanted=float(x[-1]))
-        moved = dataclasses.replace(state, backlash=after, drive=after.plays[0], time=None)
+        moved = dataclasses.replace(
+            state, backlash=after, drive=after.plays[0], time=None
+        )
         return y, moved, Counts(0, 0, *clipped), 0.0
 
-    def _share(self, signal: Floats, last: float | None, steps: Steps | None, slope: float) -> Floats:
+    def _share(
+        self, signal: Floats, last: float | None, steps: Steps | None, slope: float
+    ) -> Floats:
         """Return the share of ``by_rate`` in every sample: the rate over the fastest one, at most 1.
 
-        An inverse knows the rate of what is wanted, and takes the drive's for that over the loop's ``slope``.
+        An inverse knows the rate of what is wanted, and takes the drive's for that over
+        the loop's ``slope``.
         """
         operator = self.plays
         if not operator.by_rate.size:
             return NOTHING
         assert steps is not None
         change = np.abs(np.diff(signal, prepend=signal[0] if last is None else last))
-        reach = np.broadcast_to(np.asarray(steps) * (operator.fastest * slope), signal.shape)
+        reach = np.broadcast_to(
+            np.asarray(steps) * (operator.fastest * slope), signal.shape
+        )
         share = np.divide(change, reach, out=np.zeros(signal.size), where=reach > 0.0)
         return np.minimum(share, 1.0)
 
@@ -211,7 +268,9 @@ def _bounds(limits: DriveLimits | None, steps: Steps | None) -> OutputLimits | N
     step = None
     if limits.max_slew is not None and steps is not None:
         step = limits.max_slew * np.asarray(steps, dtype=np.float64)
-    return OutputLimits(limits.v_min, limits.v_max, step, NEGLIGIBLE * (limits.v_max - limits.v_min))
+    return OutputLimits(
+        limits.v_min, limits.v_max, step, NEGLIGIBLE * (limits.v_max - limits.v_min)
+    )
 
 
 def _standing(plays: Floats) -> PlayState:
@@ -221,9 +280,9 @@ def _standing(plays: Floats) -> PlayState:
 def with_plays(model: ActuatorModel) -> RelativeModel:
     """Return a forward model of gears with one play for each of their slopes, every other stage kept.
 
-    After a turn both follow one curve: slope s_i begins where d_i is travelled, and so does a play of radius
-    d_i/2 and weight s_i - s_(i-1). The scaled drive goes from -1 to 1 over the gears that the drive moves;
-    what differs is a turn inside a gear.
+    After a turn both follow one curve: slope s_i begins where d_i is travelled, and so
+    does a play of radius d_i/2 and weight s_i - s_(i-1). The scaled drive goes from -1
+    to 1 over the gears that the drive moves; what differs is a turn inside a gear.
     """
     gears = model.covered_gears.operator
     slopes, travelled = gears.dy / gears.dx, np.cumsum(gears.dx)
@@ -233,11 +292,20 @@ def with_plays(model: ActuatorModel) -> RelativeModel:
     weights = np.diff(slopes[begins], prepend=0.0) / per_volt
     terms = gears.relaxation
     if terms is not None:
-        reference, gain = per_volt * (terms.reference - gears.x0) - 1.0, np.array(terms.gain) / per_volt
-        terms = dataclasses.replace(terms, reference=reference, gain=tuple(gain.tolist()))
+        reference, gain = (
+            per_volt * (terms.reference - gears.x0) - 1.0,
+            np.array(terms.gain) / per_volt,
+        )
+        terms = dataclasses.replace(
+            terms, reference=reference, gain=tuple(gain.tolist())
+        )
     plays = PlayOperator("plays", radii, weights, relaxation=terms)
     empty = float(weights @ (radii - 1.0))
-    placed = ScaleStage(per_volt, -1.0 - per_volt * gears.x0), plays, ScaleStage(1.0, gears.y0 - empty)
+    placed = (
+        ScaleStage(per_volt, -1.0 - per_volt * gears.x0),
+        plays,
+        ScaleStage(1.0, gears.y0 - empty),
+    )
     place = model.stages.index(model.backlash)
     stages = (*model.stages[:place], *placed, *model.stages[place + 1 :])
     return RelativeModel("forward", model.input, model.output, stages)
@@ -245,11 +313,28 @@ def with_plays(model: ActuatorModel) -> RelativeModel:
 
 def _plays(node: Node) -> Stage:
     kind: Kind = node.text("type")  # type: ignore[assignment]
-    keys = {"rate-plays": ("by_rate", "fastest"), "one-sided-plays": ("cubic", "linear")}.get(kind, ())
-    node.only(("type", "radii", "weights", *keys), ("relaxation",) if kind == "plays" else ())
-    lists = {key: node.numbers(key) for key in ("radii", "weights", "by_rate") if key in node.values}
-    numbers = {key: node.number(key) for key in ("fastest", "cubic", "linear") if key in node.values}
-    beside, axis = read_relaxation(node, "relaxation") if "relaxation" in node.values else (None, "input")
+    keys = {
+        "rate-plays": ("by_rate", "fastest"),
+        "one-sided-plays": ("cubic", "linear"),
+    }.get(kind, ())
+    node.only(
+        ("type", "radii", "weights", *keys), ("relaxation",) if kind == "plays" else ()
+    )
+    lists = {
+        key: node.numbers(key)
+        for key in ("radii", "weights", "by_rate")
+        if key in node.values
+    }
+    numbers = {
+        key: node.number(key)
+        for key in ("fastest", "cubic", "linear")
+        if key in node.values
+    }
+    beside, axis = (
+        read_relaxation(node, "relaxation")
+        if "relaxation" in node.values
+        else (None, "input")
+    )
     more = {"relaxation": beside, "inverted": axis == "output"}
     stage: Stage = node.build(lambda: PlayOperator(kind, **lists, **numbers, **more))  # type: ignore[arg-type]
     return stage
@@ -257,16 +342,33 @@ def _plays(node: Node) -> Stage:
 
 def read_places(node: Node, model: RelativeModel) -> BacklashState:
     """Return what the plays of a model remember."""
-    node.only(("places", "inverse_places", "wanted"), ("memory",) if model.plays.relaxation else ())
+    node.only(
+        ("places", "inverse_places", "wanted"),
+        ("memory",) if model.plays.relaxation else (),
+    )
     places = tuple(node.numbers("places"))
-    inverse = None if node.values["inverse_places"] is None else tuple(node.numbers("inverse_places"))
+    inverse = (
+        None
+        if node.values["inverse_places"] is None
+        else tuple(node.numbers("inverse_places"))
+    )
     for key, values in (("places", places), ("inverse_places", inverse)):
         if values is not None and len(values) != model.plays.n:
-            raise node.refuse(key, f"has {len(values)} entries where the model has {model.plays.n} plays")
+            raise node.refuse(
+                key,
+                f"has {len(values)} entries where the model has {model.plays.n} plays",
+            )
     wanted = None if node.values["wanted"] is None else node.number("wanted")
     memory = tuple(node.numbers("memory")) if "memory" in node.values else None
-    if memory is not None and model.plays.relaxation and len(memory) != len(model.plays.relaxation.tau):
-        raise node.refuse("memory", f"has {len(memory)} entries, and not as many as the model's relaxation")
+    if (
+        memory is not None
+        and model.plays.relaxation
+        and len(memory) != len(model.plays.relaxation.tau)
+    ):
+        raise node.refuse(
+            "memory",
+            f"has {len(memory)} entries, and not as many as the model's relaxation",
+        )
     return PlayState(0, memory, places, inverse, wanted)
 
 

@@ -1,18 +1,22 @@
 """The Prandtl-Ishlinskii operator and its descendants: weighted sums of plays, forward and inverse.
 
-All of them are y = g(x) + Σ w_i z_i with z_i = max(x − r_i, min(x + r_i, z_i)) (one-sided: max(x − r_i,
-min(x, z_i))), on a drive scaled to the operator's range (−1 to 1; one-sided 0 to 1). Sources, numbered as in
-Aye and Ang (2018); what is marked * was written from memory of the literature and not checked against it:
+All of them are y = g(x) + Σ w_i z_i with z_i = max(x − r_i, min(x + r_i, z_i))
+(one-sided: max(x − r_i, min(x, z_i))), on a drive scaled to the operator's range (−1 to
+1; one-sided 0 to 1). Sources, numbered as in Aye and Ang (2018); what is marked * was
+written from memory of the literature and not checked against it:
 
-- [6] Kuhnen (2003): plays, w_i ≥ 0, and the inverse in closed form, w'_0 = 1/w_0, w'_i = −w_i/(W_i W_{i−1}),
-  r'_i = Σ_{j≤i} w_j (r_i − r_j), z'_i = W_i z_i + Σ_{j>i} w_j z_j, W_i = Σ_{j≤i} w_j.
-- [7] Ang, Khosla and Riviere (2007): W_i(ẋ) = W_i(0) + c_i |ẋ|. *The magnitude (a signed rate would make
-  rising and falling branches differ) and weights that stay beyond the fastest rate are this program's own.
-- [8] Tan et al. (2009): where slopes W_i of the first plays are not above 0, z = y + c x, c > −min W_i, is
-  inverted and x recovered. *Here x = Γ_c⁻¹(y + c x) is carried to its limit: from where the drive stands it
-  goes towards the wanted y until that is reached (see ``dbo_plays.c``), the same for every such c.
-- [9] Jiang et al. (2010) use one-sided operators; their equations were not to be had. In their place *Gu et
-  al. (2014): y = a₁ x³ + a₂ x + Σ p_i F_i, F_i one-sided plays.
+- [6] Kuhnen (2003): plays, w_i ≥ 0, and the inverse in closed form, w'_0 = 1/w_0, w'_i
+  = −w_i/(W_i W_{i−1}), r'_i = Σ_{j≤i} w_j (r_i − r_j), z'_i = W_i z_i + Σ_{j>i} w_j
+  z_j, W_i = Σ_{j≤i} w_j.
+- [7] Ang, Khosla and Riviere (2007): W_i(ẋ) = W_i(0) + c_i |ẋ|. *The magnitude (a
+  signed rate would make rising and falling branches differ) and weights that stay
+  beyond the fastest rate are this program's own.
+- [8] Tan et al. (2009): where slopes W_i of the first plays are not above 0, z = y + c
+  x, c > −min W_i, is inverted and x recovered. *Here x = Γ_c⁻¹(y + c x) is carried to
+  its limit: from where the drive stands it goes towards the wanted y until that is
+  reached (see ``dbo_plays.c``), the same for every such c.
+- [9] Jiang et al. (2010) use one-sided operators; their equations were not to be had.
+  In their place *Gu et al. (2014): y = a₁ x³ + a₂ x + Σ p_i F_i, F_i one-sided plays.
 """
 
 from __future__ import annotations
@@ -37,18 +41,21 @@ Memory = tuple[float, ...] | None  # of relaxation; None: at rest at the sample 
 Kind = Literal["plays", "rate-plays", "singular-plays", "one-sided-plays"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 NOTHING: Floats = np.empty(0)
-MOST_PLAYS = 100_000  # chosen: a thousand times what the fit offers; bounds what a file may ask for
+# chosen: a thousand times what the fit offers; bounds what a file may ask for
+MOST_PLAYS = 100_000
 FLATTEST = 1e-9  # of the largest weight, where a slope must be above 0 for an inverse
-HALVINGS = 200  # a bound: so many threefold steps pass any range, so many halvings leave 1e-60 of it
+# a bound: so many threefold steps pass any range, so many halvings leave 1e-60 of it
+HALVINGS = 200
 LANES = 8  # plays that the kernel adds up side by side, one order of summing for all
 MOST_STEPS = 64  # of Newton's method and of halving, in the kernel
 
 
 # ---- the readable twin of dbo_plays.c: the same arguments, the same bits.
 #
-# Every floating-point operation is written in the same order in both; sums run over lanes of ``LANES`` plays.
-# The rows of ``table`` are up, down, weight and, where weights depend on the rate, by_rate, padded to whole
-# groups of lanes; ``curve`` is empty or (cubic, linear). See ``dbo_plays.h`` for their meaning.
+# Every floating-point operation is written in the same order in both; sums run over
+# lanes of ``LANES`` plays. The rows of ``table`` are up, down, weight and, where
+# weights depend on the rate, by_rate, padded to whole groups of lanes; ``curve`` is
+# empty or (cubic, linear). See ``dbo_plays.h`` for their meaning.
 
 
 def _follow(table: Floats, z: Floats, v: float) -> None:
@@ -85,7 +92,9 @@ def _curve_slope(curve: Floats, x: float) -> float:
     return 3.0 * cubic * (x * x) + linear
 
 
-def plays_run(n: int, table: Floats, curve: Floats, z: Floats, x: Floats, y: Floats, share: Floats) -> None:
+def plays_run(
+    n: int, table: Floats, curve: Floats, z: Floats, x: Floats, y: Floats, share: Floats
+) -> None:
     """Fill ``y`` with the output for ``x``; ``z`` becomes the state after it."""
     shares = share.tolist() if share.size else [0.0] * x.size
     for k, v in enumerate(x.tolist()):
@@ -132,7 +141,9 @@ def _on_curve(curve: Floats, at: float, slope: float, wanted: float) -> float:
     return x
 
 
-def _solved(n: int, table: Floats, curve: Floats, z: Floats, y: float, share: float) -> float:
+def _solved(
+    n: int, table: Floats, curve: Floats, z: Floats, y: float, share: float
+) -> float:
     """Return the input at which the output is ``y``."""
     places: list[float] = z[:n].tolist()
     up, down, weight = (row[:n].tolist() for row in table[:3])
@@ -160,7 +171,11 @@ def _solved(n: int, table: Floats, curve: Floats, z: Floats, y: float, share: fl
         slope = slope + weight[i]
         if by_rate:
             slope = slope + share * by_rate[i]
-    return _on_curve(curve, at, slope, y - reached) if curve.size else at + (y - reached) / slope
+    return (
+        _on_curve(curve, at, slope, y - reached)
+        if curve.size
+        else at + (y - reached) / slope
+    )
 
 
 def plays_solve(
@@ -203,7 +218,9 @@ def plays_solve(
 
 def _kernel() -> Any:
     """Return the compiled plays, or their readable twin, this module, where the Python kernel was chosen."""
-    return sys.modules[__name__] if kernel.CHOSEN is kernel.PythonKernel else kernel.CHOSEN
+    return (
+        sys.modules[__name__] if kernel.CHOSEN is kernel.PythonKernel else kernel.CHOSEN
+    )
 
 
 @dataclass(frozen=True)
@@ -215,7 +232,8 @@ class PlayState(BacklashState):
     plays : tuple of float
         z_i.
     inverse_plays : tuple of float, or None
-        z'_i of the inverse in closed form, while one runs, so that going on changes no bit.
+        z'_i of the inverse in closed form, while one runs, so that going on changes no
+        bit.
     wanted : float, or None
         The last output that an inverse was asked for; its rate is taken from there.
     """
@@ -227,8 +245,15 @@ class PlayState(BacklashState):
     def to_json_dict(self) -> dict[str, object]:
         """Return the state as plain JSON values."""
         inverse = None if self.inverse_plays is None else list(self.inverse_plays)
-        memory: dict[str, object] = {} if self.memory is None else {"memory": list(self.memory)}
-        return {"places": list(self.plays), "inverse_places": inverse, "wanted": self.wanted, **memory}
+        memory: dict[str, object] = (
+            {} if self.memory is None else {"memory": list(self.memory)}
+        )
+        return {
+            "places": list(self.plays),
+            "inverse_places": inverse,
+            "wanted": self.wanted,
+            **memory,
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,18 +271,21 @@ class PlayOperator(OtherHysteresis):
     by_rate : array_like, optional
         Of [7]: what is added to each weight at the fastest rate.
     fastest : float, optional
-        Of [7]: the rate of the scaled drive (1/s) at which all of ``by_rate`` is added; beyond it no more is.
+        Of [7]: the rate of the scaled drive (1/s) at which all of ``by_rate`` is added;
+        beyond it no more is.
     cubic, linear : float
         Of [9]: a₁ and a₂; beyond the range the curve goes straight on.
     relaxation : Relaxation, optional
-        Of [6]: lag and creep beside the plays, as beside the gears; it follows the scaled drive.
+        Of [6]: lag and creep beside the plays, as beside the gears; it follows the
+        scaled drive.
     inverted : bool
         As it stands in an inverse model.
 
     Raises
     ------
     ModelError
-        The numbers are not finite, not in order, or leave no inverse; the message begins with the key.
+        The numbers are not finite, not in order, or leave no inverse; the message
+        begins with the key.
     """
 
     kind: Kind
@@ -277,23 +305,33 @@ class PlayOperator(OtherHysteresis):
             values.flags.writeable = False
             object.__setattr__(self, key, values)
             for i in np.flatnonzero(~np.isfinite(values))[:1]:
-                raise ModelError(f"{key}[{i}]: {float(values[i])!r} is not a finite number")
+                raise ModelError(
+                    f"{key}[{i}]: {float(values[i])!r} is not a finite number"
+                )
         for key in ("cubic", "linear", "fastest"):
             if not np.isfinite(getattr(self, key)):
-                raise ModelError(f"{key}: {getattr(self, key)!r} is not a finite number")
+                raise ModelError(
+                    f"{key}: {getattr(self, key)!r} is not a finite number"
+                )
         self._check_lengths()
         self._check_slopes()
 
     def _check_lengths(self) -> None:
         radii, n = self.radii, self.radii.size
         if n == 0 or n > MOST_PLAYS:
-            raise ModelError(f"radii: has {n:,} entries, and there must be 1 to {MOST_PLAYS:,}")
+            raise ModelError(
+                f"radii: has {n:,} entries, and there must be 1 to {MOST_PLAYS:,}"
+            )
         if radii[0] != 0.0 or not (np.diff(radii) > 0.0).all() or not radii[-1] < 1.0:
             raise ModelError("radii: must begin with 0, grow, and stay below 1")
         if self.weights.size != n:
-            raise ModelError(f"weights: has {self.weights.size} entries where radii has {n}")
+            raise ModelError(
+                f"weights: has {self.weights.size} entries where radii has {n}"
+            )
         if self.by_rate.size != (n if self.kind == "rate-plays" else 0):
-            raise ModelError(f"by_rate: has {self.by_rate.size} entries where radii has {n}")
+            raise ModelError(
+                f"by_rate: has {self.by_rate.size} entries where radii has {n}"
+            )
         if self.kind == "rate-plays" and not self.fastest > 0.0:
             raise ModelError(f"fastest: {self.fastest!r} is not a rate above 0")
         if self.relaxation is not None and self.kind != "plays":
@@ -304,11 +342,17 @@ class PlayOperator(OtherHysteresis):
         least = FLATTEST * float(np.abs(self.weights).max())
         ends = (self.linear, 3.0 * self.cubic + self.linear)
         slopes = np.cumsum(self.weights) + min(ends)
-        slopes = np.minimum(slopes, slopes + np.cumsum(self.by_rate)) if self.by_rate.size else slopes
+        slopes = (
+            np.minimum(slopes, slopes + np.cumsum(self.by_rate))
+            if self.by_rate.size
+            else slopes
+        )
         if self.kind == "singular-plays":
             slopes = slopes[-1:]
         if not (slopes > least).all():
-            raise ModelError(f"weights: the slope is {float(slopes.min())!r} somewhere, and must be above 0")
+            raise ModelError(
+                f"weights: the slope is {float(slopes.min())!r} somewhere, and must be above 0"
+            )
 
     @property
     def n(self) -> int:
@@ -337,14 +381,18 @@ class PlayOperator(OtherHysteresis):
             values |= {"by_rate": self.by_rate.tolist(), "fastest": self.fastest}
         if self.one_sided:
             values |= {"cubic": self.cubic, "linear": self.linear}
-        beside = relaxation_values(self.relaxation, "output" if self.inverted else "input")
+        beside = relaxation_values(
+            self.relaxation, "output" if self.inverted else "input"
+        )
         return values | ({"relaxation": beside} if beside else {})
 
     @cached_property
     def table(self) -> Floats:
         """The kernel's rows: up, down, weight and by_rate, padded to whole groups of lanes."""
         down = np.zeros(self.n) if self.one_sided else self.radii
-        rows = [self.radii, down, self.weights] + ([self.by_rate] if self.by_rate.size else [])
+        rows = [self.radii, down, self.weights] + (
+            [self.by_rate] if self.by_rate.size else []
+        )
         table = np.zeros((len(rows), -(-self.n // LANES) * LANES))
         table[:2] = np.inf
         table[:, : self.n] = rows
@@ -370,7 +418,9 @@ class PlayOperator(OtherHysteresis):
         z[: self.n] = plays
         return z
 
-    def run(self, x: Floats, plays: Floats, share: Floats = NOTHING) -> tuple[Floats, Floats]:
+    def run(
+        self, x: Floats, plays: Floats, share: Floats = NOTHING
+    ) -> tuple[Floats, Floats]:
         """Return the output for a block of scaled drive, and the plays after it; ``share`` of ``by_rate``."""
         z, y = self._padded(plays), np.empty_like(x)
         _kernel().plays_run(self.n, self.table, self.curve, z, x, y, share)
@@ -392,18 +442,25 @@ class PlayOperator(OtherHysteresis):
     ) -> tuple[Floats, Floats, tuple[int, int]]:
         """Return the scaled drive whose output is ``y``, the plays after it, and what was clipped.
 
-        Exact for every kind; ``run`` of the result with the same ``share`` gives ``y`` back to rounding.
+        Exact for every kind; ``run`` of the result with the same ``share`` gives ``y``
+        back to rounding.
         """
         z, x = self._padded(plays), np.empty_like(y)
         bound = bounds or OutputLimits()
-        step = NOTHING if bound.step is None else np.array(bound.step, dtype=np.float64).reshape(-1)
+        step = (
+            NOTHING
+            if bound.step is None
+            else np.array(bound.step, dtype=np.float64).reshape(-1)
+        )
         clipped = _kernel().plays_solve(
             self.n, self.table, self.curve, z, y, x, share, bounds is not None, bound.low, bound.high,
             bound.slack, step, np.nan if last is None else last,
         )  # fmt: skip
         return x, z[: self.n], clipped
 
-    def remembered(self, x: Floats, memory: Memory, steps: float | Floats) -> tuple[Floats, Memory]:
+    def remembered(
+        self, x: Floats, memory: Memory, steps: float | Floats
+    ) -> tuple[Floats, Memory]:
         """Return what relaxation adds to the output for a block of scaled drive, and its memory after it."""
         total = np.zeros(x.size)
         if self.relaxation is None:
@@ -414,13 +471,19 @@ class PlayOperator(OtherHysteresis):
         return total, memory
 
     def solve_beside(
-        self, y: Floats, begun: PlayState, steps: float | Floats, bounds: OutputLimits, last: float | None
+        self,
+        y: Floats,
+        begun: PlayState,
+        steps: float | Floats,
+        bounds: OutputLimits,
+        last: float | None,
     ) -> tuple[Floats, PlayState, tuple[int, int]]:
         """Return what ``solve`` does where relaxation stands beside the plays.
 
-        One sample after the other: L_j = a_j L_j + (1 - a_j)(x - reference), so what is remembered is taken
-        off, and what the drive x of this very sample adds, Σ gain_j (1 - a_j) x, is weight of play 0, which
-        is x. As beside the gears, the equation stays monotone and straight between the plays' edges.
+        One sample after the other: L_j = a_j L_j + (1 - a_j)(x - reference), so what is
+        remembered is taken off, and what the drive x of this very sample adds, Σ gain_j
+        (1 - a_j) x, is weight of play 0, which is x. As beside the gears, the equation
+        stays monotone and straight between the plays' edges.
         """
         terms, z, x = self.relaxation, self._padded(begun.plays), np.empty_like(y)
         assert terms is not None
@@ -429,27 +492,45 @@ class PlayOperator(OtherHysteresis):
         memories = list(begun.memory or [0.0] * len(terms.tau))
         if begun.memory is None:
             rows[0] = [0.0] * len(memories)  # at rest at the first sample
-        most = None if bounds.step is None else np.broadcast_to(bounds.step, y.shape).copy()
+        most = (
+            None
+            if bounds.step is None
+            else np.broadcast_to(bounds.step, y.shape).copy()
+        )
         clipped = first = 0
         for k, (wanted, decays) in enumerate(zip(y.tolist(), rows, strict=True)):
             past = [a * memory for a, memory in zip(decays, memories, strict=True)]
-            share = sum(gain * (1.0 - a) for gain, a in zip(terms.gain, decays, strict=True))
+            share = sum(
+                gain * (1.0 - a) for gain, a in zip(terms.gain, decays, strict=True)
+            )
             wanted += share * terms.reference - sum(map(operator.mul, terms.gain, past))
             limited, _ = _kernel().plays_solve(
                 self.n, table, NOTHING, z, np.array([wanted]), x[k : k + 1], np.array([share]), True,
                 bounds.low, bounds.high, bounds.slack, NOTHING if most is None else most[k : k + 1],
                 np.nan if last is None else last,
             )  # fmt: skip
-            first, clipped, last = first if clipped or not limited else k, clipped + limited, float(x[k])
+            first, clipped, last = (
+                first if clipped or not limited else k,
+                clipped + limited,
+                float(x[k]),
+            )
             memories = [
-                memory + (1.0 - a) * (last - terms.reference) for a, memory in zip(decays, past, strict=True)
+                memory + (1.0 - a) * (last - terms.reference)
+                for a, memory in zip(decays, past, strict=True)
             ]
-        return x, PlayState(0, tuple(memories), tuple(z[: self.n].tolist())), (clipped, first)
+        return (
+            x,
+            PlayState(0, tuple(memories), tuple(z[: self.n].tolist())),
+            (clipped, first),
+        )
 
     def slow_output(self, x: float, plays: Floats) -> float:
         """Return the output for one input that comes slowly."""
         still, drive = np.zeros(1) if self.by_rate.size else NOTHING, np.array([x])
-        return float(self.run(drive, plays, still)[0][0] + self.remembered(drive, None, 0.0)[0][0])
+        return float(
+            self.run(drive, plays, still)[0][0]
+            + self.remembered(drive, None, 0.0)[0][0]
+        )
 
     @cached_property
     def ends(self) -> tuple[float, float]:

@@ -34,7 +34,10 @@ class TableOptions:
 
 @all_or_none()
 def compare_logs(
-    run: IdentifyRun, output: Address, options: TableOptions, listener: Listener = SILENT
+    run: IdentifyRun,
+    output: Address,
+    options: TableOptions,
+    listener: Listener = SILENT,
 ) -> Remarks:
     """Fit every model to the logs and write the table; ``asked.reading.rows`` are not the validation's."""
     form = report_form(output, options.form)
@@ -45,20 +48,32 @@ def compare_logs(
         if folder is not None:
             check_folder(folder)
     fitted, checks = run.read(listener)
-    recordings, tests = [log.recording for log in fitted], [log.recording for log in checks]
-    rows = compare(recordings, tests, options.names or NAMES, options.skip_seconds, options.timed)
+    recordings, tests = (
+        [log.recording for log in fitted],
+        [log.recording for log in checks],
+    )
+    rows = compare(
+        recordings, tests, options.names or NAMES, options.skip_seconds, options.timed
+    )
     unit = recordings[0].displacement_unit
-    names = [tuple(recording.name for recording in logs) for logs in (recordings, tests)]
+    names = [
+        tuple(recording.name for recording in logs) for logs in (recordings, tests)
+    ]
     shown = ModelTable(tuple(rows), unit, names[0], names[1])
     if options.figures is not None:
         save(shown.plots(), Path(options.figures), "models")
     program = program_version_string()
-    provenance = {"program": program, "inputs": [dict(log.record) for log in [*fitted, *checks]]}
+    provenance = {
+        "program": program,
+        "inputs": [dict(log.record) for log in [*fitted, *checks]],
+    }
     if options.models_folder is not None:
         for row in rows:
             if row.model is not None:
                 path = os.path.join(options.models_folder, f"{row.name}.json")
-                content = model_to_bytes(dataclasses.replace(row.model, provenance=provenance))
+                content = model_to_bytes(
+                    dataclasses.replace(row.model, provenance=provenance)
+                )
                 write_whole(path, content, protect=inputs)
     content = shown.rendered(form, provenance, program)
     write_whole(output, content, protect=inputs)

@@ -25,7 +25,15 @@ JSON_VERSION = 1  # of the form dbo-compare; a change of meaning would need anot
 LOOP_POINTS = 201  # each way: half a percent of the range, finer than the line is wide
 LEGEND_COLUMNS = 3  # names of relatives are short; three fit above a figure
 RECORD = (
-    *("name", "rmse", "expected_rmse", "validation_rmse", "parameters", "fit_seconds", "forward_ns"),
+    *(
+        "name",
+        "rmse",
+        "expected_rmse",
+        "validation_rmse",
+        "parameters",
+        "fit_seconds",
+        "forward_ns",
+    ),
     *("inverse_ns", "round_trip", "refused", "words"),
 )
 
@@ -52,9 +60,16 @@ class ModelTable:
     def rendered(self, form: str, provenance: Mapping[str, Any], program: str) -> bytes:
         """Return the table in one form: text, json, csv or html."""
         if form == "json":
-            content = {"format": "dbo-compare", "version": JSON_VERSION, "unit": self.unit}
+            content = {
+                "format": "dbo-compare",
+                "version": JSON_VERSION,
+                "unit": self.unit,
+            }
             content |= {"logs": list(self.logs), "validation": list(self.validation)}
-            content |= {"models": [record(row) for row in self.rows], "provenance": dict(provenance)}
+            content |= {
+                "models": [record(row) for row in self.rows],
+                "provenance": dict(provenance),
+            }
             text = renderers.json_text(content)
         elif form == "csv":
             unit = {"unit": self.unit and renderers.no_formula(self.unit)}
@@ -66,24 +81,47 @@ class ModelTable:
         return text.encode()
 
     def _heading(self) -> str:
-        checked = f"; validation on {', '.join(self.validation)}" if self.validation else ""
+        checked = (
+            f"; validation on {', '.join(self.validation)}" if self.validation else ""
+        )
         unit = f", RMSE in {self.unit}" if self.unit else ""
         return f"Models fitted to {', '.join(self.logs)}{checked}{unit}"
 
     def _text(self) -> str:
-        head = ["model", "fit", "expected", "valid.", "numbers", "fit s", "ns fwd", "ns inv", "trip"]
-        rows = [_cells(row, row.name, "{:.0e}") for row in self.rows if row.refused is None]
+        head = [
+            "model",
+            "fit",
+            "expected",
+            "valid.",
+            "numbers",
+            "fit s",
+            "ns fwd",
+            "ns inv",
+            "trip",
+        ]
+        rows = [
+            _cells(row, row.name, "{:.0e}") for row in self.rows if row.refused is None
+        ]
         parts = ["\n".join(renderers.wrapped(self._heading()))]
         if rows:
             parts.append(renderers.text_table(head, rows))
-        remarks = [f"{row.name}: {row.refused}" for row in self.rows if row.refused is not None]
+        remarks = [
+            f"{row.name}: {row.refused}" for row in self.rows if row.refused is not None
+        ]
         remarks += [f"{row.name}: {note}" for row in self.rows if (note := remark(row))]
         parts += ["\n".join(renderers.wrapped(line)) for line in remarks]
         return "\n\n".join(parts) + "\n"
 
     def _page(self, program: str) -> str:
         unit = f" ({renderers.shown_unit(self.unit)})" if self.unit else ""
-        head = ["Model", f"Fit{unit}", f"Expected{unit}", f"Validation{unit}", "Numbers", "s to fit"]
+        head = [
+            "Model",
+            f"Fit{unit}",
+            f"Expected{unit}",
+            f"Validation{unit}",
+            "Numbers",
+            "s to fit",
+        ]
         head += ["ns forward", "ns inverse", f"Round trip{unit}", "Remark"]
         rows = []
         for row in self.rows:
@@ -105,12 +143,20 @@ class ModelTable:
             title = "Error against cost"
             words = "RMSE of each model against the nanoseconds a sample of its inverse takes."
             timed = [row for row in fitted if row.inverse_ns is not None]
-            paint, head = partial(_paint_cost, self, timed), legend_head(len(timed), LEGEND_COLUMNS)
+            paint, head = (
+                partial(_paint_cost, self, timed),
+                legend_head(len(timed), LEGEND_COLUMNS),
+            )
             plots.append(Plot("cost", title, words, style.WIDE, paint, head))
         if bent:
             title = "The loops, a straight line taken off"
-            words = "Slow loop of each model, a straight line taken off, against the drive."
-            paint, head = partial(_paint_loops, self, bent), legend_head(len(bent), LEGEND_COLUMNS)
+            words = (
+                "Slow loop of each model, a straight line taken off, against the drive."
+            )
+            paint, head = (
+                partial(_paint_loops, self, bent),
+                legend_head(len(bent), LEGEND_COLUMNS),
+            )
             plots.append(Plot("loops", title, words, style.TALL, paint, head))
         return plots
 
@@ -133,9 +179,13 @@ def remark(row: Row) -> str:
 
 def _cells(row: Row, name: str, trip: str) -> list[str]:
     cells = [name]
-    cells += [digits(value) for value in (row.rmse, row.expected_rmse, row.validation_rmse)]
+    cells += [
+        digits(value) for value in (row.rmse, row.expected_rmse, row.validation_rmse)
+    ]
     cells.append("-" if row.parameters is None else str(row.parameters))
-    cells += [digits(value, 3) for value in (row.fit_seconds, row.forward_ns, row.inverse_ns)]
+    cells += [
+        digits(value, 3) for value in (row.fit_seconds, row.forward_ns, row.inverse_ns)
+    ]
     return [*cells, "-" if row.round_trip is None else trip.format(row.round_trip)]
 
 
@@ -165,6 +215,13 @@ def _paint_loops(shown: ModelTable, rows: Sequence[Row], axes: Axes) -> None:
         around = np.concatenate((rising - taken, (falling - taken)[::-1]))
         pattern = {"linestyle": (0, (3.2, 1.4))} if number % 2 else {}
         there_and_back = np.concatenate((drive, drive[::-1]))
-        axes.plot(there_and_back, around - around.mean(), label=row.name, **(look | pattern))
+        axes.plot(
+            there_and_back, around - around.mean(), label=row.name, **(look | pattern)
+        )
         drive_label = axis_label("Drive voltage", row.model.input.unit)
-    finish(axes, drive_label, axis_label("Displacement less a line", shown.unit), LEGEND_COLUMNS)
+    finish(
+        axes,
+        drive_label,
+        axis_label("Displacement less a line", shown.unit),
+        LEGEND_COLUMNS,
+    )

@@ -10,16 +10,27 @@ from typing import Literal
 import numpy as np
 
 from dbo_cli.errors import ModelError, UsageError
-from dbo_cli.hysteresis.cascade import DelayStage, MemoryFree, ScaleStage, through, whole_and_part
+from dbo_cli.hysteresis.cascade import (
+    DelayStage,
+    MemoryFree,
+    ScaleStage,
+    through,
+    whole_and_part,
+)
 from dbo_cli.hysteresis.dynamics import DynamicsInverter, DynamicsStage
 from dbo_cli.hysteresis.kernel import Floats
 from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits, ModelState, Quantity
-from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator, DiscretePointOperator
+from dbo_cli.hysteresis.operators import (
+    BacklashState,
+    DiscreteBacklashOperator,
+    DiscretePointOperator,
+)
 
 Direction = Literal["forward", "inverse"]
 
 _TRIALS = 20  # test moves over which the loss of fewer gears is taken: 5,000 samples
-_IGNORED_BEYOND = 1e6  # an input so many ranges away counts as no number: what it leads to is not finite
+# an input so many ranges away counts as no number: what it leads to is not finite
+_IGNORED_BEYOND = 1e6
 
 
 @dataclass(frozen=True)
@@ -35,8 +46,8 @@ class CascadePlan:
     limits : DriveLimits, or None
         Of an inverse: range and slew of the drive. A forward model has none.
     gain, decay : array
-        Of each relaxation term c_j, output of the forward backlash stage per unit of its input, and
-        a_j = exp(-dt/tau_j).
+        Of each relaxation term c_j, output of the forward backlash stage per unit of
+        its input, and a_j = exp(-dt/tau_j).
     reference : float
         The drive, as the backlash stage meets it, at which nothing is remembered.
     """
@@ -51,7 +62,11 @@ class CascadePlan:
     @property
     def drive_stages(self) -> MemoryFree:
         """The memory-free stages from a drive to the backlash stage."""
-        return self.model.head if self.model.direction == "forward" else self.model.tail_inverse
+        return (
+            self.model.head
+            if self.model.direction == "forward"
+            else self.model.tail_inverse
+        )
 
     @cached_property
     def inner_limits(self) -> DriveLimits | None:
@@ -83,12 +98,18 @@ class CascadePlan:
     def kappa(self) -> float:
         """The immediate part of the memory on an inverse's output: sum c_j (1 - a_j), term by term."""
         on_output = self.model.backlash.memory_on == "output"
-        return float(sum((self.gain * (1.0 - self.decay)).tolist())) if on_output else 0.0
+        return (
+            float(sum((self.gain * (1.0 - self.decay)).tolist())) if on_output else 0.0
+        )
 
     @property
     def slew_step(self) -> float | None:
         """The largest change of the backlash stage's output in one step."""
-        return None if self.inner_limits is None else self.inner_limits.largest_change(self.time_step)
+        return (
+            None
+            if self.inner_limits is None
+            else self.inner_limits.largest_change(self.time_step)
+        )
 
     @cached_property
     def inverter(self) -> DynamicsInverter | None:
@@ -103,7 +124,11 @@ class CascadePlan:
         """How many seconds earlier an inverse needs its input: for its delay, and its dynamics."""
         if self.model.direction == "forward":
             return 0.0
-        undoing = 0.0 if self.inverter is None else self.inverter.ahead * self.inverter.time_step
+        undoing = (
+            0.0
+            if self.inverter is None
+            else self.inverter.ahead * self.inverter.time_step
+        )
         return self.model.delay_seconds + undoing
 
     @property
@@ -112,7 +137,11 @@ class CascadePlan:
         covered = self.model.covered_gears.operator
         at = covered.x0 if self.model.direction == "inverse" else covered.y0
         y = float(through(self.model.tail, np.array([at]))[0])
-        return y if self.limits is None else min(max(y, self.limits.v_min), self.limits.v_max)
+        return (
+            y
+            if self.limits is None
+            else min(max(y, self.limits.v_min), self.limits.v_max)
+        )
 
     @property
     def trimmed_drive(self) -> float:
@@ -123,76 +152,117 @@ class CascadePlan:
         """Return the state of ``NAME_init``: no covered gear engaged, nothing remembered."""
         memory = (0.0,) * self.terms if self.terms else None
         covered = self.model.covered_gears
-        return ModelState(BacklashState(covered.spare_bits, memory), drive=covered.operator.x0)
+        return ModelState(
+            BacklashState(covered.spare_bits, memory), drive=covered.operator.x0
+        )
 
     def settled_state(self, drive: float) -> ModelState:
         """Return the state of ``NAME_reset``: settled and at rest at a drive (V)."""
         inner = float(through(self.drive_stages, np.array([drive]))[0])
         covered = self.model.covered_gears
         operator = covered.operator
-        start = covered.whole(operator.empty() if inner <= operator.x0 else operator.settled(inner))
+        start = covered.whole(
+            operator.empty() if inner <= operator.x0 else operator.settled(inner)
+        )
         _, after, _ = self.model.forward_backlash.run([inner], start)
-        memory = tuple(0.0 + (inner - self.reference) for _ in range(self.terms)) if self.terms else None
+        memory = (
+            tuple(0.0 + (inner - self.reference) for _ in range(self.terms))
+            if self.terms
+            else None
+        )
         lagging = None if self.model.drive_lag is None else ((drive, 0.0, drive),)
-        return ModelState(BacklashState(after.bits, memory), drive=inner, drive_lag=lagging)
+        return ModelState(
+            BacklashState(after.bits, memory), drive=inner, drive_lag=lagging
+        )
 
     def spare_words(self, width: int) -> list[str]:
         """Return the spare gears' bits as C constants of ``width`` bits; empty where there are none."""
         bits = self.model.covered_gears.spare_bits
         count, mask = -(-self.model.backlash.n // width), (1 << width) - 1
         form = "UINT64_C(0x{:x})" if width == 64 else "0x{:x}U"
-        return [form.format(bits >> width * k & mask) for k in range(count)] if bits else []
+        return (
+            [form.format(bits >> width * k & mask) for k in range(count)]
+            if bits
+            else []
+        )
 
 
-_KINDS = DiscreteBacklashOperator | DiscretePointOperator | ScaleStage | DynamicsStage | DelayStage
+_KINDS = (
+    DiscreteBacklashOperator
+    | DiscretePointOperator
+    | ScaleStage
+    | DynamicsStage
+    | DelayStage
+)
 
 
 def plan_cascade(
-    model: ActuatorModel, direction: Direction, sample_rate: float | None, limits: DriveLimits | None
+    model: ActuatorModel,
+    direction: Direction,
+    sample_rate: float | None,
+    limits: DriveLimits | None,
 ) -> CascadePlan:
     """Return the plan of one direction of a model; limits are for an inverse.
 
     Raises
     ------
     UsageError
-        The sample rate is missing where something depends on it, or is no rate; limits for a forward model.
+        The sample rate is missing where something depends on it, or is no rate; limits
+        for a forward model.
     ModelError
         A stage cannot be exported.
     """
-    if sample_rate is not None and not (math.isfinite(sample_rate) and sample_rate > 0.0):
-        raise UsageError(f"`sample_rate` {sample_rate!r}: must be a frequency in Hz greater than 0")
+    if sample_rate is not None and not (
+        math.isfinite(sample_rate) and sample_rate > 0.0
+    ):
+        raise UsageError(
+            f"`sample_rate` {sample_rate!r}: must be a frequency in Hz greater than 0"
+        )
     turned = model if model.direction == direction else model.inverse()
     relaxation = turned.backlash.relaxation  # a model that has no gears is refused here
     for place, stage in enumerate(turned.stages):
         if not isinstance(stage, _KINDS):
-            raise ModelError(f"stages[{place}]: a {type(stage).__name__} cannot be exported")
+            raise ModelError(
+                f"stages[{place}]: a {type(stage).__name__} cannot be exported"
+            )
     if direction == "forward" and limits is not None:
         raise UsageError("limits on the drive belong to `direction` inverse")
     timed = turned.needs_time or (limits is not None and limits.max_slew is not None)
     if timed and sample_rate is None:
-        raise UsageError("the model depends on the time between samples: give `sample_rate` in Hz")
+        raise UsageError(
+            "the model depends on the time between samples: give `sample_rate` in Hz"
+        )
     step = None if sample_rate is None else 1.0 / sample_rate
-    decay = np.empty(0) if relaxation is None or step is None else relaxation.decay(step)[0]
+    decay = (
+        np.empty(0) if relaxation is None or step is None else relaxation.decay(step)[0]
+    )
     if relaxation is not None and np.any(decay >= 1.0):
         raise ModelError(
             f"relaxation.tau: {max(relaxation.tau)!r} s is too slow for {sample_rate!r} Hz"
             " (`sample_rate` lower)"
         )
-    gain, reference = ((), 0.0) if relaxation is None else (relaxation.gain, relaxation.reference)
-    return CascadePlan(turned, step, limits, np.array(gain, dtype=np.float64), decay, reference)
+    gain, reference = (
+        ((), 0.0) if relaxation is None else (relaxation.gain, relaxation.reference)
+    )
+    return CascadePlan(
+        turned, step, limits, np.array(gain, dtype=np.float64), decay, reference
+    )
 
 
 def ignored_beyond(quantity: Quantity) -> str:
     """Return the C constant beyond which a value counts as no number: a power of two, in decimals."""
-    largest = _IGNORED_BEYOND * max(quantity.span, abs(quantity.minimum), abs(quantity.maximum))
-    return repr(2.0 ** min(math.ceil(math.log2(largest)), 126))  # 2^126 is a float32, too
+    largest = _IGNORED_BEYOND * max(
+        quantity.span, abs(quantity.minimum), abs(quantity.maximum)
+    )
+    # 2^126 is a float32, too
+    return repr(2.0 ** min(math.ceil(math.log2(largest)), 126))
 
 
 def self_test_moves(low: float, high: float, seed: int = 1) -> Floats:
     """Return inputs between ``low`` and ``high`` and a little beyond: about 300 samples, always the same.
 
-    A slow sweep there and back, an oscillation that decays around the middle, a random walk, random jumps, a
-    turn at each end exactly, a rest, and 3 % beyond either end.
+    A slow sweep there and back, an oscillation that decays around the middle, a random
+    walk, random jumps, a turn at each end exactly, a rest, and 3 % beyond either end.
     """
     rng = np.random.default_rng(seed)
     span = high - low
@@ -207,12 +277,14 @@ def self_test_moves(low: float, high: float, seed: int = 1) -> Floats:
     return low + span * np.concatenate(parts)
 
 
-def with_fewer_gears(model: ActuatorModel, gears: int) -> tuple[ActuatorModel, dict[str, float]]:
+def with_fewer_gears(
+    model: ActuatorModel, gears: int
+) -> tuple[ActuatorModel, dict[str, float]]:
     """Return a forward model with ``gears`` even gears on the same loading curve, and what is lost.
 
-    The loading curve keeps its value at every new breakpoint; turns between them are what gets coarser.
-    The loss is the difference of the two models' outputs over 20 test moves: ``max``, ``rms`` in the
-    output's unit, and ``max_percent`` of its range.
+    The loading curve keeps its value at every new breakpoint; turns between them are
+    what gets coarser. The loss is the difference of the two models' outputs over 20
+    test moves: ``max``, ``rms`` in the output's unit, and ``max_percent`` of its range.
 
     Raises
     ------
@@ -221,17 +293,28 @@ def with_fewer_gears(model: ActuatorModel, gears: int) -> tuple[ActuatorModel, d
     """
     full = model.forward_backlash
     if not 1 <= gears <= full.n:
-        raise UsageError(f"`gears` {gears}: the model has {full.n}; give a number from 1 to that")
+        raise UsageError(
+            f"`gears` {gears}: the model has {full.n}; give a number from 1 to that"
+        )
     forward = model if model.direction == "forward" else model.inverse()
     if gears == full.n:
         return forward, {}
-    across, up = (np.concatenate([[0.0], np.cumsum(widths)]) for widths in (full.dx, full.dy))
+    across, up = (
+        np.concatenate([[0.0], np.cumsum(widths)]) for widths in (full.dx, full.dy)
+    )
     ends = across[-1] * np.arange(gears + 1) / gears
     heights = np.diff(np.interp(ends, across, up))
     reduced = DiscreteBacklashOperator(
-        np.full(gears, across[-1] / gears), heights, full.x0, full.y0, full.relaxation, "input"
+        np.full(gears, across[-1] / gears),
+        heights,
+        full.x0,
+        full.y0,
+        full.relaxation,
+        "input",
     )
-    stages = tuple(reduced if stage is forward.backlash else stage for stage in forward.stages)
+    stages = tuple(
+        reduced if stage is forward.backlash else stage for stage in forward.stages
+    )
     fewer = replace(forward, stages=stages)
     return fewer, _loss(forward, fewer)
 
@@ -243,7 +326,10 @@ def _loss(full: ActuatorModel, fewer: ActuatorModel) -> dict[str, float]:
         step = max(full.delay_seconds, 1e-9)  # any step will do for a delay alone
     for seed in range(_TRIALS):
         moves = self_test_moves(full.input.minimum, full.input.maximum, seed)
-        outputs = [m.simulate(moves, m.start(float(moves[0])), time_step=step).y for m in (full, fewer)]
+        outputs = [
+            m.simulate(moves, m.start(float(moves[0])), time_step=step).y
+            for m in (full, fewer)
+        ]
         differences.append(outputs[1] - outputs[0])
     every = np.concatenate(differences)
     worst, rms = float(np.max(np.abs(every))), float(np.sqrt(np.mean(every**2)))

@@ -21,7 +21,11 @@ if TYPE_CHECKING:
 
 EXPORTING = (
     Option("--name NAME", "Begins the names of files, types, functions.", "actuator"),
-    Option("--direction inverse|forward", "Displacement to drive, or drive to displacement.", "inverse"),
+    Option(
+        "--direction inverse|forward",
+        "Displacement to drive, or drive to displacement.",
+        "inverse",
+    ),
     Option(
         "--arithmetic double|float|q31",
         "double: the bits of dbo compensate; float32 or 32-bit fixed point: with a bound on the error.",
@@ -44,14 +48,15 @@ EXPORTING = (
 def export(arguments: Given) -> None:
     """Write a model as C for a controller, with the tables, a self-test and a page to read.
 
-    C99 without allocation, recursion or library calls. double gives the bits of dbo compensate; float and
-    q31 (32-bit fixed point) come with a derived bound on their error. A set goes to one folder
-    with one kernel, tables of each channel and calls that step all, or (-o 'c/{channel}') to a folder each.
+    C99 without allocation, recursion or library calls. double gives the bits of dbo
+    compensate; float and q31 (32-bit fixed point) come with a derived bound on their
+    error. A set goes to one folder with one kernel, tables of each channel and calls
+    that step all, or (-o 'c/{channel}') to a folder each.
 
     Writes
     ------
-    A folder with NAME.h, NAME.c, NAME_test.c, the kernel, build files and README.md; it appears whole or
-    not at all.
+    A folder with NAME.h, NAME.c, NAME_test.c, the kernel, build files and README.md; it
+    appears whole or not at all.
 
     Usual options
     -------------
@@ -69,9 +74,14 @@ def export(arguments: Given) -> None:
     from dbo_cli.runs.jobs import summed_up
 
     remarks = Remarks()
-    made = export_models(arguments.model, arguments.output, remarks, **arguments.of(EXPORTING))
+    made = export_models(
+        arguments.model, arguments.output, remarks, **arguments.of(EXPORTING)
+    )
     remarks.note(
-        summed_up({channel: _summary_lines(summary) for channel, summary in made.items()}, "channel")
+        summed_up(
+            {channel: _summary_lines(summary) for channel, summary in made.items()},
+            "channel",
+        )
     )
     warnings = {channel: list(summary.warnings) for channel, summary in made.items()}
     remarks.warnings += summed_up(warnings, "channel")
@@ -86,7 +96,10 @@ def _summary_lines(summary: ExportSummary) -> list[str]:
         f" {summary.state_bytes} of state; {summary.vectors} samples of self-test"
     ]
     if summary.bounds:
-        same, close = (summary.bounds[f"{key}_percent"] for key in ("same_gears", "after_close_turn"))
+        same, close = (
+            summary.bounds[f"{key}_percent"]
+            for key in ("same_gears", "after_close_turn")
+        )
         lines.append(
             f"error at most {same:.2g} % of the range while both cross the same gears, {close:.2g} % after a "
             f"turn within {100.0 * summary.bounds['close_turn_fraction']:.2g} % of a gear's width from an end"

@@ -1,12 +1,13 @@
 """The model in float64: the kernel of the package, unchanged, and tables that give the same bits as it.
 
-A forward export passes its output through the dynamics. An inverse undoes them on what is wanted, for which
-it must know some samples of the future: it holds them back in a window, so that its output belongs to the
-input of that many samples ago.
+A forward export passes its output through the dynamics. An inverse undoes them on what
+is wanted, for which it must know some samples of the future: it holds them back in a
+window, so that its output belongs to the input of that many samples ago.
 
-With a lag before the gears, an inverse asks what drive the lag makes of what its other stages wish for; where
-the limits forbid that drive, the sample is done again with what they leave, so that the gears see what the
-actuator is driven by. It is what ``hysteresis.drive_lag`` does, as C.
+With a lag before the gears, an inverse asks what drive the lag makes of what its other
+stages wish for; where the limits forbid that drive, the sample is done again with what
+they leave, so that the gears see what the actuator is driven by. It is what
+``hysteresis.drive_lag`` does, as C.
 """
 
 from __future__ import annotations
@@ -18,7 +19,11 @@ import numpy as np
 
 from dbo_cli.errors import ModelError
 from dbo_cli.extras.export import source_text as c
-from dbo_cli.extras.export.cascade_plan import CascadePlan, ignored_beyond, self_test_moves
+from dbo_cli.extras.export.cascade_plan import (
+    CascadePlan,
+    ignored_beyond,
+    self_test_moves,
+)
 from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage
 from dbo_cli.hysteresis.drive_lag import coefficients, undoing_rows
 from dbo_cli.hysteresis.kernel import Floats
@@ -62,8 +67,13 @@ def double_code(plan: CascadePlan, lookup: bool) -> c.ModelCode:
     _gears(plan, parts, lookup)
     _memory_free(plan, parts)
     memory = [f"double memory[{plan.terms}];"] if plan.terms else []
-    # What a step of the gears changes; it writes to no turn that the state before it has.
-    kept = [member for member in (*parts.members, *memory) if not member.startswith("dbo_place ")]
+    # What a step of the gears changes; it writes to no turn that the state before it
+    # has.
+    kept = [
+        member
+        for member in (*parts.members, *memory)
+        if not member.startswith("dbo_place ")
+    ]
     _dynamics(plan, parts)
     lag = plan.model.drive_lag is not None
     step = _lag_step(plan, parts, kept) if lag else parts.once
@@ -73,12 +83,20 @@ def double_code(plan: CascadePlan, lookup: bool) -> c.ModelCode:
     if plan.delay_samples is not None:
         whole, part = plan.delay_samples
         if plan.delay_is_smooth:
-            more, delay = c.smooth_delay_line(whole, c.hex_double(1.0 - part), "double", "")
+            more, delay = c.smooth_delay_line(
+                whole, c.hex_double(1.0 - part), "double", ""
+            )
         else:
-            between = f"later + {c.hex_double(part)} * (earlier - later)" if part else "later"
+            between = (
+                f"later + {c.hex_double(part)} * (earlier - later)" if part else "later"
+            )
             more, delay = c.delay_line(whole, "double", between)
         members += more
-    dynamics, spare, covered = plan.model.dynamics is not None, plan.spare_words(64), plan.model.covered_gears
+    dynamics, spare, covered = (
+        plan.model.dynamics is not None,
+        plan.spare_words(64),
+        plan.model.covered_gears,
+    )
     values: dict[str, str | bool] = {
         "inverse": plan.model.direction == "inverse", "counts": False, "lookup": lookup, "lag": lag,
         "moving": dynamics, "terms": plan.terms > 0, "points": parts.segments > 0, "spare": bool(spare),
@@ -101,7 +119,9 @@ def double_code(plan: CascadePlan, lookup: bool) -> c.ModelCode:
         (c.INTERPOLATION, plan.delay_is_smooth),
     )
     used = tuple(header for header, needed in headers if needed)
-    return c.ModelCode("double", members, "double.c", values, _vectors(plan), used, parts.size, {})
+    return c.ModelCode(
+        "double", members, "double.c", values, _vectors(plan), used, parts.size, {}
+    )
 
 
 # ---- the gears
@@ -117,19 +137,27 @@ def _gears(plan: CascadePlan, parts: _Parts, lookup: bool) -> None:
         terms = _doubles("gain", plan.gain) + _doubles("decay", plan.decay)
     table, _ = kernel_table(gears.gears, run)
     rows = table[:-1]
-    parts.size = 48 * len(table) + 16 * plan.terms + fixed * (32 * len(rows) + 8 * plan.terms)
+    parts.size = (
+        48 * len(table) + 16 * plan.terms + fixed * (32 * len(rows) + 8 * plan.terms)
+    )
     # As dbo_prepare_fixed_step computes it.
     wide = rows[:, 0] + kappa * rows[:, 1]
     begins = rows[:, 4] + kappa * rows[:, 5]
-    steps = np.column_stack([wide * rows[:, 3], rows[:, 1] / wide, rows[:, 1] * rows[:, 3], begins])
+    steps = np.column_stack(
+        [wide * rows[:, 3], rows[:, 1] / wide, rows[:, 1] * rows[:, 3], begins]
+    )
     if lookup:
         corners = _corners(plan)
         parts.size += 17 * 2**gears.n
         parts.members = ["dbo_lookup_state gears;"]
     else:
-        parts.members = [*c.turns_members(gears.n, "double"), "dbo_backlash_state gears;"]
+        parts.members = [
+            *c.turns_members(gears.n, "double"),
+            "dbo_backlash_state gears;",
+        ]
     spare = [] if lookup else plan.spare_words(64)
-    lagging = plan.model.drive_lag is not None  # then the limits are made anew for each sample
+    # then the limits are made anew for each sample
+    lagging = plan.model.drive_lag is not None
     values: dict[str, str | bool] = {
         "terms": plan.terms > 0, "fixed": fixed, "lookup": lookup, "limits": limits is not None,
         "constant_limits": limits is not None and not lagging,
@@ -173,7 +201,8 @@ def _corners(plan: CascadePlan) -> str:
         )
     states = np.arange(2**n)
     engaged = (states[:, None] >> np.arange(n) & 1).astype(np.float64)
-    corners = engaged @ plan.model.backlash.gears[:, :2]  # exact: the widths lie on one binary grid
+    # exact: the widths lie on one binary grid
+    corners = engaged @ plan.model.backlash.gears[:, :2]
     lowest = [n, *((int(b) & -int(b)).bit_length() - 1 for b in states[1:])]
     return c.array("dbo_corner", "corners", c.double_rows(corners)) + c.array(
         "uint8_t", "lowest", [str(v) for v in lowest]
@@ -188,7 +217,8 @@ def _memory_free(plan: CascadePlan, parts: _Parts) -> None:
     parts.before = _stage_steps(plan.model.head, "before", parts)
     parts.behind = _stage_steps(plan.model.tail, "behind", parts)
     parts.drive = _stage_steps(plan.drive_stages, "drive", parts)
-    if plan.limits is not None and plan.model.tail:  # rounding on the way through the points
+    # rounding on the way through the points
+    if plan.limits is not None and plan.model.tail:
         low, high = ("low", "high") if plan.model.drive_lag is not None else (
             c.hex_double(plan.limits.v_min), c.hex_double(plan.limits.v_max)
         )  # fmt: skip
@@ -202,7 +232,9 @@ def _stage_steps(stages: MemoryFree, label: str, parts: _Parts) -> str:
         if isinstance(stage, ScaleStage):
             steps += f"    x = {c.hex_double(stage.gain)} * x + {c.hex_double(stage.offset)};\n"
             continue
-        parts.tables += c.array("dbo_segment", f"{label}_{k}", c.double_rows(stage.segments))
+        parts.tables += c.array(
+            "dbo_segment", f"{label}_{k}", c.double_rows(stage.segments)
+        )
         parts.size += 24 * stage.m
         steps += (
             f"    x = dbo_point_step({label}_{k}, {stage.m}, {c.hex_double(stage.x0)},\n"
@@ -225,7 +257,9 @@ def _dynamics(plan: CascadePlan, parts: _Parts) -> None:
     steps = stage.rows(plan.time_step).reshape(count, 6)
     parts.tables += c.array("dbo_section_step", "section_steps", c.double_rows(steps))
     parts.tables += c.array(
-        "dbo_section_output", "section_outputs", c.double_rows(section.output for section in stage.sections)
+        "dbo_section_output",
+        "section_outputs",
+        c.double_rows(section.output for section in stage.sections),
     )
     parts.size += 64 * count
     parts.members += [f"dbo_section_state sections[{count}];", "int moving;"]
@@ -242,15 +276,23 @@ def _undone_dynamics(plan: CascadePlan, parts: _Parts) -> None:
             weights = f"weights_{k}"
             parts.tables += _doubles(weights, part.weight)
         parts.members.append(f"double {window}[{ahead + 1}];")
-        rows.append([*(c.hex_double(v) for v in np.ravel(part.numbers)), str(ahead), weights])
+        rows.append(
+            [*(c.hex_double(v) for v in np.ravel(part.numbers)), str(ahead), weights]
+        )
         windows += f"        for (size_t k = 0; k < {ahead + 1}; k++) state->{window}[k] = x;\n"
-        words: c.Values = {"WINDOW": window, "AHEAD": str(ahead), "PLACE": str(k), "ahead": ahead > 0}
+        words: c.Values = {
+            "WINDOW": window,
+            "AHEAD": str(ahead),
+            "PLACE": str(k),
+            "ahead": ahead > 0,
+        }
         steps += c.fill("dynamics_undo.c", words)
     parts.tables += c.array("dbo_section_inverse", "sections", c.struct_rows(rows))
     parts.size += 72 * len(undone) + 8 * plan.inverter.ahead
     parts.members += [f"dbo_inverse_state sections[{len(undone)}];", "int moving;"]
     parts.undo = c.fill(
-        "dynamics_inverse.c", {"SECTIONS": str(len(undone)), "fill_windows": windows, "undo_sections": steps}
+        "dynamics_inverse.c",
+        {"SECTIONS": str(len(undone)), "fill_windows": windows, "undo_sections": steps},
     )
 
 
@@ -273,8 +315,14 @@ def _lag_step(plan: CascadePlan, parts: _Parts, gear_members: Sequence[str]) -> 
     assert plan.inner_limits is not None
     low, high, slew = plan.limits.v_min, plan.limits.v_max, plan.limits.max_slew
     numbers = coefficients(lag, plan.time_step)
-    parts.tables += c.array("dbo_section_step", "lag_undone", c.double_rows(undoing_rows(numbers)))
-    parts.tables += output + c.fill("next_above.c", {}) + ("" if slew is None else c.fill("towards.c", {}))
+    parts.tables += c.array(
+        "dbo_section_step", "lag_undone", c.double_rows(undoing_rows(numbers))
+    )
+    parts.tables += (
+        output
+        + c.fill("next_above.c", {})
+        + ("" if slew is None else c.fill("towards.c", {}))
+    )
     constants = {
         "LEAST": low, "MOST": high,
         "CHANGE": plan.limits.largest_change(plan.time_step) or 0.0, "PART": float(numbers[0, 0]),
@@ -287,7 +335,10 @@ def _lag_step(plan: CascadePlan, parts: _Parts, gear_members: Sequence[str]) -> 
         "drive_steps": _indented(parts.drive), "keep": "".join(keep for keep, _ in members),
         "bring_back": _indented("".join(back for _, back in members)),
     }  # fmt: skip
-    return c.fill("lag_inverse.c", texts | {key: c.hex_double(value) for key, value in constants.items()})
+    return c.fill(
+        "lag_inverse.c",
+        texts | {key: c.hex_double(value) for key, value in constants.items()},
+    )
 
 
 def _indented(text: str) -> str:
@@ -298,7 +349,10 @@ def _kept(member: str) -> tuple[str, str]:
     """Return the C that keeps a member of the state, and what brings it back."""
     kind, name, count = c.declared(member)
     if not count:
-        return f"    const {kind} kept_{name} = state->{name};\n", f"    state->{name} = kept_{name};\n"
+        return (
+            f"    const {kind} kept_{name} = state->{name};\n",
+            f"    state->{name} = kept_{name};\n",
+        )
     each = f"    for (size_t k = 0; k < {count}; k++)"
     return (
         f"    {kind} kept_{name}[{count}];\n{each} kept_{name}[k] = state->{name}[k];\n",
@@ -313,12 +367,21 @@ def _vectors(plan: CascadePlan) -> list[c.Vectors]:
     trimmed, vectors = plan.trimmed_drive, []
     for seed, reset in enumerate((None, trimmed), 1):
         state = plan.empty_state() if reset is None else plan.settled_state(reset)
-        moves = self_test_moves(plan.model.input.minimum, plan.model.input.maximum, seed)
+        moves = self_test_moves(
+            plan.model.input.minimum, plan.model.input.maximum, seed
+        )
         played = moves
-        if plan.inverter is not None:  # what reaches the other stages while the moves go into the window
+        # what reaches the other stages while the moves go into the window
+        if plan.inverter is not None:
             extended = np.concatenate([np.full(plan.inverter.ahead, moves[0]), moves])
             played = plan.inverter.run(extended, plan.inverter.rest(float(moves[0])))[0]
-        y = plan.model.simulate(played, state, time_step=plan.time_step, limits=plan.limits).y
+        y = plan.model.simulate(
+            played, state, time_step=plan.time_step, limits=plan.limits
+        ).y
         start = None if reset is None else c.hex_double(reset)
-        vectors.append(c.Vectors(start, *([c.hex_double(v) for v in values] for values in (moves, y))))
+        vectors.append(
+            c.Vectors(
+                start, *([c.hex_double(v) for v in values] for values in (moves, y))
+            )
+        )
     return vectors

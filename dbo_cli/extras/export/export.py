@@ -1,6 +1,7 @@
 """A model as a folder of C sources with tables, self-test, build files and one page to read.
 
-A model set, too, is one folder: one kernel, the tables of every channel, and calls of all.
+A model set, too, is one folder: one kernel, the tables of every channel, and calls of
+all.
 """
 
 from __future__ import annotations
@@ -15,7 +16,12 @@ from dbo_cli.drives.limits import beyond_range, drive_limits
 from dbo_cli.errors import DboError, ModelError, UsageError
 from dbo_cli.extras.export import project_files as project
 from dbo_cli.extras.export import source_text as c
-from dbo_cli.extras.export.cascade_plan import CascadePlan, Direction, plan_cascade, with_fewer_gears
+from dbo_cli.extras.export.cascade_plan import (
+    CascadePlan,
+    Direction,
+    plan_cascade,
+    with_fewer_gears,
+)
 from dbo_cli.extras.export.double_code import double_code
 from dbo_cli.extras.export.project_files import ExportSummary, Translated
 from dbo_cli.extras.export.single_code import NarrowGearsError, single_code
@@ -23,8 +29,10 @@ from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits
 
 Arithmetic = Literal["double", "float", "q31"]
 ARITHMETICS = ("double", "float", "q31")
-_OF_THE_SET = {"folder", "files", "warnings", "direction", "arithmetic"}  # not of a channel in export.json
-_KERNEL_NAME = re.compile(r"\bdbo_\w+\b(?!\.)")  # types and functions, but not the names of files
+# not of a channel in export.json
+_OF_THE_SET = {"folder", "files", "warnings", "direction", "arithmetic"}
+# types and functions, but not the names of files
+_KERNEL_NAME = re.compile(r"\bdbo_\w+\b(?!\.)")
 
 
 def export_model(
@@ -48,28 +56,35 @@ def export_model(
 ) -> ExportSummary:
     """Write a model as C sources for a controller, and return what they amount to.
 
-    ``model`` is forward or inverse; it is turned as ``direction`` says. ``folder`` appears whole or not at
-    all; ``overwrite`` replaces one that an earlier export wrote. ``name`` begins the names of files, types
-    and functions. An inverse takes displacement and gives the drive, as ``compensate``, within the range on
-    which the model was identified, cut by ``v_min`` and ``v_max`` (beyond it with ``extrapolate``), and
-    changing by at most ``max_slew`` a second (texts may have a unit, ``2kV/s``); a forward export takes the
-    drive. double gives the bits of ``simulate`` and ``compensate``; float and q31 come with a derived bound.
-    ``sample_rate`` is needed where relaxation, slew or a delay depends on it. ``gears`` takes fewer than the
-    model has. In double only: ``lookup`` (12 gears at most) is a table of all states, ``fmu`` adds an FMI 2.0
-    unit and ``shared`` a flat library, both compiled for this computer. ``arduino`` lays the files out as an
-    Arduino library.
+    ``model`` is forward or inverse; it is turned as ``direction`` says. ``folder``
+    appears whole or not at all; ``overwrite`` replaces one that an earlier export
+    wrote. ``name`` begins the names of files, types and functions. An inverse takes
+    displacement and gives the drive, as ``compensate``, within the range on which the
+    model was identified, cut by ``v_min`` and ``v_max`` (beyond it with
+    ``extrapolate``), and changing by at most ``max_slew`` a second (texts may have a
+    unit, ``2kV/s``); a forward export takes the drive. double gives the bits of
+    ``simulate`` and ``compensate``; float and q31 come with a derived bound.
+    ``sample_rate`` is needed where relaxation, slew or a delay depends on it. ``gears``
+    takes fewer than the model has. In double only: ``lookup`` (12 gears at most) is a
+    table of all states, ``fmu`` adds an FMI 2.0 unit and ``shared`` a flat library,
+    both compiled for this computer. ``arduino`` lays the files out as an Arduino
+    library.
 
     Raises
     ------
     UsageError
-        An argument contradicts another or is out of range; ``name`` is no usable identifier.
+        An argument contradicts another or is out of range; ``name`` is no usable
+        identifier.
     ModelError
         A stage cannot be exported, or not in this arithmetic.
     OutputError
-        The folder exists already or cannot be written; ``fmu`` or ``shared`` find no C compiler.
+        The folder exists already or cannot be written; ``fmu`` or ``shared`` find no C
+        compiler.
     """
     c.check_name(name)
-    check_choices(arithmetic, direction, {"lookup": lookup, "fmu": fmu, "shared": shared}, arduino)
+    check_choices(
+        arithmetic, direction, {"lookup": lookup, "fmu": fmu, "shared": shared}, arduino
+    )
     project.check_folder(folder, overwrite)
     translation = translated(
         model, folder, name=name, direction=direction, arithmetic=arithmetic, sample_rate=sample_rate,
@@ -90,19 +105,36 @@ def translated(
     extrapolate: bool = False,
 ) -> Translated:  # fmt: skip
     """Translate a model into C; see ``export_model``."""
-    model = replace(model, input=c.plain_quantity(model.input), output=c.plain_quantity(model.output))
+    model = replace(
+        model,
+        input=c.plain_quantity(model.input),
+        output=c.plain_quantity(model.output),
+    )
     model, loss = (model, {}) if gears is None else with_fewer_gears(model, gears)
     limits = _limits(model, direction, v_min, v_max, max_slew, extrapolate)
     plan = plan_cascade(model, direction, sample_rate, limits)
     try:
-        code = double_code(plan, lookup) if arithmetic == "double" else single_code(plan, arithmetic == "q31")
+        code = (
+            double_code(plan, lookup)
+            if arithmetic == "double"
+            else single_code(plan, arithmetic == "q31")
+        )
     except NarrowGearsError as problem:
         instead = f"`arithmetic` double{'' if arithmetic == 'q31' else ' or q31'}"
-        raise ModelError(f"{problem} ({_gears_that_do(model, plan, arithmetic)}{instead})") from None
+        raise ModelError(
+            f"{problem} ({_gears_that_do(model, plan, arithmetic)}{instead})"
+        ) from None
     words = _words(plan, name, arithmetic)
     count, run = plan.model.backlash.n, plan.model.backlash.equal_run
-    # Towards the input; an inverse then to its limits, and back to where a drive lag's own limits hold it.
-    passes = 1 if plan.model.direction == "forward" else 2 if plan.model.drive_lag is None else 3
+    # Towards the input; an inverse then to its limits, and back to where a drive lag's
+    # own limits hold it.
+    passes = (
+        1
+        if plan.model.direction == "forward"
+        else 2
+        if plan.model.drive_lag is None
+        else 3
+    )
     beyond = ""
     if plan.limits is not None:
         beyond = beyond_range(plan.model.drive, plan.limits.v_min, plan.limits.v_max)
@@ -118,9 +150,14 @@ def translated(
 
 def _gears_that_do(model: ActuatorModel, plan: CascadePlan, arithmetic: str) -> str:
     """Return the remedy for gears that are too narrow: how many, halved until they do, are wide enough."""
-    gears, rate = plan.model.backlash.n // 2, None if plan.time_step is None else 1.0 / plan.time_step
+    gears, rate = (
+        plan.model.backlash.n // 2,
+        None if plan.time_step is None else 1.0 / plan.time_step,
+    )
     while gears:
-        fewer = plan_cascade(with_fewer_gears(model, gears)[0], plan.model.direction, rate, plan.limits)
+        fewer = plan_cascade(
+            with_fewer_gears(model, gears)[0], plan.model.direction, rate, plan.limits
+        )
         try:
             single_code(fewer, arithmetic == "q31")
         except NarrowGearsError:
@@ -135,7 +172,9 @@ def check_choices(
 ) -> None:
     """Refuse choices that do not exist or contradict each other."""
     if arithmetic not in ARITHMETICS:
-        raise UsageError(f"`arithmetic` {arithmetic!r}: there are {', '.join(ARITHMETICS)}")
+        raise UsageError(
+            f"`arithmetic` {arithmetic!r}: there are {', '.join(ARITHMETICS)}"
+        )
     if direction not in ("inverse", "forward"):
         raise UsageError(f"`direction` {direction!r}: there are inverse, forward")
     for option, wanted in double_only.items():
@@ -162,11 +201,14 @@ def _limits(
 def most_runs(gears: int, arithmetic: str) -> int:
     """Return the most runs of gears that are crossed one way, one by one.
 
-    Every other gear is a run at most. Behind the first gears, which are crossed before anything is looked up,
-    the way goes on from a checkpoint, and every other turn up to the next checkpoint ends a run.
+    Every other gear is a run at most. Behind the first gears, which are crossed before
+    anything is looked up, the way goes on from a checkpoint, and every other turn up to
+    the next checkpoint ends a run.
     """
     first_gears = 8 if arithmetic == "double" else 2  # SINGLE of the kernels
-    return min((gears + 1) // 2, first_gears + c.checkpoint_spacing(gears, arithmetic) // 2 + 1)
+    return min(
+        (gears + 1) // 2, first_gears + c.checkpoint_spacing(gears, arithmetic) // 2 + 1
+    )
 
 
 def _words(plan: CascadePlan, name: str, arithmetic: str) -> c.Values:
@@ -188,35 +230,56 @@ def _words(plan: CascadePlan, name: str, arithmetic: str) -> c.Values:
 
 def _places(gears: int, arithmetic: str) -> dict[str, str]:
     """Return how the kernel counts gears and turns, where one operator has so many gears and none more."""
-    return {"PLACE": f"uint{c.place_bits(gears)}_t", "SPACING": str(c.checkpoint_spacing(gears, arithmetic))}
+    return {
+        "PLACE": f"uint{c.place_bits(gears)}_t",
+        "SPACING": str(c.checkpoint_spacing(gears, arithmetic)),
+    }
 
 
 def _notes(plan: CascadePlan, loss: dict[str, float], words: c.Values) -> list[str]:
     """Return what the caller must know or do."""
-    values: dict[str, str | bool] = {"loss": bool(loss), "GEARS": str(plan.model.backlash.n)}
+    values: dict[str, str | bool] = {
+        "loss": bool(loss),
+        "GEARS": str(plan.model.backlash.n),
+    }
     if plan.time_step is not None:
         steps = round(plan.read_ahead / plan.time_step, 6)
         values["SHOWN_RATE"] = f"{1.0 / plan.time_step:.12g}"
-        values["SHOWN_AHEAD"] = f"{plan.read_ahead:.9g} s ({steps:.6g} sample{'s' if steps > 1 else ''})"
+        values["SHOWN_AHEAD"] = (
+            f"{plan.read_ahead:.9g} s ({steps:.6g} sample{'s' if steps > 1 else ''})"
+        )
     if plan.limits is not None:
         slew, unit = plan.limits.max_slew, plan.model.drive.suffix
-        slowly = "" if slew is None else f", changing by at most {slew!r}{unit} a second"
-        values["LEAST"], values["MOST_SLEW"] = repr(plan.limits.v_min), f"{plan.limits.v_max!r}{unit}{slowly}"
+        slowly = (
+            "" if slew is None else f", changing by at most {slew!r}{unit} a second"
+        )
+        values["LEAST"], values["MOST_SLEW"] = (
+            repr(plan.limits.v_min),
+            f"{plan.limits.v_max!r}{unit}{slowly}",
+        )
     if loss:
-        unit = (plan.model.output if plan.model.direction == "forward" else plan.model.input).suffix
+        unit = (
+            plan.model.output if plan.model.direction == "forward" else plan.model.input
+        ).suffix
         most, percent, rms = loss["max"], loss["max_percent"], loss["rms"]
-        values["LOSS"] = f"{most:.3g}{unit} ({percent:.2g} % of the range) at most, {rms:.3g}{unit}"
+        values["LOSS"] = (
+            f"{most:.3g}{unit} ({percent:.2g} % of the range) at most, {rms:.3g}{unit}"
+        )
     return c.fill("notes.md", {**words, **values}).splitlines()
 
 
-def _files(translation: Translated, arduino: bool, fmu: bool, shared: bool) -> dict[str, str | bytes]:
+def _files(
+    translation: Translated, arduino: bool, fmu: bool, shared: bool
+) -> dict[str, str | bytes]:
     """Return the content of every file by its path in the folder."""
     plan, code, summary, words = translation
     name = summary.name
     model_files = c.model_sources(words, code)
     test = model_files.pop(f"{name}_test.c")
     sources = model_files | kernel_files(words, summary.arithmetic, code.headers)
-    files: dict[str, str | bytes] = {**project.project_files(translation, sources, test, arduino)}
+    files: dict[str, str | bytes] = {
+        **project.project_files(translation, sources, test, arduino)
+    }
     if shared:
         files |= project.library_files(words, sources)
     if fmu:
@@ -224,7 +287,9 @@ def _files(translation: Translated, arduino: bool, fmu: bool, shared: bool) -> d
     return files
 
 
-def kernel_files(words: c.Values, arithmetic: str, headers: tuple[str, ...]) -> dict[str, str]:
+def kernel_files(
+    words: c.Values, arithmetic: str, headers: tuple[str, ...]
+) -> dict[str, str]:
     """Return the kernel's sources as they are, and headers that make their names this export's own."""
     name, guard = words["NAME"], words["GUARD"]
     package, firmware = (
@@ -234,21 +299,34 @@ def kernel_files(words: c.Values, arithmetic: str, headers: tuple[str, ...]) -> 
     files: dict[str, str] = {}
     if c.INTERPOLATION in headers:
         files[c.INTERPOLATION] = c.interpolation_header(arithmetic)
-    kernels = [header.removesuffix(".h") for header in headers if header != c.INTERPOLATION]
+    kernels = [
+        header.removesuffix(".h") for header in headers if header != c.INTERPOLATION
+    ]
     for file in ("dbo_kernel", *kernels):
         for kind in ("c", "h"):
             path = (firmware if file == "dbo_lookup" else package) / f"{file}.{kind}"
             if arithmetic != "double":
                 path = firmware / f"{file}_single.{kind}"
             files[f"{file}.{kind}"] = path.read_text(encoding="utf-8")
-    names = sorted({word for text in files.values() for word in _KERNEL_NAME.findall(text)})
+    names = sorted(
+        {word for text in files.values() for word in _KERNEL_NAME.findall(text)}
+    )
     for file in [file for file in files if file.endswith(".h")]:
         kernel_guard = file.upper().replace(".", "_")
         guards = {"OWN_GUARD": f"{guard}_{kernel_guard}", "KERNEL_GUARD": kernel_guard}
-        files[file] = c.fill("kernel_header.h", {"NAME": name, **guards, "text": files[file]})
-    defined = "".join(f"#undef {word}\n#define {word} {name}_{word}\n" for word in names)
+        files[file] = c.fill(
+            "kernel_header.h", {"NAME": name, **guards, "text": files[file]}
+        )
+    defined = "".join(
+        f"#undef {word}\n#define {word} {name}_{word}\n" for word in names
+    )
     chosen = {key: arithmetic == key for key in ("float", "q31")}
-    known = {**chosen, "names": defined, "PLACE": words["PLACE"], "SPACING": words["SPACING"]}
+    known = {
+        **chosen,
+        "names": defined,
+        "PLACE": words["PLACE"],
+        "SPACING": words["SPACING"],
+    }
     return {**files, f"{name}_names.h": c.fill("NAME_names.h", known)}
 
 
@@ -259,15 +337,17 @@ def export_set(
 ) -> dict[str, ExportSummary]:  # fmt: skip
     """Write the models of a set as C sources with one kernel, and return what each channel amounts to.
 
-    ``name`` begins the names of the set, with the channel behind it (``NAME_CHANNEL``) those of a channel.
-    ``options`` are those of ``export_model``, the same for all channels.
+    ``name`` begins the names of the set, with the channel behind it (``NAME_CHANNEL``)
+    those of a channel. ``options`` are those of ``export_model``, the same for all
+    channels.
 
     Raises
     ------
     DboError
         As ``export_model``, with the channel's name.
     UsageError
-        Two channels would have the same names in C, or an option is of single models alone.
+        Two channels would have the same names in C, or an option is of single models
+        alone.
     """
     for option, wanted in {"arduino": arduino, "fmu": fmu, "shared": shared}.items():
         if wanted:
@@ -291,7 +371,9 @@ def export_set(
     most = max(translation.summary.gears for translation in made.values())
     for channel, translation in made.items():
         size = translation.code.state_bytes(most)
-        made[channel] = translation._replace(summary=replace(translation.summary, state_bytes=size))
+        made[channel] = translation._replace(
+            summary=replace(translation.summary, state_bytes=size)
+        )
     files = _set_files(made, name)
     listed = [*sorted(files), project.MANIFEST]
     figures = {
@@ -303,7 +385,8 @@ def export_set(
     }  # fmt: skip
     project.write_folder(folder, files, figures, overwrite)
     return {
-        channel: replace(translation.summary, files=tuple(listed)) for channel, translation in made.items()
+        channel: replace(translation.summary, files=tuple(listed))
+        for channel, translation in made.items()
     }
 
 
@@ -335,7 +418,9 @@ def _set_files(made: Mapping[str, Translated], name: str) -> dict[str, str]:
         "VECTORS": str(sum(each.summary.vectors for each in made.values())), "ARITHMETIC": arithmetic,
         "moving": any(each.plan.model.dynamics is not None for each in made.values()),
     }  # fmt: skip
-    headers = tuple(dict.fromkeys(header for each in made.values() for header in each.code.headers))
+    headers = tuple(
+        dict.fromkeys(header for each in made.values() for header in each.code.headers)
+    )
     sources, tests = kernel_files(words, arithmetic, headers), {}
     for each in made.values():
         channel_files = c.model_sources({**each.words, "alone": False}, each.code)
@@ -345,8 +430,17 @@ def _set_files(made: Mapping[str, Translated], name: str) -> dict[str, str]:
     lines = _lines(made, name)
     known = words | lines | {"NUMBER": first.code.number}
     sources |= {f"{name}.{kind}": c.fill(f"SET.{kind}", known) for kind in "hc"}
-    values = project.build_values(words, first.code.number, sources, [f"{name}_test.c", *tests]) | lines
-    pages = {"SET_main.c": "example_main.c", "SET_README.md": "README.md", "SET_test.c": f"{name}_test.c"}
+    values = (
+        project.build_values(
+            words, first.code.number, sources, [f"{name}_test.c", *tests]
+        )
+        | lines
+    )
+    pages = {
+        "SET_main.c": "example_main.c",
+        "SET_README.md": "README.md",
+        "SET_test.c": f"{name}_test.c",
+    }
     around = {file: c.fill(page, values) for page, file in pages.items()}
     return {**sources, **tests, **around, **project.build_files(values)}
 

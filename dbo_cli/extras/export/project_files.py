@@ -1,8 +1,9 @@
 """The files around the sources: build files, an example, the Arduino layout, the page and its figures.
 
-What is compiled for this computer, too: a flat C library, which LabVIEW, MATLAB, Julia and ctypes can call,
-and an FMI 2.0 co-simulation unit, which has a model description, the sources and this computer's binary. The
-folder of an export appears whole or not at all, and only ever replaces an export.
+What is compiled for this computer, too: a flat C library, which LabVIEW, MATLAB, Julia
+and ctypes can call, and an FMI 2.0 co-simulation unit, which has a model description,
+the sources and this computer's binary. The folder of an export appears whole or not at
+all, and only ever replaces an export.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ from dbo_cli.hysteresis.model import Quantity
 
 MANIFEST = "export.json"
 FORMAT = "dbo-export"
-_EARLIEST = (1980, 1, 1, 0, 0, 0)  # zip's first date: the same export gives the same bytes
+# zip's first date: the same export gives the same bytes
+_EARLIEST = (1980, 1, 1, 0, 0, 0)
 
 
 @dataclass(frozen=True)
@@ -51,10 +53,11 @@ class ExportSummary:
     worst_runs : int
         A bound on the work of one step: the most runs of gears it crosses one by one.
     bounds : mapping
-        Derived bounds on the error against the float64 model, in the output's unit and in % of its range;
-        empty for double, which gives the same bits.
+        Derived bounds on the error against the float64 model, in the output's unit and
+        in % of its range; empty for double, which gives the same bits.
     gears_loss : mapping
-        Where gears were taken away: the largest and the RMS difference this makes on test moves.
+        Where gears were taken away: the largest and the RMS difference this makes on
+        test moves.
     vectors : int
         Samples in the self-test.
     notes, warnings : tuple of str
@@ -157,7 +160,10 @@ def shown_figures(translation: Translated) -> Values:
     drive, result = plan.model.drive, plan.model.output
     figures = {key.upper(): str(value) for key, value in asdict(summary).items()}
     for key in ("same_gears", "after_close_turn"):
-        most, percent = summary.bounds.get(key, 0.0), summary.bounds.get(f"{key}_percent", 0.0)
+        most, percent = (
+            summary.bounds.get(key, 0.0),
+            summary.bounds.get(f"{key}_percent", 0.0),
+        )
         figures[key.upper()] = f"{most:.3g}{result.suffix} ({percent:.3g} %"
     figures["CLOSE_TURN"] = f"{summary.bounds.get('close_turn_fraction', 0.0):.2g}"
     figures["LOWEST_DRIVE"] = f"{drive.minimum!r}{drive.suffix}"
@@ -176,11 +182,14 @@ def check_folder(folder: str, overwrite: bool) -> None:
     Raises
     ------
     OutputError
-        There is something of that name and ``overwrite`` is not given, or what is there is no export.
+        There is something of that name and ``overwrite`` is not given, or what is there
+        is no export.
     """
     target = Path(folder)
     if not target.parent.is_dir():
-        raise OutputError(f"{folder}: there is no folder '{target.parent}': create it first")
+        raise OutputError(
+            f"{folder}: there is no folder '{target.parent}': create it first"
+        )
     if not os.access(target.parent, os.W_OK):
         raise OutputError(f"{folder}: the folder '{target.parent}' is not writable")
     if not os.path.lexists(target):
@@ -188,7 +197,9 @@ def check_folder(folder: str, overwrite: bool) -> None:
     if not target.is_dir() or target.is_symlink():
         raise OutputError(f"{folder}: is no folder: choose another name")
     if not overwrite:
-        raise OutputError(f"{folder}: the folder exists already (`overwrite` replaces an export)")
+        raise OutputError(
+            f"{folder}: the folder exists already (`overwrite` replaces an export)"
+        )
     try:
         listed = json.loads((target / MANIFEST).read_text(encoding="utf-8"))
         known = set(listed["files"]) if listed["format"] == FORMAT else set()
@@ -196,7 +207,9 @@ def check_folder(folder: str, overwrite: bool) -> None:
         known |= made | {f"{listed['name']}_test", "example"}
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         known = set()
-    paths = sorted(p.relative_to(target).as_posix() for p in target.rglob("*") if not p.is_dir())
+    paths = sorted(
+        p.relative_to(target).as_posix() for p in target.rglob("*") if not p.is_dir()
+    )
     if strangers := [path for path in paths if path not in known]:
         raise OutputError(
             f"{folder}: holds '{strangers[0]}', which no export wrote: it is not overwritten"
@@ -205,7 +218,10 @@ def check_folder(folder: str, overwrite: bool) -> None:
 
 
 def write_folder(
-    folder: str, files: Mapping[str, str | bytes], figures: Mapping[str, Any], overwrite: bool
+    folder: str,
+    files: Mapping[str, str | bytes],
+    figures: Mapping[str, Any],
+    overwrite: bool,
 ) -> None:
     """Write files under a temporary name beside ``folder``, then rename; an old export makes way whole.
 
@@ -218,7 +234,12 @@ def write_folder(
     """
     check_folder(folder, overwrite)
     target = Path(folder)
-    manifest = json.dumps({"format": FORMAT, "version": 1, **figures}, indent=2, ensure_ascii=False) + "\n"
+    manifest = (
+        json.dumps(
+            {"format": FORMAT, "version": 1, **figures}, indent=2, ensure_ascii=False
+        )
+        + "\n"
+    )
     mark = f"{os.getpid()}-{secrets.token_hex(4)}"
     partial = target.parent / f".{target.name[:100]}.{mark}.partial"
     old = target.parent / f".{target.name[:100]}.{mark}.old"
@@ -236,7 +257,9 @@ def write_folder(
                 old.rename(target)
             raise
     except OSError as problem:
-        raise OutputError(f"{folder}: cannot be written: {problem.strerror or problem}") from None
+        raise OutputError(
+            f"{folder}: cannot be written: {problem.strerror or problem}"
+        ) from None
     finally:
         shutil.rmtree(partial, ignore_errors=True)
         shutil.rmtree(old, ignore_errors=True)
@@ -251,7 +274,10 @@ def library_files(words: Values, code: Mapping[str, str]) -> dict[str, str | byt
         There is no compiler, or it refuses.
     """
     name = words["NAME"]
-    flat = {f"{name}_library.{kind}": fill(f"NAME_library.{kind}", words) for kind in ("h", "c")}
+    flat = {
+        f"{name}_library.{kind}": fill(f"NAME_library.{kind}", words)
+        for kind in ("h", "c")
+    }
     return {**flat, f"lib{name}{_library_suffix()}": _compile({**code, **flat})}
 
 
@@ -279,8 +305,12 @@ def _compile(sources: Mapping[str, str]) -> bytes:
             cwd=folder, capture_output=True, text=True, check=False,
         )  # fmt: skip
         if done.returncode != 0:
-            reason = (done.stderr.strip() or f"exit code {done.returncode}").splitlines()[0]
-            raise OutputError(f"the C compiler '{command}' refuses the sources: {reason}")
+            reason = (
+                done.stderr.strip() or f"exit code {done.returncode}"
+            ).splitlines()[0]
+            raise OutputError(
+                f"the C compiler '{command}' refuses the sources: {reason}"
+            )
         return (Path(folder) / "library").read_bytes()
 
 
@@ -332,5 +362,7 @@ def fmu_bytes(plan: CascadePlan, words: Values, code: Mapping[str, str]) -> byte
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         for path, content in files.items():
-            archive.writestr(zipfile.ZipInfo(path, _EARLIEST), content, zipfile.ZIP_DEFLATED)
+            archive.writestr(
+                zipfile.ZipInfo(path, _EARLIEST), content, zipfile.ZIP_DEFLATED
+            )
     return packed.getvalue()

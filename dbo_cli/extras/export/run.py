@@ -29,7 +29,9 @@ def export_models(
     models = read_set(model_file)
     typed = {key: options.get(key) for key in ("v_min", "v_max", "max_slew")}
     if any(limit is not None for limit in typed.values()):
-        require_one_unit({channel: model.drive.unit for channel, model in models.items()}, **typed)
+        require_one_unit(
+            {channel: model.drive.unit for channel, model in models.items()}, **typed
+        )
     if models.coupling is not None:
         remarks.warn(
             f"the models of {model_file} are coupled, and the sources are of single channels: what is wanted "
@@ -40,6 +42,8 @@ def export_models(
     with whole_output.all_or_none():
         make_folder_of(parse_address(folder))
         return {
-            channel: export_model(model, in_name(folder, channel), name=f"{name}_{channel}", **options)
+            channel: export_model(
+                model, in_name(folder, channel), name=f"{name}_{channel}", **options
+            )
             for channel, model in models.items()
         }

@@ -1,17 +1,20 @@
 """The model in float32 or q31 as C: tables, how far they can be from the float64 model, steps and self-test.
 
-The bounds on the error are derived from the tables, step by step.
-Every rounding is bounded by half a unit (q31) or by 2^-24 of the largest number that can stand there
-(float32), and followed to the output through the slopes. Two runs cross the same gears unless the drive
-turns within the crossing tolerance of a gear's end. After such a turn their remembered turning points differ
-by up to one gear's width until a larger move wipes them out. The output depends on nested turning points
-m_1, m_2 ... by the difference of the slopes at which the branches before and behind each end, and these
-differences add up to at most the total variation of the slopes: hence one width times that variation.
+The bounds on the error are derived from the tables, step by step. Every rounding is
+bounded by half a unit (q31) or by 2^-24 of the largest number that can stand there
+(float32), and followed to the output through the slopes. Two runs cross the same gears
+unless the drive turns within the crossing tolerance of a gear's end. After such a turn
+their remembered turning points differ by up to one gear's width until a larger move
+wipes them out. The output depends on nested turning points m_1, m_2 ... by the
+difference of the slopes at which the branches before and behind each end, and these
+differences add up to at most the total variation of the slopes: hence one width times
+that variation.
 
-Memory on the output feeds an error back. Where the loop gain is below one, errors grow by 1/(1 - gain).
-Else a bound comes from energy: with V = sum c_j e_j^2 / (2 b_j) a disturbance r of the input gives
-V_k+1 <= V_k + r e - s e^2 - sum c_j ((b_j/2) e^2 + (1 - b_j/2) e_j^2), so V <= r^2 / (4 (s + kappa/2) rho)
-with rho = min 2 b_j (1 - b_j/2), and sum c_j a_j e_j <= r A by Cauchy-Schwarz.
+Memory on the output feeds an error back. Where the loop gain is below one, errors grow
+by 1/(1 - gain). Else a bound comes from energy: with V = sum c_j e_j^2 / (2 b_j) a
+disturbance r of the input gives V_k+1 <= V_k + r e - s e^2 - sum c_j ((b_j/2) e^2 + (1
+- b_j/2) e_j^2), so V <= r^2 / (4 (s + kappa/2) rho) with rho = min 2 b_j (1 - b_j/2),
+and sum c_j a_j e_j <= r A by Cauchy-Schwarz.
 """
 
 from __future__ import annotations
@@ -24,8 +27,19 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.errors import ModelError
-from dbo_cli.extras.export.cascade_plan import CascadePlan, ignored_beyond, self_test_moves
-from dbo_cli.extras.export.single_kernel import PARTS, F, Segments, SingleKernel, SingleTables, clamped
+from dbo_cli.extras.export.cascade_plan import (
+    CascadePlan,
+    ignored_beyond,
+    self_test_moves,
+)
+from dbo_cli.extras.export.single_kernel import (
+    PARTS,
+    F,
+    Segments,
+    SingleKernel,
+    SingleTables,
+    clamped,
+)
 from dbo_cli.extras.export.source_text import (
     INTERPOLATION,
     ModelCode,
@@ -83,9 +97,10 @@ class Folded:
 class Axes:
     """The gears at the time step, and how the arithmetic holds them.
 
-    ``wide`` and ``high`` are the widths wanted, per gear; ``widths`` and ``heights`` those of the tables, in
-    the same units; positions are multiples of ``x_unit`` and ``y_unit``. ``fine`` are the bits by which
-    positions are finer than counts, on either axis.
+    ``wide`` and ``high`` are the widths wanted, per gear; ``widths`` and ``heights``
+    those of the tables, in the same units; positions are multiples of ``x_unit`` and
+    ``y_unit``. ``fine`` are the bits by which positions are finer than counts, on
+    either axis.
     """
 
     kappa: float
@@ -111,7 +126,8 @@ class Axes:
 def fold(stages: MemoryFree, low: float, high: float) -> Folded:
     """Return points and scales, composed, as one function of an input between ``low`` and ``high``.
 
-    Exact up to float64's rounding: its nodes are the points of every stage, led back to the input.
+    Exact up to float64's rounding: its nodes are the points of every stage, led back to
+    the input.
     """
     nodes = [low]
     for place, stage in enumerate(stages):
@@ -154,7 +170,9 @@ def axes_of(plan: CascadePlan) -> Axes:
     units = []
     for axis, (total, widths) in enumerate(zip(totals, (wide, high), strict=True)):
         most = float(widths.max()) / total * COUNTS
-        fine[axis] = min(math.floor(math.log2((2.0**31 - 1024.0) / most)), MOST_FINE_BITS)
+        fine[axis] = min(
+            math.floor(math.log2((2.0**31 - 1024.0) / most)), MOST_FINE_BITS
+        )
         units.append(total / COUNTS / 2.0 ** fine[axis])
     run = gears.equal_run
     return Axes(
@@ -165,22 +183,34 @@ def axes_of(plan: CascadePlan) -> Axes:
 
 def shift_for(largest: float) -> int:
     """Return the shift, 62 at most, that brings a factor just below 2^31, as a whole number."""
-    return min(math.floor(math.log2((2.0**31 - 1.0) / largest)), 62) if largest > 0.0 else 30
+    return (
+        min(math.floor(math.log2((2.0**31 - 1.0) / largest)), 62)
+        if largest > 0.0
+        else 30
+    )
 
 
-def segments_of(folded: Folded, q31: bool, x: tuple[float, float], y: tuple[float, float]) -> Segments:
+def segments_of(
+    folded: Folded, q31: bool, x: tuple[float, float], y: tuple[float, float]
+) -> Segments:
     """Return a folded function in the arithmetic; ``x`` and ``y`` are (offset, unit) of either axis."""
     at, up = (folded.x - x[0]) / x[1], (folded.y - y[0]) / y[1]
     slopes = folded.slope * x[1] / y[1]
     if not q31:
-        return Segments([(F(a), F(b), F(s)) for a, b, s in zip(at, up, slopes, strict=True)], 0)
+        return Segments(
+            [(F(a), F(b), F(s)) for a, b, s in zip(at, up, slopes, strict=True)], 0
+        )
     at, up = np.rint(at), np.rint(up)
     slopes[:-1] = np.diff(up) / np.maximum(np.diff(at), 1.0)
     shift = shift_for(float(np.abs(slopes).max()))
     if shift < 16 or float(np.abs(at).max()) >= 2.0**31:
-        raise ModelError("points or scales beyond the range of q31 (`arithmetic` float or double)")
+        raise ModelError(
+            "points or scales beyond the range of q31 (`arithmetic` float or double)"
+        )
     rows = zip(at.tolist(), up.tolist(), slopes.tolist(), strict=True)
-    return Segments([(int(a), int(b), round(s * 2.0**shift)) for a, b, s in rows], shift)
+    return Segments(
+        [(int(a), int(b), round(s * 2.0**shift)) for a, b, s in rows], shift
+    )
 
 
 def counts_of_range(quantity: Quantity) -> tuple[float, float]:
@@ -191,7 +221,8 @@ def counts_of_range(quantity: Quantity) -> tuple[float, float]:
 def _remembered(plan: CascadePlan, axes: Axes) -> tuple[int, float, float]:
     """Return the shift from positions to what memories count, one of those, and where the axis begins.
 
-    It is a count of the remembered axis, or coarser where the reference is far away: they have 31 bits.
+    It is a count of the remembered axis, or coarser where the reference is far away:
+    they have 31 bits.
     """
     gears, on_output = plan.model.backlash, plan.model.backlash.memory_on == "output"
     offset = (gears.y0 if on_output else gears.x0) - plan.reference
@@ -213,11 +244,15 @@ def _terms(plan: CascadePlan, axes: Axes) -> tuple[list[tuple[int, int, int]], i
     factors, rests = _carried(plan, axes), 1.0 - plan.decay
     shift = shift_for(float(factors.sum()))
     if shift < 0:
-        raise ModelError("relaxation.gain: beyond the range of this arithmetic (`arithmetic` double)")
+        raise ModelError(
+            "relaxation.gain: beyond the range of this arithmetic (`arithmetic` double)"
+        )
     downs = [math.floor(math.log2(COUNTS / rest)) for rest in rests.tolist()]
     return [
         (round(factor * 2.0**shift), round(rest * 2.0**down), down)
-        for factor, rest, down in zip(factors.tolist(), rests.tolist(), downs, strict=True)
+        for factor, rest, down in zip(
+            factors.tolist(), rests.tolist(), downs, strict=True
+        )
     ], shift
 
 
@@ -228,12 +263,20 @@ def _rows(axes: Axes, q31: bool) -> tuple[list[tuple[int, int, Any]], int]:
     if q31 and shift < 16:
         raise ModelError("dy: a gear too steep for q31 (`arithmetic` float or double)")
     return [
-        (round(w / axes.x_unit), round(h / axes.y_unit), round(s * 2.0**shift) if q31 else F(s))
-        for w, h, s in zip(axes.widths.tolist(), axes.heights.tolist(), slopes.tolist(), strict=True)
+        (
+            round(w / axes.x_unit),
+            round(h / axes.y_unit),
+            round(s * 2.0**shift) if q31 else F(s),
+        )
+        for w, h, s in zip(
+            axes.widths.tolist(), axes.heights.tolist(), slopes.tolist(), strict=True
+        )
     ], shift
 
 
-def single_tables(plan: CascadePlan, axes: Axes, q31: bool, tolerance: float) -> SingleTables:
+def single_tables(
+    plan: CascadePlan, axes: Axes, q31: bool, tolerance: float
+) -> SingleTables:
     """Return every constant; ``tolerance`` is the part of a gear that may be missing when it is crossed.
 
     Raises
@@ -243,12 +286,18 @@ def single_tables(plan: CascadePlan, axes: Axes, q31: bool, tolerance: float) ->
     """
     gears = plan.model.backlash
     if gears.n > MOST_GEARS:
-        raise ModelError(f"dx: {gears.n} gears are more than {MOST_GEARS} (`gears` fewer, or double)")
+        raise ModelError(
+            f"dx: {gears.n} gears are more than {MOST_GEARS} (`gears` fewer, or double)"
+        )
     on_output = gears.memory_on == "output"
     source, result = plan.model.input, plan.model.output
     rows, slope_shift = _rows(axes, q31)
     base = gears.x0 + (axes.kappa * (gears.y0 - plan.reference) if on_output else 0.0)
-    taken, goes_in = (counts_of_range(source), counts_of_range(result)) if q31 else ((0.0, 1.0), (0.0, 1.0))
+    taken, goes_in = (
+        (counts_of_range(source), counts_of_range(result))
+        if q31
+        else ((0.0, 1.0), (0.0, 1.0))
+    )
     x_step, y_step = (axes.x_unit, axes.y_unit) if q31 else (axes.x_count, axes.y_count)
     before = fold(plan.model.head, source.minimum, source.maximum)
     behind = fold(plan.model.tail, gears.y0, gears.y0 + float(axes.high.sum()))
@@ -293,27 +342,42 @@ def _limits(
 ) -> tuple[tuple[Any, Any] | None, Any, tuple[int, int, int] | None]:
     """Return the limits on the output in the arithmetic, rounded inwards: clip, change and positions.
 
-    ``clip`` and ``change`` are numbers as they come out; ``positions`` are low, high and step (-1: no slew
-    limit) as the gears meet them. None of them is outside of the model's own.
+    ``clip`` and ``change`` are numbers as they come out; ``positions`` are low, high
+    and step (-1: no slew limit) as the gears meet them. None of them is outside of the
+    model's own.
     """
     limits, inner = plan.limits, plan.inner_limits
     if limits is None or inner is None:
         return None, None, None
     clip = _count_clip(limits, plan.model.drive) if q31 else _float_clip(limits)
     if not clip[0] < clip[1]:
-        raise ModelError("`v_min`, `v_max`: too close for this arithmetic (`arithmetic` double)")
+        raise ModelError(
+            "`v_min`, `v_max`: too close for this arithmetic (`arithmetic` double)"
+        )
     change, step = None, -1.0
-    if limits.max_slew is not None and plan.slew_step is not None and plan.time_step is not None:
+    if (
+        limits.max_slew is not None
+        and plan.slew_step is not None
+        and plan.time_step is not None
+    ):
         largest = limits.max_slew * plan.time_step
-        change, reached = _count_change(largest, plan.model.drive) if q31 else _float_change(largest, clip)
+        change, reached = (
+            _count_change(largest, plan.model.drive)
+            if q31
+            else _float_change(largest, clip)
+        )
         step = plan.slew_step * (reached / largest) / axes.y_unit
         if step < 4.0:
             raise ModelError(
                 "`max_slew`: less than this arithmetic resolves in one step (`sample_rate` lower)"
             )
-    low, high = ((v - plan.model.backlash.y0) / axes.y_unit for v in (inner.v_min, inner.v_max))
+    low, high = (
+        (v - plan.model.backlash.y0) / axes.y_unit for v in (inner.v_min, inner.v_max)
+    )
     if max(abs(low), abs(high), step) >= 2.0**59:
-        raise ModelError("`v_min`, `v_max`: beyond what this arithmetic holds (`arithmetic` double)")
+        raise ModelError(
+            "`v_min`, `v_max`: beyond what this arithmetic holds (`arithmetic` double)"
+        )
     return clip, change, (math.ceil(low), math.floor(high), math.floor(step))
 
 
@@ -327,9 +391,14 @@ def _float_clip(limits: DriveLimits) -> tuple[Any, Any]:
 def _count_clip(limits: DriveLimits, drive: Quantity) -> tuple[int, int]:
     """Return the limits in counts, each, as ``NAME_OUT`` converts it, within the limits asked for."""
     middle, unit = counts_of_range(drive)
-    low, high = round((limits.v_min - middle) / unit), round((limits.v_max - middle) / unit)
+    low, high = (
+        round((limits.v_min - middle) / unit),
+        round((limits.v_max - middle) / unit),
+    )
     if max(abs(low), abs(high)) >= 2**31 - 1:
-        raise ModelError("`v_min`, `v_max`: beyond twice the model's range, which q31 does not hold")
+        raise ModelError(
+            "`v_min`, `v_max`: beyond twice the model's range, which q31 does not hold"
+        )
     while low * unit + middle < limits.v_min:
         low += 1
     while high * unit + middle > limits.v_max:
@@ -340,18 +409,24 @@ def _count_clip(limits: DriveLimits, drive: Quantity) -> tuple[int, int]:
 def _float_change(largest: float, clip: tuple[Any, Any]) -> tuple[Any, float]:
     """Return the change that adding to an output may round up to the one asked for, and what is sure.
 
-    A sum is off by half a unit in the last place of the largest output, and the change itself by as much.
+    A sum is off by half a unit in the last place of the largest output, and the change
+    itself by as much.
     """
     place = float(np.spacing(max(abs(clip[0]), abs(clip[1]))))
     change = F(max(largest - 0.5 * place, 0.0))
-    change = np.nextafter(change, F(0.0)) if float(change) > largest - 0.5 * place else change
+    change = (
+        np.nextafter(change, F(0.0))
+        if float(change) > largest - 0.5 * place
+        else change
+    )
     return change, max(largest - 2.0 * place, 0.0)
 
 
 def _count_change(largest: float, drive: Quantity) -> tuple[int, float]:
     """Return the change in whole counts, and what that is."""
     unit = counts_of_range(drive)[1]
-    change = min(math.floor(largest / unit), 2**32)  # 2^32: more than from one end to the other
+    # 2^32: more than from one end to the other
+    change = min(math.floor(largest / unit), 2**32)
     return change, min(change * unit, largest)
 
 
@@ -364,10 +439,13 @@ def _function_error(
     if q31:
         shift = shift_for(float(np.abs(folded.slope).max()) * x_unit / y_unit)
         nodes = 0.5 * float(np.abs(folded.slope).max()) * x_unit + 0.5 * y_unit
-        return nodes + y_unit * (0.5 + float(lengths.max()) / x_unit * 2.0 ** -(shift + 1))
+        return nodes + y_unit * (
+            0.5 + float(lengths.max()) / x_unit * 2.0 ** -(shift + 1)
+        )
     largest = float(np.abs(folded.y - offset).max() + rises.max())
     constant = float((np.abs(folded.slope) * np.abs(folded.x)).max())
-    return EPS * (3.0 * float(rises.max()) + constant + 2.0 * largest)  # and x - x_c, the product, the sum
+    # and x - x_c, the product, the sum
+    return EPS * (3.0 * float(rises.max()) + constant + 2.0 * largest)
 
 
 def _subset_error(table: Floats, wanted: Floats, run: int) -> float:
@@ -399,7 +477,11 @@ def _loop(plan: CascadePlan, axes: Axes, steepest: float) -> tuple[float, float,
     stiff = max(1.0 / steepest - axes.kappa, 0.0) + 0.5 * axes.kappa
     rho = float(np.min(2.0 * b * (1.0 - 0.5 * b)))
     energy = 1.0 + math.sqrt(float(np.sum(2.0 * b * c * a**2)) / (4.0 * stiff * rho))
-    return rounding, float(np.sum(carried)), min(1.0 / (1.0 - loop) if loop < 1.0 else math.inf, energy)
+    return (
+        rounding,
+        float(np.sum(carried)),
+        min(1.0 / (1.0 - loop) if loop < 1.0 else math.inf, energy),
+    )
 
 
 class NarrowGearsError(ModelError):
@@ -409,9 +491,10 @@ class NarrowGearsError(ModelError):
 def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> dict[str, float]:
     """Return the bounds for inputs inside the model's range, in the output's unit and in % of its range.
 
-    ``same_gears`` holds while both have crossed the same gears, and with memory always did;
-    ``after_close_turn`` always, also after turns within ``close_turn_fraction`` of a gear's end. That is the
-    part of a gear that may be missing when it counts as crossed, a power of two.
+    ``same_gears`` holds while both have crossed the same gears, and with memory always
+    did; ``after_close_turn`` always, also after turns within ``close_turn_fraction`` of
+    a gear's end. That is the part of a gear that may be missing when it counts as
+    crossed, a power of two.
 
     Raises
     ------
@@ -421,7 +504,11 @@ def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> dict[str, float]:
     gears, source, result = plan.model.backlash, plan.model.input, plan.model.output
     run, on_output = gears.equal_run, gears.memory_on == "output"
     slopes = axes.high / axes.wide
-    steepest, span, height = float(slopes.max()), float(axes.wide.sum()), float(axes.high.sum())
+    steepest, span, height = (
+        float(slopes.max()),
+        float(axes.wide.sum()),
+        float(axes.high.sum()),
+    )
     own, gain, growth = _loop(plan, axes, steepest)
     base = gears.x0 + (axes.kappa * (gears.y0 - plan.reference) if on_output else 0.0)
     x_in, y_out = counts_of_range(source)[1], counts_of_range(result)[1]
@@ -434,7 +521,9 @@ def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> dict[str, float]:
     rising += float(np.max(np.abs(off_y) + slopes * np.abs(off_x)))
     if q31:
         shift = shift_for(steepest * axes.x_unit / axes.y_unit)
-        rising += axes.y_unit * (1.0 + float(axes.wide.max()) / axes.x_unit * 2.0 ** -(shift + 1))
+        rising += axes.y_unit * (
+            1.0 + float(axes.wide.max()) / axes.x_unit * 2.0 ** -(shift + 1)
+        )
     else:
         across += EPS * 2.0 * span + axes.x_count
         rising += EPS * 4.0 * float(axes.high.max()) + axes.y_unit
@@ -445,7 +534,9 @@ def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> dict[str, float]:
     else:
         inner = steepest * across + gain * entering + own + rising + axes.y_count
         place = across
-    tolerance = _tolerance(place, float(axes.wide.min()), rising, float(axes.high.min()), plan)
+    tolerance = _tolerance(
+        place, float(axes.wide.min()), rising, float(axes.high.min()), plan
+    )
     hop = float(axes.wide.max()) * float(np.sum(np.abs(np.diff(slopes)))) * growth
     behind = fold(plan.model.tail, gears.y0, gears.y0 + height)
     bend = float(np.abs(behind.slope).max())
@@ -456,7 +547,11 @@ def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> dict[str, float]:
         leaving += 3.0 * EPS * max(abs(result.minimum), abs(result.maximum))
     same = bend * inner + leaving
     if plan.delay_is_smooth:
-        rounding = 4.0 * y_out if q31 else 8.0 * EPS * max(abs(result.minimum), abs(result.maximum))
+        rounding = (
+            4.0 * y_out
+            if q31
+            else 8.0 * EPS * max(abs(result.minimum), abs(result.maximum))
+        )
         same = SMOOTH_GROWTH * same + rounding
     values: dict[str, float] = {}
     for key, value in (("same_gears", same), ("after_close_turn", same + bend * hop)):
@@ -464,10 +559,14 @@ def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> dict[str, float]:
     return {**values, "close_turn_fraction": tolerance}
 
 
-def _tolerance(place: float, narrow: float, rising: float, low: float, plan: CascadePlan) -> float:
+def _tolerance(
+    place: float, narrow: float, rising: float, low: float, plan: CascadePlan
+) -> float:
     """Return a power of two, twice what rounding can shift a turn by, as a part of the smallest gear."""
     part = 2.0 * max(place / narrow, rising / low)
-    power = min(math.floor(-math.log2(part)) if part > 0.0 else LEAST_TOLERANCE, LEAST_TOLERANCE)
+    power = min(
+        math.floor(-math.log2(part)) if part > 0.0 else LEAST_TOLERANCE, LEAST_TOLERANCE
+    )
     if power < COARSEST_TOLERANCE:
         raise NarrowGearsError(
             f"{plan.model.backlash.n} gears are too narrow for this arithmetic: its rounding is "
@@ -503,14 +602,20 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
     tables, size = _tables(t, text)
     if spare:
         tables += array("uint32_t", "spare", spare)
-    members = [*turns_members(t.n, arithmetic), "uint32_t segments[3];", "dbo_backlash_state gears;"]
+    members = [
+        *turns_members(t.n, arithmetic),
+        "uint32_t segments[3];",
+        "dbo_backlash_state gears;",
+    ]
     if t.terms:
         members.append(f"dbo_memory memory[{len(t.terms)}];")
     delay = ""
     if t.delay[0] >= 0:
         if t.smooth:
             suffix = "" if q31 else "F"
-            more, delay = smooth_delay_line(t.delay[0], text(t.delay[1]), number, suffix)
+            more, delay = smooth_delay_line(
+                t.delay[0], text(t.delay[1]), number, suffix
+            )
         else:
             more, delay = delay_line(t.delay[0], number, _between(t, text))
         members += more
@@ -527,8 +632,15 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
         "DRIVE_REACH": f"{ignored_beyond(plan.model.drive)}F",
         "Y_SHIFT": str(t.y_shift),
     }  # fmt: skip
-    for label, segments in (("BEFORE", t.before), ("BEHIND", t.behind), ("DRIVE", t.drive)):
-        values |= {f"{label}_ROWS": str(len(segments.rows)), f"{label}_SHIFT": str(segments.shift)}
+    for label, segments in (
+        ("BEFORE", t.before),
+        ("BEHIND", t.behind),
+        ("DRIVE", t.drive),
+    ):
+        values |= {
+            f"{label}_ROWS": str(len(segments.rows)),
+            f"{label}_SHIFT": str(segments.shift),
+        }
     for side, quantity in (("INPUT", plan.model.input), ("OUTPUT", plan.model.output)):
         middle, unit = counts_of_range(quantity)
         values |= {
@@ -536,20 +648,39 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
             f"{side}_LABEL": f"{quantity.quantity}{f' ({quantity.unit})' if quantity.unit else ''}",
         }  # fmt: skip
     headers = (INTERPOLATION,) if t.smooth else ()
-    return ModelCode(number, members, "single.c", values, _vectors(plan, t, text), headers, size, bounds)
+    return ModelCode(
+        number,
+        members,
+        "single.c",
+        values,
+        _vectors(plan, t, text),
+        headers,
+        size,
+        bounds,
+    )
 
 
 def _tables(t: SingleTables, text: Text) -> tuple[str, int]:
     """Return all tables but that of the spare gears, and their bytes."""
-    rows = [[integer(width), integer(height), text(slope)] for width, height, slope in t.rows]
+    rows = [
+        [integer(width), integer(height), text(slope)]
+        for width, height, slope in t.rows
+    ]
     out, size = array("dbo_gear", "gears", struct_rows(rows)), 12 * len(t.rows)
     begins = _begins(t)
-    out += array("dbo_begin", "begins", struct_rows([[integer(v) for v in begin] for begin in begins]))
+    out += array(
+        "dbo_begin",
+        "begins",
+        struct_rows([[integer(v) for v in begin] for begin in begins]),
+    )
     part_shift, guide = _guide(begins)
     out += array("dbo_place", "guide", [str(row) for row in guide])
     size += 16 * len(begins) + 2 * len(guide)
     if t.terms:
-        factors = [[integer(carried), integer(rest), f"{shift}U"] for carried, rest, shift in t.terms]
+        factors = [
+            [integer(carried), integer(rest), f"{shift}U"]
+            for carried, rest, shift in t.terms
+        ]
         out += array("dbo_term", "terms", struct_rows(factors))
         size += 12 * len(factors)
     shift = row_shift(t.n, t.run)
@@ -564,7 +695,11 @@ def _tables(t: SingleTables, text: Text) -> tuple[str, int]:
     )
     if t.limits is not None:
         out += f"static const dbo_limits limits = {{{', '.join(integer(v) for v in t.limits)}}};\n"
-    for label, segments in (("before", t.before), ("behind", t.behind), ("drives", t.drive)):
+    for label, segments in (
+        ("before", t.before),
+        ("behind", t.behind),
+        ("drives", t.drive),
+    ):
         rows = [[text(value) for value in row] for row in segments.rows]
         out += array("dbo_segment", label, struct_rows(rows))
         size += (24 if t.q31 else 12) * len(rows)
@@ -610,10 +745,16 @@ def _between(t: SingleTables, text: Text) -> str:
 def _vectors(plan: CascadePlan, t: SingleTables, text: Text) -> list[Vectors]:
     """Return two runs, computed by the readable twin of the kernel."""
     source, vectors = plan.model.input, []
-    start = to_counts(plan.trimmed_drive, plan.model.drive) if t.q31 else F(plan.trimmed_drive)
+    start = (
+        to_counts(plan.trimmed_drive, plan.model.drive)
+        if t.q31
+        else F(plan.trimmed_drive)
+    )
     for seed, reset in enumerate((None, start), 1):
         moves = self_test_moves(source.minimum, source.maximum, seed)
-        inputs: list[Any] = [to_counts(v, source) if t.q31 else F(v) for v in moves.tolist()]
+        inputs: list[Any] = [
+            to_counts(v, source) if t.q31 else F(v) for v in moves.tolist()
+        ]
         kernel = SingleKernel(t)
         with np.errstate(over="ignore", under="ignore"):
             if reset is not None:

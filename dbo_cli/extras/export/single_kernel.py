@@ -1,7 +1,8 @@
 """The kernel of ``firmware/dbo_kernel_single.c`` in readable Python: the same bits in float32 and in q31.
 
-It computes what the self-test expects, where no compiler may be. Gears are crossed one by one here; the C
-file crosses many at once and ends in the same state, because what is left to travel falls with every gear.
+It computes what the self-test expects, where no compiler may be. Gears are crossed one
+by one here; the C file crosses many at once and ends in the same state, because what is
+left to travel falls with every gear.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from dbo_cli.hysteresis.kernel import find_first_one, find_first_zero
 from dbo_cli.interpolation.smooth import WINDOW, between, nearer
 
 F = np.float32
-FARTHEST = 1 << 60  # as in dbo_kernel_single.c: beyond every position, and a difference of two fits 64 bits
+# as in dbo_kernel_single.c: beyond every position, and a difference of two fits 64 bits
+FARTHEST = 1 << 60
 INT32 = (-(2**31), 2**31 - 1)  # what an int32_t holds
 
 Number = Any
@@ -43,9 +45,10 @@ class Segments:
 class SingleTables:
     """All constants of one export in float32 or q31; see ``dbo_kernel_single.h`` for each.
 
-    Gears are rows (width, height, slope), one for ``run`` gears; terms are (carried, rest, rest_shift).
-    ``slope_shift`` means nothing in float32. ``clip`` is what the output may be, ``change`` how far it may go
-    in a step; ``first`` is the one before the first sample.
+    Gears are rows (width, height, slope), one for ``run`` gears; terms are (carried,
+    rest, rest_shift). ``slope_shift`` means nothing in float32. ``clip`` is what the
+    output may be, ``change`` how far it may go in a step; ``first`` is the one before
+    the first sample.
     """
 
     q31: bool
@@ -131,7 +134,10 @@ def slope_of_counts(y: list[int], a: int) -> int:
     elif a == last:
         chord, parabola = secant[last - 1], left
     else:
-        chord, parabola = int(nearer(secant[a - 1], secant[a])), int(nearer(left, right))
+        chord, parabola = (
+            int(nearer(secant[a - 1], secant[a])),
+            int(nearer(left, right)),
+        )
     slope = max(slope, min(0, 36 * chord, 9 * parabola))
     slope = min(slope, max(0, 36 * chord, 9 * parabola))
     return -((6 - slope) // 12) if slope < 0 else (slope + 6) // 12
@@ -164,7 +170,9 @@ class SingleKernel:
             return int(self.along(slope, distance, self.t.slope_shift))
         if INT32[0] <= distance <= INT32[1]:
             return self.position_of(slope * F(distance), 0)
-        return self.position_of(slope * F(self.counts_of(distance, self.t.y_shift)), self.t.y_shift)
+        return self.position_of(
+            slope * F(self.counts_of(distance, self.t.y_shift)), self.t.y_shift
+        )
 
     def position_of(self, signal: Number, shift: int) -> int:
         """Return a signal as positions."""
@@ -201,7 +209,11 @@ class SingleKernel:
                 self.y = self.y + self.t.rows[i // self.t.run][1]
 
     def _next(self, rising: bool) -> int:
-        return find_first_zero(self.bits) if rising else find_first_one(self.bits, self.t.n)
+        return (
+            find_first_zero(self.bits)
+            if rising
+            else find_first_one(self.bits, self.t.n)
+        )
 
     def pass_gears(self, u: int, bound: int, rising: bool) -> int:
         """Cross gears one way; return the last one crossed, n where there was none."""
@@ -211,11 +223,17 @@ class SingleKernel:
             travelled = u - self.x if rising else self.x - u
             room = bound - self.y if rising else self.y - bound
             tolerance = self.t.tolerance
-            if travelled < width - (width >> tolerance) or room < height - (height >> tolerance):
+            if travelled < width - (width >> tolerance) or room < height - (
+                height >> tolerance
+            ):
                 break
             last = gear
             sign = 1 if rising else -1
-            self.x, self.y, self.bits = self.x + sign * width, self.y + sign * height, self.bits ^ 1 << gear
+            self.x, self.y, self.bits = (
+                self.x + sign * width,
+                self.y + sign * height,
+                self.bits ^ 1 << gear,
+            )
         return last
 
     def follow_output(self, y: int, rising: bool) -> None:
@@ -266,7 +284,10 @@ class SingleKernel:
         parts = zip(self.t.terms, self.memory, strict=True)
         total = sum(carried * (memory >> 24) for (carried, _, _), memory in parts)
         remembered = scaled_down(total, self.t.carried_shift)  # in positions
-        x = clamped(x - remembered if self.t.memory_on_output else x, (self.t.least, self.t.most))
+        x = clamped(
+            x - remembered if self.t.memory_on_output else x,
+            (self.t.least, self.t.most),
+        )
         if self.t.limits is None:
             y = self.solve(x, -FARTHEST, FARTHEST)
         else:
@@ -289,9 +310,14 @@ class SingleKernel:
         if self.t.clip is not None:  # of an inverse, whose output is the drive
             self.output = self._kept(drive)
         axis = 1 if self.t.memory_on_output else 0
-        place = self.position_of(self.through(self.t.drive, drive), (self.t.x_shift, self.t.y_shift)[axis])
+        place = self.position_of(
+            self.through(self.t.drive, drive), (self.t.x_shift, self.t.y_shift)[axis]
+        )
         target = place - (self.x, self.y)[axis]
-        low, high = 0, sum(self.t.rows[i // self.t.run][axis] for i in range(self.t.covered))
+        low, high = (
+            0,
+            sum(self.t.rows[i // self.t.run][axis] for i in range(self.t.covered)),
+        )
         slack = high // 1048576
         for i in reversed(range(self.t.covered if target > 0 else 0)):
             width = self.t.rows[i // self.t.run][axis]
@@ -305,7 +331,9 @@ class SingleKernel:
         if self.t.memory_on_output:
             self.follow_output(place, place >= self.y)
         else:
-            self.pass_gears(place, FARTHEST if place >= self.x else -FARTHEST, place >= self.x)
+            self.pass_gears(
+                place, FARTHEST if place >= self.x else -FARTHEST, place >= self.x
+            )
         self.last = place
 
     def step(self, x: Number) -> Number:
@@ -317,7 +345,9 @@ class SingleKernel:
         else:
             out = self.through(self.t.behind, F(counts))
         if self.t.change is not None:
-            out = min(max(out, self.output - self.t.change), self.output + self.t.change)
+            out = min(
+                max(out, self.output - self.t.change), self.output + self.t.change
+            )
         self.output = out = self._kept(out)
         whole, part = self.t.delay
         if whole < 0:
@@ -346,4 +376,8 @@ class SingleKernel:
 
     def _kept(self, out: Number) -> Number:
         """Return an output within the limits."""
-        return out if self.t.clip is None else min(max(out, self.t.clip[0]), self.t.clip[1])
+        return (
+            out
+            if self.t.clip is None
+            else min(max(out, self.t.clip[0]), self.t.clip[1])
+        )

@@ -15,8 +15,20 @@ from dbo_cli.hysteresis.model import Quantity
 from dbo_cli.hysteresis.model_file import filled
 
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-_LONGEST = 40  # NAME_names.h and the longest names of the kernel stay far below what linkers and disks hold
-_TAKEN = ("dbo_", "fmi2", "example_main", "int8_t", "int16_t", "int32_t", "int64_t", "size_t", "uint")
+# NAME_names.h and the longest names of the kernel stay far below what linkers and disks
+# hold
+_LONGEST = 40
+_TAKEN = (
+    "dbo_",
+    "fmi2",
+    "example_main",
+    "int8_t",
+    "int16_t",
+    "int32_t",
+    "int64_t",
+    "size_t",
+    "uint",
+)
 
 Values = Mapping[str, str | bool]
 
@@ -26,7 +38,9 @@ _LINES = re.compile(rf"{_MARK}\+ (\w+){_END}", re.M)
 
 
 def _template(name: str) -> str:
-    return (resources.files("dbo_cli.extras.export") / "templates" / name).read_text(encoding="utf-8")
+    return (resources.files("dbo_cli.extras.export") / "templates" / name).read_text(
+        encoding="utf-8"
+    )
 
 
 RESERVED = frozenset(_template("reserved_words.txt").split())
@@ -36,16 +50,21 @@ RESERVED = frozenset(_template("reserved_words.txt").split())
 def fill(template: str, values: Values) -> str:
     """Return a file of ``templates/`` filled in.
 
-    A name in capitals stands for its value (``NAME_step``, and ``TERMSU`` for the unsigned constant), a line
-    that is the comment ``+ name`` for lines of text; lines between the comments ``? name`` and ``: name``
-    stay where the value is true (``? !name``: where it is not). Values are not searched for names.
+    A name in capitals stands for its value (``NAME_step``, and ``TERMSU`` for the
+    unsigned constant), a line that is the comment ``+ name`` for lines of text; lines
+    between the comments ``? name`` and ``: name`` stay where the value is true (``?
+    !name``: where it is not). Values are not searched for names.
     """
     text = _template(template)
     while _SECTION.search(text):
-        text = _SECTION.sub(lambda at: at[3] if bool(values[at[2]]) != bool(at[1]) else "", text)
+        text = _SECTION.sub(
+            lambda at: at[3] if bool(values[at[2]]) != bool(at[1]) else "", text
+        )
     names = sorted((name for name in values if name.isupper()), key=len, reverse=True)
     if names:
-        word = re.compile(rf"(?<![A-Za-z0-9_])(?:{'|'.join(names)})(?=U?(?![A-Za-z0-9]))")
+        word = re.compile(
+            rf"(?<![A-Za-z0-9_])(?:{'|'.join(names)})(?=U?(?![A-Za-z0-9]))"
+        )
         text = word.sub(lambda at: str(values[at[0]]), text)
     return _LINES.sub(lambda at: str(values[at[1]]), text)
 
@@ -58,7 +77,11 @@ def plain(text: str) -> str:
 
 def plain_quantity(quantity: Quantity) -> Quantity:
     """Return a quantity whose name and unit end no comment that they stand in."""
-    return replace(quantity, quantity=plain(quantity.quantity), unit=quantity.unit and plain(quantity.unit))
+    return replace(
+        quantity,
+        quantity=plain(quantity.quantity),
+        unit=quantity.unit and plain(quantity.unit),
+    )
 
 
 def check_name(name: str) -> None:
@@ -67,7 +90,8 @@ def check_name(name: str) -> None:
     Raises
     ------
     UsageError
-        It is no identifier, reserved, or taken by the files that are exported beside it.
+        It is no identifier, reserved, or taken by the files that are exported beside
+        it.
     """
     problems = (
         (not _IDENTIFIER.fullmatch(name),
@@ -103,7 +127,8 @@ def integer(value: int) -> str:
 
 def array(kind: str, name: str, items: Sequence[str]) -> str:
     """Return the definition of a constant array, private to its file, in lines of at most 108 characters."""
-    lines = filled([*items[:-1], f"{items[-1]},"], 108, "    ").removesuffix(",")  # as if one more followed
+    # as if one more followed
+    lines = filled([*items[:-1], f"{items[-1]},"], 108, "    ").removesuffix(",")
     return f"static const {kind} {name}[{len(items)}] = {{\n{lines}}};\n"
 
 
@@ -121,7 +146,8 @@ def double_rows(rows: Iterable[Iterable[float]]) -> list[str]:
 class Vectors:
     """One run of the self-test, as C constants: the start, the inputs, and the outputs expected.
 
-    ``reset`` is None for a run after ``NAME_init``, else the drive given to ``NAME_reset``.
+    ``reset`` is None for a run after ``NAME_init``, else the drive given to
+    ``NAME_reset``.
     """
 
     reset: str | None
@@ -210,8 +236,9 @@ def place_bits(gears: int) -> int:
 def checkpoint_spacing(gears: int, arithmetic: str) -> int:
     """Return how many turns share a checkpoint, ``DBO_SPACING``: a power of two.
 
-    A checkpoint takes 16 bytes, and a turn one with few gears, else two: 2.5 bytes a gear at most. In double,
-    where to cross a run takes most time, checkpoints stand closer.
+    A checkpoint takes 16 bytes, and a turn one with few gears, else two: 2.5 bytes a
+    gear at most. In double, where to cross a run takes most time, checkpoints stand
+    closer.
     """
     if place_bits(gears) == 8:
         return 16
@@ -229,7 +256,9 @@ def turns_members(gears: int, arithmetic: str) -> list[str]:
 
 def checkpoints_of(gears: int, arithmetic: str) -> str:
     """Return the place of the checkpoints in the state."""
-    return "state->checkpoints" if gears > checkpoint_spacing(gears, arithmetic) else "0"
+    return (
+        "state->checkpoints" if gears > checkpoint_spacing(gears, arithmetic) else "0"
+    )
 
 
 def declared(member: str) -> tuple[str, str, int]:
@@ -242,8 +271,8 @@ def declared(member: str) -> tuple[str, str, int]:
 def delay_line(samples: int, number: str, between: str) -> tuple[list[str], str]:
     """Return members and steps of a delay of so many samples and a part.
 
-    ``between`` is the expression between two samples, of ``later`` and ``earlier``. Before the first sample
-    the first value holds.
+    ``between`` is the expression between two samples, of ``later`` and ``earlier``.
+    Before the first sample the first value holds.
     """
     size = samples + 2
     values = {
@@ -261,7 +290,10 @@ INTERPOLATION = "dbo_interpolation.h"
 def interpolation_header(arithmetic: str) -> str:
     """Return the header that a smooth delay needs, in an arithmetic."""
     if arithmetic == "q31":
-        folder, name = resources.files("dbo_cli.extras.export") / "firmware", "dbo_interpolation_q31.h"
+        folder, name = (
+            resources.files("dbo_cli.extras.export") / "firmware",
+            "dbo_interpolation_q31.h",
+        )
     else:
         folder, name = resources.files("dbo_cli.interpolation"), INTERPOLATION
     text = (folder / name).read_text(encoding="utf-8")
@@ -270,10 +302,13 @@ def interpolation_header(arithmetic: str) -> str:
     return text
 
 
-def smooth_delay_line(samples: int, part: str, number: str, suffix: str) -> tuple[list[str], str]:
+def smooth_delay_line(
+    samples: int, part: str, number: str, suffix: str
+) -> tuple[list[str], str]:
     """Return members and steps of a smooth delay of so many samples and a part.
 
-    ``part``, as C, is what is left of the step in which the value lies; ``suffix`` ends the literals.
+    ``part``, as C, is what is left of the step in which the value lies; ``suffix`` ends
+    the literals.
     """
     place = window_place(samples)
     size = samples + 2 + place
@@ -313,8 +348,17 @@ def _self_test(values: Values, code: ModelCode) -> str:
             f"    {values['NAME']}_{start};\n"
             f'    wrong += play("{label}", &state, inputs_{k}, expected_{k}, {len(run.inputs)}U);\n'
         )
-    bits = {"double": "uint64_t", "float": "uint32_t", "int32_t": "int32_t"}[code.number]
+    bits = {"double": "uint64_t", "float": "uint32_t", "int32_t": "int32_t"}[
+        code.number
+    ]
     count = str(sum(len(run.inputs) for run in code.vectors))
     return fill(
-        "NAME_test.c", {**values, "BITS": bits, "COUNT": count, "vectors": "\n".join(vectors), "runs": runs}
+        "NAME_test.c",
+        {
+            **values,
+            "BITS": bits,
+            "COUNT": count,
+            "vectors": "\n".join(vectors),
+            "runs": runs,
+        },
     )

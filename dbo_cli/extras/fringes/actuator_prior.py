@@ -1,7 +1,8 @@
 """How an actuator follows its drive, in a few numbers: the prior that chooses branches of the phase.
 
-Plays of the drive, bends before and after them, and lags from a swing's fraction to the log's length. All
-are linear in their weights, so that a fit is one linear problem with a Gaussian prior of the weights.
+Plays of the drive, bends before and after them, and lags from a swing's fraction to the
+log's length. All are linear in their weights, so that a fit is one linear problem with
+a Gaussian prior of the weights.
 """
 
 from __future__ import annotations
@@ -37,8 +38,8 @@ GAIN_WEIGHT = 3.0
 class Columns:
     """The terms of an actuator at some rows.
 
-    ``values`` (rows, terms); ``spread`` (terms), standard deviation of each weight before the fit, in half
-    strokes.
+    ``values`` (rows, terms); ``spread`` (terms), standard deviation of each weight
+    before the fit, in half strokes.
     """
 
     values: Floats
@@ -67,7 +68,9 @@ def lagging(time: Floats, signal: Floats, tau: float) -> Floats:
     push = signal[1:] * (1.0 - hold) + signal[:-1] * (hold - decay)
     state = float(signal[0])
     out[0] = state
-    for row, (keep, add) in enumerate(zip(decay.tolist(), push.tolist(), strict=True), start=1):
+    for row, (keep, add) in enumerate(
+        zip(decay.tolist(), push.tolist(), strict=True), start=1
+    ):
         state = keep * state + add
         out[row] = state
     return out
@@ -88,7 +91,9 @@ def time_constants(time: Floats, turns: int) -> Floats:
     return np.geomspace(shortest, length, LAGS)
 
 
-def columns_of(time: Floats, drive: Floats, turns: int, phase: Floats | None = None) -> Columns:
+def columns_of(
+    time: Floats, drive: Floats, turns: int, phase: Floats | None = None
+) -> Columns:
     """Return the terms of an actuator.
 
     Parameters
@@ -98,7 +103,8 @@ def columns_of(time: Floats, drive: Floats, turns: int, phase: Floats | None = N
     turns
         How many swings the log has.
     phase
-        The phase of an earlier fit at the same rows: bends and lags then act on it instead of on the drive.
+        The phase of an earlier fit at the same rows: bends and lags then act on it
+        instead of on the drive.
     """
     level = normalised(drive)
     terms = [level]

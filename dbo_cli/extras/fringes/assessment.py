@@ -45,9 +45,13 @@ def _large_swings(values: Floats) -> int:
 def refuse_swapped(drive: Floats, signal: Floats, name: str) -> None:
     """Refuse a drive that does not move, and one that has the fringes (InputError)."""
     if not np.ptp(drive) > 0.0:
-        raise InputError(f"{name}: the voltage is {drive[0]:g} in every row: nothing moves")
+        raise InputError(
+            f"{name}: the voltage is {drive[0]:g} in every row: nothing moves"
+        )
     if not np.ptp(signal) > 0.0:
-        raise InputError(f"{name}: the signal is {signal[0]:g} in every row: no light moves there")
+        raise InputError(
+            f"{name}: the signal is {signal[0]:g} in every row: no light moves there"
+        )
     of_drive = _large_swings(drive)
     of_signal = _large_swings(signal)
     if of_drive > 4 and of_drive > of_signal:
@@ -60,7 +64,8 @@ def refuse_swapped(drive: Floats, signal: Floats, name: str) -> None:
 def refuse_fast(time: Floats, signal: Floats, name: str) -> None:
     """Refuse a signal that changes by more than a quarter of a fringe from row to row (InputError).
 
-    From row to row cos p changes by sqrt(2) sin(step / 2) (RMS over all p): 1 at a quarter of a fringe.
+    From row to row cos p changes by sqrt(2) sin(step / 2) (RMS over all p): 1 at a
+    quarter of a fringe.
     """
     low, high = percentile_ends(signal)
     amplitude = 0.5 * (high - low)
@@ -104,7 +109,8 @@ def refuse_noise(track: Track, name: str) -> None:
 def refuse_miscounted(time: Floats, track: Track, name: str) -> None:
     """Refuse a phase that does not go half a fringe from crossing to crossing (InputError).
 
-    The crossings are counted without any model; those around a turn of the drive take no part.
+    The crossings are counted without any model; those around a turn of the drive take
+    no part.
     """
     channel = track.channels[0]
     amplitude = np.hypot(channel.cosine, channel.sine)
@@ -135,10 +141,14 @@ def doubtful(track: Track) -> list[TurnOdds]:
 def refuse_doubtful(time: Floats, track: Track, name: str) -> None:
     """Refuse a log with many turns in doubt (InputError)."""
     turns = doubtful(track)
-    if len(turns) > max(1.0, OFTEN * len(track.turns)) or (track.turns and track.rounds == 0):
+    if len(turns) > max(1.0, OFTEN * len(track.turns)) or (
+        track.turns and track.rounds == 0
+    ):
         count = f"{len(turns)} of {len(track.turns)} turns of the drive"
         if not turns:
-            raise InputError(f"{name}: model and fringes do not agree on the turns of the drive ({REMEDY})")
+            raise InputError(
+                f"{name}: model and fringes do not agree on the turns of the drive ({REMEDY})"
+            )
         worst = min(turns, key=lambda turn: turn.odds)
         raise InputError(
             f"{name}: at {count} it is open which fringe follows (the odds are {worst.odds:.2g}:1 at "
@@ -146,7 +156,9 @@ def refuse_doubtful(time: Floats, track: Track, name: str) -> None:
         )
 
 
-def doubtful_turns(time: Floats, drive: Floats, track: Track, fringe: float) -> list[str]:
+def doubtful_turns(
+    time: Floats, drive: Floats, track: Track, fringe: float
+) -> list[str]:
     """Return a sentence for each turn in doubt: where, the odds, what else it could be."""
     texts = []
     for turn in doubtful(track)[:LISTED]:

@@ -1,16 +1,20 @@
 """Which branch of its phase one photodiode's signal is on, and with what odds at each turn of the drive.
 
-The signal A + B cos(phase) gives the phase up to its sign and whole turns. Between turns of the drive the
-displacement is monotone, so that crossings of the middle of the fringes count. How the count goes on behind a
-turn is chosen by a model of the actuator (``actuator_prior``):
+The signal A + B cos(phase) gives the phase up to its sign and whole turns. Between
+turns of the drive the displacement is monotone, so that crossings of the middle of the
+fringes count. How the count goes on behind a turn is chosen by a model of the actuator
+(``actuator_prior``):
 
-1. ``first_fit``: crossings inside each swing, whole fringes between swings unknown; a linear fit with a
-   count for each swing, and these counts made whole in the order of how well they are known.
-2. ``follow``: a hidden Markov chain whose state is the phase less the model's, on a grid. It is a random
-   walk that may step further behind a turn.
-3. ``refit``: the model fitted to the phase on that path, with a random step at each turn. How large these
-   steps are, and how well the other turns of the log foretell each, is what the chain allows next.
-4. ``turn_odds``: at each turn the probability of the branch taken over that of all others.
+1. ``first_fit``: crossings inside each swing, whole fringes between swings unknown; a
+   linear fit with a count for each swing, and these counts made whole in the order of
+   how well they are known.
+2. ``follow``: a hidden Markov chain whose state is the phase less the model's, on a
+   grid. It is a random walk that may step further behind a turn.
+3. ``refit``: the model fitted to the phase on that path, with a random step at each
+   turn. How large these steps are, and how well the other turns of the log foretell
+   each, is what the chain allows next.
+4. ``turn_odds``: at each turn the probability of the branch taken over that of all
+   others.
 """
 
 from __future__ import annotations
@@ -72,8 +76,8 @@ MOST_ODDS = 1e12
 class Nodes:
     """Blocks of rows on which branches are chosen.
 
-    ``starts`` first rows of the blocks; ``turns`` the blocks that begin at a turn of the drive, the first
-    and the last block included.
+    ``starts`` first rows of the blocks; ``turns`` the blocks that begin at a turn of
+    the drive, the first and the last block included.
     """
 
     starts: Indices
@@ -94,8 +98,8 @@ class Light:
 class Fit:
     """A model of the phase at the nodes, and what it is thought to be off by.
 
-    ``phase`` rad (nodes); ``step`` standard deviation behind each inner turn, rad; ``wander`` standard
-    deviation over the first fringe inside a swing, rad.
+    ``phase`` rad (nodes); ``step`` standard deviation behind each inner turn, rad;
+    ``wander`` standard deviation over the first fringe inside a swing, rad.
     """
 
     phase: Floats
@@ -103,7 +107,9 @@ class Fit:
     wander: float
 
 
-def make_nodes(time: Floats, drive: Floats, turns: Indices, fringes_a_volt: float) -> Nodes:
+def make_nodes(
+    time: Floats, drive: Floats, turns: Indices, fringes_a_volt: float
+) -> Nodes:
     """Cut rows into blocks, ``NODES`` in a fringe, with a cut at every turn; rests are cut by time."""
     travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(drive)))])
     length = float(time[-1] - time[0])
@@ -133,8 +139,8 @@ def first_fit(
     columns
         Terms of the actuator at the nodes.
     places, phases, swings
-        Of the crossings: where among the nodes, the phase (rad, of an unknown whole number of fringes
-        for each swing), and in which swing.
+        Of the crossings: where among the nodes, the phase (rad, of an unknown whole
+        number of fringes for each swing), and in which swing.
     half_stroke
         rad, about.
     turn_count
@@ -142,27 +148,36 @@ def first_fit(
     """
     terms = columns.values.shape[1]
     nodes = np.arange(columns.values.shape[0])
-    at_crossings = [np.interp(places, nodes, columns.values[:, term]) for term in range(terms)]
+    at_crossings = [
+        np.interp(places, nodes, columns.values[:, term]) for term in range(terms)
+    ]
     names, which = np.unique(swings, return_inverse=True)
     counts = np.zeros((places.size, names.size))
     counts[np.arange(places.size), which] = 1.0
     rows = np.column_stack([*at_crossings, counts]) / CROSSING_NOISE
-    prior = np.concatenate([1.0 / (columns.spread * half_stroke) ** 2, np.full(names.size, 1e-8)])
+    prior = np.concatenate(
+        [1.0 / (columns.spread * half_stroke) ** 2, np.full(names.size, 1e-8)]
+    )
     expected = np.zeros(terms + names.size)
     expected[0] = half_stroke
     information = rows.T @ rows + np.diag(prior)
     covariance: Floats = np.asarray(np.linalg.inv(information), dtype=np.float64)
-    solution: Floats = covariance @ (rows.T @ (phases / CROSSING_NOISE) + prior * expected)
+    solution: Floats = covariance @ (
+        rows.T @ (phases / CROSSING_NOISE) + prior * expected
+    )
     solution = _with_whole_counts(solution, covariance, terms, names.size)
     step = np.full(turn_count, 2.0 * STEP_BEFORE * TURN)
     phase = columns.values @ solution[:terms] + solution[terms]
     return Fit(phase, step, WANDER_BEFORE * TURN)
 
 
-def _with_whole_counts(solution: Floats, covariance: Floats, terms: int, swings: int) -> Floats:
+def _with_whole_counts(
+    solution: Floats, covariance: Floats, terms: int, swings: int
+) -> Floats:
     """Return the solution once the counts of all swings differ by whole fringes.
 
-    The best known difference first, and the others conditioned on it. The first swing's count is the zero.
+    The best known difference first, and the others conditioned on it. The first swing's
+    count is the zero.
     """
     solution = solution.copy()
     covariance = covariance.copy()
@@ -171,7 +186,9 @@ def _with_whole_counts(solution: Floats, covariance: Floats, terms: int, swings:
     while waiting:
         zero = settled[0]
         variances = [
-            covariance[count, count] + covariance[zero, zero] - 2.0 * covariance[count, zero]
+            covariance[count, count]
+            + covariance[zero, zero]
+            - 2.0 * covariance[count, zero]
             for count in waiting
         ]
         count = waiting.pop(int(np.argmin(variances)))
@@ -187,11 +204,13 @@ def _with_whole_counts(solution: Floats, covariance: Floats, terms: int, swings:
     return solution
 
 
-def block_likelihood(nodes: Nodes, signal: Floats, light: Light, phase: Floats, grid: Floats) -> Floats:
+def block_likelihood(
+    nodes: Nodes, signal: Floats, light: Light, phase: Floats, grid: Floats
+) -> Floats:
     """Return the log-likelihood of each block (rows) for each distance from the model's phase (columns).
 
-    The sum over a block of (s - A - B cos(p + e))^2 is a quadratic form of cos e and sin e, so that rows are
-    gone through once whatever the grid.
+    The sum over a block of (s - A - B cos(p + e))^2 is a quadratic form of cos e and
+    sin e, so that rows are gone through once whatever the grid.
     """
     rest = signal - light.offset
     cosine = light.amplitude * np.cos(phase)
@@ -225,7 +244,8 @@ def block_likelihood(nodes: Nodes, signal: Floats, light: Light, phase: Floats, 
 def step_variances(nodes: Nodes, fit: Fit) -> Floats:
     """Return the variance of the chain's step into each block but the first, rad^2.
 
-    Behind a turn the step of that turn is spread over the first fringe that the model goes.
+    Behind a turn the step of that turn is spread over the first fringe that the model
+    goes.
     """
     travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(fit.phase)))]) / TURN
     variances = fit.wander**2 * np.diff(travel) + NODE_NOISE**2
@@ -276,17 +296,22 @@ def _kernel(variance: float, spacing: float, direction: int, most_back: int) -> 
 def one_way(nodes: Nodes, fit: Fit) -> tuple[Indices, Indices]:
     """Return for the step into each block but the first where the phase runs, and the steps it may lose.
 
-    Inside a swing the displacement is monotone, but for shakes: the phase's distance from the model may
-    fall by no more than the model has gone. Within ``FREE_TRAVEL`` fringes behind a turn it may still run
-    the old way. The first swing has no turn before it.
+    Inside a swing the displacement is monotone, but for shakes: the phase's distance
+    from the model may fall by no more than the model has gone. Within ``FREE_TRAVEL``
+    fringes behind a turn it may still run the old way. The first swing has no turn
+    before it.
     """
     count = fit.phase.size - 1
     direction = np.zeros(count, dtype=np.intp)
     back = np.zeros(count, dtype=np.intp)
     spacing = TURN / GRID
-    for number, (begin, end) in enumerate(zip(nodes.turns[:-1], nodes.turns[1:], strict=True)):
+    for number, (begin, end) in enumerate(
+        zip(nodes.turns[:-1], nodes.turns[1:], strict=True)
+    ):
         sign = 1 if fit.phase[end] > fit.phase[begin] else -1
-        gone = np.maximum.accumulate(sign * (fit.phase[begin : end + 1] - fit.phase[begin]))
+        gone = np.maximum.accumulate(
+            sign * (fit.phase[begin : end + 1] - fit.phase[begin])
+        )
         back[begin:end] = np.diff(np.floor(gone / spacing)).astype(np.intp)
         free = FREE_TRAVEL * TURN if number > 0 else 0.0
         direction[begin:end] = np.where(gone[:-1] >= free, sign, 0)
@@ -342,7 +367,12 @@ def _step(belief: Floats, kernel: Floats) -> Floats:
 
 
 def follow(
-    nodes: Nodes, signal: Floats, light: Light, fit: Fit, phase: Floats, reach: float = REACH
+    nodes: Nodes,
+    signal: Floats,
+    light: Light,
+    fit: Fit,
+    phase: Floats,
+    reach: float = REACH,
 ) -> Chain:
     """Run the chain over all blocks, forwards and backwards.
 
@@ -365,7 +395,9 @@ def follow(
     direction, back = one_way(nodes, fit)
     kernels = []
     for step, variance in enumerate(step_variances(nodes, fit).tolist()):
-        kernels.append(_kernel(variance, spacing, int(direction[step]), int(back[step])))
+        kernels.append(
+            _kernel(variance, spacing, int(direction[step]), int(back[step]))
+        )
     count = weights.shape[0]
     forward = np.empty_like(weights)
     backward = np.empty_like(weights)
@@ -385,9 +417,9 @@ def follow(
 def refit(columns: Columns, nodes: Nodes, phase: Floats, half_stroke: float) -> Fit:
     """Fit the model to a path, with a random step at every inner turn.
 
-    A step is thought to be as large as the steps of this log are (with ``STEP_COUNT`` turns of
-    ``STEP_BEFORE`` beside them), and to be known as well as the other turns foretell it: its estimate
-    with the turn's own prior taken off.
+    A step is thought to be as large as the steps of this log are (with ``STEP_COUNT``
+    turns of ``STEP_BEFORE`` beside them), and to be known as well as the other turns
+    foretell it: its estimate with the turn's own prior taken off.
 
     Parameters
     ----------
@@ -412,7 +444,9 @@ def refit(columns: Columns, nodes: Nodes, phase: Floats, half_stroke: float) -> 
     noise = 0.05 * TURN
     products = rows.T @ rows
     targets = rows.T @ phase
-    prior = np.concatenate([1.0 / (columns.spread * half_stroke) ** 2, [1e-8], np.zeros(inner.size)])
+    prior = np.concatenate(
+        [1.0 / (columns.spread * half_stroke) ** 2, [1e-8], np.zeros(inner.size)]
+    )
     first = terms + 1
     for _ in range(6):
         prior[first:] = 1.0 / variance
@@ -423,7 +457,9 @@ def refit(columns: Columns, nodes: Nodes, phase: Floats, half_stroke: float) -> 
         noise = max(float(np.sqrt(np.mean(residual**2))), 0.1)
         spread = np.diag(covariance)[first:]
         found = solution[first:] ** 2 + spread
-        variance = float((found.sum() + STEP_COUNT * before) / (inner.size + STEP_COUNT))
+        variance = float(
+            (found.sum() + STEP_COUNT * before) / (inner.size + STEP_COUNT)
+        )
     rest = 1.0 / np.maximum(1.0 / spread - 1.0 / variance, 1e-6)
     model = rows[:, :first] @ solution[:first]
     return Fit(model, np.sqrt(variance + rest), _wander_of(nodes, phase - model, model))
@@ -450,7 +486,8 @@ def _wander_of(nodes: Nodes, distance: Floats, model: Floats) -> float:
 def doubt(chain: Chain, distance: Floats) -> Floats:
     """Return the variance of the phase at each block that comes from other branches, rad^2.
 
-    At the top of a fringe the phase may have turned before it or behind it and nobody sees which.
+    At the top of a fringe the phase may have turned before it or behind it and nobody
+    sees which.
     """
     belief = chain.forward * chain.backward
     belief /= belief.sum(axis=1, keepdims=True)
@@ -470,12 +507,15 @@ def anchors_of(nodes: Nodes, model: Floats) -> Indices:
     return np.array(middles, dtype=np.intp)
 
 
-def turn_odds(chain: Chain, distance: Floats, anchors: Indices) -> tuple[Floats, Floats]:
+def turn_odds(
+    chain: Chain, distance: Floats, anchors: Indices
+) -> tuple[Floats, Floats]:
     """Return for each inner turn the odds of the branch taken over all others, and what else it could be.
 
-    From the middle of the swing before, on the branch taken there, to the middle of the swing behind, with
-    all that comes later: the probability near the path over the rest. The second array is how far the most
-    probable of the others is from the path, rad.
+    From the middle of the swing before, on the branch taken there, to the middle of the
+    swing behind, with all that comes later: the probability near the path over the
+    rest. The second array is how far the most probable of the others is from the path,
+    rad.
     """
     odds = np.empty(max(anchors.size - 1, 0))
     others = np.empty(odds.size)
@@ -487,5 +527,7 @@ def turn_odds(chain: Chain, distance: Floats, anchors: Indices) -> tuple[Floats,
         away = np.abs(chain.grid - distance[after]) > SAME_BRANCH * TURN
         rest = float(belief[away].sum())
         odds[place] = min((1.0 - rest) / max(rest, 1.0 / MOST_ODDS), MOST_ODDS)
-        others[place] = chain.grid[int(np.argmax(np.where(away, belief, -1.0)))] - distance[after]
+        others[place] = (
+            chain.grid[int(np.argmax(np.where(away, belief, -1.0)))] - distance[after]
+        )
     return odds, others

@@ -9,16 +9,24 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from dbo_cli.extras.fringes.light import dark_parts, percentile_ends
-from dbo_cli.extras.fringes.swings import Floats, crossings, drive_threshold, turning_points
+from dbo_cli.extras.fringes.swings import (
+    Floats,
+    crossings,
+    drive_threshold,
+    turning_points,
+)
 
 STILL = 0.05
 """Of the drive's way for half a fringe, which a drive that stands still does not leave. At a rest it does so
-for twice the time that half a fringe usually takes, or longer; at a turn it does not stay so long."""
+for twice the time that half a fringe usually takes, or longer; at a turn it does not
+stay so long.
+"""
 
 
 GAP = 10.0
 """Usual steps of the time; in a longer one, that takes as long as half a fringe does on average, fringes may
-have gone by."""
+have gone by.
+"""
 
 
 @dataclass(frozen=True)
@@ -35,7 +43,9 @@ def record_breaks(time: Floats, signals: Sequence[Floats]) -> list[Break]:
     found = []
     for signal in signals:
         for first, behind in dark_parts(signal):
-            found.append(Break(first, behind, f"the beam was interrupted at {time[first]:.6g} s"))
+            found.append(
+                Break(first, behind, f"the beam was interrupted at {time[first]:.6g} s")
+            )
     steps = np.diff(time)
     longest = max(_seconds_a_half(time, signals[0]), GAP * float(np.median(steps)))
     for row in np.flatnonzero(steps > longest).tolist():
@@ -47,7 +57,8 @@ def record_breaks(time: Floats, signals: Sequence[Floats]) -> list[Break]:
 def rest_breaks(time: Floats, drive: Floats, signal: Floats) -> list[Break]:
     """Return the rests of the drive in which the light goes through the middle of a fringe.
 
-    There the mirror moves by itself (creep, or warmth), in a direction that one photodiode does not show.
+    There the mirror moves by itself (creep, or warmth), in a direction that one
+    photodiode does not show.
     """
     places = _crossings(signal)
     if places.size < 2:

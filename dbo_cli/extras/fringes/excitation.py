@@ -33,30 +33,39 @@ def drive_for_fringes(
 ) -> tuple[Floats, dict[str, Floats]]:
     """Return time (s) and voltage of a drive for an interferometer without a second photodiode.
 
-    Two sweeps of the whole range, then turns at random levels whose phases are spread evenly over a fringe
-    (as far as displacement follows voltage on a line), at speeds of a decade's part; back, and a rest.
+    Two sweeps of the whole range, then turns at random levels whose phases are spread
+    evenly over a fringe (as far as displacement follows voltage on a line), at speeds
+    of a decade's part; back, and a rest.
 
     Parameters
     ----------
     excitation
         Limits, rate, duration, pace and seed.
     brought
-        ``fringes``: the wavelength, and ``stroke``: displacement of the whole range, both in um or as texts.
+        ``fringes``: the wavelength, and ``stroke``: displacement of the whole range,
+        both in um or as texts.
     points
         Must be None: a generator's memory asks for another rate.
 
     Raises
     ------
     UsageError
-        The rate is too low for the stroke, or the duration too short, or options exclude each other.
+        The rate is too low for the stroke, or the duration too short, or options
+        exclude each other.
     """
     wavelength = brought.get("fringes")
     stroke = brought.get("stroke")
     if wavelength is None or stroke is None:
         raise UsageError("`fringes` WAVELENGTH and `stroke` LENGTH belong together")
-    if points is not None or brought.get("channels") is not None or excitation.sweep_to is not None:
+    if (
+        points is not None
+        or brought.get("channels") is not None
+        or excitation.sweep_to is not None
+    ):
         raise UsageError("`fringes` excludes `points`, `channels` and `sweep_to`")
-    fringes = in_unit("stroke", stroke, "um") / (0.5 * in_unit("fringes", wavelength, "um"))
+    fringes = in_unit("stroke", stroke, "um") / (
+        0.5 * in_unit("fringes", wavelength, "um")
+    )
     if not 0.0 < fringes < math.inf:
         raise UsageError("`fringes` and `stroke`: give lengths above 0")
     needed = math.pi * excitation.frequency * fringes * SAMPLES_A_FRINGE * STEEPEST
@@ -69,7 +78,9 @@ def drive_for_fringes(
         )
     turns, counts = _turns(excitation, fringes)
     part = swings(turns, counts)
-    voltage = np.clip(excitation.v_min + excitation.span * part, excitation.v_min, excitation.v_max)
+    voltage = np.clip(
+        excitation.v_min + excitation.span * part, excitation.v_min, excitation.v_max
+    )
     return np.arange(voltage.size) / rate, {"voltage": voltage}
 
 

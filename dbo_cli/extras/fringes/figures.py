@@ -39,7 +39,9 @@ class Recorded(Protocol):
         """The photodiode's."""
 
 
-def plots_of_track(recorded: Recorded, values: Floats, deviation: Floats, track: Track) -> list[Plot]:
+def plots_of_track(
+    recorded: Recorded, values: Floats, deviation: Floats, track: Track
+) -> list[Plot]:
     """Return the figures of one log.
 
     Parameters
@@ -60,19 +62,35 @@ def plots_of_track(recorded: Recorded, values: Floats, deviation: Floats, track:
     around = "Intensity and fitted fringes around the turn of the least odds"
     plots = [
         Plot("intensity", around, signal, style.WIDE, view.intensity),
-        Plot("displacement", "Displacement against time", marked, style.WIDE, view.displacement),
+        Plot(
+            "displacement",
+            "Displacement against time",
+            marked,
+            style.WIDE,
+            view.displacement,
+        ),
         Plot("loop", "Displacement against drive voltage", loop, style.TALL, view.loop),
-        Plot("deviation", "Standard deviation against time", spread, style.WIDE, view.spread),
+        Plot(
+            "deviation",
+            "Standard deviation against time",
+            spread,
+            style.WIDE,
+            view.spread,
+        ),
     ]
     if track.turns:
-        plots.append(Plot("odds", "Odds at the turns of the drive", odds, style.WIDE, view.odds))
+        plots.append(
+            Plot("odds", "Odds at the turns of the drive", odds, style.WIDE, view.odds)
+        )
     return plots
 
 
 class _View:
     """What the figures of a log are painted from."""
 
-    def __init__(self, recorded: Recorded, values: Floats, deviation: Floats, track: Track) -> None:
+    def __init__(
+        self, recorded: Recorded, values: Floats, deviation: Floats, track: Track
+    ) -> None:
         self.recorded = recorded
         self.values = values
         self.deviation = deviation
@@ -91,15 +109,25 @@ class _View:
     def displacement(self, axes: Axes) -> None:
         """Paint the displacement, and its turns as points."""
         time = self.recorded.time
-        axes.plot(time[self.few], self.values[self.few], label="displacement", **style.SOLID)
+        axes.plot(
+            time[self.few], self.values[self.few], label="displacement", **style.SOLID
+        )
         sure = [turn.row for turn in self.track.turns if turn.odds >= ENOUGH_ODDS]
         doubtful = [turn.row for turn in self.track.turns if turn.odds < ENOUGH_ODDS]
         dots: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 3.2}
         if sure:
-            axes.plot(time[sure], self.values[sure], label="turns", color=style.INK, **dots)
+            axes.plot(
+                time[sure], self.values[sure], label="turns", color=style.INK, **dots
+            )
         if doubtful:
             name = f"odds below {ENOUGH_ODDS:g}:1"
-            axes.plot(time[doubtful], self.values[doubtful], label=name, color=style.SECOND, **dots)
+            axes.plot(
+                time[doubtful],
+                self.values[doubtful],
+                label=name,
+                color=style.SECOND,
+                **dots,
+            )
         finish(axes, "Time (s)", "Displacement (µm)")
 
     def loop(self, axes: Axes) -> None:
@@ -109,13 +137,21 @@ class _View:
 
     def spread(self, axes: Axes) -> None:
         """Paint the standard deviation."""
-        axes.plot(self.recorded.time[self.few], 1000.0 * self.deviation[self.few], **style.SOLID)
+        axes.plot(
+            self.recorded.time[self.few],
+            1000.0 * self.deviation[self.few],
+            **style.SOLID,
+        )
         finish(axes, "Time (s)", "Standard deviation (nm)")
 
     def odds(self, axes: Axes) -> None:
         """Paint the odds at the turns."""
         rows = [turn.row for turn in self.track.turns]
-        axes.semilogy(self.recorded.time[rows], [turn.odds for turn in self.track.turns], **style.POINTS)
+        axes.semilogy(
+            self.recorded.time[rows],
+            [turn.odds for turn in self.track.turns],
+            **style.POINTS,
+        )
         axes.axhline(ENOUGH_ODDS, **style.DOTTED)
         label_decades(axes.yaxis)
         finish(axes, "Time (s)", "Odds of the branch taken")

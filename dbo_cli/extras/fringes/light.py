@@ -36,8 +36,9 @@ def percentile_ends(signal: Floats) -> tuple[float, float]:
 def clipped_rows(signal: Floats) -> NDArray[np.bool_]:
     """Return the rows at which the photodiode is at the end of its range.
 
-    Those at the very highest (or lowest) value of the log, where they are more than ``CLIPPED_ROWS`` and
-    three times as many as are within one step (of the digits) of it.
+    Those at the very highest (or lowest) value of the log, where they are more than
+    ``CLIPPED_ROWS`` and three times as many as are within one step (of the digits) of
+    it.
     """
     clipped = np.zeros(signal.size, dtype=bool)
     values, counts = np.unique(signal, return_counts=True)
@@ -82,7 +83,11 @@ def _stiffness(knots: int, factors: int) -> Floats:
 
 
 def fit_light(
-    signal: Floats, terms: list[Floats], fringes: Floats, weight: Floats, drift: float = DRIFT
+    signal: Floats,
+    terms: list[Floats],
+    fringes: Floats,
+    weight: Floats,
+    drift: float = DRIFT,
 ) -> tuple[list[Floats], float]:
     """Fit a signal by 1 and given functions of the phase, each times a drifting factor.
 
@@ -93,7 +98,8 @@ def fit_light(
     terms
         Functions of the phase: its cosine, for two signals its sine, too.
     fringes
-        Fringes gone by until each row: drift is smooth over these, so that each part has fringes enough.
+        Fringes gone by until each row: drift is smooth over these, so that each part
+        has fringes enough.
     weight
         0 where a row says nothing, else 1.
     drift
@@ -120,7 +126,9 @@ def fit_light(
         residual = signal - rows @ solution
         noise = float(np.sqrt(weight @ residual**2 / free))
     width = basis.shape[1]
-    factors = [basis @ solution[k * width : (k + 1) * width] for k in range(1 + len(terms))]
+    factors = [
+        basis @ solution[k * width : (k + 1) * width] for k in range(1 + len(terms))
+    ]
     return factors, noise
 
 

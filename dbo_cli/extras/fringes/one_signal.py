@@ -42,7 +42,8 @@ FIRST_ROUNDS = 4
 """Rounds of the first fit whose bends act on the phase of the round before."""
 INSIDE = (0.12, 0.97)
 """Of a swing's voltage: crossings between these are counted in the first fit; a lag is over there. The first
-swing has no turn before it, and counts from its beginning."""
+swing has no turn before it, and counts from its beginning.
+"""
 FEWEST_CROSSINGS = 8
 """Crossings of the middle: four fringes on the whole way."""
 
@@ -51,7 +52,8 @@ FEWEST_CROSSINGS = 8
 class _Log:
     """A log, cut into swings and blocks.
 
-    ``weight`` (rows) is 0 where the photodiode is clipped. ``half_stroke`` is about, in rad.
+    ``weight`` (rows) is 0 where the photodiode is clipped. ``half_stroke`` is about, in
+    rad.
     """
 
     time: Floats
@@ -70,7 +72,9 @@ class _Log:
     def columns(self, phase: Floats | None = None) -> Columns:
         """Return the terms of an actuator at the blocks, bent as an earlier model's phase."""
         starts = self.nodes.starts
-        return columns_of(self.time[starts], self.drive[starts], self.turns.size - 1, phase)
+        return columns_of(
+            self.time[starts], self.drive[starts], self.turns.size - 1, phase
+        )
 
     def at_rows(self, at_blocks: Floats) -> Floats:
         """Return values of the blocks' first rows at every row."""
@@ -122,7 +126,12 @@ def _first_model(time: Floats, drive: Floats, signal: Floats) -> tuple[_Log, Fit
     phase = None
     for _ in range(FIRST_ROUNDS):
         fit = branches.first_fit(
-            log.columns(phase), at_blocks, phases, swings, log.half_stroke, turns.size - 2
+            log.columns(phase),
+            at_blocks,
+            phases,
+            swings,
+            log.half_stroke,
+            turns.size - 2,
         )
         phase = fit.phase
     return log, fit
@@ -136,7 +145,9 @@ def _settled(log: _Log, fit: Fit, light: Light) -> tuple[Fit, Light, int]:
         _, distance, phase = _path(log, light, fit, reach)
         reach = branches.REACH
         drift = FIRST_DRIFT if number < FEWEST_ROUNDS - 1 else DRIFT
-        factors, noise = fit_light(log.signal, [np.cos(phase)], travelled(phase), log.weight, drift)
+        factors, noise = fit_light(
+            log.signal, [np.cos(phase)], travelled(phase), log.weight, drift
+        )
         light = Light(factors[0], factors[1], noise, log.weight)
         at_blocks = fit.phase + distance
         columns = log.columns(fit.phase)
@@ -152,10 +163,16 @@ def _settled(log: _Log, fit: Fit, light: Light) -> tuple[Fit, Light, int]:
     return fit, light, 0
 
 
-def _odds(log: _Log, fit: Fit, chain: branches.Chain, distance: Floats) -> list[TurnOdds]:
+def _odds(
+    log: _Log, fit: Fit, chain: branches.Chain, distance: Floats
+) -> list[TurnOdds]:
     """Return the odds of each inner turn: by itself, and with all others."""
-    odds, others = branches.turn_odds(chain, distance, branches.anchors_of(log.nodes, fit.phase))
-    counts = swing_counts(log.columns(fit.phase), log.nodes, fit.phase + distance, log.half_stroke)
+    odds, others = branches.turn_odds(
+        chain, distance, branches.anchors_of(log.nodes, fit.phase)
+    )
+    counts = swing_counts(
+        log.columns(fit.phase), log.nodes, fit.phase + distance, log.half_stroke
+    )
     odds, others = joint_odds(odds, others, counts)
     records = []
     for row, odd, other in zip(log.turns[1:-1], odds, others, strict=True):
@@ -168,10 +185,14 @@ def _values(log: _Log, light: Light, phase: Floats) -> tuple[Smoothed, Channel]:
     kinks = kinks_of(log.drive, log.fringes_a_volt)
     none = np.zeros(phase.size)
     for _ in range(VALUE_ROUNDS):
-        channel = Channel(log.signal, light.offset, light.amplitude, none, light.noise, log.weight)
+        channel = Channel(
+            log.signal, light.offset, light.amplitude, none, light.noise, log.weight
+        )
         smoothed = smooth(log.time, [channel], phase, kinks)
         phase = smoothed.phase
-        factors, _ = fit_light(log.signal, [np.cos(phase)], travelled(phase), log.weight)
+        factors, _ = fit_light(
+            log.signal, [np.cos(phase)], travelled(phase), log.weight
+        )
         light = Light(factors[0], factors[1], smoothed.noise[0], log.weight)
     return smoothed, channel
 
@@ -192,7 +213,9 @@ def _demodulated(signal: Floats, model: Floats, weight: Floats) -> Light:
     return Light(factors[0], np.hypot(factors[1], factors[2]), noise, weight)
 
 
-def _path(log: _Log, light: Light, fit: Fit, reach: float) -> tuple[branches.Chain, Floats, Floats]:
+def _path(
+    log: _Log, light: Light, fit: Fit, reach: float
+) -> tuple[branches.Chain, Floats, Floats]:
     """Return the chain, its path (rad from the model, blocks), and the phase on it (rows)."""
     nodes = log.nodes
     rows = np.arange(log.signal.size)
@@ -204,7 +227,11 @@ def _path(log: _Log, light: Light, fit: Fit, reach: float) -> tuple[branches.Cha
 
 
 def _phases_inside(
-    places: Floats, slopes: NDArray[np.int_], volts: Floats, drive: Floats, turns: Indices
+    places: Floats,
+    slopes: NDArray[np.int_],
+    volts: Floats,
+    drive: Floats,
+    turns: Indices,
 ) -> tuple[NDArray[np.bool_], Floats, NDArray[np.int_]]:
     """Return which crossings are well inside a swing, their phases in it, and its number."""
     chosen = np.zeros(places.size, dtype=bool)
@@ -226,7 +253,9 @@ def _phases_inside(
     return chosen, phases[chosen], swings[chosen]
 
 
-def _slope(phases: Floats, volts: Floats, swings: NDArray[np.int_], crossed: int) -> float:
+def _slope(
+    phases: Floats, volts: Floats, swings: NDArray[np.int_], crossed: int
+) -> float:
     """Return the fringes in a volt, from the crossings inside the swings."""
     same = np.diff(swings) == 0
     travel = float(np.abs(np.diff(volts))[same].sum())

@@ -4,8 +4,9 @@ The phase p at the rows minimises
 
     sum (s - A - B cos p)^2 / noise^2 + sum (second differences of p)^2 / q:
 
-near the ends of a fringe, where the signal says little, its neighbours decide. q is the one under which the
-signal is most probable (Laplace's approximation). No model of the actuator takes part.
+near the ends of a fringe, where the signal says little, its neighbours decide. q is the
+one under which the signal is most probable (Laplace's approximation). No model of the
+actuator takes part.
 """
 
 from __future__ import annotations
@@ -107,7 +108,9 @@ class Channel:
 
     def shown(self, phase: Floats) -> Floats:
         """Return what the photodiode shows at these phases."""
-        out: Floats = self.offset + self.cosine * np.cos(phase) + self.sine * np.sin(phase)
+        out: Floats = (
+            self.offset + self.cosine * np.cos(phase) + self.sine * np.sin(phase)
+        )
         return out
 
     def slope(self, phase: Floats) -> Floats:
@@ -125,7 +128,9 @@ class Smoothed:
     noise: list[float]
 
 
-def smooth(time: Floats, channels: list[Channel], phase: Floats, kinks: Floats) -> Smoothed:
+def smooth(
+    time: Floats, channels: list[Channel], phase: Floats, kinks: Floats
+) -> Smoothed:
     """Return the phases of the rows.
 
     Parameters
@@ -137,7 +142,8 @@ def smooth(time: Floats, channels: list[Channel], phase: Floats, kinks: Floats) 
     phase
         Where to begin, rad: on the right branch.
     kinks
-        How sharply the phase may turn at a row beyond its usual smoothness, rad^2 (rows).
+        How sharply the phase may turn at a row beyond its usual smoothness, rad^2
+        (rows).
     """
     best = ROUGHNESS[-1]
     least = np.inf
@@ -156,7 +162,9 @@ def smooth(time: Floats, channels: list[Channel], phase: Floats, kinks: Floats) 
     variance = diagonal_of_inverse(whole)
     noise = []
     for channel in channels:
-        leverage = channel.weight * (channel.slope(phase) / channel.noise) ** 2 * variance
+        leverage = (
+            channel.weight * (channel.slope(phase) / channel.noise) ** 2 * variance
+        )
         rows = float(channel.weight.sum() - leverage.sum())
         squares = float(channel.weight @ (channel.signal - channel.shown(phase)) ** 2)
         noise.append(float(np.sqrt(squares / max(rows, 1.0))))
@@ -171,7 +179,9 @@ def _information(channels: list[Channel], phase: Floats) -> Floats:
     return total
 
 
-def _solved(bands: Floats, channels: list[Channel], phase: Floats, passes: int) -> Floats:
+def _solved(
+    bands: Floats, channels: list[Channel], phase: Floats, passes: int
+) -> Floats:
     """Return the phase after some Gauss-Newton passes."""
     for _ in range(passes):
         whole = bands.copy()

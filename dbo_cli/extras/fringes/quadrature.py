@@ -3,9 +3,9 @@
     first  = A1 + B1 cos p                   + noise
     second = A2 + C2 cos p + S2 sin p        + noise
 
-Offsets, amplitudes and the error of the phase between the two (C2) drift with the way. Source of the ellipse:
-P. L. M. Heydemann, "Determination and correction of quadrature fringe measurement errors in
-interferometers", Applied Optics 20 (1981).
+Offsets, amplitudes and the error of the phase between the two (C2) drift with the way.
+Source of the ellipse: P. L. M. Heydemann, "Determination and correction of quadrature
+fringe measurement errors in interferometers", Applied Optics 20 (1981).
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ LEAST_ROUND = 0.02
 """The least ratio of the ellipse's axes, squared: a flatter one is no quadrature."""
 
 
-def track_quadrature(time: Floats, drive: Floats, first: Floats, second: Floats) -> Track:
+def track_quadrature(
+    time: Floats, drive: Floats, first: Floats, second: Floats
+) -> Track:
     """Return the phase of two photodiodes; its sign is the interferometer's.
 
     Raises
@@ -37,7 +39,9 @@ def track_quadrature(time: Floats, drive: Floats, first: Floats, second: Floats)
     weight = np.where(clipped, 0.0, 1.0)
     phase = _first_angle(first, second, weight)
     if float(np.ptp(phase)) < TURN:
-        raise InputError(f"the two signals go through {np.ptp(phase) / TURN:.2g} of a fringe")
+        raise InputError(
+            f"the two signals go through {np.ptp(phase) / TURN:.2g} of a fringe"
+        )
     channels: list[Channel] = []
     for _ in range(ROUNDS):
         channels = _channels(first, second, phase, weight)
@@ -53,7 +57,15 @@ def track_quadrature(time: Floats, drive: Floats, first: Floats, second: Floats)
         smoothed = smooth(time, channels, smoothed.phase, kinks)
     amplitude = float(np.mean(np.hypot(channels[0].cosine, channels[0].sine)))
     ratio = smoothed.noise[0] / amplitude
-    return Track(smoothed.phase, smoothed.deviation, [], ratio, channels, ROUNDS, int(clipped.sum()))
+    return Track(
+        smoothed.phase,
+        smoothed.deviation,
+        [],
+        ratio,
+        channels,
+        ROUNDS,
+        int(clipped.sum()),
+    )
 
 
 def _first_angle(first: Floats, second: Floats, weight: Floats) -> Floats:
@@ -76,21 +88,26 @@ def _first_angle(first: Floats, second: Floats, weight: Floats) -> Floats:
     size = float(centre @ shape @ centre) - e
     if size <= 0.0:
         raise InputError("the two signals are no ellipse")
-    # x = cos p in units of the ellipse; the upper factor of the shape makes a circle of it
+    # x = cos p in units of the ellipse; the upper factor of the shape makes a circle of
+    # it
     circle = np.linalg.cholesky(shape[::-1, ::-1])[::-1, ::-1].T
     u, v = circle @ np.array([x - centre[0], y - centre[1]])
     unwrapped: Floats = np.unwrap(np.arctan2(v, u))
     return unwrapped
 
 
-def _channels(first: Floats, second: Floats, phase: Floats, weight: Floats) -> list[Channel]:
+def _channels(
+    first: Floats, second: Floats, phase: Floats, weight: Floats
+) -> list[Channel]:
     """Fit both signals by the phase, whose zero is where the first is highest."""
     terms = [np.cos(phase), np.sin(phase)]
     gone = travelled(phase)
     channels = []
     for signal in (first, second):
         factors, noise = fit_light(signal, terms, gone, weight)
-        channels.append(Channel(signal, factors[0], factors[1], factors[2], noise, weight))
+        channels.append(
+            Channel(signal, factors[0], factors[1], factors[2], noise, weight)
+        )
     return channels
 
 

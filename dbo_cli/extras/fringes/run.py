@@ -26,7 +26,12 @@ from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.units import in_unit
 from dbo_cli.logs.whole_output import all_or_none
 from dbo_cli.reports.drawing import check_folder, file_stems, save
-from dbo_cli.runs.files import Destination, read_record, summary_of_values, write_summary
+from dbo_cli.runs.files import (
+    Destination,
+    read_record,
+    summary_of_values,
+    write_summary,
+)
 
 PART = "{part}"
 """What an output's name has where each part of an interrupted log gets a file."""
@@ -44,16 +49,17 @@ class FringeOptions:
     voltage, signal, quadrature
         Columns: the drive, the photodiode, a second one in quadrature.
     wavelength, per_fringe
-        One of them, in um or as a text with a unit. A fringe is half a wavelength of displacement where the
-        light goes to the mirror and back.
+        One of them, in um or as a text with a unit. A fringe is half a wavelength of
+        displacement where the light goes to the mirror and back.
     sign
-        ``rising`` or ``falling``: how the displacement runs with the voltage. None: rising for one
-        photodiode, the interferometer's for two.
+        ``rising`` or ``falling``: how the displacement runs with the voltage. None:
+        rising for one photodiode, the interferometer's for two.
     scale_uncertainty
-        Of the wavelength, in %: common to all rows, so that it is said and no row's deviation has it.
+        Of the wavelength, in %: common to all rows, so that it is said and no row's
+        deviation has it.
     splice
-        Where fringes could not be counted for a while, go on where the displacement was; else each part has
-        its own zero.
+        Where fringes could not be counted for a while, go on where the displacement
+        was; else each part has its own zero.
     figures
         A folder for figures.
     """
@@ -95,7 +101,13 @@ class Signals:
         """Return some rows."""
         second = None if self.quadrature is None else self.quadrature[begin:end]
         rows = slice(begin, end)
-        return Signals(self.time[rows], self.drive[rows], self.signal[rows], second, self.first_row + begin)
+        return Signals(
+            self.time[rows],
+            self.drive[rows],
+            self.signal[rows],
+            second,
+            self.first_row + begin,
+        )
 
 
 @dataclass(frozen=True)
@@ -108,13 +120,16 @@ class Displacement:
     track: Track
 
 
-def displacement_of(signals: Signals, options: FringeOptions, name: str, remarks: Remarks) -> Displacement:
+def displacement_of(
+    signals: Signals, options: FringeOptions, name: str, remarks: Remarks
+) -> Displacement:
     """Return the displacement of one uninterrupted log.
 
     Raises
     ------
     InputError
-        There are too few fringes, or too few rows in one, or too many turns are in doubt.
+        There are too few fringes, or too few rows in one, or too many turns are in
+        doubt.
     """
     assessment.refuse_swapped(signals.drive, signals.signal, name)
     assessment.refuse_fast(signals.time, signals.signal, name)
@@ -122,7 +137,9 @@ def displacement_of(signals: Signals, options: FringeOptions, name: str, remarks
         if signals.quadrature is None:
             track = track_one_signal(signals.time, signals.drive, signals.signal)
         else:
-            track = track_quadrature(signals.time, signals.drive, signals.signal, signals.quadrature)
+            track = track_quadrature(
+                signals.time, signals.drive, signals.signal, signals.quadrature
+            )
     except InputError as problem:
         raise InputError(f"{name}: {problem}") from None
     track = _with_sign(track, signals, options, remarks)
@@ -135,19 +152,32 @@ def displacement_of(signals: Signals, options: FringeOptions, name: str, remarks
     deviation = np.abs(scale) * np.hypot(track.deviation, LIGHT_DEVIATION)
     made = Displacement(signals, values, deviation, track)
     assessment.refuse_doubtful(signals.time, track, name)
-    for text in assessment.doubtful_turns(signals.time, signals.drive, track, options.fringe()):
+    for text in assessment.doubtful_turns(
+        signals.time, signals.drive, track, options.fringe()
+    ):
         remarks.warn(f"{name}: {text}")
-    remarks.note([f"{name}: {text}" for text in assessment.headline(made.values, deviation, track)])
+    remarks.note(
+        [
+            f"{name}: {text}"
+            for text in assessment.headline(made.values, deviation, track)
+        ]
+    )
     return made
 
 
-def _with_sign(track: Track, signals: Signals, options: FringeOptions, remarks: Remarks) -> Track:
+def _with_sign(
+    track: Track, signals: Signals, options: FringeOptions, remarks: Remarks
+) -> Track:
     """Return the track in the direction that was asked for."""
     drive = signals.drive - float(np.mean(signals.drive))
     rises = float(drive @ (track.phase - float(np.mean(track.phase)))) > 0.0
     if options.sign is None:
         if not rises:
-            remarks.note(["the displacement falls as the voltage rises: the interferometer's sign"])
+            remarks.note(
+                [
+                    "the displacement falls as the voltage rises: the interferometer's sign"
+                ]
+            )
         return track
     if rises == (options.sign == "rising"):
         return track
@@ -170,20 +200,26 @@ def displacements(
 ) -> tuple[list[Displacement], list[str]]:
     """Return the displacement of each part of a log between breaks, and why there are breaks.
 
-    Rests in which the mirror moved by itself are breaks only where the count fails with them: a creep that
-    the model follows is counted like any other move.
+    Rests in which the mirror moved by itself are breaks only where the count fails with
+    them: a creep that the model follows is counted like any other move.
 
     Raises
     ------
     InputError
         A part cannot be counted, or none is long enough.
     """
-    both = [signals.signal] if signals.quadrature is None else [signals.signal, signals.quadrature]
+    both = (
+        [signals.signal]
+        if signals.quadrature is None
+        else [signals.signal, signals.quadrature]
+    )
     breaks = record_breaks(signals.time, both)
     why = [one.why for one in breaks]
     made: list[Displacement] = []
     for part in parts_between(signals, breaks):
-        counted, rests = _counted(part, options, name, part.time.size == signals.time.size, remarks)
+        counted, rests = _counted(
+            part, options, name, part.time.size == signals.time.size, remarks
+        )
         made += counted
         why += [one.why for one in rests]
     if not made:
@@ -196,7 +232,9 @@ def _counted(
 ) -> tuple[list[Displacement], list[Break]]:
     """Return the displacement of a part, or of what is between its rests where it fails with them."""
     try:
-        made = displacement_of(part, options, name if whole else f"{name} ({rows_of(part)})", remarks)
+        made = displacement_of(
+            part, options, name if whole else f"{name} ({rows_of(part)})", remarks
+        )
         return [made], []
     except InputError:
         rests = rest_breaks(part.time, part.drive, part.signal)
@@ -206,7 +244,11 @@ def _counted(
         pieces = []
         try:
             for piece in parts_between(part, rests):
-                pieces.append(displacement_of(piece, options, f"{name} ({rows_of(piece)})", of_pieces))
+                pieces.append(
+                    displacement_of(
+                        piece, options, f"{name} ({rows_of(piece)})", of_pieces
+                    )
+                )
         except InputError:
             pieces = []
         if not pieces:
@@ -231,7 +273,9 @@ def spliced(made: Sequence[Displacement]) -> Displacement:
         values.append(part.values - part.values[0] + level)
         clock, level = float(times[-1][-1]) + step, float(values[-1][-1])
     first = made[0].signals
-    quadrature = [part.signals.quadrature for part in made if part.signals.quadrature is not None]
+    quadrature = [
+        part.signals.quadrature for part in made if part.signals.quadrature is not None
+    ]
     signals = Signals(
         np.concatenate(times),
         np.concatenate([part.signals.drive for part in made]),
@@ -240,7 +284,12 @@ def spliced(made: Sequence[Displacement]) -> Displacement:
         first.first_row,
     )
     deviation = np.concatenate([part.deviation for part in made])
-    return Displacement(signals, np.concatenate(values), deviation, joined([part.track for part in made]))
+    return Displacement(
+        signals,
+        np.concatenate(values),
+        deviation,
+        joined([part.track for part in made]),
+    )
 
 
 def read_signals(log: SignalLog) -> Signals:
@@ -256,9 +305,17 @@ def read_signals(log: SignalLog) -> Signals:
     backwards = np.flatnonzero(np.diff(time) < 0.0)
     if backwards.size:
         place = block.place(log.name, int(backwards[0]) + 1)
-        raise InputError(f"{place}: time runs backwards (one log of one clock; `rows` takes a part)")
+        raise InputError(
+            f"{place}: time runs backwards (one log of one clock; `rows` takes a part)"
+        )
     values = block.values
-    return Signals(time, values["voltage"], values["signal"], values.get("quadrature"), int(block.rows[0]))
+    return Signals(
+        time,
+        values["voltage"],
+        values["signal"],
+        values.get("quadrature"),
+        int(block.rows[0]),
+    )
 
 
 def wishes(options: FringeOptions) -> dict[str, ColumnWish]:
@@ -285,14 +342,17 @@ def write_displacement(
     Raises
     ------
     InputError
-        The log cannot be counted, or its beam was interrupted and the output's name has no ``{part}``.
+        The log cannot be counted, or its beam was interrupted and the output's name has
+        no ``{part}``.
     UsageError
         The options contradict each other.
     """
     fringe = options.fringe()
     if not fringe > 0.0:
         raise UsageError("`wavelength` and `per_fringe` must be above 0")
-    destination = destination.beside(options.voltage, options.signal, options.quadrature, reading.time)
+    destination = destination.beside(
+        options.voltage, options.signal, options.quadrature, reading.time
+    )
     check_format(reading.format, [address, destination.output])
     first = _output_of(destination, 1)
     destination._replace(output=first).check()
@@ -320,12 +380,21 @@ def write_displacement(
     for number, part in enumerate(outputs, start=1):
         _write(_output_of(destination, number), part, unit, destination, reading)
     if destination.summary is not None:
-        write_summary(destination.summary, [_summary(part, destination, read, remarks) for part in outputs])
+        write_summary(
+            destination.summary,
+            [_summary(part, destination, read, remarks) for part in outputs],
+        )
     if options.figures is not None:
         stem = file_stems([name])[0]
         for number, part in enumerate(outputs, start=1):
-            plots = plots_of_track(part.signals, part.values, part.deviation, part.track)
-            save(plots, Path(options.figures), stem if len(outputs) == 1 else f"{stem}-{number}")
+            plots = plots_of_track(
+                part.signals, part.values, part.deviation, part.track
+            )
+            save(
+                plots,
+                Path(options.figures),
+                stem if len(outputs) == 1 else f"{stem}-{number}",
+            )
     if options.scale_uncertainty > 0.0:
         known = f"a fringe of {1000.0 * fringe:.6g} nm is known to {options.scale_uncertainty:g} %"
         said = f"identify --scale-uncertainty {options.scale_uncertainty:g} states it with the gain"
@@ -337,9 +406,13 @@ def _refuse_moved_drive(
     signals: Signals, made: Sequence[Displacement], options: FringeOptions, name: str
 ) -> None:
     """Refuse to splice parts between which the drive went as far as half a fringe takes (InputError)."""
-    um_a_volt = max(float(np.ptp(part.values) / np.ptp(part.signals.drive)) for part in made)
+    um_a_volt = max(
+        float(np.ptp(part.values) / np.ptp(part.signals.drive)) for part in made
+    )
     for before, behind in pairwise(made):
-        last = before.signals.first_row + before.signals.time.size - 1 - signals.first_row
+        last = (
+            before.signals.first_row + before.signals.time.size - 1 - signals.first_row
+        )
         first = behind.signals.first_row - signals.first_row
         between = signals.drive[last : first + 1]
         if um_a_volt * float(np.ptp(between)) > 0.5 * options.fringe():
@@ -397,7 +470,11 @@ def _output_of(destination: Destination, number: int) -> Address:
 
 
 def _write(
-    output: Address, made: Displacement, unit: str | None, destination: Destination, reading: ReadingOptions
+    output: Address,
+    made: Displacement,
+    unit: str | None,
+    destination: Destination,
+    reading: ReadingOptions,
 ) -> None:
     """Write the rows of one part."""
     columns = [

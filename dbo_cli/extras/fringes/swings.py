@@ -38,8 +38,8 @@ def noise_of(values: Floats) -> float:
 def turning_points(drive: Floats, threshold: float) -> Indices:
     """Return the rows of a drive's turns, its first and last row included.
 
-    A turn is an extreme from which the drive comes back by more than ``threshold``. Of equal values the
-    first counts.
+    A turn is an extreme from which the drive comes back by more than ``threshold``. Of
+    equal values the first counts.
     """
     values = drive.tolist()
     turns = [0]
@@ -73,14 +73,19 @@ def drive_threshold(drive: Floats) -> float:
     return max(SMALLEST_SWING * float(np.ptp(drive)), NOISE_FACTOR * noise_of(drive))
 
 
-def crossings(signal: Floats, middle: Floats, amplitude: Floats) -> tuple[Floats, NDArray[np.int_]]:
+def crossings(
+    signal: Floats, middle: Floats, amplitude: Floats
+) -> tuple[Floats, NDArray[np.int_]]:
     """Return where a signal crosses its middle, in rows and parts of rows, and +1 (rises) or -1 (falls).
 
-    A crossing counts when the signal goes from beyond one of two levels, ``SCHMITT_LEVEL`` of the amplitude
-    either side, to beyond the other: noise that is smaller makes none.
+    A crossing counts when the signal goes from beyond one of two levels,
+    ``SCHMITT_LEVEL`` of the amplitude either side, to beyond the other: noise that is
+    smaller makes none.
     """
     height = (signal - middle) / amplitude
-    beyond = np.where(height > SCHMITT_LEVEL, 1, np.where(height < -SCHMITT_LEVEL, -1, 0))
+    beyond = np.where(
+        height > SCHMITT_LEVEL, 1, np.where(height < -SCHMITT_LEVEL, -1, 0)
+    )
     rows = np.flatnonzero(beyond)
     sides = beyond[rows]
     changes = np.flatnonzero(np.diff(sides))
@@ -95,8 +100,8 @@ def crossings(signal: Floats, middle: Floats, amplitude: Floats) -> tuple[Floats
 def kinks_of(drive: Floats, fringes_a_volt: float) -> Floats:
     """Return how sharply the phase may turn because the drive does, rad^2 (rows).
 
-    The square of the drive's second difference, in phase; the largest within ``KINK_REACH`` rows, since the
-    displacement turns a little later.
+    The square of the drive's second difference, in phase; the largest within
+    ``KINK_REACH`` rows, since the displacement turns a little later.
     """
     reach = min(KINK_REACH, (drive.size - 1) // 2)
     second = np.zeros(drive.size)

@@ -29,7 +29,8 @@ class Track:
     phase, deviation : arrays
         rad (rows).
     turns : list of TurnOdds
-        One for each inner turn of the drive; none of two photodiodes, whose phase needs no drive.
+        One for each inner turn of the drive; none of two photodiodes, whose phase needs
+        no drive.
     noise : float
         Of the first photodiode, in parts of the fringes' amplitude.
     channels : list of Channel
@@ -59,7 +60,10 @@ def joined(tracks: Sequence[Track]) -> Track:
         phases.append(track.phase + 2.0 * np.pi * whole)
         turns += [replace(turn, row=turn.row + rows) for turn in track.turns]
         rows += track.phase.size
-    channels = [_joined_channel(same) for same in zip(*(track.channels for track in tracks), strict=True)]
+    channels = [
+        _joined_channel(same)
+        for same in zip(*(track.channels for track in tracks), strict=True)
+    ]
     return Track(
         np.concatenate(phases),
         np.concatenate([track.deviation for track in tracks]),
@@ -76,5 +80,7 @@ def _joined_channel(parts: Sequence[Channel]) -> Channel:
     arrays = {}
     for field in fields(Channel):
         if field.name != "noise":
-            arrays[field.name] = np.concatenate([getattr(part, field.name) for part in parts])
+            arrays[field.name] = np.concatenate(
+                [getattr(part, field.name) for part in parts]
+            )
     return Channel(**arrays, noise=max(part.noise for part in parts))

@@ -1,11 +1,12 @@
 """Which whole numbers of fringes lie between the swings of a log: all turns weighed together.
 
-Inside a swing fringes count by themselves; from swing to swing a whole number of them is open. A linear fit
-of the actuator with an offset of its own for each swing says what these offsets are and how well they are
-known together. A wrong count at all upper turns, say, is a wider loop: no turn alone would show it. So the
-whole vector of counts is searched, as receivers of satellite navigation search the whole wavelengths of
-their carrier phases: the integers z with the least (d - z)' Q^-1 (d - z), and for each turn the best vector
-that has another count there.
+Inside a swing fringes count by themselves; from swing to swing a whole number of them
+is open. A linear fit of the actuator with an offset of its own for each swing says what
+these offsets are and how well they are known together. A wrong count at all upper
+turns, say, is a wider loop: no turn alone would show it. So the whole vector of counts
+is searched, as receivers of satellite navigation search the whole wavelengths of their
+carrier phases: the integers z with the least (d - z)' Q^-1 (d - z), and for each turn
+the best vector that has another count there.
 """
 
 from __future__ import annotations
@@ -36,9 +37,9 @@ MOST_VISITS = 30_000
 class Counts:
     """What the search found.
 
-    ``swings`` numbers of the swings that have a count; ``counts`` whole fringes to add to each, so that
-    the log fits best; ``odds`` for each gap between neighbours of ``swings``; ``complete`` False where the
-    search was given up.
+    ``swings`` numbers of the swings that have a count; ``counts`` whole fringes to add
+    to each, so that the log fits best; ``odds`` for each gap between neighbours of
+    ``swings``; ``complete`` False where the search was given up.
     """
 
     swings: Indices
@@ -48,7 +49,9 @@ class Counts:
     complete: bool
 
 
-def swing_counts(columns: Columns, nodes: Nodes, phase: Floats, half_stroke: float) -> Counts:
+def swing_counts(
+    columns: Columns, nodes: Nodes, phase: Floats, half_stroke: float
+) -> Counts:
     """Return the counts that fit best, beside those that a path has, and the odds of each gap.
 
     Parameters
@@ -70,7 +73,9 @@ def swing_counts(columns: Columns, nodes: Nodes, phase: Floats, half_stroke: flo
     own = (owners[:, None] == swings[None, :]).astype(np.float64)
     terms = columns.values.shape[1]
     design = np.column_stack([columns.values[rows], own])
-    prior = np.concatenate([1.0 / (columns.spread * half_stroke) ** 2, np.full(swings.size, 1e-8)])
+    prior = np.concatenate(
+        [1.0 / (columns.spread * half_stroke) ** 2, np.full(swings.size, 1e-8)]
+    )
     expected = np.zeros(design.shape[1])
     expected[0] = half_stroke
     products = design.T @ design
@@ -108,7 +113,8 @@ def joint_odds(odds: Floats, others: Floats, found: Counts) -> tuple[Floats, Flo
     odds, others
         Of the inner turns by themselves.
     found
-        The counts of the swings. Where a better vector of counts is left, no turn has odds.
+        The counts of the swings. Where a better vector of counts is left, no turn has
+        odds.
     """
     odds = odds.copy()
     others = others.copy()
@@ -128,7 +134,9 @@ def _rows_inside(nodes: Nodes, phase: Floats) -> tuple[Indices, Indices]:
     travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(phase)))]) / TURN
     chosen = []
     owners = []
-    for number, (begin, end) in enumerate(zip(nodes.turns[:-1], nodes.turns[1:], strict=True)):
+    for number, (begin, end) in enumerate(
+        zip(nodes.turns[:-1], nodes.turns[1:], strict=True)
+    ):
         rows = np.arange(begin, end)
         rows = rows[travel[rows] - travel[begin] > INSIDE_TRAVEL]
         if rows.size < 3 or travel[rows[-1]] - travel[rows[0]] < FEWEST_FRINGES:
@@ -173,8 +181,8 @@ def search(difference: Floats, joint: Floats) -> tuple[Indices, Indices, Floats,
     joint
         Its covariance.
 
-    Source: P. J. G. Teunissen, "The least-squares ambiguity decorrelation adjustment", J. Geodesy 70 (1995);
-    here without the decorrelation, since the unknowns are few.
+    Source: P. J. G. Teunissen, "The least-squares ambiguity decorrelation adjustment",
+    J. Geodesy 70 (1995); here without the decorrelation, since the unknowns are few.
     """
     order, lower, variances = _conditional_order(joint)
     size = order.size
@@ -214,13 +222,26 @@ def search(difference: Floats, joint: Floats) -> tuple[Indices, Indices, Floats,
     unordered[:, order] = found
     every = np.array(costs)
     keep = every <= best + SEARCHED
-    winner = unordered[int(np.argmin(every))] if every.size else np.round(difference).astype(np.intp)
-    return winner, unordered[keep], every[keep], visits <= MOST_VISITS and every.size > 0
+    winner = (
+        unordered[int(np.argmin(every))]
+        if every.size
+        else np.round(difference).astype(np.intp)
+    )
+    return (
+        winner,
+        unordered[keep],
+        every[keep],
+        visits <= MOST_VISITS and every.size > 0,
+    )
 
 
-def _gap_odds(counts: Indices, vectors: Indices, costs: Floats) -> tuple[Floats, Floats]:
+def _gap_odds(
+    counts: Indices, vectors: Indices, costs: Floats
+) -> tuple[Floats, Floats]:
     """Return for each gap the odds of its count against all vectors with another, and the best other."""
-    padded = np.concatenate([np.zeros((vectors.shape[0], 1), dtype=np.intp), vectors], axis=1)
+    padded = np.concatenate(
+        [np.zeros((vectors.shape[0], 1), dtype=np.intp), vectors], axis=1
+    )
     jumps = np.diff(padded, axis=1)
     taken = np.diff(counts)
     odds = np.full(taken.size, MOST_ODDS)

@@ -1,9 +1,10 @@
 """Binary files as tables of columns, HDF5 aside: each is read by the library that knows its format.
 
-NumPy reads its own files (pickled objects are never loaded), scipy MATLAB's before version 7.3 and netCDF 3
-(newer ones are HDF5), polars Parquet and Feather, optional libraries workbooks, LabVIEW's TDMS and universal
-files. A workbook's sheet is turned into tab-separated text and read as text is: header, line of units, dates
-and bad cells follow the same rules, and the line numbers of messages are the sheet's row numbers.
+NumPy reads its own files (pickled objects are never loaded), scipy MATLAB's before
+version 7.3 and netCDF 3 (newer ones are HDF5), polars Parquet and Feather, optional
+libraries workbooks, LabVIEW's TDMS and universal files. A workbook's sheet is turned
+into tab-separated text and read as text is: header, line of units, dates and bad cells
+follow the same rules, and the line numbers of messages are the sheet's row numbers.
 """
 
 from __future__ import annotations
@@ -40,15 +41,18 @@ from dbo_cli.logs.request import Request
 from dbo_cli.logs.text.lines import is_number
 from dbo_cli.logs.text.text_table import TextTable
 
-_PIECE = 1 << 23  # bytes read at once: a matrix is read by whole rows, whatever its width
-# What the exports of PicoScope (Tstart), Simulink (values, label) and dSPACE (X, Y, Data, Unit) call these.
+# bytes read at once: a matrix is read by whole rows, whatever its width
+_PIECE = 1 << 23
+# What the exports of PicoScope (Tstart), Simulink (values, label) and dSPACE (X, Y,
+# Data, Unit) call these.
 _START_NAMES = ("tstart", "t0", "x0")
 _LABELS = ("Name", "name", "label", "Label", "title")
 _VALUES = ("Data", "data", "values", "value", "Values", "Y")
 _UNIT_NAMES = ("Unit", "unit", "Units", "units")
 
 
-# --- NumPy -------------------------------------------------------------------------------------------------
+# --- NumPy
+# -------------------------------------------------------------------------------------------------
 
 
 def open_npy(request: Request) -> ColumnTable:
@@ -61,10 +65,14 @@ def open_npy(request: Request) -> ColumnTable:
     """
     with request.reading("NumPy file"):
         try:
-            # Mapped for its header alone: reading a map of a file that is cut meanwhile ends the process.
+            # Mapped for its header alone: reading a map of a file that is cut meanwhile
+            # ends the process.
             array = np.load(request.address.path, mmap_mode="r", allow_pickle=False)
         except ValueError as problem:
-            if any(word in str(problem) for word in ("allow_pickle", "Object arrays", "Python objects")):
+            if any(
+                word in str(problem)
+                for word in ("allow_pickle", "Object arrays", "Python objects")
+            ):
                 raise InputError(
                     f"{request.place}: it holds pickled Python objects, which are not loaded: save arrays of "
                     "numbers"
@@ -84,7 +92,9 @@ def open_npz(request: Request) -> ColumnTable:
     """
     arrays: dict[str, Any] = {}
     with (
-        request.reading("NumPy archive"),  # zipfile and numpy raise whatever the damaged bytes lead to
+        request.reading(
+            "NumPy archive"
+        ),  # zipfile and numpy raise whatever the damaged bytes lead to
         open(request.address.path, "rb") as stream,
         np.load(stream, allow_pickle=False) as archive,
     ):
@@ -97,17 +107,32 @@ def open_npz(request: Request) -> ColumnTable:
                 arrays[name] = None  # pickled objects are left out, as text is
     readable = {name: array for name, array in arrays.items() if array is not None}
     sources = without_scalars(
-        [source for name, array in readable.items() for source in _array_columns(name, array)]
+        [
+            source
+            for name, array in readable.items()
+            for source in _array_columns(name, array)
+        ]
     )
-    single = {name: array.ravel()[0] for name, array in readable.items() if array.size == 1}
-    stated = {name: value for name, value in single.items() if is_clock_name(name) or isinstance(value, str)}
+    single = {
+        name: array.ravel()[0] for name, array in readable.items() if array.size == 1
+    }
+    stated = {
+        name: value
+        for name, value in single.items()
+        if is_clock_name(name) or isinstance(value, str)
+    }
     listed = (f"{name} ({_array_shape(array)})" for name, array in arrays.items())
-    return ColumnTable(request, "NumPy archive", sources, clock=statements_in(stated), held=listed)
+    return ColumnTable(
+        request, "NumPy archive", sources, clock=statements_in(stated), held=listed
+    )
 
 
 def _array_columns(name: str, array: Any) -> list[ColumnSource]:
     if array.dtype.names is not None and array.ndim == 1:
-        return [array_source(f"{name}/{field}", array[field]) for field in _numbers_in(array.dtype)]
+        return [
+            array_source(f"{name}/{field}", array[field])
+            for field in _numbers_in(array.dtype)
+        ]
     return matrix_sources(name, array)
 
 
@@ -120,14 +145,20 @@ def _file_array_columns(path: str, array: Any) -> Iterator[ColumnSource]:
     kind, shape = array.dtype, array.shape
     if kind.names is not None and array.ndim == 1:
         for name in _numbers_in(kind):
-            yield ColumnSource(name, len(array), _records(path, kind, array.offset, name))
+            yield ColumnSource(
+                name, len(array), _records(path, kind, array.offset, name)
+            )
     elif kind.kind in "fiub" and array.size and array.ndim in (1, 2):
         length, width = (shape[0], 1) if array.ndim == 1 else (max(shape), min(shape))
         by_rows = width > 1 and (shape[0] >= shape[1]) == array.flags.c_contiguous
         row = np.dtype((kind, (width,)))
         for index in range(width):
             place = array.offset + index * length * kind.itemsize
-            column = _records(path, row, array.offset, (slice(None), index)) if by_rows else None
+            column = (
+                _records(path, row, array.offset, (slice(None), index))
+                if by_rows
+                else None
+            )
             yield ColumnSource("", length, column or _records(path, kind, place, ...))
 
 
@@ -139,7 +170,9 @@ def _records(path: str, record: Any, offset: int, column: Any) -> Fetch:
         pieces = []
         for first in range(start, stop, most):
             count = min(most, stop - first)
-            rows = np.fromfile(path, record, count, offset=offset + first * record.itemsize)
+            rows = np.fromfile(
+                path, record, count, offset=offset + first * record.itemsize
+            )
             if len(rows) < count:
                 raise ValueError("it ends early")
             pieces.append(rows[column])
@@ -154,13 +187,15 @@ def _array_shape(array: Any) -> str:
     return f"{'x'.join(map(str, array.shape)) or 'one value'}, {array.dtype}"
 
 
-# --- MATLAB ------------------------------------------------------------------------------------------------
+# --- MATLAB
+# ------------------------------------------------------------------------------------------------
 
 
 def open_matlab(request: Request) -> ColumnTable:
     """Open a MATLAB file: vectors, columns of matrices, fields of structs (one struct, or ``FILE::struct``).
 
-    Single values called ``fs``, ``Ts``, ``dt``, ``Tinterval`` and the like give the sample rate.
+    Single values called ``fs``, ``Ts``, ``dt``, ``Tinterval`` and the like give the
+    sample rate.
 
     Raises
     ------
@@ -170,12 +205,15 @@ def open_matlab(request: Request) -> ColumnTable:
     import scipy.io
 
     place = request.place
-    with request.reading("MATLAB file"):  # scipy raises whatever the damaged bytes lead to
+    # scipy raises whatever the damaged bytes lead to
+    with request.reading("MATLAB file"):
         try:
             stored = scipy.io.loadmat(request.address.path, simplify_cells=True)
         except (IndexError, EOFError):
             raise ValueError("it ends early") from None
-    variables = {name: value for name, value in stored.items() if not name.startswith("__")}
+    variables = {
+        name: value for name, value in stored.items() if not name.startswith("__")
+    }
     trail = _struct(place, variables, request.address.group or "")
     group, sources, level = trail[-1], _matlab_columns(trail[-1]), {"": trail}
     while not sources and level:  # the shallowest structs that have any
@@ -197,13 +235,24 @@ def open_matlab(request: Request) -> ColumnTable:
     for path in request.named:
         if path not in group:
             sources += _by_path(variables, path)
-    objects = "__function_workspace__" in stored or any(map(_is_object, variables.values()))
+    objects = "__function_workspace__" in stored or any(
+        map(_is_object, variables.values())
+    )
     listed = (f"{name} ({_shape(value)})" for name, value in group.items())
-    clock = next((stated for level in reversed(trail) if (stated := _statements(level))), [])
-    starts = [value for level in trail for name, value in level.items() if name.lower() in _START_NAMES]
+    clock = next(
+        (stated for level in reversed(trail) if (stated := _statements(level))), []
+    )
+    starts = [
+        value
+        for level in trail
+        for name, value in level.items()
+        if name.lower() in _START_NAMES
+    ]
     start = number_in(starts[-1]) if starts and np.ndim(starts[-1]) == 0 else None
     remedy = MATLAB_OBJECTS if objects else ""
-    return ColumnTable(request, "MATLAB", sources, clock, start or 0.0, held=listed, remedy=remedy)
+    return ColumnTable(
+        request, "MATLAB", sources, clock, start or 0.0, held=listed, remedy=remedy
+    )
 
 
 def _struct(place: str, variables: dict[str, Any], path: str) -> list[dict[str, Any]]:
@@ -212,8 +261,15 @@ def _struct(place: str, variables: dict[str, Any], path: str) -> list[dict[str, 
     for part in filter(None, path.replace("/", ".").split(".")):
         value = trail[-1].get(part)
         if not isinstance(value, dict):
-            names = ", ".join(name for name, value in trail[-1].items() if isinstance(value, dict)) or "none"
-            raise InputError(f"{place}: there is no struct '{part}': the structs are: {names}")
+            names = (
+                ", ".join(
+                    name for name, value in trail[-1].items() if isinstance(value, dict)
+                )
+                or "none"
+            )
+            raise InputError(
+                f"{place}: there is no struct '{part}': the structs are: {names}"
+            )
         trail.append(value)
     return trail
 
@@ -221,17 +277,31 @@ def _struct(place: str, variables: dict[str, Any], path: str) -> list[dict[str, 
 def _matlab_columns(group: dict[str, Any]) -> list[ColumnSource]:
     sources: list[ColumnSource] = []
     for name, value in group.items():
-        sources += _channels(name, value) if _is_channel_list(value) else _arrays(name, value)
-    if _is_channel(group) and not _is_channel_list(group):  # Simulink's "structure with time"
+        sources += (
+            _channels(name, value) if _is_channel_list(value) else _arrays(name, value)
+        )
+    # Simulink's "structure with time"
+    if _is_channel(group) and not _is_channel_list(group):
         known = {source.label for source in sources}
-        sources += [source for source in _channels("", group) if source.label not in known]
+        sources += [
+            source for source in _channels("", group) if source.label not in known
+        ]
     structs = {name: value for name, value in group.items() if isinstance(value, dict)}
-    single = {name: struct for name, struct in structs.items() if not _is_channel_list(struct)}
-    channels = {name: struct for name, struct in single.items() if np.ndim(_first(struct, _VALUES)) == 1}
+    single = {
+        name: struct for name, struct in structs.items() if not _is_channel_list(struct)
+    }
+    channels = {
+        name: struct
+        for name, struct in single.items()
+        if np.ndim(_first(struct, _VALUES)) == 1
+    }
     if len(channels) > 1:
         sources += _with_their_times(channels)
-    elif all(source.label.lower() in TIME_NAMES for source in sources) and sources:  # its signals lie below
-        sources += [source for source in _below(group) if source.length == sources[0].length]
+    # its signals lie below
+    elif all(source.label.lower() in TIME_NAMES for source in sources) and sources:
+        sources += [
+            source for source in _below(group) if source.length == sources[0].length
+        ]
     return [with_unit(source, group.get) for source in without_scalars(sources)]
 
 
@@ -248,10 +318,16 @@ def _with_their_times(channels: dict[str, dict[str, Any]]) -> Iterator[ColumnSou
     times: dict[str, Any] = {}
     for name, value in channels.items():
         yield from _channels(name, {_LABELS[0]: name} | value)
-        for key in (key for key in value if key.lower() in TIME_NAMES and np.ndim(value[key]) == 1):
+        for key in (
+            key
+            for key in value
+            if key.lower() in TIME_NAMES and np.ndim(value[key]) == 1
+        ):
             times[name] = value[key]
     first: Any = next(iter(times.values()), None)
-    same = len(times) == len(channels) and all(np.array_equal(time, first) for time in times.values())
+    same = len(times) == len(channels) and all(
+        np.array_equal(time, first) for time in times.values()
+    )
     for name in list(times)[:1] if same else times:
         yield array_source("time" if same else f"{name}/time", times[name])
 
@@ -268,11 +344,17 @@ def _is_channel_list(value: Any) -> bool:
     """Recognise an array of structs with a name and values each (dSPACE's Y, Simulink's signals)."""
     items = value if isinstance(value, list | np.ndarray) else [value]
     structs = isinstance(items, list) or items.dtype == object
-    return structs and len(items) > 0 and all(_is_channel(item) and _label(item) for item in items)
+    return (
+        structs
+        and len(items) > 0
+        and all(_is_channel(item) and _label(item) for item in items)
+    )
 
 
 def _channels(name: str, value: Any) -> Iterator[ColumnSource]:
-    for number, channel in enumerate(value if isinstance(value, list | np.ndarray) else [value], start=1):
+    for number, channel in enumerate(
+        value if isinstance(value, list | np.ndarray) else [value], start=1
+    ):
         label = (_label(channel) or str(name or number)).strip('"')
         unit = _first(channel, _UNIT_NAMES)
         for source in _arrays(label, np.atleast_1d(_first(channel, _VALUES))):
@@ -297,8 +379,14 @@ def _by_path(variables: dict[str, Any], path: str) -> list[ColumnSource]:
 
 
 def _statements(level: Mapping[str, Any]) -> list[Statement]:
-    plain = {name: value for name, value in level.items() if not isinstance(value, dict | list)}
-    return statements_in({name: value for name, value in plain.items() if np.size(value) == 1})
+    plain = {
+        name: value
+        for name, value in level.items()
+        if not isinstance(value, dict | list)
+    }
+    return statements_in(
+        {name: value for name, value in plain.items() if np.size(value) == 1}
+    )
 
 
 def _is_object(value: Any) -> bool:
@@ -315,7 +403,8 @@ def _shape(value: Any) -> str:
     return "x".join(map(str, np.shape(value))) or "one value"
 
 
-# --- netCDF ------------------------------------------------------------------------------------------------
+# --- netCDF
+# ------------------------------------------------------------------------------------------------
 
 
 def open_netcdf(request: Request) -> ColumnTable:
@@ -328,10 +417,18 @@ def open_netcdf(request: Request) -> ColumnTable:
     """
     from scipy.io import netcdf_file
 
-    # Without a map everything is read here; scipy raises whatever the damaged bytes lead to.
-    with request.reading("netCDF"), netcdf_file(request.address.path, "r", mmap=False) as file:
+    # Without a map everything is read here; scipy raises whatever the damaged bytes
+    # lead to.
+    with (
+        request.reading("netCDF"),
+        netcdf_file(request.address.path, "r", mmap=False) as file,
+    ):
         variables = dict(file.variables)
-        vectors = [(name, variable) for name, variable in variables.items() if len(variable.shape) == 1]
+        vectors = [
+            (name, variable)
+            for name, variable in variables.items()
+            if len(variable.shape) == 1
+        ]
         sources = [
             _variable(clean_text(name), variable)
             for name, variable in vectors
@@ -340,7 +437,9 @@ def open_netcdf(request: Request) -> ColumnTable:
         clock = statements_in(file._attributes)
         for name, variable in variables.items():
             if not variable.shape:
-                clock += read_statements(name, variable.data, variable._attributes.get("units"))
+                clock += read_statements(
+                    name, variable.data, variable._attributes.get("units")
+                )
     listed = (f"{name} {variable.shape}" for name, variable in variables.items())
     return ColumnTable(request, "netCDF", sources, clock=clock, held=listed)
 
@@ -348,15 +447,21 @@ def open_netcdf(request: Request) -> ColumnTable:
 def _variable(label: str, variable: Any) -> ColumnSource:
     data, attributes = variable.data, variable._attributes
     unit = clean_text(attributes["units"]) if "units" in attributes else None
-    source = replace(array_source(label, data, unit), clock=tuple(statements_in(attributes)))
+    source = replace(
+        array_source(label, data, unit), clock=tuple(statements_in(attributes))
+    )
     unsigned = clean_text(attributes.get("_Unsigned", "")).lower() == "true"
     filled = data.dtype.kind == "f"
-    return unpacked(source, lambda name: number_in(attributes.get(name)), unsigned, filled)
+    return unpacked(
+        source, lambda name: number_in(attributes.get(name)), unsigned, filled
+    )
 
 
-# --- Parquet and Feather (Arrow), read in blocks with polars ---------------------------------------------
+# --- Parquet and Feather (Arrow), read in blocks with polars
+# ---------------------------------------------
 
-_ROWS = 1 << 20  # read at once: a row group is decoded whole, and pandas writes a million rows into one
+# read at once: a row group is decoded whole, and pandas writes a million rows into one
+_ROWS = 1 << 20
 _INDEX = "__index_level_0__"  # what pandas calls an index without a name
 
 
@@ -385,7 +490,12 @@ def open_old_feather(request: Request) -> ColumnTable:
 
 def _open_arrow(request: Request, kind: str, scan: Callable[..., Any]) -> ColumnTable:
     polars = import_polars()
-    damaged = (polars.exceptions.PolarsError, polars.exceptions.PanicException, OSError, ValueError)
+    damaged = (
+        polars.exceptions.PolarsError,
+        polars.exceptions.PanicException,
+        OSError,
+        ValueError,
+    )
     with request.reading(kind, damaged), host().contained(request.place, kind):
         metadata = _parquet_metadata(request.address.path) if kind == "Parquet" else {}
         frame = scan(request.address.path)
@@ -395,29 +505,49 @@ def _open_arrow(request: Request, kind: str, scan: Callable[..., Any]) -> Column
     units = attributes.get("units")
     sources = []
     for name, stored in schema.items():
-        source = _arrow_column(ColumnSource(name, length, _arrow_rows(request, kind, frame, name)), stored)
+        source = _arrow_column(
+            ColumnSource(name, length, _arrow_rows(request, kind, frame, name)), stored
+        )
         if source is not None:
             unit = units.get(name) if isinstance(units, dict) else None
-            sources.append(replace(source, unit=source.unit or (str(unit) if unit else None)))
+            sources.append(
+                replace(source, unit=source.unit or (str(unit) if unit else None))
+            )
     clock = statements_in(metadata) + statements_in(attributes)
     listed = (f"{name} ({stored})" for name, stored in schema.items())
-    return ColumnTable(request, kind, sources, clock=clock, damaged=damaged, held=listed)
+    return ColumnTable(
+        request, kind, sources, clock=clock, damaged=damaged, held=listed
+    )
 
 
-def _arrow_rows(request: Request, kind: str, frame: Any, name: str) -> Callable[[int, int], Any]:
+def _arrow_rows(
+    request: Request, kind: str, frame: Any, name: str
+) -> Callable[[int, int], Any]:
     """Read rows of a column as an array, nulls as NaN; the last stretch is kept for the next rows."""
 
     @lru_cache(maxsize=1)
     def stretch(base: int) -> Any:
         polars = import_polars()
         column, stored = polars.col(name), frame.collect_schema()[name]
-        physical = column.to_physical() if stored.is_temporal() else column.cast(polars.Float64)
+        physical = (
+            column.to_physical()
+            if stored.is_temporal()
+            else column.cast(polars.Float64)
+        )
         with host().contained(request.place, kind):
-            return frame.slice(base, _ROWS).select(physical).collect().to_series().to_numpy()
+            return (
+                frame.slice(base, _ROWS)
+                .select(physical)
+                .collect()
+                .to_series()
+                .to_numpy()
+            )
 
     def fetch(start: int, stop: int) -> Any:
         bases = range(start // _ROWS * _ROWS, stop, _ROWS)
-        values = np.concatenate([stretch(base)[max(0, start - base) : stop - base] for base in bases])
+        values = np.concatenate(
+            [stretch(base)[max(0, start - base) : stop - base] for base in bases]
+        )
         if len(values) < stop - start:
             raise ValueError(f"column '{name}' ends early")
         return values
@@ -438,9 +568,14 @@ def _arrow_column(source: ColumnSource, stored: Any) -> ColumnSource | None:
 
 def _parquet_metadata(path: str) -> dict[str, str]:
     polars = import_polars()
-    read = getattr(polars, "read_parquet_metadata", None)  # newer than the oldest polars that is supported
+    # newer than the oldest polars that is supported
+    read = getattr(polars, "read_parquet_metadata", None)
     try:
-        return {str(key): str(value) for key, value in read(path).items()} if read is not None else {}
+        return (
+            {str(key): str(value) for key, value in read(path).items()}
+            if read is not None
+            else {}
+        )
     except (Exception, polars.exceptions.PanicException):
         return {}  # a damaged file is complained about when its columns are looked up
 
@@ -454,9 +589,11 @@ def _pandas_attributes(metadata: dict[str, str]) -> dict[str, Any]:
     return attributes if isinstance(attributes, dict) else {}
 
 
-# --- Excel workbooks and OpenDocument sheets, read with fastexcel -----------------------------------------
+# --- Excel workbooks and OpenDocument sheets, read with fastexcel
+# -----------------------------------------
 
-_LOOKED_AT = 200  # rows that tell whether a sheet holds a table; instruments' headers are shorter
+# rows that tell whether a sheet holds a table; instruments' headers are shorter
+_LOOKED_AT = 200
 # As fastexcel writes dates in its column of texts.
 _DATE = r"^\d{4}-\d\d-\d\d"
 _DAY_ZERO = r"^1899-12-3[01] "  # before a time of day without a date
@@ -468,12 +605,16 @@ def open_excel(request: Request) -> TextTable:
     Raises
     ------
     InputError
-        fastexcel is not installed, the workbook is damaged, or which sheet is meant is not clear.
+        fastexcel is not installed, the workbook is damaged, or which sheet is meant is
+        not clear.
     """
     place = request.place
     fastexcel = import_extra("fastexcel", place)
     # BaseException: whatever the damaged bytes lead to; a panic is no Exception
-    with request.reading("workbook", (BaseException,)), host().contained(place, "workbook"):
+    with (
+        request.reading("workbook", (BaseException,)),
+        host().contained(place, "workbook"),
+    ):
         book = fastexcel.read_excel(request.address.path)
         content = _sheet_as_text(book, _sheet(request, book))
     plain = replace(request.options, delimiter="tab", encoding=None)
@@ -491,7 +632,9 @@ def _sheet(request: Request, book: Any) -> str:
     sheets = names if wanted else [name for name in names if _has_numbers(book, name)]
     listed = ", ".join(f"'{name}'" for name in sheets)
     if wanted and wanted not in names:
-        raise InputError(f"{place}: there is no sheet '{wanted}': the sheets are: {listed}")
+        raise InputError(
+            f"{place}: there is no sheet '{wanted}': the sheets are: {listed}"
+        )
     if not sheets:
         raise InputError(f"{place}: no sheet holds rows of numbers")
     if not wanted and len(sheets) > 1:
@@ -503,31 +646,53 @@ def _sheet(request: Request, book: Any) -> str:
 
 
 def _has_numbers(book: Any, name: str) -> bool:
-    sheet = book.load_sheet(name, header_row=None, skip_rows=0, n_rows=_LOOKED_AT, dtypes="string")
+    sheet = book.load_sheet(
+        name, header_row=None, skip_rows=0, n_rows=_LOOKED_AT, dtypes="string"
+    )
     rows = sheet.to_polars().rows() if sheet.width else []
-    return any(sum(is_number(cell, ".") for cell in row if cell) >= min(2, sheet.width) for row in rows)
+    return any(
+        sum(is_number(cell, ".") for cell in row if cell) >= min(2, sheet.width)
+        for row in rows
+    )
 
 
 def _sheet_as_text(book: Any, name: str) -> bytes:
     """Write a sheet as tab-separated text, its numbers with all their digits."""
     polars = import_polars()
-    shown = book.load_sheet(name, header_row=None, skip_rows=0, dtypes="string").to_polars()
-    exact = book.load_sheet(name, header_row=None, skip_rows=0, dtypes="float").to_polars()
+    shown = book.load_sheet(
+        name, header_row=None, skip_rows=0, dtypes="string"
+    ).to_polars()
+    exact = book.load_sheet(
+        name, header_row=None, skip_rows=0, dtypes="float"
+    ).to_polars()
     if shown.shape != exact.shape:
         raise ValueError("the sheet cannot be read twice alike")
     columns = []
     for text, number in zip(shown.get_columns(), exact.get_columns(), strict=True):
         frame = polars.DataFrame({"text": text, "number": number})
-        usable = polars.col("number").is_not_null() & ~polars.col("text").str.contains(_DATE)
-        plain = polars.col("text").str.replace_all(r"[\t\r\n]", " ").str.replace(_DAY_ZERO, "")
-        cells = polars.when(usable).then(polars.col("number").cast(polars.String)).otherwise(plain)
+        usable = polars.col("number").is_not_null() & ~polars.col("text").str.contains(
+            _DATE
+        )
+        plain = (
+            polars.col("text")
+            .str.replace_all(r"[\t\r\n]", " ")
+            .str.replace(_DAY_ZERO, "")
+        )
+        cells = (
+            polars.when(usable)
+            .then(polars.col("number").cast(polars.String))
+            .otherwise(plain)
+        )
         columns.append(frame.select(cells.alias("cell")).to_series().rename(text.name))
     table = polars.DataFrame(columns)
-    written: str = table.write_csv(include_header=False, separator="\t", null_value="", quote_style="never")
+    written: str = table.write_csv(
+        include_header=False, separator="\t", null_value="", quote_style="never"
+    )
     return written.encode("utf-8")
 
 
-# --- LabVIEW's TDMS, read in blocks with npTDMS -----------------------------------------------------------
+# --- LabVIEW's TDMS, read in blocks with npTDMS
+# -----------------------------------------------------------
 
 
 def open_tdms(request: Request) -> ColumnTable:
@@ -542,47 +707,81 @@ def open_tdms(request: Request) -> ColumnTable:
     with contextlib.ExitStack() as opened:
         # A stream of its own: npTDMS leaves a damaged file open.
         stream = opened.enter_context(open(request.address.path, "rb"))
-        with request.reading("TDMS"):  # npTDMS raises whatever the damaged bytes lead to
+        # npTDMS raises whatever the damaged bytes lead to
+        with request.reading("TDMS"):
             file = nptdms.TdmsFile.open(stream)
         all_groups, wanted = list(file.groups()), _wanted_part(request)
         groups = [group for group in all_groups if wanted in ("", group.name)]
         if wanted and not groups:
             names = ", ".join(f"'{group.name}'" for group in all_groups) or "none"
-            raise InputError(f"{request.place}: there is no group '{wanted}': the groups are: {names}")
-        channels = [(group, channel) for group in groups for channel in group.channels()]
+            raise InputError(
+                f"{request.place}: there is no group '{wanted}': the groups are: {names}"
+            )
+        channels = [
+            (group, channel) for group in groups for channel in group.channels()
+        ]
         numeric = [
             (group, channel)
             for group, channel in channels
             if len(channel) > 0 and channel.dtype.kind in "fiubM"
         ]
         several = len({group.name for group, _ in numeric}) > 1
-        sources = [_tdms_column(group if several else None, channel) for group, channel in numeric]
+        sources = [
+            _tdms_column(group if several else None, channel)
+            for group, channel in numeric
+        ]
         if not sources:
-            listed = ", ".join(f"{group.name}/{channel.name}" for group, channel in channels) or "nothing"
-            raise InputError(f"{request.place}: no channels of numbers: it holds {listed}")
+            listed = (
+                ", ".join(f"{group.name}/{channel.name}" for group, channel in channels)
+                or "nothing"
+            )
+            raise InputError(
+                f"{request.place}: no channels of numbers: it holds {listed}"
+            )
         levels = [*(groups if len(groups) == 1 else ()), file]
-        clock = next((statements for level in levels if (statements := _tdms_statements(level))), [])
+        clock = next(
+            (statements for level in levels if (statements := _tdms_statements(level))),
+            [],
+        )
         close = opened.pop_all().close
-    return ColumnTable(request, "TDMS", sources, clock=clock, at_close=close, damaged=(Exception,))
+    return ColumnTable(
+        request, "TDMS", sources, clock=clock, at_close=close, damaged=(Exception,)
+    )
 
 
 def _tdms_column(group: Any, channel: Any) -> ColumnSource:
     label = clean_text(channel.name)
     label = label if group is None else f"{clean_text(group.name)}/{label}"
     properties = channel.properties
-    unit = clean_text(properties.get("unit_string") or properties.get("NI_UnitDescription") or "") or None
+    unit = (
+        clean_text(
+            properties.get("unit_string") or properties.get("NI_UnitDescription") or ""
+        )
+        or None
+    )
     if channel.dtype.kind == "M":
         stamps = channel[:]
-        return array_source(label, (stamps - stamps[0]).astype("timedelta64[us]").astype("int64") / 1e6, "s")
+        return array_source(
+            label,
+            (stamps - stamps[0]).astype("timedelta64[us]").astype("int64") / 1e6,
+            "s",
+        )
     offset = properties.get("wf_start_offset", 0.0)  # LabVIEW defines it in seconds
     offset = float(offset) if isinstance(offset, int | float) else 0.0
-    source = ColumnSource(label, len(channel), lambda start, stop: channel[start:stop], unit)
+    source = ColumnSource(
+        label, len(channel), lambda start, stop: channel[start:stop], unit
+    )
     return replace(source, clock=tuple(_tdms_statements(channel)), start=offset)
 
 
 def _tdms_statements(node: Any) -> list[Statement]:
     properties = node.properties
-    if clean_text(properties.get("wf_xname") or "Time").strip().lower() not in ("time", "zeit", "temps", ""):
+    if clean_text(properties.get("wf_xname") or "Time").strip().lower() not in (
+        "time",
+        "zeit",
+        "temps",
+        "",
+    ):
         return []  # a spectrum: its increment is no time
     statements = []
     for name, value in properties.items():
@@ -592,9 +791,11 @@ def _tdms_statements(node: Any) -> list[Statement]:
     return statements
 
 
-# --- universal files (UFF, UNV) of modal analysis: data sets 58, read with pyuff --------------------------
+# --- universal files (UFF, UNV) of modal analysis: data sets 58, read with pyuff
+# --------------------------
 
-_TIME, _UNEVEN = 17, 0  # of the dataset's definition: the kind of its abscissa, and its spacing
+# of the dataset's definition: the kind of its abscissa, and its spacing
+_TIME, _UNEVEN = 17, 0
 
 
 def open_uff(request: Request) -> ColumnTable:
@@ -618,7 +819,9 @@ def open_uff(request: Request) -> ColumnTable:
         for data_set in functions:
             sources += _function_columns(data_set, {source.label for source in sources})
     listed = (f"data set {data_set['type']}" for data_set in sets)
-    return ColumnTable(request, "UFF", sources, held=listed, remedy=" (functions of time, 58)")
+    return ColumnTable(
+        request, "UFF", sources, held=listed, remedy=" (functions of time, 58)"
+    )
 
 
 def _function_columns(data_set: dict[str, Any], taken: set[str]) -> list[ColumnSource]:
@@ -632,6 +835,8 @@ def _function_columns(data_set: dict[str, Any], taken: set[str]) -> list[ColumnS
         return []
     source = array_source(name, values, None if unit in ("", "NONE") else unit)
     if data_set["abscissa_spacing"] == _UNEVEN or not step > 0.0:
-        return [array_source("time", np.asarray(data_set["x"]), "s"), source][("time" in taken) :]
+        return [array_source("time", np.asarray(data_set["x"]), "s"), source][
+            ("time" in taken) :
+        ]
     clock = (Statement(f"'abscissa_inc' {step:g} s", 1.0 / step),)
     return [replace(source, clock=clock, start=float(data_set["abscissa_min"]))]

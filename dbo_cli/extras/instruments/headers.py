@@ -1,8 +1,9 @@
 """Text headers that carry the answer: names, units, rate and start as an instrument or controller wrote them.
 
-Written after the makers' manuals and files published with them.  A maker is recognised by words that only its
-files have; everything else is left to ``text.dialect``.  What a header states of the sample rate is read
-whoever wrote it (``Sampling rate: 10 kHz``), and used where the log has no time column.
+Written after the makers' manuals and files published with them.  A maker is recognised
+by words that only its files have; everything else is left to ``text.dialect``.  What a
+header states of the sample rate is read whoever wrote it (``Sampling rate: 10 kHz``),
+and used where the log has no time column.
 """
 
 from __future__ import annotations
@@ -17,7 +18,12 @@ from dbo_cli.logs.clock import Statement, is_clock_name, read_statements
 from dbo_cli.logs.plain_text import decoded
 from dbo_cli.logs.request import BLANKS, ReadingOptions
 from dbo_cli.logs.text.dialect import COMMENTS, SAMPLE_LINES, Dialect, detect
-from dbo_cli.logs.text.lines import END_OF_HEADER, find_header_block, is_number, split_cells
+from dbo_cli.logs.text.lines import (
+    END_OF_HEADER,
+    find_header_block,
+    is_number,
+    split_cells,
+)
 
 _LOOKED_AT = 400  # lines; no instrument's header is half as long
 _NEAR = 100  # lines; makers that write a few settings begin their table above
@@ -40,17 +46,34 @@ def read_instrument_header(place: str, head: bytes, options: ReadingOptions) -> 
     Raises
     ------
     InputError
-        The header is a known maker's and contradicts itself; or there is no line of numbers.
+        The header is a known maker's and contradicts itself; or there is no line of
+        numbers.
     """
-    lines = [decoded(line.removesuffix(b"\r")) for line in head.split(b"\n", _LOOKED_AT)[:_LOOKED_AT]]
+    lines = [
+        decoded(line.removesuffix(b"\r"))
+        for line in head.split(b"\n", _LOOKED_AT)[:_LOOKED_AT]
+    ]
     lines[0] = lines[0].removeprefix("\ufeff")
-    forced = (options.delimiter, options.decimal, options.comment, options.skip_lines, options.header_lines)
+    forced = (
+        options.delimiter,
+        options.decimal,
+        options.comment,
+        options.skip_lines,
+        options.header_lines,
+    )
     for maker in _MAKERS if all(option is None for option in forced) else ():
-        begins = (n for n, line in enumerate(lines[: maker.within]) if maker.mark.match(line[:_LONGEST]))
+        begins = (
+            n
+            for n, line in enumerate(lines[: maker.within])
+            if maker.mark.match(line[:_LONGEST])
+        )
         at = next(begins, None)
         header = None if at is None else maker.read(place, lines, at)
         if header is not None:
-            return replace(header, clock=header.clock or tuple(_stated(lines[: header.first_line - 1])))
+            return replace(
+                header,
+                clock=header.clock or tuple(_stated(lines[: header.first_line - 1])),
+            )
     return replace(detect(place, head, options), clock=tuple(_stated(lines)))
 
 
@@ -61,13 +84,18 @@ def _stated(lines: Sequence[str]) -> Iterator[Statement]:
         if mark is None:
             continue
         key = line[: mark.start()].strip().lstrip("#%;!/*").strip()
-        if not key[:1].isalpha() or not is_clock_name(key):  # a row of data is the usual case
+        # a row of data is the usual case
+        if not key[:1].isalpha() or not is_clock_name(key):
             continue
         value = _first_value(line[mark.end() :].strip(" ,;\t"), mark[0])
         thousands = re.fullmatch(r"(\d{1,3}),(\d{3})(\D*)", value)
         if thousands is not None:
             text = f"'{key}' {value}"
-            yield Statement(text, None, f"{text} may be {thousands[1]} or {thousands[1]}{thousands[2]}")
+            yield Statement(
+                text,
+                None,
+                f"{text} may be {thousands[1]} or {thousands[1]}{thousands[2]}",
+            )
         else:
             yield from read_statements(key, value)
 
@@ -76,7 +104,8 @@ def _first_value(text: str, mark: str) -> str:
     """Take the first channel's value of a line, with its unit where that has a cell of its own."""
     value = re.split(r"[\t;]|,\s*(?=,|$)", text)[0].strip()
     if mark != "," and re.fullmatch(r"\d+,\d+\s*\D*", value):
-        grouped = re.fullmatch(r"\d{1,3},\d{3}\D*", value)  # 1,000 is 1 to some and 1000 to others
+        # 1,000 is 1 to some and 1000 to others
+        grouped = re.fullmatch(r"\d{1,3},\d{3}\D*", value)
         return value if grouped else value.replace(",", ".")
     cells = [cell.strip() for cell in value.split(",")]
     if len(cells) == 2 and is_number(cells[0], ".") and not is_number(cells[1], "."):
@@ -114,7 +143,9 @@ def _header(
     )  # fmt: skip
 
 
-def _number_row(lines: Sequence[str], start: int, delimiter: str = ",", decimal: str = ".") -> int | None:
+def _number_row(
+    lines: Sequence[str], start: int, delimiter: str = ",", decimal: str = "."
+) -> int | None:
     """Find the first line from index ``start`` on whose filled cells are all numbers."""
     for index in range(start, len(lines)):
         cells = [cell for cell in split_cells(lines[index], delimiter) if cell]
@@ -134,7 +165,11 @@ def _number(text: str) -> float | None:
 def _step(name: str, value: str, unit: str = "") -> tuple[Statement, ...]:
     """Read a step, in seconds by the maker's definition, under the name that it has in the file."""
     step = _number(value.strip().removesuffix("s"))
-    return (Statement(f"'{name}' {value.strip()}{unit}", 1.0 / step),) if step and step > 0.0 else ()
+    return (
+        (Statement(f"'{name}' {value.strip()}{unit}", 1.0 / step),)
+        if step and step > 0.0
+        else ()
+    )
 
 
 def _settings(lines: Sequence[str]) -> dict[str, list[str]]:
@@ -143,7 +178,8 @@ def _settings(lines: Sequence[str]) -> dict[str, list[str]]:
     return {cells[0].lower(): cells[1:] for cells in rows if cells[0]}
 
 
-# One reader for each maker: the file's lines, and the index of the line that gave it away.
+# One reader for each maker: the file's lines, and the index of the line that gave it
+# away.
 
 
 def _pi_array(place: str, lines: list[str], end: int) -> Dialect | None:
@@ -155,14 +191,18 @@ def _pi_array(place: str, lines: list[str], end: int) -> Dialect | None:
         The rows have another number of columns than the header states.
     """
     pattern = re.compile(r"\s*#\s*([A-Z_]+\s?\d*)\s*=\s*(.*?)\s*")
-    matches = [match for line in lines[:end] if (match := pattern.fullmatch(line[:_LONGEST]))]
+    matches = [
+        match for line in lines[:end] if (match := pattern.fullmatch(line[:_LONGEST]))
+    ]
     settings = {match[1].replace(" ", ""): match[2] for match in matches}
     if end + 1 >= len(lines) or not {"SAMPLE_TIME", "NDATA", "DIM"} & settings.keys():
         return None
     code = _number(settings.get("SEPARATOR", "9"))
     delimiter = chr(int(code)) if code is not None and 0 < code < 127 else "\t"
     delimiter = delimiter if delimiter in lines[end + 1] else BLANKS
-    width = len([cell for cell in split_cells(lines[end + 1].rstrip(), delimiter) if cell])
+    width = len(
+        [cell for cell in split_cells(lines[end + 1].rstrip(), delimiter) if cell]
+    )
     stated = _number(settings.get("DIM", ""))
     if stated is not None and int(stated) != width:
         raise InputError(
@@ -185,12 +225,19 @@ def _lvm(place: str, lines: list[str], _: int) -> Dialect | None:
     InputError
         Every channel has its own X column, and whether they are the same is not known.
     """
-    ends = [number for number, line in enumerate(lines) if line.startswith(END_OF_HEADER)]
+    ends = [
+        number for number, line in enumerate(lines) if line.startswith(END_OF_HEADER)
+    ]
     if len(ends) < 2 or ends[1] + 2 >= len(lines):
         return None
-    stated = [match for line in lines[: ends[0]] if (match := re.match(r"(\w+)([\t,;])(.*)", line))]
+    stated = [
+        match
+        for line in lines[: ends[0]]
+        if (match := re.match(r"(\w+)([\t,;])(.*)", line))
+    ]
     file = {
-        match[1]: match[3].rstrip("\t ").removesuffix(match[2]) or match[3].strip("\t ") for match in stated
+        match[1]: match[3].rstrip("\t ").removesuffix(match[2]) or match[3].strip("\t ")
+        for match in stated
     }
     delimiter = _LVM_SEPARATORS.get(file.get("Separator", "Tab").lower(), "\t")
     rows = [split_cells(line, delimiter) for line in lines[ends[0] + 1 : ends[1] + 3]]
@@ -205,18 +252,43 @@ def _lvm(place: str, lines: list[str], _: int) -> Dialect | None:
             f"{place}: every channel has its own X column (X_Columns Multi): write it with X_Columns One "
             "or No"
         )
-    timed = all(dimension.lower() == "time" for dimension in channels.get("X_Dimension", []) if dimension)
+    timed = all(
+        dimension.lower() == "time"
+        for dimension in channels.get("X_Dimension", [])
+        if dimension
+    )
     if x_columns == "no":
         names = ["", *names[1:]]  # the X column is there, but its cells are empty
-    units = ["s" if timed and x_columns != "no" else "", *channels.get("Y_Unit_Label", [])]
+    units = [
+        "s" if timed and x_columns != "no" else "",
+        *channels.get("Y_Unit_Label", []),
+    ]
     # Where X0 is not relative, it counts from a day in the past.
-    starts = channels.get("X0", []) if file.get("Time_Pref", "Relative").lower() == "relative" else []
+    starts = (
+        channels.get("X0", [])
+        if file.get("Time_Pref", "Relative").lower() == "relative"
+        else []
+    )
     start = _number(next((start for start in starts if start), "")) or 0.0
-    steps = [step for value in channels.get("Delta_X", []) for step in _step("Delta_X", value)]
+    steps = [
+        step
+        for value in channels.get("Delta_X", [])
+        for step in _step("Delta_X", value)
+    ]
     clock = tuple(dict.fromkeys(steps)) if timed else ()
     decimal = "," if file.get("Decimal_Separator") == "," else "."
     width = len(names) if remarks and rows[-1][-1] else max(len(names), len(rows[-1]))
-    header = _header(lines, ends[1] + 2, names, units, width, delimiter, decimal, clock=clock, start=start)
+    header = _header(
+        lines,
+        ends[1] + 2,
+        names,
+        units,
+        width,
+        delimiter,
+        decimal,
+        clock=clock,
+        start=start,
+    )
     return replace(header, remarks=remarks)
 
 
@@ -228,9 +300,18 @@ def _labview_waveforms(place: str, lines: list[str], _: int) -> Dialect | None:
     InputError
         The waveforms begin at different times, or have different steps.
     """
-    rows = [[cell for cell in split_cells(line, "\t") if cell] for line in lines[:_NEAR]]
+    rows = [
+        [cell for cell in split_cells(line, "\t") if cell] for line in lines[:_NEAR]
+    ]
     stated = {cells[0].lower(): cells[1:] for cells in rows if cells}
-    at = next((n for n, cells in enumerate(rows) if cells and re.match(r"time|Y(\[|$)", cells[0])), None)
+    at = next(
+        (
+            n
+            for n, cells in enumerate(rows)
+            if cells and re.match(r"time|Y(\[|$)", cells[0])
+        ),
+        None,
+    )
     if at is None or at + 1 >= len(rows) or "delta t" not in stated:
         return None
     if len(set(stated["delta t"])) > 1 or len(set(stated.get("t0", []))) > 1:
@@ -238,7 +319,9 @@ def _labview_waveforms(place: str, lines: list[str], _: int) -> Dialect | None:
             f"{place}: the waveforms have different t0 or delta t, and rows of different times stand beside "
             "each other: write a file for each, and name the other's column as FILE::COLUMN"
         )
-    named = iter([name for name in stated["waveform"] if not re.fullmatch(r"\[\d+\]", name)])
+    named = iter(
+        [name for name in stated["waveform"] if not re.fullmatch(r"\[\d+\]", name)]
+    )
     cells = split_cells(lines[at], "\t")  # the stamps have fewer digits than delta t
     names = [next(named, cell) if cell.startswith("Y[") else "" for cell in cells]
     if not any(names):
@@ -251,24 +334,43 @@ def _labview_waveforms(place: str, lines: list[str], _: int) -> Dialect | None:
 def _yokogawa(place: str, lines: list[str], _: int) -> Dialect | None:
     """Read the DL series' files: names, units, ``HResolution`` and ``HOffset`` by channel above the rows."""
     rows = [(n, split_cells(line, ",")) for n, line in enumerate(lines)]
-    begins = (n for n, cells in rows if not cells[0] and is_number("".join(cells[1:2]), "."))
+    begins = (
+        n for n, cells in rows if not cells[0] and is_number("".join(cells[1:2]), ".")
+    )
     first = next(begins, None)
     settings = _settings(lines[:first])
     if first is None or "hresolution" not in settings:
         return None
     names, units, steps, offsets, x_units = (
-        [*settings.get(key, []), ""] for key in ("tracename", "vunit", "hresolution", "hoffset", "hunit")
+        [*settings.get(key, []), ""]
+        for key in ("tracename", "vunit", "hresolution", "hoffset", "hunit")
     )
     clock = dict.fromkeys(
-        step for value in steps for step in _step("HResolution", value) if x_units[0] == "s"
+        step
+        for value in steps
+        for step in _step("HResolution", value)
+        if x_units[0] == "s"
     )
     start = _number(offsets[0]) or 0.0
-    return _header(lines, first, ["", *names], ["", *units], clock=tuple(clock), start=start)
+    return _header(
+        lines, first, ["", *names], ["", *units], clock=tuple(clock), start=start
+    )
 
 
-_FILETIME = 1e16  # counts of 100 ns since 1601 are above, milliseconds since the start of a recording below
+# counts of 100 ns since 1601 are above, milliseconds since the start of a recording
+# below
+_FILETIME = 1e16
 _TWINCAT_KEYS = frozenset(
-    ("Name", "SymbolName", "SymbolComment", "Unit", "SampleTime[ms]", "ScaleFactor", "Offset", "Data-Type")
+    (
+        "Name",
+        "SymbolName",
+        "SymbolComment",
+        "Unit",
+        "SampleTime[ms]",
+        "ScaleFactor",
+        "Offset",
+        "Data-Type",
+    )
 )
 
 
@@ -278,12 +380,17 @@ def _twincat(place: str, lines: list[str], at: int) -> Dialect | None:
     Raises
     ------
     InputError
-        The channels are sampled at different times, so that the rows do not belong together.
+        The channels are sampled at different times, so that the rows do not belong
+        together.
     """
     delimiter = lines[at][len("SampleTime[ms]")]
-    keyed = [(number, split_cells(line, delimiter)) for number, line in enumerate(lines[:_NEAR])]
+    keyed = [
+        (number, split_cells(line, delimiter))
+        for number, line in enumerate(lines[:_NEAR])
+    ]
     keyed = [(number, cells) for number, cells in keyed if cells[0] in _TWINCAT_KEYS]
-    rows = {cells[0]: cells for _, cells in keyed}  # of two lines "Name" the channels', not the project's
+    # of two lines "Name" the channels', not the project's
+    rows = {cells[0]: cells for _, cells in keyed}
     at = keyed[-1][0] + 1
     commas = delimiter != "," and _has_decimal_commas(lines[at : at + 50], delimiter)
     decimal = "," if commas else "."
@@ -292,11 +399,14 @@ def _twincat(place: str, lines: list[str], at: int) -> Dialect | None:
         return None
     names = rows["Name"]
     keys = [n for n, cell in enumerate(names) if cell == "Name"]
-    if len(keys) > 1 or len([cell for cell in names if cell]) == 2:  # each channel behind its own stamps
+    # each channel behind its own stamps
+    if len(keys) > 1 or len([cell for cell in names if cell]) == 2:
         channels = [n + 1 for n in keys]
     else:  # all behind the stamps of the first column
         channels = [n for n in range(1, len(names)) if names[n]]
-    steps = {rows["SampleTime[ms]"][n] for n in channels if n < len(rows["SampleTime[ms]"])}
+    steps = {
+        rows["SampleTime[ms]"][n] for n in channels if n < len(rows["SampleTime[ms]"])
+    }
     if len(steps) > 1:
         raise InputError(
             f"{place}: the channels are sampled every {' and '.join(sorted(steps))} ms, and rows of "
@@ -307,15 +417,31 @@ def _twincat(place: str, lines: list[str], at: int) -> Dialect | None:
     cells = split_cells(lines[first], delimiter)
     row_of_units = rows.get("Unit", [])
     labels = [names[n] if n in channels else "" for n in range(len(cells))]
-    units = [row_of_units[n] if n in channels and n < len(row_of_units) else "" for n in range(len(cells))]
+    units = [
+        row_of_units[n] if n in channels and n < len(row_of_units) else ""
+        for n in range(len(cells))
+    ]
     stamp = _number(cells[0])
     if stamp is not None and stamp < _FILETIME:
         labels[0], units[0] = "time", "ms"
     step = _number(steps.pop()) if steps else None
-    clock = (Statement(f"'SampleTime[ms]' {step:g}", 1000.0 / step),) if step and step > 0.0 else ()
+    clock = (
+        (Statement(f"'SampleTime[ms]' {step:g}", 1000.0 / step),)
+        if step and step > 0.0
+        else ()
+    )
     notes = _scale_notes(rows, channels)
     return _header(
-        lines, first, labels, units, None, delimiter, decimal, clock=clock, notes=notes, end_mark=b"EOF"
+        lines,
+        first,
+        labels,
+        units,
+        None,
+        delimiter,
+        decimal,
+        clock=clock,
+        notes=notes,
+        end_mark=b"EOF",
     )
 
 
@@ -344,11 +470,15 @@ def _tektronix_rows(place: str, lines: list[str], _: int) -> Dialect | None:
     first = split_cells(lines[0], ",")
     if len(first) < 5 or not all(is_number(cell, ".") for cell in first[3:5]):
         return None
-    beside = next((n for n, line in enumerate(lines) if not split_cells(line, ",")[0]), len(lines))
+    beside = next(
+        (n for n, line in enumerate(lines) if not split_cells(line, ",")[0]), len(lines)
+    )
     settings = _settings(lines[:beside])
     width = len(first) - (not first[-1])
     keys = ("source", "horizontal units", "vertical units", "sample interval")
-    source, horizontal, vertical, interval = ([*settings.get(key, []), ""][0] for key in keys)
+    source, horizontal, vertical, interval = (
+        [*settings.get(key, []), ""][0] for key in keys
+    )
     names, units = ["", "", "", "time"], ["", "", "", horizontal]
     if width == 5:
         names, units = [*names, source], [*units, vertical]
@@ -380,27 +510,46 @@ def _rigol_ds(place: str, lines: list[str], _: int) -> Dialect | None:
     names = [cell.lower() for cell in split_cells(lines[0], ",")]
     if len(lines) < 3 or not {"start", "increment"} <= set(names):
         return None
-    second, at, channels = split_cells(lines[1], ","), names.index("increment"), names.index("start")
+    second, at, channels = (
+        split_cells(lines[1], ","),
+        names.index("increment"),
+        names.index("start"),
+    )
     start = _number(second[channels]) if len(second) > max(at, channels) else None
-    counts = {"second": ("time", "s"), "sequence": ("sequence", "")}.get(second[0].lower())
+    counts = {"second": ("time", "s"), "sequence": ("sequence", "")}.get(
+        second[0].lower()
+    )
     if start is None or counts is None or len(split_cells(lines[2], ",")) < channels:
         return None
     labels = [counts[0], *split_cells(lines[0], ",")[1:channels]]
     units = [counts[1], *second[1:channels]]
-    return _header(lines, 2, labels, units, clock=_step("Increment", second[at]), start=start)
+    return _header(
+        lines, 2, labels, units, clock=_step("Increment", second[at]), start=start
+    )
 
 
 def _rigol_mso(place: str, lines: list[str], _: int) -> Dialect | None:
     """Read the MSO series' files: ``CH1(V),t0 = -1e-3, tInc = 1e-6`` over the rows."""
-    match = re.search(r"t0\s*=\s*([^,\s]+)\s*,\s*tInc\s*=\s*([^,\s]+)", lines[0][:_LONGEST])
+    match = re.search(
+        r"t0\s*=\s*([^,\s]+)\s*,\s*tInc\s*=\s*([^,\s]+)", lines[0][:_LONGEST]
+    )
     if match is None or len(lines) < 2:
         return None
     cells = [cell for cell in split_cells(lines[0], ",") if cell]
     cells = [cell for cell in cells if not cell.lower().startswith(("t0", "tinc"))]
     channels = [re.fullmatch(r"(.+?)\(?([mu]?V|A)\)?", cell) for cell in cells]
-    names = [match[1] if match else cell for match, cell in zip(channels, cells, strict=True)]
+    names = [
+        match[1] if match else cell for match, cell in zip(channels, cells, strict=True)
+    ]
     units = [match[2] if match else "" for match in channels]
-    return _header(lines, 1, names, units, clock=_step("tInc", match[2]), start=_number(match[1]) or 0.0)
+    return _header(
+        lines,
+        1,
+        names,
+        units,
+        clock=_step("tInc", match[2]),
+        start=_number(match[1]) or 0.0,
+    )
 
 
 def _infiniium(place: str, lines: list[str], _: int) -> Dialect | None:
@@ -421,11 +570,26 @@ def _infiniium(place: str, lines: list[str], _: int) -> Dialect | None:
         return None
     unit, measured = settings.get("xunits", ""), settings.get("yunits", "")
     width = len(split_cells(lines[first].rstrip(", "), ","))
-    names, units = (["time", "signal"], [unit, measured]) if width == 2 else (["signal"], [measured])
+    names, units = (
+        (["time", "signal"], [unit, measured])
+        if width == 2
+        else (["signal"], [measured])
+    )
     if width > 2:
-        names, units = ["time", *[f"signal {number}" for number in range(1, width)]], [unit]
+        names, units = (
+            ["time", *[f"signal {number}" for number in range(1, width)]],
+            [unit],
+        )
     clock = read_statements("XInc", settings["xinc"], unit or None, sure=True)
-    return _header(lines, first, names, units, width, clock=clock, start=_number(settings["xorg"]) or 0.0)
+    return _header(
+        lines,
+        first,
+        names,
+        units,
+        width,
+        clock=clock,
+        start=_number(settings["xorg"]) or 0.0,
+    )
 
 
 class _Maker(NamedTuple):

@@ -100,8 +100,16 @@ def kind_of(head: bytes, path: str) -> FileKind | None:
 def _is_matlab_4(head: bytes) -> bool:
     """Check the five whole numbers that begin every matrix of a MATLAB v4 file."""
     for order in ("little", "big"):
-        numbers = [int.from_bytes(head[at : at + 4], order, signed=True) for at in range(0, 20, 4)]
+        numbers = [
+            int.from_bytes(head[at : at + 4], order, signed=True)
+            for at in range(0, 20, 4)
+        ]
         kind, rows, columns, imaginary, name = numbers
-        if 0 <= kind < 5000 and min(rows, columns) >= 0 and imaginary in (0, 1) and 0 < name < 512:
+        if (
+            0 <= kind < 5000
+            and min(rows, columns) >= 0
+            and imaginary in (0, 1)
+            and 0 < name < 512
+        ):
             return len(head) >= 20
     return False

@@ -1,7 +1,8 @@
 """Texts that are read as a whole: JSON, Igor Pro's waves, and tables that hold a sample in several rows.
 
-Grafana's series, Flux' annotated CSV and what SQL gives name the signal in one column and its value in
-another (a long table); joins of signals leave rows with one value each. Both are put side by side here.
+Grafana's series, Flux' annotated CSV and what SQL gives name the signal in one column
+and its value in another (a long table); joins of signals leave rows with one value
+each. Both are put side by side here.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ from dbo_cli.logs.text.lines import to_number
 from dbo_cli.logs.text.text_table import TextTable
 from dbo_cli.logs.units import FACTORS, time_unit
 
-# --- JSON: a record a line, an array of records, or an object of arrays -----------------------------------
+# --- JSON: a record a line, an array of records, or an object of arrays
+# -----------------------------------
 
 
 def open_json(request: Request) -> ColumnTable:
@@ -53,7 +55,11 @@ def open_json(request: Request) -> ColumnTable:
         document = json.loads(lines[0])
         if len(lines) > 1 and isinstance(document, dict | list):
             numbered = enumerate(lines, start=1)
-            document = [_parsed(f"{request.place}:{n}", line) for n, line in numbered if line.strip()]
+            document = [
+                _parsed(f"{request.place}:{n}", line)
+                for n, line in numbered
+                if line.strip()
+            ]
     except (ValueError, RecursionError):
         document = _parsed(request.place, text)
     with request.reading("JSON", (OverflowError, RecursionError)):
@@ -69,20 +75,33 @@ def _parsed(place: str, text: str) -> Any:
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as problem:
-        where = f":{problem.lineno}" if isinstance(problem, json.JSONDecodeError) and "\n" in text else ""
-        raise InputError(f"{place}{where}: this is not JSON: {str(problem).partition(':')[0]}") from None
+        where = (
+            f":{problem.lineno}"
+            if isinstance(problem, json.JSONDecodeError) and "\n" in text
+            else ""
+        )
+        raise InputError(
+            f"{place}{where}: this is not JSON: {str(problem).partition(':')[0]}"
+        ) from None
 
 
 def _columns(document: Any) -> tuple[dict[str, list[Any]], dict[str, Any]]:
     """Take columns and single values out of records, of rows below a row of names, or of an object."""
     if isinstance(document, dict):
-        split = all(isinstance(document.get(part), list) for part in ("columns", "data"))
+        split = all(
+            isinstance(document.get(part), list) for part in ("columns", "data")
+        )
         if split and len(document) < 4:  # pandas' orient="split"
             document = [document["columns"], *document["data"]]
     if isinstance(document, list):
         if document and all(isinstance(row, list) for row in document):
-            document = [dict(zip(map(str, document[0]), row, strict=False)) for row in document[1:]]
-        records = [dict(_leaves(record)) for record in document if isinstance(record, dict)]
+            document = [
+                dict(zip(map(str, document[0]), row, strict=False))
+                for row in document[1:]
+            ]
+        records = [
+            dict(_leaves(record)) for record in document if isinstance(record, dict)
+        ]
         names = dict.fromkeys(name for record in records for name in record)
         return {name: [record.get(name) for record in records] for name in names}, {}
     columns: dict[str, list[Any]] = {}
@@ -92,7 +111,9 @@ def _columns(document: Any) -> tuple[dict[str, list[Any]], dict[str, Any]]:
             single[name.rpartition("/")[2]] = value
         elif value and all(isinstance(item, dict) for item in value):
             inner = _columns(value)[0]
-            columns |= dict(_named(value)) or {f"{name}/{key}": values for key, values in inner.items()}
+            columns |= dict(_named(value)) or {
+                f"{name}/{key}": values for key, values in inner.items()
+            }
         else:
             columns[name] = value
     return columns, single
@@ -102,9 +123,15 @@ def _named(channels: list[dict[str, Any]]) -> Iterator[tuple[str, list[Any]]]:
     """Take channels apart that have a name, values, and perhaps a unit each."""
     for channel in channels:
         lists = [value for value in channel.values() if isinstance(value, list)]
-        name, unit = channel.get("name", channel.get("label")), channel.get("unit", channel.get("units"))
+        name, unit = (
+            channel.get("name", channel.get("label")),
+            channel.get("unit", channel.get("units")),
+        )
         if len(lists) == 1 and isinstance(name, str):
-            yield (f"{name} [{unit}]" if isinstance(unit, str) and unit else name), lists[0]
+            yield (
+                (f"{name} [{unit}]" if isinstance(unit, str) and unit else name),
+                lists[0],
+            )
 
 
 def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
@@ -115,7 +142,8 @@ def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
         yield from _leaves(inner, f"{name}/{key}".lstrip("/"))
 
 
-# --- Igor Pro: waves between BEGIN and END, and the scales that commands state below them ------------------
+# --- Igor Pro: waves between BEGIN and END, and the scales that commands state below
+# them ------------------
 
 _NAME = r"'[^']{1,255}'|\w+"
 _BLOCK = re.compile(
@@ -136,23 +164,36 @@ def open_igor(request: Request) -> ColumnTable:
     Raises
     ------
     InputError
-        A line between BEGIN and END has another number of cells than there are waves, or no numbers.
+        A line between BEGIN and END has another number of cells than there are waves,
+        or no numbers.
     """
     with open(request.address.path, "rb") as file:
         text = decoded(re.sub(rb"\r\n?", b"\n", file.read()))
     sources: dict[str, ColumnSource] = {}
     for block in _BLOCK.finditer(text):
         if not block["end"]:
-            raise InputError(f"{request.place}: the last wave has no END: the file was cut")
+            raise InputError(
+                f"{request.place}: the last wave has no END: the file was cut"
+            )
         names = _names(block["names"])
         first = text.count("\n", 0, block.start("rows")) + 1
-        lines = [line for line in enumerate(block["rows"].split("\n"), start=first) if line[1].strip()]
+        lines = [
+            line
+            for line in enumerate(block["rows"].split("\n"), start=first)
+            if line[1].strip()
+        ]
         width = len(lines[0][1].split()) if lines else 0
         if len(names) == 1 and width > 1:  # a matrix
             names = [f"{names[0]}[{number}]" for number in range(1, width + 1)]
-        rows = [_row(f"{request.place}:{number}", line, len(names)) for number, line in lines]
+        rows = [
+            _row(f"{request.place}:{number}", line, len(names))
+            for number, line in lines
+        ]
         columns = np.array(rows).reshape(len(rows), len(names)).T
-        sources |= {name: array_source(name, column) for name, column in zip(names, columns, strict=True)}
+        sources |= {
+            name: array_source(name, column)
+            for name, column in zip(names, columns, strict=True)
+        }
     for match in _SCALE.finditer(text):
         names = _names(match["names"])
         for label in (label for label in sources if label.partition("[")[0] in names):
@@ -166,29 +207,44 @@ def _names(text: str) -> list[str]:
 
 def _row(place: str, line: str, width: int) -> list[float]:
     cells = line.split()
-    values = [float("nan") if cell.upper() == "NAN" else to_number(cell, ".") for cell in cells]
+    values = [
+        float("nan") if cell.upper() == "NAN" else to_number(cell, ".")
+        for cell in cells
+    ]
     numbers = [value for value in values if value is not None]
     if len(numbers) != width or len(cells) != width:
-        raise InputError(f"{place}: not one number for each of {counted(width, 'wave')}: '{line[:40]}'")
+        raise InputError(
+            f"{place}: not one number for each of {counted(width, 'wave')}: '{line[:40]}'"
+        )
     return numbers
 
 
 def _scaled(source: ColumnSource, match: re.Match[str]) -> ColumnSource:
     """Take a unit (axis d, or y), or start and step (axis x, in seconds) from a ``SetScale``."""
-    first, second = to_number(match["first"].strip(), "."), to_number(match["second"].strip(), ".")
+    first, second = (
+        to_number(match["first"].strip(), "."),
+        to_number(match["second"].strip(), "."),
+    )
     if match["axis"].lower() != "x":
         return replace(source, unit=match["unit"] or None)
     unit = time_unit(match["unit"])
     if first is None or second is None or unit is None:
         return source
-    step = second if (match["how"] or "").upper() == "/P" else (second - first) / max(1, source.length - 1)
+    step = (
+        second
+        if (match["how"] or "").upper() == "/P"
+        else (second - first) / max(1, source.length - 1)
+    )
     if not step > 0.0:
         return source
     start, step = FACTORS[unit].apply(np.array([first, step])).tolist()
-    return replace(source, start=start, clock=(Statement(f"'SetScale' {step:g} s", 1.0 / step),))
+    return replace(
+        source, start=start, clock=(Statement(f"'SetScale' {step:g} s", 1.0 / step),)
+    )
 
 
-# --- tables of data bases: a row for each value, or several rows a stamp -----------------------------------
+# --- tables of data bases: a row for each value, or several rows a stamp
+# -----------------------------------
 
 _TIMES = (*TIME_NAMES, *MORE_TIME_NAMES)
 SIGNALS = ("field", "series", "channel", "variable", "metric", "signal", "topic", "parameter", "sensor",
@@ -213,7 +269,9 @@ def rows_of_values(request: Request, table: TextTable) -> Table:
         if table.source.is_regular:
             opened = side_by_side(request, table.dialect)
         elif names & set(SIGNALS) and not request.named:
-            raise InputError(f"{table.place}: a row for each value: give it as a file, not through a pipe")
+            raise InputError(
+                f"{table.place}: a row for each value: give it as a file, not through a pipe"
+            )
         close = opened is not None
     finally:
         if close:
@@ -227,18 +285,26 @@ def side_by_side(request: Request, dialect: Dialect) -> ColumnTable | None:
     Raises
     ------
     InputError
-        A signal has two values at one time or two units, or the signals have times of their own.
+        A signal has two values at one time or two units, or the signals have times of
+        their own.
     """
     names = [name.strip().strip("_%").lower() for name in dialect.headers]
     time = next((names.index(name) for name in _TIMES if name in names), None)
-    named = [names.index(name) for name in SIGNALS if name in names] if "value" in names else []
+    named = (
+        [names.index(name) for name in SIGNALS if name in names]
+        if "value" in names
+        else []
+    )
     if time is None or not (dialect.sparse or named):
         return None
     rows = list(_rows(request, dialect))
     stamps = list(dict.fromkeys(cells[time] for _, cells in rows))
     refusal = None
     for column in named:
-        readings = ((n, cells[time], cells[column], cells[names.index("value")]) for n, cells in rows)
+        readings = (
+            (n, cells[time], cells[column], cells[names.index("value")])
+            for n, cells in rows
+        )
         signals, clash = _signals(readings)
         if not 1 < len(signals) <= min(_MOST, len(rows) // 2):
             continue
@@ -247,17 +313,24 @@ def side_by_side(request: Request, dialect: Dialect) -> ColumnTable | None:
             return _table(request, dialect, time, stamps, signals, units)
         refusal = refusal or clash
     if refusal is not None:
-        raise InputError(f"{request.place}:{refusal} (narrow the query down to one source)")
+        raise InputError(
+            f"{request.place}:{refusal} (narrow the query down to one source)"
+        )
     if not dialect.sparse or len(stamps) == len(rows):
         return None
     heads = [(n, name) for n, name in enumerate(dialect.headers) if n != time]
     signals, clash = _signals(
-        (number, cells[time], name, cells[n]) for number, cells in rows for n, name in heads if cells[n]
+        (number, cells[time], name, cells[n])
+        for number, cells in rows
+        for n, name in heads
+        if cells[n]
     )
     return None if clash else _table(request, dialect, time, stamps, signals, {})
 
 
-def _signals(values: Iterable[tuple[int, str, str, str]]) -> tuple[dict[str, dict[str, str]], str | None]:
+def _signals(
+    values: Iterable[tuple[int, str, str, str]],
+) -> tuple[dict[str, dict[str, str]], str | None]:
     """Sort values (line, stamp, signal, cell) by signal and stamp; also tell where two have one stamp."""
     signals: dict[str, dict[str, str]] = {}
     clash = None
@@ -267,13 +340,19 @@ def _signals(values: Iterable[tuple[int, str, str, str]]) -> tuple[dict[str, dic
     return signals, clash
 
 
-def _units(place: str, names: list[str], signal: int, rows: list[tuple[int, list[str]]]) -> dict[str, str]:
+def _units(
+    place: str, names: list[str], signal: int, rows: list[tuple[int, list[str]]]
+) -> dict[str, str]:
     """Give the unit of each signal, where a column holds it."""
-    column = next((names.index(name) for name in ("unit", "units") if name in names), None)
+    column = next(
+        (names.index(name) for name in ("unit", "units") if name in names), None
+    )
     units: dict[str, str] = {}
     for number, cells in rows if column is not None else ():
         if units.setdefault(cells[signal], cells[column or 0]) != cells[column or 0]:
-            raise InputError(f"{place}:{number}: '{cells[signal]}' changes its unit (bring it to one first)")
+            raise InputError(
+                f"{place}:{number}: '{cells[signal]}' changes its unit (bring it to one first)"
+            )
     return units
 
 
@@ -285,15 +364,21 @@ def _table(
     signals: dict[str, dict[str, str]],
     units: dict[str, str],
 ) -> ColumnTable:
-    whole = {name: cells for name, cells in signals.items() if 2 * len(cells) > len(stamps)}
+    whole = {
+        name: cells for name, cells in signals.items() if 2 * len(cells) > len(stamps)
+    }
     if len(whole) < 2:
         raise InputError(
             f"{request.place}: each signal has times of its own: put them side by side, then {FILL_GAPS}"
         )
     numbers = [to_number(stamp, dialect.decimal) for stamp in stamps]
-    columns: dict[str, list[Any]] = {dialect.headers[time]: stamps if None in numbers else numbers}
+    columns: dict[str, list[Any]] = {
+        dialect.headers[time]: stamps if None in numbers else numbers
+    }
     for name, cells in whole.items():
-        columns[name] = [to_number(cells.get(stamp, ""), dialect.decimal) for stamp in stamps]
+        columns[name] = [
+            to_number(cells.get(stamp, ""), dialect.decimal) for stamp in stamps
+        ]
     listed = [listed_source(name, values) for name, values in columns.items()]
     sources = [
         replace(source, unit=units.get(source.label) or source.unit)
@@ -312,5 +397,7 @@ def _rows(request: Request, dialect: Dialect) -> Iterator[tuple[int, list[str]]]
         if number < dialect.first_line or dialect.is_comment(words):
             continue
         cells = dialect.cells(words)
-        if len(cells) >= dialect.width and cells[: dialect.width] != list(dialect.headers):
+        if len(cells) >= dialect.width and cells[: dialect.width] != list(
+            dialect.headers
+        ):
             yield number, cells

@@ -1,6 +1,7 @@
 """Live use of many channels: arrays in, arrays out, one call of the kernel a frame.
 
-The rules are those of one channel's ``Controller``: plan, hand over, commit; the same bits, the same gate.
+The rules are those of one channel's ``Controller``: plan, hand over, commit; the same
+bits, the same gate.
 """
 
 from __future__ import annotations
@@ -48,7 +49,10 @@ class Bank(LiveDrive[ArrayLike, Any]):
         self.channels = tuple(models)
         if states is not None:
             _require_channels("states", states, self.channels)
-        by_channel = {name: _by_channel(name, value, self.channels) for name, value in limits.items()}
+        by_channel = {
+            name: _by_channel(name, value, self.channels)
+            for name, value in limits.items()
+        }
         self._controllers: list[Controller] = []
         for place, (channel, model) in enumerate(models.items()):
             options = {name: values[place] for name, values in by_channel.items()}
@@ -56,12 +60,16 @@ class Bank(LiveDrive[ArrayLike, Any]):
             if state is not None:
                 options["state"] = state
             try:
-                self._controllers.append(Controller(model, sample_rate, dac=dac, **options))
+                self._controllers.append(
+                    Controller(model, sample_rate, dac=dac, **options)
+                )
             except DboError as problem:
                 raise type(problem)(f"channel {channel}: {problem}") from None
         self._coupling = coupling
         converters = [
-            controller.converter for controller in self._controllers if controller.converter is not None
+            controller.converter
+            for controller in self._controllers
+            if controller.converter is not None
         ]
         self._codes = Codes(converters) if converters else None
         self._saved = np.zeros(len(self.channels))
@@ -81,7 +89,8 @@ class Bank(LiveDrive[ArrayLike, Any]):
     def states(self) -> dict[str, ModelState | None]:
         """The committed state of each channel, to go on from; None before the first."""
         return {
-            name: controller.state for name, controller in zip(self.channels, self._controllers, strict=True)
+            name: controller.state
+            for name, controller in zip(self.channels, self._controllers, strict=True)
         }
 
     def __getstate__(self) -> dict[str, Any]:
@@ -115,9 +124,13 @@ class Bank(LiveDrive[ArrayLike, Any]):
             raise self._broken(-2 - bad, float(volts[-2 - bad]))
         return volts.copy(), volts, clipped, None, None
 
-    def _coded(self, volts: Floats, clipped: NDArray[np.uint8], codes: Codes) -> Pending:
+    def _coded(
+        self, volts: Floats, clipped: NDArray[np.uint8], codes: Codes
+    ) -> Pending:
         """Return what a plan of codes comes to; the kernel has the states that their volts lead to."""
-        planned, volts, most, saved, held_back = codes.next(volts, self._stand, self._saved)
+        planned, volts, most, saved, held_back = codes.next(
+            volts, self._stand, self._saved
+        )
         good = codes_may_follow(volts, self._stand, self._low, self._high, most)
         if not good.all():
             place = int(np.argmin(good))
@@ -128,7 +141,9 @@ class Bank(LiveDrive[ArrayLike, Any]):
     def _each_worked_out(self, frame: Floats) -> Pending:
         """Return what a plan comes to, of one controller after the other."""
         planned = []
-        for channel, controller, value in zip(self.channels, self._controllers, frame.tolist(), strict=True):
+        for channel, controller, value in zip(
+            self.channels, self._controllers, frame.tolist(), strict=True
+        ):
             try:
                 planned.append(controller.plan(value))
             except DboError as problem:
@@ -154,7 +169,9 @@ class Bank(LiveDrive[ArrayLike, Any]):
             return frame, frame, clipped, None, None
         bad = self._live.follow(volts)
         if bad >= 0:
-            raise self._refused(bad, "what was applied", float(volts[bad]), wanted=False)
+            raise self._refused(
+                bad, "what was applied", float(volts[bad]), wanted=False
+            )
         saved = None
         if self._codes is not None:
             saved = self._codes.left(volts, self._stand, self._saved)
@@ -185,9 +202,13 @@ class Bank(LiveDrive[ArrayLike, Any]):
         begun = [part for part in parts if part is not None]
         if len(begun) < len(parts):
             return
-        bounds = np.array([controller.bounds for controller in self._controllers]).T.copy()
+        bounds = np.array(
+            [controller.bounds for controller in self._controllers]
+        ).T.copy()
         if stand is None:
-            self._saved = np.array([controller.saved for controller in self._controllers])
+            self._saved = np.array(
+                [controller.saved for controller in self._controllers]
+            )
         else:
             bounds[3] = stand
         self._low, self._high, self._stand = bounds[0], bounds[1], bounds[3]
@@ -196,7 +217,9 @@ class Bank(LiveDrive[ArrayLike, Any]):
 
     def _require_played(self, volts: Floats) -> None:
         """Refuse a frame with a voltage that no channel takes (InputError)."""
-        for place, (value, controller) in enumerate(zip(volts.tolist(), self._controllers, strict=True)):
+        for place, (value, controller) in enumerate(
+            zip(volts.tolist(), self._controllers, strict=True)
+        ):
             if not controller.played_reach.low < value < controller.played_reach.high:
                 raise self._refused(place, "what was applied", value, wanted=False)
 
@@ -206,7 +229,9 @@ class Bank(LiveDrive[ArrayLike, Any]):
         reach, unit = controller.played_reach, controller.units[0]
         if wanted:
             reach, unit = controller.wanted_reach, controller.units[1]
-        return InputError(f"channel {self.channels[place]}: {refused(what, value, reach, unit)}")
+        return InputError(
+            f"channel {self.channels[place]}: {refused(what, value, reach, unit)}"
+        )
 
     def _broken(self, place: int, volts: float) -> GateError:
         """Return what the gate says about a frame that breaks a limit: a fault of this program."""
@@ -233,16 +258,22 @@ def _checked(values: ArrayLike, what: str) -> Floats:
     try:
         if np.ma.is_masked(values):
             raise TypeError
-        array = np.asarray(values, dtype=None if isinstance(values, np.ndarray) else object)
+        array = np.asarray(
+            values, dtype=None if isinstance(values, np.ndarray) else object
+        )
         frame = np.empty(array.shape)
         for place, value in enumerate(array.reshape(-1).tolist()):
-            frame.flat[place] = value if value.__class__ is float else number(what, value)
+            frame.flat[place] = (
+                value if value.__class__ is float else number(what, value)
+            )
     except (TypeError, ValueError, InputError):
         raise InputError(f"{what} is no array of numbers") from None
     return frame
 
 
-def _require_channels(name: str, values: Mapping[str, Any], channels: Sequence[str]) -> None:
+def _require_channels(
+    name: str, values: Mapping[str, Any], channels: Sequence[str]
+) -> None:
     """Refuse values of channels that are not there (UsageError)."""
     for channel in values:
         if channel not in channels:

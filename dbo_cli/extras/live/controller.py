@@ -1,9 +1,10 @@
 """Live use: one sample at a time, forward in time only.
 
-A control loop calls ``plan`` with what is wanted, hands the voltage (or the converter's code) to the
-hardware, and calls ``commit`` once the hardware has acknowledged it. A plan never committed leaves no trace.
-Beyond the gears, what is wanted later undoes delay and dynamics (``LookAhead``), and a lag before the gears
-is undone sample by sample (``DriveLag``); all with the bits of ``compensate``.
+A control loop calls ``plan`` with what is wanted, hands the voltage (or the converter's
+code) to the hardware, and calls ``commit`` once the hardware has acknowledged it. A
+plan never committed leaves no trace. Beyond the gears, what is wanted later undoes
+delay and dynamics (``LookAhead``), and a lag before the gears is undone sample by
+sample (``DriveLag``); all with the bits of ``compensate``.
 """
 
 from __future__ import annotations
@@ -48,8 +49,8 @@ PAST = WINDOW - 2
 class LookAhead:
     """What the gears are to follow now, from what is wanted ``samples`` later.
 
-    Before the first value the same value holds: the output is that of a trajectory with ``samples`` rows at
-    its first value before it (``lead`` of ``compensate``).
+    Before the first value the same value holds: the output is that of a trajectory with
+    ``samples`` rows at its first value before it (``lead`` of ``compensate``).
 
     Parameters
     ----------
@@ -58,15 +59,17 @@ class LookAhead:
     rate : float
         Samples a second (Hz).
     seconds : float or "auto"
-        How much later what is passed is wanted; auto: the shortest time that the model needs.
+        How much later what is passed is wanted; auto: the shortest time that the model
+        needs.
 
     Attributes
     ----------
     samples : int
         That time in samples, rounded up.
     held : tuple, or None
-        What is wanted from ``PAST`` samples before the one committed last on, the same with the delay undone,
-        and what the inverse of the dynamics remembers; None before the first.
+        What is wanted from ``PAST`` samples before the one committed last on, the same
+        with the delay undone, and what the inverse of the dynamics remembers; None
+        before the first.
 
     Raises
     ------
@@ -76,18 +79,26 @@ class LookAhead:
         The model needs more.
     """
 
-    def __init__(self, model: ActuatorModel, rate: float, seconds: float | Literal["auto"]) -> None:
+    def __init__(
+        self, model: ActuatorModel, rate: float, seconds: float | Literal["auto"]
+    ) -> None:
         check_seconds("lookahead", seconds)
         self._rate = rate
         self._step = 1.0 / rate
         self._delay = model.delay_seconds
-        self._inverter = None if model.dynamics is None else model.dynamics.inverter(self._step)
+        self._inverter = (
+            None if model.dynamics is None else model.dynamics.inverter(self._step)
+        )
         self._late = math.ceil(self._delay / self._step - WHOLE)
         self._ahead = 0 if self._inverter is None else self._inverter.ahead
         self._between = "linear" if model.delay is None else model.delay.between
         needed = self._late + self._ahead
-        best = self._ahead + (0 if model.delay is None else model.delay.rows_ahead(self._step))
-        self.samples = best if seconds == "auto" else math.ceil(seconds / self._step - WHOLE)
+        best = self._ahead + (
+            0 if model.delay is None else model.delay.rows_ahead(self._step)
+        )
+        self.samples = (
+            best if seconds == "auto" else math.ceil(seconds / self._step - WHOLE)
+        )
         if self.samples < needed:
             raise UsageError(
                 f"`lookahead` {seconds:g} s is {self.samples} samples, and the inverse of this model reads "
@@ -106,7 +117,9 @@ class LookAhead:
             raw = [float(wanted)] * (PAST + self.samples - self._ahead + 1)
             shifted = np.full(self._ahead + 1, wanted)
             if self._inverter is not None:
-                memory = (state and state.memory_for(self._inverter)) or self._inverter.rest(wanted)
+                memory = (
+                    state and state.memory_for(self._inverter)
+                ) or self._inverter.rest(wanted)
         else:
             raw, shifted, memory = self.held
             raw = [*raw[1:], float(wanted)]
@@ -135,7 +148,8 @@ class LookAhead:
     def _shifted(self, raw: list[float]) -> float:
         """Return what is wanted the delay after the oldest value that is not past, as reading ahead does.
 
-        With less lookahead than ``auto`` takes, fewer of the six samples lie behind the time wanted.
+        With less lookahead than ``auto`` takes, fewer of the six samples lie behind the
+        time wanted.
         """
         if not self._late:
             return raw[PAST]
@@ -180,8 +194,17 @@ class DriveLag:
 
     def __init__(self, model: ActuatorModel, limits: DriveLimits, step: float) -> None:
         assert model.drive_lag is not None
-        self._model, self._lag, self._limits, self._step = model, model.drive_lag, limits, step
-        self._most = math.inf if limits.max_slew is None else limits.largest_change(step) or math.inf
+        self._model, self._lag, self._limits, self._step = (
+            model,
+            model.drive_lag,
+            limits,
+            step,
+        )
+        self._most = (
+            math.inf
+            if limits.max_slew is None
+            else limits.largest_change(step) or math.inf
+        )
         row = undoing_rows(coefficients(self._lag, step))[0]
         self._by_lead, self._by_change = float(row[1]), float(row[2])
         self.held = (0.0, 0.0)  # what the lag passes on, and the drive before it
@@ -189,21 +212,36 @@ class DriveLag:
     def plan(self, behind: float, wanted: float, stepper: BacklashStepper) -> LagStep:
         """Return the drive that the lag makes ``behind`` of, or the nearest allowed.
 
-        What the limits of the drive allow behind the lag changes from sample to sample; only a sample that
-        they hold back is worked out by the whole model from what is ``wanted``.
+        What the limits of the drive allow behind the lag changes from sample to sample;
+        only a sample that they hold back is worked out by the whole model from what is
+        ``wanted``.
         """
         late, last = self.held
-        volts = last + (self._by_lead * (late - last) + self._by_change * (behind - late))
-        if self._limits.v_min <= volts <= self._limits.v_max and abs(volts - last) <= self._most:
+        volts = last + (
+            self._by_lead * (late - last) + self._by_change * (behind - late)
+        )
+        if (
+            self._limits.v_min <= volts <= self._limits.v_max
+            and abs(volts - last) <= self._most
+        ):
             return LagStep(volts, stepper.clipped, (behind, volts))
         before = ModelState(stepper.state, stepper.last, drive_lag=((late, 0.0, last),))
-        done = self._model.inverted.simulate([wanted], before, time_step=self._step, limits=self._limits)
-        return LagStep(float(done.y[0]), min(done.clipped_count, 1), _lag_of(done.state), done.state)
+        done = self._model.inverted.simulate(
+            [wanted], before, time_step=self._step, limits=self._limits
+        )
+        return LagStep(
+            float(done.y[0]),
+            min(done.clipped_count, 1),
+            _lag_of(done.state),
+            done.state,
+        )
 
     def follow(self, volts: float) -> LagStep:
         """Return what the lag passes on of a voltage that was not planned here."""
         late, last = self.held
-        behind = float(self._lag.run(np.array([volts]), self._step, ((late, 0.0, last),))[0][0])
+        behind = float(
+            self._lag.run(np.array([volts]), self._step, ((late, 0.0, last),))[0][0]
+        )
         return LagStep(volts, 0, (behind, volts))
 
     def begin(self, state: ModelState) -> None:
@@ -264,9 +302,9 @@ UPDATE = 128
 class Controller(LiveDrive[float, float | int]):
     """The drive of a forward model, sample by sample; made by ``Model.controller``.
 
-    The same bits as ``compensate`` over the same samples. Where the drive stands outside its limits, because
-    of ``from_``, a state or what was applied, the next plans bring it inwards as fast as the slew limit
-    allows, whatever is wanted.
+    The same bits as ``compensate`` over the same samples. Where the drive stands
+    outside its limits, because of ``from_``, a state or what was applied, the next
+    plans bring it inwards as fast as the slew limit allows, whatever is wanted.
 
     Attributes
     ----------
@@ -304,20 +342,32 @@ class Controller(LiveDrive[float, float | int]):
         model.require("forward")
         _require_known(model, ahead, lookahead is not None)
         sample_rate = checked_rate(sample_rate)
-        _require_rate(sample_rate, model.needs_time or max_slew is not None or lookahead is not None)
+        _require_rate(
+            sample_rate,
+            model.needs_time or max_slew is not None or lookahead is not None,
+        )
         self._model = model
         self._step_seconds = None if sample_rate is None else 1.0 / sample_rate
         v_min, v_max = _figure("v_min", v_min), _figure("v_max", v_max)
         max_slew, from_ = _figure("max_slew", max_slew), _figure("from_", from_)
-        self.limits = DriveOptions(v_min, v_max, extrapolate, max_slew, from_=from_).limits(model)
+        self.limits = DriveOptions(
+            v_min, v_max, extrapolate, max_slew, from_=from_
+        ).limits(model)
         self._low = self.limits.v_min
         self._high = self.limits.v_max
         most = self.limits.largest_change(self._step_seconds)
         self._most = math.inf if most is None else most
-        # A converter's code keeps the slew limit itself, since it may have to save up for it.
-        self._planning = self.limits if dac is None else DriveLimits(self._low, self._high)
-        self.wanted_reach = reach_of(model.output.minimum, model.output.maximum, WANTED_SPANS)
-        self.played_reach = reach_of(model.input.minimum, model.input.maximum, PLAYED_SPANS)
+        # A converter's code keeps the slew limit itself, since it may have to save up
+        # for it.
+        self._planning = (
+            self.limits if dac is None else DriveLimits(self._low, self._high)
+        )
+        self.wanted_reach = reach_of(
+            model.output.minimum, model.output.maximum, WANTED_SPANS
+        )
+        self.played_reach = reach_of(
+            model.input.minimum, model.input.maximum, PLAYED_SPANS
+        )
         self.units = model.input.suffix, model.output.suffix
         self._inverse = model.inverse()
         self._gears = self._inverse.backlash  # a model that has none is refused here
@@ -328,7 +378,9 @@ class Controller(LiveDrive[float, float | int]):
         self.converter = None if dac is None else Converter(dac, self.limits, most)
         self.saved = 0.0
         if self.converter is not None and not math.isnan(self._last):
-            self.converter.require_within("from_" if from_ is not None else "state", self._last)
+            self.converter.require_within(
+                "from_" if from_ is not None else "state", self._last
+            )
         self._ahead: LookAhead | None = None
         if lookahead is not None and sample_rate is not None:
             self._ahead = LookAhead(model, sample_rate, lookahead)
@@ -336,13 +388,17 @@ class Controller(LiveDrive[float, float | int]):
         if model.drive_lag is not None and self._step_seconds is not None:
             self._lag = DriveLag(model, self._planning, self._step_seconds)
         self.lookahead = 0 if self._ahead is None else self._ahead.samples
-        # What is behind the gears takes no part in the drive: it follows now and then, for the state alone.
-        self._behind = model.dynamics is not None or (model.delay_seconds > 0.0 and not ahead)
+        # What is behind the gears takes no part in the drive: it follows now and then,
+        # for the state alone.
+        self._behind = model.dynamics is not None or (
+            model.delay_seconds > 0.0 and not ahead
+        )
         self._past: ModelState | None = None
         self._since: list[float] = []
         self._stepper: BacklashStepper | None = None
         self._gears_alone = self._ahead is None and self._lag is None
-        self._inner: Any = None  # the stepper's kernel, once it has begun and nothing else goes with it
+        # the stepper's kernel, once it has begun and nothing else goes with it
+        self._inner: Any = None
         self._set_stages()
         self.clipped = 0
 
@@ -356,7 +412,8 @@ class Controller(LiveDrive[float, float | int]):
         to : float, optional
             Where to rest, V; 0 or the limit nearest to it, where not given.
         seconds : float or "auto"
-            How long the ramp takes; auto: as fast as the slew allows, without one a second.
+            How long the ramp takes; auto: as fast as the slew allows, without one a
+            second.
 
         Raises
         ------
@@ -366,11 +423,15 @@ class Controller(LiveDrive[float, float | int]):
             ``to`` is not a finite number.
         """
         if math.isnan(self._last) or self._step_seconds is None:
-            raise UsageError("a ramp to rest needs a committed sample and a `sample_rate`")
+            raise UsageError(
+                "a ramp to rest needs a committed sample and a `sample_rate`"
+            )
         check_seconds("seconds", seconds)
         rest = 0.0 if to is None else self._voltage("`to`", to)
         rest = min(max(rest, self._low), self._high)
-        ramp_rows = ramp("seconds", self._last, rest, self._step_seconds, seconds, self.limits).tolist()
+        ramp_rows = ramp(
+            "seconds", self._last, rest, self._step_seconds, seconds, self.limits
+        ).tolist()
         if self.converter is not None:
             codes = self._codes_along(ramp_rows, self.converter)
             for code in codes:
@@ -395,7 +456,9 @@ class Controller(LiveDrive[float, float | int]):
         if self._stepper is None:
             return self._start if isinstance(self._start, ModelState) else None
         undoing = None if self._ahead is None else self._ahead.held
-        return dataclasses.replace(self._update(), undoing=undoing and undoing[2], model=self._model.digest)
+        return dataclasses.replace(
+            self._update(), undoing=undoing and undoing[2], model=self._model.digest
+        )
 
     @property
     def begun(self) -> tuple[BacklashStepper, MemoryFree, MemoryFree] | None:
@@ -415,20 +478,29 @@ class Controller(LiveDrive[float, float | int]):
         model = self._model
         if isinstance(self._start, ModelState):
             if self._start.model not in (None, model.digest):
-                raise UsageError("`state`: is of another model (go on with the model that returned it)")
+                raise UsageError(
+                    "`state`: is of another model (go on with the model that returned it)"
+                )
             drive = model.drive_of(self._start)
             self._last = math.nan if drive is None else drive
         elif from_ is not None:
-            self._last = self._voltage("`from_`", voltage_in("from_", from_, model.input))
+            self._last = self._voltage(
+                "`from_`", voltage_in("from_", from_, model.input)
+            )
             begun = model.start(self._last, self._start)
-            self._start = model.simulate([self._last], begun, time_step=self._step_seconds).state
+            self._start = model.simulate(
+                [self._last], begun, time_step=self._step_seconds
+            ).state
 
     def _set_stages(self) -> None:
         """Keep what stands before and behind the inverse's gears."""
-        # Scales before the gears, where nothing else stands there, are worked out without an array.
+        # Scales before the gears, where nothing else stands there, are worked out
+        # without an array.
         self._head, self._after = self._inverse.head, self._inverse.tail
         self._drive_side = self._inverse.tail_inverse
-        self._scales = [(s.gain, s.offset) for s in self._head if isinstance(s, ScaleStage)]
+        self._scales = [
+            (s.gain, s.offset) for s in self._head if isinstance(s, ScaleStage)
+        ]
         self._bent_before = len(self._scales) < len(self._head)
         self._bent = self._bent_before or bool(self._after)
 
@@ -489,10 +561,16 @@ class Controller(LiveDrive[float, float | int]):
         """Return what a plan comes to, where it is the first one, or more than the gears go on with it."""
         begun, window, lag = None, None, None
         if self._ahead is not None:
-            wanted, window = self._ahead.plan(wanted, None if self._ahead.held else self.state)
+            wanted, window = self._ahead.plan(
+                wanted, None if self._ahead.held else self.state
+            )
         stepper = self._stepper
         most, saved, last = self._most, self.saved, self._last
-        inside = inwards(last, self._low, self._high, most) if self.converter is None else None
+        inside = (
+            inwards(last, self._low, self._high, most)
+            if self.converter is None
+            else None
+        )
         if stepper is None:
             volts, clipped, begun = self._first(wanted, inside)
         elif inside is not None:
@@ -506,7 +584,9 @@ class Controller(LiveDrive[float, float | int]):
                 volts, clipped = lag.volts, lag.clipped
         planned: float | int = volts
         if self.converter is not None:
-            planned, volts, most, saved, held_back = self.converter.next(volts, self._before(), saved)
+            planned, volts, most, saved, held_back = self.converter.next(
+                volts, self._before(), saved
+            )
             clipped = clipped or int(held_back)
             if stepper is None:
                 begun = self._state_after(volts)
@@ -515,22 +595,27 @@ class Controller(LiveDrive[float, float | int]):
         self._require_may_follow(volts, last, most)
         return planned, volts, clipped, saved, Beside(begun, window, lag)
 
-    def _first(self, wanted: float, inside: float | None) -> tuple[float, int, ModelState]:
+    def _first(
+        self, wanted: float, inside: float | None
+    ) -> tuple[float, int, ModelState]:
         """Return the first voltage, whether it is clipped, and the state after it.
 
-        The start is found as ``compensate`` does; the stepper begins after it. ``way`` is the voltage of a
-        drive that has to come inwards first.
+        The start is found as ``compensate`` does; the stepper begins after it. ``way``
+        is the voltage of a drive that has to come inwards first.
         """
         if inside is not None:
             return inside, 1, self._state_after(inside)
         begin = self._model.start_compensation(wanted, self._start, self._planning)
-        done = self._model.compensate([wanted], begin, limits=self._planning, time_step=self._step_seconds)
+        done = self._model.compensate(
+            [wanted], begin, limits=self._planning, time_step=self._step_seconds
+        )
         return float(done.y[0]), min(done.clipped_count, 1), done.state
 
     def _before(self) -> float:
         """Return the voltage that stands, NaN where it is not known, for a converter.
 
-        An actuator that starts ``empty`` or ``full`` stands at that end, as in ``start_compensation``.
+        An actuator that starts ``empty`` or ``full`` stands at that end, as in
+        ``start_compensation``.
         """
         if not math.isnan(self._last) or self._start not in ("empty", "full"):
             return self._last
@@ -552,7 +637,9 @@ class Controller(LiveDrive[float, float | int]):
         if self.converter is None:
             volts = self._voltage(what, applied)
         else:
-            volts = self._voltage(what, self.converter.curve[self.converter.code_of(applied)])
+            volts = self._voltage(
+                what, self.converter.curve[self.converter.code_of(applied)]
+            )
             if not math.isnan(self._last):
                 most = self.converter.most(self._last, saved)
                 saved = self.converter.left(abs(volts - self._last), most)
@@ -632,7 +719,9 @@ class Controller(LiveDrive[float, float | int]):
             limits = DriveLimits(limits.v_min, limits.v_max)
         bound = inverse.output_limits(inverse.inner_limits(limits), self._step_seconds)
         last = math.nan if state.drive is None else state.drive
-        self._stepper = BacklashStepper(self._gears, state.backlash, last, self._step_seconds, bound)
+        self._stepper = BacklashStepper(
+            self._gears, state.backlash, last, self._step_seconds, bound
+        )
         self._inner = self._stepper.inner if self._gears_alone else None
 
     def _update(self) -> ModelState:
@@ -645,8 +734,12 @@ class Controller(LiveDrive[float, float | int]):
         past = self._past
         if past is not None:
             if self._since:
-                past = self._model.simulate(self._since, past, time_step=self._step_seconds).state
-            state = dataclasses.replace(state, dynamics=past.dynamics, history=past.history)
+                past = self._model.simulate(
+                    self._since, past, time_step=self._step_seconds
+                ).state
+            state = dataclasses.replace(
+                state, dynamics=past.dynamics, history=past.history
+            )
             self._past, self._since = state, []
         return state
 
@@ -675,7 +768,9 @@ class Controller(LiveDrive[float, float | int]):
         if not may_follow(volts, last, self._low, self._high, most):
             self._gate.last = None if math.isnan(last) else last
             self._gate.admit(np.array([volts]), self._step_seconds)
-            raise GateError(f"this program planned {volts!r} after {last!r}, which breaks its limits")
+            raise GateError(
+                f"this program planned {volts!r} after {last!r}, which breaks its limits"
+            )
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle what is committed; the kernel's stepper is made again."""
@@ -690,19 +785,25 @@ class Controller(LiveDrive[float, float | int]):
 
 def _figure(name: str, value: Figure) -> Figure:
     """Return a limit as a text, a float or None (InputError where it is none of these)."""
-    return value if value is None or isinstance(value, str) else number(f"`{name}`", value)
+    return (
+        value if value is None or isinstance(value, str) else number(f"`{name}`", value)
+    )
 
 
 def _require_rate(sample_rate: float | None, needed: bool) -> None:
     """Refuse a rate that is missing where the time between samples matters (UsageError)."""
     if needed and sample_rate is None:
-        raise UsageError("this model and these limits need the time between samples (`sample_rate` HZ)")
+        raise UsageError(
+            "this model and these limits need the time between samples (`sample_rate` HZ)"
+        )
 
 
 def _require_known(model: ActuatorModel, ahead: bool, looks_ahead: bool) -> None:
     """Refuse a model whose drive depends on what the caller does not pass (UsageError, ModelError)."""
     if ahead and looks_ahead:
-        raise UsageError("`ahead` and `lookahead` exclude each other: the latter undoes the delay, too")
+        raise UsageError(
+            "`ahead` and `lookahead` exclude each other: the latter undoes the delay, too"
+        )
     if model.delay_seconds > 0.0 and not ahead and not looks_ahead:
         raise ModelError(
             f"the model has a delay of {model.delay_seconds:g} s, so the drive depends on what is wanted "

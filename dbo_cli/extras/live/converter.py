@@ -1,9 +1,10 @@
 """Digital-to-analogue converters: which code comes next, of one actuator and of many.
 
-One step between codes may be larger than the slew limit allows in a sample. Then the allowance of several
-samples is saved up for it: over any time the drive changes by no more than the slew limit allows in that time
-and one code, and in one sample by no more than the larger of the two. A drive that stands outside its range
-goes inwards, as far as a step goes.
+One step between codes may be larger than the slew limit allows in a sample. Then the
+allowance of several samples is saved up for it: over any time the drive changes by no
+more than the slew limit allows in that time and one code, and in one sample by no more
+than the larger of the two. A drive that stands outside its range goes inwards, as far
+as a step goes.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ from dbo_cli.logs.sources import samples
 
 Step = tuple[int, float, float, float, bool]
 """A code, its voltage, the largest change that was allowed (V), what is saved up after it (V), and whether
-the slew limit keeps a nearer one from coming."""
+the slew limit keeps a nearer one from coming.
+"""
 
 
 class Converter:
@@ -46,10 +48,14 @@ class Converter:
         The curve does not rise, or no code lies within the limits.
     """
 
-    def __init__(self, volts: ArrayLike, limits: DriveLimits, step: float | None) -> None:
+    def __init__(
+        self, volts: ArrayLike, limits: DriveLimits, step: float | None
+    ) -> None:
         curve = samples("dac", volts)
         if curve.size < 2 or not (np.diff(curve) > 0.0).all():
-            raise UsageError("`dac`: give the voltage of every code from 0 on, rising from code to code")
+            raise UsageError(
+                "`dac`: give the voltage of every code from 0 on, rising from code to code"
+            )
         self.curve: list[float] = curve.tolist()
         self._low = bisect.bisect_left(self.curve, limits.v_min)
         self._high = bisect.bisect_right(self.curve, limits.v_max) - 1
@@ -60,7 +66,9 @@ class Converter:
         self.step = math.inf if step is None else step
         gaps: list[float] = [b - a for a, b in itertools.pairwise(self.curve)]
         self._widest = max(gaps)
-        self._gaps: list[float] = [max(pair) for pair in itertools.pairwise([gaps[0], *gaps, gaps[-1]])]
+        self._gaps: list[float] = [
+            max(pair) for pair in itertools.pairwise([gaps[0], *gaps, gaps[-1]])
+        ]
 
     def require_within(self, name: str, volts: float) -> None:
         """Refuse a voltage that the converter cannot stand at: further than a code beyond its ends."""
@@ -75,7 +83,9 @@ class Converter:
         """Return what was applied as a code (InputError where it is none)."""
         value = number("the code that was applied", code)
         if not 0 <= value < len(self.curve) or value != int(value):
-            raise InputError(f"code {value:g} is not one of the converter's, 0 to {len(self.curve) - 1}")
+            raise InputError(
+                f"code {value:g} is not one of the converter's, 0 to {len(self.curve) - 1}"
+            )
         return int(value)
 
     def most(self, last: float, saved: float) -> float:
@@ -124,8 +134,12 @@ class Converter:
     def _within(self, near: int, last: float, most: float) -> int:
         """Return the code nearest to ``near`` within a change; from outside the range, the innermost."""
         curve = self.curve
-        least, greatest = bisect.bisect_left(curve, last - most), bisect.bisect_right(curve, last + most) - 1
-        # A code exactly as far away as the largest change is not to be lost to the rounding of a sum.
+        least, greatest = (
+            bisect.bisect_left(curve, last - most),
+            bisect.bisect_right(curve, last + most) - 1,
+        )
+        # A code exactly as far away as the largest change is not to be lost to the
+        # rounding of a sum.
         if least > 0 and last - curve[least - 1] <= most:
             least -= 1
         if greatest + 1 < len(curve) and curve[greatest + 1] - last <= most:
@@ -133,7 +147,8 @@ class Converter:
         low, high = max(self._low, least), min(self._high, greatest)
         if low <= high:
             return min(max(near, low), high)
-        # From outside the range as far inwards as a step goes, or to the next code where none stands.
+        # From outside the range as far inwards as a step goes, or to the next code
+        # where none stands.
         above = bisect.bisect_left(curve, last)
         below = bisect.bisect_right(curve, last) - 1
         if last > curve[self._high]:
@@ -181,7 +196,9 @@ class Codes:
     def left(self, volts: Floats, last: Floats, saved: Floats) -> Floats:
         """Return what is saved up after voltages that were not planned here."""
         most = self._most(last, saved)
-        return np.where(np.isinf(most), 0.0, np.maximum(most - np.abs(volts - last), 0.0))
+        return np.where(
+            np.isinf(most), 0.0, np.maximum(most - np.abs(volts - last), 0.0)
+        )
 
     def volts_of(self, codes: Floats, channels: Sequence[str]) -> Floats:
         """Return the voltages of codes that were applied (InputError where one is none)."""
@@ -196,9 +213,13 @@ class Codes:
 
     def _most(self, last: Floats, saved: Floats) -> Floats:
         """Return the largest change of each channel that is allowed now."""
-        places = np.minimum(np.searchsorted(self._curve, last, "left"), len(self._curve) - 1)
+        places = np.minimum(
+            np.searchsorted(self._curve, last, "left"), len(self._curve) - 1
+        )
         fine = np.maximum(self._step, self._gaps[places])
-        return np.where(self._step < self._widest, np.minimum(saved + self._step, fine), self._step)
+        return np.where(
+            self._step < self._widest, np.minimum(saved + self._step, fine), self._step
+        )
 
     def _nearest(self, volts: Floats) -> NDArray[np.int64]:
         """Return the codes of the range nearest to voltages, the lower of two that are as near."""
@@ -211,14 +232,20 @@ class Codes:
         return within
 
     def _within(
-        self, near: NDArray[np.int64], last: Floats, most: Floats, above: NDArray[np.int64]
+        self,
+        near: NDArray[np.int64],
+        last: Floats,
+        most: Floats,
+        above: NDArray[np.int64],
     ) -> NDArray[np.int64]:
         """Return what ``Converter._within`` does, an array of it."""
         curve, end = self._curve, len(self._curve) - 1
         least = np.searchsorted(curve, last - most, "left")
         greatest = np.searchsorted(curve, last + most, "right") - 1
         least -= (least > 0) & (last - curve[np.maximum(least - 1, 0)] <= most)
-        greatest += (greatest < end) & (curve[np.minimum(greatest + 1, end)] - last <= most)
+        greatest += (greatest < end) & (
+            curve[np.minimum(greatest + 1, end)] - last <= most
+        )
         low, high = np.maximum(self._low, least), np.minimum(self._high, greatest)
         inside = np.minimum(np.maximum(near, low), high)
         below = np.searchsorted(curve, last, "right") - 1
@@ -226,11 +253,17 @@ class Codes:
         up = np.minimum(np.maximum(greatest, above), self._low)
         upper, lower = np.minimum(above, end), np.maximum(below, 0)
         nearer = np.where(curve[upper] - last < last - curve[lower], upper, lower)
-        outside = np.where(last > curve[self._high], down, np.where(last < curve[self._low], up, nearer))
+        outside = np.where(
+            last > curve[self._high],
+            down,
+            np.where(last < curve[self._low], up, nearer),
+        )
         return np.where(low <= high, inside, outside)
 
 
-def codes_may_follow(volts: Floats, last: Floats, low: Floats, high: Floats, most: Floats) -> Bools:
+def codes_may_follow(
+    volts: Floats, last: Floats, low: Floats, high: Floats, most: Floats
+) -> Bools:
     """Return where voltages may follow the last ones: ``stepper.may_follow`` on arrays."""
     inside = (low <= volts) & (volts <= high)
     inside |= (last < low) & (last <= volts) & (volts <= low)

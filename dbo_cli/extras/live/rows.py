@@ -1,7 +1,8 @@
 """What live control of one actuator and of many have in common: a row goes out whole, or not at all.
 
-``plan`` works out a row and everything that comes with it, as one value that is swapped in at the end; where
-it raises, nothing is left to commit. ``commit`` checks what it is told before anything moves.
+``plan`` works out a row and everything that comes with it, as one value that is swapped
+in at the end; where it raises, nothing is left to commit. ``commit`` checks what it is
+told before anything moves.
 """
 
 from __future__ import annotations
@@ -19,15 +20,18 @@ Played = TypeVar("Played")
 
 Pending = tuple[Any, Any, Any, Any, Any]
 """What a plan comes to: what was handed out, its volts, whether the limits hold it back, what a converter has
-saved up of the slew limit after it (V), and what else goes on with it beside the gears (None: nothing). A
-plain tuple, since a row of an actuator takes a microsecond."""
+saved up of the slew limit after it (V), and what else goes on with it beside the gears
+(None: nothing). A plain tuple, since a row of an actuator takes a microsecond.
+"""
 
 WANTED_SPANS = 1e12
 """Of a model's range of displacement: what is wanted from further away is refused. Chosen: what is nearer is
-clipped at the drive's limits, and no sum of it overflows."""
+clipped at the drive's limits, and no sum of it overflows.
+"""
 PLAYED_SPANS = 1000.0
 """Of a model's range of voltage: an applied voltage from further away is refused. Chosen: no amplifier goes
-there, but a figure in mV taken for V does."""
+there, but a figure in mV taken for V does.
+"""
 
 
 class Reach(NamedTuple):
@@ -63,18 +67,21 @@ class LiveDrive(ABC, Generic[Wanted, Played]):
     def plan(self, wanted: Wanted) -> Played:
         """Return the voltage (the code, with a converter) for what is wanted next; nothing changes yet.
 
-        A plan that is refused leaves nothing to commit, neither itself nor the one before.
+        A plan that is refused leaves nothing to commit, neither itself nor the one
+        before.
 
         Parameters
         ----------
         wanted : float, or array_like of shape (channels,)
-            What is wanted at this sample, in the unit of the model's output (of a bank: of each model's);
-            with ``ahead`` what is wanted the model's delay later, with ``lookahead`` so much later.
+            What is wanted at this sample, in the unit of the model's output (of a bank:
+            of each model's); with ``ahead`` what is wanted the model's delay later,
+            with ``lookahead`` so much later.
 
         Raises
         ------
         InputError
-            It is not a finite number, or not one for each channel, or beyond all reason.
+            It is not a finite number, or not one for each channel, or beyond all
+            reason.
         """
         self._pending = None
         self._pending = pending = self._worked_out(wanted)
@@ -84,19 +91,22 @@ class LiveDrive(ABC, Generic[Wanted, Played]):
     def commit(self, applied: Played | None = None) -> None:
         """Go on from what was planned, or from what was applied instead.
 
-        Where this is refused nothing has moved, and what was planned can still be committed.
+        Where this is refused nothing has moved, and what was planned can still be
+        committed.
 
         Parameters
         ----------
         applied : float or int, or array_like, optional
-            Volts, or with a converter a code, where that is not what was planned; of a bank of each channel.
+            Volts, or with a converter a code, where that is not what was planned; of a
+            bank of each channel.
 
         Raises
         ------
         UsageError
             Nothing was planned, and nothing applied is given.
         InputError
-            What was applied is no finite number or beyond all reason, or no code of the converter.
+            What was applied is no finite number or beyond all reason, or no code of the
+            converter.
         """
         pending = self._pending
         if applied is not None:
@@ -140,7 +150,9 @@ def number(what: str, value: object) -> float:
     InputError
         It is a text, a truth value, several numbers or something else.
     """
-    good = not isinstance(value, bool | str | bytes | bytearray | np.ma.core.MaskedConstant)
+    good = not isinstance(
+        value, bool | str | bytes | bytearray | np.ma.core.MaskedConstant
+    )
     if isinstance(value, np.ndarray | np.generic):
         good = good and value.ndim == 0 and value.dtype.kind in "iuf"
     try:

@@ -41,13 +41,27 @@ SHAPES = choice(("raster", "spiral", "staircase", "sine", "triangle"))
 SHAPE = Option("SHAPE", "raster, spiral, staircase, sine or triangle.", parse=SHAPES)
 MOVE = (  # the fields of ``TrajectoryOptions``
     Option("--rate HZ", "Rows a second.", REQUIRED),
-    Option("--range LOW:HIGH", "From where to where: a raster's lines, a spiral's first axis.", REQUIRED),
-    Option("--slow-range LOW:HIGH", "The second axis of raster and spiral [default: the same]."),
+    Option(
+        "--range LOW:HIGH",
+        "From where to where: a raster's lines, a spiral's first axis.",
+        REQUIRED,
+    ),
+    Option(
+        "--slow-range LOW:HIGH",
+        "The second axis of raster and spiral [default: the same].",
+    ),
     Option("--frequency HZ", "Lines, turns or cycles a second."),
     Option("--lines N", "Of a raster."),
     Option("--pixels N", "Of a line: each gets a whole number of rows."),
-    Option("--overscan PERCENT", "How far lines go on at their speed beyond the range.", "0"),
-    Option("--one-way", "Lines in one direction, the way back as fast; a staircase up alone."),
+    Option(
+        "--overscan PERCENT",
+        "How far lines go on at their speed beyond the range.",
+        "0",
+    ),
+    Option(
+        "--one-way",
+        "Lines in one direction, the way back as fast; a staircase up alone.",
+    ),
     Option("--turns N", "Of a spiral."),
     Option("--cycles N", "Of sine and triangle [default: 1]."),
     Option("--steps N", "Of a staircase."),
@@ -62,13 +76,20 @@ MOVE_MODEL = Option(
     repeated=True,
 )
 MOVE_LIMITS = (VOLTAGE_MIN, VOLTAGE_MAX, EXTRAPOLATE)
-UNIT = Option("--unit UNIT", "What the figures are in: um, nm, mrad [default: the model's].")
-DRIVES = Option("DRIVE", "The drive; several where the file has channels.", repeated=True)
+UNIT = Option(
+    "--unit UNIT", "What the figures are in: um, nm, mrad [default: the model's]."
+)
+DRIVES = Option(
+    "DRIVE", "The drive; several where the file has channels.", repeated=True
+)
 DRIVE_COLUMNS = DRIVE_COLUMN._replace(
-    meaning="The drive, guessed by name; several times: columns of one file, or one a file.", repeated=True
+    meaning="The drive, guessed by name; several times: columns of one file, or one a file.",
+    repeated=True,
 )
 GENERATOR = (  # the fields of ``WaveformOptions``
-    Option("--to FORMAT", ", ".join(GENERATOR_FILES) + ".", REQUIRED, parse=generator_file),
+    Option(
+        "--to FORMAT", ", ".join(GENERATOR_FILES) + ".", REQUIRED, parse=generator_file
+    ),
     Option("--gain FACTOR", "Of the amplifier behind the generator: divided out.", "1"),
     Option(
         "--points N",
@@ -76,8 +97,13 @@ GENERATOR = (  # the fields of ``WaveformOptions``
         parse=whole(2),
     ),
     Option("--rate HZ", "Points a second [default: the drive's]."),
-    Option("--codes LOW:HIGH", "The lowest and the highest code [default: the format's]."),
-    Option("--volts LOW:HIGH", "What they mean at the generator [default: the drive's ends]."),
+    Option(
+        "--codes LOW:HIGH", "The lowest and the highest code [default: the format's]."
+    ),
+    Option(
+        "--volts LOW:HIGH",
+        "What they mean at the generator [default: the drive's ends].",
+    ),
     Option("--loop", "The drive repeats: it must close, and stays so at another rate."),
     Option("--v-min VOLT", "Lowest drive allowed."),
     Option("--v-max VOLT", "Highest drive allowed."),
@@ -87,30 +113,38 @@ GENERATOR = (  # the fields of ``WaveformOptions``
         "By how much another rate may move the drive [default: a thousandth of its range].",
         parse=figure_above_0,
     ),
-    Option("--max-rounding PERCENT", "By how much rounding may move it, of its range; more: exit 3.", "1"),
+    Option(
+        "--max-rounding PERCENT",
+        "By how much rounding may move it, of its range; more: exit 3.",
+        "1",
+    ),
 )
 
 
 def trajectory(arguments: Given) -> None:
     """Write a move to be followed: raster, spiral, staircase, sine or triangle.
 
-    It starts and stops softly, and its turns and steps are rounded to --bandwidth or to what --model can be
-    trusted to; what the model does not reach is refused.
+    It starts and stops softly, and its turns and steps are rounded to --bandwidth or to
+    what --model can be trusted to; what the model does not reach is refused.
 
     Writes
     ------
-    Time and displacement, or time, x and y: dbo compensate --displacement x_um takes one of them.
+    Time and displacement, or time, x and y: dbo compensate --displacement x_um takes
+    one of them.
 
     Usual options
     -------------
-    --rate --range --frequency --lines --turns --cycles --steps --dwell --bandwidth --model -o
+    --rate --range --frequency --lines --turns --cycles --steps --dwell --bandwidth
+    --model -o
 
     Examples
     --------
     A raster that a model can follow:
-        dbo trajectory raster --rate 10000 --range 2:9 --lines 64 --frequency 5 --model m.json -o s.csv
+        dbo trajectory raster --rate 10000 --range 2:9 --lines 64 --frequency 5 --model
+        m.json -o s.csv
     Levels up and down:
-        dbo trajectory staircase --rate 500 --range 1:9 --steps 9 --dwell 1 --model m.json -o s.csv
+        dbo trajectory staircase --rate 500 --range 1:9 --steps 9 --dwell 1 --model
+        m.json -o s.csv
     """
     from dbo_cli.drives.options import DriveOptions
     from dbo_cli.extras.moves.shapes import TrajectoryOptions
@@ -121,15 +155,18 @@ def trajectory(arguments: Given) -> None:
     destination = destination_of(arguments, models)
     drive = DriveOptions(**arguments.of(MOVE_LIMITS))
     arguments.reporter.notes(
-        write_trajectory(destination, shape, models, arguments.unit, arguments.format, drive)
+        write_trajectory(
+            destination, shape, models, arguments.unit, arguments.format, drive
+        )
     )
 
 
 def waveform(arguments: Given) -> None:
     """Write a drive as the file that a generator, a wave table or a converter takes.
 
-    What is written is read back and passes the gate that the drive passed. One line says what to set:
-    points, rate, amplitude, offset, repetitions, and by how much rounding moves the drive.
+    What is written is read back and passes the gate that the drive passed. One line
+    says what to set: points, rate, amplitude, offset, repetitions, and by how much
+    rounding moves the drive.
 
     Writes
     ------
@@ -142,24 +179,42 @@ def waveform(arguments: Given) -> None:
     Examples
     --------
     For a generator before an amplifier of gain 20:
-        dbo waveform drive.csv --to keysight-arb --gain 20 --v-min 0 --v-max 100 -o drive.arb
+        dbo waveform drive.csv --to keysight-arb --gain 20 --v-min 0 --v-max 100 -o
+        drive.arb
     Codes of a 16-bit converter from 0 to 5 V:
         dbo waveform drive.csv --to uint16 --gain 20 --volts 0:5 -o drive.bin
 
     Exit code 3
     -----------
-    The drive breaks a limit, or the generator's rate or range would change it by more than allowed.
+    The drive breaks a limit, or the generator's rate or range would change it by more
+    than allowed.
     """
     from dbo_cli.extras.moves.waveform import WaveformOptions, write_waveform
 
-    generator = WaveformOptions(**arguments.of(GENERATOR), voltage=tuple(arguments.voltage or ()))
+    generator = WaveformOptions(
+        **arguments.of(GENERATOR), voltage=tuple(arguments.voltage or ())
+    )
     destination = destination_of(arguments, arguments.drive)
-    arguments.reporter.remarks(write_waveform(arguments.drive, destination, arguments.reading, generator))
+    arguments.reporter.remarks(
+        write_waveform(arguments.drive, destination, arguments.reading, generator)
+    )
 
 
 TRAJECTORY = Command(
-    trajectory, (SHAPE, *REPORTING, *MOVE, MOVE_MODEL, *MOVE_LIMITS, UNIT, OUTPUT_FORMAT, SUMMARY, OUTPUT)
+    trajectory,
+    (
+        SHAPE,
+        *REPORTING,
+        *MOVE,
+        MOVE_MODEL,
+        *MOVE_LIMITS,
+        UNIT,
+        OUTPUT_FORMAT,
+        SUMMARY,
+        OUTPUT,
+    ),
 )
 WAVEFORM = Command(
-    waveform, (DRIVES, *READING_OF_LOGS, *REPORTING, *GENERATOR, DRIVE_COLUMNS, SUMMARY, OUTPUT)
+    waveform,
+    (DRIVES, *READING_OF_LOGS, *REPORTING, *GENERATOR, DRIVE_COLUMNS, SUMMARY, OUTPUT),
 )

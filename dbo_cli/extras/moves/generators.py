@@ -1,9 +1,10 @@
 """The files that generators, wave tables and converters take: volts to bytes, and back.
 
-One function a format writes its bytes, and one reads them back; docs/instruments-out.md names the description
-that each was written from. Where a format has codes, their ends stand for two voltages: by default the least
-and the greatest of the drive, so that no code is wasted and every way of reading a file's levels gives the
-same volts. Before that, a drive may be brought to another number of points or another rate.
+One function a format writes its bytes, and one reads them back; docs/instruments-out.md
+names the description that each was written from. Where a format has codes, their ends
+stand for two voltages: by default the least and the greatest of the drive, so that no
+code is wasted and every way of reading a file's levels gives the same volts. Before
+that, a drive may be brought to another number of points or another rate.
 """
 
 from __future__ import annotations
@@ -28,8 +29,10 @@ Values = NDArray[np.float64 | np.int64]
 Span = tuple[float, float]
 BUNCH = 10  # points a command, as in PI's own example: every controller takes so many
 WHOLE_RATE = 1e-6  # of a rate: closer to a whole number, it is that
-MOST_POINTS = 10**9  # of a drive at another rate: 8 GB a signal, more than any generator takes
-WHOLE = 1e-6  # of a point: stamps of a file are rounded to some microseconds of their step
+# of a drive at another rate: 8 GB a signal, more than any generator takes
+MOST_POINTS = 10**9
+# of a point: stamps of a file are rounded to some microseconds of their step
+WHOLE = 1e-6
 
 
 class Coding(NamedTuple):
@@ -45,7 +48,10 @@ class Coding(NamedTuple):
 
     def encode(self, volts: Floats, within: Span) -> Codes:
         """Return the nearest codes; next to a limit the nearest one inside it."""
-        codes: Codes = np.rint((volts - self.volts[0]) / self.step).astype(np.int64) + self.codes[0]
+        codes: Codes = (
+            np.rint((volts - self.volts[0]) / self.step).astype(np.int64)
+            + self.codes[0]
+        )
         codes = np.clip(codes, *self.codes)
         codes = codes - (self.decode(codes) > within[1])
         return codes + (self.decode(codes) < within[0])
@@ -53,7 +59,9 @@ class Coding(NamedTuple):
     def decode(self, codes: Codes) -> Floats:
         """Return the voltages of codes."""
         part = (codes - self.codes[0]) / (self.codes[1] - self.codes[0])
-        return np.clip(self.volts[0] + part * (self.volts[1] - self.volts[0]), *self.volts)
+        return np.clip(
+            self.volts[0] + part * (self.volts[1] - self.volts[0]), *self.volts
+        )
 
 
 class Signals(NamedTuple):
@@ -106,7 +114,10 @@ def positional(value: float) -> str:
 
 def _npy(signals: Signals) -> bytes:
     buffer = io.BytesIO()
-    np.save(buffer, np.squeeze(signals.values, 0) if len(signals.values) == 1 else signals.values)
+    np.save(
+        buffer,
+        np.squeeze(signals.values, 0) if len(signals.values) == 1 else signals.values,
+    )
     return buffer.getvalue()
 
 
@@ -117,7 +128,9 @@ def _read_npy(data: bytes) -> Floats:
 def whole_rate(rate: float) -> int:
     """Return a rate as the whole number that a WAV file has room for (UsageError)."""
     if abs(rate - round(rate)) > WHOLE_RATE * rate or rate < 0.5:
-        raise UsageError(f"a WAV file has whole points a second, not {rate:.9g} (`rate` {math.ceil(rate)})")
+        raise UsageError(
+            f"a WAV file has whole points a second, not {rate:.9g} (`rate` {math.ceil(rate)})"
+        )
     return round(rate)
 
 
@@ -148,13 +161,20 @@ def _tdms(signals: Signals) -> bytes:
     names = [f"voltage_{k}" for k in range(1, count + 1)] if count > 1 else ["voltage"]
     with nptdms.TdmsWriter(buffer) as writer:
         channels = zip(names, signals.values, strict=True)
-        writer.write_segment(nptdms.ChannelObject("drive", *channel, properties) for channel in channels)
+        writer.write_segment(
+            nptdms.ChannelObject("drive", *channel, properties) for channel in channels
+        )
     return buffer.getvalue()
 
 
 def _read_tdms(data: bytes) -> Floats:
     nptdms = import_extra("nptdms", "a TDMS file")
-    return np.stack([channel[:] for channel in nptdms.TdmsFile.read(io.BytesIO(data))["drive"].channels()])
+    return np.stack(
+        [
+            channel[:]
+            for channel in nptdms.TdmsFile.read(io.BytesIO(data))["drive"].channels()
+        ]
+    )
 
 
 def _binary(form: str) -> Callable[[Signals], bytes]:
@@ -177,7 +197,9 @@ def _pi_gcs(signals: Signals) -> bytes:
             bunch = values[first : first + BUNCH].tolist()
             append = "&" if first else "X"
             points = " ".join(map(positional, bunch))
-            lines.append(f"WAV {table} {append} PNT {first + 1} {len(bunch)} {points}\n")
+            lines.append(
+                f"WAV {table} {append} PNT {first + 1} {len(bunch)} {points}\n"
+            )
     return "".join(lines).encode()
 
 
@@ -199,7 +221,9 @@ def _keysight(signals: Signals) -> bytes:
         f"High Level:{positional(high)}", f"Low Level:{positional(low)}", 'Data Type:"Short"', 'Filter:"OFF"',
         f"Data Points:{signals.values.size}", "Data:",
     ]  # fmt: skip
-    return "".join(f"{line}\r\n" for line in [*head, *map(str, signals.values[0].tolist())]).encode()
+    return "".join(
+        f"{line}\r\n" for line in [*head, *map(str, signals.values[0].tolist())]
+    ).encode()
 
 
 def _read_keysight(data: bytes) -> Codes:
@@ -219,7 +243,9 @@ def _tektronix(signals: Signals) -> bytes:
 
 
 def _picoscope(signals: Signals) -> bytes:
-    return "".join(f"{positional(value)}\n" for value in signals.values[0].tolist()).encode()
+    return "".join(
+        f"{positional(value)}\n" for value in signals.values[0].tolist()
+    ).encode()
 
 
 def _read_picoscope(data: bytes) -> Floats:
@@ -227,21 +253,41 @@ def _read_picoscope(data: bytes) -> Floats:
 
 
 # The last two are the lowest and the highest code: all of a 16-bit word with a sign ...
-_INT16 = GeneratorFormat((".bin", ".raw", ".i16"), _binary("<i2"), _read_binary("<i2"), (-32768, 32767))
+_INT16 = GeneratorFormat(
+    (".bin", ".raw", ".i16"), _binary("<i2"), _read_binary("<i2"), (-32768, 32767)
+)
 # ... all without one ...
-_UINT16 = GeneratorFormat((".bin", ".raw", ".u16"), _binary("<u2"), _read_binary("<u2"), (0, 65535))
+_UINT16 = GeneratorFormat(
+    (".bin", ".raw", ".u16"), _binary("<u2"), _read_binary("<u2"), (0, 65535)
+)
 # ... and those of the source that docs/instruments-out.md names.
-_TFW = GeneratorFormat((".tfw",), _tektronix, _read_binary(">u2", TFW_HEADER), (0, 16382))
+_TFW = GeneratorFormat(
+    (".tfw",), _tektronix, _read_binary(">u2", TFW_HEADER), (0, 16382)
+)
 FORMATS = {
-    "npy": GeneratorFormat((".npy",), _npy, _read_npy, channels=True),  # and what takes arrays: volts
-    "wav": GeneratorFormat((".wav",), _wav, _read_wav, (-32767, 32767), channels=True),  # sound cards, too
-    "int16": replace(_INT16, volts_needed=True),  # a converter's codes, little end first
+    "npy": GeneratorFormat(
+        (".npy",), _npy, _read_npy, channels=True
+    ),  # and what takes arrays: volts
+    "wav": GeneratorFormat(
+        (".wav",), _wav, _read_wav, (-32767, 32767), channels=True
+    ),  # sound cards, too
+    "int16": replace(
+        _INT16, volts_needed=True
+    ),  # a converter's codes, little end first
     "uint16": replace(_UINT16, volts_needed=True),
-    "tdms": GeneratorFormat((".tdms",), _tdms, _read_tdms, channels=True),  # LabVIEW: volts
-    "pi-gcs": GeneratorFormat((".txt", ".gcs"), _pi_gcs, _read_pi_gcs, channels=True),  # commands, volts
-    "keysight-arb": GeneratorFormat((".arb",), _keysight, _read_keysight, (-32767, 32767)),  # 33500, 33600
+    "tdms": GeneratorFormat(
+        (".tdms",), _tdms, _read_tdms, channels=True
+    ),  # LabVIEW: volts
+    "pi-gcs": GeneratorFormat(
+        (".txt", ".gcs"), _pi_gcs, _read_pi_gcs, channels=True
+    ),  # commands, volts
+    "keysight-arb": GeneratorFormat(
+        (".arb",), _keysight, _read_keysight, (-32767, 32767)
+    ),  # 33500, 33600
     "tektronix-tfw": _TFW,  # AFG1000 to AFG3000
-    "rigol-raf": replace(_UINT16, endings=(".raf",), codes=(0, 16383)),  # DG1000Z, DG4000, DG5000
+    "rigol-raf": replace(
+        _UINT16, endings=(".raf",), codes=(0, 16383)
+    ),  # DG1000Z, DG4000, DG5000
     # PicoScope 6's generator: text from -1 to 1
     "picoscope": GeneratorFormat(
         (".txt", ".csv"), _picoscope, _read_picoscope, normal=True, points=(10, 8192)
@@ -286,7 +332,9 @@ def written(form: str, signals: Signals) -> bytes:
     chosen = format_named(form)
     data = chosen.write(signals)
     if not np.array_equal(chosen.read(data), signals.values):
-        raise OutputError(f"the {form} file would not read back as it was written (please report it)")
+        raise OutputError(
+            f"the {form} file would not read back as it was written (please report it)"
+        )
     return data
 
 
@@ -313,7 +361,9 @@ class Points(NamedTuple):
     held: int = 0
 
 
-def at_points(drive: Floats, rate: float, points: int | None, new_rate: float | None, loop: bool) -> Points:
+def at_points(
+    drive: Floats, rate: float, points: int | None, new_rate: float | None, loop: bool
+) -> Points:
     """Return signals at so many points, or at another rate, over the same time; linear between rows.
 
     Parameters
@@ -323,7 +373,8 @@ def at_points(drive: Floats, rate: float, points: int | None, new_rate: float | 
     rate
         Their rows a second.
     points, new_rate
-        Points wanted, and points a second; with both, the last value fills what is left.
+        Points wanted, and points a second; with both, the last value fills what is
+        left.
     loop
         The signals repeat: their time is one row longer, and nothing can be filled up.
 
@@ -337,12 +388,17 @@ def at_points(drive: Floats, rate: float, points: int | None, new_rate: float | 
     count = points or rows
     if max(count, 0.0 if new_rate is None else seconds * new_rate) > MOST_POINTS:
         what = f"`points` {count:,}" if new_rate is None else f"`rate` {new_rate:g}"
-        raise UsageError(f"{what}: a drive of {seconds:.6g} s becomes more than {MOST_POINTS:,} points")
+        raise UsageError(
+            f"{what}: a drive of {seconds:.6g} s becomes more than {MOST_POINTS:,} points"
+        )
     if new_rate is not None:
         exact = seconds * new_rate
         count = math.ceil(exact - WHOLE) + (0 if loop else 1)
         fitting = points or max(round(exact), 2)
-        if loop and (abs(exact - round(exact)) > WHOLE * max(1.0, exact) or count != (points or count)):
+        if loop and (
+            abs(exact - round(exact)) > WHOLE * max(1.0, exact)
+            or count != (points or count)
+        ):
             raise UsageError(
                 f"`rate` {new_rate:g}: the loop of {seconds:.6g} s is {exact:.6g} points (a `rate` of "
                 f"{fitting / seconds:.9g} makes {fitting:,})"
@@ -365,4 +421,6 @@ def at_points(drive: Floats, rate: float, points: int | None, new_rate: float | 
         played = np.stack([np.interp(new, time, axis, period=period) for axis in drive])
         back = np.stack([np.interp(time, new, axis, period=period) for axis in played])
         moved = float(np.abs(back - drive).max())
-    return Points(np.pad(played, ((0, 0), (0, resting)), mode="edge"), new_rate, moved, resting)
+    return Points(
+        np.pad(played, ((0, 0), (0, resting)), mode="edge"), new_rate, moved, resting
+    )

@@ -20,10 +20,13 @@ FOR_EVER = 50.0  # of the longest time constant: what creeps is over to 2e-22
 SHORTEST = 1e-9  # s: shorter than any converter's row
 HALVINGS = 60  # of the logarithm of time: 20 decades to the last digits
 FEW_PERIODS = 10.0  # of a resonance, in which half a period is more than 5 %
-ROWS_A_PERIOD = 64.0  # of the highest resonance: a crossing is timed to 1.6 % of it; 16 did no worse
+# of the highest resonance: a crossing is timed to 1.6 % of it; 16 did no worse
+ROWS_A_PERIOD = 64.0
 MOST_SAID = 12  # steps in a note; chosen
 MOST_TIMED = 300  # different steps that are timed: 7 ms each
-FEWEST_HELD = 10  # rows at one value that count as a level; a sine sampled coarsely rests for two or three
+# rows at one value that count as a level; a sine sampled coarsely rests for two or
+# three
+FEWEST_HELD = 10
 
 
 def distance_in(distance: float | str, unit: str | None) -> float:
@@ -36,7 +39,9 @@ def distance_in(distance: float | str, unit: str | None) -> float:
     """
     size = in_unit("settle", distance, unit)
     if not 0.0 < size < math.inf:
-        raise UsageError(f"`settle` {distance}: give a distance above 0, such as 0.005 or 5nm")
+        raise UsageError(
+            f"`settle` {distance}: give a distance above 0, such as 0.005 or 5nm"
+        )
     return size
 
 
@@ -61,7 +66,8 @@ class StepTimes:
     Attributes
     ----------
     steps : list of (float, float)
-        Drive of a level and of the next one, each at its tenth row; the last rows may lead to the next level.
+        Drive of a level and of the next one, each at its tenth row; the last rows may
+        lead to the next level.
     """
 
     def __init__(self, model: ActuatorModel, settle: float | str) -> None:
@@ -81,7 +87,9 @@ class StepTimes:
         carried = self._rows if desired[0] == self._level else 0
         if not carried:
             self._close()
-        for k in np.flatnonzero((rows >= FEWEST_HELD) | (begins == 0) | (begins == begins[-1])).tolist():
+        for k in np.flatnonzero(
+            (rows >= FEWEST_HELD) | (begins == 0) | (begins == begins[-1])
+        ).tolist():
             before = carried if k == 0 else 0
             rows_at_level = before + int(rows[k])
             if before < FEWEST_HELD <= rows_at_level:
@@ -104,10 +112,16 @@ class StepTimes:
         if len(steps) != self._count:
             self._count = len(steps)
             if len(set(steps)) > MOST_TIMED:
-                sizes = sorted(set(steps), key=lambda step: (abs(step[1] - step[0]), step))
-                steps = [sizes[k] for k in np.linspace(0, len(sizes) - 1, MOST_TIMED).astype(int)]
+                sizes = sorted(
+                    set(steps), key=lambda step: (abs(step[1] - step[0]), step)
+                )
+                steps = [
+                    sizes[k]
+                    for k in np.linspace(0, len(sizes) - 1, MOST_TIMED).astype(int)
+                ]
             seconds = {
-                step: settling_seconds(self.model, *step, self.distance) for step in dict.fromkeys(steps)
+                step: settling_seconds(self.model, *step, self.distance)
+                for step in dict.fromkeys(steps)
             }
             self._timed = [StepTime(*step, seconds[step]) for step in steps]
         return self._timed
@@ -120,14 +134,22 @@ class StepTimes:
         """Say how long a step over the whole drive, and each between levels, has to be held."""
         if not drive.rows:
             return []
-        model, distance, times, count = self.model, self.distance, self.times(), len(self.steps)
+        model, distance, times, count = (
+            self.model,
+            self.distance,
+            self.times(),
+            len(self.steps),
+        )
         unit, volts = model.output.suffix, model.input.suffix
         seconds = settling_seconds(model, drive.low, drive.high, distance)
         notes = [
             f"{name}: after a step from {drive.low:.6g} to {drive.high:.6g}{volts} that is held, creep and "
             f"ringing stay within {distance:.6g}{unit} after {seconds:.3g} s{below_error(model, distance)}"
         ]
-        texts = [f"{step.seconds:.3g} s ({step.begin:.6g} to {step.end:.6g}{volts})" for step in times]
+        texts = [
+            f"{step.seconds:.3g} s ({step.begin:.6g} to {step.end:.6g}{volts})"
+            for step in times
+        ]
         within = f"{name}: within {distance:.6g}{unit},"
         if 0 < count <= MOST_SAID:
             notes.append(f"{within} steps between held levels take {', '.join(texts)}")
@@ -146,14 +168,21 @@ def below_error(model: ActuatorModel, distance: float) -> str:
     """Return a hint where a model errs by more than a distance, so that its times say little."""
     rmse = model.fit.get("expected_rmse")
     below = isinstance(rmse, float) and distance < rmse
-    return f" (below the model's expected error of {rmse:.3g}{model.output.suffix})" if below else ""
+    return (
+        f" (below the model's expected error of {rmse:.3g}{model.output.suffix})"
+        if below
+        else ""
+    )
 
 
-def settling_seconds(model: ActuatorModel, begin: float, end: float, distance: float) -> float:
+def settling_seconds(
+    model: ActuatorModel, begin: float, end: float, distance: float
+) -> float:
     """Return the seconds after which a held step of the drive stays within a distance of where it ends.
 
-    Creep is the model's own, from a rest at ``begin``; rings and lags count with their envelopes, so that the
-    time is an upper bound, by up to half a period of the resonance. The first periods are simulated instead.
+    Creep is the model's own, from a rest at ``begin``; rings and lags count with their
+    envelopes, so that the time is an upper bound, by up to half a period of the
+    resonance. The first periods are simulated instead.
 
     Parameters
     ----------
@@ -175,9 +204,14 @@ def settling_seconds(model: ActuatorModel, begin: float, end: float, distance: f
     rest = slow.start(begin)
     for _ in range(2):  # the first sample's own time step does not matter
         rest = slow.simulate([begin], rest, time_step=longest).state
-    aim, size = output(end, longest), abs(output(end, SHORTEST) - output(begin, SHORTEST))
+    aim, size = (
+        output(end, longest),
+        abs(output(end, SHORTEST) - output(begin, SHORTEST)),
+    )
     stages = (model.dynamics, model.drive_lag)
-    fades = _fades([section for stage in stages if stage is not None for section in stage.sections])
+    fades = _fades(
+        [section for stage in stages if stage is not None for section in stage.sections]
+    )
 
     def left(seconds: float) -> float:
         rings = sum(part * math.exp(-seconds / fade) for part, fade in fades)
@@ -226,7 +260,8 @@ def settling_shown(model: ActuatorModel, settle: str) -> dict[str, Any]:
 def _fades(sections: Sequence[Section]) -> list[tuple[float, float]]:
     """Return what part of a step each section rings or lags by, and the time constant with which that fades.
 
-    A resonance is excited through the other sections: their gain at its frequency is its part.
+    A resonance is excited through the other sections: their gain at its frequency is
+    its part.
     """
     fades = []
     for section in sections:
@@ -239,5 +274,7 @@ def _fades(sections: Sequence[Section]) -> list[tuple[float, float]]:
             for section_beside in sections
             if section_beside is not section
         )
-        fades.append((math.prod(gains), 0.5 / (math.pi * section.frequency * section.damping)))
+        fades.append(
+            (math.prod(gains), 0.5 / (math.pi * section.frequency * section.damping))
+        )
     return fades

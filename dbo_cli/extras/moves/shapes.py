@@ -1,8 +1,9 @@
 """Moves that people write by hand, as pure functions: raster, spiral, staircase, sine, triangle.
 
-Everything is made of four pieces: a line of constant speed, a turn, a start or stop, and a rise from level to
-level. Their accelerations are sines that begin and end at zero, so that nothing jumps but what no rounding
-was asked for; each turn and each rise takes one period of the bandwidth.
+Everything is made of four pieces: a line of constant speed, a turn, a start or stop,
+and a rise from level to level. Their accelerations are sines that begin and end at
+zero, so that nothing jumps but what no rounding was asked for; each turn and each rise
+takes one period of the bandwidth.
 """
 
 from __future__ import annotations
@@ -27,7 +28,17 @@ TAKES = {  # what each shape needs, and what it takes besides
     "triangle": (("frequency",), ("cycles", "loop")),
 }
 
-ABOVE_0 = ("rate", "frequency", "bandwidth", "dwell", "lines", "pixels", "turns", "steps", "cycles")
+ABOVE_0 = (
+    "rate",
+    "frequency",
+    "bandwidth",
+    "dwell",
+    "lines",
+    "pixels",
+    "turns",
+    "steps",
+    "cycles",
+)
 
 
 @dataclass(frozen=True)
@@ -41,7 +52,8 @@ class TrajectoryOptions:
     rate : float
         Rows a second (Hz).
     range : (float, float)
-        From where to where: of a raster's lines, of a spiral's first axis, of everything else the whole move.
+        From where to where: of a raster's lines, of a spiral's first axis, of
+        everything else the whole move.
     slow_range : (float, float), optional
         The same of the second axis of raster and spiral; as ``range`` where not given.
     frequency : float, optional
@@ -51,9 +63,11 @@ class TrajectoryOptions:
     pixels : int, optional
         A whole number of rows belongs to each of so many pixels of a line.
     overscan : float
-        How far a line goes on at its speed beyond the range, at either end, in percent of the range.
+        How far a line goes on at its speed beyond the range, at either end, in percent
+        of the range.
     one_way : bool
-        A raster's lines in one direction, the way back as fast; a staircase up without the way down.
+        A raster's lines in one direction, the way back as fast; a staircase up without
+        the way down.
     dwell : float, optional
         Seconds at each level of a staircase.
     rest : float
@@ -61,7 +75,8 @@ class TrajectoryOptions:
     loop : bool
         Whole cycles without start and stop, to be repeated.
     bandwidth : float, optional
-        Each turn, rise, start and stop takes one period of it (Hz); sharp where not given.
+        Each turn, rise, start and stop takes one period of it (Hz); sharp where not
+        given.
 
     Raises
     ------
@@ -105,27 +120,41 @@ class TrajectoryOptions:
         for name in needs:
             if getattr(self, name) is None:
                 raise UsageError(f"a {self.shape} needs `{name}`")
-        for option in (name for pair in TAKES.values() for names in pair for name in names):
+        for option in (
+            name for pair in TAKES.values() for names in pair for name in names
+        ):
             if getattr(self, option) and option not in needs + takes:
-                raise UsageError(f"`{option}` belongs to another shape than {self.shape}")
+                raise UsageError(
+                    f"`{option}` belongs to another shape than {self.shape}"
+                )
 
     def _check_values(self) -> None:
         for low, high in (self.range, self.slow_range or self.range):
             if not (math.isfinite(low) and math.isfinite(high) and low < high):
-                raise UsageError(f"`range` {low:g}:{high:g}: give the lower end first, both finite")
+                raise UsageError(
+                    f"`range` {low:g}:{high:g}: give the lower end first, both finite"
+                )
         for name in ABOVE_0:
             value = getattr(self, name)
             if value is not None and not 0.0 < value < math.inf:
                 raise UsageError(f"`{name}` {value:g}: give a number above 0")
         for name in ("overscan", "rest"):
             if not 0.0 <= getattr(self, name) < math.inf:
-                raise UsageError(f"`{name}` {getattr(self, name):g}: must not be below 0")
+                raise UsageError(
+                    f"`{name}` {getattr(self, name):g}: must not be below 0"
+                )
 
     @property
     def seconds(self) -> float:
         """About how long the move takes, in s."""
-        each = (self.dwell or 0.0) + 1.0 / (self.bandwidth or self.rate) if self.steps else 0.0
-        count = (self.lines or self.turns or self.cycles or 1) * (2 if self.one_way else 1)
+        each = (
+            (self.dwell or 0.0) + 1.0 / (self.bandwidth or self.rate)
+            if self.steps
+            else 0.0
+        )
+        count = (self.lines or self.turns or self.cycles or 1) * (
+            2 if self.one_way else 1
+        )
         moving = count / self.frequency if self.frequency else 0.0
         return 2.0 * ((self.steps or 0) * each + self.rest) + moving
 
@@ -178,7 +207,9 @@ def move(options: TrajectoryOptions) -> Move:
         )
     made = _MAKERS[options.shape](options)
     rest = round(options.rest * options.rate)
-    return Move(tuple(np.pad(axis, rest, mode="edge") for axis in made.axes), made.notes)
+    return Move(
+        tuple(np.pad(axis, rest, mode="edge") for axis in made.axes), made.notes
+    )
 
 
 # --- the pieces: rows after the one that they begin at ---
@@ -190,7 +221,9 @@ def _steps(count: int) -> Floats:
 
 def turned(place: float, speed: float, count: int) -> Floats:
     """Return a turn at ``place`` from ``speed`` (a row) to its opposite, count speed/pi beyond."""
-    return place + speed * count / math.pi * np.sin(math.pi * _steps(count) / max(count, 1))
+    return place + speed * count / math.pi * np.sin(
+        math.pi * _steps(count) / max(count, 1)
+    )
 
 
 def started(place: float, speed: float, count: int) -> Floats:
@@ -208,7 +241,9 @@ def risen(count: int) -> Floats:
     return share
 
 
-def strokes(ends: Range, flat: int, turn: int, count: int, loop: bool = False) -> Floats:
+def strokes(
+    ends: Range, flat: int, turn: int, count: int, loop: bool = False
+) -> Floats:
     """Return ``count`` lines there and back between two ends, ``flat`` rows each, with start and stop.
 
     Without them in a loop, whose first row follows on its last.
@@ -217,7 +252,9 @@ def strokes(ends: Range, flat: int, turn: int, count: int, loop: bool = False) -
     speed, part = (high - low) / flat, _steps(flat) / flat
     up = [low + (high - low) * part, turned(high, speed, turn)]
     back = [high - (high - low) * part, turned(low, -speed, turn)]
-    lines = np.tile(np.concatenate(up + back), (count + 1) // 2)[: count * (flat + turn)]
+    lines = np.tile(np.concatenate(up + back), (count + 1) // 2)[
+        : count * (flat + turn)
+    ]
     if loop:
         return np.roll(lines, 1)
     lead = math.floor(START * turn)
@@ -246,7 +283,8 @@ def _between(ends: Range, part: Floats) -> Floats:
 def _raster(options: TrajectoryOptions) -> Move:
     """Return a line axis and a slow one, which stands still while a line is drawn.
 
-    With pixels a line may become slower than asked for, by less than a row a pixel; never faster.
+    With pixels a line may become slower than asked for, by less than a row a pixel;
+    never faster.
     """
     low, high = options.range
     lines, turn, period = options.lines or 1, options.turn, options.period
@@ -265,13 +303,21 @@ def _raster(options: TrajectoryOptions) -> Move:
     fast = strokes(ends, flat, turn, 2 * lines - 1 if options.one_way else lines)
     gap = 2 * turn + flat if options.one_way else turn
     slow_low, slow_high = options.slow_range or options.range
-    levels = np.linspace(slow_low, slow_high, lines) if lines > 1 else np.array([slow_low])
+    levels = (
+        np.linspace(slow_low, slow_high, lines) if lines > 1 else np.array([slow_low])
+    )
     profile = np.concatenate([np.zeros(flat), risen(gap)])
     blocks = levels[:-1, None] + np.diff(levels)[:, None] * profile
     lead = math.floor(START * turn)
-    slow = np.concatenate([np.full(lead + 1, levels[0]), blocks.ravel(), np.full(flat + lead, levels[-1])])
+    slow = np.concatenate(
+        [np.full(lead + 1, levels[0]), blocks.ravel(), np.full(flat + lead, levels[-1])]
+    )
     rate, line = options.rate, flat + turn
-    each = f", {options.pixels} pixels of {inside // pixels} rows" if options.pixels else ""
+    each = (
+        f", {options.pixels} pixels of {inside // pixels} rows"
+        if options.pixels
+        else ""
+    )
     note = (
         f"{lines} lines, one in {line / rate * (2 if options.one_way else 1):.6g} s; of a line's "
         f"{line / rate:.6g} s {100.0 * inside / line:.3g} % are linear and inside the range{each}"
@@ -290,7 +336,9 @@ def _triangle(options: TrajectoryOptions) -> Move:
             f"(below {0.5 * options.rate / (turn + 1):.4g})"
         )
     tip = (high - low) * turn / math.pi / (flat + 2.0 * turn / math.pi)
-    waves = strokes((low + tip, high - tip), flat, turn, 2 * (options.cycles or 1), options.loop)
+    waves = strokes(
+        (low + tip, high - tip), flat, turn, 2 * (options.cycles or 1), options.loop
+    )
     percent = 100.0 * flat / half
     note = f"a cycle in {2 * half / options.rate:.6g} s, {percent:.3g} % of it linear"
     return Move((np.clip(waves, low, high),), [note])
@@ -302,7 +350,9 @@ def _sine(options: TrajectoryOptions) -> Move:
     note = f"a cycle in {options.period / options.rate:.6g} s" + (
         "" if options.loop else "; the first half and the last take twice as long each"
     )
-    return Move((_between(options.range, 0.5 - 0.5 * np.cos(2.0 * math.pi * phase)),), [note])
+    return Move(
+        (_between(options.range, 0.5 - 0.5 * np.cos(2.0 * math.pi * phase)),), [note]
+    )
 
 
 def _spiral(options: TrajectoryOptions) -> Move:
@@ -312,7 +362,10 @@ def _spiral(options: TrajectoryOptions) -> Move:
     angle, radius = 2.0 * math.pi * phase, 0.5 * phase / turns
     first = _between(options.range, 0.5 + radius * np.cos(angle))
     second = _between(options.slow_range or options.range, 0.5 + radius * np.sin(angle))
-    return Move((first, second), [f"{turns} turns, one in {options.period / options.rate:.6g} s"])
+    return Move(
+        (first, second),
+        [f"{turns} turns, one in {options.period / options.rate:.6g} s"],
+    )
 
 
 def _staircase(options: TrajectoryOptions) -> Move:
@@ -325,7 +378,8 @@ def _staircase(options: TrajectoryOptions) -> Move:
     blocks = levels[:-1, None] + np.diff(levels)[:, None] * profile
     stairs = np.concatenate([np.zeros(dwell + 1), blocks.ravel()])
     note = (
-        f"{levels.size} levels, each held for {dwell / options.rate:.6g} s after {rise / options.rate:.3g} s"
+        f"{levels.size} levels, each held for {dwell / options.rate:.6g} s"
+        f" after {rise / options.rate:.3g} s"
     )
     return Move((_between(options.range, stairs),), [note])
 

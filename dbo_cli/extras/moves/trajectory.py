@@ -59,31 +59,38 @@ def make_trajectory(
     options
         What is asked for; ``bandwidth`` goes before what the models say of themselves.
     models
-        Name and forward model of each axis, the last one also for the axes after it; none, and neither reach
-        nor speed is checked.
+        Name and forward model of each axis, the last one also for the axes after it;
+        none, and neither reach nor speed is checked.
     unit
         What the figures are in; the models' unit where not given.
     drive
-        Limits of the drives (``v_min``, ``v_max``, ``extrapolate``), within which the move has to be reached.
+        Limits of the drives (``v_min``, ``v_max``, ``extrapolate``), within which the
+        move has to be reached.
 
     Raises
     ------
     UsageError
-        The move is faster than its bandwidth, leaves what a model reaches within the limits, or has neither
-        unit nor model.
+        The move is faster than its bandwidth, leaves what a model reaches within the
+        limits, or has neither unit nor model.
     """
     for name, model in models:
         model.require("forward", name)
         if model.output.unit != (unit or models[0][1].output.unit):
-            raise UsageError(f"`unit`: {name} is in {model.output.unit or 'no unit'}: give that")
+            raise UsageError(
+                f"`unit`: {name} is in {model.output.unit or 'no unit'}: give that"
+            )
     drive = drive or DriveOptions()
     _require_limits(models, drive)
     unit = unit or (models[0][1].output.unit if models else None)
     if unit is None and not models:
-        raise UsageError("`unit` UNIT: say what the figures are in (um, nm, mrad), or give `model`")
+        raise UsageError(
+            "`unit` UNIT: say what the figures are in (um, nm, mrad), or give `model`"
+        )
     options, notes = _trusted(options, [model for _, model in models])
     made = move(options)
-    axes = dict(zip(ONE_AXIS if len(made.axes) == 1 else TWO_AXES, made.axes, strict=True))
+    axes = dict(
+        zip(ONE_AXIS if len(made.axes) == 1 else TWO_AXES, made.axes, strict=True)
+    )
     if len(models) > len(axes):
         raise UsageError(
             f"`model`: {len(models)} of them, and a {options.shape} has {len(axes)} (one an axis)"
@@ -95,8 +102,12 @@ def make_trajectory(
     rows = made.axes[0].size
     size = f"{rows:,} rows, {rows / options.rate:.6g} s"
     suffix = f" {unit}" if unit else ""
-    reach = ", ".join(f"{axis} {v.min():.6g} to {v.max():.6g}{suffix}" for axis, v in axes.items())
-    remarks = [f"{options.shape}: {note}" for note in [f"{reach}; {size}", *made.notes, *notes]]
+    reach = ", ".join(
+        f"{axis} {v.min():.6g} to {v.max():.6g}{suffix}" for axis, v in axes.items()
+    )
+    remarks = [
+        f"{options.shape}: {note}" for note in [f"{reach}; {size}", *made.notes, *notes]
+    ]
     return Trajectory(np.arange(rows) / options.rate, axes, unit, remarks)
 
 
@@ -106,7 +117,11 @@ def _trusted(
     """Return options with the bandwidth of the models, where none is given, and a note on it."""
     if options.bandwidth is not None:
         return options, []
-    known = [frequency for frequency in map(trusted_frequency, models) if frequency is not None]
+    known = [
+        frequency
+        for frequency in map(trusted_frequency, models)
+        if frequency is not None
+    ]
     trusted = min(known, default=None)
     why = "the model does not know how fast it can be trusted: " if models else ""
     note = f"{why}corners are not rounded (`bandwidth` HZ)"
@@ -116,15 +131,21 @@ def _trusted(
     return dataclasses.replace(options, bandwidth=trusted), [note] if cornered else []
 
 
-def _require_limits(models: Sequence[tuple[str, ActuatorModel]], drive: DriveOptions) -> None:
+def _require_limits(
+    models: Sequence[tuple[str, ActuatorModel]], drive: DriveOptions
+) -> None:
     """Refuse limits without a model, and plain numbers where the models' drives have different units."""
     if models:
         drive.require_one_unit({name: model.input.unit for name, model in models})
     elif drive != DriveOptions():
-        raise UsageError("`v_min`, `v_max` and `extrapolate` are limits of a drive: give its `model`")
+        raise UsageError(
+            "`v_min`, `v_max` and `extrapolate` are limits of a drive: give its `model`"
+        )
 
 
-def _require_reach(axis: str, values: Floats, name: str, model: ActuatorModel, limits: DriveLimits) -> None:
+def _require_reach(
+    axis: str, values: Floats, name: str, model: ActuatorModel, limits: DriveLimits
+) -> None:
     low, high = _reach(model, limits)
     suffix, slack = model.output.suffix, REACH_SLACK * model.output.span
     if values.min() < low - slack or values.max() > high + slack:
@@ -141,7 +162,9 @@ def _reach(model: ActuatorModel, limits: DriveLimits) -> tuple[float, float]:
         return model.output.minimum, model.output.maximum
     slow = model.without_lag
     ends = [limits.v_max, limits.v_min]
-    reached = slow.simulate(ends, slow.start(limits.v_max, "empty"), time_step=AT_REST).y
+    reached = slow.simulate(
+        ends, slow.start(limits.v_max, "empty"), time_step=AT_REST
+    ).y
     return float(reached.min()), float(reached.max())
 
 
@@ -151,7 +174,9 @@ def _speed(axis: str, values: Floats, name: str, model: ActuatorModel) -> list[s
     if not isinstance(fastest, float) or model.dynamics is not None:
         return []
     speed = (
-        float(np.quantile(np.abs(np.diff(values)), 1.0 - FAST_PART)) * model.input.span / model.output.span
+        float(np.quantile(np.abs(np.diff(values)), 1.0 - FAST_PART))
+        * model.input.span
+        / model.output.span
     )
     if speed <= FASTER * fastest:
         return []
@@ -174,29 +199,49 @@ def write_trajectory(
     output, summary = destination.output, destination.summary
     check_format(form, [output])
     destination.check()
-    made = make_trajectory(options, [(shown_name(path), read_model(path)) for path in models], unit, drive)
-    columns = [OutColumn("time", "s"), *(OutColumn(name, made.unit) for name in made.axes)]
+    made = make_trajectory(
+        options, [(shown_name(path), read_model(path)) for path in models], unit, drive
+    )
+    columns = [
+        OutColumn("time", "s"),
+        *(OutColumn(name, made.unit) for name in made.axes),
+    ]
     with all_or_none():
         with signal_writer(
-            output.or_format(form), columns, attributes=lambda: {"sample_rate": options.rate}
+            output.or_format(form),
+            columns,
+            attributes=lambda: {"sample_rate": options.rate},
         ) as writer:
             writer.write(made.time, *made.axes.values())
         if summary is not None:
             behind = (destination.command, None, Remarks(made.notes))
-            write_summary(summary, [summary_of_values(axis, *behind) for axis in made.axes.values()])
+            write_summary(
+                summary,
+                [summary_of_values(axis, *behind) for axis in made.axes.values()],
+            )
     if output.is_stream:
         return made.notes
     words = ["dbo", "compensate", *(models[:1] or ["MODEL"]), output.text]
-    picked, second_axis = (columns[1].header, columns[2].header) if len(made.axes) > 1 else ("", "")
-    then = shlex.join(words) + (f" `displacement` {shlex.quote(picked)}" if picked else "")
+    picked, second_axis = (
+        (columns[1].header, columns[2].header) if len(made.axes) > 1 else ("", "")
+    )
+    then = shlex.join(words) + (
+        f" `displacement` {shlex.quote(picked)}" if picked else ""
+    )
     then += " `periodic`" * options.loop + " -o drive.csv makes the drive"
-    return [*made.notes, then + (f", {second_axis} that of the second axis" if second_axis else "")]
+    return [
+        *made.notes,
+        then + (f", {second_axis} that of the second axis" if second_axis else ""),
+    ]
 
 
 def trajectory(
     shape: str,
     *,
-    model: Model | str | os.PathLike[str] | Sequence[Model | str | os.PathLike[str]] = (),
+    model: Model
+    | str
+    | os.PathLike[str]
+    | Sequence[Model | str | os.PathLike[str]] = (),
     unit: str | None = None,
     v_min: Figure = None,
     v_max: Figure = None,
@@ -210,15 +255,17 @@ def trajectory(
     shape : {"raster", "spiral", "staircase", "sine", "triangle"}
         What is moved along.
     model : Model or file, or one for each axis
-        Corners are rounded to what it can be trusted to; what it does not reach is refused.
+        Corners are rounded to what it can be trusted to; what it does not reach is
+        refused.
     unit : str, optional
         What the figures are in; the model's unit where not given.
     v_min, v_max, extrapolate
-        Limits of the drive, as in ``Model.compensate``: what it does not reach within them is refused.
+        Limits of the drive, as in ``Model.compensate``: what it does not reach within
+        them is refused.
     **options
-        What ``TrajectoryOptions`` knows: ``rate``, ``range``, ``slow_range``, ``frequency``, ``lines``,
-        ``pixels``, ``overscan``, ``one_way``, ``turns``, ``steps``, ``dwell``, ``cycles``, ``rest``,
-        ``loop``, ``bandwidth``.
+        What ``TrajectoryOptions`` knows: ``rate``, ``range``, ``slow_range``,
+        ``frequency``, ``lines``, ``pixels``, ``overscan``, ``one_way``, ``turns``,
+        ``steps``, ``dwell``, ``cycles``, ``rest``, ``loop``, ``bandwidth``.
 
     Returns
     -------
@@ -236,7 +283,11 @@ def trajectory(
     for name in ("rate", "range"):
         if name not in options:
             raise UsageError(f"a {shape} needs `{name}`")
-    named = [model] if isinstance(model, Model | str) or hasattr(model, "__fspath__") else list(model)
+    named = (
+        [model]
+        if isinstance(model, Model | str) or hasattr(model, "__fspath__")
+        else list(model)
+    )
     models = [_named_model(source) for source in named]
     drive = DriveOptions(v_min=v_min, v_max=v_max, extrapolate=extrapolate)
     made = make_trajectory(TrajectoryOptions(shape, **options), models, unit, drive)

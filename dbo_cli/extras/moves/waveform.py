@@ -23,7 +23,12 @@ from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.sources import remarks_of
 from dbo_cli.logs.units import in_unit
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
-from dbo_cli.runs.files import Destination, read_record, summary_of_values, write_summary
+from dbo_cli.runs.files import (
+    Destination,
+    read_record,
+    summary_of_values,
+    write_summary,
+)
 
 SAME_RATE = 1e-9  # two drives for one file are of one clock; the stamps' digits aside
 _REMEDIES = {
@@ -44,7 +49,8 @@ class WaveformOptions:
     gain : float
         Of the amplifier: the file's volts are the drive's over this.
     points, rate
-        Points of the generator, and points a second (Hz); the drive's own where not given.
+        Points of the generator, and points a second (Hz); the drive's own where not
+        given.
     codes : (int, int), optional
         The lowest and the highest code; the format's where not given.
     volts : (float, float), optional
@@ -52,7 +58,8 @@ class WaveformOptions:
     loop : bool
         The drive repeats.
     tolerance : float, optional
-        By how much another rate may move the drive (V); a thousandth of its range where not given.
+        By how much another rate may move the drive (V); a thousandth of its range where
+        not given.
     max_rounding : float
         By how much rounding to codes may move each drive, in per cent of its range.
 
@@ -83,16 +90,28 @@ class WaveformOptions:
         check_gain(self.gain)
         if self.volts is not None and math.isinf(self.volts[1] - self.volts[0]):
             low, high = self.volts
-            raise UsageError(f"`volts` {low:g}:{high:g}: the span is beyond the range of the arithmetic")
+            raise UsageError(
+                f"`volts` {low:g}:{high:g}: the span is beyond the range of the arithmetic"
+            )
         if form.codes is None and (self.codes or (self.volts and not form.normal)):
-            raise UsageError(f"`{'codes' if self.codes else 'volts'}`: {self.to} files hold volts, no codes")
+            raise UsageError(
+                f"`{'codes' if self.codes else 'volts'}`: {self.to} files hold volts, no codes"
+            )
         if form.volts_needed and self.volts is None:
-            raise UsageError(f"`volts` LOW:HIGH: say what the lowest and the highest code of {self.to} mean")
+            raise UsageError(
+                f"`volts` LOW:HIGH: say what the lowest and the highest code of {self.to} mean"
+            )
         if form.codes is not None and self.codes is not None:
             low, high = self.codes
             least, most = (-32768, 32767) if form.codes[0] < 0 else (0, 65535)
-            if low != round(low) or high != round(high) or not least <= low < high <= most:
-                raise UsageError(f"`codes` {low:g}:{high:g}: give whole numbers from {least} to {most}")
+            if (
+                low != round(low)
+                or high != round(high)
+                or not least <= low < high <= most
+            ):
+                raise UsageError(
+                    f"`codes` {low:g}:{high:g}: give whole numbers from {least} to {most}"
+                )
 
     @property
     def limits(self) -> DriveLimits:
@@ -101,7 +120,10 @@ class WaveformOptions:
 
 
 def write_waveform(
-    drives: Sequence[Address], destination: Destination, reading: ReadingOptions, options: WaveformOptions
+    drives: Sequence[Address],
+    destination: Destination,
+    reading: ReadingOptions,
+    options: WaveformOptions,
 ) -> Remarks:
     """Write a generator's file of one drive, or of several that are played together, and what was done.
 
@@ -110,10 +132,11 @@ def write_waveform(
     InputError
         A drive has no even clock, or the drives do not belong together.
     LimitError
-        A drive breaks its limits, does not fit the volts, does not close, or is moved too far by another rate
-        or by rounding.
+        A drive breaks its limits, does not fit the volts, does not close, or is moved
+        too far by another rate or by rounding.
     GateError
-        What was written, read back, breaks a limit: this program's fault; nothing is left behind.
+        What was written, read back, breaks a limit: this program's fault; nothing is
+        left behind.
     """
     output, summary = destination.output, destination.summary
     waveforms.check_name("-" if output.is_stream else output.path, options.to)
@@ -122,7 +145,9 @@ def write_waveform(
         check_document(summary, "a summary", "json")
     signals = _signals(drives, options.voltage)
     if len(signals) > 1 and not format_named(options.to).channels:
-        raise UsageError(f"a {options.to} file holds one drive, not {len(signals)} (one file each)")
+        raise UsageError(
+            f"a {options.to} file holds one drive, not {len(signals)} (one file each)"
+        )
     names = _names_of(signals, len(drives))
     values, steps, remarks_of, records = zip(
         *[_read(*signal, reading, options) for signal in signals], strict=True
@@ -132,9 +157,13 @@ def write_waveform(
         remarks.add(remarks_of_drive)
     for name, volts, step in zip(names, values, steps, strict=True):
         if volts.size != values[0].size or abs(step / steps[0] - 1.0) > SAME_RATE:
-            raise InputError(f"{name}: has other rows or another rate than {names[0]}: play them apart")
+            raise InputError(
+                f"{name}: has other rows or another rate than {names[0]}: play them apart"
+            )
     drive = np.stack(values)
-    played = waveforms.at_points(drive, 1.0 / steps[0], options.points, options.rate, options.loop)
+    played = waveforms.at_points(
+        drive, 1.0 / steps[0], options.points, options.rate, options.loop
+    )
     most = TOLERANCE * float(np.ptp(drive))
     if options.tolerance is not None:
         most = in_unit("tolerance", options.tolerance, "V")
@@ -148,9 +177,15 @@ def write_waveform(
         write_whole(output, data, protect=drives)
         if summary is not None:
             summaries = []
-            for read, volts, known, line in zip(records, back, remarks_of, lines, strict=True):
+            for read, volts, known, line in zip(
+                records, back, remarks_of, lines, strict=True
+            ):
                 remarks_of_drive = Remarks([*known.notes, line], known.warnings)
-                summaries.append(summary_of_values(volts, destination.command, read, remarks_of_drive))
+                summaries.append(
+                    summary_of_values(
+                        volts, destination.command, read, remarks_of_drive
+                    )
+                )
             write_summary(summary, summaries)
     remarks.note(lines)
     return remarks
@@ -163,7 +198,9 @@ def _names_of(signals: Sequence[tuple[Address, str | None]], files: int) -> list
     return [f"{drive.name}, {column}" for drive, column in signals]
 
 
-def _signals(drives: Sequence[Address], columns: Sequence[str]) -> list[tuple[Address, str | None]]:
+def _signals(
+    drives: Sequence[Address], columns: Sequence[str]
+) -> list[tuple[Address, str | None]]:
     """Return which column of which file each channel is: a column a file, or several of one file."""
     if len(columns) < 2:
         return [(drive, *(columns or (None,))) for drive in drives]
@@ -177,11 +214,16 @@ def _signals(drives: Sequence[Address], columns: Sequence[str]) -> list[tuple[Ad
 
 
 def _read(
-    address: Address, column: str | None, reading: ReadingOptions, options: WaveformOptions
+    address: Address,
+    column: str | None,
+    reading: ReadingOptions,
+    options: WaveformOptions,
 ) -> tuple[Floats, float, Remarks, dict[str, Any]]:
     """Return a drive in volts, read whole and within its limits, its even step (s), remarks, its record."""
     name = address.name
-    with open_log(address, {"voltage": column_wish("voltage", column, option="voltage")}, reading) as log:
+    with open_log(
+        address, {"voltage": column_wish("voltage", column, option="voltage")}, reading
+    ) as log:
         log.require_time(PLAYS)
         log.convert("voltage", "V", "a generator's file")
         block = joined(list(log.blocks()))
@@ -201,9 +243,16 @@ def _read(
     )
     if checked.problems:
         problem = checked.problems[0]
-        remedy = next((text for words, text in _REMEDIES.items() if words in problem), "")
+        remedy = next(
+            (text for words, text in _REMEDIES.items() if words in problem), ""
+        )
         raise LimitError(f"{name}: {problem}{remedy}")
-    return drive, 1.0 / stated if stated else require_even(name, block.time, PLAYS), remarks, read
+    return (
+        drive,
+        1.0 / stated if stated else require_even(name, block.time, PLAYS),
+        remarks,
+        read,
+    )
 
 
 def _encoded(
@@ -214,7 +263,9 @@ def _encoded(
     with np.errstate(over="ignore"):
         volts = played.volts / options.gain
     if not np.isfinite(volts).all():
-        raise UsageError(f"`gain` {options.gain:g}: the drive over it is beyond the range of the arithmetic")
+        raise UsageError(
+            f"`gain` {options.gain:g}: the drive over it is beyond the range of the arithmetic"
+        )
     count = volts.shape[1]
     if not form.points[0] <= count <= form.points[1]:
         raise UsageError(
@@ -237,13 +288,21 @@ def _encoded(
     for name, exact, rounded in zip(names, volts, back, strict=True):
         _refuse_coarse(name, exact, rounded, options)
     data = waveforms.written(options.to, waveforms.Signals(content, rate, ends))
-    slew = None if limits.max_slew is None else limits.max_slew / abs(options.gain) + coarse * rate
+    slew = (
+        None
+        if limits.max_slew is None
+        else limits.max_slew / abs(options.gain) + coarse * rate
+    )
     for rows in back:
         gate = DriveGate(DriveLimits(*within, slew))
         gate.admit(np.append(rows, rows[0]) if options.loop else rows, 1.0 / rate)
     rounding = float(np.abs(back - volts).max())
     codes = options.codes or form.codes or ((-1, 1) if form.normal else None)
-    mean = "" if codes is None else f"; {codes[0]:g} to {codes[1]:g} mean {ends[0]:.6g} to {ends[1]:.6g} V"
+    mean = (
+        ""
+        if codes is None
+        else f"; {codes[0]:g} to {codes[1]:g} mean {ends[0]:.6g} to {ends[1]:.6g} V"
+    )
     return (
         data,
         back,
@@ -255,14 +314,19 @@ def _encoded(
 
 
 def _rounded(
-    volts: Floats, ends: tuple[float, float], within: tuple[float, float], options: WaveformOptions
+    volts: Floats,
+    ends: tuple[float, float],
+    within: tuple[float, float],
+    options: WaveformOptions,
 ) -> tuple[Values, Floats, float]:
     """Return what is written for volts, the volts that it means, and how coarse it is (V)."""
     form = format_named(options.to)
     if form.codes is None and not form.normal:
         return volts, volts, 0.0
     if ends[0] == ends[1]:
-        raise UsageError("`volts` LOW:HIGH: the drive is constant, so say what the codes mean")
+        raise UsageError(
+            "`volts` LOW:HIGH: the drive is constant, so say what the codes mean"
+        )
     if form.codes is None:
         half = 0.5 * (ends[1] - ends[0])
         part = np.clip((volts - ends[0]) / half - 1.0, -1.0, 1.0)
@@ -273,7 +337,9 @@ def _rounded(
     return content, coding.decode(content), coding.step
 
 
-def _refuse_coarse(name: str, volts: Floats, rounded: Floats, options: WaveformOptions) -> None:
+def _refuse_coarse(
+    name: str, volts: Floats, rounded: Floats, options: WaveformOptions
+) -> None:
     """Refuse codes that leave too little of a move (LimitError); a constant drive has none."""
     move, rounding = float(np.ptp(volts)), float(np.abs(rounded - volts).max())
     if rounding <= 0.01 * options.max_rounding * move or move == 0.0:
@@ -285,7 +351,9 @@ def _refuse_coarse(name: str, volts: Floats, rounded: Floats, options: WaveformO
     )
 
 
-def _line(name: str, volts: Floats, played: Points, rounding: float, options: WaveformOptions) -> str:
+def _line(
+    name: str, volts: Floats, played: Points, rounding: float, options: WaveformOptions
+) -> str:
     """Say what has to be set at the generator, and what rounding did."""
     low, high = float(volts.min()), float(volts.max())
     seconds = volts.size / played.rate

@@ -3,9 +3,15 @@
 from dbo_cli.cli.options import COLUMN, READING_LOGS, Option
 from dbo_cli.cli.values import text, whole
 
-PERIODIC = Option("--periodic", "The trajectory is one period of a loop: write the settled loop's drive.")
+PERIODIC = Option(
+    "--periodic",
+    "The trajectory is one period of a loop: write the settled loop's drive.",
+)
 PASSES = Option(
-    "-n, --passes N", "With --periodic, passes of run-in before it (time < 0).", "0", parse=whole(0)
+    "-n, --passes N",
+    "With --periodic, passes of run-in before it (time < 0).",
+    "0",
+    parse=whole(0),
 )
 TRACKED = Option(
     "--tracked LOG",
@@ -22,8 +28,12 @@ HISTORY = Option(
     parse=text,
 )
 VOLTAGE = Option(
-    f"--voltage {COLUMN}", "The drive in a --tracked log; guessed by name.", heading=READING_LOGS
+    f"--voltage {COLUMN}",
+    "The drive in a --tracked log; guessed by name.",
+    heading=READING_LOGS,
 )
 MEASURED = Option(
-    f"--measured {COLUMN}", "What was measured in a --tracked log; guessed by name.", heading=READING_LOGS
+    f"--measured {COLUMN}",
+    "What was measured in a --tracked log; guessed by name.",
+    heading=READING_LOGS,
 )

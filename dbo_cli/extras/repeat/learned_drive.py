@@ -17,7 +17,8 @@ class LearnedCompensation(Compensation):
     Attributes
     ----------
     lesson : Lesson, optional
-        What they have taught; the source then holds what is asked of the model instead of the trajectory.
+        What they have taught; the source then holds what is asked of the model instead
+        of the trajectory.
     """
 
     options: RepeatOptions = field(default_factory=RepeatOptions)

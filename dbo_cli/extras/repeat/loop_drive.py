@@ -1,8 +1,9 @@
 """A move that is looped: one period in, the settled loop's drive out, and what stands before it.
 
-That is nothing, a ramp, a run-in, or a rest and a run-in. The settled drive comes first. The run-in follows
-the trajectory, fades over into that drive, and ends on it, so that the first settled period follows the
-run-in as every later one follows the one before.
+That is nothing, a ramp, a run-in, or a rest and a run-in. The settled drive comes
+first. The run-in follows the trajectory, fades over into that drive, and ends on it, so
+that the first settled period follows the run-in as every later one follows the one
+before.
 """
 
 from __future__ import annotations
@@ -44,18 +45,28 @@ FEWEST_ROWS = 4  # of a period: fewer have no shape
 SEAM = 3.0
 """Times the largest step inside a period, from which on the step back to its first row does not close it.
 
-A period sampled evenly has steps at the seam like those inside; one that was cut elsewhere has a jump.
+A period sampled evenly has steps at the seam like those inside; one that was cut
+elsewhere has a jump.
 """
-SETTLED_PART = 1e-3  # of the move: the mean of a pass within it counts as settled, where no error is stated
-MOST_STARTS = 60  # tries for a loop that its own start leads to; halving brings a range to 1e-18 of it
-MOST_RUN_INS = 10  # tries for a run-in or a ramp that leads to the loop it ends on; two or three are usual
-REST_PLANS = 4  # the way to a rest and the loop's own start depend on its level, each time by a few percent
-LED_IN = 2  # passes after a rest, at least: one to fade over, one of the loop for its gears and its ringing
+# of the move: the mean of a pass within it counts as settled, where no error is stated
+SETTLED_PART = 1e-3
+# tries for a loop that its own start leads to; halving brings a range to 1e-18 of it
+MOST_STARTS = 60
+# tries for a run-in or a ramp that leads to the loop it ends on; two or three are usual
+MOST_RUN_INS = 10
+# the way to a rest and the loop's own start depend on its level, each time by a few
+# percent
+REST_PLANS = 4
+# passes after a rest, at least: one to fade over, one of the loop for its gears and its
+# ringing
+LED_IN = 2
 REACHED = 0.999  # of the longest rest: it was cut there
-LOOP_ERROR = 1e-6  # of the move: a loop that the model repeats further off than this is none
+# of the move: a loop that the model repeats further off than this is none
+LOOP_ERROR = 1e-6
 FADES = ((0.5, 0.1), (0.7, 0.4), (0.8, 0.2), (0.9, 0.6))
 """Where a run-in fades over to the settled drive, in parts of it before its end (begin, end), the gentlest
-first. Measured: docs/choices.md."""
+first. Measured: docs/choices.md.
+"""
 
 
 Led = tuple[Before, FloatArray, FloatArray, Settled, ModelState | None]
@@ -94,12 +105,17 @@ class LoopCompensation(LearnedCompensation):
         InputError
             The period is too short or does not close, or its clock is not even.
         LimitError
-            A limit of the drive was met, and that is refused; or the loop does not settle within them.
+            A limit of the drive was met, and that is refused; or the loop does not
+            settle within them.
         GateError
             A row breaks a limit: this program's fault.
         """
         self.streamed = False  # a period is known whole before its first row leaves
-        self.whole = self.source if isinstance(self.source, WholeSource) else WholeSource(self.source)
+        self.whole = (
+            self.source
+            if isinstance(self.source, WholeSource)
+            else WholeSource(self.source)
+        )
         self.step = step = self.whole.even_step("`periodic` needs an even clock")
         block, passes = self.whole.block, self.options.passes
         request = block.values[self.input.quantity]
@@ -114,14 +130,21 @@ class LoopCompensation(LearnedCompensation):
             require_rows(f"`passes` {passes}: the run-in", passes * loop.size, step)
         before, followed, run_in, settled, begun = self._led_to_loop(loop)
         played = before.voltage.size
-        count, zero = played + run_in.size, 0.0 if block.time is None else float(block.time[0])
+        count, zero = (
+            played + run_in.size,
+            0.0 if block.time is None else float(block.time[0]),
+        )
         times = np.asarray(zero - step * np.arange(count, 0, -1.0), dtype=np.float64)
-        firsts = before.voltage if played else NOTHING if run_in.size else settled.done.y
+        firsts = (
+            before.voltage if played else NOTHING if run_in.size else settled.done.y
+        )
         self.gate.require_start(step, float(firsts[0]) if firsts.size else None)
         self.lead_in_seconds = step * count
         self.lead_in_figures.see(np.concatenate([before.voltage, run_in]), None)
         if run_in.size:
-            self.among_them = f", {passes} pass{'es' if passes > 1 else ''} of run-in among them"
+            self.among_them = (
+                f", {passes} pass{'es' if passes > 1 else ''} of run-in among them"
+            )
         require_short(self.source.name, before.chosen, step, step * loop.size)
         drive = self._closed(settled.done.y)
         self._count(settled)
@@ -137,7 +160,9 @@ class LoopCompensation(LearnedCompensation):
         end = loops.settled_run(self.model, drive, step, settled.before).state.dynamics
         time = None if block.time is None else float(block.time[-1])
         self.state = dataclasses.replace(settled.done.state, dynamics=end, time=time)
-        response = self._response(zero + step * np.arange(float(drive.size)), desired, drive, step)
+        response = self._response(
+            zero + step * np.arange(float(drive.size)), desired, drive, step
+        )
         yield response._replace(time=block.time)
 
     def _count(self, settled: Settled) -> None:
@@ -147,17 +172,24 @@ class LoopCompensation(LearnedCompensation):
         self.beyond.add(done.outside_count, done.first_outside, block)
         self._count_clipped(done, block)
         if done.clipped_count:
-            lost = self.period - loops.slow_output(self.model, done.y, self.step, settled.before)
+            lost = self.period - loops.slow_output(
+                self.model, done.y, self.step, settled.before
+            )
             if self.model.dynamics is not None:
                 lost = self.model.dynamics.loop(lost, self.step)[0]
             self.loss.add_displacement(lost)
-        seam, inside = abs(float(done.y[0] - done.y[-1])), float(np.abs(np.diff(done.y)).max())
+        seam, inside = (
+            abs(float(done.y[0] - done.y[-1])),
+            float(np.abs(np.diff(done.y)).max()),
+        )
         self.remarks_before.notes.append(
             f"{self.source.name}: the drive's step at the loop's seam is {seam:.3g}{unit}, the largest "
             f"inside {inside:.3g}{unit}"
         )
 
-    def _require_loop(self, settled: Settled, begun: ModelState, led_in: FloatArray) -> None:
+    def _require_loop(
+        self, settled: Settled, begun: ModelState, led_in: FloatArray
+    ) -> None:
         """Say when the model, begun as it is, repeats the loop; refuse or warn where it never does."""
         away, move = self._away(settled, begun), float(np.ptp(self.period))
         if away > LOOP_ERROR * move:
@@ -173,18 +205,25 @@ class LoopCompensation(LearnedCompensation):
             return
         text = f"{self.source.name}: the loop does not settle: {why}"
         much = away > ALLOWED_PART * move
-        if self.options.on_limit == "error" or (self.options.on_limit == "auto" and much):
+        if self.options.on_limit == "error" or (
+            self.options.on_limit == "auto" and much
+        ):
             raise LimitError(f"{text} (`on_limit` clip writes it all the same)")
         self.remarks_before.warn(text)
 
-    def _note_settling(self, settled: Settled, begun: ModelState, led_in: FloatArray) -> None:
+    def _note_settling(
+        self, settled: Settled, begun: ModelState, led_in: FloatArray
+    ) -> None:
         """Say how many passes and seconds the mean of a pass takes to come within the expected error.
 
-        That holds from the start which is assumed; of other pasts it is said what they cost the first pass.
+        That holds from the start which is assumed; of other pasts it is said what they
+        cost the first pass.
         """
         drive, unit = settled.done.y, self.input.suffix
         within, what = self._stated()
-        first, passes = loops.settling(self.model, drive, self.step, begun, settled.before, within)
+        first, passes = loops.settling(
+            self.model, drive, self.step, begun, settled.before, within
+        )
         how = "is settled from its first pass on: within"
         if passes:
             how = (
@@ -205,14 +244,18 @@ class LoopCompensation(LearnedCompensation):
                 "it, more `passes` bring it nearer)"
             )
 
-    def _from_either_end(self, settled: Settled, led_in: FloatArray) -> tuple[float, float]:
+    def _from_either_end(
+        self, settled: Settled, led_in: FloatArray
+    ) -> tuple[float, float]:
         """Return how far off the first pass is, RMS, where the actuator came from its lower or upper end."""
         model, step, drive = self.model, self.step, settled.done.y
         aim = loops.settled_run(model, drive, step, settled.before).y
         played = np.concatenate([led_in, drive])
         errors = []
         for end in ("empty", "full"):
-            y = model.simulate(played, model.start(float(played[0]), end), time_step=step).y
+            y = model.simulate(
+                played, model.start(float(played[0]), end), time_step=step
+            ).y
             errors.append(rms(y[-drive.size :] - aim))
         return errors[0], errors[1]
 
@@ -223,10 +266,16 @@ class LoopCompensation(LearnedCompensation):
         passes = self.options.passes
         if self.options.lead is not None:
             return self._run_in_from_rest(loop)
-        before = self.before_move(float(loop[0]), self.step) if passes else self._ramp_before()
+        before = (
+            self.before_move(float(loop[0]), self.step)
+            if passes
+            else self._ramp_before()
+        )
         settled = self._settled(before.state or self._begun(float(self.period[0])))
         if passes:
-            desired = np.concatenate([before.desired, self._approached(loop, float(loop[0]))])
+            desired = np.concatenate(
+                [before.desired, self._approached(loop, float(loop[0]))]
+            )
             return before, desired, *self._run_in(desired, loop, before.state, settled)
         if before.state is None:
             before, settled = self._of_its_own_start(settled)
@@ -235,23 +284,36 @@ class LoopCompensation(LearnedCompensation):
     def _run_in_from_rest(self, loop: FloatArray) -> Led:
         """Return the loop, and before it the rest and the run-in.
 
-        What the plan of the rest leaves out, gears that the run-in reaches, is measured and taken off.
+        What the plan of the rest leaves out, gears that the run-in reaches, is measured
+        and taken off.
         """
         bias, within, start = 0.0, self._stated()[0], self.came_from
         longest = longest_chosen(self.step * self.period.size)
         automatic = self.options.lead == "auto"
-        seconds = (0.0, longest) if automatic else (float(self.options.lead or 0.0),) * 2
+        seconds = (
+            (0.0, longest) if automatic else (float(self.options.lead or 0.0),) * 2
+        )
         for _ in range(REST_PLANS):
-            self.rows, self.rows_before, self.clipped = 0, 0, Tally()  # of the last try alone
+            # of the last try alone
+            self.rows, self.rows_before, self.clipped = 0, 0, Tally()
             before = self._rest_before(start, seconds, bias)
             desired = self._approached(loop, float(before.expected[-1]))
             assert before.state is not None
-            run_in, settled, begun = self._run_in(desired, loop, before.state, self._settled(before.state))
-            off, _ = loops.settling(self.model, settled.done.y, self.step, begun, settled.before, within)
+            run_in, settled, begun = self._run_in(
+                desired, loop, before.state, self._settled(before.state)
+            )
+            off, _ = loops.settling(
+                self.model, settled.done.y, self.step, begun, settled.before, within
+            )
             if abs(off) <= 0.5 * within:
                 break
-            if start is None:  # what an unknown start leaves crossed jumps with it: the next rests start here
-                start, rested = float(before.voltage[0]), self.step * (before.voltage.size - 1)
+            # what an unknown start leaves crossed jumps with it: the next rests start
+            # here
+            if start is None:
+                start, rested = (
+                    float(before.voltage[0]),
+                    self.step * (before.voltage.size - 1),
+                )
                 seconds = rested, rested
             else:
                 bias += off
@@ -273,11 +335,16 @@ class LoopCompensation(LearnedCompensation):
         passes = self.options.passes
         return first + _rise(loop.size, passes) * (np.tile(loop, passes) - first)
 
-    def _rest_before(self, last: float | None, between: tuple[float, float], bias: float) -> Before:
+    def _rest_before(
+        self, last: float | None, between: tuple[float, float], bias: float
+    ) -> Before:
         """Return the rest that brings the creep where the loop needs it, and the ramp there from ``last``."""
         model, step, come = self.model, self.step, self.came_from is not None
         known = self.start if isinstance(self.start, ModelState) else None
-        settled, memory = self._settled(known or self._begun(float(self.period[0]))), None
+        settled, memory = (
+            self._settled(known or self._begun(float(self.period[0]))),
+            None,
+        )
         within, swing = self._stated()[0], self.options.approach
         if come and between[1] > between[0]:  # what the ramp made ring dies away
             between = step * rest_samples(model, step), between[1]
@@ -287,26 +354,39 @@ class LoopCompensation(LearnedCompensation):
         fade = _fade(passes * count, passes * count, (1.0, 1.0 / passes))
         rise = 1.0 - (1.0 - _rise(count, passes)) * (1.0 - fade)
         for _ in range(REST_PLANS):
-            level, seconds = loops.creep_rest(model, settled, step, memory, rise, within, between, bias)
+            level, seconds = loops.creep_rest(
+                model, settled, step, memory, rise, within, between, bias
+            )
             voltage, begun = np.array([level]), known
             if last is not None:
                 voltage = ramp("approach", last, level, step, swing, self.limits)
                 if known is None:
-                    voltage, begun = np.concatenate([[last], voltage]), model.start(last, self.start)
-            done = model.simulate(voltage, begun or model.start(level, self.start), time_step=step)
+                    voltage, begun = (
+                        np.concatenate([[last], voltage]),
+                        model.start(last, self.start),
+                    )
+            done = model.simulate(
+                voltage, begun or model.start(level, self.start), time_step=step
+            )
             settled = self._settled(done.state)
             memory = None if last is None else done.state.backlash.memory
         rest = np.full(require_rows("`lead`", math.ceil(seconds / step), step), level)
         rested = model.simulate(rest, done.state, time_step=step)
         expected = np.concatenate([done.y, rested.y])
         chosen = self._chosen_ramp(voltage)
-        return Before(np.concatenate([voltage, rest]), expected, NOTHING, rested.state, chosen)
+        return Before(
+            np.concatenate([voltage, rest]), expected, NOTHING, rested.state, chosen
+        )
 
     def _chosen_ramp(self, voltage: FloatArray) -> tuple[Chosen, ...]:
         """Return the ramp to a loop as a piece that was chosen, where nobody typed its seconds."""
         if isinstance(self.options.approach, float | int):
             return ()
-        return (Chosen("the ramp", voltage.size, "`approach` SECONDS or a larger `max_slew`"),)
+        return (
+            Chosen(
+                "the ramp", voltage.size, "`approach` SECONDS or a larger `max_slew`"
+            ),
+        )
 
     def _ramp_before(self) -> Before:
         """Return the ramp to a loop without a run-in; it ends on the first row of the settled drive."""
@@ -314,7 +394,8 @@ class LoopCompensation(LearnedCompensation):
         known = self.start if isinstance(self.start, ModelState) else None
         if approach is None or last is None:
             if approach is not None:
-                self.before_move(float(self.period[0]), self.step)  # says what is missing
+                # says what is missing
+                self.before_move(float(self.period[0]), self.step)
             return Before(NOTHING, NOTHING, NOTHING, known)
 
         def to(target: float) -> FloatArray:
@@ -328,7 +409,9 @@ class LoopCompensation(LearnedCompensation):
             )
         return before._replace(chosen=self._chosen_ramp(before.voltage))
 
-    def _leading(self, begun: ModelState, to: Callable[[float], FloatArray]) -> Before | None:
+    def _leading(
+        self, begun: ModelState, to: Callable[[float], FloatArray]
+    ) -> Before | None:
         """Return the rows ``to`` the first row of the loop that they lead to, or None."""
         target = float(self._settled(begun).done.y[0])
         for _ in range(MOST_RUN_INS):
@@ -341,13 +424,16 @@ class LoopCompensation(LearnedCompensation):
 
     def _settled(self, state: ModelState) -> Settled:
         """Return the loop that settles from a state: gears that it does not reach stay as they were."""
-        return loops.settled_drive(self.model, self.period, self.step, state, self.limits)
+        return loops.settled_drive(
+            self.model, self.period, self.step, state, self.limits
+        )
 
     def _of_its_own_start(self, settled: Settled) -> tuple[Before, Settled]:
         """Return the loop whose first row's own start (``auto``, ``settled``) leads to it, and rows before.
 
-        Which gears a start leaves crossed changes by jumps with the voltage, so that the first row that the
-        loop needs may jump over the one it began with. A row or few from there on then stand before the loop.
+        Which gears a start leaves crossed changes by jumps with the voltage, so that
+        the first row that the loop needs may jump over the one it began with. A row or
+        few from there on then stand before the loop.
         """
         model, first, best = self.model, float(settled.done.y[0]), settled
         below, above, least = -math.inf, math.inf, math.inf
@@ -361,24 +447,42 @@ class LoopCompensation(LearnedCompensation):
                 break
             if self.start in ("empty", "full"):  # whatever the first row
                 break
-            # A later start only lowers the first row that the loop needs: the two meet between these.
-            below, above = (max(below, first), above) if leads_to > first else (below, min(above, first))
+            # A later start only lowers the first row that the loop needs: the two meet
+            # between these.
+            below, above = (
+                (max(below, first), above)
+                if leads_to > first
+                else (below, min(above, first))
+            )
             middle = 0.5 * (below + above)
-            first = leads_to if below < leads_to < above or not math.isfinite(middle) else middle
+            first = (
+                leads_to
+                if below < leads_to < above or not math.isfinite(middle)
+                else middle
+            )
         if least > LOOP_ERROR * float(np.ptp(self.period)):
             lag = best.before.drive_lag
-            for start in (first,) if lag is None else (first, lag[0][0]):  # the second: the lag is on its way
+            # the second: the lag is on its way
+            for start in (first,) if lag is None else (first, lag[0][0]):
                 if led := self._rows_before(start, best):
                     return led
         return Before(NOTHING, NOTHING, NOTHING, None), best
 
-    def _rows_before(self, first: float, loop: Settled) -> tuple[Before, Settled] | None:
+    def _rows_before(
+        self, first: float, loop: Settled
+    ) -> tuple[Before, Settled] | None:
         """Return rows from a voltage to the loop that they lead to, where the model then repeats it."""
-        most = float(np.abs(np.diff(loop.done.y)).max())  # none where the limits leave one voltage of it
+        # none where the limits leave one voltage of it
+        most = float(np.abs(np.diff(loop.done.y)).max())
         most = most or self.limits.largest_change(self.step) or math.inf
 
         def to(target: float) -> FloatArray:
-            return np.linspace(first, target, max(math.ceil(abs(target - first) / most), 1), endpoint=False)
+            return np.linspace(
+                first,
+                target,
+                max(math.ceil(abs(target - first) / most), 1),
+                endpoint=False,
+            )
 
         before = self._leading(self.model.start(first, self.start), to)
         if before is None or before.state is None:
@@ -388,7 +492,10 @@ class LoopCompensation(LearnedCompensation):
             return None
         count, taken, end, unit = before.voltage.size, "", "", self.output.suffix
         if self.start not in ("empty", "full"):
-            taken, end = ", where the actuator is taken to have settled,", " (`state` empty needs none)"
+            taken, end = (
+                ", where the actuator is taken to have settled,",
+                " (`state` empty needs none)",
+            )
         self.remarks_before.warn(
             f"{self.source.name}: no start leads to the loop: {count:,} row{'s' if count > 1 else ''} from "
             f"{first:.6g}{unit} on{taken} stand{'' if count > 1 else 's'} before the period{end}"
@@ -398,29 +505,49 @@ class LoopCompensation(LearnedCompensation):
     def _away(self, settled: Settled, begun: ModelState) -> float:
         """Return how far off the model repeats a settled drive that is begun in a state."""
         model, drive, step = self.model, settled.done.y, self.step
-        ends = loops.slow_output(model, drive, step, loops.looped_state(model, drive, step, begun))
+        ends = loops.slow_output(
+            model, drive, step, loops.looped_state(model, drive, step, begun)
+        )
         clipped = settled.done.clipped_count
-        aim = loops.slow_output(model, drive, step, settled.before) if clipped else self.period
+        aim = (
+            loops.slow_output(model, drive, step, settled.before)
+            if clipped
+            else self.period
+        )
         return float(np.abs(ends - aim).max())
 
     def _run_in(
-        self, desired: FloatArray, loop: FloatArray, begun: ModelState | None, settled: Settled
+        self,
+        desired: FloatArray,
+        loop: FloatArray,
+        begun: ModelState | None,
+        settled: Settled,
     ) -> tuple[FloatArray, Settled, ModelState]:
         """Return the drive up to the settled period, the period settled from the state it leaves, and that.
 
-        During the second half of the last pass it fades over from what follows the trajectory to the settled
-        drive, within the slew limit.
+        During the second half of the last pass it fades over from what follows the
+        trajectory to the settled drive, within the slew limit.
         """
         model, limits = self.model, self.limits
         signal = self._undone_before(desired, loop, begun)
         start = begun or model.start_compensation(float(signal[0]), self.start, limits)
-        followed = model.compensate(signal[: desired.size], start, limits=limits, time_step=self.step)
+        followed = model.compensate(
+            signal[: desired.size], start, limits=limits, time_step=self.step
+        )
         self.rows += followed.y.size
         self.rows_before += followed.y.size
         self._count_clipped(followed, None)
-        forward = start if begun is not None else model.start(float(followed.y[0]), self.start)
+        forward = (
+            start
+            if begun is not None
+            else model.start(float(followed.y[0]), self.start)
+        )
         led, off = None, math.inf
-        fades = FADES if self.options.lead is None else ((1.0, 1.0 / self.options.passes), *FADES)
+        fades = (
+            FADES
+            if self.options.lead is None
+            else ((1.0, 1.0 / self.options.passes), *FADES)
+        )
         for fade in fades:
             aim = settled
             for _ in range(MOST_RUN_INS):
@@ -432,7 +559,10 @@ class LoopCompensation(LearnedCompensation):
                 state = model.simulate(drive, forward, time_step=self.step).state
                 aim = loops.settled_drive(model, self.period, self.step, state, limits)
                 led = drive, target, state
-                if np.abs(aim.done.y - target.done.y).max() <= SAME_DRIVE * model.input.span:
+                if (
+                    np.abs(aim.done.y - target.done.y).max()
+                    <= SAME_DRIVE * model.input.span
+                ):
                     return led
         if led is None:
             raise LimitError(
@@ -441,28 +571,45 @@ class LoopCompensation(LearnedCompensation):
             )
         return led
 
-    def _undone_before(self, desired: FloatArray, loop: FloatArray, begun: ModelState | None) -> FloatArray:
+    def _undone_before(
+        self, desired: FloatArray, loop: FloatArray, begun: ModelState | None
+    ) -> FloatArray:
         """Return what the gears are to follow before the period, delay and dynamics undone."""
         model, step = self.model, self.step
         inverter = None if model.dynamics is None else model.dynamics.inverter(step)
-        ahead = int(np.ceil(model.delay_seconds / step)) + AFTER + (0 if inverter is None else inverter.ahead)
-        signal = loops.read_ahead(model, np.concatenate([desired, np.resize(loop, ahead)]), step)
+        ahead = (
+            int(np.ceil(model.delay_seconds / step))
+            + AFTER
+            + (0 if inverter is None else inverter.ahead)
+        )
+        signal = loops.read_ahead(
+            model, np.concatenate([desired, np.resize(loop, ahead)]), step
+        )
         if inverter is not None:
-            memory = None if begun is None or begun.dynamics is None else inverter.memory_of(begun.dynamics)
+            memory = (
+                None
+                if begun is None or begun.dynamics is None
+                else inverter.memory_of(begun.dynamics)
+            )
             ((_, signal, _),) = undone([(None, signal)], inverter, memory)
         return signal
 
-    def _faded_over(self, followed: FloatArray, settled: FloatArray, fade: tuple[float, float]) -> FloatArray:
+    def _faded_over(
+        self, followed: FloatArray, settled: FloatArray, fade: tuple[float, float]
+    ) -> FloatArray:
         """Return a run-in that ends on the settled drive, within the slew limit.
 
-        ``followed`` and the settled drive both keep the limits, and so does what lies between; only the
-        change from the one to the other may be too fast, and then it takes longer. ``fade`` is where the
-        change begins and ends, in parts of the run-in before its end.
+        ``followed`` and the settled drive both keep the limits, and so does what lies
+        between; only the change from the one to the other may be too fast, and then it
+        takes longer. ``fade`` is where the change begins and ends, in parts of the
+        run-in before its end.
         """
         rows = followed.size
         tail = np.resize(settled, rows + (-rows) % settled.size)[-rows:]
         rise = _fade(rows, settled.size * self.options.passes, fade)
-        drive: FloatArray = np.where(rise < 1.0, followed + rise * (tail - followed), tail)
+        drive: FloatArray = np.where(
+            rise < 1.0, followed + rise * (tail - followed), tail
+        )
         drive = np.clip(drive, self.limits.v_min, self.limits.v_max)
         return self._within_slew(drive, float(drive[0]))
 
@@ -476,8 +623,8 @@ class LoopCompensation(LearnedCompensation):
     def _closed(self, drive: FloatArray) -> FloatArray:
         """Return a settled drive whose seam keeps the slew limit to the last digit; refuse one that jumps.
 
-        A drive that has settled differs from the pass before in its last digits, and the first row was held
-        within the limit behind the last row of that pass.
+        A drive that has settled differs from the pass before in its last digits, and
+        the first row was held within the limit behind the last row of that pass.
         """
         closed = self._within_slew(drive, float(drive[-1]))
         away = float(np.abs(closed - drive).max())
@@ -497,13 +644,17 @@ class LoopCompensation(LearnedCompensation):
             return drive
         values = drive.tolist()
         for k, value in enumerate(values):
-            last = values[k] = min(max(value, towards(last, -most)), towards(last, most))
+            last = values[k] = min(
+                max(value, towards(last, -most)), towards(last, most)
+            )
         return np.array(values)
 
 
 def _rise(count: int, passes: int) -> FloatArray:
     """Return how much of a run-in's rows is the period: it fades in, during the first pass, from a rest."""
-    return np.concatenate([soft_rise(np.arange(count) / count), np.ones(count * (passes - 1))])
+    return np.concatenate(
+        [soft_rise(np.arange(count) / count), np.ones(count * (passes - 1))]
+    )
 
 
 def _fade(rows: int, run_in: int, fade: tuple[float, float]) -> FloatArray:
@@ -515,8 +666,13 @@ def _fade(rows: int, run_in: int, fade: tuple[float, float]) -> FloatArray:
 def _require_closed(name: str, period: FloatArray) -> None:
     """Refuse a period that is too short or jumps from its last row to its first (InputError)."""
     if period.size < FEWEST_ROWS:
-        raise InputError(f"{name}: {period.size} rows are no period of a loop (at least {FEWEST_ROWS})")
-    seam, inside = abs(float(period[0] - period[-1])), float(np.abs(np.diff(period)).max())
+        raise InputError(
+            f"{name}: {period.size} rows are no period of a loop (at least {FEWEST_ROWS})"
+        )
+    seam, inside = (
+        abs(float(period[0] - period[-1])),
+        float(np.abs(np.diff(period)).max()),
+    )
     if seam > SEAM * inside:
         raise InputError(
             f"{name}: the period does not close: from the last row, {period[-1]:.6g}, to the first, "

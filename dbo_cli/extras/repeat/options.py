@@ -15,15 +15,16 @@ from dbo_cli.errors import UsageError
 class RepeatOptions(DriveOptions):
     """Options of a loop, or of a move that is learned pass by pass.
 
-    Of ``DriveOptions``, ``lead`` of a loop is the rest before its run-in (two passes at least), at the
-    voltage that brings the creep where the loop needs it, auto: as few seconds as that takes; and
-    ``bandwidth`` with recordings of the last pass is the cut-off of what is learned.
+    Of ``DriveOptions``, ``lead`` of a loop is the rest before its run-in (two passes at
+    least), at the voltage that brings the creep where the loop needs it, auto: as few
+    seconds as that takes; and ``bandwidth`` with recordings of the last pass is the
+    cut-off of what is learned.
 
     Attributes
     ----------
     absolute : bool
-        With recordings of the last pass, learn the mean of the error, too; it is taken for the sensor's zero
-        otherwise.
+        With recordings of the last pass, learn the mean of the error, too; it is taken
+        for the sensor's zero otherwise.
     history : str, optional
         A file that keeps the error of each pass, so that growth is seen.
     periodic : bool
@@ -53,9 +54,13 @@ class RepeatOptions(DriveOptions):
         if self.passes < 0:
             raise UsageError(f"`passes` {self.passes}: give a whole number of passes")
         if self.periodic and self.condition:
-            raise UsageError("`periodic` and `condition` exclude each other (`passes` N runs a loop in)")
+            raise UsageError(
+                "`periodic` and `condition` exclude each other (`passes` N runs a loop in)"
+            )
         if self.periodic and self.return_ is not None:
-            raise UsageError("`periodic` and `return_` exclude each other: a loop goes on")
+            raise UsageError(
+                "`periodic` and `return_` exclude each other: a loop goes on"
+            )
 
     @property
     def why_time(self) -> str | None:
@@ -81,10 +86,15 @@ def repeat_options(options: DriveOptions, brought: Mapping[str, Any]) -> RepeatO
     UsageError
         A value is none, or two exclude each other.
     """
-    fields = {field.name: getattr(options, field.name) for field in dataclasses.fields(DriveOptions)}
+    fields = {
+        field.name: getattr(options, field.name)
+        for field in dataclasses.fields(DriveOptions)
+    }
     names = ("absolute", "history", "periodic", "passes")
     values = {name: brought[name] for name in names if name in brought}
     learns = bool(brought.get("tracked"))
     if values.get("history") is not None and not learns:
-        raise UsageError("`history` keeps the error of the passes that `tracked` recorded: give both")
+        raise UsageError(
+            "`history` keeps the error of the passes that `tracked` recorded: give both"
+        )
     return RepeatOptions(**fields, **values, learns=learns)

@@ -23,7 +23,13 @@ from dbo_cli.logs.sample_block import joined
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.sources import Source, is_log
 from dbo_cli.logs.whole_output import check_outputs
-from dbo_cli.runs.files import Destination, SignalRun, bring_to, quantity_wish, source_of
+from dbo_cli.runs.files import (
+    Destination,
+    SignalRun,
+    bring_to,
+    quantity_wish,
+    source_of,
+)
 
 
 def repeated(
@@ -44,8 +50,9 @@ def repeated(
     options
         What is asked of any drive.
     brought
-        What the options of this extra were given: ``periodic``, ``passes``, ``absolute``, ``history``, and
-        ``tracked``, the recordings of the last pass, in any form that ``recordings_of`` takes.
+        What the options of this extra were given: ``periodic``, ``passes``,
+        ``absolute``, ``history``, and ``tracked``, the recordings of the last pass, in
+        any form that ``recordings_of`` takes.
     last_row
         The last row that is answered; rows after it are only read ahead.
 
@@ -62,17 +69,25 @@ def repeated(
     if recordings:
         source, lesson = learned_source(model, source, recordings, options_of_repeat)
     if not options_of_repeat.periodic:
-        return LearnedCompensation(model, source, last_row=last_row, options=options_of_repeat, lesson=lesson)
+        return LearnedCompensation(
+            model, source, last_row=last_row, options=options_of_repeat, lesson=lesson
+        )
     if options_of_repeat.lead is not None:
         options_of_repeat = dataclasses.replace(
             options_of_repeat, passes=max(options_of_repeat.passes, LED_IN)
         )
-    return LoopCompensation(model, source, last_row=last_row, options=options_of_repeat, lesson=lesson)
+    return LoopCompensation(
+        model, source, last_row=last_row, options=options_of_repeat, lesson=lesson
+    )
 
 
 def recordings_of(recorded: Any, model: ActuatorModel) -> list[Tracked]:
     """Return recordings of a pass: of a table, a file's name or a pair of arrays, or of several of these."""
-    is_pair = isinstance(recorded, tuple) and len(recorded) == 2 and not any(map(is_log, recorded))
+    is_pair = (
+        isinstance(recorded, tuple)
+        and len(recorded) == 2
+        and not any(map(is_log, recorded))
+    )
     several = [recorded] if is_pair or is_log(recorded) else list(recorded)
     recordings = []
     for number, recording in enumerate(several, start=1):
@@ -101,7 +116,9 @@ def tracked_of(source: Source, model: ActuatorModel) -> Tracked:
     bring_to(source, "voltage", model.input, "the model")
     bring_to(source, "measured", model.output, "the model")
     block = joined(list(source.blocks()))
-    return Tracked(source.name, block.values["voltage"], block.values["measured"], block.time)
+    return Tracked(
+        source.name, block.values["voltage"], block.values["measured"], block.time
+    )
 
 
 @dataclass(frozen=True)
@@ -122,13 +139,17 @@ class RepeatedRun(SignalRun):
     def refuse_many(self) -> None:
         """Refuse to learn several trajectories at once (UsageError)."""
         if self.recordings:
-            raise UsageError("`tracked` learns one trajectory at a time: one log, one column and one output")
+            raise UsageError(
+                "`tracked` learns one trajectory at a time: one log, one column and one output"
+            )
 
     def protected(self) -> Destination:
         """Return where the result goes; recordings and history are protected from it and from each other."""
         destination = super().protected()
         columns = (self.brought.get("voltage"), self.brought.get("measured"))
-        destination = destination._replace(protect=[*destination.protect, *self.recordings]).beside(*columns)
+        destination = destination._replace(
+            protect=[*destination.protect, *self.recordings]
+        ).beside(*columns)
         history = self.brought.get("history")
         if history is not None:
             request.check_document(history, "a history", "json")
@@ -137,13 +158,25 @@ class RepeatedRun(SignalRun):
 
     def brought_to(self, model: ActuatorModel, listener: Listener) -> dict[str, Any]:
         """Return what was brought, the recordings read; ``rows`` are the trajectory's."""
-        brought = {name: value for name, value in self.brought.items() if name not in ("voltage", "measured")}
+        brought = {
+            name: value
+            for name, value in self.brought.items()
+            if name not in ("voltage", "measured")
+        }
         if self.recordings:
-            brought["tracked"] = [self._recorded(address, model, listener) for address in self.recordings]
+            brought["tracked"] = [
+                self._recorded(address, model, listener) for address in self.recordings
+            ]
         return brought
 
-    def _recorded(self, address: Address, model: ActuatorModel, listener: Listener) -> Tracked:
-        want = tracked_wishes(model, self.brought.get("voltage"), self.brought.get("measured"))
-        with open_log(address, want, dataclasses.replace(self.reading, rows=ALL_ROWS)) as log:
+    def _recorded(
+        self, address: Address, model: ActuatorModel, listener: Listener
+    ) -> Tracked:
+        want = tracked_wishes(
+            model, self.brought.get("voltage"), self.brought.get("measured")
+        )
+        with open_log(
+            address, want, dataclasses.replace(self.reading, rows=ALL_ROWS)
+        ) as log:
             listener.opened(log.describe())
             return tracked_of(log, model)

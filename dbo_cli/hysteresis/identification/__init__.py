@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from dbo_cli.hysteresis.identification.identify import identify
-from dbo_cli.hysteresis.identification.recordings import IdentificationOptions, Recording
+from dbo_cli.hysteresis.identification.recordings import (
+    IdentificationOptions,
+    Recording,
+)
 from dbo_cli.hysteresis.identification.static import Identification
 
 __all__ = ["Identification", "IdentificationOptions", "Recording", "identify"]

@@ -1,7 +1,8 @@
 """Faults of sensors and loggers, mended or left out before anything is fitted, and said.
 
-Voltage: noise of its read-back moves the gears, so it is smoothed. Displacement: hum of the mains is taken
-off; spikes, and rows in which the sensor stands still while the drive moves, are left out.
+Voltage: noise of its read-back moves the gears, so it is smoothed. Displacement: hum of
+the mains is taken off; spikes, and rows in which the sensor stands still while the
+drive moves, are left out.
 """
 
 from __future__ import annotations
@@ -29,20 +30,25 @@ Booleans = NDArray[np.bool_]
 SPECTRUM_ROWS = 200
 """For a spectrum in which noise and drive can be told apart."""
 
-OF_NORMAL = 1.4826  # standard deviation over the median distance from the middle, of normal noise
+# standard deviation over the median distance from the middle, of normal noise
+OF_NORMAL = 1.4826
 FLOOR_FACTOR = 5.0
 """The drive ends where its spectrum, averaged over bands, is down to so many times the noise floor."""
 
 HARMONICS = 12.0
 """In cycles of the drive: a low-pass below its twelfth harmonic rounds the turns (0.3 % of the range), and a
-line below may be what the actuator does."""
+line below may be what the actuator does.
+"""
 
 HUM_LINE = 30.0
 """Power of a line over the median around it (white noise reaches 12 in a log of 10,000 rows), and over what
-the drive has there, scaled to the displacement: else the drive does hum."""
+the drive has there, scaled to the displacement: else the drive does hum.
+"""
 
-SPIKE_WINDOW = 7  # rows: longer ones have turns of the drive in them; 5 and 11: the same models
-SPIKE_SIGMAS = 8.0  # with 4 and 16, errors on new moves of eight invented logs were 0.999 to 1.001
+# rows: longer ones have turns of the drive in them; 5 and 11: the same models
+SPIKE_WINDOW = 7
+# with 4 and 16, errors on new moves of eight invented logs were 0.999 to 1.001
+SPIKE_SIGMAS = 8.0
 SPIKE_SPREAD = 2.0
 """A spike leaves its neighbours by so many times what they differ among themselves; a turn does not."""
 
@@ -91,13 +97,18 @@ def regular_step(recording: Recording) -> float | None:
         return None
     steps = np.diff(seconds)
     step = float(np.median(steps))
-    return step if step > 0.0 and float(np.abs(steps - step).max()) <= EVEN * step else None
+    return (
+        step
+        if step > 0.0 and float(np.abs(steps - step).max()) <= EVEN * step
+        else None
+    )
 
 
 def spiked_rows(displacement: Floats, window: int = SPIKE_WINDOW) -> Booleans:
     """Rows that leave their neighbours and come back, further than these differ among themselves.
 
-    ``window`` is the odd number of rows that are looked at together; up to a third of them may be spiked.
+    ``window`` is the odd number of rows that are looked at together; up to a third of
+    them may be spiked.
     """
     from numpy.lib.stride_tricks import sliding_window_view
 
@@ -112,10 +123,14 @@ def spiked_rows(displacement: Floats, window: int = SPIKE_WINDOW) -> Booleans:
         around = np.sort(windows[part], axis=1)
         away[part] = np.abs(displacement[part] - around[:, half])
         spread[part] = around[:, -1 - window // 3] - around[:, window // 3]
-    sigma = OF_NORMAL * float(np.median(away[away > 0.0])) if (away > 0.0).any() else 0.0
+    sigma = (
+        OF_NORMAL * float(np.median(away[away > 0.0])) if (away > 0.0).any() else 0.0
+    )
     spiked = (away > SPIKE_SIGMAS * sigma) & (away > SPIKE_SPREAD * spread)
     # 0.1 % of the range: chosen.
-    spiked &= away > 1e-3 * float(np.subtract(*np.percentile(displacement, [99.0, 1.0])))
+    spiked &= away > 1e-3 * float(
+        np.subtract(*np.percentile(displacement, [99.0, 1.0]))
+    )
     return spiked if spiked.mean() <= MOST_SPIKES else np.zeros(len(displacement), bool)
 
 
@@ -123,14 +138,18 @@ def stuck_rows(displacement: Floats, voltage: Floats) -> Booleans:
     """Rows of runs of one displacement, away from its extremes, over which the drive travels far."""
     stuck = np.zeros(len(displacement), bool)
     edges = np.flatnonzero(np.diff(displacement) != 0.0) + 1
-    begins, ends = np.concatenate(([0], edges)), np.concatenate((edges, [len(displacement)]))
+    begins, ends = (
+        np.concatenate(([0], edges)),
+        np.concatenate((edges, [len(displacement)])),
+    )
     path = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(voltage)))))
     travelled = path[ends - 1] - path[begins]
     usual = float(np.percentile(travelled, 90.0))
     far = travelled > max(STUCK_PATH * float(np.ptp(voltage)), 4.0 * usual)
     low, high = float(displacement.min()), float(displacement.max())
     for begin, end in zip(begins[far], ends[far], strict=True):
-        if low < displacement[begin] < high:  # at an extreme it is clipped, which is looked at elsewhere
+        # at an extreme it is clipped, which is looked at elsewhere
+        if low < displacement[begin] < high:
             stuck[begin:end] = True
     return stuck
 
@@ -159,7 +178,9 @@ def _filled(values: Floats, bad: Booleans) -> Floats:
     return np.interp(rows, rows[~bad], values[~bad])
 
 
-def _without_hum(recording: Recording, bad: Booleans, step: float, notes: list[str]) -> Recording:
+def _without_hum(
+    recording: Recording, bad: Booleans, step: float, notes: list[str]
+) -> Recording:
     """Take lines that the drive does not have off the displacement, each with a slowly changing size."""
     base = _drive_frequency(recording, step)
     held = float(np.mean(np.diff(recording.displacement) == 0.0))
@@ -186,7 +207,9 @@ def _without_hum(recording: Recording, bad: Booleans, step: float, notes: list[s
     return replace(recording, displacement=np.where(bad, recording.displacement, clean))
 
 
-def _hum_lines(displacement: Floats, voltage: Floats, step: float, base: float) -> list[float]:
+def _hum_lines(
+    displacement: Floats, voltage: Floats, step: float, base: float
+) -> list[float]:
     """Frequencies (Hz) of lines far above the drive that stand out of the displacement alone."""
     frequency, power = _spectrum(displacement, step)
     _, driven = _spectrum(voltage * (np.ptp(displacement) / np.ptp(voltage)), step)
@@ -196,7 +219,11 @@ def _hum_lines(displacement: Floats, voltage: Floats, step: float, base: float) 
     for line in candidates[np.argsort(-power[candidates])]:
         near = any(abs(frequency[line] - one) < 6.0 * frequency[1] for one in found)
         foreign = HUM_LINE * float(driven[line]) < float(power[line])
-        if not near and foreign and _stands_out(power, int(line), base / float(frequency[1])):
+        if (
+            not near
+            and foreign
+            and _stands_out(power, int(line), base / float(frequency[1]))
+        ):
             found.append(float(frequency[line]))
     return sorted(found)
 
@@ -207,16 +234,25 @@ def _stands_out(power: Floats, line: int, base: float) -> bool:
     Harmonics fall off evenly; the mains' line is alone.
     """
     reach = max(len(power) // 200, 12)
-    around = np.r_[max(line - reach, 0) : max(line - 4, 0), line + 5 : min(line + reach, len(power))]
+    around = np.r_[
+        max(line - reach, 0) : max(line - 4, 0),
+        line + 5 : min(line + reach, len(power)),
+    ]
     if len(around) < 8 or power[line] < HUM_LINE * float(np.median(power[around])):
         return False
     order = round(line / base)
     places = [round((order + k) * base) for k in (-2, -1, 1, 2)]
-    harmonics = [float(power[max(at - 2, 0) : at + 3].max()) for at in places if 2 < at < len(power) - 2]
+    harmonics = [
+        float(power[max(at - 2, 0) : at + 3].max())
+        for at in places
+        if 2 < at < len(power) - 2
+    ]
     return not harmonics or float(power[line]) > HUM_LINE * max(harmonics)
 
 
-def _without_read_back_noise(recording: Recording, bad: Booleans, step: float, notes: list[str]) -> Recording:
+def _without_read_back_noise(
+    recording: Recording, bad: Booleans, step: float, notes: list[str]
+) -> Recording:
     """Smooth a noisy voltage, and the displacement alike so that they stay together."""
     base = _drive_frequency(recording, step)
     voltage = recording.voltage
@@ -224,22 +260,29 @@ def _without_read_back_noise(recording: Recording, bad: Booleans, step: float, n
         return recording
     frequency, power = _spectrum(voltage, step)
     floor = float(np.median(power[3 * len(power) // 4 :]))
-    noise = float(np.sqrt(floor / 0.69))  # the median of an exponential variable is 0.69 of its mean
-    between_rows = OF_NORMAL * float(np.median(np.abs(np.diff(voltage, 2)))) / np.sqrt(6.0)
+    # the median of an exponential variable is 0.69 of its mean
+    noise = float(np.sqrt(floor / 0.69))
+    between_rows = (
+        OF_NORMAL * float(np.median(np.abs(np.diff(voltage, 2)))) / np.sqrt(6.0)
+    )
     if min(noise, 2.0 * between_rows) < NOTICEABLE * float(np.ptp(voltage)):
-        return recording  # a few jumps have a broad spectrum, too; noise is in most rows
+        # a few jumps have a broad spectrum, too; noise is in most rows
+        return recording
     bands = np.array_split(power[1:], min(100, len(power) // 20))
     above = [band.mean() > FLOOR_FACTOR * floor / 0.69 for band in bands]  # see above
     last = max((k for k, yes in enumerate(above) if yes), default=0)
     cutoff = max(float(frequency[sum(map(len, bands[: last + 1]))]), HARMONICS * base)
-    if cutoff > 0.35 / step:  # so near half the rate (chosen) a low-pass takes off little noise
+    # so near half the rate (chosen) a low-pass takes off little noise
+    if cutoff > 0.35 / step:
         return recording
     from scipy.signal import butter, sosfiltfilt
 
     sections = butter(4, cutoff, fs=1.0 / step, output="sos")
     smooth = sosfiltfilt(sections, voltage)
     displacement = np.where(
-        bad, recording.displacement, sosfiltfilt(sections, _filled(recording.displacement, bad))
+        bad,
+        recording.displacement,
+        sosfiltfilt(sections, _filled(recording.displacement, bad)),
     )
     notes.append(
         f"{recording.name}: the voltage's read-back is noisy ({100.0 * noise / np.ptp(voltage):.2g} % of its "
@@ -287,7 +330,8 @@ class Sensor:
     def taken_off(self, recording: Recording) -> Recording:
         """Return the recording as a sensor without delay and lag would have made it.
 
-        The last rows, for which the sensor answers only after the log's end, are cut off.
+        The last rows, for which the sensor answers only after the log's end, are cut
+        off.
         """
         seconds = recording.seconds()
         if not self or seconds is None:
@@ -297,7 +341,9 @@ class Sensor:
         ordered = np.maximum.accumulate(seconds)
         displacement = recording.displacement
         if self.lag > 0.0:
-            displacement = displacement + self.lag * slope(displacement, ordered, self.lag)
+            displacement = displacement + self.lag * slope(
+                displacement, ordered, self.lag
+            )
         if self.delay > 0.0:
             displacement = np.interp(ordered + self.delay, ordered, displacement)
         return replace(
@@ -305,7 +351,9 @@ class Sensor:
             voltage=recording.voltage[:known],
             displacement=displacement[:known],
             time=None if recording.time is None else recording.time[:known],
-            uncertainty=None if recording.uncertainty is None else recording.uncertainty[:known],
+            uncertainty=None
+            if recording.uncertainty is None
+            else recording.uncertainty[:known],
             rows=None if recording.rows is None else recording.rows[:known],
         )
 
@@ -313,17 +361,24 @@ class Sensor:
 def slope(values: Floats, seconds: Floats, width: float) -> Floats:
     """Rate of change of noisy values, from cubics fitted over ``width`` seconds to either side.
 
-    A difference of neighbours would multiply the noise by the lag over the sample period.
+    A difference of neighbours would multiply the noise by the lag over the sample
+    period.
     """
     from scipy.signal import savgol_filter
 
     steps = np.diff(seconds)
     step = float(np.median(steps[steps > 0.0]))
     if float(np.abs(steps - step).max()) > EVEN * step:
-        even = np.linspace(seconds[0], seconds[-1], max(round((seconds[-1] - seconds[0]) / step) + 1, 5))
+        even = np.linspace(
+            seconds[0],
+            seconds[-1],
+            max(round((seconds[-1] - seconds[0]) / step) + 1, 5),
+        )
         filled = slope(np.interp(even, seconds, values), even, width)
         spread: Floats = np.interp(seconds, even, filled)
         return spread
     half = min(max(round(width / step), 2), (len(values) - 1) // 2)
-    found: Floats = savgol_filter(values, 2 * half + 1, min(3, 2 * half), deriv=1, delta=step)
+    found: Floats = savgol_filter(
+        values, 2 * half + 1, min(3, 2 * half), deriv=1, delta=step
+    )
     return found

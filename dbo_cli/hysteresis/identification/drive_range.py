@@ -1,9 +1,10 @@
 """The range of a drive from its recordings: its ends, without the noise with which they were read back.
 
-The least and the greatest of noisy readings lie outside what the amplifier gave: a model that took them for
-its range would send a unipolar amplifier below zero. So the drive is found in each row from parabolas through
-the rows before it and behind it, which may meet in a corner. Where readings have no noise, every digit of
-their least and greatest is kept.
+The least and the greatest of noisy readings lie outside what the amplifier gave: a
+model that took them for its range would send a unipolar amplifier below zero. So the
+drive is found in each row from parabolas through the rows before it and behind it,
+which may meet in a corner. Where readings have no noise, every digit of their least and
+greatest is kept.
 """
 
 from __future__ import annotations
@@ -19,19 +20,26 @@ from dbo_cli.hysteresis.identification.cleaning import OF_NORMAL
 from dbo_cli.hysteresis.identification.recordings import Floats, Integers, Recording
 from dbo_cli.hysteresis.move_error import turning_points
 
-FEWEST_READINGS = 200  # rows: the standard deviation of noise is known to a tenth from so many
-ORDERS = (4, 10)  # of the differences that are compared: a smooth drive is far smaller in the second
-ALIKE = (0.7, 1.4)  # ratio of white noise by the two orders; a sine of a third of the rate has 0.53
+# rows: the standard deviation of noise is known to a tenth from so many
+FEWEST_READINGS = 200
+# of the differences that are compared: a smooth drive is far smaller in the second
+ORDERS = (4, 10)
+# ratio of white noise by the two orders; a sine of a third of the rate has 0.53
+ALIKE = (0.7, 1.4)
 MOST_NOISE = 0.05  # of the range: a larger scatter is the drive itself
 LEAST_NOISE = 1e-9  # of the range: less is the rounding of a computed drive
-REVERSALS = 0.01  # of the rows: so many readings turn where the drive does not; by rounding none does
+# of the rows: so many readings turn where the drive does not; by rounding none does
+REVERSALS = 0.01
 TURN = 8.0  # standard deviations of the noise: a turn of the drive, not of the noise
 
-SHORTEST, LONGEST = 4, 1 << 12  # rows of a parabola; longer ones say no more than is asked for
-AGREE = 1.0  # standard errors within which a longer parabola agrees with each shorter one
+# rows of a parabola; longer ones say no more than is asked for
+SHORTEST, LONGEST = 4, 1 << 12
+# standard errors within which a longer parabola agrees with each shorter one
+AGREE = 1.0
 SURE = 2.0  # standard errors by which a level is known, where the highest is looked for
 SAME = 2.0  # standard errors within which a swing reaches the top as the highest does
-LAST_DIGIT = 2.0  # standard deviations of the noise: the largest step of the last digit of an end
+# standard deviations of the noise: the largest step of the last digit of an end
+LAST_DIGIT = 2.0
 
 
 def drive_range(recordings: Sequence[Recording]) -> tuple[float, float]:
@@ -42,7 +50,9 @@ def drive_range(recordings: Sequence[Recording]) -> tuple[float, float]:
     return lowest, highest
 
 
-def within(recordings: Sequence[Recording], ends: tuple[float, float]) -> list[Recording]:
+def within(
+    recordings: Sequence[Recording], ends: tuple[float, float]
+) -> list[Recording]:
     """Return the logs with their voltages inside the drive's range: what lies beyond is noise."""
     return [replace(log, voltage=np.clip(log.voltage, *ends)) for log in recordings]
 
@@ -50,9 +60,9 @@ def within(recordings: Sequence[Recording], ends: tuple[float, float]) -> list[R
 def read_back_noise(voltage: Floats) -> float:
     """Return the standard deviation of the noise of a recorded drive; 0 where none is evident.
 
-    Noise is white: differences of any order tell the same standard deviation of it. So does rounding, but
-    that is smaller than the distance between neighbouring levels, and readings do not go back and forth by it
-    where the drive does not turn.
+    Noise is white: differences of any order tell the same standard deviation of it. So
+    does rounding, but that is smaller than the distance between neighbouring levels,
+    and readings do not go back and forth by it where the drive does not turn.
     """
     if len(voltage) < FEWEST_READINGS:
         return 0.0
@@ -62,7 +72,9 @@ def read_back_noise(voltage: Floats) -> float:
         return 0.0
     if not ALIKE[0] <= again / noise <= ALIKE[1]:
         return 0.0
-    if noise < _distance_of_levels(voltage) and not _goes_back_and_forth(voltage, noise):
+    if noise < _distance_of_levels(voltage) and not _goes_back_and_forth(
+        voltage, noise
+    ):
         return 0.0
     return noise
 
@@ -84,7 +96,11 @@ def _goes_back_and_forth(voltage: Floats, noise: float) -> bool:
 def _scatter(voltage: Floats, order: int) -> float:
     """Return the standard deviation of white noise by the median of the differences of an order."""
     differences = np.abs(np.diff(voltage, order))
-    return OF_NORMAL * float(np.median(differences)) / math.sqrt(math.comb(2 * order, order))
+    return (
+        OF_NORMAL
+        * float(np.median(differences))
+        / math.sqrt(math.comb(2 * order, order))
+    )
 
 
 def _ends(voltage: Floats) -> tuple[float, float]:
@@ -101,8 +117,8 @@ def _ends(voltage: Floats) -> tuple[float, float]:
 def _top(voltage: Floats, noise: float) -> float:
     """Return the greatest voltage of the drive.
 
-    Every second row says where the drive is highest, and the rows in between, whose noise is another, say how
-    high that is; then the other way round.
+    Every second row says where the drive is highest, and the rows in between, whose
+    noise is another, say how high that is; then the other way round.
     """
     rows = len(voltage) // 2
     halves = [voltage[0 : 2 * rows : 2], voltage[1 : 2 * rows : 2]]
@@ -115,20 +131,25 @@ def _top(voltage: Floats, noise: float) -> float:
         tops.append(float(level[at] @ weight / weight.sum()))
         weights.append(float(weight.sum()))
     top = float(np.average(tops, weights=weights))
-    # So many readings above it are higher by noise alone: a drive of few rows a turn is seen better so.
+    # So many readings above it are higher by noise alone: a drive of few rows a turn is
+    # seen better so.
     above = max(int(np.count_nonzero(voltage > top)), 1)
     by_noise = noise * math.sqrt(2.0 * math.log(above))
     return max(top, float(voltage.max()) - by_noise)
 
 
-def _highest_rows(voltage: Floats, noise: float, level: Floats, error: Floats) -> Integers:
+def _highest_rows(
+    voltage: Floats, noise: float, level: Floats, error: Floats
+) -> Integers:
     """Return the row in which each swing is highest, for the swings that reach the top."""
     turns = turning_points(voltage, TURN * noise)
     lows = turns[voltage[turns] < voltage.mean()]
     edges = np.unique(np.concatenate(([0], lows, [len(voltage)])))
     sure = level - SURE * error
     swings = itertools.pairwise(edges.tolist())
-    rows = np.asarray([begin + int(np.argmax(sure[begin:end])) for begin, end in swings])
+    rows = np.asarray(
+        [begin + int(np.argmax(sure[begin:end])) for begin, end in swings]
+    )
     best = rows[np.argmax(sure[rows])]
     below = level[best] - level[rows]
     as_high: Integers = rows[below <= SAME * np.hypot(error[rows], error[best])]
@@ -148,7 +169,8 @@ def _levels(voltage: Floats, noise: float) -> tuple[Floats, Floats]:
 def _one_sided(voltage: Floats, noise: float) -> tuple[Floats, Floats]:
     """Return the end of a parabola through the readings up to each row, and its standard error.
 
-    A parabola is as long as its end agrees with those of all shorter ones (Lepski's rule).
+    A parabola is as long as its end agrees with those of all shorter ones (Lepski's
+    rule).
     """
     from scipy.signal import oaconvolve
 
@@ -189,6 +211,10 @@ def _rounded(level: float, noise: float) -> float:
     if abs(level) < largest:
         return 0.0
     exponent = math.floor(math.log10(largest))
-    factor = max(factor for factor in (1, 2, 5) if factor == 1 or factor * 10.0**exponent <= largest)
+    factor = max(
+        factor
+        for factor in (1, 2, 5)
+        if factor == 1 or factor * 10.0**exponent <= largest
+    )
     steps = round(level / (factor * 10.0**exponent))
     return float(f"{steps * factor}e{exponent}")

@@ -1,16 +1,19 @@
 """Identification of dynamics: resonances and a lag, from small sweeps and fast logs.
 
-The gears, the points and creep come from the slow rows; what they predict for the fast ones is the input of
-the dynamics, and what was measured their output. Frequencies and dampings start from the ratio of the two
-spectra and are refined on the output error. None, one or two resonances, with an antiresonance or without,
-the lag before or behind the gears: by the error on rows left out. Then the slow rows are identified again,
-now that the lag is known.
+The gears, the points and creep come from the slow rows; what they predict for the fast
+ones is the input of the dynamics, and what was measured their output. Frequencies and
+dampings start from the ratio of the two spectra and are refined on the output error.
+None, one or two resonances, with an antiresonance or without, the lag before or behind
+the gears: by the error on rows left out. Then the slow rows are identified again, now
+that the lag is known.
 
-Creep that follows the displacement has sections behind the gears, too, from the slow rows. The gears' own
-relaxation follows the drive. Where the loop is wide the two differ by the loop's part of the creep: measured
-on four stages of 1.6 % creep and loops of 30 to 45 %, moves at f_r/1000 to f_r/30 were 0.03 to 0.07 % off in
-the mean with the one, and 0.00 to 0.02 with the other. In turn, the displacement is freed of the creep found
-so far and the gears are identified from it, and the creep is fitted to what they predict.
+Creep that follows the displacement has sections behind the gears, too, from the slow
+rows. The gears' own relaxation follows the drive. Where the loop is wide the two differ
+by the loop's part of the creep: measured on four stages of 1.6 % creep and loops of 30
+to 45 %, moves at f_r/1000 to f_r/30 were 0.03 to 0.07 % off in the mean with the one,
+and 0.00 to 0.02 with the other. In turn, the displacement is freed of the creep found
+so far and the gears are identified from it, and the creep is fitted to what they
+predict.
 """
 
 from __future__ import annotations
@@ -44,7 +47,11 @@ from dbo_cli.hysteresis.identification.dynamics_fit import (
     trusted,
     with_delay,
 )
-from dbo_cli.hysteresis.identification.evaluation import predict, validated, validation_of
+from dbo_cli.hysteresis.identification.evaluation import (
+    predict,
+    validated,
+    validation_of,
+)
 from dbo_cli.hysteresis.identification.recordings import (
     FastPart,
     Floats,
@@ -57,15 +64,24 @@ from dbo_cli.hysteresis.identification.recordings import (
 from dbo_cli.hysteresis.identification.search import SEGMENTS
 from dbo_cli.hysteresis.identification.static import Identification, identify_static
 from dbo_cli.hysteresis.identification.statistics import EARNED, INDIFFERENCE
-from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, Relaxation, Stage
+from dbo_cli.hysteresis.model import (
+    ActuatorModel,
+    BacklashStage,
+    DelayStage,
+    Relaxation,
+    Stage,
+)
 
 STILL_GOOD = 1.25
 """The slow rows' second reading is taken where the sweep's error grows by at most this factor. Measured:
-docs/choices.md."""
+docs/choices.md.
+"""
 FINER = 4  # times the segments of asymmetry that slow moves need (see _again)
-FAST_LAGS = 2.0  # periods of the lowest swept frequency: shorter relaxation is part of the dynamics
+# periods of the lowest swept frequency: shorter relaxation is part of the dynamics
+FAST_LAGS = 2.0
 
-ROUNDS = 3  # of gears and creep in turn; from the memories' gains two bring it to 2 % of itself
+# of gears and creep in turn; from the memories' gains two bring it to 2 % of itself
+ROUNDS = 3
 LEAST_SHARE = 1e-5  # of the displacement: less is no creep
 
 
@@ -102,7 +118,10 @@ def with_dynamics(
             raise
         return []
     fast = [_without_sensor(part, options) for part in fast]
-    band = lowest, highest = min(part.lowest for part in fast), max(part.highest for part in fast)
+    band = lowest, highest = (
+        min(part.lowest for part in fast),
+        max(part.highest for part in fast),
+    )
     model = _without_fast_lags(base.model.without(base.model.delay), FAST_LAGS / lowest)
     reading = _Reading(base, model, [Signals(model, part) for part in fast], ())
     chosen, doubts = chosen_dynamics(reading.signals, band, asked)
@@ -114,7 +133,8 @@ def with_dynamics(
         reading, chosen = _read_again(reading, chosen, slow, fast, band, options)
         if asked is not None or len(chosen.resonances) == MOST_RESONANCES:
             break
-        # What hides a weak resonance from the first reading of the slow rows is gone with the second.
+        # What hides a weak resonance from the first reading of the slow rows is gone
+        # with the second.
         here = fitted(reading.signals, [chosen.parameters], chosen.structure, band)
         more = one_more(reading.signals, here, band)
         if more is None:
@@ -123,13 +143,18 @@ def with_dynamics(
     return _assembled(reading, chosen, fast, validation, options, highest, doubts)
 
 
-def _unexplained(signals: Sequence[Signals], chosen: Candidate, fast: Sequence[FastPart]) -> list[str]:
+def _unexplained(
+    signals: Sequence[Signals], chosen: Candidate, fast: Sequence[FastPart]
+) -> list[str]:
     """Return a warning for each fast part of which the slow model and a lag leave much over."""
     warnings = []
     left = residuals(signals, chosen.parameters, chosen.structure)
     for part, one, rest in zip(fast, signals, left, strict=True):
-        white = float(np.mean(np.diff(rest, 2) ** 2)) / 6.0  # noise is no move that a model could explain
-        share = math.sqrt(max(float(np.var(rest)) - white, 0.0)) / float(np.std(one.measured))
+        # noise is no move that a model could explain
+        white = float(np.mean(np.diff(rest, 2) ** 2)) / 6.0
+        share = math.sqrt(max(float(np.var(rest)) - white, 0.0)) / float(
+            np.std(one.measured)
+        )
         if share > TRUSTED:
             first = part.recording.row(part.rows.start)
             last = part.recording.row(part.rows.stop - 1)
@@ -151,7 +176,8 @@ class _Reading:
     base
         As ``identify_static`` found it.
     model : ActuatorModel
-        Its gears and points, with creep behind them; lag and delay are left to the dynamics.
+        Its gears and points, with creep behind them; lag and delay are left to the
+        dynamics.
     signals : sequence of Signals
         The fast parts, by this model.
     creep : tuple of Lag
@@ -174,21 +200,34 @@ def _read_again(
 ) -> tuple[_Reading, Candidate]:
     """Return the last reading of the slow rows that the fast ones do not speak against, and the dynamics."""
     best = chosen
-    for again, creep in _again(slow, chosen, options, reading.base, FAST_LAGS / band[0]):
-        model = _without_fast_lags(again.model.without(again.model.delay), FAST_LAGS / band[0])
+    for again, creep in _again(
+        slow, chosen, options, reading.base, FAST_LAGS / band[0]
+    ):
+        model = _without_fast_lags(
+            again.model.without(again.model.delay), FAST_LAGS / band[0]
+        )
         if creep:
-            model = dataclasses.replace(model, stages=(*model.stages, DynamicsStage(creep)))
+            model = dataclasses.replace(
+                model, stages=(*model.stages, DynamicsStage(creep))
+            )
         signals = [Signals(model, part) for part in fast]
         if _left_over(signals, chosen) <= STILL_GOOD * chosen.rmse:
             reading = _Reading(again, model, signals, creep)
-            best = min(best, _sharpened(signals, chosen, band), key=lambda one: one.left_out)
+            best = min(
+                best, _sharpened(signals, chosen, band), key=lambda one: one.left_out
+            )
     return reading, best
 
 
 def _sharpened(signals: Sequence[Signals], chosen: Candidate, band: Band) -> Candidate:
     """Return the dynamics refined, with an exact lag where that of the stage does not earn its place."""
-    forms = [dataclasses.replace(chosen.structure, sampled_lag=sampled) for sampled in (False, True)]
-    exact, sampled = [fitted(signals, [chosen.parameters], structure, band) for structure in forms]
+    forms = [
+        dataclasses.replace(chosen.structure, sampled_lag=sampled)
+        for sampled in (False, True)
+    ]
+    exact, sampled = [
+        fitted(signals, [chosen.parameters], structure, band) for structure in forms
+    ]
     return sampled if sampled.left_out <= EARNED * exact.left_out else exact
 
 
@@ -214,14 +253,16 @@ def _again(
 ) -> list[tuple[Identification, tuple[Lag, ...]]]:
     """Return what the slow rows tell once the lag is known.
 
-    Without it they take the lag for memories of milliseconds or for wider loops. Measured on a stage whose
-    amplifier lags by 0.2 ms, sine at f_r/30: an offset of 0.19 % of the move, and 0.16 with the lag known; of
-    a log twice as long, which shows the creep, 0.07 and 0.03. The asymmetry gets more segments, since their
-    corners, of which slow moves see nothing, meet the resonance. With 8, 16, 32 of them the same stage, whose
-    resonance makes 25 of 1, errs at f_r/10 by 0.117, 0.054, 0.054 %, at f_r/5 by 0.18, 0.20, 0.11.
+    Without it they take the lag for memories of milliseconds or for wider loops.
+    Measured on a stage whose amplifier lags by 0.2 ms, sine at f_r/30: an offset of
+    0.19 % of the move, and 0.16 with the lag known; of a log twice as long, which shows
+    the creep, 0.07 and 0.03. The asymmetry gets more segments, since their corners, of
+    which slow moves see nothing, meet the resonance. With 8, 16, 32 of them the same
+    stage, whose resonance makes 25 of 1, errs at f_r/10 by 0.117, 0.054, 0.054 %, at
+    f_r/5 by 0.18, 0.20, 0.11.
 
-    Creep that follows the displacement comes second, with its sections, where the slow rows do not speak
-    against it.
+    Creep that follows the displacement comes second, with its sections, where the slow
+    rows do not speak against it.
     """
     late = _late(chosen)
     known: dict[str, Any] = {"dynamics": 0}
@@ -239,11 +280,15 @@ def _again(
         again = identify_static(lagged, asked)
     except FitError:
         return []
-    same_range = dataclasses.replace(again, model=dataclasses.replace(again.model, input=base.model.input))
+    same_range = dataclasses.replace(
+        again, model=dataclasses.replace(again.model, input=base.model.input)
+    )
     found: list[tuple[Identification, tuple[Lag, ...]]] = [(same_range, ())]
     steps = [grid_step(log) for log in lagged]
     if options.relaxation is None and all(step is not None for step in steps):
-        slower = dataclasses.replace(again, model=_without_fast_lags(again.model, shortest))
+        slower = dataclasses.replace(
+            again, model=_without_fast_lags(again.model, shortest)
+        )
         even = [step for step in steps if step is not None]
         creeping = creep_behind(slower, lagged, even, asked)
         if creeping is not None and _as_good(creeping[0], again):
@@ -286,7 +331,8 @@ def _placed(signals: Sequence[Signals], behind: Candidate, band: Band) -> Candid
 def _without_fast_lags(model: ActuatorModel, shortest: float) -> ActuatorModel:
     """Return a model whose relaxation of less than ``shortest`` (s) is immediate.
 
-    Relaxation of milliseconds stands in a slow model, as its delay does, for what the dynamics say better.
+    Relaxation of milliseconds stands in a slow model, as its delay does, for what the
+    dynamics say better.
     """
     gears = model.backlash
     terms = gears.relaxation
@@ -295,12 +341,19 @@ def _without_fast_lags(model: ActuatorModel, shortest: float) -> ActuatorModel:
     pairs = list(zip(terms.tau, terms.gain, strict=True))
     kept = [(tau, gain) for tau, gain in pairs if tau >= shortest]
     added = sum(gain for tau, gain in pairs if tau < shortest)
-    # gain·(v − reference), at once: every gear steeper by it, and the corner where it then lies.
+    # gain·(v − reference), at once: every gear steeper by it, and the corner where it
+    # then lies.
     heights = gears.dy + added * gears.dx
     y0 = gears.y0 + added * (gears.x0 - terms.reference)
-    rest = Relaxation(terms.reference, *map(tuple, zip(*kept, strict=True))) if kept else None
+    rest = (
+        Relaxation(terms.reference, *map(tuple, zip(*kept, strict=True)))
+        if kept
+        else None
+    )
     prompt = BacklashStage(gears.dx, heights, gears.x0, y0, rest)
-    return dataclasses.replace(model, stages=tuple(prompt if one is gears else one for one in model.stages))
+    return dataclasses.replace(
+        model, stages=tuple(prompt if one is gears else one for one in model.stages)
+    )
 
 
 def _assembled(
@@ -313,8 +366,15 @@ def _assembled(
     doubts: Sequence[str],
 ) -> Identification:
     """Return the whole model with what is to be said of it."""
-    base, model, signals, creep = reading.base, reading.model, reading.signals, reading.creep
-    first = (DynamicsStage((Lag(chosen.lag_before),)),) if chosen.lag_before > 0.0 else ()
+    base, model, signals, creep = (
+        reading.base,
+        reading.model,
+        reading.signals,
+        reading.creep,
+    )
+    first = (
+        (DynamicsStage((Lag(chosen.lag_before),)),) if chosen.lag_before > 0.0 else ()
+    )
     slow = [stage for stage in model.stages if not isinstance(stage, DynamicsStage)]
     stages: tuple[Stage, ...] = (*first, *slow, DynamicsStage((*creep, *chosen.behind)))
     if chosen.structure.delay:
@@ -342,18 +402,25 @@ def _assembled(
         "response": response(signals, min(part.lowest for part in fast), highest),
     }
     if creep:
-        figures["creep"] = [{"seconds": one.seconds, "share": 1.0 - one.lead / one.seconds} for one in creep]
+        figures["creep"] = [
+            {"seconds": one.seconds, "share": 1.0 - one.lead / one.seconds}
+            for one in creep
+        ]
     figures["trusted_hz"] = trusted_hz
     terms = model.backlash.relaxation
     figures["relaxation_seconds"] = list(terms.tau) if terms else []
-    figures["delay_seconds"], figures["delay_interval_seconds"] = chosen.structure.delay, None
+    figures["delay_seconds"], figures["delay_interval_seconds"] = (
+        chosen.structure.delay,
+        None,
+    )
     figures["lag_seconds"] = _late(chosen) + chosen.lag_before
     warnings = [*base.warnings, *doubts]
     if warnings:
         figures["warnings"] = warnings
     whole = dataclasses.replace(model, stages=stages, output=output, fit={})
     checks = [
-        validation_of(whole, Sensor.of(options).taken_off(log), options.skip_seconds) for log in validation
+        validation_of(whole, Sensor.of(options).taken_off(log), options.skip_seconds)
+        for log in validation
     ]
     unit = f" {model.output.unit}" if model.output.unit else ""
     # Of lag and memories the slow rows tell what the dynamics say better.
@@ -362,7 +429,9 @@ def _assembled(
     found, lines = validated(checks, output.span, unit)
     figures |= found
     summary += lines
-    return Identification(dataclasses.replace(whole, fit=figures), figures, summary, warnings)
+    return Identification(
+        dataclasses.replace(whole, fit=figures), figures, summary, warnings
+    )
 
 
 def creep_behind(
@@ -393,7 +462,11 @@ def creep_behind(
             return None
         try:
             again = identify_static(
-                [_freed(log, sections, step) for log, step in zip(logs, steps, strict=True)], asked
+                [
+                    _freed(log, sections, step)
+                    for log, step in zip(logs, steps, strict=True)
+                ],
+                asked,
             )
         except FitError:
             return None
@@ -423,7 +496,10 @@ def _sections(taus: Floats, shares: Floats) -> tuple[Lag, ...]:
         others = np.poly(-1.0 / np.delete(taus, k)) if taus.size > 1 else np.ones(1)
         numerator[1:] += share / taus[k] * others
     leads = np.sort(-1.0 / np.roots(numerator).real)
-    return tuple(Lag(float(tau), float(lead)) for tau, lead in zip(np.sort(taus), leads, strict=True))
+    return tuple(
+        Lag(float(tau), float(lead))
+        for tau, lead in zip(np.sort(taus), leads, strict=True)
+    )
 
 
 def _freed(log: Recording, sections: tuple[Lag, ...], step: float) -> Recording:
@@ -434,14 +510,20 @@ def _freed(log: Recording, sections: tuple[Lag, ...], step: float) -> Recording:
 
 
 def _fitted_shares(
-    found: Identification, logs: Sequence[Recording], steps: Sequence[float], taus: Floats
+    found: Identification,
+    logs: Sequence[Recording],
+    steps: Sequence[float],
+    taus: Floats,
 ) -> Floats:
     """Return the shares of creep with which the gears' prediction comes nearest to the logs."""
     count = taus.size
     square, along = np.zeros((count + 2, count + 2)), np.zeros(count + 2)
     for log, step in zip(logs, steps, strict=True):
         bare = predict(found.model, log)
-        late = [DynamicsStage((Lag(float(tau)),)).run(bare, step, None)[0] - bare for tau in taus]
+        late = [
+            DynamicsStage((Lag(float(tau)),)).run(bare, step, None)[0] - bare
+            for tau in taus
+        ]
         rows = slice(first_wiped_row(log.voltage), None)
         columns = np.column_stack([*late, bare, -bare])[rows]
         offset = columns.mean(axis=0)
@@ -450,7 +532,8 @@ def _fitted_shares(
         along += (columns - offset).T @ measured
     size = np.sqrt(np.maximum(np.diag(square), 1e-300))
     scaled = square / size / size[:, None]
-    root = np.linalg.cholesky(scaled + 1e-10 * np.eye(count + 2))  # far above rounding, far below a share
+    # far above rounding, far below a share
+    root = np.linalg.cholesky(scaled + 1e-10 * np.eye(count + 2))
     gains = nnls(root.T, np.linalg.solve(root, along / size))[0] / size
     shares: Floats = gains[:count] / max(float(gains[count] - gains[count + 1]), 1e-300)
     return shares

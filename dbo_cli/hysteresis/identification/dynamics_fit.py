@@ -1,7 +1,8 @@
 """Which dynamics fast rows ask for: fits of given ones, and how many resonances, with antiresonances or none.
 
-One resonance after the other is offered, and judged by the error on blocks of rows left out. And what is said
-of them: intervals, the measured response, how far the model is trusted.
+One resonance after the other is offered, and judged by the error on blocks of rows left
+out. And what is said of them: intervals, the measured response, how far the model is
+trusted.
 """
 
 from __future__ import annotations
@@ -19,7 +20,13 @@ from scipy.optimize import least_squares
 from scipy.signal import csd, lfilter, welch
 
 from dbo_cli.hysteresis.cascade import late_by, whole_and_part
-from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, Lag, Resonance, Section
+from dbo_cli.hysteresis.dynamics import (
+    Antiresonance,
+    DynamicsStage,
+    Lag,
+    Resonance,
+    Section,
+)
 from dbo_cli.hysteresis.identification.evaluation import (
     FOLDS,
     STUDENT,
@@ -36,12 +43,17 @@ from dbo_cli.hysteresis.model import ActuatorModel
 Booleans = NDArray[np.bool_]
 Band = tuple[float, float]  # lowest and highest frequency swept, Hz
 
-BLOCKS = 40  # of the fast rows, dealt out to the folds in turn, so that every fold has all frequencies
-LEAST_DAMPING, MOST_DAMPING = 1e-4, 0.98  # rings for 1,600 periods; hardly rings, and is no pair of lags yet
+# of the fast rows, dealt out to the folds in turn, so that every fold has all
+# frequencies
+BLOCKS = 40
+# rings for 1,600 periods; hardly rings, and is no pair of lags yet
+LEAST_DAMPING, MOST_DAMPING = 1e-4, 0.98
 MOST_BESIDE = 0.1
 """Largest damping of resonances where one has an antiresonance. Measured: docs/choices.md."""
-FEW_STEPS, FINALISTS, MOST_STEPS = 6, 2, 40  # of a refinement: of all starts, how many go on, to the end
-SMALL = 1e-5  # of a parameter's logarithm: for derivatives, far above rounding and far below any bend
+# of a refinement: of all starts, how many go on, to the end
+FEW_STEPS, FINALISTS, MOST_STEPS = 6, 2, 40
+# of a parameter's logarithm: for derivatives, far above rounding and far below any bend
+SMALL = 1e-5
 NO_LAG = 2e-3  # of a time step: a lag at the lower end of its range is none
 
 
@@ -79,7 +91,8 @@ class Candidate:
     structure : Structure
         What was fitted.
     parameters : array
-        Logarithms: of frequency (Hz) and damping of each resonance, of the antiresonance's, of the lag (s).
+        Logarithms: of frequency (Hz) and damping of each resonance, of the
+        antiresonance's, of the lag (s).
     lag : float
         Seconds, 0 for none.
     rmse, left_out : float
@@ -131,19 +144,25 @@ class Signals:
         self.measured = log.displacement[rows]
         self.voltage = log.voltage[rows]
         self.block = (np.arange(self.measured.size) * BLOCKS) // self.measured.size
-        self._at = np.linspace(-1.0, 1.0, self.measured.size)  # of the drift, at right angles to an offset
+        # of the drift, at right angles to an offset
+        self._at = np.linspace(-1.0, 1.0, self.measured.size)
         self._at /= np.sqrt(np.einsum("i,i->", self._at, self._at))
         self._steady = self._without_drift(self.measured)
         self._model = model
         before = model.start(float(log.voltage[0]), "auto")
-        self._state = model.simulate(log.voltage[: rows.start], before, time_step=part.time_step).state
+        self._state = model.simulate(
+            log.voltage[: rows.start], before, time_step=part.time_step
+        ).state
         self._lag, self._predicted = (0.0, False), self._after(0.0, False)
         self._late = self._lag, self._predicted
 
     def predicted(self, lag_before: float = 0.0, sampled: bool = False) -> Floats:
         """Return what the slow model predicts, its drive passed through a lag (s) first."""
         if (lag_before, sampled) != self._lag:
-            self._lag, self._predicted = (lag_before, sampled), self._after(lag_before, sampled)
+            self._lag, self._predicted = (
+                (lag_before, sampled),
+                self._after(lag_before, sampled),
+            )
         return self._predicted
 
     def _after(self, lag: float, sampled: bool) -> Floats:
@@ -160,7 +179,9 @@ class Signals:
         """Return what is measured beside a prediction, the best gain, offset and drift fitted."""
         free = self._without_drift(moved)
         power = max(float(np.einsum("i,i->", free, free)), TINY)
-        left: Floats = self._steady - np.einsum("i,i->", self._steady, free) / power * free
+        left: Floats = (
+            self._steady - np.einsum("i,i->", self._steady, free) / power * free
+        )
         return left
 
     def moved(self, parameters: Floats, structure: Structure) -> Floats:
@@ -172,7 +193,10 @@ class Signals:
         else:
             behind = lag.seconds, structure.sampled_lag
             if behind != self._late[0]:  # most steps of a fit change a resonance alone
-                self._late = behind, lagged(self.predicted(), behind[0], self.time_step, behind[1])
+                self._late = (
+                    behind,
+                    lagged(self.predicted(), behind[0], self.time_step, behind[1]),
+                )
             moved = self._late[1]
         if resonances:
             moved, _ = DynamicsStage(tuple(resonances)).run(moved, self.time_step, None)
@@ -183,13 +207,16 @@ class Signals:
         return late_by(held[: moved.size + 1], part)
 
 
-def lagged(x: Floats, seconds: float, time_step: float, sampled: bool = False) -> Floats:
+def lagged(
+    x: Floats, seconds: float, time_step: float, sampled: bool = False
+) -> Floats:
     """Return a signal, straight between samples and at rest before, after an exact first-order lag.
 
     ``sampled``: after the one of the stage.
 
-    The stage's own lag, whose inverse is stable, is right at low frequencies and 1 % off at a quarter of a
-    radian a sample. Fitted with it, a lag of 0.2 ms in a sweep to 1 kHz (20 kHz) came out as 0.195 ms.
+    The stage's own lag, whose inverse is stable, is right at low frequencies and 1 %
+    off at a quarter of a radian a sample. Fitted with it, a lag of 0.2 ms in a sweep to
+    1 kHz (20 kHz) came out as 0.195 ms.
     """
     if seconds <= 0.0:
         return x
@@ -202,7 +229,9 @@ def lagged(x: Floats, seconds: float, time_step: float, sampled: bool = False) -
     return answer
 
 
-def residuals(signals: Sequence[Signals], parameters: Floats, structure: Structure) -> list[Floats]:
+def residuals(
+    signals: Sequence[Signals], parameters: Floats, structure: Structure
+) -> list[Floats]:
     """Return measured minus predicted through the dynamics, gain, offset and drift of each part fitted."""
     return [one.left(one.moved(parameters, structure)) for one in signals]
 
@@ -211,10 +240,16 @@ def sections_of(parameters: Floats, structure: Structure) -> tuple[Section, ...]
     """Return the lag and the resonances of logarithms, lowest first, wherever the lag stands."""
     count = structure.resonances
     values = np.exp(parameters)
-    pairs = sorted((float(values[2 * k]), float(min(values[2 * k + 1], MOST_DAMPING))) for k in range(count))
+    pairs = sorted(
+        (float(values[2 * k]), float(min(values[2 * k + 1], MOST_DAMPING)))
+        for k in range(count)
+    )
     resonances = [Resonance(frequency, damping) for frequency, damping in pairs]
     if structure.antiresonance:
-        at, damping = float(values[2 * count]), float(min(values[2 * count + 1], MOST_DAMPING))
+        at, damping = (
+            float(values[2 * count]),
+            float(min(values[2 * count + 1], MOST_DAMPING)),
+        )
         resonances[-1] = Resonance(*pairs[-1], Antiresonance(at, damping))
     return (Lag(float(values[-1])), *resonances)
 
@@ -230,7 +265,8 @@ def _refined(
 ) -> tuple[Floats, float]:
     """Return the parameters of least error on the blocks to keep, and that error (RMS).
 
-    ``known`` holds the residuals of parameters, which fits of the same structure from one start share.
+    ``known`` holds the residuals of parameters, which fits of the same structure from
+    one start share.
     """
     chosen = [keep[one.block] for one in signals]
 
@@ -239,19 +275,32 @@ def _refined(
         left = known.get(key)
         if left is None:
             left = residuals(signals, parameters, structure)
-            if len(known) <= parameters.size:  # of the start and beside it: other fits begin there, too
+            # of the start and beside it: other fits begin there, too
+            if len(known) <= parameters.size:
                 known[key] = left
-        return np.concatenate([part[rows] for part, rows in zip(left, chosen, strict=True)])
+        return np.concatenate(
+            [part[rows] for part, rows in zip(left, chosen, strict=True)]
+        )
 
-    # Its bound on the gradient is in the displacement's unit: in metres every start would be the end.
+    # Its bound on the gradient is in the displacement's unit: in metres every start
+    # would be the end.
     found = least_squares(
-        error, np.clip(start, *bounds), bounds=bounds, x_scale=0.1, diff_step=SMALL, gtol=None, max_nfev=most
+        error,
+        np.clip(start, *bounds),
+        bounds=bounds,
+        x_scale=0.1,
+        diff_step=SMALL,
+        gtol=None,
+        max_nfev=most,
     )
     return found.x, float(np.sqrt(np.mean(found.fun**2)))
 
 
 def fitted(
-    signals: Sequence[Signals], starts: Sequence[Floats], structure: Structure, band: Band
+    signals: Sequence[Signals],
+    starts: Sequence[Floats],
+    structure: Structure,
+    band: Band,
 ) -> Candidate:
     """Return the best of several refinements, and its error on blocks left out.
 
@@ -275,12 +324,20 @@ def fitted(
 
     @cache
     def from_start(start: tuple[float, ...], most: int) -> tuple[Floats, float]:
-        return _refined(signals, np.array(start), structure, (low, high), every, {}, most)
+        return _refined(
+            signals, np.array(start), structure, (low, high), every, {}, most
+        )
 
     # Within the bounds many a start is another one.
-    tried = [from_start(tuple(np.clip(start, low, high).tolist()), FEW_STEPS) for start in starts]
+    tried = [
+        from_start(tuple(np.clip(start, low, high).tolist()), FEW_STEPS)
+        for start in starts
+    ]
     tried = sorted(tried, key=lambda one: one[1])[:FINALISTS]
-    best, rmse = min((from_start(tuple(b.tolist()), MOST_STEPS) for b, _ in tried), key=lambda one: one[1])
+    best, rmse = min(
+        (from_start(tuple(b.tolist()), MOST_STEPS) for b, _ in tried),
+        key=lambda one: one[1],
+    )
     squares, rows, known = 0.0, 0, dict[bytes, list[Floats]]()
     for fold in range(FOLDS):
         keep = np.arange(BLOCKS) % FOLDS != fold
@@ -295,17 +352,27 @@ def fitted(
     places += list(range(2 * structure.resonances, best.size))
     lag = float(np.exp(best[-1]))
     lag = lag if lag > NO_LAG * step else 0.0
-    return Candidate(structure, best[places], lag, rmse, float(np.sqrt(squares / rows)), spread[places])
+    return Candidate(
+        structure,
+        best[places],
+        lag,
+        rmse,
+        float(np.sqrt(squares / rows)),
+        spread[places],
+    )
 
 
 def _spread(signals: Sequence[Signals], best: Floats, structure: Structure) -> Floats:
     """Return the standard errors of parameters fitted, which hold where what is left over is no noise, too.
 
-    (J'J)^-1 (sum of g g') (J'J)^-1 with g = J'r of each block: what the gears leave over repeats itself
-    within a block, as noise does not (Liang and Zeger, Biometrika 73, 13, 1986).
+    (J'J)^-1 (sum of g g') (J'J)^-1 with g = J'r of each block: what the gears leave
+    over repeats itself within a block, as noise does not (Liang and Zeger, Biometrika
+    73, 13, 1986).
     """
     left = residuals(signals, best, structure)
-    changed = [residuals(signals, best + SMALL * one, structure) for one in np.eye(best.size)]
+    changed = [
+        residuals(signals, best + SMALL * one, structure) for one in np.eye(best.size)
+    ]
     slopes, scatter = np.zeros((2, best.size, best.size))
     for k, one in enumerate(signals):
         along = np.array([(other[k] - left[k]) / SMALL for other in changed])
@@ -314,22 +381,32 @@ def _spread(signals: Sequence[Signals], best: Floats, structure: Structure) -> F
         pulls = np.add.reduceat(along * left[k], begins, axis=1)
         scatter += np.einsum("ib,jb->ij", pulls, pulls)
     inverse = np.linalg.pinv(slopes, hermitian=True)
-    spread: Floats = np.sqrt(np.maximum(np.einsum("ij,jk,ki->i", inverse, scatter, inverse), 0.0))
+    spread: Floats = np.sqrt(
+        np.maximum(np.einsum("ij,jk,ki->i", inverse, scatter, inverse), 0.0)
+    )
     return spread
 
 
-MOST_RESONANCES = 2  # what stages show within a sweep; more are not told apart by one (see SURE)
+# what stages show within a sweep; more are not told apart by one (see SURE)
+MOST_RESONANCES = 2
 SURE, MOST_OF_IT = 200.0, 0.3
 """Or, once one resonance is found, to this: the sum of squares on blocks left out falls by so many times
-the noise's mean square, and by this share of what it is beyond white noise. Measured: docs/choices.md."""
-INSIDE = 1.02  # times the bound at which a fit would like to go on: what it found there is something else
+the noise's mean square, and by this share of what it is beyond white noise. Measured:
+docs/choices.md.
+"""
+# times the bound at which a fit would like to go on: what it found there is something
+# else
+INSIDE = 1.02
 APART = 0.3  # of the logarithms of two resonances, at least
-NEAR = 0.03  # of the logarithms of a resonance and an antiresonance from which a fit begins
+# of the logarithms of a resonance and an antiresonance from which a fit begins
+NEAR = 0.03
 SEEN_DELAY = 0.1
 """Periods of the highest swept frequency: an amplifier's lag of a tenth of one is fitted as a lag."""
-SAME_GAIN = 0.3  # of the logarithm: a resonance of 2 % damping has this at half its frequency
+# of the logarithm: a resonance of 2 % damping has this at half its frequency
+SAME_GAIN = 0.3
 FINEST_DELAY = 0.002  # of itself: a delay of 2 ms to 4 us, 0.4 degrees at 250 Hz
-DAMPINGS = (0.002, 0.02, 0.1, 0.4)  # a refinement starts from each: the error has several minima in it
+# a refinement starts from each: the error has several minima in it
+DAMPINGS = (0.002, 0.02, 0.1, 0.4)
 
 
 def chosen_dynamics(
@@ -362,12 +439,17 @@ def chosen_dynamics(
 
 
 def with_delay(
-    signals: Sequence[Signals], band: Band, asked: int | None, without: Candidate, doubts: list[str]
+    signals: Sequence[Signals],
+    band: Band,
+    asked: int | None,
+    without: Candidate,
+    doubts: list[str],
 ) -> tuple[Candidate, list[str]]:
     """Return dynamics with a pure delay behind them, where the fast rows ask for one, else those without.
 
-    A sensor that is late by half a period of a resonance turns its phase around: without the delay no
-    resonance fits (250 Hz behind 2 ms were not found, and moves at a fifth of it missed by 21 %).
+    A sensor that is late by half a period of a resonance turns its phase around:
+    without the delay no resonance fits (250 Hz behind 2 ms were not found, and moves at
+    a fifth of it missed by 21 %).
     """
     if without.resonances and _white(signals, without):
         return without, doubts
@@ -377,7 +459,8 @@ def with_delay(
     best, more_doubts = chosen_dynamics(signals, band, asked, late)
     tried = {late: best}
     step = 0.25 * late
-    while step > FINEST_DELAY * late:  # the lag took its part of the lateness: look to both sides
+    # the lag took its part of the lateness: look to both sides
+    while step > FINEST_DELAY * late:
         centre = best.structure.delay
         for delay in (centre - step, centre + step):
             if delay > 0.0 and delay not in tried:
@@ -386,7 +469,11 @@ def with_delay(
         nearest = min(tried.values(), key=lambda one: one.left_out)
         step = step if nearest.left_out < best.left_out else 0.5 * step
         best = nearest
-    return (best, more_doubts) if best.left_out <= EARNED * without.left_out else (without, doubts)
+    return (
+        (best, more_doubts)
+        if best.left_out <= EARNED * without.left_out
+        else (without, doubts)
+    )
 
 
 class Spectra(NamedTuple):
@@ -407,7 +494,11 @@ def _spectra(before: Floats, after: Floats, time_step: float, band: Band) -> Spe
     size = min(before.size, max(256, round(8.0 / (band[0] * time_step))))
     frequency, power = welch(before, 1.0 / time_step, nperseg=size)
     both = csd(before, after, 1.0 / time_step, nperseg=size)[1]
-    driven = (frequency >= band[0]) & (frequency <= band[1]) & (power > ENERGY**2 * power.max())
+    driven = (
+        (frequency >= band[0])
+        & (frequency <= band[1])
+        & (power > ENERGY**2 * power.max())
+    )
     return Spectra(frequency, power, both, driven)
 
 
@@ -431,28 +522,40 @@ def one_more(
 ) -> Candidate | None:
     """Return dynamics with a resonance more, or None where it does not earn its place.
 
-    It comes with an antiresonance where that earns its own, as two modes that add up have one. ``always``:
-    whether it is asked for.
+    It comes with an antiresonance where that earns its own, as two modes that add up
+    have one. ``always``: whether it is asked for.
     """
-    structure = dataclasses.replace(best.structure, resonances=len(best.resonances) + 1, antiresonance=False)
+    structure = dataclasses.replace(
+        best.structure, resonances=len(best.resonances) + 1, antiresonance=False
+    )
     starts = _starts(signals, best, band)
     more = fitted(signals, starts, structure, band)
     starts = _notched(starts) if best.resonances else _with_notch(signals, more, band)
-    notched = fitted(signals, starts, dataclasses.replace(structure, antiresonance=True), band)
+    notched = fitted(
+        signals, starts, dataclasses.replace(structure, antiresonance=True), band
+    )
     if _earned(signals, notched, more, band):
         more = notched
     return more if always or _earned(signals, more, best, band) else None
 
 
-def _earned(signals: Sequence[Signals], more: Candidate, best: Candidate, band: Band) -> bool:
+def _earned(
+    signals: Sequence[Signals], more: Candidate, best: Candidate, band: Band
+) -> bool:
     """Return whether the error on blocks left out asks for more, all of it inside the swept band."""
     found = [one.frequency for one in more.resonances]
-    found += [one.antiresonance.frequency for one in more.resonances if one.antiresonance]
+    found += [
+        one.antiresonance.frequency for one in more.resonances if one.antiresonance
+    ]
     if not all(INSIDE * band[0] < one < band[1] for one in found):
         return False
     if any(one.damping < INSIDE * LEAST_DAMPING for one in more.resonances):
         return False
-    pairs = [(one.damping, one.antiresonance.damping) for one in more.resonances if one.antiresonance]
+    pairs = [
+        (one.damping, one.antiresonance.damping)
+        for one in more.resonances
+        if one.antiresonance
+    ]
     if any(max(pair) > MOST_BESIDE / INSIDE for pair in pairs):
         return False
     if more.left_out <= EARNED * best.left_out:
@@ -479,10 +582,16 @@ def _starts(signals: Sequence[Signals], best: Candidate, band: Band) -> list[Flo
     lag = np.log(max(best.lag, 0.02 / band[1]))
     peak = _peak(signals, best, band)
     places = (peak, 0.8 * band[1]) if known else (peak,)  # chosen
-    return [np.array([*before, np.log(at), np.log(z), lag]) for z in DAMPINGS for at in places]
+    return [
+        np.array([*before, np.log(at), np.log(z), lag])
+        for z in DAMPINGS
+        for at in places
+    ]
 
 
-def _with_notch(signals: Sequence[Signals], best: Candidate, band: Band) -> list[Floats]:
+def _with_notch(
+    signals: Sequence[Signals], best: Candidate, band: Band
+) -> list[Floats]:
     """Return where to begin with an antiresonance beside resonances that are found."""
     places = (_peak(signals, best, band), 0.9 * band[1])
     return [np.array([*best.parameters[:-1], np.log(at), np.log(z), best.parameters[-1]])
@@ -492,7 +601,8 @@ def _with_notch(signals: Sequence[Signals], best: Candidate, band: Band) -> list
 def _notched(starts: Sequence[Floats]) -> list[Floats]:
     """Return where to begin with an antiresonance on either side of the last resonance.
 
-    So near to it and so like it that the two undo each other: the fit begins where it was without them.
+    So near to it and so like it that the two undo each other: the fit begins where it
+    was without them.
     """
     return [np.array([*start[:-1], start[-3] + side, start[-2], start[-1]])
             for start in starts for side in (-NEAR, NEAR)]  # fmt: skip
@@ -502,45 +612,75 @@ def _peak(signals: Sequence[Signals], best: Candidate, band: Band) -> float:
     """Return where the measured departs most from the best found (Hz), away from its resonances."""
     one = _longest(signals)
     (left,) = residuals([one], best.parameters, best.structure)
-    seen = _spectra(one.moved(best.parameters, best.structure), left, one.time_step, band)
-    ratio, inside = np.abs(seen.both) / np.maximum(seen.power, 1e-12 * seen.power.max()), seen.driven
+    seen = _spectra(
+        one.moved(best.parameters, best.structure), left, one.time_step, band
+    )
+    ratio, inside = (
+        np.abs(seen.both) / np.maximum(seen.power, 1e-12 * seen.power.max()),
+        seen.driven,
+    )
     for known in best.resonances:
-        inside &= np.abs(np.log(np.maximum(seen.frequency, 1e-9) / known.frequency)) > APART
+        inside &= (
+            np.abs(np.log(np.maximum(seen.frequency, 1e-9) / known.frequency)) > APART
+        )
     if not inside.any():
         return 0.7 * band[1]  # chosen
     return float(seen.frequency[inside][np.argmax(ratio[inside])])
 
 
-ENERGY = 0.003  # of the strongest third of an octave of the drive (amplitude): with less, nothing is known
-TRUSTED = 0.1  # of what was predicted, in a third of an octave: the error up to which a model is trusted
-TRUSTED_PART = 0.7  # of the lowest resonance, the most that is trusted: a change of 5 % there costs a tenth
+# of the strongest third of an octave of the drive (amplitude): with less, nothing is
+# known
+ENERGY = 0.003
+# of what was predicted, in a third of an octave: the error up to which a model is
+# trusted
+TRUSTED = 0.1
+# of the lowest resonance, the most that is trusted: a change of 5 % there costs a tenth
+TRUSTED_PART = 0.7
 MOST_SHOWN = 60  # frequencies of the response that the model keeps, for its figure
 
 
-def response(signals: Sequence[Signals], lowest: float, highest: float) -> dict[str, list[float]]:
+def response(
+    signals: Sequence[Signals], lowest: float, highest: float
+) -> dict[str, list[float]]:
     """Return the measured response to what the gears make of the drive: Hz, gain (1 at rest), degrees."""
     one = _longest(signals)
     before, after = one.predicted(), one.measured
-    frequency, power, both, _ = _spectra(before, after, one.time_step, (lowest, highest))
+    frequency, power, both, _ = _spectra(
+        before, after, one.time_step, (lowest, highest)
+    )
     other = _spectra(after, after, one.time_step, (lowest, highest)).power
     ratio = both / np.maximum(power, 1e-12 * power.max())
-    inside = (frequency >= lowest) & (frequency <= highest) & (np.abs(both) ** 2 > MOST * power * other)
+    inside = (
+        (frequency >= lowest)
+        & (frequency <= highest)
+        & (np.abs(both) ** 2 > MOST * power * other)
+    )
     rows = np.flatnonzero(inside)
     if not rows.size:
         return {"frequency": [], "gain": [], "phase_degrees": []}
     wanted = np.geomspace(frequency[rows[0]], frequency[rows[-1]], MOST_SHOWN)
-    rows = np.unique(rows[np.argmin(np.abs(frequency[rows][None] - wanted[:, None]), axis=1)])
+    rows = np.unique(
+        rows[np.argmin(np.abs(frequency[rows][None] - wanted[:, None]), axis=1)]
+    )
     found = {"frequency": frequency[rows], "gain": np.abs(ratio[rows]),
              "phase_degrees": np.degrees(np.unwrap(np.angle(ratio[rows])))}  # fmt: skip
-    return {key: [float(f"{value:.4g}") for value in values] for key, values in found.items()}
+    return {
+        key: [float(f"{value:.4g}") for value in values]
+        for key, values in found.items()
+    }
 
 
 def interval(value: float, spread: float) -> list[float]:
     """Return both ends of the interval of a parameter, from the standard error of its logarithm."""
-    return [value * float(np.exp(-STUDENT * spread)), value * float(np.exp(STUDENT * spread))]
+    return [
+        value * float(np.exp(-STUDENT * spread)),
+        value * float(np.exp(STUDENT * spread)),
+    ]
 
 
-def trusted(signals: Sequence[Signals], chosen: Candidate, highest: float) -> tuple[float, str]:
+def trusted(
+    signals: Sequence[Signals], chosen: Candidate, highest: float
+) -> tuple[float, str]:
     """Return the frequency (Hz) up to which the model is good, and what ends it."""
     one = _longest(signals)
     moved = one.moved(chosen.parameters, chosen.structure)
@@ -548,24 +688,34 @@ def trusted(signals: Sequence[Signals], chosen: Candidate, highest: float) -> tu
     size = min(moved.size, 8192)
     frequency, power = welch(moved, 1.0 / one.time_step, nperseg=size)
     off = welch(left, 1.0 / one.time_step, nperseg=size)[1]
-    band = np.floor(3.0 * np.log2(np.maximum(frequency[1:] / frequency[1], 1.0))).astype(int)
+    band = np.floor(
+        3.0 * np.log2(np.maximum(frequency[1:] / frequency[1], 1.0))
+    ).astype(int)
     energy = np.sqrt(np.bincount(band, power[1:]))
     error = np.sqrt(np.bincount(band, off[1:]))
     tops = frequency[1] * 2.0 ** ((np.arange(energy.size) + 1) / 3.0)
     ceiling = TRUSTED_PART * chosen.resonances[0].frequency
     trusted = float(frequency[1])
-    for top, has, wrong in zip(tops.tolist(), energy.tolist(), error.tolist(), strict=True):
+    for top, has, wrong in zip(
+        tops.tolist(), energy.tolist(), error.tolist(), strict=True
+    ):
         if has <= ENERGY * float(energy.max()):
             if top < highest / 50.0:
                 continue
-            return min(trusted, ceiling), "beyond, the sweep was too small" if trusted < ceiling else ""
+            return min(
+                trusted, ceiling
+            ), "beyond, the sweep was too small" if trusted < ceiling else ""
         if wrong > TRUSTED * has and top > 0.02 * highest:
-            return min(trusted, ceiling), "beyond, the error grows" if trusted < ceiling else ""
+            return min(
+                trusted, ceiling
+            ), "beyond, the error grows" if trusted < ceiling else ""
         trusted = top
     return min(trusted, ceiling, highest), ""
 
 
-def said(figures: dict[str, object], chosen: Candidate, trusted: float, why: str, unit: str) -> list[str]:
+def said(
+    figures: dict[str, object], chosen: Candidate, trusted: float, why: str, unit: str
+) -> list[str]:
     """Return the lines about the dynamics."""
     parts = []
     for k, one in enumerate(chosen.resonances):
@@ -575,14 +725,20 @@ def said(figures: dict[str, object], chosen: Candidate, trusted: float, why: str
             f"resonance at {one.frequency:.5g} Hz ({frequency}), damping {one.damping:.3g} ({damping})"
         )
         if one.antiresonance:
-            parts[-1] += f" with an antiresonance at {one.antiresonance.frequency:.5g} Hz"
+            parts[-1] += (
+                f" with an antiresonance at {one.antiresonance.frequency:.5g} Hz"
+            )
     place = "before" if chosen.structure.lag_before else "behind"
-    lag = f", lag {1e3 * chosen.lag:.3g} ms {place} the gears" if chosen.lag > 0.0 else ""
+    lag = (
+        f", lag {1e3 * chosen.lag:.3g} ms {place} the gears" if chosen.lag > 0.0 else ""
+    )
     if chosen.structure.delay:
         lag += f", delay {1e3 * chosen.structure.delay:.4g} ms behind all"
     crept = figures.get("creep", [])
     assert isinstance(crept, list)
-    told = ", ".join(f"{100.0 * one['share']:.2g} % with {one['seconds']:.3g} s" for one in crept)
+    told = ", ".join(
+        f"{100.0 * one['share']:.2g} % with {one['seconds']:.3g} s" for one in crept
+    )
     return [
         *([f"creep of the displacement, behind the gears: {told}"] if told else []),
         f"dynamics: {'; '.join(parts)}{lag}; fast rows RMSE {chosen.rmse:.3g}{unit}, on blocks left out "

@@ -29,7 +29,9 @@ from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import StartName
 
 TINY = float(np.finfo(float).tiny)  # in place of a divisor of 0
-WHOSE_LAG = "compensated too (`sensor_delay`, `sensor_lag`: take off what is the sensor's)"
+WHOSE_LAG = (
+    "compensated too (`sensor_delay`, `sensor_lag`: take off what is the sensor's)"
+)
 """What becomes of a lag: a log cannot tell whether the actuator or its sensor is late."""
 
 
@@ -37,9 +39,10 @@ WHOSE_LAG = "compensated too (`sensor_delay`, `sensor_lag`: take off what is the
 class Residual:
     """What a model leaves over on one log.
 
-    ``values`` measured minus predicted displacement, offset and drift taken off, for the rows used only;
-    ``rows`` their indices; ``drift_span`` the drift's peak to peak; ``mean_predicted`` of them. All are in
-    the unit of the displacement. ``weights`` are the roots of the rows' weights, None where all count alike.
+    ``values`` measured minus predicted displacement, offset and drift taken off, for
+    the rows used only; ``rows`` their indices; ``drift_span`` the drift's peak to peak;
+    ``mean_predicted`` of them. All are in the unit of the displacement. ``weights`` are
+    the roots of the rows' weights, None where all count alike.
     """
 
     name: str
@@ -60,12 +63,18 @@ class Residual:
         return float(np.sqrt(np.mean(self.weighted**2)))
 
 
-def predict(model: ActuatorModel, recording: Recording, start: StartName = "auto") -> Floats:
+def predict(
+    model: ActuatorModel, recording: Recording, start: StartName = "auto"
+) -> Floats:
     """Displacement that the model predicts for a recording's voltage, from a named start state."""
     seconds = recording.seconds()
     voltage = recording.voltage
     state = model.start(float(voltage[0]), start)
-    steps = None if seconds is None else np.maximum(np.diff(seconds, prepend=seconds[0]), 0.0)
+    steps = (
+        None
+        if seconds is None
+        else np.maximum(np.diff(seconds, prepend=seconds[0]), 0.0)
+    )
     predicted = np.empty(len(voltage))
     for first in range(0, len(voltage), BLOCK_ROWS):
         part = slice(first, min(first + BLOCK_ROWS, len(voltage)))
@@ -75,13 +84,17 @@ def predict(model: ActuatorModel, recording: Recording, start: StartName = "auto
     return predicted
 
 
-def residual_of(model: ActuatorModel, recording: Recording, log: PreparedLog) -> Residual:
+def residual_of(
+    model: ActuatorModel, recording: Recording, log: PreparedLog
+) -> Residual:
     """Residual on a log that took part in the fit: its start state, its rows, its drift terms."""
     rows = np.flatnonzero(log.used)
     predicted = predict(model, recording, log.start)[rows]
     left = recording.displacement[rows] - predicted
     columns, weights = log.drift[rows], log.weights_at(rows)
-    terms = np.linalg.lstsq(weighted(columns, weights), weighted(left, weights), rcond=None)[0]
+    terms = np.linalg.lstsq(
+        weighted(columns, weights), weighted(left, weights), rcond=None
+    )[0]
     drifting = slice(1, columns.shape[1] - log.stretches)
     drift = columns[:, drifting] @ terms[drifting]
     span = float(np.ptp(drift)) if drift.size else 0.0
@@ -92,19 +105,25 @@ def residual_of(model: ActuatorModel, recording: Recording, log: PreparedLog) ->
 def known_rows(recording: Recording, skip_seconds: float) -> NDArray[np.bool_]:
     """Return the rows of a log that can be judged; shape (samples,).
 
-    Rows before ``skip_seconds``, and those before the drive has been at both ends of its range where that
-    leaves most of the log, are left out: the history before the first sample is not known. So is that behind
-    gaps (``known_behind_gaps``).
+    Rows before ``skip_seconds``, and those before the drive has been at both ends of
+    its range where that leaves most of the log, are left out: the history before the
+    first sample is not known. So is that behind gaps (``known_behind_gaps``).
     """
     seconds = recording.seconds()
-    keep = np.ones(len(recording.voltage), bool) if seconds is None else seconds >= skip_seconds
+    keep = (
+        np.ones(len(recording.voltage), bool)
+        if seconds is None
+        else seconds >= skip_seconds
+    )
     wiped = first_wiped_row(recording.voltage)
     if wiped <= KNOWN_PAST * len(keep):
         keep[:wiped] = False
     return known_behind_gaps(recording, keep)
 
 
-def validation_of(model: ActuatorModel, recording: Recording, skip_seconds: float) -> Residual:
+def validation_of(
+    model: ActuatorModel, recording: Recording, skip_seconds: float
+) -> Residual:
     """Residual on a recording that took no part in the fit: only the sensor's offset is taken off.
 
     Raises
@@ -128,7 +147,9 @@ def pooled(values: Sequence[float], residuals: Sequence[Residual]) -> float:
     return float(np.sqrt(weights @ np.square(values) / weights.sum()))
 
 
-def validated(checks: Sequence[Residual], span: float, unit: str) -> tuple[dict[str, object], list[str]]:
+def validated(
+    checks: Sequence[Residual], span: float, unit: str
+) -> tuple[dict[str, object], list[str]]:
     """Return what the model file says of logs that took no part in the fit, and lines for the terminal."""
     if not checks:
         return {}, []
@@ -136,7 +157,10 @@ def validated(checks: Sequence[Residual], span: float, unit: str) -> tuple[dict[
     figures: dict[str, object] = {
         "validation_rmse": rmse,
         "validation_percent": 100.0 * rmse / span,
-        "validation": [{"name": one.name, "samples": len(one.values), "rmse": one.rmse} for one in checks],
+        "validation": [
+            {"name": one.name, "samples": len(one.values), "rmse": one.rmse}
+            for one in checks
+        ],
     }
     return figures, [
         f"{one.name}: predicts it to {one.rmse:.4g}{unit} RMSE ({100.0 * one.rmse / span:.2f} % of the "
@@ -145,23 +169,25 @@ def validated(checks: Sequence[Residual], span: float, unit: str) -> tuple[dict[
     ]
 
 
-FOLDS = 5  # of fast rows, or of a short log beside a prior; chosen, the next line follows from it
+# of fast rows, or of a short log beside a prior; chosen, the next line follows from it
+FOLDS = 5
 STUDENT = 2.776
 """Standard errors on either side of a frequency or damping: Student's t of as many folds, 95 %. Measured:
-docs/choices.md."""
+docs/choices.md.
+"""
 WHITE = 4.0
 """Standard deviations up to which what is left over is noise alone.
 
-That of n samples of white noise, of the ratio of their mean square to the one by their second differences, is
-(2/n)^1/2.
+That of n samples of white noise, of the ratio of their mean square to the one by their
+second differences, is (2/n)^1/2.
 """
 
 
 def with_its_error(value: float, error: float, sign: bool = False) -> tuple[str, str]:
     """Return a value and the half width of its interval as texts, to the same place.
 
-    The error has two digits and is rounded up, so that what is printed holds what the interval holds, the
-    rounding of the value included.
+    The error has two digits and is rounded up, so that what is printed holds what the
+    interval holds, the rounding of the value included.
     """
     form = "+" if sign else ""
     if not 0.0 < error < math.inf:
@@ -194,7 +220,11 @@ def _rounded_down(value: float, digits: int) -> float:
 def white_noise(left: Sequence[Floats]) -> float:
     """Return the mean square of what is white in what is left over, by its second differences."""
     noise = [np.diff(part, 2) for part in left]
-    return sum(float(part @ part) for part in noise) / sum(part.size for part in noise) / 6.0
+    return (
+        sum(float(part @ part) for part in noise)
+        / sum(part.size for part in noise)
+        / 6.0
+    )
 
 
 def most_noise(noise: float, rows: int) -> float:
@@ -212,9 +242,11 @@ def beyond_noise(left: Sequence[Floats]) -> float:
 def straight_line(recording: Recording, log: PreparedLog) -> float:
     """RMSE of the best straight line from voltage to displacement, offset and drift fitted beside it."""
     rows = log.used
-    # About their means: an offset of a million ranges would leave the voltage no digits beside the constant.
+    # About their means: an offset of a million ranges would leave the voltage no digits
+    # beside the constant.
     voltage, target = (
-        signal[rows] - signal[rows].mean() for signal in (recording.voltage, recording.displacement)
+        signal[rows] - signal[rows].mean()
+        for signal in (recording.voltage, recording.displacement)
     )
     weights = log.weights_at(rows)
     columns = weighted(np.column_stack((voltage, log.drift[rows])), weights)
@@ -232,7 +264,9 @@ def loop_width_percent(model: ActuatorModel) -> float:
     walk = np.concatenate((up, up[::-1]))
     still = model.without(model.delay)
     slow = still.simulate(
-        walk, still.start(float(up[0]), "empty"), time_step=1e9 if still.needs_time else None
+        walk,
+        still.start(float(up[0]), "empty"),
+        time_step=1e9 if still.needs_time else None,
     )
     rising, falling = slow.y[: len(up)], slow.y[: len(up) - 1 : -1]
     return 100.0 * float(np.abs(falling - rising).max()) / float(np.ptp(slow.y))
@@ -243,23 +277,33 @@ SPEED_CORRELATION = 0.35
 """Of residual and speed, from which the error is said to depend on the speed. Measured: docs/choices.md."""
 
 SATURATION = 0.15  # slope at an end, relative to the median slope
-GAINS_APART = 1.01  # greatest over least gain of logs: a piezo's own scatter between runs is below a percent
+# greatest over least gain of logs: a piezo's own scatter between runs is below a
+# percent
+GAINS_APART = 1.01
 SLEWED = 4.0
 """Times as many rows near the greatest speed as the model has: something holds the speed at a limit.
-Measured: docs/choices.md."""
-FEWEST_SWINGS = 4  # twice up and down: of fewer the error that came was up to ten times the one expected
+Measured: docs/choices.md.
+"""
+# twice up and down: of fewer the error that came was up to ten times the one expected
+FEWEST_SWINGS = 4
 FEWEST_LEVELS = 20
 """Hundredths of the range that a drive visits; one that moves visits them all. Measured: docs/choices.md."""
 CLOCKWISE = 1.3  # growing slopes fit so much worse than falling ones
 
 
-def log_warnings(recordings: Sequence[Recording], shapes: Sequence[DriveShape]) -> list[str]:
+def log_warnings(
+    recordings: Sequence[Recording], shapes: Sequence[DriveShape]
+) -> list[str]:
     """Warnings about the recordings themselves."""
     warnings = []
     for log in recordings:
         moving = np.abs(np.diff(log.voltage)) > 0.0
         held = (np.diff(log.displacement) == 0.0) & moving
-        if moving.any() and held.sum() > MOST * moving.sum() and not _stepped(log.displacement):
+        if (
+            moving.any()
+            and held.sum() > MOST * moving.sum()
+            and not _stepped(log.displacement)
+        ):
             warnings.append(
                 f"{log.name}: {100.0 * held.sum() / moving.sum():.0f} % of the displacements repeat the one "
                 "before while the drive moves: the sensor is slower than the log (sample-and-hold); log at "
@@ -285,8 +329,14 @@ def log_warnings(recordings: Sequence[Recording], shapes: Sequence[DriveShape]) 
             "less than two whole cycles: nothing could be left out to test the model on; record at least "
             "three"
         )
-    low, span = min(log.voltage.min() for log in recordings), max(np.ptp(log.voltage) for log in recordings)
-    places = [np.bincount((100.0 * (log.voltage - low) / span + 0.5).astype(np.int64)) for log in recordings]
+    low, span = (
+        min(log.voltage.min() for log in recordings),
+        max(np.ptp(log.voltage) for log in recordings),
+    )
+    places = [
+        np.bincount((100.0 * (log.voltage - low) / span + 0.5).astype(np.int64))
+        for log in recordings
+    ]
     levels = max(int(np.count_nonzero(counts)) for counts in places)
     if levels < FEWEST_LEVELS:
         warnings.append(
@@ -303,7 +353,9 @@ def _stepped(displacement: Floats) -> bool:
     return len(steps) == 0 or float(np.median(steps)) < 1.5 * float(steps.min())
 
 
-def rated_warnings(lowest: float, highest: float, rated: tuple[float | str, float | str] | None) -> list[str]:
+def rated_warnings(
+    lowest: float, highest: float, rated: tuple[float | str, float | str] | None
+) -> list[str]:
     """Warn where the logs cover less or more than the drive's rated range (both in the voltage's unit)."""
     if rated is None:
         return []
@@ -339,16 +391,23 @@ def swapped_warnings(recordings: Sequence[Recording], clockwise: float) -> list[
 
 def _roughness(signal: Floats) -> float:
     """Return the median of the sixth differences, to which a smooth signal adds little, over the range."""
-    return float(np.median(np.abs(np.diff(signal, 6)))) / max(float(np.ptp(signal)), TINY)
+    return float(np.median(np.abs(np.diff(signal, 6)))) / max(
+        float(np.ptp(signal)), TINY
+    )
 
 
 def fit_notes(
-    unit: str | None, prepared: Prepared, clockwise: float, trend: float | None, forgets: bool = False
+    unit: str | None,
+    prepared: Prepared,
+    clockwise: float,
+    trend: float | None,
+    forgets: bool = False,
 ) -> list[str]:
     """Return what is good to know of the logs and is in the figure: none of it tells moves that err by more.
 
-    Of 528 moves of 11 kinds of plants (benchmarks/foreign_plants.py), 63 % within 1.5 times what was stated,
-    these were said of 132 within and 55 beyond twice, most of them after one amplitude, which now widens it.
+    Of 528 moves of 11 kinds of plants (benchmarks/foreign_plants.py), 63 % within 1.5
+    times what was stated, these were said of 132 within and 55 beyond twice, most of
+    them after one amplitude, which now widens it.
     """
     notes = []
     if prepared.one_amplitude:
@@ -366,7 +425,9 @@ def fit_notes(
                 "goes in such steps; where it is read more slowly than the displacement, log both at one rate"
             )
     if prepared.doubtful_drift:
-        size = f"{prepared.doubtful_drift * abs(prepared.scale):.2g} {unit or ''}".rstrip()
+        size = (
+            f"{prepared.doubtful_drift * abs(prepared.scale):.2g} {unit or ''}".rstrip()
+        )
         notes.append(
             f"the logs' slow part may be sensor drift or creep: a drift of {size} explains them as well, and "
             "creep was taken; where the sensor had just been switched on, record again with it warm"
@@ -400,7 +461,9 @@ def fit_warnings(
     warnings = []
     span = abs(prepared.scale)
     rows = sum(len(one.values) for one in residuals)
-    rmse = float(np.sqrt(sum(float(one.weighted @ one.weighted) for one in residuals) / rows))
+    rmse = float(
+        np.sqrt(sum(float(one.weighted @ one.weighted) for one in residuals) / rows)
+    )
     if rows < ROWS_PER_SLOPE * choice.basis.gears:
         warnings.append(
             f"{rows} rows for {choice.basis.gears} unknown slopes are fewer than the {ROWS_PER_SLOPE} for "
@@ -424,12 +487,15 @@ def fit_warnings(
     return warnings
 
 
-def _gain_warnings(recordings: Sequence[Recording], residuals: Sequence[Residual]) -> list[str]:
+def _gain_warnings(
+    recordings: Sequence[Recording], residuals: Sequence[Residual]
+) -> list[str]:
     """Warn of a gain that differs between logs where that makes most of the error.
 
-    On 11 kinds of plants (benchmarks/foreign_plants.py) a gain that warms up by 3 % left 0.10 to 0.44 of the
-    squared error after five kinds of logs and 0.2 beyond noise after the sixth, creep over five decades 0.4
-    twice (0.3 % of gain), everything else 0.8 and more.
+    On 11 kinds of plants (benchmarks/foreign_plants.py) a gain that warms up by 3 %
+    left 0.10 to 0.44 of the squared error after five kinds of logs and 0.2 beyond noise
+    after the sixth, creep over five decades 0.4 twice (0.3 % of gain), everything else
+    0.8 and more.
     """
     gains, before, own = [], 0.0, 0.0
     for log, residual in zip(recordings, residuals, strict=True):
@@ -442,14 +508,18 @@ def _gain_warnings(recordings: Sequence[Recording], residuals: Sequence[Residual
         own += float(np.sum((left - more * predicted) ** 2))
     if max(gains) < GAINS_APART * min(gains) or own > MOST * before:
         return []
-    each = ", ".join(f"{log.name} {gain:.3f}" for log, gain in zip(recordings, gains, strict=True))
+    each = ", ".join(
+        f"{log.name} {gain:.3f}" for log, gain in zip(recordings, gains, strict=True)
+    )
     return [
         f"the logs' gains differ (over the model's: {each}), and this makes most of the error: different "
         "actuators, loads or temperatures? identify each by itself (`output` 'models/{file}.json' does)"
     ]
 
 
-def _slew_warnings(recordings: Sequence[Recording], residuals: Sequence[Residual]) -> list[str]:
+def _slew_warnings(
+    recordings: Sequence[Recording], residuals: Sequence[Residual]
+) -> list[str]:
     """Warn where the displacement keeps to a greatest speed that the model does not know."""
     warnings = []
     for log, residual in zip(recordings, residuals, strict=True):
@@ -472,12 +542,17 @@ def _slew_warnings(recordings: Sequence[Recording], residuals: Sequence[Residual
 
 SCATTER = 0.25
 """Of the displacement's variance, what a curve that turns may leave at one place and direction of the drive;
-chosen (butterflies leave 0.02, amplifiers that slew 0.3, a log of another drive 0.7)."""
+chosen (butterflies leave 0.02, amplifiers that slew 0.3, a log of another drive 0.7).
+"""
 
 
 def _near_greatest(steps: Floats) -> float:
     """Return the share of steps within a tenth of the greatest, the largest 0.5 % aside."""
-    return float(np.mean(steps > 0.9 * np.percentile(steps, 99.5))) if len(steps) >= FEWEST_ROWS else 0.0
+    return (
+        float(np.mean(steps > 0.9 * np.percentile(steps, 99.5)))
+        if len(steps) >= FEWEST_ROWS
+        else 0.0
+    )
 
 
 def _shape_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list[str]:
@@ -486,13 +561,19 @@ def _shape_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list
     for log, ready in zip(recordings, prepared.logs, strict=True):
         voltage = (log.voltage - prepared.low) / prepared.span
         moved = np.diff(voltage, prepend=voltage[0])
-        down = moved[np.maximum.accumulate(np.where(moved != 0.0, np.arange(len(moved)), 0))] < 0.0
+        down = (
+            moved[
+                np.maximum.accumulate(np.where(moved != 0.0, np.arange(len(moved)), 0))
+            ]
+            < 0.0
+        )
         place = np.clip((voltage * 20).astype(np.int64), 0, 19) + 20 * down
         counts, sums = (
             np.bincount(place[ready.used], weights, minlength=40).reshape(2, 20)
             for weights in (None, log.displacement[ready.used])
         )
-        full = (counts > 0).all(axis=0)  # a level driven to one way alone would be half a loop
+        # a level driven to one way alone would be half a loop
+        full = (counts > 0).all(axis=0)
         mean = (sums[:, full] / counts[:, full]).mean(axis=0)
         climbs = np.diff(mean) * np.sign(prepared.scale)
         if len(climbs) < 8:
@@ -505,9 +586,9 @@ def _shape_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list
                 "turning direction of motion): no invertible model follows that; stay on one side of the "
                 "turn"
             )
-        elif not turns and min(float(climbs[1:3].mean()), float(climbs[-3:-1].mean())) < SATURATION * float(
-            np.median(climbs)
-        ):
+        elif not turns and min(
+            float(climbs[1:3].mean()), float(climbs[-3:-1].mean())
+        ) < SATURATION * float(np.median(climbs)):
             warnings.append(
                 f"{log.name}: the displacement hardly moves at an end of the drive's range (saturation, or "
                 "an end stop): the inverse asks for large voltages there; keep trajectories away from it"
@@ -522,12 +603,18 @@ def _follows(displacement: Floats, place: NDArray[np.int64]) -> bool:
     return bool(np.var(displacement - mean[place]) < SCATTER * np.var(displacement))
 
 
-def _speed_correlation(recordings: Sequence[Recording], residuals: Sequence[Residual]) -> float:
+def _speed_correlation(
+    recordings: Sequence[Recording], residuals: Sequence[Residual]
+) -> float:
     """Correlation of the residual with the drive's speed, over all logs."""
     left, speed = [], []
     for log, residual in zip(recordings, residuals, strict=True):
         seconds = log.seconds()
-        steps = np.gradient(log.voltage) if seconds is None else _speed(log.voltage, seconds)
+        steps = (
+            np.gradient(log.voltage)
+            if seconds is None
+            else _speed(log.voltage, seconds)
+        )
         left.append(residual.values - residual.values.mean())
         speed.append(steps[residual.rows] - steps[residual.rows].mean())
     a, b = np.concatenate(left), np.concatenate(speed)

@@ -1,10 +1,11 @@
 """What to expect of a model on new moves inside the range: the figure that a user relies on.
 
-Two things are added as squares. What the logs themselves can tell: the error on amplitudes, levels and speeds
-left out of the fit in turn. And what they cannot tell: other models, with other slopes, another lag, memory
-or bend, may explain the logs as well and yet predict other things. They are kept with the model and played
-over every move (``hysteresis/move_error.py``); the figure without a move is that of invented ones: random
-nested turns over the whole range, at the speeds of the logs.
+Two things are added as squares. What the logs themselves can tell: the error on
+amplitudes, levels and speeds left out of the fit in turn. And what they cannot tell:
+other models, with other slopes, another lag, memory or bend, may explain the logs as
+well and yet predict other things. They are kept with the model and played over every
+move (``hysteresis/move_error.py``); the figure without a move is that of invented ones:
+random nested turns over the whole range, at the speeds of the logs.
 """
 
 from __future__ import annotations
@@ -31,7 +32,12 @@ from dbo_cli.hysteresis.identification.normal_equations import (
 )
 from dbo_cli.hysteresis.identification.output_error import corners
 from dbo_cli.hysteresis.identification.preparation import Prepared, level_moves
-from dbo_cli.hysteresis.identification.recordings import FEWEST_ROWS, MOST, Floats, Recording
+from dbo_cli.hysteresis.identification.recordings import (
+    FEWEST_ROWS,
+    MOST,
+    Floats,
+    Recording,
+)
 from dbo_cli.hysteresis.identification.refinement import Fitted, stages_of
 from dbo_cli.hysteresis.identification.search import BEND_STEP, Choice, sample_period
 from dbo_cli.hysteresis.identification.statistics import (
@@ -67,26 +73,30 @@ LIKELIHOOD_WIDTH = 0.1
 """A model whose RMSE is this share above the chosen one's counts exp(-1). Measured: docs/choices.md."""
 
 MOVES = 26  # swings of the invented drive; what another drive changes stands below
-MOVE_ROWS = 3000  # of them all; 1,500 and 6,000 led to 0.997 to 1.003 of the stated errors of ten logs
+# of them all; 1,500 and 6,000 led to 0.997 to 1.003 of the stated errors of ten logs
+MOVE_ROWS = 3000
 MOVE_SEED = 20180701  # any number: with 1, 2 and 3 they were 0.81 to 1.01 of these
 
 
 FORGETTING_EXPLAINS = 0.8
 """Memories that fade with the way gone must leave at most this share of the squared error beyond noise.
-Measured: docs/choices.md."""
+Measured: docs/choices.md.
+"""
 
 
 @dataclass(frozen=True)
 class Expectation:
     """The expected error of the invented moves and its parts, in the displacement's unit.
 
-    ``known`` is the error on what was left out of the fit; ``fitted`` the equation error that was fitted, in
-    the normalised output; ``alternatives`` the models that explain the logs as well, and ``figure`` the
-    error stated for the invented moves; ``seen`` some of the logs' swings, ``swings`` their number;
-    ``left_out`` names what was left out; ``gain_trend`` by how much the gain changes along a log where that
-    makes most of the error; ``line`` what a straight line leaves of what was left out, RMS, and
-    ``zero_drift`` by how much the zero moved along a log, both in the displacement's unit; ``one_level``
-    whether the mean of the drive stays where it is, from cycle to cycle.
+    ``known`` is the error on what was left out of the fit; ``fitted`` the equation
+    error that was fitted, in the normalised output; ``alternatives`` the models that
+    explain the logs as well, and ``figure`` the error stated for the invented moves;
+    ``seen`` some of the logs' swings, ``swings`` their number; ``left_out`` names what
+    was left out; ``gain_trend`` by how much the gain changes along a log where that
+    makes most of the error; ``line`` what a straight line leaves of what was left out,
+    RMS, and ``zero_drift`` by how much the zero moved along a log, both in the
+    displacement's unit; ``one_level`` whether the mean of the drive stays where it is,
+    from cycle to cycle.
     """
 
     known: float
@@ -123,7 +133,9 @@ class Expectation:
 
     def swing_values(self) -> list[list[float]]:
         """Return the logs' swings for the model file: from which voltage to which."""
-        return [[float(f"{volt:.4g}") for volt in swing] for swing in self.seen.tolist()]
+        return [
+            [float(f"{volt:.4g}") for volt in swing] for swing in self.seen.tolist()
+        ]
 
     def zero_words(self, unit: str) -> str:
         """Say under which condition the zero is as stated; ``unit`` follows a number."""
@@ -141,7 +153,9 @@ class Expectation:
         spread = "how far other models that explain the logs as well go apart (more for swings unlike theirs)"
         if not self.left_out:
             return f"whole cycles left out of the fit (nothing else could be), and {spread}"
-        return f"{' and '.join(self.left_out)} left out of the fit in turn, and {spread}"
+        return (
+            f"{' and '.join(self.left_out)} left out of the fit in turn, and {spread}"
+        )
 
 
 def expect(
@@ -159,39 +173,58 @@ def expect(
     prepared : the logs as they were fitted
     choice : what the search settled on
     model : what was made of it
-    delivered : RMSE of the model's output on its own logs; the equation error, which counts on the wrong side
+    delivered : RMSE of the model's output on its own logs; the equation error, which
+        counts on the wrong side
         of the asymmetry, is brought over by the ratio of the two
     noise : the share of its mean square that is white
     zero_drift : by how much the zero moved along a log
     """
     some = fewer_rows(prepared.logs)
-    own, square = gather(some, choice.basis, choice.structure.segments).solved(choice.structure)
+    own, square = gather(some, choice.basis, choice.structure.segments).solved(
+        choice.structure
+    )
     fitted = max(float(np.sqrt(square)), 1e-12)
     cycles = max(choice.score.rmse, fitted)
     held_out, left_out = groups_left_out(some, choice.basis, choice.structure, cycles)
     known = delivered * held_out / fitted
     trend = _gain_trend(some, choice, own, noise * fitted**2)
-    swings = np.vstack([swings_between_turns(log.voltage, choice.basis.span)[1] for log in some])
+    swings = np.vstack(
+        [swings_between_turns(log.voltage, choice.basis.span)[1] for log in some]
+    )
     seen = thinned(swings, choice.basis.span)
     moves = _invented_moves(some, choice.basis)
-    own_moves, kept, apart = _alternatives(prepared, some, choice, model, moves, fitted, noise * fitted**2)
+    own_moves, kept, apart = _alternatives(
+        prepared, some, choice, model, moves, fitted, noise * fitted**2
+    )
     distance = unlike(moves[0], seen, choice.basis.span, len(moves[0]) - len(own_moves))
     drifted = changed_gain(own_moves, trend)
     line = abs(prepared.scale) * line_left_out(some, choice.basis)
     lasted = 0.0 if some[0].seconds is None else float(moves[1][-1] - moves[1][0])
     shapes = zip(prepared.shapes, prepared.logs, strict=True)
     one_level = not any(level_moves(shape, log.voltage) for shape, log in shapes)
-    figure = capped(stated(known, distance, apart, drifted, zero_drift.during(lasted)), line)
+    figure = capped(
+        stated(known, distance, apart, drifted, zero_drift.during(lasted)), line
+    )
     return Expectation(
-        known, fitted, figure, kept, seen, left_out, len(swings), trend, line, zero_drift, one_level
+        known,
+        fitted,
+        figure,
+        kept,
+        seen,
+        left_out,
+        len(swings),
+        trend,
+        line,
+        zero_drift,
+        one_level,
     )
 
 
 def line_left_out(logs: Sequence[PreparedLog], basis: Basis) -> float:
     """Return what a straight line leaves of groups of swings left out of its fit, RMS, the worst grouping.
 
-    It is in units of the normalised output; offset and drift are fitted beside it. Where nothing can be left
-    out it is that of all rows.
+    It is in units of the normalised output; offset and drift are fitted beside it.
+    Where nothing can be left out it is that of all rows.
     """
     voltage = [(log.voltage - basis.low) / basis.span for log in logs]
     everywhere = [log.used for log in logs]
@@ -202,7 +235,10 @@ def line_left_out(logs: Sequence[PreparedLog], basis: Basis) -> float:
             mine = [log.fold == group for log in grouped]
             rest = [log.used & (log.fold != group) for log in grouped]
             count = sum(int(some.sum()) for some in mine)
-            if count < FEWEST_ROWS or sum(int(some.sum()) for some in rest) < FEWEST_ROWS:
+            if (
+                count < FEWEST_ROWS
+                or sum(int(some.sum()) for some in rest) < FEWEST_ROWS
+            ):
                 continue
             squares += count * _line_error(grouped, voltage, rest, mine) ** 2
             rows += count
@@ -218,8 +254,13 @@ def _line_error(
     judged: Sequence[NDArray[np.bool_]],
 ) -> float:
     """Return what the slope of some rows leaves of others, RMS, each log's offset and drift taken off."""
-    free = [_free_of_drift(log, x, rows) for log, x, rows in zip(logs, voltage, fitted, strict=True)]
-    slope = sum(float(x @ y) for x, y in free) / max(sum(float(x @ x) for x, _ in free), TINY)
+    free = [
+        _free_of_drift(log, x, rows)
+        for log, x, rows in zip(logs, voltage, fitted, strict=True)
+    ]
+    slope = sum(float(x @ y) for x, y in free) / max(
+        sum(float(x @ x) for x, _ in free), TINY
+    )
     squares, count = 0.0, 0
     for log, x, rows in zip(logs, voltage, judged, strict=True):
         if rows.any():
@@ -230,7 +271,9 @@ def _line_error(
     return float(np.sqrt(squares / count))
 
 
-def _free_of_drift(log: PreparedLog, voltage: Floats, rows: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+def _free_of_drift(
+    log: PreparedLog, voltage: Floats, rows: NDArray[np.bool_]
+) -> tuple[Floats, Floats]:
     """Return voltage and output of some rows of a log without the offset and drift of those rows."""
     if not rows.any():
         return np.zeros(0), np.zeros(0)
@@ -241,27 +284,40 @@ def _free_of_drift(log: PreparedLog, voltage: Floats, rows: NDArray[np.bool_]) -
     return left[:, 0], left[:, 1]
 
 
-def _gain_trend(logs: Sequence[PreparedLog], choice: Choice, own: Solution, floor: float) -> float | None:
+def _gain_trend(
+    logs: Sequence[PreparedLog], choice: Choice, own: Solution, floor: float
+) -> float | None:
     """Return by how much the gain changes along a log, where that explains most of the error beyond noise.
 
-    A part of the output that grows along the log goes through the slope of the asymmetry's inverse as a
-    change of the output does. So does a zero that moves, which is no change of the gain: what that explains
-    does not count.
-    ``floor`` is the mean square that is noise.
+    A part of the output that grows along the log goes through the slope of the
+    asymmetry's inverse as a change of the output does. So does a zero that moves, which
+    is no change of the gain: what that explains does not count. ``floor`` is the mean
+    square that is noise.
     """
-    steepness = np.diff(corners(own.knots, choice.structure.segments)) * choice.structure.segments
+    steepness = (
+        np.diff(corners(own.knots, choice.structure.segments))
+        * choice.structure.segments
+    )
     moving, changing = [], []
     for log in logs:
-        place = np.clip((log.output * len(steepness)).astype(np.int64), 0, len(steepness) - 1)
+        place = np.clip(
+            (log.output * len(steepness)).astype(np.int64), 0, len(steepness) - 1
+        )
         grown = steepness[place] * np.linspace(-0.5, 0.5, len(log.output))
         moving.append(replace(log, drift=np.column_stack((log.drift, grown))))
-        changing.append(replace(log, drift=np.column_stack((log.drift, grown, grown * log.output))))
+        changing.append(
+            replace(log, drift=np.column_stack((log.drift, grown, grown * log.output)))
+        )
     lefts = []
     for some in (moving, changing):
-        solution, left = gather(some, choice.basis, choice.structure.segments).solved(choice.structure)
+        solution, left = gather(some, choice.basis, choice.structure.segments).solved(
+            choice.structure
+        )
         lefts.append(left)
     rows = sum(int(log.used.sum()) for log in logs)
-    if lefts[0] <= most_noise(floor, rows) or lefts[1] - floor > MOST * (lefts[0] - floor):
+    if lefts[0] <= most_noise(floor, rows) or lefts[1] - floor > MOST * (
+        lefts[0] - floor
+    ):
         return None
     last = np.cumsum([log.drift.shape[1] for log in changing]) - 1
     return float(max(solution.drift[last], key=abs))
@@ -278,13 +334,14 @@ def _alternatives(
 ) -> tuple[Floats, tuple[Alternative, ...], StatedError]:
     """Return what the model makes of invented moves, the other models, and how far these are from it there.
 
-    Of each kind of change the one that goes farthest is kept. None counts that leaves as much of the logs as
-    a straight line does.
+    Of each kind of change the one that goes farthest is kept. None counts that leaves
+    as much of the logs as a straight line does.
     """
     drive, seconds = moves
     begin = int(np.argmax(drive >= choice.basis.high - 1e-9 * choice.basis.span))
     steps = None if logs[0].seconds is None else np.diff(seconds, prepend=0.0)
-    own = played(model, drive, steps)[2 * begin :]  # the first two swings wipe out the start
+    # the first two swings wipe out the start
+    own = played(model, drive, steps)[2 * begin :]
     least, level = _on_logs(model, prepared, logs)
     every = [log.used for log in logs]
     voltages = [(log.voltage - choice.basis.low) / choice.basis.span for log in logs]
@@ -303,7 +360,9 @@ def _alternatives(
         if rmse >= line:
             continue
         other = _shifted(other, level - mean)
-        one = Alternative(kind, float(np.exp(-max(rmse / least - 1.0, 0.0) / LIKELIHOOD_WIDTH)), other)
+        one = Alternative(
+            kind, float(np.exp(-max(rmse / least - 1.0, 0.0) / LIKELIHOOD_WIDTH)), other
+        )
         predicted = played(other, drive, steps)[2 * begin :]
         apart = one.weight * rms(predicted - own)
         if kind not in farthest or apart > farthest[kind][0]:
@@ -315,10 +374,17 @@ def _alternatives(
 
 
 def _other(
-    solution: Solution, basis: Basis, structure: Structure, prepared: Prepared, model: ActuatorModel
+    solution: Solution,
+    basis: Basis,
+    structure: Structure,
+    prepared: Prepared,
+    model: ActuatorModel,
 ) -> ActuatorModel:
     """Return what was fitted with another basis or structure as a model."""
-    gains, origin = solution.gains[: len(basis.time_constants)], float(solution.drift[0])
+    gains, origin = (
+        solution.gains[: len(basis.time_constants)],
+        float(solution.drift[0]),
+    )
     knots = corners(solution.knots, structure.segments)
     numbers = Fitted(basis, solution.heights, gains, origin, knots, np.zeros(1))
     return replace(model, stages=stages_of(numbers, prepared, 0.0), fit={})
@@ -336,7 +402,10 @@ def _forgetting(
 
     ``fitted`` is the chosen one's equation error, RMS.
     """
-    basis, count = replace(choice.basis, lengths=LENGTHS), len(choice.basis.time_constants)
+    basis, count = (
+        replace(choice.basis, lengths=LENGTHS),
+        len(choice.basis.time_constants),
+    )
     more = tuple(range(count, count + len(LENGTHS)))
     structure = replace(choice.structure, memories=(*choice.structure.memories, *more))
     try:
@@ -344,46 +413,74 @@ def _forgetting(
     except FitError:
         return ()
     rows = sum(int(log.used.sum()) for log in logs)
-    if fitted**2 <= most_noise(floor, rows) or left - floor > FORGETTING_EXPLAINS * (fitted**2 - floor):
+    if fitted**2 <= most_noise(floor, rows) or left - floor > FORGETTING_EXPLAINS * (
+        fitted**2 - floor
+    ):
         return ()
     per_volt = tuple((solution.gains[count:] / basis.span).tolist())
-    memory = Relaxation(basis.low, tuple(length * basis.span for length in LENGTHS), per_volt)
-    one = Alternative("forgetting", 1.0, _other(solution, basis, structure, prepared, model), memory)
+    memory = Relaxation(
+        basis.low, tuple(length * basis.span for length in LENGTHS), per_volt
+    )
+    one = Alternative(
+        "forgetting", 1.0, _other(solution, basis, structure, prepared, model), memory
+    )
     log = logs[0]
-    steps = None if log.seconds is None else np.diff(log.seconds, prepend=log.seconds[0])
+    steps = (
+        None if log.seconds is None else np.diff(log.seconds, prepend=log.seconds[0])
+    )
     apart = played(model, log.voltage, steps) - one.played(log.voltage, steps)
     return (replace(one, model=_shifted(one.model, float(apart[log.used].mean()))),)
 
 
-def _changes(choice: Choice, logs: Sequence[PreparedLog]) -> Iterator[tuple[str, Basis, Structure]]:
+def _changes(
+    choice: Choice, logs: Sequence[PreparedLog]
+) -> Iterator[tuple[str, Basis, Structure]]:
     """Yield what may differ from the chosen model: (the thing, basis, structure).
 
-    Delays, segments and roughness of the asymmetry, free slopes and fits without one fold changed nothing in
-    how well the figure agrees with what came (benchmarks/foreign_plants.py).
+    Delays, segments and roughness of the asymmetry, free slopes and fits without one
+    fold changed nothing in how well the figure agrees with what came
+    (benchmarks/foreign_plants.py).
     """
     basis, structure = choice.basis, choice.structure
     for factor in (0.01, 100.0):
-        yield "smoothness", basis, replace(structure, smoothness=factor * structure.smoothness)
+        yield (
+            "smoothness",
+            basis,
+            replace(structure, smoothness=factor * structure.smoothness),
+        )
     for bend in (-BEND_STEP, BEND_STEP):
         if abs(basis.bend + bend) < 1.0:
             yield "bend", replace(basis, bend=basis.bend + bend), structure
     if basis.time_constants:
         yield "memory", basis, replace(structure, memories=())
-        longer = tuple(1.7 * tau for tau in basis.time_constants)  # halfway to the next of the grid
+        # halfway to the next of the grid
+        longer = tuple(1.7 * tau for tau in basis.time_constants)
         yield "memory", replace(basis, time_constants=longer), structure
-    if choice.delay_interval is not None and (basis.delay > 0.0 or not basis.time_constants):
+    if choice.delay_interval is not None and (
+        basis.delay > 0.0 or not basis.time_constants
+    ):
         # The same lateness as a first-order lag: where a delay was found, in its place.
-        taus = sorted({basis.delay or sample_period(logs) or 1.0, *basis.time_constants})
+        taus = sorted(
+            {basis.delay or sample_period(logs) or 1.0, *basis.time_constants}
+        )
         every = tuple(range(len(taus)))
-        yield "lag", replace(basis, delay=0.0, time_constants=tuple(taus)), replace(structure, memories=every)
+        yield (
+            "lag",
+            replace(basis, delay=0.0, time_constants=tuple(taus)),
+            replace(structure, memories=every),
+        )
 
 
-def _on_logs(model: ActuatorModel, prepared: Prepared, logs: Sequence[PreparedLog]) -> tuple[float, float]:
+def _on_logs(
+    model: ActuatorModel, prepared: Prepared, logs: Sequence[PreparedLog]
+) -> tuple[float, float]:
     """Return a model's RMSE on the logs, drift fitted, and the mean displacement it predicts of the first."""
     left, means = [], []
     for log in logs:
         moved = prepared.offset + prepared.scale * log.output
-        one = residual_of(model, Recording(log.name, log.voltage, moved, log.seconds), log)
+        one = residual_of(
+            model, Recording(log.name, log.voltage, moved, log.seconds), log
+        )
         left.append(one)
         means.append(one.mean_predicted)
     return pooled([one.rmse for one in left], left), means[0]
@@ -392,7 +489,9 @@ def _on_logs(model: ActuatorModel, prepared: Prepared, logs: Sequence[PreparedLo
 def _shifted(model: ActuatorModel, by: float) -> ActuatorModel:
     """Return a model whose displacement is ``by`` larger."""
     stages = tuple(
-        replace(stage, offset=stage.offset + by) if isinstance(stage, ScaleStage) else stage
+        replace(stage, offset=stage.offset + by)
+        if isinstance(stage, ScaleStage)
+        else stage
         for stage in model.stages
     )
     return replace(model, stages=stages)
@@ -405,7 +504,8 @@ def _invented_moves(logs: Sequence[PreparedLog], basis: Basis) -> tuple[Floats, 
     slow, fast = np.percentile(speeds, [10.0, 90.0])
     turns = [0.0, 1.0, 0.0]
     turns += [
-        float(rng.choice((0.0, 1.0))) if rng.random() < AT_AN_END else rng.random() for _ in range(MOVES - 2)
+        float(rng.choice((0.0, 1.0))) if rng.random() < AT_AN_END else rng.random()
+        for _ in range(MOVES - 2)
     ]
     total = float(np.abs(np.diff(turns)).sum())
     voltage, seconds = [np.zeros(1)], [np.zeros(1)]

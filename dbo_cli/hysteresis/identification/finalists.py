@@ -1,9 +1,10 @@
 """The last choice: candidates at their least error of the output, judged by it on parts left out.
 
-The search (``search``) is convex and quick, and ranks by the equation error. What it chose stands here beside
-simpler and other models: without its delay, without memories, with other rules for the slopes, from gears
-alone to many segments. What it chose holds unless another does better by more than the error bar; among
-those as good as the best the simplest is taken.
+The search (``search``) is convex and quick, and ranks by the equation error. What it
+chose stands here beside simpler and other models: without its delay, without memories,
+with other rules for the slopes, from gears alone to many segments. What it chose holds
+unless another does better by more than the error bar; among those as good as the best
+the simplest is taken.
 """
 
 from __future__ import annotations
@@ -16,7 +17,10 @@ import numpy as np
 
 from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.identification.linear_response import linear_response
-from dbo_cli.hysteresis.identification.normal_equations import KNOT_SMOOTHNESS, Structure
+from dbo_cli.hysteresis.identification.normal_equations import (
+    KNOT_SMOOTHNESS,
+    Structure,
+)
 from dbo_cli.hysteresis.identification.output_error import (
     TINY,
     Judged,
@@ -38,14 +42,18 @@ from dbo_cli.hysteresis.identification.statistics import (
 )
 
 JUDGED_ROWS = 4000  # of the logs
-JUDGED_GEARS = 64  # different slopes, at most; what is delivered begins with theirs and has all
-OUT_OF_REACH = 1.5  # times the least RMS error among candidates of as many segments: more are not tried
+# different slopes, at most; what is delivered begins with theirs and has all
+JUDGED_GEARS = 64
+# times the least RMS error among candidates of as many segments: more are not tried
+OUT_OF_REACH = 1.5
 SEGMENTS = ((1, KNOT_SMOOTHNESS), (2, KNOT_SMOOTHNESS), (4, KNOT_SMOOTHNESS), (8, KNOT_SMOOTHNESS),
             (16, KNOT_SMOOTHNESS), (32, 1e-7))  # fmt: skip
 """Segments and smoothness of the asymmetry; each begins where the one before ended."""
 FAR_BETTER = 0.5
 """Of the model's error: a linear response that leaves less shows dynamics that no gears follow. A plant whose
-spring has hysteresis leaves a third; a servo with a current limit 0.7, and is followed well enough."""
+spring has hysteresis leaves a third; a servo with a current limit 0.7, and is followed
+well enough.
+"""
 SMOOTHNESS = (1e-6, 1e-8, 1e-10, 1e-12, 1e-16)  # of the slopes
 
 
@@ -53,8 +61,8 @@ SMOOTHNESS = (1e-6, 1e-8, 1e-10, 1e-12, 1e-16)  # of the slopes
 class Finalist:
     """What is delivered: basis, structure, and the unknowns from which the last refinement begins.
 
-    ``beaten`` says in words what predicts parts left out better than all candidates do, and what the logs
-    lack; empty where nothing does.
+    ``beaten`` says in words what predicts parts left out better than all candidates do,
+    and what the logs lack; empty where nothing does.
     """
 
     basis: Basis
@@ -63,7 +71,9 @@ class Finalist:
     beaten: str = ""
 
 
-def best_of(prepared: Prepared, choice: Choice, options: IdentificationOptions) -> Finalist:
+def best_of(
+    prepared: Prepared, choice: Choice, options: IdentificationOptions
+) -> Finalist:
     """Return the candidate that predicts best what was left out; the simplest of those as good.
 
     Raises
@@ -77,7 +87,9 @@ def best_of(prepared: Prepared, choice: Choice, options: IdentificationOptions) 
 class _Finalists:
     """The candidates beside a choice, on some rows of the logs."""
 
-    def __init__(self, prepared: Prepared, choice: Choice, options: IdentificationOptions) -> None:
+    def __init__(
+        self, prepared: Prepared, choice: Choice, options: IdentificationOptions
+    ) -> None:
         self._full_logs: Sequence[PreparedLog] = prepared.logs
         self._logs: Sequence[PreparedLog] = fewer_rows(prepared.logs, JUDGED_ROWS)
         self._one_amplitude = prepared.one_amplitude
@@ -105,15 +117,23 @@ class _Finalists:
         basis = chosen.basis  # the delay has been judged
         for structure in self._starts(basis, least_squares):
             try:
-                refined += self._within_reach(self._chain(basis, structure), least_squares)
-            except FitError:  # a candidate that cannot be solved is no reason to refuse the log
+                refined += self._within_reach(
+                    self._chain(basis, structure), least_squares
+                )
+            except (
+                FitError
+            ):  # a candidate that cannot be solved is no reason to refuse the log
                 continue
-        # What is left out is predicted no better than what is fitted: most need not be left out at all.
+        # What is left out is predicted no better than what is fitted: most need not be
+        # left out at all.
         refined.sort(key=lambda one: one.squares)
         judged = [chosen]
         least = chosen.score
         for candidate in refined:
-            if 0.5 * np.log(candidate.squares / self._problem(basis).count + TINY) > least:
+            if (
+                0.5 * np.log(candidate.squares / self._problem(basis).count + TINY)
+                > least
+            ):
                 break
             try:
                 one = self._problem(basis).judged(candidate)
@@ -127,7 +147,9 @@ class _Finalists:
     def _finalist(self, winner: Judged, beaten: str = "") -> Finalist:
         """Return the winner with all the gears that were chosen."""
         parts = self._gears // winner.basis.gears
-        basis = replace(winner.basis, gears=self._gears, split=winner.basis.split // parts)
+        basis = replace(
+            winner.basis, gears=self._gears, split=winner.basis.split // parts
+        )
         heights, rest = np.split(winner.candidate.vector, [winner.basis.gears])
         vector = np.concatenate((np.repeat(heights / parts, parts), rest))
         return Finalist(basis, winner.structure, vector, beaten)
@@ -135,8 +157,8 @@ class _Finalists:
     def _no_worse_than_simpler(self, winner: Judged) -> Judged:
         """Return the winner, or what is simpler and has a smaller error.
 
-        That is: itself without its delay, and gears alone; where they predict what was left out surely
-        better, or fit the logs better by more than ``INDIFFERENCE``.
+        That is: itself without its delay, and gears alone; where they predict what was
+        left out surely better, or fit the logs better by more than ``INDIFFERENCE``.
         """
         for structure in self._simpler(winner):
             basis = replace(winner.basis, delay=self._options.delay or 0.0)
@@ -148,7 +170,9 @@ class _Finalists:
                 simpler = self._judged(basis, structure)
             except FitError:
                 continue
-            much_better = simpler.least_score < winner.least_score - math.log1p(INDIFFERENCE)
+            much_better = simpler.least_score < winner.least_score - math.log1p(
+                INDIFFERENCE
+            )
             if much_better or winner.surely_beaten_by(simpler):
                 winner = simpler
         return winner
@@ -156,7 +180,9 @@ class _Finalists:
     def _simpler(self, winner: Judged) -> Iterator[Structure]:
         """Yield the structures that are tried without a delay: the winner's, and gears alone."""
         yield winner.structure
-        memories = winner.structure.memories if self._options.relaxation is not None else ()
+        memories = (
+            winner.structure.memories if self._options.relaxation is not None else ()
+        )
         alone = replace(winner.structure, segments=1, memories=memories)
         if self._options.points in (None, 0, 1):
             yield replace(alone, knot_smoothness=KNOT_SMOOTHNESS)
@@ -192,10 +218,13 @@ class _Finalists:
         squares = problem.refined(alone, start, steps=1).squares
         return squares <= OUT_OF_REACH**2 * least.get(1, np.inf)
 
-    def _within_reach(self, chain: Iterator[Refined], least: dict[int, float]) -> Iterator[Refined]:
+    def _within_reach(
+        self, chain: Iterator[Refined], least: dict[int, float]
+    ) -> Iterator[Refined]:
         """Yield the candidates of a chain until one is far worse than others of as many segments.
 
-        ``least`` holds the least sum of squares of each number of segments, and is brought up to date.
+        ``least`` holds the least sum of squares of each number of segments, and is
+        brought up to date.
         """
         for refined in chain:
             yield refined
@@ -216,8 +245,8 @@ class _Finalists:
     def _winner(self, judged: Sequence[Judged]) -> Judged:
         """Return the simplest candidate within the error bar of the best; the choice where it is as good.
 
-        What cannot be left out cannot be judged: among the cycles of one amplitude the larger model always
-        wins, so there another one has to earn its place.
+        What cannot be left out cannot be judged: among the cycles of one amplitude the
+        larger model always wins, so there another one has to earn its place.
         """
         chosen = judged[0]
         best = min(judged, key=lambda one: one.score)
@@ -249,7 +278,11 @@ class _Finalists:
     def _starts(self, basis: Basis, least: dict[int, float]) -> Iterator[Structure]:
         """Yield gears alone of every chain of candidates that is within reach of the first one's."""
         every = tuple(range(len(basis.time_constants)))
-        memories = [every] if self._options.relaxation is not None or not every else [every, ()]
+        memories = (
+            [every]
+            if self._options.relaxation is not None or not every
+            else [every, ()]
+        )
         rules: tuple[str, ...] = ("growing", "falling")
         if swings_of_two_kinds(self._logs, basis):
             rules = (*rules, "free")
@@ -268,7 +301,9 @@ class _Finalists:
             for some in memories:
                 yield replace(smoothest, memories=some)
 
-    def _chain(self, basis: Basis, structure: Structure, upto: Structure | None = None) -> Iterator[Refined]:
+    def _chain(
+        self, basis: Basis, structure: Structure, upto: Structure | None = None
+    ) -> Iterator[Refined]:
         """Yield the refined candidates of more and more segments, each begun where the last one ended."""
         problem = self._problem(basis)
         segments: tuple[tuple[int, float], ...] = SEGMENTS
@@ -276,7 +311,10 @@ class _Finalists:
             segments = (*(one for one in SEGMENTS if upto.segments % one[0] == 0 and one[0] < upto.segments),
                         (upto.segments, upto.knot_smoothness))  # fmt: skip
         elif self._options.points is not None:
-            segments = ((1, KNOT_SMOOTHNESS), (max(self._options.points, 1), KNOT_SMOOTHNESS))
+            segments = (
+                (1, KNOT_SMOOTHNESS),
+                (max(self._options.points, 1), KNOT_SMOOTHNESS),
+            )
         vector = np.zeros(problem.rows.columns(1).total)
         before = 1
         for count, kinks in segments:

@@ -1,13 +1,14 @@
 """Identification from end to end: recordings and options in, a model and what must be said of it out.
 
-``method`` paper is that of the paper's Section V: one cycle, K, X_0 and Y_0 by its rule, few gears, no lag.
-K is the range of the cycle's output over that of its drive, Y_0 the output's minimum, X_0 the drive's; the
-gears then map volts to volts. The paper does not say how its 25 gears were placed and fitted beyond "least
-squares". Here their edges are spaced as a sine is in time, narrow where the drive turns. A turn inside a
-gear retraces it; fitted to the one full cycle alone, so few gears therefore predict smaller loops badly (0.76
-against 0.67 um on the authors' other log). So a fine operator is fitted to the cycle first, and the few gears
-to what it does on the cycle and on the cycle shrunk about its middle. Slopes may only grow, so that the model
-can be inverted.
+``method`` paper is that of the paper's Section V: one cycle, K, X_0 and Y_0 by its
+rule, few gears, no lag. K is the range of the cycle's output over that of its drive,
+Y_0 the output's minimum, X_0 the drive's; the gears then map volts to volts. The paper
+does not say how its 25 gears were placed and fitted beyond "least squares". Here their
+edges are spaced as a sine is in time, narrow where the drive turns. A turn inside a
+gear retraces it; fitted to the one full cycle alone, so few gears therefore predict
+smaller loops badly (0.76 against 0.67 um on the authors' other log). So a fine operator
+is fitted to the cycle first, and the few gears to what it does on the cycle and on the
+cycle shrunk about its middle. Slopes may only grow, so that the model can be inverted.
 """
 
 from __future__ import annotations
@@ -38,7 +39,12 @@ from dbo_cli.hysteresis.identification.recordings import (
 )
 from dbo_cli.hysteresis.identification.refinement import zero_shift
 from dbo_cli.hysteresis.identification.static import Identification, identify_static
-from dbo_cli.hysteresis.identification.statistics import Basis, PreparedLog, gather, usual_basis
+from dbo_cli.hysteresis.identification.statistics import (
+    Basis,
+    PreparedLog,
+    gather,
+    usual_basis,
+)
 from dbo_cli.hysteresis.model import (
     SIGN_VERBS,
     ActuatorModel,
@@ -52,9 +58,14 @@ from dbo_cli.hysteresis.model import (
 )
 
 GEARS = 25  # the paper's
-SEGMENTS = 2  # on its cycle 1, 2, 4 fit to 0.38, 0.22, 0.23 um and leave 0.89, 0.90, 1.04 um on the other log
-SMOOTHNESS = 1e-11  # of the fine slopes; 1e-9 to 1e-13: 0.233 to 0.213 um on the cycle, 0.90 on the other log
-SHRUNK = tuple(part / 20 for part in range(20, 5, -1))  # amplitudes, over the cycle's own; the first is it
+# on its cycle 1, 2, 4 fit to 0.38, 0.22, 0.23 um and leave 0.89, 0.90, 1.04 um on the
+# other log
+SEGMENTS = 2
+# of the fine slopes; 1e-9 to 1e-13: 0.233 to 0.213 um on the cycle, 0.90 on the other
+# log
+SMOOTHNESS = 1e-11
+# amplitudes, over the cycle's own; the first is it
+SHRUNK = tuple(part / 20 for part in range(20, 5, -1))
 
 CYCLE_WEIGHT = 10.0
 """Weight of the cycle's own amplitude, over each smaller one. Measured: docs/choices.md."""
@@ -99,14 +110,20 @@ def identify(
         stated, lines = _stated_gain(found.model, options.scale_uncertainty)
     model = dataclasses.replace(found.model, fit=sign | dict(found.model.fit) | stated)
     return dataclasses.replace(
-        found, model=model, fit=sign | found.fit | stated, summary=[*found.summary, *lines]
+        found,
+        model=model,
+        fit=sign | found.fit | stated,
+        summary=[*found.summary, *lines],
     )
 
 
-def _stated_gain(model: ActuatorModel, percent: float) -> tuple[dict[str, object], list[str]]:
+def _stated_gain(
+    model: ActuatorModel, percent: float
+) -> tuple[dict[str, object], list[str]]:
     """Return the gain from end to end with its standard uncertainty, as figures and as a line.
 
-    The shape's error is met at both ends, and the scale's ``percent`` in all rows alike; squares add.
+    The shape's error is met at both ends, and the scale's ``percent`` in all rows
+    alike; squares add.
     """
     span = model.output.span
     gain = span / model.input.span
@@ -115,7 +132,11 @@ def _stated_gain(model: ActuatorModel, percent: float) -> tuple[dict[str, object
     uncertainty = gain * math.hypot(of_ends, percent / 100.0)
     if model.sign == "falling":
         gain = -gain
-    unit = f" {model.output.unit}/{model.input.unit}" if model.output.unit and model.input.unit else ""
+    unit = (
+        f" {model.output.unit}/{model.input.unit}"
+        if model.output.unit and model.input.unit
+        else ""
+    )
     figures: dict[str, object] = {
         "gain": gain,
         "gain_uncertainty": uncertainty,
@@ -159,8 +180,11 @@ def _identify_by_method(
             "`delay`, `relaxation` and `dynamics` need a clock: name the time column (`time`) or give "
             "`sample_rate`"
         )
-    if clocked and (options.dynamics or (options.dynamics is None and split(recordings)[1])):
-        # The signal processing behind it takes half a second to import, and few logs need it.
+    if clocked and (
+        options.dynamics or (options.dynamics is None and split(recordings)[1])
+    ):
+        # The signal processing behind it takes half a second to import, and few logs
+        # need it.
         from dbo_cli.hysteresis.identification.dynamics import with_dynamics
 
         moving = with_dynamics(recordings, options, validation)
@@ -171,17 +195,29 @@ def _identify_by_method(
 
 
 def _paper(
-    recordings: Sequence[Recording], options: IdentificationOptions, validation: Sequence[Recording]
+    recordings: Sequence[Recording],
+    options: IdentificationOptions,
+    validation: Sequence[Recording],
 ) -> Identification:
     """Identify as in the paper's Section V."""
     if len(recordings) > 1:
-        raise UsageError("`method` paper takes one log of one cycle (`rows` A:B cuts it out)")
+        raise UsageError(
+            "`method` paper takes one log of one cycle (`rows` A:B cuts it out)"
+        )
     log = recordings[0]
     if log.uncertainty is not None:
-        raise UsageError("`uncertainty` does not go with `method` paper, where all rows count alike")
-    model, cycle = identify_as_in_paper(log, options.gears, options.points, options.zero)
+        raise UsageError(
+            "`uncertainty` does not go with `method` paper, where all rows count alike"
+        )
+    model, cycle = identify_as_in_paper(
+        log, options.gears, options.points, options.zero
+    )
     again = dataclasses.replace(
-        log, time=None, sample_period=None, voltage=cycle.voltage, displacement=np.tile(log.displacement, 2)
+        log,
+        time=None,
+        sample_period=None,
+        voltage=cycle.voltage,
+        displacement=np.tile(log.displacement, 2),
     )
     drift = np.ones((len(cycle.voltage), 1))
     residual = residual_of(model, again, dataclasses.replace(cycle, drift=drift))
@@ -240,7 +276,9 @@ def identify_as_in_paper(
     y0 = float(displacement.min())
     basis = usual_basis(x0, x0 + swing)
     log = twice_over(recording, y0, gain * swing)
-    fine, knots = _fine_heights(log, basis, max(SEGMENTS if segments is None else segments, 1))
+    fine, knots = _fine_heights(
+        log, basis, max(SEGMENTS if segments is None else segments, 1)
+    )
     count = gears or GEARS
     edges = 0.5 - 0.5 * np.cos(np.pi * np.arange(count + 1) / count)
     widths = np.diff(edges) * swing
@@ -248,33 +286,46 @@ def identify_as_in_paper(
     stages: list[Stage] = [BacklashStage(widths, heights * swing, x0, 0.0)]
     parts = len(knots) - 1
     if parts > 1:
-        stages.append(PointStage(np.diff(knots) * swing, np.full(parts, swing / parts), 0.0, 0.0))
+        stages.append(
+            PointStage(np.diff(knots) * swing, np.full(parts, swing / parts), 0.0, 0.0)
+        )
     stages.append(ScaleStage(gain, y0 - zero_shift(recording, zero)))
     low, high = slow_output_range(stages, x0, x0 + swing)
     model = ActuatorModel(
         direction="forward",
-        input=Quantity(recording.voltage_quantity, recording.voltage_unit, x0, x0 + swing),
-        output=Quantity(recording.displacement_quantity, recording.displacement_unit, low, high),
+        input=Quantity(
+            recording.voltage_quantity, recording.voltage_unit, x0, x0 + swing
+        ),
+        output=Quantity(
+            recording.displacement_quantity, recording.displacement_unit, low, high
+        ),
         stages=tuple(stages),
     )
     return model, log
 
 
-def _fine_heights(log: PreparedLog, basis: Basis, segments: int) -> tuple[Floats, Floats]:
+def _fine_heights(
+    log: PreparedLog, basis: Basis, segments: int
+) -> tuple[Floats, Floats]:
     """Heights of the fine operator (a slope's gears together) and the corners of the asymmetry."""
-    solution, _ = gather([log], basis, segments).solved(Structure("growing", (), segments, SMOOTHNESS))
+    solution, _ = gather([log], basis, segments).solved(
+        Structure("growing", (), segments, SMOOTHNESS)
+    )
     return solution.heights, corners(solution.knots, segments)
 
 
 def _few_heights(cycle: Floats, basis: Basis, fine: Floats, widths: Floats) -> Floats:
     """Heights of gears of the given widths that do what the fine operator does, over all amplitudes.
 
-    Each amplitude has an offset of its own. The first of two cycles of each only sets the state.
+    Each amplitude has an offset of its own. The first of two cycles of each only sets
+    the state.
     """
     from scipy.optimize import nnls
 
     middle = 0.5 * (basis.low + basis.high)
-    drive = np.concatenate([np.tile(middle + part * (cycle - middle), 2) for part in SHRUNK])
+    drive = np.concatenate(
+        [np.tile(middle + part * (cycle - middle), 2) for part in SHRUNK]
+    )
     judged = np.tile(np.repeat([False, True], len(cycle)), len(SHRUNK))
     operator = basis.operator()
     engaged, _ = operator.engagement(drive, operator.empty(), group_size=basis.split)

@@ -1,8 +1,9 @@
 """A linear frequency response as a bar: what it explains far better than gears do is not of this class.
 
-A mass on a spring whose restoring force has hysteresis swings: no model of gears with memories follows it,
-but a linear filter does. The filter here is a finite impulse response, fitted by least squares with a little
-damping, and judged on quarters of each log left out in turn, as the candidates are (``output_error``).
+A mass on a spring whose restoring force has hysteresis swings: no model of gears with
+memories follows it, but a linear filter does. The filter here is a finite impulse
+response, fitted by least squares with a little damping, and judged on quarters of each
+log left out in turn, as the candidates are (``output_error``).
 """
 
 from __future__ import annotations
@@ -14,15 +15,22 @@ import numpy as np
 
 from dbo_cli.hysteresis.identification.normal_equations import least_squares
 from dbo_cli.hysteresis.identification.output_error import BLOCKS, Errors
-from dbo_cli.hysteresis.identification.recordings import EVEN, Floats, Integers, drive_shape
+from dbo_cli.hysteresis.identification.recordings import (
+    EVEN,
+    Floats,
+    Integers,
+    drive_shape,
+)
 from dbo_cli.hysteresis.identification.statistics import PreparedLog, weighted
 
 TAPS = (16, 64, 256)  # rows of the responses tried, shortest first
 ROWS_PER_TAP = 8  # fewer rows than this are no evidence of so long a response
 ROWS = 8192  # of a log, at most: thirty for each tap of the longest response
-SWING_ROWS = 20  # between turns: a resonance that a drive excites is sampled by about as many
+# between turns: a resonance that a drive excites is sampled by about as many
+SWING_ROWS = 20
 DAMPING = 1e-6  # of the mean square of the drive, on every tap
-WITHIN_REACH = 4.0  # times the error to beat: a short response that is further off is not made longer
+# times the error to beat: a short response that is further off is not made longer
+WITHIN_REACH = 4.0
 
 
 def linear_response(logs: Sequence[PreparedLog], to_beat: float) -> Errors | None:
@@ -31,7 +39,8 @@ def linear_response(logs: Sequence[PreparedLog], to_beat: float) -> Errors | Non
     Parameters
     ----------
     logs : the logs
-    to_beat : RMS error of the model on the same quarters: longer responses are tried within reach of it
+    to_beat : RMS error of the model on the same quarters: longer responses are tried
+        within reach of it
     """
     span = max(float(np.ptp(log.voltage)) for log in logs)
     some = [_few_rows(log, span) for log in logs if _even(log)]
@@ -83,7 +92,9 @@ def _few_rows(log: PreparedLog, span: float) -> _Rows:
     count = int(used.sum())
     quarter[used] = np.arange(count) * BLOCKS // max(count, 1)
     drive = (log.voltage[chosen] - log.voltage[0]) / span
-    return _Rows(drive, log.output[chosen], log.drift[chosen], quarter, log.weights_at(chosen))
+    return _Rows(
+        drive, log.output[chosen], log.drift[chosen], quarter, log.weights_at(chosen)
+    )
 
 
 def _table(log: _Rows, taps: int) -> Floats:
@@ -113,7 +124,9 @@ def _errors(logs: Sequence[_Rows], taps: int) -> Errors:
     for k in range(BLOCKS):
         rest = grams.sum(axis=0) - grams[k]
         gram = rest[:-1, :-1].copy()
-        gram[np.arange(taps), np.arange(taps)] += DAMPING * np.trace(gram[:taps, :taps]) / taps
+        gram[np.arange(taps), np.arange(taps)] += (
+            DAMPING * np.trace(gram[:taps, :taps]) / taps
+        )
         found = least_squares(gram, rest[:-1, -1])
         for table, columns, quarter in tables:
             some = table[quarter == k]

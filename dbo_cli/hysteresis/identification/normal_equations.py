@@ -1,13 +1,15 @@
 """Solution of the problem from its sufficient statistics, under the sign rules that keep it invertible.
 
-The unknowns of the gears, the memories, the asymmetry and the drift are linear in others for which the rules
-are plain signs: the steps from slope to slope, the gains, the widths of segments beyond the least. The
-products of all rows are brought into these once; after that a structure is a choice of unknowns and two
-penalties, and costs a fifth of a millisecond to solve.
+The unknowns of the gears, the memories, the asymmetry and the drift are linear in
+others for which the rules are plain signs: the steps from slope to slope, the gains,
+the widths of segments beyond the least. The products of all rows are brought into these
+once; after that a structure is a choice of unknowns and two penalties, and costs a
+fifth of a millisecond to solve.
 
-The two loops of an identification stand here in Python and compiled (``_fit.c``), bit for bit the same. Every
-sum is taken in one fixed order: no library that deals its work out to threads takes part, so that the same
-logs give the same model, to the last bit, wherever it is identified.
+The two loops of an identification stand here in Python and compiled (``_fit.c``), bit
+for bit the same. Every sum is taken in one fixed order: no library that deals its work
+out to threads takes part, so that the same logs give the same model, to the last bit,
+wherever it is identified.
 """
 
 from __future__ import annotations
@@ -30,7 +32,9 @@ States = NDArray[np.uint8]
 AT_ZERO, POSITIVE, FREE, ABSENT = range(4)  # of an unknown of ``minimise``
 
 ROWS = 32  # of a table whose products are held at once: 3 MB with 100 columns
-PATIENCE = 3  # steps without progress before unknowns are exchanged one by one (Júdice and Pires, 1994)
+# steps without progress before unknowns are exchanged one by one (Júdice and Pires,
+# 1994)
+PATIENCE = 3
 
 
 def add_products(table: Floats, columns: int, matrix: Floats) -> None:
@@ -62,13 +66,16 @@ def _solved(matrix: Floats, right: Floats) -> Floats | None:
     return x
 
 
-def minimise(matrix: Floats, right: Floats, state: States, x: Floats, tolerance: float, most: int) -> int:
+def minimise(
+    matrix: Floats, right: Floats, state: States, x: Floats, tolerance: float, most: int
+) -> int:
     """Minimise x'Hx - 2 g'x, x >= 0 but for the free unknowns, by block principal pivoting.
 
-    Unknowns are guessed to be zero or positive (``state``, changed in place); all that turn out on the wrong
-    side change sides at once, and one by one where that does not get on (Júdice and Pires, 1994; Kim and
-    Park, 2011). Returns the number of steps, 0 where ``most`` do not end it, -1 where H is not positive
-    definite. A gradient counts as negative beyond ``tolerance``.
+    Unknowns are guessed to be zero or positive (``state``, changed in place); all that
+    turn out on the wrong side change sides at once, and one by one where that does not
+    get on (Júdice and Pires, 1994; Kim and Park, 2011). Returns the number of steps, 0
+    where ``most`` do not end it, -1 where H is not positive definite. A gradient counts
+    as negative beyond ``tolerance``.
     """
     fewest, patience = len(right) + 1, PATIENCE
     for step in range(1, most + 1):
@@ -81,7 +88,9 @@ def minimise(matrix: Floats, right: Floats, state: States, x: Floats, tolerance:
         dual = -right
         for row, value in zip(at.tolist(), part.tolist(), strict=True):
             dual += matrix[row] * value
-        wrong = ((state == POSITIVE) & (x < 0.0)) | ((state == AT_ZERO) & (dual < -tolerance))
+        wrong = ((state == POSITIVE) & (x < 0.0)) | (
+            (state == AT_ZERO) & (dual < -tolerance)
+        )
         count = int(wrong.sum())
         if not count:
             return step
@@ -116,19 +125,24 @@ CHOSEN = _choose()
 
 SLOPE_FLOOR = 1e-3
 """Least slope of a gear, as a share of the mean: flatter ones drown in the rounding of the inverse. And of a
-memory, which is pruned below (half and double: 0.1 % on new moves)."""
+memory, which is pruned below (half and double: 0.1 % on new moves).
+"""
 
 MAX_STEEPNESS = 15.0
 """Steepest slope of the asymmetry over its mean; a segment's width is bounded from below by its inverse.
-Measured: docs/choices.md."""
+Measured: docs/choices.md.
+"""
 
 RIDGES = (1e-12, 1e-10, 1e-8, 1e-6)
 """Added to each column's own square, as a share of it: a column that was never excited stays harmless. The
-first does but where rounding leaves products of hundreds of nearly equal columns without a root."""
+first does but where rounding leaves products of hundreds of nearly equal columns
+without a root.
+"""
 
 TIE = 1e4
 """Weight, over the data's own, of the equation that makes the widths of the segments add up to one, where the
-last of them is at its bound (elsewhere it is what the others leave)."""
+last of them is at its bound (elsewhere it is what the others leave).
+"""
 
 TOLERANCE = 1e-8
 """Of the largest gradient at the start: a gradient below it lowers the sum of squares by 1e-16 of itself."""
@@ -161,10 +175,10 @@ class Columns:
 class Structure:
     """One candidate: which unknowns take part and how they are held.
 
-    ``slopes`` is 'growing', 'falling' or 'free'; ``memories`` the indices of the time constants that take
-    part; ``segments`` the segments of the asymmetry (1: none), a divisor of the statistics' own;
-    ``smoothness`` the weight of the slopes' squared second difference, ``knot_smoothness`` that of the
-    asymmetry's.
+    ``slopes`` is 'growing', 'falling' or 'free'; ``memories`` the indices of the time
+    constants that take part; ``segments`` the segments of the asymmetry (1: none), a
+    divisor of the statistics' own; ``smoothness`` the weight of the slopes' squared
+    second difference, ``knot_smoothness`` that of the asymmetry's.
     """
 
     slopes: str
@@ -178,8 +192,9 @@ class Structure:
 class Solution:
     """Unknowns of the problem in natural terms, and what the fit left over.
 
-    ``heights`` of the gears (sum about 1), ``gains`` of all memories (zero where pruned), ``knots`` the
-    deviation of the inner knots from the diagonal on the statistics' finest grid, ``drift`` the coefficients.
+    ``heights`` of the gears (sum about 1), ``gains`` of all memories (zero where
+    pruned), ``knots`` the deviation of the inner knots from the diagonal on the
+    statistics' finest grid, ``drift`` the coefficients.
     """
 
     heights: Floats
@@ -199,7 +214,9 @@ def knot_map(fine: int, coarse: int) -> Floats:
         return np.empty((max(fine - 1, 0), 0))
     inner = np.arange(1, fine) / fine
     corners = np.arange(coarse + 1) / coarse
-    return np.column_stack([np.interp(inner, corners, np.eye(coarse + 1)[k]) for k in range(1, coarse)])
+    return np.column_stack(
+        [np.interp(inner, corners, np.eye(coarse + 1)[k]) for k in range(1, coarse)]
+    )
 
 
 def second_differences(count: int) -> Floats:
@@ -214,8 +231,8 @@ def second_differences(count: int) -> Floats:
 def penalties(columns: Columns) -> tuple[Floats, Floats]:
     """Quadratic forms, in all unknowns and the target, of what bends slopes and asymmetry.
 
-    Scaled as integrals over the range, so that one value of ``smoothness`` means the same for any number
-    of gears.
+    Scaled as integrals over the range, so that one value of ``smoothness`` means the
+    same for any number of gears.
     """
     gears, at = columns.gears, columns.gears + columns.memories
     slopes, knots = np.zeros((2, columns.total + 1, columns.total + 1))
@@ -231,9 +248,10 @@ def penalties(columns: Columns) -> tuple[Floats, Floats]:
 class SignedUnknowns:
     """The unknowns that have a sign, and what the columns' own are of them.
 
-    heights = floor + steps added up, from the first (growing slopes) or from the last (falling); gains as
-    they are; inner knots = those of the least widths + widths beyond them added up, all but the last
-    segment's, which is what is left; drift as it is.
+    heights = floor + steps added up, from the first (growing slopes) or from the last
+    (falling); gains as they are; inner knots = those of the least widths + widths
+    beyond them added up, all but the last segment's, which is what is left; drift as it
+    is.
     """
 
     columns: Columns
@@ -243,7 +261,12 @@ class SignedUnknowns:
     @property
     def total(self) -> int:
         """Number of unknowns."""
-        return self.columns.gears + self.columns.memories + self.widths + self.columns.drift
+        return (
+            self.columns.gears
+            + self.columns.memories
+            + self.widths
+            + self.columns.drift
+        )
 
     @property
     def widths(self) -> int:
@@ -282,7 +305,9 @@ class SignedUnknowns:
             knots = np.einsum("hw,hc->wc", wider, knots)
         else:
             knots = knots[:0]
-        return np.vstack((steps, table[gears:at], knots, table[at + columns.hats : -1], constant))
+        return np.vstack(
+            (steps, table[gears:at], knots, table[at + columns.hats : -1], constant)
+        )
 
     def products(self, gram: Floats) -> Floats:
         """Return the products of rows in these unknowns and (last) what is constant; (total + 1) square."""
@@ -300,7 +325,9 @@ class SignedUnknowns:
         knots = np.zeros(columns.hats)
         if self.widths:
             at_bound, wider = _segment_widths(columns.segments, self.segments)
-            knots = at_bound + np.einsum("hw,w->h", wider, unknowns[at : at + self.widths])
+            knots = at_bound + np.einsum(
+                "hw,w->h", wider, unknowns[at : at + self.widths]
+            )
         drift = unknowns[self.total - columns.drift :]
         return Solution((SLOPE_FLOOR + steps) / gears, unknowns[gears:at], knots, drift)
 
@@ -309,13 +336,15 @@ class SignedUnknowns:
 def _segment_widths(fine: int, segments: int) -> tuple[Floats, Floats]:
     """Inner knots of an asymmetry whose segments are at least 1 / (MAX_STEEPNESS segments) wide.
 
-    Returns the deviations of the inner knots of ``fine`` segments with all segments at the bound, shape
-    (fine - 1,), and what each segment but the last adds per unit of width beyond it, shape (fine - 1,
-    segments - 1).
+    Returns the deviations of the inner knots of ``fine`` segments with all segments at
+    the bound, shape (fine - 1,), and what each segment but the last adds per unit of
+    width beyond it, shape (fine - 1, segments - 1).
     """
     narrowest = 1.0 / (MAX_STEEPNESS * segments)
     knots = knot_map(fine, segments)
-    at_bound = np.einsum("hk,k->h", knots, np.arange(1, segments) * (narrowest - 1.0 / segments))
+    at_bound = np.einsum(
+        "hk,k->h", knots, np.arange(1, segments) * (narrowest - 1.0 / segments)
+    )
     return at_bound, np.cumsum(knots[:, ::-1], axis=1)[:, ::-1].copy()
 
 
@@ -326,7 +355,11 @@ def _signed_penalties(unknowns: SignedUnknowns) -> tuple[Floats, Floats]:
 
 
 def minimum(
-    products: Floats, unknowns: SignedUnknowns, structure: Structure, weight: float, states: States
+    products: Floats,
+    unknowns: SignedUnknowns,
+    structure: Structure,
+    weight: float,
+    states: States,
 ) -> Floats:
     """Return the signed unknowns of least penalised error; ``states`` is the guess, and becomes the answer.
 
@@ -341,18 +374,25 @@ def minimum(
         The solver did not reach the optimum.
     """
     slopes, knots = _signed_penalties(unknowns)
-    form = products + weight * (structure.smoothness * slopes + structure.knot_smoothness * knots)
+    form = products + weight * (
+        structure.smoothness * slopes + structure.knot_smoothness * knots
+    )
     at = unknowns.columns.gears + unknowns.columns.memories
     widths = slice(at, at + unknowns.widths)
     return _least_within(form[:-1, :-1], -form[:-1, -1], states, widths, unknowns.spare)
 
 
 def bounded_minimum(
-    matrix: Floats, right: Floats, bounded: Floats, free: Floats, tie: tuple[int, float] | None
+    matrix: Floats,
+    right: Floats,
+    bounded: Floats,
+    free: Floats,
+    tie: tuple[int, float] | None,
 ) -> Floats:
     """Minimise x'Mx - 2r'x over x = bounded p + free q, p >= 0.
 
-    ``tie``: the unknowns p from this index on add up to this number; the last of them moves nothing.
+    ``tie``: the unknowns p from this index on add up to this number; the last of them
+    moves nothing.
     """
     begin, spare = tie or (bounded.shape[1] + 1, 0.0)
     both = np.hstack((bounded[:, : bounded.shape[1] - (tie is not None)], free))
@@ -366,7 +406,9 @@ def bounded_minimum(
     return answer
 
 
-def _least_within(matrix: Floats, right: Floats, states: States, widths: slice, spare: float) -> Floats:
+def _least_within(
+    matrix: Floats, right: Floats, states: States, widths: slice, spare: float
+) -> Floats:
     """Return the x of least x'Mx - 2 r'x under the signs of ``states``, its ``widths`` at most ``spare``."""
     found = _least(matrix, right, states)
     if float(found[widths].sum()) > spare:
@@ -382,7 +424,9 @@ def _least_within(matrix: Floats, right: Floats, states: States, widths: slice, 
 def _least(matrix: Floats, right: Floats, states: States) -> Floats:
     """Return the x of least x'Mx - 2 r'x under the signs of ``states``."""
     size = np.diagonal(matrix)
-    scale = np.sqrt(np.maximum(size, max(RIDGES[0] * float(size.sum()), np.finfo(float).tiny)))
+    scale = np.sqrt(
+        np.maximum(size, max(RIDGES[0] * float(size.sum()), np.finfo(float).tiny))
+    )
     scaled = matrix / scale[:, None] / scale
     goal = right / scale
     least = TOLERANCE * float(np.abs(goal).max(initial=0.0))
@@ -390,9 +434,15 @@ def _least(matrix: Floats, right: Floats, states: States) -> Floats:
         np.einsum("ii->i", scaled)[...] += ridge  # a view of the diagonal
         x, tried = np.zeros(len(goal)), states.copy()
         tolerance = least * float(np.sqrt(ridge / RIDGES[0]))
-        if ridge > RIDGES[0]:  # the guess led nowhere: begin without one, and less exactly
+        # the guess led nowhere: begin without one, and less exactly
+        if ridge > RIDGES[0]:
             tried[tried == AT_ZERO] = POSITIVE
-        if CHOSEN.minimise(np.ascontiguousarray(scaled), goal, tried, x, tolerance, MOST_STEPS) > 0:
+        if (
+            CHOSEN.minimise(
+                np.ascontiguousarray(scaled), goal, tried, x, tolerance, MOST_STEPS
+            )
+            > 0
+        ):
             states[:] = tried
             return x / scale
     raise FitError(
@@ -400,7 +450,9 @@ def _least(matrix: Floats, right: Floats, states: States) -> Floats:
     )
 
 
-def solve(gram: Floats, columns: Columns, structure: Structure, weight: float) -> Solution:
+def solve(
+    gram: Floats, columns: Columns, structure: Structure, weight: float
+) -> Solution:
     """Minimise the squared equation error under the structure's sign rules.
 
     Parameters
@@ -417,7 +469,9 @@ def solve(gram: Floats, columns: Columns, structure: Structure, weight: float) -
     """
     unknowns = SignedUnknowns(columns, structure.slopes, structure.segments)
     states = unknowns.states(structure.memories)
-    return unknowns.solution(minimum(unknowns.products(gram), unknowns, structure, weight, states))
+    return unknowns.solution(
+        minimum(unknowns.products(gram), unknowns, structure, weight, states)
+    )
 
 
 def least_squares(gram: Floats, products: Floats) -> Floats:
@@ -436,11 +490,14 @@ def squared_error(gram: Floats, vector: Floats) -> float:
     return max(quadratic(gram, np.append(vector, -1.0)), 0.0)
 
 
-def squared_error_free_of(gram: Floats, vector: Floats, nuisance: slice, last: float = -1.0) -> float:
+def squared_error_free_of(
+    gram: Floats, vector: Floats, nuisance: slice, last: float = -1.0
+) -> float:
     """Sum of squared errors over the rows of ``gram`` after the nuisance columns are refitted to those rows.
 
-    On rows left out, what only they have (the sensor's offset of a log of its own) is not the model's to
-    predict. ``last`` is the factor of the last column: -1 of the target, 1 of what is constant.
+    On rows left out, what only they have (the sensor's offset of a log of its own) is
+    not the model's to predict. ``last`` is the factor of the last column: -1 of the
+    target, 1 of what is constant.
     """
     rest = np.append(vector, last)
     if nuisance.start == nuisance.stop:

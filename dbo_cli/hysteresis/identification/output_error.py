@@ -1,17 +1,18 @@
 """Candidates refined and judged by the error of the output, on rows that are held in memory.
 
-The equation error asks S^-1 of the *measured* output: sound to search with, but it counts an error where the
-asymmetry is flat many times over, and the model that it prefers may be worse than a straight line. Here
-every candidate is brought to the least error of its *output*, y = S(Gamma(v) + sum c L + w0) + drift, and is
-judged by that error on parts of the logs that are left out: cycles, blocks of time, and swings of one
+The equation error asks S^-1 of the *measured* output: sound to search with, but it
+counts an error where the asymmetry is flat many times over, and the model that it
+prefers may be worse than a straight line. Here every candidate is brought to the least
+error of its *output*, y = S(Gamma(v) + sum c L + w0) + drift, and is judged by that
+error on parts of the logs that are left out: cycles, blocks of time, and swings of one
 amplitude, level or speed, where the logs have them.
 
 With S piecewise linear and given by where its knots X_k stand,
 
     dy = S'(w) (dw - sum_k hat_k(y) dX_k),
 
-exactly on each segment: a Gauss-Newton step is the bounded least-squares problem of the search with other
-rows. Steps that do not lower the error are halved.
+exactly on each segment: a Gauss-Newton step is the bounded least-squares problem of the
+search with other rows. Steps that do not lower the error are halved.
 """
 
 from __future__ import annotations
@@ -81,9 +82,10 @@ class Part:
 class JudgedRows:
     """The used rows of all logs for one basis, sorted by cells: what is left out together lies together.
 
-    ``drive`` has shape (rows, gears + memories), ``drift`` (rows, terms of all logs); ``kinds`` maps each way
-    to leave parts out to its parts; ``in_time`` puts the rows into the order in which they were recorded;
-    ``weights`` are the roots of the rows' weights, None where all count alike.
+    ``drive`` has shape (rows, gears + memories), ``drift`` (rows, terms of all logs);
+    ``kinds`` maps each way to leave parts out to its parts; ``in_time`` puts the rows
+    into the order in which they were recorded; ``weights`` are the roots of the rows'
+    weights, None where all count alike.
     """
 
     basis: Basis
@@ -126,7 +128,9 @@ def judged_rows(logs: Sequence[PreparedLog], basis: Basis) -> JudgedRows:
         owner.append(np.full(len(table), place))
     labels = _labels(logs, basis)
     owners = np.concatenate(owner)
-    code = np.unique(np.column_stack([*labels.values(), owners]), axis=0, return_inverse=True)[1].ravel()
+    code = np.unique(
+        np.column_stack([*labels.values(), owners]), axis=0, return_inverse=True
+    )[1].ravel()
     order = np.argsort(code, kind="stable")
     edges = np.concatenate(([0], np.cumsum(np.bincount(code))))
     cells = tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(edges))
@@ -140,16 +144,31 @@ def judged_rows(logs: Sequence[PreparedLog], basis: Basis) -> JudgedRows:
         kept = tuple(part for part in parts if part is not None)
         if kept and (len(kept) > 1 or name not in ("cycles", "blocks")):
             kinds[name] = kept
-    drive, output, drift = np.vstack(drives)[order], np.concatenate(outputs)[order], np.vstack(drifts)[order]
+    drive, output, drift = (
+        np.vstack(drives)[order],
+        np.concatenate(outputs)[order],
+        np.vstack(drifts)[order],
+    )
     roots = np.concatenate(weights)[order] if weights else None
-    return JudgedRows(basis, drive, output, drift, cells, kinds, np.argsort(order, kind="stable"), roots)
+    return JudgedRows(
+        basis,
+        drive,
+        output,
+        drift,
+        cells,
+        kinds,
+        np.argsort(order, kind="stable"),
+        roots,
+    )
 
 
 def _labels(logs: Sequence[PreparedLog], basis: Basis) -> dict[str, Integers]:
     """Return for each way to leave parts out the part of each used row, 0 where it is always kept."""
     labels = {"cycles": np.concatenate([log.fold[log.used] + 1 for log in logs])}
     sizes = [int(log.used.sum()) for log in logs]
-    labels["blocks"] = np.concatenate([1 + np.arange(size) * BLOCKS // max(size, 1) for size in sizes])
+    labels["blocks"] = np.concatenate(
+        [1 + np.arange(size) * BLOCKS // max(size, 1) for size in sizes]
+    )
     for name, grouped in groupings(logs, basis):
         labels[name] = np.concatenate([log.fold[log.used] for log in grouped])
     return labels
@@ -174,7 +193,9 @@ def _part(
         place = int(mine[0])
         only = bool((owners == place).sum() == len(rows))
         end = int(begins[place + 1])
-        nuisance = slice(int(begins[place]) if only else end - logs[place].stretches, end)
+        nuisance = slice(
+            int(begins[place]) if only else end - logs[place].stretches, end
+        )
     return Part(np.flatnonzero(here), rows, nuisance)
 
 
@@ -255,10 +276,16 @@ class OutputProblem:
         return np.triu(gram) + np.triu(gram, 1).T
 
     def solved(
-        self, gram: Floats, structure: Structure, count: int, states: States | None = None
+        self,
+        gram: Floats,
+        structure: Structure,
+        count: int,
+        states: States | None = None,
     ) -> tuple[Floats, States]:
         """Return the unknowns of least penalised error of linearised rows, and which of them are zero."""
-        unknowns = SignedUnknowns(self.rows.columns(structure.segments), structure.slopes, structure.segments)
+        unknowns = SignedUnknowns(
+            self.rows.columns(structure.segments), structure.slopes, structure.segments
+        )
         guess = unknowns.states(structure.memories) if states is None else states.copy()
         found = minimum(unknowns.products(gram), unknowns, structure, count, guess)
         return unknowns.solution(found).vector, guess
@@ -268,10 +295,14 @@ class OutputProblem:
         key = structure.segments, structure.smoothness, structure.knot_smoothness
         if key not in self._bending:
             slopes, kinks = penalties(self.rows.columns(structure.segments))
-            self._bending[key] = structure.smoothness * slopes + structure.knot_smoothness * kinks
+            self._bending[key] = (
+                structure.smoothness * slopes + structure.knot_smoothness * kinks
+            )
         return self.count * quadratic(self._bending[key], np.append(vector, -1.0))
 
-    def refined(self, structure: Structure, start: Floats, steps: int = STEPS) -> Refined:
+    def refined(
+        self, structure: Structure, start: Floats, steps: int = STEPS
+    ) -> Refined:
         """Return the candidate at the least error that Gauss-Newton steps from ``start`` reach."""
         segments = structure.segments
         vector = start
@@ -307,7 +338,9 @@ class OutputProblem:
         vector = vector.copy()
         vector[own] = -least_squares(gram[own, own], products)
         squares = self.squares(vector, segments)
-        return Refined(structure, vector, squares, squares + self.penalty(vector, structure))
+        return Refined(
+            structure, vector, squares, squares + self.penalty(vector, structure)
+        )
 
     def judged(self, candidate: Refined) -> Judged:
         """Return the candidate with its errors on parts left out; raises FitError where it cannot be solved.
@@ -322,8 +355,13 @@ class OutputProblem:
         own = self.left_over(candidate.vector, segments)
         parts = {}
         for kind, some in self.rows.kinds.items():
-            squares = [self._left_out(candidate, part, total, grams, states, own) for part in some]
-            parts[kind] = Errors(np.array(squares), np.array([len(part.rows) for part in some]))
+            squares = [
+                self._left_out(candidate, part, total, grams, states, own)
+                for part in some
+            ]
+            parts[kind] = Errors(
+                np.array(squares), np.array([len(part.rows) for part in some])
+            )
         return Judged(parts, candidate.squares / self.count, self.rows.basis, candidate)
 
     def _left_out(
@@ -342,7 +380,9 @@ class OutputProblem:
         segments = candidate.structure.segments
         kept = total - np.add.reduce([grams[k] for k in part.cells])
         try:
-            vector, _ = self.solved(kept, candidate.structure, self.count - len(part.rows), states)
+            vector, _ = self.solved(
+                kept, candidate.structure, self.count - len(part.rows), states
+            )
         except FitError:
             vector = candidate.vector
         if segments > 1:
@@ -357,7 +397,9 @@ class OutputProblem:
         rows = self.rows
         drive = rows.drive[:, : rows.basis.gears].sum(axis=1)
         table = rows.weighted(np.column_stack((drive, rows.drift, rows.output)))
-        grams = [np.einsum("ij,ik->jk", table[cell], table[cell]) for cell in rows.cells]
+        grams = [
+            np.einsum("ij,ik->jk", table[cell], table[cell]) for cell in rows.cells
+        ]
         total = np.add.reduce(grams)
         parts = {}
         for kind, some in rows.kinds.items():
@@ -366,10 +408,14 @@ class OutputProblem:
                 mine = np.add.reduce([grams[k] for k in part.cells])
                 rest = total - mine
                 found = least_squares(rest[:-1, :-1], rest[:-1, -1])
-                left = table[part.rows, -1] - np.einsum("ij,j->i", table[part.rows, :-1], found)
+                left = table[part.rows, -1] - np.einsum(
+                    "ij,j->i", table[part.rows, :-1], found
+                )
                 drift = rows.drift[part.rows, part.nuisance]
                 squares.append(_free_of(left, rows.weighted(drift, part.rows)))
-            parts[kind] = Errors(np.array(squares), np.array([len(part.rows) for part in some]))
+            parts[kind] = Errors(
+                np.array(squares), np.array([len(part.rows) for part in some])
+            )
         found = least_squares(total[:-1, :-1], total[:-1, -1])
         left = table[:, -1] - np.einsum("ij,j->i", table[:, :-1], found)
         return LeftOut(parts, float(np.mean(left * left)))
@@ -383,12 +429,20 @@ class OutputProblem:
         parts = [part for some in self.rows.kinds.values() for part in some]
         own = [np.add.reduce([grams[k] for k in part.cells]) for part in parts]
         kept = [unknowns.products(total - gram) for gram in own]
-        shares = np.array([len(part.rows) / len(some) for some in self.rows.kinds.values() for part in some])
+        shares = np.array(
+            [
+                len(part.rows) / len(some)
+                for some in self.rows.kinds.values()
+                for part in some
+            ]
+        )
         errors = []
         for smoothness in tried:
             trial = replace(structure, smoothness=smoothness)
             error = 0.0
-            for part, gram, products, share in zip(parts, own, kept, shares, strict=True):
+            for part, gram, products, share in zip(
+                parts, own, kept, shares, strict=True
+            ):
                 states = unknowns.states(structure.memories)
                 rows = self.count - len(part.rows)
                 found = minimum(products, unknowns, trial, rows, states)
@@ -403,7 +457,9 @@ class OutputProblem:
         first = self.rows.drive.shape[1]
         return slice(first + part.nuisance.start, first + part.nuisance.stop)
 
-    def _shortened(self, vector: Floats, candidate: Refined, part: Part, own: Floats) -> Floats:
+    def _shortened(
+        self, vector: Floats, candidate: Refined, part: Part, own: Floats
+    ) -> Floats:
         """Return what the step without a part leaves, shortened where it leaves more of the rows kept.
 
         ``own`` is what the candidate leaves.
@@ -486,23 +542,30 @@ class LeftOut:
 
         All kinds leave out parts of the same rows, so their errors are taken as one.
         """
-        bars = [_error_bar(mine, rival.errors[kind]) for kind, mine in self.errors.items()]
+        bars = [
+            _error_bar(mine, rival.errors[kind]) for kind, mine in self.errors.items()
+        ]
         return self.score - rival.score > 2.0 * float(np.mean(bars)) if bars else False
 
     def _error_bar(self, rival: LeftOut) -> float:
         """Return one standard error of the difference of the scores, the kinds taken as independent."""
-        bars = [_error_bar(mine, rival.errors[kind]) for kind, mine in self.errors.items()]
+        bars = [
+            _error_bar(mine, rival.errors[kind]) for kind, mine in self.errors.items()
+        ]
         return float(np.sqrt(np.sum(np.square(bars)))) / max(len(bars), 1)
 
 
 def _error_bar(mine: Errors, rival: Errors) -> float:
     """Return one standard error of the logarithm of a ratio of RMS errors, from its scatter between parts.
 
-    Of a kind with a single part the scatter is not known: its whole difference may be chance.
+    Of a kind with a single part the scatter is not known: its whole difference may be
+    chance.
     """
     count = len(mine.rows)
     if count == 1:
-        return 0.5 * abs(math.log((mine.mean_square + TINY) / (rival.mean_square + TINY)))
+        return 0.5 * abs(
+            math.log((mine.mean_square + TINY) / (rival.mean_square + TINY))
+        )
     shares = [one.squares / (one.squares.sum() + TINY) for one in (mine, rival)]
     scatter = float(np.sum((shares[0] - shares[1]) ** 2))
     return 0.5 * math.sqrt(scatter * count / (count - 1.0))

@@ -1,9 +1,9 @@
 """Logs made ready for the fit: sign and scale, rows left out, folds of whole cycles, drift taken off.
 
-A drift of the sensor is taken off only where nothing that the actuator does explains it as well. A drift that
-is always fitted eats creep, which then is missing from the model; a drift that is never fitted passes a
-warming sensor for creep. So polynomials in time and the exponential of a warm-up are tried beside memories of
-all time constants.
+A drift of the sensor is taken off only where nothing that the actuator does explains it
+as well. A drift that is always fitted eats creep, which then is missing from the model;
+a drift that is never fitted passes a warming sensor for creep. So polynomials in time
+and the exponential of a warm-up are tried beside memories of all time constants.
 """
 
 from __future__ import annotations
@@ -22,7 +22,11 @@ from dbo_cli.hysteresis.identification.cleaning import (
     spiked_rows,
 )
 from dbo_cli.hysteresis.identification.drive_range import drive_range
-from dbo_cli.hysteresis.identification.normal_equations import Structure, solve, squared_error
+from dbo_cli.hysteresis.identification.normal_equations import (
+    Structure,
+    solve,
+    squared_error,
+)
 from dbo_cli.hysteresis.identification.recordings import (
     FEWEST_ROWS,
     KNOWN_PAST,
@@ -63,11 +67,14 @@ WARM_UPS = (1 / 16, 1 / 8, 1 / 4, 1 / 2)
 """Of the log's length: time constants of a sensor that warms up. Measured: docs/choices.md."""
 HIGHEST_ORDER = 4
 """Of the polynomial that describes a drift. Measured: docs/choices.md."""
-WARMING = 2  # a warm-up is offered where a polynomial of this order is: it has a size and a time constant
+# a warm-up is offered where a polynomial of this order is: it has a size and a time
+# constant
+WARMING = 2
 LONGEST_MEMORY = 0.5
 """Longest time constant of a memory, as a part of the longest log. Measured: docs/choices.md."""
 
-CYCLES_PER_ORDER = 3  # chosen: with fewer the drift is what the model learns; 2 and 6 changed none of those
+# chosen: with fewer the drift is what the model learns; 2 and 6 changed none of those
+CYCLES_PER_ORDER = 3
 
 DRIFT_GAIN = 1.2
 """A drift must lower the RMSE by at least this factor."""
@@ -75,28 +82,34 @@ INSTEAD_GAIN = 1.03
 """The factor in place of ``DRIFT_GAIN`` for a drift that takes the place of creep (``CREEP_LEFT``)."""
 CREEP_LEFT = 0.8
 """A drift takes the place of creep where it leaves at most this part of the slow memories' gain. Measured:
-docs/choices.md."""
+docs/choices.md.
+"""
 
 AS_GOOD = 1.003
 """Of two drifts whose errors differ by less than this factor, the one that leaves less creep is taken.
-Measured: docs/choices.md."""
+Measured: docs/choices.md.
+"""
 
 DOUBTFUL = 0.007
 """Of the range: a drift this large that could be in the place of creep is worth a word. Measured:
-docs/choices.md."""
+docs/choices.md.
+"""
 
 TRIAL_SPLIT, TRIAL_SEGMENTS, TRIAL_SMOOTHNESS = 8, 8, 1e-8
 """Gears of each slope in a trial and in any probing fit, segments and smoothness. Measured:
-docs/choices.md."""
+docs/choices.md.
+"""
 PROBE_SEGMENTS = 4
 """Segments of the asymmetry beside free slopes, where the history before a log is looked for. Measured:
-docs/choices.md."""
+docs/choices.md.
+"""
 PROBE_SMOOTHNESS = 1e-9
 """Of free slopes, from which outliers and drift are told. Measured: docs/choices.md."""
 
 LEVEL_MOVES = 0.02
 """Scatter of the cycles' mean levels, of the drive or of a slow memory, over the drive's range, from which
-creep can be told from drift. Measured: docs/choices.md."""
+creep can be told from drift. Measured: docs/choices.md.
+"""
 
 
 def level_moves(shape: DriveShape, voltage: Floats) -> bool:
@@ -121,10 +134,11 @@ def with_drift_needed(
 ) -> tuple[list[PreparedLog], float]:
     """Return the logs with the columns of the drift they ask for, and the size of one they may have had.
 
-    With one mean level of the drive, slow creep after the first cycle cannot be told from drift; the drift
-    then stays, since a creep that is none does more harm on the next recording (measured on a warm-up of 3 %:
-    0.38 % of the range instead of 0.12). With several levels creep stays where both explain the logs; what
-    drift could be in its place is the second answer, as a share of the range, 0 where that is little.
+    With one mean level of the drive, slow creep after the first cycle cannot be told
+    from drift; the drift then stays, since a creep that is none does more harm on the
+    next recording (measured on a warm-up of 3 %: 0.38 % of the range instead of 0.12).
+    With several levels creep stays where both explain the logs; what drift could be in
+    its place is the second answer, as a share of the range, 0 where that is little.
     """
     highest = max(_order(log) for log in logs)
     if highest == 0 or one_level or any(log.seconds is None for log in logs):
@@ -132,8 +146,12 @@ def with_drift_needed(
     offered = [_Drift(order) for order in range(highest + 1)]
     if highest >= WARMING:
         offered += [_Drift(0, part) for part in WARM_UPS]
-    wanted, doubtful = _wanted(_trials(logs, low, high, offered), _trials(logs, low, high, offered, True))
-    return [replace(log, drift=_columns(log)[:, _places(log, wanted)]) for log in logs], doubtful
+    wanted, doubtful = _wanted(
+        _trials(logs, low, high, offered), _trials(logs, low, high, offered, True)
+    )
+    return [
+        replace(log, drift=_columns(log)[:, _places(log, wanted)]) for log in logs
+    ], doubtful
 
 
 @dataclass(frozen=True)
@@ -159,16 +177,21 @@ class _Trial:
 def _evident(trials: dict[_Drift, _Trial]) -> _Drift:
     """Return the simplest drift without which the error is evidently larger."""
     least = min(trial.error for trial in trials.values())
-    return next(one for one, trial in trials.items() if trial.error <= DRIFT_GAIN * least)
+    return next(
+        one for one, trial in trials.items() if trial.error <= DRIFT_GAIN * least
+    )
 
 
-def _wanted(trials: dict[_Drift, _Trial], creeping: dict[_Drift, _Trial]) -> tuple[_Drift, float]:
+def _wanted(
+    trials: dict[_Drift, _Trial], creeping: dict[_Drift, _Trial]
+) -> tuple[_Drift, float]:
     """Return the drift that the logs ask for, and the size of one that could be in the place of creep.
 
-    ``creeping`` has the same fits beside creep that follows the displacement, not the drive. Where the sensor
-    is so good that the two differ by more than its noise, a drift stood in for the difference (0.3 % of the
-    range on a stage that only creeps, in noise of 0.006 %). The highest order bends to whatever the gears
-    leave over, and is no evidence there.
+    ``creeping`` has the same fits beside creep that follows the displacement, not the
+    drive. Where the sensor is so good that the two differ by more than its noise, a
+    drift stood in for the difference (0.3 % of the range on a stage that only creeps,
+    in noise of 0.006 %). The highest order bends to whatever the gears leave over, and
+    is no evidence there.
     """
     none = _Drift(0)
     few = {one: trial for one, trial in creeping.items() if one.order < HIGHEST_ORDER}
@@ -176,9 +199,15 @@ def _wanted(trials: dict[_Drift, _Trial], creeping: dict[_Drift, _Trial]) -> tup
     # A polynomial of many orders bends to whatever the model leaves over.
     simple = [one for one in trials if one.warm_up is not None or one.order == 1]
     if wanted == none:
-        simple = [one for one in simple if trials[one].creep <= CREEP_LEFT * trials[none].creep]
+        simple = [
+            one
+            for one in simple
+            if trials[one].creep <= CREEP_LEFT * trials[none].creep
+        ]
     best = min(simple, key=lambda one: trials[one].error, default=none)
-    as_good = [one for one in simple if trials[one].error <= AS_GOOD * trials[best].error]
+    as_good = [
+        one for one in simple if trials[one].error <= AS_GOOD * trials[best].error
+    ]
     best = min(as_good, key=lambda one: trials[one].creep, default=none)
     if wanted != none:
         return (best if trials[best].error < trials[wanted].error else wanted), 0.0
@@ -233,24 +262,43 @@ def _scaled(logs: Sequence[PreparedLog]) -> list[PreparedLog]:
 
 
 def _trials(
-    logs: Sequence[PreparedLog], low: float, high: float, offered: Sequence[_Drift], creeping: bool = False
+    logs: Sequence[PreparedLog],
+    low: float,
+    high: float,
+    offered: Sequence[_Drift],
+    creeping: bool = False,
 ) -> dict[_Drift, _Trial]:
     """Fit each drift beside all memories, from statistics gathered once.
 
-    ``creeping``: also beside memories of the displacement, by the measured one, as regressors of each log.
+    ``creeping``: also beside memories of the displacement, by the measured one, as
+    regressors of each log.
     """
     basis = _trial_basis(low, high, _time_constants(logs))
-    # Of a log much shorter than a memory the memory is its own negative, and explains whatever is in it.
+    # Of a log much shorter than a memory the memory is its own negative, and explains
+    # whatever is in it.
     shortest = min(float(log.seconds[-1]) for log in logs if log.seconds is not None)
-    possible = [tau for tau in basis.time_constants if creeping and tau <= LONGEST_MEMORY * shortest]
-    slow = tuple(tau for tau in possible if tau > WARM_UPS[0] / LONGEST_MEMORY * possible[-1])
+    possible = [
+        tau
+        for tau in basis.time_constants
+        if creeping and tau <= LONGEST_MEMORY * shortest
+    ]
+    slow = tuple(
+        tau for tau in possible if tau > WARM_UPS[0] / LONGEST_MEMORY * possible[-1]
+    )
     some = _scaled(fewer_rows(logs))
-    together = [replace(log, drift=np.hstack((_columns(log), _crept(log, slow)))) for log in some]
+    together = [
+        replace(log, drift=np.hstack((_columns(log), _crept(log, slow))))
+        for log in some
+    ]
     statistics = gather(together, basis, TRIAL_SEGMENTS)
-    return {drift: _trial(statistics, basis, some, drift, len(slow)) for drift in offered}
+    return {
+        drift: _trial(statistics, basis, some, drift, len(slow)) for drift in offered
+    }
 
 
-def _trial_basis(low: float, high: float, time_constants: tuple[float, ...] = ()) -> Basis:
+def _trial_basis(
+    low: float, high: float, time_constants: tuple[float, ...] = ()
+) -> Basis:
     return Basis(SLOPE_CHOICES[0], low, high, TRIAL_SPLIT, time_constants)
 
 
@@ -262,7 +310,11 @@ def _crept(log: PreparedLog, slow: tuple[float, ...]) -> Floats:
 
 
 def _trial(
-    statistics: Statistics, basis: Basis, logs: Sequence[PreparedLog], drift: _Drift, crept: int
+    statistics: Statistics,
+    basis: Basis,
+    logs: Sequence[PreparedLog],
+    drift: _Drift,
+    crept: int,
 ) -> _Trial:
     """Fit one drift with all memories, the better of growing and falling slopes."""
     gram, rows = statistics.total()
@@ -279,34 +331,49 @@ def _trial(
     gram = gram[np.ix_(chosen, chosen)]
     columns = replace(statistics.columns, drift=len(chosen) - len(kept[0]) - 1)
     everything = tuple(range(len(basis.time_constants)))
-    structures = [Structure(s, everything, TRIAL_SEGMENTS, TRIAL_SMOOTHNESS) for s in ("growing", "falling")]
+    structures = [
+        Structure(s, everything, TRIAL_SEGMENTS, TRIAL_SMOOTHNESS)
+        for s in ("growing", "falling")
+    ]
     solutions = [solve(gram, columns, structure, rows) for structure in structures]
     errors = [squared_error(gram, solution.vector) for solution in solutions]
     best = solutions[int(np.argmin(errors))]
-    slow = np.asarray(basis.time_constants) > WARM_UPS[0] / LONGEST_MEMORY * basis.time_constants[-1]
+    slow = (
+        np.asarray(basis.time_constants)
+        > WARM_UPS[0] / LONGEST_MEMORY * basis.time_constants[-1]
+    )
     sizes, first = [0.0], 0
     for place, table in zip(kept[1:], tables, strict=True):
-        sizes.append(float(np.ptp(table @ best.drift[first + 1 : first + 1 + table.shape[1]])))
+        sizes.append(
+            float(np.ptp(table @ best.drift[first + 1 : first + 1 + table.shape[1]]))
+        )
         first += len(place)
-    return _Trial(float(np.sqrt(min(errors) / rows)), float(best.gains[slow].sum()), max(sizes))
+    return _Trial(
+        float(np.sqrt(min(errors) / rows)), float(best.gains[slow].sum()), max(sizes)
+    )
 
 
 PROBE_FOLLOWS = 0.005
 """Of the log's range, left on quarters that a probing fit was made without. Springs that slip from rest were
-told from gears at their lower end (1.2 times the error with the early rows) up to 0.0027, and not where a
-late sensor left 0.011."""
+told from gears at their lower end (1.2 times the error with the early rows) up to
+0.0027, and not where a late sensor left 0.011.
+"""
 EARLY_SHARE = 0.1  # of the log's rows: fewer are not worth the question
-QUARTERS = 4  # of the rows behind an unknown history: each is predicted with that history and without it
+# of the rows behind an unknown history: each is predicted with that history and without
+# it
+QUARTERS = 4
 FOLDS = 10
 """Most folds that the cycles are dealt into, and most stretches of a history that is left open. Measured:
-docs/choices.md."""
+docs/choices.md.
+"""
 PARTS = 8
 """Parts of a cycle with most of the rows, left out in turn. Measured: docs/choices.md."""
 MOST_OUTLIERS = 0.02
 """Of the rows: more are what the actuator does. Measured: docs/choices.md."""
 CLIPPED_STEEPNESS = 0.35
 """Slope just before the displacement stands still, over the mean one, above which the sensor is to blame.
-Measured: docs/choices.md."""
+Measured: docs/choices.md.
+"""
 
 STARTS: tuple[StartName, ...] = ("settled", "empty", "full")
 
@@ -315,9 +382,9 @@ STARTS: tuple[StartName, ...] = ("settled", "empty", "full")
 class Prepared:
     """All logs made ready, with what turns the normalised output back into displacement.
 
-    displacement = offset + scale * output; ``scale`` carries the sign of the gain. ``doubtful_drift`` is the
-    size of a drift that could be in the place of creep, as a share of the range; 0: little. ``notes`` say in
-    words what was left out and why.
+    displacement = offset + scale * output; ``scale`` carries the sign of the gain.
+    ``doubtful_drift`` is the size of a drift that could be in the place of creep, as a
+    share of the range; 0: little. ``notes`` say in words what was left out and why.
     """
 
     logs: tuple[PreparedLog, ...]
@@ -346,8 +413,8 @@ class Prepared:
 def clipped_sensor(displacement: Floats, voltage: Floats) -> Booleans:
     """Rows where the displacement stands at its own extreme while the drive moves on: out of range.
 
-    An actuator may stand still there, too (an end stop, a shape-memory wire below its transition). It comes
-    to rest by and by; a clipped sensor is cut off in full motion.
+    An actuator may stand still there, too (an end stop, a shape-memory wire below its
+    transition). It comes to rest by and by; a clipped sensor is cut off in full motion.
     """
     stuck = np.zeros(len(displacement), bool)
     moving = np.abs(np.diff(voltage, prepend=voltage[0])) > 0.0
@@ -362,7 +429,9 @@ def clipped_sensor(displacement: Floats, voltage: Floats) -> Booleans:
                 near = slice(max(begin - max((end - begin) // 5, 3), 0), begin + 1)
                 if begin - near.start >= 3:
                     before.append(_steepness(displacement[near], voltage[near]))
-        if found and (not before or float(np.median(before)) > CLIPPED_STEEPNESS * usual):
+        if found and (
+            not before or float(np.median(before)) > CLIPPED_STEEPNESS * usual
+        ):
             for begin, end in found:
                 stuck[begin:end] = True
     return stuck
@@ -403,12 +472,15 @@ def _stretches(rows: Booleans, count: int) -> Integers:
     return np.clip(stretch, 0, count - 1)
 
 
-def folds_of(shape: DriveShape, usable: Booleans, first_fold: int, wanted: int) -> Integers:
+def folds_of(
+    shape: DriveShape, usable: Booleans, first_fold: int, wanted: int
+) -> Integers:
     """Fold of each row: whole cycles dealt out in turn; -1 where the row is not used.
 
-    Rows before the first and after the last whole cycle go with their neighbour. A log with fewer than
-    three cycles to use is cut into four stretches of equal length instead, and so is a cycle that holds most
-    of the rows: what it alone went through could not be predicted without it.
+    Rows before the first and after the last whole cycle go with their neighbour. A log
+    with fewer than three cycles to use is cut into four stretches of equal length
+    instead, and so is a cycle that holds most of the rows: what it alone went through
+    could not be predicted without it.
     """
     samples = len(usable)
     cycle = np.searchsorted(shape.cycles, np.arange(samples), side="right") - 1
@@ -418,7 +490,9 @@ def folds_of(shape: DriveShape, usable: Booleans, first_fold: int, wanted: int) 
         fold = _stretches(usable, min(wanted, 4))
     else:
         long = cycle == int(held.argmax())
-        cut = np.where(long & (held.max() > MOST * held.sum()), _stretches(usable & long, PARTS), 0)
+        cut = np.where(
+            long & (held.max() > MOST * held.sum()), _stretches(usable & long, PARTS), 0
+        )
         piece = PARTS * cycle + cut
         present = np.unique(piece[usable])
         fold = np.searchsorted(present, piece) % max(min(wanted, len(present)), 1)
@@ -434,8 +508,9 @@ def prepare(
 ) -> Prepared:
     """Make logs ready: sign, rows to leave out, start states, drift taken out, output scaled to 0..1.
 
-    ``ends`` are the least and the greatest voltage of the drive, where they are known from before cleaning.
-    ``at_rest``: whether a drive that begins at one of its ends may begin there at rest.
+    ``ends`` are the least and the greatest voltage of the drive, where they are known
+    from before cleaning. ``at_rest``: whether a drive that begins at one of its ends
+    may begin there at rest.
 
     Raises
     ------
@@ -456,29 +531,50 @@ def prepare(
     _check_weights(weights, usable, notes)
     logs: list[PreparedLog] = []
     fold = 0
-    for log, shape, rows, roots in zip(recordings, shapes, usable, weights, strict=True):
+    for log, shape, rows, roots in zip(
+        recordings, shapes, usable, weights, strict=True
+    ):
         seconds = log.seconds()
         clock = np.arange(len(log.voltage), dtype=float) if seconds is None else seconds
         order = drift_order(shape, seconds is not None, level_moves(shape, log.voltage))
-        share = max(2, round(FOLDS * len(log.voltage) / sum(len(one.voltage) for one in recordings)))
+        share = max(
+            2,
+            round(
+                FOLDS * len(log.voltage) / sum(len(one.voltage) for one in recordings)
+            ),
+        )
         folds = folds_of(shape, rows, fold, min(share, FOLDS))
         fold = int(folds.max()) + 1
         drift, output = drift_columns(clock, order), log.displacement / scale
         unopened = PreparedLog(
-            log.name, log.voltage, output, seconds, folds, drift, "settled", weights=roots, rows=log.rows
+            log.name,
+            log.voltage,
+            output,
+            seconds,
+            folds,
+            drift,
+            "settled",
+            weights=roots,
+            rows=log.rows,
         )
         logs.append(_with_offsets_behind_gaps(log, unopened, low, high))
-    # Where the rows under the unknown history are left out anyway, the start state makes no difference.
+    # Where the rows under the unknown history are left out anyway, the start state
+    # makes no difference.
     chosen = [
         log if cut else _with_history(log, low, high, notes)
         for log, cut in zip(logs, transients, strict=True)
     ]
-    moves = (level_moves(shape, log.voltage) for shape, log in zip(shapes, recordings, strict=True))
+    moves = (
+        level_moves(shape, log.voltage)
+        for shape, log in zip(shapes, recordings, strict=True)
+    )
     logs, doubtful = with_drift_needed(chosen, low, high, not any(moves))
     flat, outliers = _without_drift_and_spikes(logs, low, high, notes)
     bottom = min(float(log.output[log.used].min()) for log in flat)
     top = max(float(log.output[log.used].max()) for log in flat)
-    ready = tuple(replace(log, output=(log.output - bottom) / (top - bottom)) for log in flat)
+    ready = tuple(
+        replace(log, output=(log.output - bottom) / (top - bottom)) for log in flat
+    )
     return Prepared(
         ready,
         shapes,
@@ -494,9 +590,13 @@ def prepare(
     )
 
 
-def _check_weights(weights: Sequence[Floats | None], used: Sequence[Booleans], notes: list[str]) -> None:
+def _check_weights(
+    weights: Sequence[Floats | None], used: Sequence[Booleans], notes: list[str]
+) -> None:
     """Say what the rows' weights come to, or refuse (FitError) where a few rows outweigh all others."""
-    roots = [one[rows] for one, rows in zip(weights, used, strict=True) if one is not None]
+    roots = [
+        one[rows] for one, rows in zip(weights, used, strict=True) if one is not None
+    ]
     if not roots:
         return
     together = np.concatenate(roots)
@@ -514,7 +614,11 @@ def _check_weights(weights: Sequence[Floats | None], used: Sequence[Booleans], n
 
 
 def _usable_rows(
-    log: Recording, skip_seconds: float, faulty: Booleans, at_rest: bool, notes: list[str]
+    log: Recording,
+    skip_seconds: float,
+    faulty: Booleans,
+    at_rest: bool,
+    notes: list[str],
 ) -> tuple[Booleans, int, int, int]:
     """Rows of one log that can take part, and how many do not: history unknown, faulty, sensor clipped."""
     samples = len(log.voltage)
@@ -564,10 +668,10 @@ def _usable_rows(
 def _predicts_later_rows(log: Recording, usable: Booleans, early: Booleans) -> bool:
     """Return whether rows from before both ends were visited help to predict those behind.
 
-    The drive begins at one of its ends, so all gears are known from the first row on. Whether the actuator
-    was at rest there, too, is asked of quarters of the later rows, each predicted by a fit to the rest with
-    the early rows and without them. A probing fit that follows the log badly (a sensor that is late, say)
-    cannot tell.
+    The drive begins at one of its ends, so all gears are known from the first row on.
+    Whether the actuator was at rest there, too, is asked of quarters of the later rows,
+    each predicted by a fit to the rest with the early rows and without them. A probing
+    fit that follows the log badly (a sensor that is late, say) cannot tell.
     """
     start = _start_at_an_end(log.voltage)
     later = usable & ~early
@@ -581,7 +685,9 @@ def _predicts_later_rows(log: Recording, usable: Booleans, early: Booleans) -> b
     scale = signed_range([log])
     output, drift = log.displacement / scale, np.ones((len(fold), 1))
     roots = row_weights([log.uncertainty], [usable])[0]
-    probe = PreparedLog(log.name, log.voltage, output, log.seconds(), fold, drift, start, weights=roots)
+    probe = PreparedLog(
+        log.name, log.voltage, output, log.seconds(), fold, drift, start, weights=roots
+    )
     statistics, structure = _probe(probe, low, high)
     errors = np.zeros(2)
     for quarter in range(1, QUARTERS + 1):
@@ -615,21 +721,30 @@ def _left_behind_gaps(log: Recording, usable: Booleans, notes: list[str]) -> Boo
         gaps = f"{len(pieces)} gaps, the first" if len(pieces) > 1 else "a gap"
         turned = f"{log.name}: {gaps} before row {log.row(pieces[0][0])}, in which the drive may have turned"
         unknown = "the actuator's history is unknown behind it; record without pauses"
-        until = f"{lost} rows left out, until it had been at both ends of its range again"
+        until = (
+            f"{lost} rows left out, until it had been at both ends of its range again"
+        )
         notes.append(f"{turned}: {until if lost else unknown}")
     return known
 
 
-def _with_offsets_behind_gaps(recording: Recording, log: PreparedLog, low: float, high: float) -> PreparedLog:
+def _with_offsets_behind_gaps(
+    recording: Recording, log: PreparedLog, low: float, high: float
+) -> PreparedLog:
     """Return the log with an offset of their own for pieces behind gaps, where that explains it much better.
 
-    Where a piece does not reach both ends of the log's range, what was in the gap can leave an offset in it.
+    Where a piece does not reach both ends of the log's range, what was in the gap can
+    leave an offset in it.
     """
     own = []
     for begin, known, end in pieces_behind_gaps(recording):
-        reaches = np.ptp(log.voltage[begin:end]) >= (1.0 - SMALLEST_TURN) * np.ptp(log.voltage)
+        reaches = np.ptp(log.voltage[begin:end]) >= (1.0 - SMALLEST_TURN) * np.ptp(
+            log.voltage
+        )
         if not reaches and log.used[known:end].any():
-            own.append((np.arange(len(log.fold)) >= begin) & (np.arange(len(log.fold)) < end))
+            own.append(
+                (np.arange(len(log.fold)) >= begin) & (np.arange(len(log.fold)) < end)
+            )
     if not own:
         return log
     opened = replace(log, drift=np.column_stack((log.drift, *own)), stretches=len(own))
@@ -637,12 +752,15 @@ def _with_offsets_behind_gaps(recording: Recording, log: PreparedLog, low: float
     return opened if better else log
 
 
-def _with_history(log: PreparedLog, low: float, high: float, notes: list[str]) -> PreparedLog:
+def _with_history(
+    log: PreparedLog, low: float, high: float, notes: list[str]
+) -> PreparedLog:
     """Return the log with the start state that explains it best, or with its history left open.
 
-    Where the drive goes further than ever before in the log, it walks on what an earlier history left
-    behind; in between, that history shows as an offset alone. So it can be left open: rows at new extremes
-    are left out, and each stretch between them has an offset of its own.
+    Where the drive goes further than ever before in the log, it walks on what an
+    earlier history left behind; in between, that history shows as an offset alone. So
+    it can be left open: rows at new extremes are left out, and each stretch between
+    them has an offset of its own.
     """
     starts = [replace(log, start=start) for start in STARTS]
     errors = [_probe_error(one, low, high) for one in starts]
@@ -670,17 +788,23 @@ def _left_open(log: PreparedLog) -> PreparedLog | None:
     stretch = np.cumsum(turns) - 1
     fold = np.where(inside, log.fold, -1)
     present = np.unique(stretch[fold >= 0])
-    if len(present) > FOLDS or (fold >= 0).sum() < max(0.5 * log.used.sum(), FEWEST_ROWS):
+    if len(present) > FOLDS or (fold >= 0).sum() < max(
+        0.5 * log.used.sum(), FEWEST_ROWS
+    ):
         return None
-    own = (stretch[:, None] == present[:-1]).astype(float)  # the last stretch's offset is the model's
-    return replace(log, fold=fold, drift=np.hstack((log.drift, own)), stretches=own.shape[1])
+    # the last stretch's offset is the model's
+    own = (stretch[:, None] == present[:-1]).astype(float)
+    return replace(
+        log, fold=fold, drift=np.hstack((log.drift, own)), stretches=own.shape[1]
+    )
 
 
 def _probe_error(log: PreparedLog, low: float, high: float) -> float:
     """RMSE of a probing fit, asymmetry and all, to one log, as a share of the log's own range.
 
-    Without memories a lag and creep passed for an unknown history, and the rows at new extremes were lost:
-    after 60 logs of growing triangles new moves erred 1.1 times as much, after one of them 8 times.
+    Without memories a lag and creep passed for an unknown history, and the rows at new
+    extremes were lost: after 60 logs of growing triangles new moves erred 1.1 times as
+    much, after one of them 8 times.
     """
     trial, structure = _probe(log, low, high)
     _, error = trial.solved(structure)
@@ -701,7 +825,10 @@ def _without_drift_and_spikes(
     logs: Sequence[PreparedLog], low: float, high: float, notes: list[str]
 ) -> tuple[list[PreparedLog], tuple[int, ...]]:
     """Fit gears and drift once, take the drift out of the outputs, and leave out rows far from the fit."""
-    basis, structure = _trial_basis(low, high), Structure("free", (), 1, PROBE_SMOOTHNESS)
+    basis, structure = (
+        _trial_basis(low, high),
+        Structure("free", (), 1, PROBE_SMOOTHNESS),
+    )
     outliers = np.zeros(len(logs), np.int64)
     residuals: list[Floats] = []
     for attempt in range(2):
@@ -714,17 +841,27 @@ def _without_drift_and_spikes(
             begin += log.drift.shape[1]
             fitted = log.drift @ terms
             residual = np.full(len(log.output), np.nan)
-            for first, last, drive in drive_rows(basis, log.voltage, log.seconds, log.start, log.used):
-                residual[first:last] = log.output[first:last] - drive @ solution.heights - fitted[first:last]
+            for first, last, drive in drive_rows(
+                basis, log.voltage, log.seconds, log.start, log.used
+            ):
+                residual[first:last] = (
+                    log.output[first:last]
+                    - drive @ solution.heights
+                    - fitted[first:last]
+                )
             residuals.append(residual)
-            drifts.append(fitted - solution.drift[0])  # the first log keeps its level: the model has it
+            # the first log keeps its level: the model has it
+            drifts.append(fitted - solution.drift[0])
         if attempt == 1:
             break
         logs, found = _leave_out_spikes(logs, residuals, notes)
         outliers += found
         if not found.any():
             break
-    flat = [replace(log, output=log.output - drift) for log, drift in zip(logs, drifts, strict=True)]
+    flat = [
+        replace(log, output=log.output - drift)
+        for log, drift in zip(logs, drifts, strict=True)
+    ]
     return with_folds(flat, [log.fold for log in flat]), tuple(int(n) for n in outliers)
 
 
@@ -741,8 +878,8 @@ def _leave_out_spikes(
         centre = float(np.median(values))
         sigma = OF_NORMAL * float(np.median(np.abs(values - centre)))
         far = used & (np.abs(residual - centre) > SPIKE_SIGMAS * max(sigma, 1e-12))
-        # No drive turns in a residual: more of them are seen together than in the displacement itself (three
-        # spikes among four rows left 0.6 % of the range).
+        # No drive turns in a residual: more of them are seen together than in the
+        # displacement itself (three spikes among four rows left 0.6 % of the range).
         far &= spiked_rows(np.where(used, residual, centre), 3 * SPIKE_WINDOW)
         if 0 < int(far.sum()) <= MOST_OUTLIERS * int(used.sum()):
             found[place] = int(far.sum())

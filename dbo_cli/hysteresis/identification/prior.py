@@ -1,8 +1,9 @@
 """A model refreshed from a short log: gain, offset and lag are found again, the shape of the loop is kept.
 
-After a change of temperature, load or mounting the loop of an actuator is mostly scaled and shifted, and its
-electronics are a little later or earlier. Three numbers need seconds of a log where a shape needs minutes:
-displacement = g · prior(v, t − d) + o. Whether the shape has changed, too, shows in what is left over.
+After a change of temperature, load or mounting the loop of an actuator is mostly scaled
+and shifted, and its electronics are a little later or earlier. Three numbers need
+seconds of a log where a shape needs minutes: displacement = g · prior(v, t − d) + o.
+Whether the shape has changed, too, shows in what is left over.
 """
 
 from __future__ import annotations
@@ -41,7 +42,11 @@ from dbo_cli.hysteresis.identification.recordings import (
     without_voltage_glitches,
 )
 from dbo_cli.hysteresis.identification.static import BROKEN, Identification
-from dbo_cli.hysteresis.identification.statistics import drift_columns, row_weights, weighted
+from dbo_cli.hysteresis.identification.statistics import (
+    drift_columns,
+    row_weights,
+    weighted,
+)
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage, ScaleStage
 from dbo_cli.hysteresis.move_error import ZERO_STAYS, Alternative, alternatives_of
 
@@ -49,8 +54,10 @@ Booleans = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 
 WITHIN_STATED = 1.4
 """Times the stated error: 1.96 standard deviations of an error that comes at 0.72 of it, in the middle of
-many moves (benchmarks/foreign_plants.py)."""
-TRIALS = 41  # delays tried within an eighth of a cycle to either side; parabolas refine the best
+many moves (benchmarks/foreign_plants.py).
+"""
+# delays tried within an eighth of a cycle to either side; parabolas refine the best
+TRIALS = 41
 KEPT = ("gears", "different_slopes", "points", "drive_bend", "slopes", "smoothness", "loop_width_percent",
         "relaxation_seconds", "fastest_drive", "swings", "dynamics", "trusted_hz",
         "interpretation")  # fmt: skip
@@ -65,8 +72,9 @@ OF_OTHERS = "of_other_actuators"
 class _Moved:
     """What moved, and by how much the log may err: gain, offset, and the change of the lag in s.
 
-    The errors are half widths of 95 % intervals, widened by what the prior's own error can feign.
-    ``fitted_gain`` and ``fitted_lag`` fit the log best, whether or not they can be told from the old ones.
+    The errors are half widths of 95 % intervals, widened by what the prior's own error
+    can feign. ``fitted_gain`` and ``fitted_lag`` fit the log best, whether or not they
+    can be told from the old ones.
     """
 
     gain: float
@@ -82,8 +90,9 @@ class _Moved:
 class _Log:
     """One log beside what the prior predicts without its delay; ``keep`` are the rows that count.
 
-    ``levels_apart`` is how far the history before the log can shift the prediction's mean; ``weights`` are
-    the roots of the weights of the rows that count, None where they count alike.
+    ``levels_apart`` is how far the history before the log can shift the prediction's
+    mean; ``weights`` are the roots of the weights of the rows that count, None where
+    they count alike.
     """
 
     name: str
@@ -108,14 +117,22 @@ class _Log:
 
     def free_of_drift(self, values: Floats) -> Floats:
         """Return values of the rows that count without offset and drift, weighted."""
-        columns, values = weighted(self.drift[self.keep], self.weights), weighted(values, self.weights)
-        free: Floats = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
+        columns, values = (
+            weighted(self.drift[self.keep], self.weights),
+            weighted(values, self.weights),
+        )
+        free: Floats = (
+            values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
+        )
         return free
 
     def products(self, delay: float) -> Floats:
         """Return the products of prediction and measurement, both free of drift; shape (FOLDS, 2, 2)."""
         table = np.column_stack(
-            [self.free_of_drift(one) for one in (self.late(delay), self.measured[self.keep])]
+            [
+                self.free_of_drift(one)
+                for one in (self.late(delay), self.measured[self.keep])
+            ]
         )
         return np.array([part.T @ part for part in np.array_split(table, FOLDS)])
 
@@ -133,7 +150,8 @@ def refresh(
     FitError
         The prior's shape does not follow the recordings.
     UsageError
-        Options that fix what the prior has, or a prior that needs a clock where there is none.
+        Options that fix what the prior has, or a prior that needs a clock where there
+        is none.
     """
     options.check_prior()
     prior.require("forward", "the prior")
@@ -145,11 +163,15 @@ def refresh(
     cycle = median_cycle_seconds(recordings) if clocked else None
     sensor = Sensor.of(options) or _sensor_of(prior.fit)
     sensor.check(cycle)
-    recordings, notes = without_voltage_glitches([sensor.taken_off(log) for log in recordings])
+    recordings, notes = without_voltage_glitches(
+        [sensor.taken_off(log) for log in recordings]
+    )
     mended = [cleaned(log) for log in recordings]
     notes += [note for one in mended for note in one.notes]
     bare = _with_delay(prior, 0.0)
-    rows = [_rows_that_count(one.recording, one.bad, options.skip_seconds) for one in mended]
+    rows = [
+        _rows_that_count(one.recording, one.bad, options.skip_seconds) for one in mended
+    ]
     weights = row_weights([one.recording.uncertainty for one in mended], rows)
     logs = [
         _beside(bare, one.recording, keep, roots)
@@ -157,7 +179,9 @@ def refresh(
     ]
     of_shape = _gain_of_shape(prior, logs, recordings)
     may_hold = not prior.fit.get(OF_OTHERS, False)
-    moved = _moved(logs, prior.delay_seconds, cycle, _own_error(prior), of_shape, may_hold)
+    moved = _moved(
+        logs, prior.delay_seconds, cycle, _own_error(prior), of_shape, may_hold
+    )
     if moved.gain <= 0.0:
         raise FitError(
             f"the displacement runs against the prior's (gain {moved.gain:.3g}): check `voltage` and "
@@ -175,21 +199,32 @@ def refresh(
     warnings += _warnings(prior, logs, moved, unit)
     warnings += rated_warnings(*covered, options.rated)
     summary = notes + _summary(figures, moved, prior, clocked, covered)
-    checks = [validation_of(model, sensor.taken_off(log), options.skip_seconds) for log in validation]
+    checks = [
+        validation_of(model, sensor.taken_off(log), options.skip_seconds)
+        for log in validation
+    ]
     found, lines = validated(checks, model.output.span, unit)
     figures |= found
     summary += lines
-    figures["alternatives"] = [_moved_along(one, moved).values() for one in alternatives_of(prior)]
+    figures["alternatives"] = [
+        _moved_along(one, moved).values() for one in alternatives_of(prior)
+    ]
     if sensor:
         figures["sensor"] = {"delay": sensor.delay, "lag": sensor.lag}
     figures["warnings"] = list(warnings)
-    return Identification(dataclasses.replace(model, fit=figures), figures, summary, warnings)
+    return Identification(
+        dataclasses.replace(model, fit=figures), figures, summary, warnings
+    )
 
 
 def _sensor_of(fit: Mapping[str, object]) -> Sensor:
     """Return the sensor whose lag was taken off the prior's own logs."""
     kept = fit.get("sensor")
-    return Sensor(float(kept["delay"]), float(kept["lag"])) if isinstance(kept, Mapping) else Sensor()
+    return (
+        Sensor(float(kept["delay"]), float(kept["lag"]))
+        if isinstance(kept, Mapping)
+        else Sensor()
+    )
 
 
 def _rows_that_count(log: Recording, bad: Booleans, skip_seconds: float) -> Booleans:
@@ -199,22 +234,32 @@ def _rows_that_count(log: Recording, bad: Booleans, skip_seconds: float) -> Bool
     if wiped <= MOST * len(keep):
         keep[:wiped] = False  # on a way up from rest no start may follow the actuator
     if int(keep.sum()) < FEWEST_ROWS:
-        raise FitError(f"{log.name}: {int(keep.sum())} usable rows are too few: record longer, or skip less")
+        raise FitError(
+            f"{log.name}: {int(keep.sum())} usable rows are too few: record longer, or skip less"
+        )
     return keep
 
 
-def _beside(prior: ActuatorModel, log: Recording, keep: Booleans, weights: Floats | None) -> _Log:
+def _beside(
+    prior: ActuatorModel, log: Recording, keep: Booleans, weights: Floats | None
+) -> _Log:
     """Return a log beside the prediction from the start that explains it best."""
     seconds = log.seconds()
     roots = None if weights is None else weights[keep]
-    clock = np.arange(len(keep), dtype=float) if seconds is None else np.maximum.accumulate(seconds)
+    clock = (
+        np.arange(len(keep), dtype=float)
+        if seconds is None
+        else np.maximum.accumulate(seconds)
+    )
     order = min(drift_order(drive_shape(log.voltage), seconds is not None, False), 1)
     drift = drift_columns(clock, order)
     found = []
     for start in STARTS:
         predicted = predict(prior, log, start)
         known = None if seconds is None else clock
-        one = _Log(log.name, known, predicted, log.displacement, drift, keep, 0.0, roots)
+        one = _Log(
+            log.name, known, predicted, log.displacement, drift, keep, 0.0, roots
+        )
         found.append((_gain_and_error(one.products(0.0).sum(axis=0))[1], one))
     levels = [float(one.late(0.0).mean()) for _, one in found]
     best = min(found, key=lambda pair: pair[0])[1]
@@ -257,12 +302,15 @@ def _moved(
 ) -> _Moved:
     """Return gain, offset and change of the lag from ``held`` (s); no change without a clock.
 
-    An old number holds unless the log speaks against it by more than it can know: the interval of its own
-    blocks, and what the prior's own error can feign: ``of_shape`` of a gain whose
-    swings err apart (``_gain_of_shape``), and ``own_error`` (RMS, of the displacement) where all err alike.
-    Without ``may_hold`` the numbers are those that fit best.
+    An old number holds unless the log speaks against it by more than it can know: the
+    interval of its own blocks, and what the prior's own error can feign: ``of_shape``
+    of a gain whose swings err apart (``_gain_of_shape``), and ``own_error`` (RMS, of
+    the displacement) where all err alike. Without ``may_hold`` the numbers are those
+    that fit best.
     """
-    lag, lag_error = (0.0, 0.0) if cycle is None else _lag(logs, held, LONGEST_DELAY / 2.0 * cycle)
+    lag, lag_error = (
+        (0.0, 0.0) if cycle is None else _lag(logs, held, LONGEST_DELAY / 2.0 * cycle)
+    )
     fitted_lag = lag
     if may_hold and max(log.shifted_by(lag) for log in logs) <= own_error:
         lag = 0.0
@@ -285,11 +333,14 @@ def _moved(
     return _Moved(gain, gain_error, offset, lag, lag_error, fitted_gain, fitted_lag)
 
 
-def _gain_of_shape(prior: ActuatorModel, logs: Sequence[_Log], recordings: Sequence[Recording]) -> float:
+def _gain_of_shape(
+    prior: ActuatorModel, logs: Sequence[_Log], recordings: Sequence[Recording]
+) -> float:
     """Return the half width of 95 % that the prior's own error adds to the gain; 0 where it states none.
 
-    That error is no noise: it is the same in every log. In a swing it may look like a gain, of its size over
-    the prediction's and of one sign or the other; over the swings of the logs it averages out.
+    That error is no noise: it is the same in every log. In a swing it may look like a
+    gain, of its size over the prediction's and of one sign or the other; over the
+    swings of the logs it averages out.
     """
     error = prior.fit.get("expected_shape_rmse", prior.fit.get("expected_rmse"))
     if not isinstance(error, float):
@@ -303,17 +354,25 @@ def _gain_of_shape(prior: ActuatorModel, logs: Sequence[_Log], recordings: Seque
 def _lag(logs: Sequence[_Log], held: float, longest: float) -> tuple[float, float]:
     """Return the change of the delay (s) that fits best, 0 where it scatters by as much, and its interval."""
     trials = np.linspace(-longest, longest, TRIALS)
-    errors = [_gain_and_error(_products(logs, held + at).sum(axis=0))[1] for at in trials]
+    errors = [
+        _gain_and_error(_products(logs, held + at).sum(axis=0))[1] for at in trials
+    ]
     middle = float(trials[np.clip(int(np.argmin(errors)), 1, TRIALS - 2)])
     step = 2.0 * longest / (TRIALS - 1)
     parts: list[float] = []
-    for _ in range(3):  # parabolas over the neighbours, over a quarter of that and a sixteenth
-        around = np.array([_products(logs, held + middle + at) for at in (-step, 0.0, step)])
+    # parabolas over the neighbours, over a quarter of that and a sixteenth
+    for _ in range(3):
+        around = np.array(
+            [_products(logs, held + middle + at) for at in (-step, 0.0, step)]
+        )
         parts = [
-            step * _vertex([_gain_and_error(one.sum(axis=0) - one[k])[1] for one in around])
+            step
+            * _vertex([_gain_and_error(one.sum(axis=0) - one[k])[1] for one in around])
             for k in range(FOLDS)
         ]
-        middle += step * _vertex([_gain_and_error(one.sum(axis=0))[1] for one in around])
+        middle += step * _vertex(
+            [_gain_and_error(one.sum(axis=0))[1] for one in around]
+        )
         step /= 4.0
     error = _interval(parts)
     return (middle if abs(middle) > error else 0.0), error
@@ -323,7 +382,11 @@ def _vertex(errors: Sequence[float]) -> float:
     """Return where the parabola through errors at -1, 0 and 1 is least, at most 1 away."""
     before, at, after = errors
     curvature = before - 2.0 * at + after
-    return float(np.clip((before - after) / (2.0 * curvature), -1.0, 1.0)) if curvature > 0.0 else 0.0
+    return (
+        float(np.clip((before - after) / (2.0 * curvature), -1.0, 1.0))
+        if curvature > 0.0
+        else 0.0
+    )
 
 
 def _scaled(model: ActuatorModel, gain: float, offset: float) -> ActuatorModel:
@@ -345,7 +408,11 @@ def _scaled(model: ActuatorModel, gain: float, offset: float) -> ActuatorModel:
 def _with_delay(model: ActuatorModel, seconds: float) -> ActuatorModel:
     """Return a model with this delay in the place of its own."""
     bare = model.without(model.delay)
-    return dataclasses.replace(bare, stages=(*bare.stages, DelayStage(seconds))) if seconds > 0.0 else bare
+    return (
+        dataclasses.replace(bare, stages=(*bare.stages, DelayStage(seconds)))
+        if seconds > 0.0
+        else bare
+    )
 
 
 def _moved_along(other: Alternative, moved: _Moved) -> Alternative:
@@ -355,7 +422,9 @@ def _moved_along(other: Alternative, moved: _Moved) -> Alternative:
     return dataclasses.replace(other, model=_with_delay(bare, delay))
 
 
-def _figures(prior: ActuatorModel, moved: _Moved, logs: Sequence[_Log], delay: float) -> dict[str, object]:
+def _figures(
+    prior: ActuatorModel, moved: _Moved, logs: Sequence[_Log], delay: float
+) -> dict[str, object]:
     """Return what the prior's file says of its fit, brought up to date; what no longer holds is left out."""
     span = moved.gain * prior.output.span
     parts = [_left_over(log, moved.gain, delay) for log in logs]
@@ -369,7 +438,9 @@ def _figures(prior: ActuatorModel, moved: _Moved, logs: Sequence[_Log], delay: f
         known = prior.fit.get("left_out_rmse")
         if isinstance(known, float):
             figures["left_out_rmse"] = max(moved.gain * known, rmse)
-        figures["expected_from"] = "the prior's expectation, or what is left on these logs where that is more"
+        figures["expected_from"] = (
+            "the prior's expectation, or what is left on these logs where that is more"
+        )
         figures |= _parts_of_prior(prior, moved.gain, rmse)
     figures |= {
         "method": "prior",
@@ -382,10 +453,16 @@ def _figures(prior: ActuatorModel, moved: _Moved, logs: Sequence[_Log], delay: f
         "delay_interval_seconds": None,
         "prior": {
             "gain": moved.gain,
-            "gain_interval": [moved.gain - moved.gain_error, moved.gain + moved.gain_error],
+            "gain_interval": [
+                moved.gain - moved.gain_error,
+                moved.gain + moved.gain_error,
+            ],
             "offset": moved.offset,
             "delay_seconds": delay - prior.delay_seconds,
-            "delay_interval_seconds": [moved.lag - moved.lag_error, moved.lag + moved.lag_error],
+            "delay_interval_seconds": [
+                moved.lag - moved.lag_error,
+                moved.lag + moved.lag_error,
+            ],
             "rmse": prior.fit.get("rmse"),
             "expected_rmse": prior.fit.get("expected_rmse"),
         },
@@ -397,7 +474,9 @@ def _figures(prior: ActuatorModel, moved: _Moved, logs: Sequence[_Log], delay: f
     return figures
 
 
-def _parts_of_prior(prior: ActuatorModel, gain: float, rmse: float) -> dict[str, object]:
+def _parts_of_prior(
+    prior: ActuatorModel, gain: float, rmse: float
+) -> dict[str, object]:
     """Return shape and zero of the prior's expected error, and what bounds them, in the new displacement."""
     parts: dict[str, object] = {}
     for key in ("expected_zero", "line_left_out_rmse", "zero_drift", "zero_drift_rate"):
@@ -427,18 +506,23 @@ def _check_shape(
 ) -> list[str]:
     """Refuse logs that the prior's shape does not follow, the sensor's noise aside; warn where forced.
 
-    What is left is held against the prior's own fit, both without what gain and lag explain. Four invented
-    actuators, logs of 2 to 4 s over a fifth to the whole of the range: the same shape left at most 1.1 times
-    the prior's fit, noise and all; where it was at rest before (Bouc and Wen), up to 2.1 times. A loop 1.25
-    or 1.4 times as wide left 1.6 to 9 times, another bend 0.8 (over a fifth of the range) to 11. A lag below
-    none, which no model has, takes part: it has a warning of its own.
+    What is left is held against the prior's own fit, both without what gain and lag
+    explain. Four invented actuators, logs of 2 to 4 s over a fifth to the whole of the
+    range: the same shape left at most 1.1 times the prior's fit, noise and all; where
+    it was at rest before (Bouc and Wen), up to 2.1 times. A loop 1.25 or 1.4 times as
+    wide left 1.6 to 9 times, another bend 0.8 (over a fifth of the range) to 11. A lag
+    below none, which no model has, takes part: it has a warning of its own.
     """
     own_fit = prior.fit.get("rmse")
     if not isinstance(own_fit, float):
-        return ["the prior does not say how well it fitted, so whether its shape has changed is not known"]
+        return [
+            "the prior does not say how well it fitted, so whether its shape has changed is not known"
+        ]
     worst, why = BROKEN * moved.fitted_gain * own_fit, ""
     for log in logs:
-        left = _left_over(log, moved.fitted_gain, prior.delay_seconds + moved.fitted_lag)
+        left = _left_over(
+            log, moved.fitted_gain, prior.delay_seconds + moved.fitted_lag
+        )
         structure = float(np.sqrt(beyond_noise([left])))
         if structure > worst:
             worst = structure
@@ -453,11 +537,19 @@ def _check_shape(
     return [why] if why else []
 
 
-def _warnings(prior: ActuatorModel, logs: Sequence[_Log], moved: _Moved, unit: str) -> list[str]:
+def _warnings(
+    prior: ActuatorModel, logs: Sequence[_Log], moved: _Moved, unit: str
+) -> list[str]:
     """Return what to be careful about: an unknown past or a lag below none that matter beside the rest."""
     warnings = []
     lag = prior.delay_seconds + moved.lag
-    rmse = float(np.sqrt(np.mean(np.concatenate([_left_over(log, moved.gain, lag) for log in logs]) ** 2)))
+    rmse = float(
+        np.sqrt(
+            np.mean(
+                np.concatenate([_left_over(log, moved.gain, lag) for log in logs]) ** 2
+            )
+        )
+    )
     apart = moved.gain * max(log.levels_apart for log in logs)
     if apart > rmse:
         warnings.append(

@@ -20,30 +20,43 @@ Integers = NDArray[np.int64]
 FEWEST_ROWS = 40  # chosen: no log worth a fit has fewer
 LARGEST = 1e30  # in any unit: beyond this the squares of the fit would overflow
 LEAST_DEVIATION = 1e-30  # standard, in any unit: below this the weights would
-GAP_STEPS = 1.5  # usual steps; where more lie between two stamps, at least one sample is missing
-HIDDEN_STEPS = 3.0  # times the largest change between samples: less is hidden between samples anyway; chosen
-SPEED_ROWS = 4  # beside a gap tell how fast the drive is there: fewer would take noise for motion; chosen
-SMALL_SWING = 0.35  # of the range: larger ones are loops, no sweep's; divides the swings that are left out
+# usual steps; where more lie between two stamps, at least one sample is missing
+GAP_STEPS = 1.5
+# times the largest change between samples: less is hidden between samples anyway;
+# chosen
+HIDDEN_STEPS = 3.0
+# beside a gap tell how fast the drive is there: fewer would take noise for motion;
+# chosen
+SPEED_ROWS = 4
+# of the range: larger ones are loops, no sweep's; divides the swings that are left out
+SMALL_SWING = 0.35
 KNOWN_PAST = 0.4  # of a log, at most, is left out for its unknown history; chosen
 MOST = 0.5
 """More than half of the rows, of an error, of a square is most of it. Measured: docs/choices.md."""
 NOTICEABLE = 3e-4
 """Of the range: smaller noise of the voltage, reversals of it and lines of hum are not worth a word.
-Measured: docs/choices.md."""
-BLOCK_ROWS = 1 << 12  # at once: changes no bit; windows that fit the cache are sorted in a third of the time
-EVEN = 1e-3  # of a step: a clock written with few digits still counts as even; with 1e-6 models were the same
-AMPLITUDE_SCATTER = 0.1  # swings that differ by less count as one amplitude; 5 and 20 %: the same models
+Measured: docs/choices.md.
+"""
+# at once: changes no bit; windows that fit the cache are sorted in a third of the time
+BLOCK_ROWS = 1 << 12
+# of a step: a clock written with few digits still counts as even; with 1e-6 models were
+# the same
+EVEN = 1e-3
+# swings that differ by less count as one amplitude; 5 and 20 %: the same models
+AMPLITUDE_SCATTER = 0.1
 
 
 @dataclass(frozen=True)
 class Recording:
     """One log of an actuator: what was applied and what was measured.
 
-    ``voltage`` and ``displacement`` have shape (samples,), in the units named; ``time`` is in seconds with
-    the same shape, or None where the log has no clock; ``sample_period`` in seconds serves in its place.
-    What drives may be another quantity than a voltage, and what comes out another than a displacement.
-    ``uncertainty`` is the displacement's standard deviation row by row, in its unit; None: all rows alike.
-    ``rows`` are the numbers of the samples in the file; None: from 1 on, without gaps.
+    ``voltage`` and ``displacement`` have shape (samples,), in the units named; ``time``
+    is in seconds with the same shape, or None where the log has no clock;
+    ``sample_period`` in seconds serves in its place. What drives may be another
+    quantity than a voltage, and what comes out another than a displacement.
+    ``uncertainty`` is the displacement's standard deviation row by row, in its unit;
+    None: all rows alike. ``rows`` are the numbers of the samples in the file; None:
+    from 1 on, without gaps.
     """
 
     name: str
@@ -68,7 +81,9 @@ class Recording:
             elapsed: Floats = self.time - self.time[0]
             return elapsed
         if self.sample_period is not None:
-            even: Floats = self.sample_period * np.arange(len(self.voltage), dtype=np.float64)
+            even: Floats = self.sample_period * np.arange(
+                len(self.voltage), dtype=np.float64
+            )
             return even
         return None
 
@@ -79,7 +94,16 @@ SIGNS = ("rising", "falling")
 ZEROS = ("none", "mean", "first")
 NOT_FOR_PAPER = ("relaxation", "delay", "slopes", "skip_seconds", "rated", "sensor_delay", "sensor_lag",
                  "dynamics")  # fmt: skip
-NOT_WITH_PRIOR = ("gears", "points", "relaxation", "delay", "slopes", "method", "zero", "dynamics")
+NOT_WITH_PRIOR = (
+    "gears",
+    "points",
+    "relaxation",
+    "delay",
+    "slopes",
+    "method",
+    "zero",
+    "dynamics",
+)
 
 MOST_GEARS = 10_000  # the normal equations of so many take 800 MB
 
@@ -101,22 +125,27 @@ class IdentificationOptions:
     skip_seconds : float
         Left out at the beginning of every log.
     method : {"least-squares", "paper"}
-        The paper's own takes one log of one cycle, and of the other options gears, points and zero alone.
+        The paper's own takes one log of one cycle, and of the other options gears,
+        points and zero alone.
     zero : {"none", "mean", "first"} or float
-        Displacement that counts as zero: as logged, the log's mean, its first, or a value.
+        Displacement that counts as zero: as logged, the log's mean, its first, or a
+        value.
     rated : (float, float), optional
-        The drive's full range, for a warning where the logs cover less; texts have a unit (``"1.2kV"``).
+        The drive's full range, for a warning where the logs cover less; texts have a
+        unit (``"1.2kV"``).
     force : bool
         Keep a model that would be refused.
     dynamics : int, optional
         Number of resonances: 0, 1 or 2.
     sign : {"rising", "falling"}, optional
-        Whether the displacement rises or falls as the voltage rises; logs of the other sign are refused.
+        Whether the displacement rises or falls as the voltage rises; logs of the other
+        sign are refused.
     sensor_delay, sensor_lag : float
-        What the sensor adds, in seconds: taken off the logs, kept in the model's ``fit``, not compensated.
+        What the sensor adds, in seconds: taken off the logs, kept in the model's
+        ``fit``, not compensated.
     scale_uncertainty : float
-        Of the displacement's scale (a wavelength, a calibration), standard, in %: common to all rows, so that
-        no log shows it. It is stated with the gain.
+        Of the displacement's scale (a wavelength, a calibration), standard, in %:
+        common to all rows, so that no log shows it. It is stated with the gain.
 
     Raises
     ------
@@ -145,15 +174,21 @@ class IdentificationOptions:
         for name, least in (("gears", 1), ("points", 0), ("dynamics", 0)):
             _check_count(name, getattr(self, name), least)
         if self.gears is not None and self.gears > MOST_GEARS:
-            raise UsageError(f"`gears` {self.gears}: {MOST_GEARS:,} are more than any log can tell apart")
+            raise UsageError(
+                f"`gears` {self.gears}: {MOST_GEARS:,} are more than any log can tell apart"
+            )
         if self.dynamics is not None and self.dynamics > 2:
-            raise UsageError(f"`dynamics` {self.dynamics}: at most two resonances are looked for")
+            raise UsageError(
+                f"`dynamics` {self.dynamics}: at most two resonances are looked for"
+            )
         for name in ("skip_seconds", "sensor_delay", "sensor_lag", "delay"):
             if name != "delay" or self.delay is not None:
                 _seconds(name.removesuffix("_seconds"), getattr(self, name))
         share = self.scale_uncertainty
         if not (_is_number(share) and 0.0 <= float(share) < 100.0):
-            raise UsageError(f"`scale_uncertainty` {share!r}: is a share in %, from 0 to below 100")
+            raise UsageError(
+                f"`scale_uncertainty` {share!r}: is a share in %, from 0 to below 100"
+            )
         if self.relaxation is not None:
             self._check_relaxation(self.relaxation)
         self._check_choices()
@@ -172,22 +207,34 @@ class IdentificationOptions:
 
     def _check_relaxation(self, taus: object) -> None:
         if isinstance(taus, str) or not isinstance(taus, Sequence):
-            raise UsageError(f"`relaxation` {taus!r}: give a list of time constants in seconds")
+            raise UsageError(
+                f"`relaxation` {taus!r}: give a list of time constants in seconds"
+            )
         for tau in taus:
             if not (_is_number(tau) and 0.0 < tau < math.inf):
-                raise UsageError(f"`relaxation` {tau!r}: time constants are positive numbers of seconds")
+                raise UsageError(
+                    f"`relaxation` {tau!r}: time constants are positive numbers of seconds"
+                )
         object.__setattr__(self, "relaxation", tuple(float(tau) for tau in taus))
 
     def _check_rated(self) -> None:
         if self.rated is None:
             return
-        if isinstance(self.rated, str) or not (isinstance(self.rated, Sequence) and len(self.rated) == 2):
-            raise UsageError(f"`rated` {self.rated!r}: give both ends of the drive's range")
+        if isinstance(self.rated, str) or not (
+            isinstance(self.rated, Sequence) and len(self.rated) == 2
+        ):
+            raise UsageError(
+                f"`rated` {self.rated!r}: give both ends of the drive's range"
+            )
         low, high = self.rated
         if isinstance(low, str) or isinstance(high, str):
             return  # checked when they are in the logs' unit
-        if not (_is_number(low) and _is_number(high) and -math.inf < low < high < math.inf):
-            raise UsageError(f"`rated` {self.rated!r}: the lower end must be a number below the upper one")
+        if not (
+            _is_number(low) and _is_number(high) and -math.inf < low < high < math.inf
+        ):
+            raise UsageError(
+                f"`rated` {self.rated!r}: the lower end must be a number below the upper one"
+            )
 
     def check_prior(self) -> None:
         """Refuse what a prior already has (UsageError)."""
@@ -215,30 +262,49 @@ class IdentificationOptions:
 def _check_count(name: str, value: object, least: int) -> None:
     if value is None:
         return
-    if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, numbers.Integral)
+        or value < least
+    ):
         raise UsageError(f"`{name}` {value!r}: is a whole number, at least {least}")
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, numbers.Real) and not isinstance(value, bool) and not math.isnan(float(value))
+    return (
+        isinstance(value, numbers.Real)
+        and not isinstance(value, bool)
+        and not math.isnan(float(value))
+    )
 
 
 def _seconds(name: str, value: object) -> None:
-    if not (isinstance(value, numbers.Real) and _is_number(value) and 0.0 <= float(value) < math.inf):
+    if not (
+        isinstance(value, numbers.Real)
+        and _is_number(value)
+        and 0.0 <= float(value) < math.inf
+    ):
         raise UsageError(f"`{name}` {value!r}: is a time in seconds, not negative")
 
 
-def _choice(name: str, value: object, choices: Sequence[object], other: str = "") -> None:
-    if not any(value is one or (isinstance(value, str) and value == one) for one in choices):
-        raise UsageError(f"`{name}` {value!r}: is one of {', '.join(map(str, choices))}{other}")
+def _choice(
+    name: str, value: object, choices: Sequence[object], other: str = ""
+) -> None:
+    if not any(
+        value is one or (isinstance(value, str) and value == one) for one in choices
+    ):
+        raise UsageError(
+            f"`{name}` {value!r}: is one of {', '.join(map(str, choices))}{other}"
+        )
 
 
 @dataclass(frozen=True)
 class DriveShape:
     """What the drive voltage of one log does: where it turns, how often and how widely.
 
-    ``turns`` are the rows of the turning points; ``cycles`` the rows where whole cycles begin (and the last
-    one ends); ``amplitudes`` the peak-to-peak voltage between neighbouring turning points.
+    ``turns`` are the rows of the turning points; ``cycles`` the rows where whole cycles
+    begin (and the last one ends); ``amplitudes`` the peak-to-peak voltage between
+    neighbouring turning points.
     """
 
     turns: Integers
@@ -253,7 +319,9 @@ class DriveShape:
 
 def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Return first row and end of each run of rows that are true."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0])))).tolist()
+    edges = np.flatnonzero(
+        np.diff(np.concatenate(([0], mask.astype(np.int8), [0])))
+    ).tolist()
     return list(zip(edges[::2], edges[1::2], strict=True))
 
 
@@ -273,7 +341,9 @@ def drive_shape(voltage: Floats) -> DriveShape:
 def one_amplitude(shapes: Sequence[DriveShape]) -> bool:
     """Whether all cycles of all logs go over one and the same range."""
     amplitudes = np.concatenate([shape.amplitudes for shape in shapes])
-    return len(amplitudes) < 2 or float(np.ptp(amplitudes)) <= AMPLITUDE_SCATTER * float(amplitudes.max())
+    return len(amplitudes) < 2 or float(
+        np.ptp(amplitudes)
+    ) <= AMPLITUDE_SCATTER * float(amplitudes.max())
 
 
 def check_recordings(recordings: Sequence[Recording]) -> None:
@@ -282,11 +352,13 @@ def check_recordings(recordings: Sequence[Recording]) -> None:
     Raises
     ------
     FitError
-        Too few rows, a time that does not advance, constant voltage or displacement, a voltage that never
-        turns, or units that differ.
+        Too few rows, a time that does not advance, constant voltage or displacement, a
+        voltage that never turns, or units that differ.
     """
     if not recordings:
-        raise FitError("no log given: identify needs at least one log of voltage and displacement")
+        raise FitError(
+            "no log given: identify needs at least one log of voltage and displacement"
+        )
     first = recordings[0]
     for log in recordings:
         if len(log.voltage) < FEWEST_ROWS:
@@ -330,11 +402,15 @@ def check_recordings(recordings: Sequence[Recording]) -> None:
 def widest_first(recordings: Sequence[Recording]) -> list[Recording]:
     """Return the logs in their order, but those over most of the range first: the first one's level is kept.
 
-    Each log has an offset of its own. That of a log of small loops carries what the model misses there: with
-    one first, new moves of an asymmetric plant were off by 2.2 % of the range, 0.4 % with the wide log first.
+    Each log has an offset of its own. That of a log of small loops carries what the
+    model misses there: with one first, new moves of an asymmetric plant were off by 2.2
+    % of the range, 0.4 % with the wide log first.
     """
     widest = max(float(np.ptp(log.voltage)) for log in recordings)
-    return sorted(recordings, key=lambda log: float(np.ptp(log.voltage)) < (1.0 - AMPLITUDE_SCATTER) * widest)
+    return sorted(
+        recordings,
+        key=lambda log: float(np.ptp(log.voltage)) < (1.0 - AMPLITUDE_SCATTER) * widest,
+    )
 
 
 def _check_uncertainty(log: Recording) -> None:
@@ -362,11 +438,14 @@ def _check_sizes(log: Recording) -> None:
             )
 
 
-def without_voltage_glitches(recordings: Sequence[Recording]) -> tuple[list[Recording], list[str]]:
+def without_voltage_glitches(
+    recordings: Sequence[Recording],
+) -> tuple[list[Recording], list[str]]:
     """Replace single samples of the voltage that jump away and back by the mean of their neighbours.
 
-    The drive was not there, but one such sample would stretch the gears over a range that was never driven.
-    A jump counts where it is three times the most that the drive, such samples aside, does between samples.
+    The drive was not there, but one such sample would stretch the gears over a range
+    that was never driven. A jump counts where it is three times the most that the
+    drive, such samples aside, does between samples.
     """
     cleaned, notes = [], []
     for log in recordings:
@@ -374,7 +453,12 @@ def without_voltage_glitches(recordings: Sequence[Recording]) -> tuple[list[Reco
         middle = np.median((v[:-2], v[1:-1], v[2:]), axis=0)
         jump = np.abs(v[1:-1] - middle)
         usual = float(np.abs(np.diff(middle)).max())
-        rows = np.flatnonzero(jump > max(HIDDEN_STEPS * usual, SMALLEST_TURN * float(np.ptp(middle)))) + 1
+        rows = (
+            np.flatnonzero(
+                jump > max(HIDDEN_STEPS * usual, SMALLEST_TURN * float(np.ptp(middle)))
+            )
+            + 1
+        )
         if len(rows) and usual > 0.0:
             repaired = v.copy()
             repaired[rows] = (v[rows - 1] + v[rows + 1]) / 2.0
@@ -390,8 +474,9 @@ def without_voltage_glitches(recordings: Sequence[Recording]) -> tuple[list[Reco
 def first_wiped_row(voltage: Floats) -> int:
     """First row from which the operator's state no longer depends on the history before the log.
 
-    Once the drive has been at both ends of the range it ever visits, every gear inside that range has been
-    set and cleared (wiping-out), so whatever was remembered before is gone.
+    Once the drive has been at both ends of the range it ever visits, every gear inside
+    that range has been set and cleared (wiping-out), so whatever was remembered before
+    is gone.
     """
     low, high = float(voltage.min()), float(voltage.max())
     near = SMALLEST_TURN / 4 * (high - low)
@@ -403,17 +488,22 @@ def first_wiped_row(voltage: Floats) -> int:
 def pieces_behind_gaps(log: Recording) -> list[tuple[int, int, int]]:
     """Return the pieces of a log behind gaps in which the drive may have turned.
 
-    Each is its first row, the row from which it no longer depends on what was in the gap (see
-    ``first_wiped_row``), and its end. A gap hides nothing where the drive stood still, or went on as fast as
-    before and after; what a few samples hide anyway counts for nothing.
+    Each is its first row, the row from which it no longer depends on what was in the
+    gap (see ``first_wiped_row``), and its end. A gap hides nothing where the drive
+    stood still, or went on as fast as before and after; what a few samples hide anyway
+    counts for nothing.
     """
     at, seconds, v = _long_steps(log), log.seconds(), log.voltage
     if seconds is None or not at.size:
         return []
     steps, moves = np.diff(seconds), np.diff(v)
     most, seen = (_usual_change(values, at) for values in (v, log.displacement))
-    before, after = np.maximum(at - SPEED_ROWS, 0), np.minimum(at + 1 + SPEED_ROWS, len(v) - 1)
-    ways = np.zeros((2, len(at)))  # how far the drive would have gone on, by its speed before and after
+    before, after = (
+        np.maximum(at - SPEED_ROWS, 0),
+        np.minimum(at + 1 + SPEED_ROWS, len(v) - 1),
+    )
+    # how far the drive would have gone on, by its speed before and after
+    ways = np.zeros((2, len(at)))
     for way, first, last in zip(ways, (before, at + 1), (at, after), strict=True):
         past = seconds[last] - seconds[first]
         np.divide((v[last] - v[first]) * steps[at], past, out=way, where=past > 0.0)
@@ -423,7 +513,8 @@ def pieces_behind_gaps(log: Recording) -> list[tuple[int, int, int]]:
     gaps = (at[turned] + 1).tolist()
     ends = [*gaps, len(v)][1:]
     return [
-        (begin, begin + first_wiped_row(v[begin:end]), end) for begin, end in zip(gaps, ends, strict=True)
+        (begin, begin + first_wiped_row(v[begin:end]), end)
+        for begin, end in zip(gaps, ends, strict=True)
     ]
 
 
@@ -432,7 +523,8 @@ def _long_steps(log: Recording) -> Integers:
     if log.time is None or not log.time[-1] > log.time[0]:
         return np.empty(0, np.int64)
     steps = np.diff(log.time)
-    usual = float(np.quantile(steps[steps > 0.0], 0.9))  # an uneven clock has long steps all along
+    # an uneven clock has long steps all along
+    usual = float(np.quantile(steps[steps > 0.0], 0.9))
     return np.flatnonzero(steps > GAP_STEPS * usual)
 
 
@@ -454,8 +546,8 @@ def _usual_change(values: Floats, long: Integers) -> float:
 def median_cycle_seconds(recordings: Sequence[Recording]) -> float | None:
     """Duration in seconds of the cycle in which the logs' middle second lies, None without clock or cycle.
 
-    Cycles count by their duration: of a drive with many small quick turns, the full sweeps say how late an
-    actuator may be.
+    Cycles count by their duration: of a drive with many small quick turns, the full
+    sweeps say how late an actuator may be.
     """
     durations: list[Floats] = []
     for log in recordings:
@@ -474,8 +566,11 @@ def median_cycle_seconds(recordings: Sequence[Recording]) -> float | None:
 
 FEWEST_SWINGS = 40  # in a sweep
 SWEPT = 5.0  # the highest frequency of a sweep over its lowest, at least
-SMOOTH = 0.7  # of neighbouring half periods, the larger over the smaller, as a logarithm: a sweep is gradual
-FASTER = 10.0  # the half periods of a slow log over those of a fast one (medians), at least
+# of neighbouring half periods, the larger over the smaller, as a logarithm: a sweep is
+# gradual
+SMOOTH = 0.7
+# the half periods of a slow log over those of a fast one (medians), at least
+FASTER = 10.0
 FEWEST_A_PERIOD = 6  # samples, of the highest frequency taken
 WIDER = 2.0  # periods of a sweep's lowest frequency that belong to it before and after
 
@@ -512,7 +607,9 @@ def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[FastPa
     sweeps = [_longest_sweep(log, span) for log in recordings]
     # A log that is a sweep from end to end has nothing else to tell the gears from.
     sweeps = [
-        found if found is None or _without(log, found.rows).voltage.size >= FEWEST_ROWS else None
+        found
+        if found is None or _without(log, found.rows).voltage.size >= FEWEST_ROWS
+        else None
         for log, found in zip(recordings, sweeps, strict=True)
     ]
     # Beside loops, a sweep's many swings do not make a log a fast one.
@@ -524,9 +621,18 @@ def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[FastPa
     halves = [_median_half_period(log, span) if half is None else half
               for log, half in zip(recordings, halves, strict=True)]  # fmt: skip
     slowest = max((half for half in halves if half is not None), default=None)
-    for log, step, found, rest, half in zip(recordings, steps, sweeps, loops, halves, strict=True):
-        if step is not None and half is not None and slowest is not None and FASTER * half <= slowest:
-            fast.append(FastPart(log, slice(0, log.voltage.size), step, *_band(log, span, step)))
+    for log, step, found, rest, half in zip(
+        recordings, steps, sweeps, loops, halves, strict=True
+    ):
+        if (
+            step is not None
+            and half is not None
+            and slowest is not None
+            and FASTER * half <= slowest
+        ):
+            fast.append(
+                FastPart(log, slice(0, log.voltage.size), step, *_band(log, span, step))
+            )
         elif found is not None:
             fast.append(found)
             slow.append(rest)
@@ -587,7 +693,9 @@ def _band(log: Recording, span: float, step: float) -> tuple[float, float]:
     rows, _ = _swings(log.voltage, span)
     halves = np.diff(rows)[1:-1] * step
     halves = halves[halves > 0.0]
-    return 0.5 / float(np.quantile(halves, 0.98)), 0.5 / max(float(np.quantile(halves, 0.02)), step)
+    return 0.5 / float(np.quantile(halves, 0.98)), 0.5 / max(
+        float(np.quantile(halves, 0.02)), step
+    )
 
 
 def _sweep(log: Recording, span: float, step: float) -> FastPart | None:
@@ -596,18 +704,27 @@ def _sweep(log: Recording, span: float, step: float) -> FastPart | None:
     halves, heights = np.diff(rows), np.abs(np.diff(levels))
     near = np.abs(np.diff(np.log(np.maximum(halves, 1.0)))) <= SMOOTH
     small = heights <= SMALL_SWING * span
-    good = small[1:] & small[:-1] & (near | (np.minimum(halves[1:], halves[:-1]) <= FEWEST_A_PERIOD))
+    good = (
+        small[1:]
+        & small[:-1]
+        & (near | (np.minimum(halves[1:], halves[:-1]) <= FEWEST_A_PERIOD))
+    )
     first, last = max(runs(good), key=lambda run: run[1] - run[0], default=(0, 0))
     if last - first < FEWEST_SWINGS:
         return None
     periods = 2.0 * step * halves[first : last + 1]
-    fastest, slowest = float(np.quantile(periods, 0.05)), float(np.quantile(periods, 0.98))
+    fastest, slowest = (
+        float(np.quantile(periods, 0.05)),
+        float(np.quantile(periods, 0.98)),
+    )
     if slowest < SWEPT * fastest or fastest < FEWEST_A_PERIOD * step * 0.5:
         return None
     wider = round(WIDER * slowest / step)
     start = max(int(rows[first]) - wider, 0)
     stop = min(int(rows[last + 1]) + wider, log.voltage.size)
-    return FastPart(log, slice(start, stop), step, 1.0 / slowest, 1.0 / float(periods.min()))
+    return FastPart(
+        log, slice(start, stop), step, 1.0 / slowest, 1.0 / float(periods.min())
+    )
 
 
 def _without(log: Recording, rows: slice) -> Recording:

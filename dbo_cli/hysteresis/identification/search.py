@@ -49,28 +49,35 @@ from dbo_cli.hysteresis.identification.statistics import (
 
 FINER_GEARS = 4
 """Times as many gears are tried, and taken where they surely lower the error on data left out. Measured:
-docs/choices.md."""
+docs/choices.md.
+"""
 ROWS_PER_SLOPE = 8  # fewer usable rows than this for each unknown slope is not safe
 SEGMENTS = (
     *((count, KNOT_SMOOTHNESS) for count in (1, 2, 4, 8, 16)), (16, 1e-7), (32, 1e-7), (32, 1e-8), (32, 1e-9)
 )  # fmt: skip
 """Segments and smoothness of the asymmetry, simplest first. A log of one amplitude may not choose from the
-rougher ones: loop and asymmetry then stand in for each other. Measured: docs/choices.md."""
+rougher ones: loop and asymmetry then stand in for each other. Measured:
+docs/choices.md.
+"""
 
 FINE_INDIFFERENCE = 0.005
 """The same where the logs hold several amplitudes and can tell. Measured: docs/choices.md."""
 SMOOTHNESS_CHOICES = (1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-14, 1e-16)
 """Smoothness of the slopes, from the smoothest on; the roughest serve springs that slip at a few forces.
-Measured: docs/choices.md."""
-BEND_STEP = 0.1  # of the range, refined by half: 0.05 and 0.2 changed one of eight logs, by 5 %
+Measured: docs/choices.md.
+"""
+# of the range, refined by half: 0.05 and 0.2 changed one of eight logs, by 5 %
+BEND_STEP = 0.1
 BEND_TRIALS = 4
 """Steps to either side, outwards while the fit gets better. Measured: docs/choices.md."""
 SPEEDS_APART = 1.5
 """Times the speed of the slower swings: less, and time and way are one, so that no log tells them apart.
-Measured: docs/choices.md."""
+Measured: docs/choices.md.
+"""
 
 FINEST_DELAY_STEP = 0.25  # of a sample: what a fit to noisy cycles can tell
-DELAY_TRIALS = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)  # sample periods
+# sample periods
+DELAY_TRIALS = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
 FEWEST_DELAYS = 4  # tried before the trials may end
 FAR_BEYOND = 1.5  # times the least squared error; chosen
 
@@ -79,8 +86,9 @@ FAR_BEYOND = 1.5  # times the least squared error; chosen
 class Choice:
     """What the search settled on.
 
-    ``score`` is the cross-validated error of the choice; ``delay_interval`` (seconds) holds the delays with
-    which the fit is no worse, fold by fold; ``clockwise`` how much worse growing slopes do than falling ones.
+    ``score`` is the cross-validated error of the choice; ``delay_interval`` (seconds)
+    holds the delays with which the fit is no worse, fold by fold; ``clockwise`` how
+    much worse growing slopes do than falling ones.
     """
 
     basis: Basis
@@ -94,20 +102,28 @@ def sample_period(logs: Sequence[PreparedLog]) -> float | None:
     """Median time between samples in seconds, None where a log has no clock."""
     if any(log.seconds is None for log in logs):
         return None
-    steps = np.concatenate([np.diff(log.seconds) for log in logs if log.seconds is not None])
+    steps = np.concatenate(
+        [np.diff(log.seconds) for log in logs if log.seconds is not None]
+    )
     moving = steps[steps > 0.0]
     return float(np.median(moving)) if len(moving) else None
 
 
-def time_constant_grid(prepared: Prepared, period: float, cycle: float) -> tuple[float, ...]:
+def time_constant_grid(
+    prepared: Prepared, period: float, cycle: float
+) -> tuple[float, ...]:
     """Time constants in seconds, from the sample period to the longest that the logs can tell from drift.
 
-    A memory much slower than a cycle only shows where the drive's mean level moves: with one level and one
-    frequency it is confounded with the loop's width and the offset, and such a model predicts nonsense as
-    soon as the level changes. Slow memories are therefore offered only where they move by a stated share
-    of the range once drift is taken off.
+    A memory much slower than a cycle only shows where the drive's mean level moves:
+    with one level and one frequency it is confounded with the loop's width and the
+    offset, and such a model predicts nonsense as soon as the level changes. Slow
+    memories are therefore offered only where they move by a stated share of the range
+    once drift is taken off.
     """
-    longest = max(float(log.seconds[-1]) for log in prepared.logs if log.seconds is not None) * LONGEST_MEMORY
+    longest = (
+        max(float(log.seconds[-1]) for log in prepared.logs if log.seconds is not None)
+        * LONGEST_MEMORY
+    )
     count = max(int(np.log(longest / period) / np.log(TIME_CONSTANT_RATIO)), 0)
     grid = [*(period * TIME_CONSTANT_RATIO**k for k in range(count)), longest]
     fast = [tau for tau in grid if tau <= slowest_lag(cycle)]
@@ -119,7 +135,9 @@ def slowest_lag(cycle: float | None) -> float:
     return np.inf if cycle is None else cycle / (2.0 * np.pi)
 
 
-def _moving_slowly(prepared: Prepared, taus: tuple[float, ...], cycle: float) -> list[float]:
+def _moving_slowly(
+    prepared: Prepared, taus: tuple[float, ...], cycle: float
+) -> list[float]:
     """Return the memories (by seconds) that, averaged over cycles and freed of drift, move noticeably."""
     moving = np.zeros(len(taus), bool)
     for log in prepared.logs if taus else ():
@@ -127,7 +145,9 @@ def _moving_slowly(prepared: Prepared, taus: tuple[float, ...], cycle: float) ->
             continue
         used = log.used
         drift = np.linalg.qr(log.drift[used])[0]
-        memories = relaxed_drive((log.voltage - prepared.low) / prepared.span, log.seconds, taus)
+        memories = relaxed_drive(
+            (log.voltage - prepared.low) / prepared.span, log.seconds, taus
+        )
         _, window, rows = np.unique(
             np.floor(log.seconds[used] / cycle), return_inverse=True, return_counts=True
         )
@@ -138,12 +158,15 @@ def _moving_slowly(prepared: Prepared, taus: tuple[float, ...], cycle: float) ->
     return [tau for tau, moves in zip(taus, moving, strict=True) if moves]
 
 
-def choose(prepared: Prepared, options: IdentificationOptions, cycle: float | None) -> Choice:
+def choose(
+    prepared: Prepared, options: IdentificationOptions, cycle: float | None
+) -> Choice:
     """Choose among all structures that the logs can tell apart; what the user fixed stays fixed.
 
-    One list of rules for the slopes, segments of the asymmetry and memories is judged together on data left
-    out, at each bend of the drive; then the lag is looked for, the list is judged again with it, now by the
-    smoothness of the slopes too, and last come the gears.
+    One list of rules for the slopes, segments of the asymmetry and memories is judged
+    together on data left out, at each bend of the drive; then the lag is looked for,
+    the list is judged again with it, now by the smoothness of the slopes too, and last
+    come the gears.
 
     Parameters
     ----------
@@ -156,12 +179,22 @@ def choose(prepared: Prepared, options: IdentificationOptions, cycle: float | No
     grid: tuple[float, ...] = ()
     if period is not None and cycle is not None:
         given = options.relaxation
-        grid = time_constant_grid(prepared, period, cycle) if given is None else tuple(given)
+        grid = (
+            time_constant_grid(prepared, period, cycle)
+            if given is None
+            else tuple(given)
+        )
     search = _Search(logs, options, prepared.one_amplitude, len(grid), period, cycle)
-    basis = replace(usual_basis(prepared.low, prepared.high, grid), delay=options.delay or 0.0)
+    basis = replace(
+        usual_basis(prepared.low, prepared.high, grid), delay=options.delay or 0.0
+    )
     if options.gears is not None:
         few = options.gears <= 2 * basis.gears
-        slopes, split = (options.gears, 1) if few else (basis.gears, -(-options.gears // basis.gears))
+        slopes, split = (
+            (options.gears, 1)
+            if few
+            else (basis.gears, -(-options.gears // basis.gears))
+        )
         basis = replace(basis, gears=slopes, split=split)
     if options.delay is None and period is not None:
         basis = replace(basis, delay=search.evident_delay(basis))
@@ -173,7 +206,11 @@ def choose(prepared: Prepared, options: IdentificationOptions, cycle: float | No
     if again != basis and basis.delay != options.delay:
         again, interval = search.delayed(replace(again, delay=0.0), structure)
     basis, structure, score = search.gears(again, structure)
-    if options.relaxation is None and structure.memories and search.forgets(basis, structure, score):
+    if (
+        options.relaxation is None
+        and structure.memories
+        and search.forgets(basis, structure, score)
+    ):
         return choose(prepared, replace(options, relaxation=()), cycle)
     return Choice(basis, structure, score, interval, clockwise)
 
@@ -194,9 +231,11 @@ class _Search:
     ----------
     logs : the rows that structures are chosen on
     options : what the user fixed
-    one_amplitude : whether the logs go over one range only: then the simpler model is right more often
+    one_amplitude : whether the logs go over one range only: then the simpler model is
+        right more often
     memories : the number of time constants
-    period, cycle : sample period and duration of a cycle in seconds, None without a clock
+    period, cycle : sample period and duration of a cycle in seconds, None without a
+        clock
     """
 
     def __init__(
@@ -227,7 +266,11 @@ class _Search:
 
     def _memories(self) -> list[tuple[int, ...]]:
         """Return the choices of memories, simplest first; those that the user gave are not a choice."""
-        return [self._all] if self._options.relaxation is not None or not self._all else [(), self._all]
+        return (
+            [self._all]
+            if self._options.relaxation is not None or not self._all
+            else [(), self._all]
+        )
 
     def _listed(
         self,
@@ -242,18 +285,23 @@ class _Search:
             for some in memories
         ]
 
-    def _best(self, basis: Basis, candidates: Sequence[Structure]) -> tuple[Structure, Score]:
+    def _best(
+        self, basis: Basis, candidates: Sequence[Structure]
+    ) -> tuple[Structure, Score]:
         """Return the simplest candidate that is no worse than the best, and its error on data left out."""
         statistics = self._statistics(basis)
         found: list[tuple[Structure, Score]] = []
         least = np.inf
         for structure in reversed(candidates):
-            # What is left out is predicted no better than what is fitted: most need not be left out at all.
+            # What is left out is predicted no better than what is fitted: most need not
+            # be left out at all.
             try:
                 if fitted_rmse(statistics, structure) <= least * (1.0 + INDIFFERENCE):
                     found.insert(0, (structure, cross_validate(statistics, structure)))
                     least = min(least, found[0][1].rmse)
-            except FitError:  # one candidate that cannot be solved is no reason to refuse the log
+            except (
+                FitError
+            ):  # one candidate that cannot be solved is no reason to refuse the log
                 if structure == candidates[0] and not found:
                     raise
         return found[simplest_of([score for _, score in found], self._indifference)]
@@ -271,25 +319,32 @@ class _Search:
     def direction(self, basis: Basis) -> tuple[str, float]:
         """Return the rule for the slopes that the loop's sense asks for, and how much worse the other is.
 
-        A loop whose output lags needs slopes that grow, one that leads slopes that fall. Memories and a delay
-        make loops, too, at the logs' own frequency, so none take part.
+        A loop whose output lags needs slopes that grow, one that leads slopes that
+        fall. Memories and a delay make loops, too, at the logs' own frequency, so none
+        take part.
         """
-        errors = {slopes: self._least(basis, self._listed(slopes, [()])) for slopes in ("growing", "falling")}
+        errors = {
+            slopes: self._least(basis, self._listed(slopes, [()]))
+            for slopes in ("growing", "falling")
+        }
         ratio = errors["growing"] / max(errors["falling"], np.finfo(float).tiny)
         return self._options.slopes or ("growing" if ratio <= 1.0 else "falling"), ratio
 
     def rule(self, basis: Basis, structure: Structure) -> str:
         """Return 'free' slopes where they are far better on cycles and on swings of a kind left out.
 
-        Among the cycles of one amplitude, and of few, free slopes always win, and lose on another amplitude.
-        So they do where the smaller swings are all of one kind: after two amplitudes from one end three of
-        eleven plants took them, and erred by 3.3, 6.3 and 10.8 % on new moves instead of 2.2, 1.0 and 9.8.
+        Among the cycles of one amplitude, and of few, free slopes always win, and lose
+        on another amplitude. So they do where the smaller swings are all of one kind:
+        after two amplitudes from one end three of eleven plants took them, and erred by
+        3.3, 6.3 and 10.8 % on new moves instead of 2.2, 1.0 and 9.8.
         """
         if self._options.slopes is not None or self._one:
             return structure.slopes
         if not swings_of_two_kinds(self._logs, basis):
             return structure.slopes
-        ruled, score = self._best(basis, self._listed(structure.slopes, [structure.memories]))
+        ruled, score = self._best(
+            basis, self._listed(structure.slopes, [structure.memories])
+        )
         free, other = self._best(basis, self._listed("free", [structure.memories]))
         if other.rmse >= EARNED * score.rmse or no_worse(score, other):
             return structure.slopes
@@ -300,16 +355,22 @@ class _Search:
     def evident_delay(self, basis: Basis) -> float:
         """Delay in seconds that is seen at first sight, else 0: with it in the way, all is chosen wrong.
 
-        (25 ms at 200 samples a second: 2 segments of asymmetry instead of 16, and 0.20 % of error for 0.03.)
-        A loop that leads turns around behind a delay, so slopes of both kinds are tried with each: springs
-        that slip, behind a sensor late by 25 samples, were taken for loops that lag (errors of 14 and 21 %).
-        On one amplitude a wide loop is as well one that leads, late by a quarter of a cycle: there it lags.
+        (25 ms at 200 samples a second: 2 segments of asymmetry instead of 16, and 0.20
+        % of error for 0.03.) A loop that leads turns around behind a delay, so slopes
+        of both kinds are tried with each: springs that slip, behind a sensor late by 25
+        samples, were taken for loops that lag (errors of 14 and 21 %). On one amplitude
+        a wide loop is as well one that leads, late by a quarter of a cycle: there it
+        lags.
         """
         rules = ("growing",) if self._one else ("growing", "falling")
-        either = [Structure(one, self._all, self._finest, TRIAL_SMOOTHNESS) for one in rules]
+        either = [
+            Structure(one, self._all, self._finest, TRIAL_SMOOTHNESS) for one in rules
+        ]
         errors: dict[float, float] = {}
         for step in self._steps_within(DELAY_TRIALS):
-            errors[step] = min(fitted_rmse(self._late(basis, step), one) for one in either)
+            errors[step] = min(
+                fitted_rmse(self._late(basis, step), one) for one in either
+            )
             if _far_beyond(errors[step], errors.values()):
                 break
         best = min(errors, key=lambda step: errors[step])
@@ -319,7 +380,9 @@ class _Search:
         """Return the delays, in samples, that are within a quarter of a cycle."""
         assert self._cycle is not None
         longest = LONGEST_DELAY * self._cycle
-        return list(itertools.takewhile(lambda step: step * self._period <= longest, samples))
+        return list(
+            itertools.takewhile(lambda step: step * self._period <= longest, samples)
+        )
 
     def _late(self, basis: Basis, samples: float) -> Statistics:
         return self._statistics(replace(basis, delay=samples * self._period))
@@ -327,8 +390,9 @@ class _Search:
     def bend(self, basis: Basis, slopes: str) -> tuple[Basis, Structure]:
         """Asymmetry that acts on the drive, beyond the paper: taken where it clearly helps on data left out.
 
-        The asymmetry after the gears bends both branches alike; what differs between rising and falling drive
-        twice a cycle it cannot follow, and lag and loop width are found wrong in its place.
+        The asymmetry after the gears bends both branches alike; what differs between
+        rising and falling drive twice a cycle it cannot follow, and lag and loop width
+        are found wrong in its place.
         """
         listed = self._listed(slopes, [self._memories()[0] if self._one else self._all])
         found = [(basis, *self._best(basis, listed))]
@@ -353,32 +417,45 @@ class _Search:
                 errors.append(attempt(side * len(errors)))
         best = min(found, key=lambda item: item[2].rmse)
         if best[0].bend:
-            for bend in (best[0].bend - BEND_STEP / 2.0, best[0].bend + BEND_STEP / 2.0):
+            for bend in (
+                best[0].bend - BEND_STEP / 2.0,
+                best[0].bend + BEND_STEP / 2.0,
+            ):
                 if abs(bend) < BEND_TRIALS * BEND_STEP:
                     attempt(bend)
             best = min(found, key=lambda item: item[2].rmse)
-        return found[0][:2] if best[2].rmse > needed or no_worse(found[0][2], best[2]) else best[:2]
+        return (
+            found[0][:2]
+            if best[2].rmse > needed or no_worse(found[0][2], best[2])
+            else best[:2]
+        )
 
     def bend_again(self, basis: Basis, structure: Structure) -> Basis:
         """Return the bend, or one of its neighbours, that does best beside the lag."""
         if not basis.bend:
             return basis
-        near = [replace(basis, bend=basis.bend + side * BEND_STEP / 2.0) for side in (0, -1, 1)]
+        near = [
+            replace(basis, bend=basis.bend + side * BEND_STEP / 2.0)
+            for side in (0, -1, 1)
+        ]
         scores = [self._score(one, structure).rmse for one in near]
         return near[int(np.argmin(scores))]
 
-    def lag(self, basis: Basis, structure: Structure) -> tuple[Basis, Structure, tuple[float, float] | None]:
+    def lag(
+        self, basis: Basis, structure: Structure
+    ) -> tuple[Basis, Structure, tuple[float, float] | None]:
         """Delay and relaxation: none where the data left out do not ask for any, a delay alone before both.
 
-        The delay is the middle of those that explain the logs no worse than the best one does. A log with one
-        amplitude and one frequency hardly tells a delay from a lag or a wider loop; the middle bounds what
-        that costs on the next recording.
+        The delay is the middle of those that explain the logs no worse than the best
+        one does. A log with one amplitude and one frequency hardly tells a delay from a
+        lag or a wider loop; the middle bounds what that costs on the next recording.
         """
         choices = [replace(structure, memories=some) for some in self._memories()]
         if self._cycle is None:
             return basis, choices[0], None
         found: list[tuple[Basis, Structure, tuple[float, float] | None]] = []
-        if self._options.delay is not None or not basis.delay:  # else the fit without any delay was far worse
+        # else the fit without any delay was far worse
+        if self._options.delay is not None or not basis.delay:
             found.append((basis, choices[0], None))
         for one in choices:
             late, interval = self.delayed(basis, one)
@@ -393,7 +470,9 @@ class _Search:
         basis, structure, interval = found[best]
         return basis, structure, interval or found[-len(choices)][2]
 
-    def delayed(self, basis: Basis, structure: Structure) -> tuple[Basis, tuple[float, float] | None]:
+    def delayed(
+        self, basis: Basis, structure: Structure
+    ) -> tuple[Basis, tuple[float, float] | None]:
         """Return the basis with the delay that the logs ask for beside these memories, and its interval."""
         if self._options.delay is not None:
             return basis, None
@@ -408,28 +487,38 @@ class _Search:
 
         def attempt(step: float) -> None:
             statistics = self._late(basis, step)
-            tried[step] = Score.of(fitted_squares(statistics, structure), statistics.rows)
+            tried[step] = Score.of(
+                fitted_squares(statistics, structure), statistics.rows
+            )
 
         for step in self._steps_within(DELAY_TRIALS):
             attempt(step)
             if _far_beyond(tried[step].rmse, [score.rmse for score in tried.values()]):
                 break
-        while True:  # halve the gaps beside the best until they are a quarter of a sample
+        # halve the gaps beside the best until they are a quarter of a sample
+        while True:
             best = min(tried, key=lambda step: tried[step].rmse)
             below = max((step for step in tried if step < best), default=best)
             above = min((step for step in tried if step > best), default=best)
-            between = [(best + step) / 2.0 for step in (below, above) if abs(step - best) > FINEST_DELAY_STEP]
+            between = [
+                (best + step) / 2.0
+                for step in (below, above)
+                if abs(step - best) > FINEST_DELAY_STEP
+            ]
             if not between:
                 return {step * self._period: score for step, score in tried.items()}
             for step in between:
                 attempt(step)
 
-    def gears(self, basis: Basis, structure: Structure) -> tuple[Basis, Structure, Score]:
+    def gears(
+        self, basis: Basis, structure: Structure
+    ) -> tuple[Basis, Structure, Score]:
         """Smoothest slopes that are no worse, then how many of them, then finer gears where they show.
 
-        Never fewer gears: they cost nothing per sample, and a turn inside a gear retraces it, an error that
-        the logs do not show where they turn at few levels, on the gears' own edges perhaps (128 gears looked
-        as good as 1024 on two amplitudes of a tendon: 0.18 % of error on new moves instead of 0.05).
+        Never fewer gears: they cost nothing per sample, and a turn inside a gear
+        retraces it, an error that the logs do not show where they turn at few levels,
+        on the gears' own edges perhaps (128 gears looked as good as 1024 on two
+        amplitudes of a tendon: 0.18 % of error on new moves instead of 0.05).
         """
         listed = self._listed(structure.slopes, [structure.memories])
         structure, _ = self._best(basis, listed)
@@ -452,7 +541,8 @@ class _Search:
     def forgets(self, basis: Basis, structure: Structure, score: Score) -> bool:
         """Return whether memories of the way gone do far better on data left out than those of the time."""
         slow, fast = np.percentile(
-            np.concatenate([swings_of(log, basis).speed for log in self._logs]), [10, 90]
+            np.concatenate([swings_of(log, basis).speed for log in self._logs]),
+            [10, 90],
         )
         if fast - slow < np.log(SPEEDS_APART):
             return False
@@ -466,15 +556,21 @@ class _Search:
         statistics = self._statistics(basis)
         try:
             return cross_validate(statistics, structure)
-        except FitError:  # one candidate that cannot be solved is no reason to refuse the log
+        except (
+            FitError
+        ):  # one candidate that cannot be solved is no reason to refuse the log
             return Score.of(np.full(len(statistics.rows), np.inf), statistics.rows)
 
     def _shaped(self, basis: Basis, structure: Structure) -> tuple[Structure, Score]:
         """Smoothest slopes that are no worse on data left out, then the segments again, beside them.
 
-        Beside slopes as smooth as in a trial, those of springs that slip, any segments look alike.
+        Beside slopes as smooth as in a trial, those of springs that slip, any segments
+        look alike.
         """
-        smoothed = [replace(structure, smoothness=smoothness) for smoothness in SMOOTHNESS_CHOICES]
+        smoothed = [
+            replace(structure, smoothness=smoothness)
+            for smoothness in SMOOTHNESS_CHOICES
+        ]
         best, _ = self._best(basis, smoothed)
         listed = self._listed(best.slopes, [best.memories], best.smoothness)
         return self._best(basis, listed)

@@ -50,15 +50,20 @@ from dbo_cli.hysteresis.identification.statistics import PreparedLog
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.move_error import ZeroDrift, rms
 
-NO_BETTER = 0.95  # of the straight line's RMSE: above this there is nothing but a line in the log
+# of the straight line's RMSE: above this there is nothing but a line in the log
+NO_BETTER = 0.95
 
-BROKEN = 2.0  # times the expected error: what makes a move err by more is warned of, or refused of a prior
+# times the expected error: what makes a move err by more is warned of, or refused of a
+# prior
+BROKEN = 2.0
 
 LATE = 2.0
 """Sample periods: a shorter delay is no evidence of one, since a first-order lag looks alike. Measured:
-docs/choices.md."""
+docs/choices.md.
+"""
 
-LARGE_DRIFT = 0.05  # of the range: a sensor that drifts more is broken, or it is no sensor's drift
+# of the range: a sensor that drifts more is broken, or it is no sensor's drift
+LARGE_DRIFT = 0.05
 
 FASTEST = 98.0  # percentile of a log's rates: its few fastest steps are jumps and noise
 
@@ -105,19 +110,28 @@ def identify_static(
     cycle = median_cycle_seconds(recordings) if clocked else None
     sensor, given = Sensor.of(options), recordings
     sensor.check(cycle)
-    recordings, said = without_voltage_glitches([sensor.taken_off(log) for log in recordings])
+    recordings, said = without_voltage_glitches(
+        [sensor.taken_off(log) for log in recordings]
+    )
     ends = drive_range(recordings)
     logs = [cleaned(log) for log in recordings]
     recordings = within([one.recording for one in logs], ends)
     said += [note for one in logs for note in one.notes]
-    # Where dynamics are looked for, or left out, what swings at the beginning is no history.
+    # Where dynamics are looked for, or left out, what swings at the beginning is no
+    # history.
     at_rest = options.dynamics is None
-    prepared = prepare(recordings, options.skip_seconds, [one.bad for one in logs], ends, at_rest)
+    prepared = prepare(
+        recordings, options.skip_seconds, [one.bad for one in logs], ends, at_rest
+    )
     choice = choose(prepared, options, cycle)
     finalist = best_of(prepared, choice, options)
-    choice = dataclasses.replace(choice, basis=finalist.basis, structure=finalist.structure)
+    choice = dataclasses.replace(
+        choice, basis=finalist.basis, structure=finalist.structure
+    )
     if finalist.beaten and not options.force:
-        raise FitError(f"{finalist.beaten}; {_lacking(prepared)} (`force` keeps the model)")
+        raise FitError(
+            f"{finalist.beaten}; {_lacking(prepared)} (`force` keeps the model)"
+        )
     fitted = fit(prepared.logs, finalist)
     model = model_of(fitted, prepared, recordings[0], options.zero, options.gears)
     pairs = list(zip(recordings, prepared.logs, strict=True))
@@ -125,7 +139,8 @@ def identify_static(
     line = pooled([straight_line(log, ready) for log, ready in pairs], residuals)
     rmse = pooled([one.rmse for one in residuals], residuals)
     if not any(tau > slowest_lag(cycle) for tau in fitted.basis.time_constants):
-        prepared = dataclasses.replace(prepared, doubtful_drift=0.0)  # no creep was taken in its place
+        # no creep was taken in its place
+        prepared = dataclasses.replace(prepared, doubtful_drift=0.0)
     warnings = [
         *warned,
         *log_warnings(recordings, prepared.shapes),
@@ -138,24 +153,58 @@ def identify_static(
         warnings.append(finalist.beaten)
     if rmse > NO_BETTER * line:
         warnings.append(_no_loop(recordings, prepared, rmse, line, options.force))
-    checks = [validation_of(model, sensor.taken_off(log), options.skip_seconds) for log in validation]
+    checks = [
+        validation_of(model, sensor.taken_off(log), options.skip_seconds)
+        for log in validation
+    ]
     noise = white_noise([one.weighted for one in residuals]) / max(rmse, TINY) ** 2
-    expected = expect(prepared, choice, model, rmse, noise, _zero_drift(residuals, recordings))
-    figures = _figures(prepared, choice, fitted, model, residuals, checks, rmse, line, cycle, expected, given)
+    expected = expect(
+        prepared, choice, model, rmse, noise, _zero_drift(residuals, recordings)
+    )
+    figures = _figures(
+        prepared,
+        choice,
+        fitted,
+        model,
+        residuals,
+        checks,
+        rmse,
+        line,
+        cycle,
+        expected,
+        given,
+    )
     warnings += _drift_warnings(residuals, abs(prepared.scale), model.output.unit)
     if expected.shape is not None and expected.shape >= line:
         remedy = _scales_apart(recordings) or RECORD_MORE
         warnings.append(NO_BETTER_THAN_LINE.format(expected.shape, line, remedy))
     if not sensor and options.delay is None:
         warnings += _late_warnings(choice, prepared, expected)
-    notes = fit_notes(model.output.unit, prepared, choice.clockwise, expected.gain_trend, expected.forgets)
-    summary = said + prepared.notes + _summary(figures, model, prepared, residuals, checks, sensor) + notes
-    figures |= {"notes": notes} | _for_use(expected, sensor) | {"warnings": list(warnings)}
+    notes = fit_notes(
+        model.output.unit,
+        prepared,
+        choice.clockwise,
+        expected.gain_trend,
+        expected.forgets,
+    )
+    summary = (
+        said
+        + prepared.notes
+        + _summary(figures, model, prepared, residuals, checks, sensor)
+        + notes
+    )
+    figures |= (
+        {"notes": notes} | _for_use(expected, sensor) | {"warnings": list(warnings)}
+    )
     figures["alternatives"] = [one.values() for one in expected.alternatives]
-    return Identification(dataclasses.replace(model, fit=figures), figures, summary, warnings)
+    return Identification(
+        dataclasses.replace(model, fit=figures), figures, summary, warnings
+    )
 
 
-def _zero_drift(residuals: Sequence[Residual], recordings: Sequence[Recording]) -> ZeroDrift:
+def _zero_drift(
+    residuals: Sequence[Residual], recordings: Sequence[Recording]
+) -> ZeroDrift:
     """Return how far the zero moved along the log on which it moved most."""
     most = max(range(len(residuals)), key=lambda place: residuals[place].drift_span)
     seconds = recordings[most].seconds()
@@ -167,16 +216,24 @@ def _zero_drift(residuals: Sequence[Residual], recordings: Sequence[Recording]) 
 def _for_use(expected: Expectation, sensor: Sensor) -> dict[str, object]:
     """Return what is known of the sensor, of the gain, and of the logs' swings, for the model file."""
     taken_off = {"delay": sensor.delay, "lag": sensor.lag} if sensor else None
-    found = {"sensor": taken_off, "gain_trend": expected.gain_trend, "swings": expected.swing_values()}
+    found = {
+        "sensor": taken_off,
+        "gain_trend": expected.gain_trend,
+        "swings": expected.swing_values(),
+    }
     return {key: value for key, value in found.items() if value is not None}
 
 
-SCALES_APART = 2.0  # between the gains of logs; a piezo's own at small and at full swings differs by less
+# between the gains of logs; a piezo's own at small and at full swings differs by less
+SCALES_APART = 2.0
 
 
 def _scales_apart(recordings: Sequence[Recording]) -> str | None:
     """Return what to do where the gains of logs are so far apart that their scales must be."""
-    gains = [abs(float(np.polyfit(log.voltage, log.displacement, 1)[0])) for log in recordings]
+    gains = [
+        abs(float(np.polyfit(log.voltage, log.displacement, 1)[0]))
+        for log in recordings
+    ]
     least, most = int(np.argmin(gains)), int(np.argmax(gains))
     if gains[most] <= SCALES_APART * gains[least]:
         return None
@@ -202,7 +259,11 @@ def _lacking(prepared: Prepared) -> str:
 
 
 def _no_loop(
-    recordings: Sequence[Recording], prepared: Prepared, rmse: float, line: float, force: bool
+    recordings: Sequence[Recording],
+    prepared: Prepared,
+    rmse: float,
+    line: float,
+    force: bool,
 ) -> str:
     """Refuse a model that is no better than a straight line (FitError), or say so where it is kept."""
     cause = _scales_apart(recordings) or (
@@ -215,7 +276,9 @@ def _no_loop(
     return message
 
 
-def _drift_warnings(residuals: Sequence[Residual], span: float, unit: str | None) -> list[str]:
+def _drift_warnings(
+    residuals: Sequence[Residual], span: float, unit: str | None
+) -> list[str]:
     """Warn of a drift so large that it is more likely the actuator's than the sensor's."""
     of_what = f" {unit}" if unit else ""
     warnings = []
@@ -268,7 +331,9 @@ def _figures(
         "loop_width_percent": loop_width_percent(model),
         "relaxation_seconds": [float(tau) for tau, gain in taus if gain > 0.0],
         "delay_seconds": gears.delay,
-        "delay_interval_seconds": list(choice.delay_interval) if choice.delay_interval else None,
+        "delay_interval_seconds": list(choice.delay_interval)
+        if choice.delay_interval
+        else None,
         "lag_seconds": lag_seconds(fitted, cycle),
         "logs": [
             {
@@ -277,17 +342,23 @@ def _figures(
                 "rmse": residual.rmse,
                 "drift": residual.drift_span,
                 "begins_at": float(given[k].voltage[0]),
-                "start": None if prepared.transient_rows[k] or log.stretches else log.start,
+                "start": None
+                if prepared.transient_rows[k] or log.stretches
+                else log.start,
                 "transient_rows": prepared.transient_rows[k],
                 "outlier_rows": prepared.outlier_rows[k],
                 "clipped_rows": prepared.clipped_rows[k],
             }
-            for k, (residual, log) in enumerate(zip(residuals, prepared.logs, strict=True))
+            for k, (residual, log) in enumerate(
+                zip(residuals, prepared.logs, strict=True)
+            )
         ],
     }
 
 
-def _expected_figures(expected: Expectation, span: float, unit: str) -> dict[str, object]:
+def _expected_figures(
+    expected: Expectation, span: float, unit: str
+) -> dict[str, object]:
     """Return what error to expect on new moves, in its parts, and what that rests on."""
     rmse = expected.rmse
     return {
@@ -319,19 +390,27 @@ def parts_words(figures: Mapping[str, Any], unit: str) -> str:
     )
 
 
-def _late_warnings(choice: Choice, prepared: Prepared, expected: Expectation) -> list[str]:
+def _late_warnings(
+    choice: Choice, prepared: Prepared, expected: Expectation
+) -> list[str]:
     """Warn of a pure delay that would break the expected error if it were the sensor's or the logger's.
 
-    A stage and its amplifier lag; what comes late as a whole has mostly been delayed by a filter or a bus.
-    Where a first-order lag explains the logs about as well, it need not be one.
+    A stage and its amplifier lag; what comes late as a whole has mostly been delayed by
+    a filter or a bus. Where a first-order lag explains the logs about as well, it need
+    not be one.
     """
     delay = choice.basis.delay
-    lags_as_well = any(one.kind == "lag" and one.weight > np.exp(-1.0) for one in expected.alternatives)
+    lags_as_well = any(
+        one.kind == "lag" and one.weight > np.exp(-1.0) for one in expected.alternatives
+    )
     if not delay or expected.rmse is None or lags_as_well:
         return []
     rate = max(rms(_rates(log)) for log in prepared.logs)
     cost = delay * abs(prepared.scale) / prepared.span * rate
-    if delay < LATE * (sample_period(prepared.logs) or 0.0) or cost <= BROKEN * expected.rmse:
+    if (
+        delay < LATE * (sample_period(prepared.logs) or 0.0)
+        or cost <= BROKEN * expected.rmse
+    ):
         return []
     return [
         f"the displacement is late by a pure delay of {1e3 * delay:.3g} ms, more often a sensor's or a "
@@ -362,8 +441,9 @@ def fastest_drive(logs: Sequence[PreparedLog]) -> float | None:
 def lag_seconds(fitted: Fitted, cycle: float | None) -> float:
     """Lag of the displacement in seconds at the logs' own frequency, the loop's own lag left out.
 
-    To a slow sine of angular frequency w the gears answer with their mean slope s, a memory with
-    c / (1 + i w tau): together a gain whose phase, over w, is a time; the delay adds to it.
+    To a slow sine of angular frequency w the gears answer with their mean slope s, a
+    memory with c / (1 + i w tau): together a gain whose phase, over w, is a time; the
+    delay adds to it.
 
     Parameters
     ----------
@@ -374,7 +454,10 @@ def lag_seconds(fitted: Fitted, cycle: float | None) -> float:
         return fitted.basis.delay
     w = 2.0 * np.pi / cycle
     gain = (
-        fitted.heights.sum() + (fitted.gains / (1.0 + 1j * w * np.asarray(fitted.basis.time_constants))).sum()
+        fitted.heights.sum()
+        + (
+            fitted.gains / (1.0 + 1j * w * np.asarray(fitted.basis.time_constants))
+        ).sum()
     )
     return fitted.basis.delay - float(np.angle(gain)) / w
 
@@ -395,7 +478,10 @@ def _summary(
         f"{figures['straight_line_rmse']:.4g}{unit}"
     )
     if figures["expected_rmse"] is None:
-        lines = [f"what error to expect on new moves cannot be told: {figures['expected_from']}", fitted]
+        lines = [
+            f"what error to expect on new moves cannot be told: {figures['expected_from']}",
+            fitted,
+        ]
     else:
         lines = [
             f"expected on new moves inside the range: {figures['expected_rmse']:.4g}{unit} "

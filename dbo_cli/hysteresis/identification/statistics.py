@@ -1,13 +1,15 @@
 """What the logs say about the unknowns: the rows of the least-squares problem, and their products by folds.
 
-For fixed gear widths the operator's output is linear in everything that is unknown (design, section "Lag and
-creep beside the gears"): with phi_i the engaged fraction of gear i and L_j the relaxed drive,
+For fixed gear widths the operator's output is linear in everything that is unknown
+(design, section "Lag and creep beside the gears"): with phi_i the engaged fraction of
+gear i and L_j the relaxed drive,
 
     sum_i phi_i dY_i + sum_j c_j L_j - S^-1(y) - drift = 0,
 
-where S^-1 is the inverse of the discrete point operator, written as a piecewise-linear function of the
-measured output (Kuhnen's arrangement, reference [6] of the paper). Rows are made in blocks, so that memory
-does not grow with the log, and gathered once, by folds, so that cycles or swings can be left out.
+where S^-1 is the inverse of the discrete point operator, written as a piecewise-linear
+function of the measured output (Kuhnen's arrangement, reference [6] of the paper). Rows
+are made in blocks, so that memory does not grow with the log, and gathered once, by
+folds, so that cycles or swings can be left out.
 """
 
 from __future__ import annotations
@@ -51,26 +53,32 @@ from dbo_cli.hysteresis.operators import (
 )
 
 BLOCK_ROWS = 256  # a block without a wanted row is passed over, so blocks are short
-JOINED_BLOCKS = 4  # that follow each other: fewer and larger products take half the time
-BEND_SEGMENTS = 32  # of the parabola; 16 and 64 changed the errors of one of eight invented logs, by 2 %
-TIME_CONSTANT_RATIO = 3.0  # with 6 a log of creep alone was followed four times worse, with 2 by 7 % worse
+# that follow each other: fewer and larger products take half the time
+JOINED_BLOCKS = 4
+# of the parabola; 16 and 64 changed the errors of one of eight invented logs, by 2 %
+BEND_SEGMENTS = 32
+# with 6 a log of creep alone was followed four times worse, with 2 by 7 % worse
+TIME_CONSTANT_RATIO = 3.0
 ALL_GEARS = 1024
 """Gears of the finest model, however many slopes they share. Measured: docs/choices.md."""
 SLOPE_CHOICES = (64, 128, 256)
 """Different slopes among the gears, simplest first. Measured: docs/choices.md."""
-LENGTHS = (0.15, 0.5)  # of memories that fade with the way gone, in units of the range; see ``expectation``
+# of memories that fade with the way gone, in units of the range; see ``expectation``
+LENGTHS = (0.15, 0.5)
 
 
 @dataclass(frozen=True)
 class Basis:
     """What is fixed before the problem is solved: the gears' edges, the time constants, the delay.
 
-    ``low`` and ``high`` bound the gears on the voltage axis, which ``gears * split`` equal widths divide;
-    ``split`` neighbours share one slope, so that ``gears`` heights are unknown. A turn inside a gear
-    retraces it: splitting makes that error of the operator small without a single unknown more.
-    ``time_constants`` in seconds; ``delay`` in seconds, of the output behind the drive. ``bend`` is the
-    asymmetry that acts on the drive before the gears: at a share s of the range it adds bend s (1 - s).
-    ``lengths`` are of memories that fade with the way gone, in units of the range; no model has them.
+    ``low`` and ``high`` bound the gears on the voltage axis, which ``gears * split``
+    equal widths divide; ``split`` neighbours share one slope, so that ``gears`` heights
+    are unknown. A turn inside a gear retraces it: splitting makes that error of the
+    operator small without a single unknown more. ``time_constants`` in seconds;
+    ``delay`` in seconds, of the output behind the drive. ``bend`` is the asymmetry that
+    acts on the drive before the gears: at a share s of the range it adds bend s (1 -
+    s). ``lengths`` are of memories that fade with the way gone, in units of the range;
+    no model has them.
     """
 
     gears: int
@@ -91,7 +99,9 @@ class Basis:
         """Return the asymmetry that acts on the drive: a parabola in straight segments, ends held."""
         at = np.arange(BEND_SEGMENTS + 1) / BEND_SEGMENTS
         bent = at + self.bend * at * (1.0 - at)
-        return DiscretePointOperator(np.diff(at) * self.span, np.diff(bent) * self.span, self.low, self.low)
+        return DiscretePointOperator(
+            np.diff(at) * self.span, np.diff(bent) * self.span, self.low, self.low
+        )
 
     def drive(self, voltage: Floats) -> Floats:
         """Return what reaches the gears, in the unit of the voltage."""
@@ -99,34 +109,52 @@ class Basis:
 
     def lags(self, voltage: Floats, seconds: Floats | None) -> Floats:
         """Return what each memory holds of the drive, as shares of the range; see ``relaxed_drive``."""
-        lags = relaxed_drive((self.drive(voltage) - self.low) / self.span, seconds, self.time_constants)
+        lags = relaxed_drive(
+            (self.drive(voltage) - self.low) / self.span, seconds, self.time_constants
+        )
         if self.lengths:
             way = travelled(voltage, self.span) / self.span
-            lags = np.hstack((lags, relaxed_drive((voltage - self.low) / self.span, way, self.lengths)))
+            lags = np.hstack(
+                (
+                    lags,
+                    relaxed_drive((voltage - self.low) / self.span, way, self.lengths),
+                )
+            )
         return lags
 
     def operator(self) -> DiscreteBacklashOperator:
         """Return an operator of these gears with equal heights that sum to one."""
         count = self.gears * self.split
         return DiscreteBacklashOperator(
-            np.full(count, self.span / count), np.full(count, 1.0 / count), self.low, 0.0
+            np.full(count, self.span / count),
+            np.full(count, 1.0 / count),
+            self.low,
+            0.0,
         )
 
 
-def usual_basis(low: float, high: float, time_constants: tuple[float, ...] = ()) -> Basis:
+def usual_basis(
+    low: float, high: float, time_constants: tuple[float, ...] = ()
+) -> Basis:
     """Return the gears that everything but their own number is chosen with."""
-    return Basis(SLOPE_CHOICES[0], low, high, ALL_GEARS // SLOPE_CHOICES[0], time_constants)
+    return Basis(
+        SLOPE_CHOICES[0], low, high, ALL_GEARS // SLOPE_CHOICES[0], time_constants
+    )
 
 
-def relaxed_drive(drive: Floats, seconds: Floats | None, time_constants: tuple[float, ...]) -> Floats:
+def relaxed_drive(
+    drive: Floats, seconds: Floats | None, time_constants: tuple[float, ...]
+) -> Floats:
     """Exponentially forgetting averages of the drive, one column a time constant.
 
-    L_k = a_k L_k-1 + (1 - a_k) u_k with a_k = exp(-dt_k / tau); L_0 = u_0, at rest before the first sample.
+    L_k = a_k L_k-1 + (1 - a_k) u_k with a_k = exp(-dt_k / tau); L_0 = u_0, at rest
+    before the first sample.
 
     Parameters
     ----------
     drive : shape (samples,), in any unit
-    seconds : shape (samples,), time of each sample; may be None where there are no time constants
+    seconds : shape (samples,), time of each sample; may be None where there are no time
+        constants
     time_constants : in seconds
 
     Returns
@@ -138,7 +166,8 @@ def relaxed_drive(drive: Floats, seconds: Floats | None, time_constants: tuple[f
     steps = np.maximum(np.diff(seconds, prepend=seconds[0]), 0.0)
     terms = Relaxation(0.0, time_constants, (0.0,) * len(time_constants))
     usual = float(np.median(steps[1:])) if len(steps) > 1 else 0.0
-    # A clock that is even but for the digits it was written with need not be looked at step by step.
+    # A clock that is even but for the digits it was written with need not be looked at
+    # step by step.
     even = usual > 0.0 and float(np.abs(steps[1:] - usual).max()) <= EVEN * usual
     return terms.lags(drive, usual if even else steps)[0]
 
@@ -146,7 +175,8 @@ def relaxed_drive(drive: Floats, seconds: Floats | None, time_constants: tuple[f
 def hat_functions(position: Floats, segments: int) -> Floats:
     """Piecewise-linear hats on the inner knots of ``segments`` equal segments of 0..1; outside, straight on.
 
-    Returns shape (samples, segments - 1). The end segments are extended, as the point operator's are.
+    Returns shape (samples, segments - 1). The end segments are extended, as the point
+    operator's are.
     """
     if segments < 2:
         return np.empty((len(position), 0))
@@ -180,9 +210,11 @@ def drive_rows(
     ----------
     basis : the gears and time constants
     voltage : shape (samples,)
-    seconds : shape (samples,), or None where the log has no clock (then neither delay nor relaxation)
+    seconds : shape (samples,), or None where the log has no clock (then neither delay
+        nor relaxation)
     start : 'empty', 'full' or 'settled': the state before the first sample
-    wanted : shape (samples,), bool: blocks without a wanted row are passed over (their states are not)
+    wanted : shape (samples,), bool: blocks without a wanted row are passed over (their
+        states are not)
     lags : what ``basis.lags`` gives for this log, where it is known
 
     Yields
@@ -204,7 +236,8 @@ def drive_rows(
         if begin > done:
             _, state, _ = operator.run(drive[done:begin], state)
             done = begin
-        # The next block begins at row ``keep``, whose state is kept: rows from there on are made again.
+        # The next block begins at row ``keep``, whose state is kept: rows from there on
+        # are made again.
         end = min(int(before[last - 1]) + 2, samples)
         keep = min(max(int(before[min(last, samples - 1)]), done), end)
         early, state = operator.engagement(drive[done:keep], state, group_size=split)
@@ -215,7 +248,9 @@ def drive_rows(
         columns[:, early.shape[1] :] = memory[begin:end]
         done = keep
         if basis.delay > 0.0:
-            columns = _between(columns, before[first:last] - begin, share[first:last, None])
+            columns = _between(
+                columns, before[first:last] - begin, share[first:last, None]
+            )
         yield first, last, columns[: last - first]
 
 
@@ -234,7 +269,9 @@ def _wanted_rows(wanted: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
     """Yield (first row, row after the last) of blocks with a wanted row, a few neighbours at a time."""
     edges = np.arange(0, len(wanted), BLOCK_ROWS)
     begin: int | None = None
-    for block, here in enumerate([*np.logical_or.reduceat(wanted, edges).tolist(), False]):
+    for block, here in enumerate(
+        [*np.logical_or.reduceat(wanted, edges).tolist(), False]
+    ):
         if begin is not None and (not here or block - begin == JOINED_BLOCKS):
             yield begin * BLOCK_ROWS, min(block * BLOCK_ROWS, len(wanted))
             begin = None
@@ -242,27 +279,35 @@ def _wanted_rows(wanted: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
             begin = block
 
 
-def _delayed_rows(seconds: Floats | None, made: NDArray[np.bool_], delay: float) -> tuple[Integers, Floats]:
+def _delayed_rows(
+    seconds: Floats | None, made: NDArray[np.bool_], delay: float
+) -> tuple[Integers, Floats]:
     """For each row made, the row at or before the moment ``delay`` ago, and the share of the row after it."""
     samples = len(made)
     if delay <= 0.0 or seconds is None:
         return np.arange(samples), np.zeros(samples)
     if (np.diff(seconds) < 0.0).any():
-        made = np.ones(samples, bool)  # a search among times that fall depends on what was searched before
+        # a search among times that fall depends on what was searched before
+        made = np.ones(samples, bool)
     rows, both = np.flatnonzero(made), (np.zeros(samples, np.int64), np.zeros(samples))
     ago = np.maximum(seconds[rows] - delay, seconds[0])
     before = np.clip(np.searchsorted(seconds, ago, side="right") - 1, 0, samples - 2)
     gap = seconds[before + 1] - seconds[before]
-    share = np.divide(ago - seconds[before], gap, out=np.zeros(len(rows)), where=gap > 0.0)
+    share = np.divide(
+        ago - seconds[before], gap, out=np.zeros(len(rows)), where=gap > 0.0
+    )
     both[0][rows] = np.maximum.accumulate(before)
     both[1][rows] = np.clip(share, 0.0, 1.0)
     return both
 
 
 GOLDEN_RATIO = (5.0**0.5 - 1.0) / 2.0  # its multiples fill an interval most evenly
-SELECTION_ROWS = 20_000  # for choosing orders: more rows move the error left out by less than 1 %
-FIT_ROWS = 50_000  # for the model itself: five hundred for each unknown, which scatter by 4 % of the noise
-SWING_ROWS = 500  # between turns, on average, are kept: the fastest swings of a drive then have 50
+# for choosing orders: more rows move the error left out by less than 1 %
+SELECTION_ROWS = 20_000
+# for the model itself: five hundred for each unknown, which scatter by 4 % of the noise
+FIT_ROWS = 50_000
+# between turns, on average, are kept: the fastest swings of a drive then have 50
+SWING_ROWS = 500
 
 
 def row_weights(
@@ -270,14 +315,17 @@ def row_weights(
 ) -> list[Floats | None]:
     """Return the roots of the weights of logs' rows, 1 over each standard deviation, in one scale.
 
-    Their mean square over the used rows is 1, so that a weighted error is one of the displacement. Where all
-    used rows are equally uncertain there are no weights: they count alike.
+    Their mean square over the used rows is 1, so that a weighted error is one of the
+    displacement. Where all used rows are equally uncertain there are no weights: they
+    count alike.
     """
     alike: list[Floats | None] = [None] * len(uncertainties)
     present = [one for one in uncertainties if one is not None]
     if len(present) < len(alike):
         return alike
-    together = np.concatenate([one[rows] for one, rows in zip(present, used, strict=True)])
+    together = np.concatenate(
+        [one[rows] for one, rows in zip(present, used, strict=True)]
+    )
     if float(np.ptp(together)) == 0.0:
         return alike
     scale = float(np.mean(together**-2.0)) ** -0.5
@@ -302,12 +350,14 @@ def weighted(values: Floats, weights: Floats | None) -> Floats:
 class PreparedLog:
     """One log made ready for the fit.
 
-    ``voltage`` in its unit; ``output`` the displacement with its sign and scale taken out (0..1 over all
-    logs); ``seconds`` from the first sample or None; ``fold`` the fold of each row, -1 where the row is left
-    out; ``drift`` the columns of offset and drift, shape (samples, terms); ``start`` the state before the
-    first sample; ``rows`` the numbers of the samples in the file, None from 1 on. The last ``stretches`` of
-    the drift's columns are offsets of stretches of a history left open, not drift. ``weights`` are the roots
-    of the rows' weights, None where all rows count alike. All arrays have shape (samples, ...).
+    ``voltage`` in its unit; ``output`` the displacement with its sign and scale taken
+    out (0..1 over all logs); ``seconds`` from the first sample or None; ``fold`` the
+    fold of each row, -1 where the row is left out; ``drift`` the columns of offset and
+    drift, shape (samples, terms); ``start`` the state before the first sample; ``rows``
+    the numbers of the samples in the file, None from 1 on. The last ``stretches`` of
+    the drift's columns are offsets of stretches of a history left open, not drift.
+    ``weights`` are the roots of the rows' weights, None where all rows count alike. All
+    arrays have shape (samples, ...).
     """
 
     name: str
@@ -338,8 +388,9 @@ class PreparedLog:
     def lags(self, basis: Basis) -> Floats:
         """Return the drive as the memories of a basis see it (``basis.lags``).
 
-        The last ones are kept: few of the many bases that are tried differ in what these depend on. A log
-        that is made of this one shares them, unless its voltage is another.
+        The last ones are kept: few of the many bases that are tried differ in what
+        these depend on. A log that is made of this one shares them, unless its voltage
+        is another.
         """
         key = basis.time_constants, basis.lengths, basis.bend, basis.low, basis.high
         if key not in self._lags:
@@ -352,8 +403,9 @@ class PreparedLog:
 class FoldProducts:
     """Products of the columns and (last) the target, one symmetric matrix a fold, with the rows that went in.
 
-    ``nuisance`` are the columns that a fold, when it is left out, still has to itself: the offsets of
-    stretches of an open history, or offset and drift altogether where no other fold is of the same log.
+    ``nuisance`` are the columns that a fold, when it is left out, still has to itself:
+    the offsets of stretches of an open history, or offset and drift altogether where no
+    other fold is of the same log.
     """
 
     grams: tuple[Floats, ...]
@@ -363,7 +415,9 @@ class FoldProducts:
     def total(self, leave_out: int | None = None) -> tuple[Floats, int]:
         """Sum over the folds, all or all but one: the products and the number of rows."""
         keep = [k for k in range(len(self.grams)) if k != leave_out]
-        return np.sum([self.grams[k] for k in keep], axis=0), sum(self.rows[k] for k in keep)
+        return np.sum([self.grams[k] for k in keep], axis=0), sum(
+            self.rows[k] for k in keep
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -396,12 +450,17 @@ class Statistics(FoldProducts):
             self._whole_signed[key] = unknowns, unknowns.products(self._whole[0])
         return self._whole_signed[key]
 
-    def _signed_folds(self, structure: Structure) -> tuple[SignedUnknowns, list[Floats]]:
+    def _signed_folds(
+        self, structure: Structure
+    ) -> tuple[SignedUnknowns, list[Floats]]:
         """Return the unknowns that have a sign, and the products of each fold in them."""
         key = structure.slopes, structure.segments
         if key not in self._signed:
             unknowns = SignedUnknowns(self.columns, *key)
-            self._signed[key] = unknowns, [unknowns.products(gram) for gram in self.grams]
+            self._signed[key] = (
+                unknowns,
+                [unknowns.products(gram) for gram in self.grams],
+            )
         return self._signed[key]
 
     def minimum(self, structure: Structure) -> tuple[Floats, States]:
@@ -410,13 +469,16 @@ class Statistics(FoldProducts):
         guess = unknowns.states(structure.memories)
         return minimum(products, unknowns, structure, self._whole[1], guess), guess
 
-    def _minimum_without(self, structure: Structure, states: States, fold: int) -> Floats:
+    def _minimum_without(
+        self, structure: Structure, states: States, fold: int
+    ) -> Floats:
         """Return the signed unknowns fitted to all folds but one; ``states`` are a guess."""
         unknowns, folds = self._signed_folds(structure)
         kept = [k for k in range(len(folds)) if k != fold]
         key = structure.slopes, structure.segments
         if key not in self._without:
-            self._without.clear()  # candidates alike in these follow each other; keeping all took 13 MB more
+            # candidates alike in these follow each other; keeping all took 13 MB more
+            self._without.clear()
             self._without[key] = {}
         sums = self._without[key]
         if fold not in sums:
@@ -440,15 +502,20 @@ class Statistics(FoldProducts):
         return squared_error_free_of(folds[fold], found, own, 1.0)
 
 
-def fewer_rows(logs: Sequence[PreparedLog], limit: int = SELECTION_ROWS) -> list[PreparedLog]:
+def fewer_rows(
+    logs: Sequence[PreparedLog], limit: int = SELECTION_ROWS
+) -> list[PreparedLog]:
     """Keep about ``limit`` rows: slow logs are thinned, of others short stretches are kept, spread evenly.
 
-    Which stretches follows from multiples of the golden ratio, which fill the log without gaps or rhythm.
+    Which stretches follows from multiples of the golden ratio, which fill the log
+    without gaps or rhythm.
     """
     total = sum(int(log.used.sum()) for log in logs)
     if total <= limit:
         return list(logs)
-    swing = min(len(log.fold) / (len(drive_shape(log.voltage).turns) + 1) for log in logs)
+    swing = min(
+        len(log.fold) / (len(drive_shape(log.voltage).turns) + 1) for log in logs
+    )
     every = int(min(total / limit, swing / SWING_ROWS))
     if every > 1:
         logs = [_thinned(log, every) for log in logs]
@@ -462,7 +529,9 @@ def fewer_rows(logs: Sequence[PreparedLog], limit: int = SELECTION_ROWS) -> list
     return with_folds(logs, kept)
 
 
-def with_folds(logs: Sequence[PreparedLog], folds: Sequence[Integers]) -> list[PreparedLog]:
+def with_folds(
+    logs: Sequence[PreparedLog], folds: Sequence[Integers]
+) -> list[PreparedLog]:
     """Return the logs with these folds, numbered anew: one of a short cycle may have lost all its rows."""
     left = np.unique(np.concatenate([fold[fold >= 0] for fold in folds]))
     return [
@@ -477,7 +546,9 @@ def _thinned(log: PreparedLog, every: int) -> PreparedLog:
     blocks = log.voltage[: len(log.voltage) // length * length].reshape(-1, length)
     begins = length * np.arange(len(blocks))
     kept = np.zeros(len(log.voltage), bool)
-    kept[np.r_[begins, begins + blocks.argmin(axis=1), begins + blocks.argmax(axis=1)]] = True
+    kept[
+        np.r_[begins, begins + blocks.argmin(axis=1), begins + blocks.argmax(axis=1)]
+    ] = True
     kept[length * len(blocks) :] = True
     rows = np.flatnonzero(kept)
     seconds = None if log.seconds is None else log.seconds[rows]
@@ -496,10 +567,13 @@ def _thinned(log: PreparedLog, every: int) -> PreparedLog:
 def gather(logs: Sequence[PreparedLog], basis: Basis, segments: int) -> Statistics:
     """Run over all logs in blocks and gather the products of their rows, fold by fold.
 
-    They are rows of the equation error: the asymmetry is a function of the *measured* output.
+    They are rows of the equation error: the asymmetry is a function of the *measured*
+    output.
     """
     drift = sum(log.drift.shape[1] for log in logs)
-    columns = Columns(basis.gears, len(basis.time_constants) + len(basis.lengths), segments, drift)
+    columns = Columns(
+        basis.gears, len(basis.time_constants) + len(basis.lengths), segments, drift
+    )
     shared = columns.total - drift
     folds = 1 + max(int(log.fold.max(initial=-1)) for log in logs)
     size = columns.total + 1
@@ -510,8 +584,13 @@ def gather(logs: Sequence[PreparedLog], basis: Basis, segments: int) -> Statisti
     for log in logs:
         end = begin + log.drift.shape[1]
         own = end - begin + shared + 1
-        mine = {int(k): np.zeros((own, own)) for k in np.flatnonzero(np.bincount(log.fold[log.used]))}
-        made = drive_rows(basis, log.voltage, log.seconds, log.start, log.used, log.lags(basis))
+        mine = {
+            int(k): np.zeros((own, own))
+            for k in np.flatnonzero(np.bincount(log.fold[log.used]))
+        }
+        made = drive_rows(
+            basis, log.voltage, log.seconds, log.start, log.used, log.lags(basis)
+        )
         for first, last, drive in made:
             output = log.output[first:last]
             hats = hat_functions(output, segments)
@@ -525,7 +604,9 @@ def gather(logs: Sequence[PreparedLog], basis: Basis, segments: int) -> Statisti
             grams[k][picked] += np.triu(gram) + np.triu(gram, 1).T
             nuisance[k] = slice(begin if len(mine) < 2 else end - log.stretches, end)
         begin = end
-    return Statistics(columns=columns, grams=tuple(grams), rows=tuple(rows), nuisance=tuple(nuisance))
+    return Statistics(
+        columns=columns, grams=tuple(grams), rows=tuple(rows), nuisance=tuple(nuisance)
+    )
 
 
 def _runs(fold: Integers) -> Iterator[tuple[int, slice]]:
@@ -538,19 +619,22 @@ def _runs(fold: Integers) -> Iterator[tuple[int, slice]]:
 
 INDIFFERENCE = 0.02
 """A gain in RMSE below this share is not worth a larger model where the logs cannot tell. Measured:
-docs/choices.md."""
+docs/choices.md.
+"""
 
 EARNED = 0.9
 """What clearly makes a model larger must lower the error on data left out to this share: free slopes, an
-asymmetry on the drive, memories of the way, one more resonance. Measured: docs/choices.md."""
+asymmetry on the drive, memories of the way, one more resonance. Measured:
+docs/choices.md.
+"""
 
 
 @dataclass(frozen=True)
 class Score:
     """Cross-validated error of one candidate.
 
-    ``mean_squares`` of each fold, shape (folds,), in the square of the normalised output; ``weights`` the
-    folds' share of the rows.
+    ``mean_squares`` of each fold, shape (folds,), in the square of the normalised
+    output; ``weights`` the folds' share of the rows.
     """
 
     mean_squares: Floats
@@ -570,18 +654,24 @@ class Score:
     def excess_over(self, other: Score) -> Floats:
         """Logarithm of the ratio of the root mean squares, fold by fold; shape (folds,).
 
-        Ratios let a small loop count as much as a large one, and a short log as much as a long one's part.
+        Ratios let a small loop count as much as a large one, and a short log as much as
+        a long one's part.
         """
         tiny = np.finfo(float).tiny
         with np.errstate(invalid="ignore"):  # of two candidates that cannot be solved
-            ratios: Floats = 0.5 * np.log((self.mean_squares + tiny) / (other.mean_squares + tiny))
+            ratios: Floats = 0.5 * np.log(
+                (self.mean_squares + tiny) / (other.mean_squares + tiny)
+            )
         return ratios
 
 
 def cross_validate(statistics: Statistics, structure: Structure) -> Score:
     """Leave out each fold in turn, fit the others, and measure the error on the fold left out."""
     _, states = statistics.minimum(structure)
-    squares = [statistics.left_out(structure, fold, states) for fold in range(len(statistics.rows))]
+    squares = [
+        statistics.left_out(structure, fold, states)
+        for fold in range(len(statistics.rows))
+    ]
     return Score.of(squares, statistics.rows)
 
 
@@ -599,8 +689,9 @@ def fitted_rmse(statistics: Statistics, structure: Structure) -> float:
 def no_worse(candidate: Score, best: Score, indifference: float = INDIFFERENCE) -> bool:
     """Whether ``candidate`` is within one standard error, or within the indifference, of ``best``.
 
-    The standard error is that of the paired ratios between folds, which have most of their scatter in
-    common. With few or uneven folds it says little, so it excuses a loss only up to INDIFFERENCE.
+    The standard error is that of the paired ratios between folds, which have most of
+    their scatter in common. With few or uneven folds it says little, so it excuses a
+    loss only up to INDIFFERENCE.
     """
     excess = candidate.excess_over(best)
     mean = float(excess.mean())
@@ -615,14 +706,17 @@ def simplest_of(scores: Sequence[Score], indifference: float = INDIFFERENCE) -> 
     least = min(scores, key=lambda score: score.rmse)
     best = min(scores, key=lambda score: float(score.excess_over(least).mean()))
     near = (no_worse(score, best, indifference) for score in scores)
-    return next((k for k, close in enumerate(near) if close), 0)  # the simplest where none can be solved
+    # the simplest where none can be solved
+    return next((k for k, close in enumerate(near) if close), 0)
 
 
 MAX_RATIO = 2.0
 """Times the error of cycles left out: a group without which the fit falls apart counts no more than this.
-Measured: docs/choices.md."""
+Measured: docs/choices.md.
+"""
 
-LARGE = 0.75  # of the drive's range: without the swings above, the last gears would never be seen
+# of the drive's range: without the swings above, the last gears would never be seen
+LARGE = 0.75
 
 
 def groups_left_out(
@@ -642,15 +736,26 @@ def groups_left_out(
                 vector = solve(rest, statistics.columns, structure, rows).vector
             except FitError:
                 continue
-            left = squared_error_free_of(statistics.grams[group], vector, statistics.nuisance[group]) / mine
+            left = (
+                squared_error_free_of(
+                    statistics.grams[group], vector, statistics.nuisance[group]
+                )
+                / mine
+            )
             found.append((min(left, (MAX_RATIO * cycles) ** 2), mine))
         if found:
             names.append(name)
-            worst = max(worst, sum(error * mine for error, mine in found) / sum(mine for _, mine in found))
+            worst = max(
+                worst,
+                sum(error * mine for error, mine in found)
+                / sum(mine for _, mine in found),
+            )
     return float(np.sqrt(worst)), tuple(names)
 
 
-def groupings(logs: Sequence[PreparedLog], basis: Basis) -> Iterator[tuple[str, list[PreparedLog]]]:
+def groupings(
+    logs: Sequence[PreparedLog], basis: Basis
+) -> Iterator[tuple[str, list[PreparedLog]]]:
     """Yield each way to group swings: its name, and the logs with the groups as folds, 0 for none."""
     swings = [swings_of(log, basis) for log in logs]
     counts = np.concatenate([one.rows for one in swings])
@@ -663,13 +768,23 @@ def groupings(logs: Sequence[PreparedLog], basis: Basis) -> Iterator[tuple[str, 
             if name == "amplitudes":
                 label = np.where(one.amplitude < SMALL_SWING, 1, 2)
             elif name == "levels":
-                label = 1 + np.clip(3.0 * one.level, 0.0, 2.0).astype(np.int64)  # thirds of the range
+                # thirds of the range
+                label = 1 + np.clip(3.0 * one.level, 0.0, 2.0).astype(np.int64)
             else:
                 label = np.where(one.speed < slow, 1, np.where(one.speed > fast, 2, 0))
             labels.append(np.repeat(np.where(small, label, 0), one.rows))
         if any(label.any() for label in labels):
-            folds = [np.where(log.used, label, -1) for log, label in zip(logs, labels, strict=True)]
-            yield name, [replace(log, fold=fold) for log, fold in zip(logs, folds, strict=True)]
+            folds = [
+                np.where(log.used, label, -1)
+                for log, label in zip(logs, labels, strict=True)
+            ]
+            yield (
+                name,
+                [
+                    replace(log, fold=fold)
+                    for log, fold in zip(logs, folds, strict=True)
+                ],
+            )
 
 
 @dataclass(frozen=True)
@@ -693,4 +808,6 @@ def swings_of(log: PreparedLog, basis: Basis) -> Swings:
     else:
         durations = np.diff(log.seconds[np.minimum(edges, len(log.seconds) - 1)])
     speed = np.log(np.maximum(amplitude, 1e-3) / np.maximum(durations, 1e-9))
-    return Swings(amplitude, (0.5 * (ends[1:] + ends[:-1]) - basis.low) / basis.span, speed, rows)
+    return Swings(
+        amplitude, (0.5 * (ends[1:] + ends[:-1]) - basis.low) / basis.span, speed, rows
+    )

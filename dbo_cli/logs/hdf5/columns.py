@@ -1,8 +1,8 @@
 """One HDF5 dataset as columns: names, units, scales, missing values and rates from its attributes.
 
-Then, as programs for experiments arrange them: PyMoDAQ's tree of data and axes, Labber's channels and
-traces (written after the files that ``pymodaq_data`` writes, and after public readers of Labber's log files),
-the tables of pandas.
+Then, as programs for experiments arrange them: PyMoDAQ's tree of data and axes,
+Labber's channels and traces (written after the files that ``pymodaq_data`` writes, and
+after public readers of Labber's log files), the tables of pandas.
 """
 
 from __future__ import annotations
@@ -33,17 +33,28 @@ from dbo_cli.logs.column_table import (
 )
 from dbo_cli.logs.plain_text import clean_text
 
-# Names in use: NeXus, CF conventions and netCDF, LabVIEW, h5py recorders; MATLAB's own classes of numbers.
+# Names in use: NeXus, CF conventions and netCDF, LabVIEW, h5py recorders; MATLAB's own
+# classes of numbers.
 _UNIT_ATTRIBUTES = ("units", "unit", "unit_string")
-_NAME_ATTRIBUTES = ("columns", "column_names", "names", "channels", "channel_names", "labels", "fields")
+_NAME_ATTRIBUTES = (
+    "columns",
+    "column_names",
+    "names",
+    "channels",
+    "channel_names",
+    "labels",
+    "fields",
+)
 _UNUSED_FACTORS = ("gain", "factor", "multiplier", "sensitivity", "calibration", "conversion",
                    "conversion_factor")  # fmt: skip
-_MATLAB_NUMBERS = {"double", "single", "logical"} | {  # whole numbers of 1 to 8 bytes besides
+# whole numbers of 1 to 8 bytes besides
+_MATLAB_NUMBERS = {"double", "single", "logical"} | {
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
 
 
-LONGEST_STAMP = 80  # bytes of a text that may be a date and a time of day; twice what any program writes
+# bytes of a text that may be a date and a time of day; twice what any program writes
+LONGEST_STAMP = 80
 
 
 def is_dataset(node: Any) -> bool:
@@ -59,7 +70,9 @@ def is_group(node: Any) -> bool:
 def attribute(node: Any, *names: str) -> Any:
     """Give the first attribute of these names (case aside), or None."""
     spellings = _attribute_names(node)
-    spelling = next((spellings[name.lower()] for name in names if name.lower() in spellings), None)
+    spelling = next(
+        (spellings[name.lower()] for name in names if name.lower() in spellings), None
+    )
     return None if spelling is None else node.attrs[spelling]
 
 
@@ -74,7 +87,11 @@ def attribute_text(node: Any, *names: str) -> str:
 
 def _only_text(value: Any) -> str:
     values = np.atleast_1d(value).ravel()
-    return clean_text(values[0]) if values.size == 1 and isinstance(values[0], str | bytes) else ""
+    return (
+        clean_text(values[0])
+        if values.size == 1 and isinstance(values[0], str | bytes)
+        else ""
+    )
 
 
 def matlab_class(node: Any) -> str:
@@ -82,7 +99,9 @@ def matlab_class(node: Any) -> str:
     return attribute_text(node, "MATLAB_class")
 
 
-def columns_of(dataset: Any, name: str, stamps: frozenset[int] = frozenset()) -> list[ColumnSource]:
+def columns_of(
+    dataset: Any, name: str, stamps: frozenset[int] = frozenset()
+) -> list[ColumnSource]:
     """Take a dataset apart into columns; the longer axis of a matrix is time, or the one that has stamps.
 
     Parameters
@@ -92,7 +111,8 @@ def columns_of(dataset: Any, name: str, stamps: frozenset[int] = frozenset()) ->
     name
         What the columns are called, or empty for the dataset's own name.
     stamps
-        How many time stamps stand beside the dataset: 100 frames of 128 channels are wider than long.
+        How many time stamps stand beside the dataset: 100 frames of 128 channels are
+        wider than long.
     """
     shape, kind = dataset.shape, dataset.dtype
     if shape is None or not dataset.size or not _holds_measurements(dataset):
@@ -109,18 +129,30 @@ def columns_of(dataset: Any, name: str, stamps: frozenset[int] = frozenset()) ->
     axis = _time_axis(dataset, stamps)
     width = 1 if len(shape) == 1 else shape[1 - axis]
     names = _column_names(dataset, width) if width > 1 else None
-    labels = names or ([label] if width == 1 else [f"{label}[{number}]" for number in range(1, width + 1)])
+    labels = names or (
+        [label]
+        if width == 1
+        else [f"{label}[{number}]" for number in range(1, width + 1)]
+    )
     fetches = [slicer(dataset, axis, index) for index in range(width)]
-    sources = [ColumnSource(label, shape[axis], fetch) for label, fetch in zip(labels, fetches, strict=True)]
+    sources = [
+        ColumnSource(label, shape[axis], fetch)
+        for label, fetch in zip(labels, fetches, strict=True)
+    ]
     return [_described(source, dataset, index) for index, source in enumerate(sources)]
 
 
 def _holds_measurements(dataset: Any) -> bool:
     """Leave out what only looks like numbers: MATLAB's text and objects, netCDF's bare dimensions."""
-    if attribute_text(dataset, "NAME").startswith("This is a netCDF dimension but not a netCDF variable"):
+    if attribute_text(dataset, "NAME").startswith(
+        "This is a netCDF dimension but not a netCDF variable"
+    ):
         return False
     matlab = matlab_class(dataset)
-    if matlab and (matlab not in _MATLAB_NUMBERS or attribute(dataset, "MATLAB_object_decode") is not None):
+    if matlab and (
+        matlab not in _MATLAB_NUMBERS
+        or attribute(dataset, "MATLAB_object_decode") is not None
+    ):
         return False
     return attribute(dataset, "MATLAB_empty") is None
 
@@ -132,7 +164,11 @@ def _time_axis(dataset: Any, stamps: frozenset[int]) -> int:
     if len(stamps & set(shape)) == 1 and shape[0] != shape[1]:
         return 0 if shape[0] in stamps else 1
     # MATLAB stores every matrix transposed, so a square one runs the other way.
-    return 0 if shape[0] > shape[1] or (shape[0] == shape[1] and not matlab_class(dataset)) else 1
+    return (
+        0
+        if shape[0] > shape[1] or (shape[0] == shape[1] and not matlab_class(dataset))
+        else 1
+    )
 
 
 def slicer(dataset: Any, axis: int, index: int) -> Fetch:
@@ -149,12 +185,15 @@ def _fields_of(dataset: Any, name: str) -> list[ColumnSource]:
     for number, field in enumerate(dataset.dtype.names):
         label = f"{name}/{clean_text(field)}" if name else clean_text(field)
         fields += [
-            _described(source, dataset, number) for source in field_sources(dataset, field, label, None)
+            _described(source, dataset, number)
+            for source in field_sources(dataset, field, label, None)
         ]
     return fields
 
 
-def field_sources(dataset: Any, field: str, label: str, names: list[str] | None) -> list[ColumnSource]:
+def field_sources(
+    dataset: Any, field: str, label: str, names: list[str] | None
+) -> list[ColumnSource]:
     """Make a column of a field of a compound dataset, or one of each place (``names``) of an array in it."""
     kind, length = dataset.dtype[field], dataset.shape[0]
     if kind.subdtype is not None and len(kind.shape) == 1 and kind.base.kind in "fiub":
@@ -162,13 +201,19 @@ def field_sources(dataset: Any, field: str, label: str, names: list[str] | None)
         if names is None or len(names) != width:
             names = [f"{label}[{number}]" for number in range(1, width + 1)]
         return [
-            ColumnSource(column_label, length, _field(dataset, field, (slice(None), index)))
+            ColumnSource(
+                column_label, length, _field(dataset, field, (slice(None), index))
+            )
             for index, column_label in enumerate(names)
         ]
     if kind.kind in "SO" and _is_short_text(kind):
         stamps_source = text_source(label, length, _field(dataset, field, ...))
         return [] if stamps_source is None else [stamps_source]
-    return [ColumnSource(label, length, _field(dataset, field, ...))] if kind.kind in "fiub" else []
+    return (
+        [ColumnSource(label, length, _field(dataset, field, ...))]
+        if kind.kind in "fiub"
+        else []
+    )
 
 
 def _is_short_text(kind: Any) -> bool:
@@ -194,7 +239,11 @@ def _column_names(dataset: Any, width: int) -> list[str] | None:
 def _described(source: ColumnSource, dataset: Any, index: int) -> ColumnSource:
     """Add what the attributes state: unit, scale, missing values, rate."""
     scaled = _scaled(source, dataset, index)
-    return replace(scaled, unit=_unit_of(dataset, index) or None, clock=tuple(statements_of(dataset)))
+    return replace(
+        scaled,
+        unit=_unit_of(dataset, index) or None,
+        clock=tuple(statements_of(dataset)),
+    )
 
 
 def _unit_of(dataset: Any, index: int) -> str:
@@ -232,9 +281,13 @@ def _scaled(source: ColumnSource, dataset: Any, index: int) -> ColumnSource:
             )
             return replace(source, problem=text)
         source = replace(source, scale=scale)
-        remarks.append(f"column '{source.label}' is multiplied by its attribute scale, {scale:g}")
+        remarks.append(
+            f"column '{source.label}' is multiplied by its attribute scale, {scale:g}"
+        )
     elif shift and number("add_offset") is None:
-        remarks.append(f"column '{source.label}' has an attribute offset, {shift:g}, which is not applied")
+        remarks.append(
+            f"column '{source.label}' has an attribute offset, {shift:g}, which is not applied"
+        )
     for name in _UNUSED_FACTORS:
         value = number(name)
         if value is not None and value != 1.0:
@@ -256,8 +309,14 @@ def scalar_statements(group: Any) -> Iterator[Statement]:
     for name in group:
         if is_clock_name(clean_text(name)):
             node = group.get(name)
-            if is_dataset(node) and node.size == 1 and (node.dtype.kind in "fiu" or node.dtype.kind == "O"):
-                yield from read_statements(clean_text(name), node[()], _unit_of(node, 0) or None)
+            if (
+                is_dataset(node)
+                and node.size == 1
+                and (node.dtype.kind in "fiu" or node.dtype.kind == "O")
+            ):
+                yield from read_statements(
+                    clean_text(name), node[()], _unit_of(node, 0) or None
+                )
 
 
 def stored_text(dataset: Any) -> str:
@@ -269,10 +328,14 @@ def stored_text(dataset: Any) -> str:
     return _only_text(dataset[()])
 
 
-# --- programs for experiments ---------------------------------------------------------------------
+# --- programs for experiments
+# ---------------------------------------------------------------------
 
-_SIGNALS = ("axis", "data", "data_enlargeable")  # what PyMoDAQ calls arrays, beside logs and errors
-_DEEPEST = 8  # levels of PyMoDAQ's tree, which has six: RawData/Scan000/Detector000/Data0D/CH00/EnlData00
+# what PyMoDAQ calls arrays, beside logs and errors
+_SIGNALS = ("axis", "data", "data_enlargeable")
+# levels of PyMoDAQ's tree, which has six:
+# RawData/Scan000/Detector000/Data0D/CH00/EnlData00
+_DEEPEST = 8
 
 
 def program_columns(group: Any) -> list[ColumnSource]:
@@ -281,7 +344,11 @@ def program_columns(group: Any) -> list[ColumnSource]:
         return _pandas_columns(group)
     if all(name in group for name in ("Channels", "Log list", "Data")):
         return list(_labber_traces(group)) or list(_labber_steps(group))
-    return without_scalars(list(_pymodaq(group))) if "pymodaq_version" in group.file.attrs else []
+    return (
+        without_scalars(list(_pymodaq(group)))
+        if "pymodaq_version" in group.file.attrs
+        else []
+    )
 
 
 def _pymodaq(group: Any, depth: int = 0) -> Iterator[ColumnSource]:
@@ -295,7 +362,9 @@ def _pymodaq(group: Any, depth: int = 0) -> Iterator[ColumnSource]:
     scans = [str(name) for name in group if re.fullmatch(r"Scan\d+", str(name))]
     if len(scans) > 1:
         path = f"{clean_text(group.file.filename)}::{clean_text(group.name).rstrip('/')}/{scans[0]}"
-        raise InputError(f"{path.partition('::')[0]}: {len(scans)} scans: which one? (write {path})")
+        raise InputError(
+            f"{path.partition('::')[0]}: {len(scans)} scans: which one? (write {path})"
+        )
     for name in group:
         node = group.get(name)
         if is_group(node) and depth < _DEEPEST:
@@ -325,7 +394,9 @@ def _labber_steps(group: Any) -> Iterator[ColumnSource]:
     for index, row in enumerate(group["Data/Channel names"][()]):
         name = clean_text(row["name"])
         if not clean_text(row["info"]):  # else a part of a complex number
-            yield array_source(name, data[:, index, :].T.ravel(), units.get(name) or None)
+            yield array_source(
+                name, data[:, index, :].T.ravel(), units.get(name) or None
+            )
 
 
 def _labber_traces(group: Any) -> Iterator[ColumnSource]:
@@ -334,21 +405,28 @@ def _labber_traces(group: Any) -> Iterator[ColumnSource]:
     for name in (name for name in traces if f"{name}_t0dt" in traces):
         values = np.asarray(traces[name][()])
         if values.ndim == 3 and values.shape[1:] == (1, 1):
-            start, step = (float(value) for value in np.ravel(traces[f"{name}_t0dt"][()])[:2])
+            start, step = (
+                float(value) for value in np.ravel(traces[f"{name}_t0dt"][()])[:2]
+            )
             timed = attribute_text(traces[name], "x_unit") in ("s", "") and step > 0.0
-            clock = (Statement(f"'{name}_t0dt' {step:g} s", 1.0 / step),) if timed else ()
+            clock = (
+                (Statement(f"'{name}_t0dt' {step:g} s", 1.0 / step),) if timed else ()
+            )
             unit = units.get(clean_text(name)) or None
             source = array_source(clean_text(name), values[:, 0, 0], unit)
             yield replace(source, clock=clock, start=start)
 
 
-# --- pandas, through PyTables: tables, with data columns or not, and blocks -------------------------
+# --- pandas, through PyTables: tables, with data columns or not, and blocks
+# -------------------------
 
 
 def _pandas_columns(group: Any) -> list[ColumnSource]:
     """Read what ``DataFrame.to_hdf`` writes, in either of its formats."""
     kind = attribute_text(group, "pandas_type")
-    if kind in ("frame_table", "appendable_frame", "series_table") and is_dataset(group.get("table")):
+    if kind in ("frame_table", "appendable_frame", "series_table") and is_dataset(
+        group.get("table")
+    ):
         return _pandas_table(group, group["table"])
     if kind == "frame" and is_dataset(group.get("axis1")):
         return _pandas_blocks(group)
@@ -363,13 +441,22 @@ def _pandas_table(group: Any, table: Any) -> list[ColumnSource]:
     info = _harmless(attribute(group, "info"))
     for field in table.dtype.names:
         if field == "index":
-            name = info.get("index", {}).get("index_name") if isinstance(info, dict) else None
+            name = (
+                info.get("index", {}).get("index_name")
+                if isinstance(info, dict)
+                else None
+            )
             for source in field_sources(table, field, clean_text(name or ""), None):
                 sources += _as_index(source, attribute_text(table, "index_kind"))
             continue
-        names = [clean_text(name) for name in _harmless(attribute(table, f"{field}_kind")) or ()]
+        names = [
+            clean_text(name)
+            for name in _harmless(attribute(table, f"{field}_kind")) or ()
+        ]
         for source in field_sources(table, field, clean_text(field), names):
-            sources.append(_from_stamps(source, attribute_text(table, f"{field}_dtype")) or source)
+            sources.append(
+                _from_stamps(source, attribute_text(table, f"{field}_dtype")) or source
+            )
     return sources
 
 
@@ -378,15 +465,25 @@ def _pandas_blocks(group: Any) -> list[ColumnSource]:
     order = group["axis0"][()].ravel() if is_dataset(group.get("axis0")) else ()
     by_name: dict[str, ColumnSource] = {}
     for number in range(int(np.ravel(attribute(group, "nblocks"))[0])):
-        values, items = group.get(f"block{number}_values"), group.get(f"block{number}_items")
+        values, items = (
+            group.get(f"block{number}_values"),
+            group.get(f"block{number}_items"),
+        )
         if not (
-            is_dataset(values) and is_dataset(items) and values.dtype.kind in "fiub" and values.ndim == 2
+            is_dataset(values)
+            and is_dataset(items)
+            and values.dtype.kind in "fiub"
+            and values.ndim == 2
         ):
             continue
         for index, name in enumerate(map(clean_text, items[()].ravel())):
             source = ColumnSource(name, values.shape[0], slicer(values, 0, index))
-            by_name[name] = _from_stamps(source, attribute_text(values, "value_type")) or source
-    return sources + [by_name[name] for name in map(clean_text, order) if name in by_name]
+            by_name[name] = (
+                _from_stamps(source, attribute_text(values, "value_type")) or source
+            )
+    return sources + [
+        by_name[name] for name in map(clean_text, order) if name in by_name
+    ]
 
 
 def _index(axis: Any) -> list[ColumnSource]:
@@ -411,7 +508,11 @@ def _as_index(source: ColumnSource, kind: str) -> list[ColumnSource]:
 def _from_stamps(source: ColumnSource, kind: str) -> ColumnSource | None:
     """Turn dates (and durations) stored as counts into seconds from the first row on."""
     match = re.fullmatch(r"(?:datetime|timedelta)64(?:\[(s|ms|us|ns)(?:,.*)?\])?", kind)
-    return from_first_row(source, match[1] or "ns") if match is not None and source.length else None
+    return (
+        from_first_row(source, match[1] or "ns")
+        if match is not None and source.length
+        else None
+    )
 
 
 class _NoCode(pickle.Unpickler):
@@ -428,7 +529,8 @@ def _harmless(value: Any) -> Any:
     try:
         return _NoCode(io.BytesIO(bytes(value))).load()
     except Exception:
-        return None  # whatever is no plain list of names: the columns then go by numbers
+        # whatever is no plain list of names: the columns then go by numbers
+        return None
 
 
 def _unpickled_text(name: str) -> str:

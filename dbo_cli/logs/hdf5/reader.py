@@ -1,8 +1,9 @@
 """HDF5 as a table of columns: how programs arrange a table in a group, and the group that is meant.
 
-NeXus, Bluesky, LabOne, MATLAB, pandas, and plain groups of datasets. MATLAB's v7.3 files are HDF5 with every
-matrix stored transposed; since the longer axis is taken as time, both read the same. What a dataset's
-attributes mean is in ``hdf5.columns``. No link is followed and no dataset read that hangs or leads astray.
+NeXus, Bluesky, LabOne, MATLAB, pandas, and plain groups of datasets. MATLAB's v7.3
+files are HDF5 with every matrix stored transposed; since the longer axis is taken as
+time, both read the same. What a dataset's attributes mean is in ``hdf5.columns``. No
+link is followed and no dataset read that hangs or leads astray.
 """
 
 from __future__ import annotations
@@ -28,7 +29,13 @@ from dbo_cli.logs.column_table import (
     with_unit,
     without_scalars,
 )
-from dbo_cli.logs.columns import DISPLACEMENT, TIME_NAMES, VOLTAGE, fits_pattern, split_header
+from dbo_cli.logs.columns import (
+    DISPLACEMENT,
+    TIME_NAMES,
+    VOLTAGE,
+    fits_pattern,
+    split_header,
+)
 from dbo_cli.logs.hdf5.columns import (
     attribute,
     attribute_text,
@@ -46,13 +53,27 @@ from dbo_cli.logs.request import BLOCK_ROWS, Address, FileWatch, Request, brief
 
 # What h5py raises at damaged bytes.
 _DAMAGED = (OSError, RuntimeError, KeyError, TypeError, ValueError, IndexError)
-_MOST = 1 << 14  # members of a group that are all looked at: four columns of each of 4,096 actuators, 7 s
-_DEEPEST = 8  # levels looked through for a table; LabOne's is the deepest known (/000/dev/demods/0/sample)
-# What NXlog, Bluesky's writers (EPOCH) and LabOne call values, stamps and what stands beside them.
+# members of a group that are all looked at: four columns of each of 4,096 actuators, 7
+# s
+_MOST = 1 << 14
+# levels looked through for a table; LabOne's is the deepest known
+# (/000/dev/demods/0/sample)
+_DEEPEST = 8
+# What NXlog, Bluesky's writers (EPOCH) and LabOne call values, stamps and what stands
+# beside them.
 _VALUES = ("value", "values", "data", "average_value")
 _TIMES = ("time", "timestamp", "timestamps", "EPOCH")
-_BESIDE = ("raw_value", "chunk", "status", "severity", "alarm_status", "alarm_severity", "connection_status")
-_SAME_STAMPS = 1e-9  # of the stamp: what is left of one clock written twice, in seconds since 1970
+_BESIDE = (
+    "raw_value",
+    "chunk",
+    "status",
+    "severity",
+    "alarm_status",
+    "alarm_severity",
+    "connection_status",
+)
+# of the stamp: what is left of one clock written twice, in seconds since 1970
+_SAME_STAMPS = 1e-9
 
 
 def open_hdf5(request: Request) -> ColumnTable:
@@ -67,7 +88,9 @@ def open_hdf5(request: Request) -> ColumnTable:
     """
     address = request.address
     if address.is_stream:
-        raise InputError("standard input: HDF5 cannot be read from a pipe: give the file's name")
+        raise InputError(
+            "standard input: HDF5 cannot be read from a pipe: give the file's name"
+        )
     if not os.path.exists(address.path):
         raise InputError(f"{address.path}: no such file")
     if os.path.isdir(address.path):
@@ -77,7 +100,9 @@ def open_hdf5(request: Request) -> ColumnTable:
     try:
         file = _SafeFile(address.path, request.watch)
     except OSError as problem:
-        raise InputError(f"{address.path}: cannot be read as HDF5: {brief(problem)}") from None
+        raise InputError(
+            f"{address.path}: cannot be read as HDF5: {brief(problem)}"
+        ) from None
     try:
         with request.reading("HDF5", _DAMAGED):
             node, sources = _find_columns(file, address, request.named)
@@ -85,18 +110,26 @@ def open_hdf5(request: Request) -> ColumnTable:
     except BaseException:
         file.close()
         raise
-    return ColumnTable(request, "HDF5", sources, clock, 0.0, where, file.close, _DAMAGED)
+    return ColumnTable(
+        request, "HDF5", sources, clock, 0.0, where, file.close, _DAMAGED
+    )
 
 
-def _find_columns(file: Any, address: Address, selectors: Sequence[str]) -> tuple[Any, list[ColumnSource]]:
+def _find_columns(
+    file: Any, address: Address, selectors: Sequence[str]
+) -> tuple[Any, list[ColumnSource]]:
     place = address.text
     node = file.get(address.group or "/")
     if node is None:
-        raise InputError(f"{place}: there is no group '{address.group}': {_list_groups(file)}")
+        raise InputError(
+            f"{place}: there is no group '{address.group}': {_list_groups(file)}"
+        )
     if is_dataset(node):
         sources = columns_of(node, "")
         if not sources:
-            raise InputError(f"{place}: this dataset holds no columns of numbers ({_shape_of(node)})")
+            raise InputError(
+                f"{place}: this dataset holds no columns of numbers ({_shape_of(node)})"
+            )
         return node, sources
     start = node
     sources = columns_in(node) if len(node) <= _MOST or not selectors else []
@@ -126,7 +159,9 @@ def _by_path(
             continue
         if "*" in path and not any(fits_pattern(label, path) for label in known):
             for name in _dataset_paths(start):
-                columns = columns_of(start.get(name), "") if fits_pattern(name, path) else []
+                columns = (
+                    columns_of(start.get(name), "") if fits_pattern(name, path) else []
+                )
                 if len(columns) == 1 and name not in known:
                     known.add(name)
                     yield replace(columns[0], label=name)
@@ -158,13 +193,17 @@ def _nearest_clock(node: Any) -> list[Statement]:
         level = level.parent
 
 
-def _no_columns(file: Any, address: Address, tables: Sequence[tuple[Any, list[ColumnSource]]]) -> str:
+def _no_columns(
+    file: Any, address: Address, tables: Sequence[tuple[Any, list[ColumnSource]]]
+) -> str:
     text = f"{address.text}: no columns of numbers in this group: {_list_groups(file)}"
     roles: dict[str, int] = {}
     for node, sources in tables:
         labels = {source.label.lower() for source in sources}
         if sum(source.label.lower() not in TIME_NAMES for source in sources) > 1:
-            known = [bool(labels & set(role.guesses)) for role in (VOLTAGE, DISPLACEMENT)]
+            known = [
+                bool(labels & set(role.guesses)) for role in (VOLTAGE, DISPLACEMENT)
+            ]
             roles[clean_text(node.name)] = sum(known)
     if roles:  # not what a camera wrote beside a drive
         names = [name for name, count in roles.items() if count == max(roles.values())]
@@ -174,10 +213,14 @@ def _no_columns(file: Any, address: Address, tables: Sequence[tuple[Any, list[Co
         paths = list(_dataset_paths(file))
         node = tables[0][0].name.strip("/") + "/"
         end = _short_end(next(path for path in paths if path.startswith(node)), paths)
-        return f"{text} (the end of an address is enough: `voltage` '*{clean_text(end)}')"
+        return (
+            f"{text} (the end of an address is enough: `voltage` '*{clean_text(end)}')"
+        )
     objects = file.get("#subsystem#") is not None
     members = (node for name in file if (node := file.get(name)) is not None)
-    return f"{text}{MATLAB_OBJECTS}" if objects or any(map(_is_object, members)) else text
+    return (
+        f"{text}{MATLAB_OBJECTS}" if objects or any(map(_is_object, members)) else text
+    )
 
 
 def _short_end(path: str, paths: Sequence[str]) -> str:
@@ -191,7 +234,14 @@ def _short_end(path: str, paths: Sequence[str]) -> str:
 
 
 def _is_object(node: Any) -> bool:
-    return matlab_class(node) in ("table", "timetable", "timeseries", "string", "datetime", "duration")
+    return matlab_class(node) in (
+        "table",
+        "timetable",
+        "timeseries",
+        "string",
+        "datetime",
+        "duration",
+    )
 
 
 def _list_groups(file: Any) -> str:
@@ -207,7 +257,11 @@ def _list_groups(file: Any) -> str:
 
 
 def _shape_of(dataset: Any) -> str:
-    shape = "no shape" if dataset.shape is None else "x".join(map(str, dataset.shape)) or "one value"
+    shape = (
+        "no shape"
+        if dataset.shape is None
+        else "x".join(map(str, dataset.shape)) or "one value"
+    )
     return f"{shape}, {dataset.dtype}"
 
 
@@ -232,14 +286,20 @@ def columns_in(group: Any) -> list[ColumnSource]:
 def tables_below(group: Any) -> list[tuple[Any, list[ColumnSource]]]:
     """Find the groups that hold columns, at the shallowest level below ``group`` that has any.
 
-    Where NeXus names the group that is meant (``default``, or a single NXdata), that is the only one.
+    Where NeXus names the group that is meant (``default``, or a single NXdata), that is
+    the only one.
     """
     chosen = _default_data(group)
     if chosen is not None:
         return [(chosen, columns_in(chosen))]
     level, visited = [group], {group.id}
     for _ in range(_DEEPEST):
-        level = [child for node in level for child in _inner_groups(node) if child.id not in visited]
+        level = [
+            child
+            for node in level
+            for child in _inner_groups(node)
+            if child.id not in visited
+        ]
         level = list({child.id: child for child in level}.values())
         visited |= {child.id for child in level}
         tables = [(child, columns) for child in level if (columns := columns_in(child))]
@@ -255,13 +315,19 @@ def _inner_groups(group: Any) -> list[Any]:
 
 def _members(group: Any) -> Iterator[tuple[str, Any]]:
     """Give what is in a group by name; not MATLAB's references and PyTables' indices."""
-    return ((name, group.get(name)) for name in group if not name.startswith(("#", "_i_")))
+    return (
+        (name, group.get(name)) for name in group if not name.startswith(("#", "_i_"))
+    )
 
 
 def _plain_columns(group: Any) -> list[ColumnSource]:
     sources: list[ColumnSource] = []
-    nodes = [(clean_text(name), node) for name, node in _members(group) if is_dataset(node)]
-    stamps = frozenset(node.size for name, node in nodes if split_header(name)[0].lower() in TIME_NAMES)
+    nodes = [
+        (clean_text(name), node) for name, node in _members(group) if is_dataset(node)
+    ]
+    stamps = frozenset(
+        node.size for name, node in nodes if split_header(name)[0].lower() in TIME_NAMES
+    )
     for name, node in nodes:
         if not (node.size == 1 and is_clock_name(name)):
             sources += columns_of(node, name, stamps)
@@ -276,7 +342,8 @@ def _plain_columns(group: Any) -> list[ColumnSource]:
     return [_in_seconds(group, source) for source in sources]
 
 
-# --- NeXus ----------------------------------------------------------------------------------------
+# --- NeXus
+# ----------------------------------------------------------------------------------------
 
 
 def _default_data(group: Any) -> Any:
@@ -288,8 +355,16 @@ def _default_data(group: Any) -> Any:
         named = attribute_text(node, "default")
         target = node.get(named) if named else None
         if target is None:
-            kinds = [child for child in _inner_groups(node) if attribute_text(child, "NX_class") == "NXentry"]
-            kinds = kinds or [c for c in _inner_groups(node) if attribute_text(c, "NX_class") == "NXdata"]
+            kinds = [
+                child
+                for child in _inner_groups(node)
+                if attribute_text(child, "NX_class") == "NXentry"
+            ]
+            kinds = kinds or [
+                c
+                for c in _inner_groups(node)
+                if attribute_text(c, "NX_class") == "NXdata"
+            ]
             target = kinds[0] if len(kinds) == 1 else None
         if not is_group(target):
             return None
@@ -305,21 +380,28 @@ def _nexus_scaled(group: Any, sources: list[ColumnSource]) -> list[ColumnSource]
     for source in sources:
         if source.label in helpers:
             continue
-        factor, offset = (_single(group.get(f"{source.label}{end}")) for end in ends[:2])
+        factor, offset = (
+            _single(group.get(f"{source.label}{end}")) for end in ends[:2]
+        )
         if factor is not None or offset is not None:
             factor, offset = 1.0 if factor is None else factor, offset or 0.0
             source = replace(source, scale=factor, offset=offset * factor)
         scaled.append(source)
     signal = attribute_text(group, "signal")
     length = next((source.length for source in scaled if source.label == signal), None)
-    return scaled if length is None else [source for source in scaled if source.length == length]
+    return (
+        scaled
+        if length is None
+        else [source for source in scaled if source.length == length]
+    )
 
 
 def _single(node: Any) -> float | None:
     return number_in(node[()]) if is_dataset(node) and node.size == 1 else None
 
 
-# --- one group per signal (Bluesky, NXlog, LabOne's plotter) --------------------------------------
+# --- one group per signal (Bluesky, NXlog, LabOne's plotter)
+# --------------------------------------
 
 
 def _logged_columns(group: Any) -> list[ColumnSource]:
@@ -327,7 +409,11 @@ def _logged_columns(group: Any) -> list[ColumnSource]:
     values: list[ColumnSource] = []
     clocks: list[ColumnSource] = []
     for child in _inner_groups(group):
-        datasets = {name: node for name in child if is_dataset(node := child.get(name)) and node.shape}
+        datasets = {
+            name: node
+            for name in child
+            if is_dataset(node := child.get(name)) and node.shape
+        }
         value = next((name for name in _VALUES if name in datasets), None)
         time = next((name for name in _TIMES if name in datasets), None)
         label = clean_text(child.name.rsplit("/", 1)[-1])
@@ -340,9 +426,12 @@ def _logged_columns(group: Any) -> list[ColumnSource]:
         if time is not None:
             stamps = columns_of(datasets[time], f"{label}/{time}")
             unit = stamps[0].unit if stamps else None
-            if child.get("EPOCH") is not None:  # Bluesky's writer documents its times in seconds
+            # Bluesky's writer documents its times in seconds
+            if child.get("EPOCH") is not None:
                 unit = unit or "s"
-            clocks += [_in_seconds(child, replace(stamp, unit=unit)) for stamp in stamps]
+            clocks += [
+                _in_seconds(child, replace(stamp, unit=unit)) for stamp in stamps
+            ]
     if not values or max(source.length for source in values) < 2:
         return []
     return (_one_clock(clocks) if len(clocks) == len(values) else clocks) + values
@@ -351,18 +440,26 @@ def _logged_columns(group: Any) -> list[ColumnSource]:
 def _beside(datasets: dict[str, Any], length: int) -> bool:
     """Tell whether a group holds other columns beside one signal and its stamps: then it is a table."""
     known = (*_VALUES, *_TIMES, *_BESIDE)
-    return any(name not in known and node.shape[0] == length for name, node in datasets.items())
+    return any(
+        name not in known and node.shape[0] == length for name, node in datasets.items()
+    )
 
 
 def _one_clock(clocks: list[ColumnSource]) -> list[ColumnSource]:
     """Put clocks that agree together into one; signals stamped each for itself keep their own."""
     first = clocks[0]
     for clock in clocks[1:]:
-        if (clock.length, clock.unit, clock.scale) != (first.length, first.unit, first.scale):
+        if (clock.length, clock.unit, clock.scale) != (
+            first.length,
+            first.unit,
+            first.scale,
+        ):
             return clocks
         for start in range(0, first.length, BLOCK_ROWS):
             stop = min(first.length, start + BLOCK_ROWS)
-            if not np.allclose(first.read(start, stop), clock.read(start, stop), _SAME_STAMPS, 0.0):
+            if not np.allclose(
+                first.read(start, stop), clock.read(start, stop), _SAME_STAMPS, 0.0
+            ):
                 return clocks
     return [replace(first, label=first.label.rsplit("/", 1)[-1])]
 
@@ -374,7 +471,9 @@ def _in_seconds(group: Any, source: ColumnSource) -> ColumnSource:
     base = _clock_base(group)
     if base is not None:
         return replace(source, unit="s", scale=1.0 / base)
-    device = any(re.fullmatch(r"dev\d+", part.lower()) for part in group.name.split("/"))
+    device = any(
+        re.fullmatch(r"dev\d+", part.lower()) for part in group.name.split("/")
+    )
     return replace(source, unit="ticks") if device else source
 
 
@@ -389,28 +488,40 @@ def _clock_base(group: Any) -> float | None:
     return None
 
 
-# --- files opened with care ------------------------------------------------------------------------------
+# --- files opened with care
+# ------------------------------------------------------------------------------
 #
-# A file may claim a million times more rows than it holds, refer to itself, or point anywhere on the machine:
-# an external link to a named pipe never opens, external storage hands out the bytes of any file, a virtual
-# dataset whose source is missing reads as its fill value without a word.
+# A file may claim a million times more rows than it holds, refer to itself, or point
+# anywhere on the machine: an external link to a named pipe never opens, external
+# storage hands out the bytes of any file, a virtual dataset whose source is missing
+# reads as its fill value without a word.
 
-_MOST_HOPS = 16  # links to follow one after the other; HDF5's own limit for soft links is 16, too
+# links to follow one after the other; HDF5's own limit for soft links is 16, too
+_MOST_HOPS = 16
 _MOST_CHUNK_BYTES = 1 << 30  # a chunk is unpacked as a whole
-_HARMLESS_BYTES = 100_000_000  # an empty place kept for something else does not make a file unreadable
-_LEAST_STORED = 0.001  # of the claimed samples: less than that is no recording with a gap
+# an empty place kept for something else does not make a file unreadable
+_HARMLESS_BYTES = 100_000_000
+# of the claimed samples: less than that is no recording with a gap
+_LEAST_STORED = 0.001
 
 
 class _SafeGroup(h5py.Group):  # type: ignore[misc]
     """A group whose members are looked at before they are opened.
 
-    ``root`` is the file that was asked for, ``hops`` the number of links on the way here.
+    ``root`` is the file that was asked for, ``hops`` the number of links on the way
+    here.
     """
 
     root: _SafeFile
     hops = 0
 
-    def get(self, name: Any, default: Any = None, getclass: bool = False, getlink: bool = False) -> Any:
+    def get(
+        self,
+        name: Any,
+        default: Any = None,
+        getclass: bool = False,
+        getlink: bool = False,
+    ) -> Any:
         """Return a member, or ``default``."""
         if getclass or getlink:
             return super().get(name, default, getclass, getlink)
@@ -423,7 +534,9 @@ class _SafeGroup(h5py.Group):  # type: ignore[misc]
             return super().__getitem__(name)
         node = _resolved(self, name, self.root, self.hops)
         if node is None:
-            raise KeyError(f"there is no '{cleaned(_text(name))}', or it is a link that leads nowhere")
+            raise KeyError(
+                f"there is no '{cleaned(_text(name))}', or it is a link that leads nowhere"
+            )
         return node
 
     def __contains__(self, name: Any) -> bool:
@@ -434,8 +547,8 @@ class _SafeGroup(h5py.Group):  # type: ignore[misc]
 class _SafeFile(_SafeGroup, h5py.File):  # type: ignore[misc]
     """A file whose members are checked before they are handed out; files behind links are closed with it.
 
-    Links that lead nowhere or in a circle are as if they were not there (``get`` gives None). ``watch`` gets
-    the files behind links, too.
+    Links that lead nowhere or in a circle are as if they were not there (``get`` gives
+    None). ``watch`` gets the files behind links, too.
     """
 
     def __init__(self, path: str, watch: FileWatch) -> None:
@@ -457,7 +570,9 @@ def _text(name: str | bytes) -> str:
 def _resolved(group: Any, name: str | bytes, root: _SafeFile, hops: int) -> Any:
     """Follow a path link by link; None where it leads nowhere."""
     # a plain group: its own methods must not come back here
-    node = h5py.Group(h5py.h5g.open(group.id, b"/" if _text(name).startswith("/") else b"."))
+    node = h5py.Group(
+        h5py.h5g.open(group.id, b"/" if _text(name).startswith("/") else b".")
+    )
     parts = [part for part in _text(name).split("/") if part not in ("", ".")]
     for number, part in enumerate(parts):
         if not isinstance(node, h5py.Group):
@@ -511,7 +626,11 @@ def _through(group: Any, link: Any, rest: str, root: _SafeFile, hops: int) -> An
 def _file_named(name: str, beside: str) -> str | None:
     """Find a file that another names, as HDF5 does: as it stands, or beside the other."""
     folder = os.path.dirname(os.path.realpath(beside))
-    candidates = (os.path.join(folder, name), name, os.path.join(folder, os.path.basename(name)))
+    candidates = (
+        os.path.join(folder, name),
+        name,
+        os.path.join(folder, os.path.basename(name)),
+    )
     return next(filter(os.path.exists, candidates), None)
 
 
@@ -521,8 +640,8 @@ def check_dataset(dataset: Any, watch: FileWatch) -> None:
     Raises
     ------
     InputError
-        Its samples are another file's (external storage), a source is missing or is the dataset itself
-        (virtual), or hardly any of its samples are stored.
+        Its samples are another file's (external storage), a source is missing or is the
+        dataset itself (virtual), or hardly any of its samples are stored.
     """
     place = f"{cleaned(dataset.file.filename)}: dataset '{cleaned(dataset.name or '')}'"
     shape = dataset.shape
@@ -536,7 +655,10 @@ def check_dataset(dataset: Any, watch: FileWatch) -> None:
     if dataset.is_virtual:
         _check_virtual(dataset, place, watch, ())
         return
-    if dataset.chunks is not None and _bytes(dataset.chunks, dataset) > _MOST_CHUNK_BYTES:
+    if (
+        dataset.chunks is not None
+        and _bytes(dataset.chunks, dataset) > _MOST_CHUNK_BYTES
+    ):
         raise InputError(
             f"{place} is stored in pieces of more than 1 GB: store it in smaller ones (h5repack)"
         )
@@ -546,7 +668,9 @@ def check_dataset(dataset: Any, watch: FileWatch) -> None:
     if stored < _LEAST_STORED:
         count = " x ".join(f"{length:,}" for length in shape)
         what = "none of them" if stored == 0.0 else f"{100.0 * stored:.2g} % of them"
-        raise InputError(f"{place} claims {count} samples and holds {what}: the recording was not finished")
+        raise InputError(
+            f"{place} claims {count} samples and holds {what}: the recording was not finished"
+        )
 
 
 def _bytes(shape: tuple[int, ...], dataset: Any) -> int:
@@ -560,25 +684,44 @@ def _stored_share(dataset: Any) -> float:
         return float(min(1.0, dataset.id.get_storage_size() / claimed))
     try:
         pieces = dataset.id.get_num_chunks()
-    except (AttributeError, OSError, RuntimeError, ValueError):  # a layout older than HDF5 1.10
+    except (
+        AttributeError,
+        OSError,
+        RuntimeError,
+        ValueError,
+    ):  # a layout older than HDF5 1.10
         return 1.0 if dataset.id.get_storage_size() else 0.0
     return float(min(1.0, pieces * _bytes(dataset.chunks, dataset) / claimed))
 
 
-def _check_virtual(dataset: Any, place: str, watch: FileWatch, above: tuple[tuple[str, str], ...]) -> None:
+def _check_virtual(
+    dataset: Any, place: str, watch: FileWatch, above: tuple[tuple[str, str], ...]
+) -> None:
     itself = (os.path.realpath(dataset.file.filename), dataset.name)
     if itself in above or len(above) > _MOST_HOPS:
-        raise InputError(f"{place} is a virtual one made of itself: it holds no samples")
+        raise InputError(
+            f"{place} is a virtual one made of itself: it holds no samples"
+        )
     for file_name, name in _sources(dataset):
-        source = _file_named(file_name, dataset.file.filename) if file_name != "." else itself[0]
+        source = (
+            _file_named(file_name, dataset.file.filename)
+            if file_name != "."
+            else itself[0]
+        )
         if "%" in file_name + name:
-            raise InputError(f"{place} is a virtual one of numbered files: join them into one file first")
-        called = f"'{cleaned(name)}'" + (f" in '{cleaned(file_name)}'" if file_name != "." else "")
+            raise InputError(
+                f"{place} is a virtual one of numbered files: join them into one file first"
+            )
+        called = f"'{cleaned(name)}'" + (
+            f" in '{cleaned(file_name)}'" if file_name != "." else ""
+        )
         missing = f"{place} is a virtual one, and its source {called} is missing"
         if source is None or not os.path.isfile(source):
             raise InputError(f"{missing}: put the file beside this one")
         if (os.path.realpath(source), "/" + name.strip("/")) in (*above, itself):
-            raise InputError(f"{place} is a virtual one made of itself: it holds no samples")
+            raise InputError(
+                f"{place} is a virtual one made of itself: it holds no samples"
+            )
         watch.add(source)
         try:
             with h5py.File(source, "r") as file:
@@ -588,7 +731,9 @@ def _check_virtual(dataset: Any, place: str, watch: FileWatch, above: tuple[tupl
                 if node.is_virtual:
                     _check_virtual(node, place, watch, (*above, itself))
                 elif node.external:
-                    raise InputError(f"{place} is a virtual one, and its source {called} is stored elsewhere")
+                    raise InputError(
+                        f"{place} is a virtual one, and its source {called} is stored elsewhere"
+                    )
         except OSError:
             raise InputError(f"{missing}: it cannot be opened") from None
 

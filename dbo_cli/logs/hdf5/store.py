@@ -1,13 +1,15 @@
 """Signals and matrices written as HDF5, also into files that others use: nothing of theirs is lost.
 
-A recorder that has a file open holds HDF5's own lock on it (``flock``). A new group is made in a file of
-its own; right before the rename the store is locked in the same way, copied, given the group, and renamed
-over the old one. Only what this program wrote is ever replaced: its groups carry the attribute
-``dbo_columns``, the list of the datasets it made there.
+A recorder that has a file open holds HDF5's own lock on it (``flock``). A new group is
+made in a file of its own; right before the rename the store is locked in the same way,
+copied, given the group, and renamed over the old one. Only what this program wrote is
+ever replaced: its groups carry the attribute ``dbo_columns``, the list of the datasets
+it made there.
 
-A column is one chunked dataset, with filters that every HDF5 reader undoes. The deflate streams are put
-together here instead of by the HDF5 library: of a float64 only the bytes of sign, exponent and leading digits
-repeat, and squeezing the noise of the others takes ten times longer than storing them.
+A column is one chunked dataset, with filters that every HDF5 reader undoes. The deflate
+streams are put together here instead of by the HDF5 library: of a float64 only the
+bytes of sign, exponent and leading digits repeat, and squeezing the noise of the others
+takes ten times longer than storing them.
 """
 
 from __future__ import annotations
@@ -35,13 +37,18 @@ from dbo_cli.logs.request import Address, FileWatch, Given
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock, TimeCheck
 
 MARK = "dbo_columns"  # the attribute of a group that this program wrote
-_PATIENCE = 2.0  # s to wait for a lock: a program that opens, appends and closes is done by then
-_QUEUE = 60.0  # s to wait while another process of this program is adding a group: twelve at once take 1 s
+# s to wait for a lock: a program that opens, appends and closes is done by then
+_PATIENCE = 2.0
+# s to wait while another process of this program is adding a group: twelve at once take
+# 1 s
+_QUEUE = 60.0
 _COPY_BYTES = 1 << 23  # at a time; an interrupt is served in between
 CHUNK_ROWS = 1 << 16  # 512 kB, half of HDF5's cache for a dataset's chunks
-# Names in a list in an attribute: HDF5 gives it 64 kB, 16 bytes a name; more are lines of one text.
+# Names in a list in an attribute: HDF5 gives it 64 kB, 16 bytes a name; more are lines
+# of one text.
 MOST_NAMES = 4000
-MATRIX_ROWS = 1 << 14  # of one channel in a chunk: 128 kB, so that channels are written and read alone
+# of one channel in a chunk: 128 kB, so that channels are written and read alone
+MATRIX_ROWS = 1 << 14
 _PROBE = 2048  # bytes tried before a byte plane is squeezed; chosen
 _WORTH = 0.9  # squeezed only where the probe shrinks to less than this; chosen
 _STORED_MOST = 65535  # bytes in one stored block (RFC 1951, 3.2.4)
@@ -60,7 +67,8 @@ class StoreOutput:
     def publishing(self, temporary: str) -> Iterator[bool]:
         """Make the finished file ready to take the place of the old one, which is locked until that is done.
 
-        Gives whether there is no old file, so that the rename must fail where there is one after all.
+        Gives whether there is no old file, so that the rename must fail where there is
+        one after all.
 
         Raises
         ------
@@ -102,7 +110,8 @@ class StoreOutput:
         Raises
         ------
         OutputError
-            The place is a dataset, or holds what this program did not write; or the file cannot be read.
+            The place is a dataset, or holds what this program did not write; or the
+            file cannot be read.
         """
         if not h5py.is_hdf5(self.path):
             if self.group != "/":
@@ -117,8 +126,12 @@ class StoreOutput:
                     self._refuse_others_in(node)
         except OSError as problem:
             if "already open" in str(problem):
-                raise OutputError(_in_use(self.path) + " (h5clear -s if it was not closed)") from None
-            raise OutputError(f"{self.path}: cannot be read as HDF5: {str(problem)[:100]}") from None
+                raise OutputError(
+                    _in_use(self.path) + " (h5clear -s if it was not closed)"
+                ) from None
+            raise OutputError(
+                f"{self.path}: cannot be read as HDF5: {str(problem)[:100]}"
+            ) from None
 
     def _node(self, store: Any) -> Any:
         """Return what stands at the group's path, None where there is nothing yet."""
@@ -129,10 +142,14 @@ class StoreOutput:
             if link is None:
                 return None
             if not isinstance(link, h5py.HardLink):
-                raise OutputError(f"{self.path}::{place} is a link to elsewhere: {self._other()}")
+                raise OutputError(
+                    f"{self.path}::{place} is a link to elsewhere: {self._other()}"
+                )
             node = node.get(name)
             if not isinstance(node, h5py.Group):
-                raise OutputError(f"{self.path}::{place} is a dataset, not a group: {self._other()}")
+                raise OutputError(
+                    f"{self.path}::{place} is a dataset, not a group: {self._other()}"
+                )
         return node
 
     def _refuse_others_in(self, node: Any) -> None:
@@ -153,7 +170,9 @@ class StoreOutput:
 
 
 @contextlib.contextmanager
-def store_output(target: Address, attributes: Mapping[str, str | float]) -> Iterator[Any]:
+def store_output(
+    target: Address, attributes: Mapping[str, str | float]
+) -> Iterator[Any]:
     """Give a new group for an HDF5 output, with its attributes; the file is published at the end.
 
     Raises
@@ -161,18 +180,23 @@ def store_output(target: Address, attributes: Mapping[str, str | float]) -> Iter
     UsageError
         The output is a pipe.
     OutputError
-        It is no regular file, is open in another program, or as for ``StoreOutput.refuse_foreign``.
+        It is no regular file, is open in another program, or as for
+        ``StoreOutput.refuse_foreign``.
     """
     if target.is_stream or whole_output.descriptor_of(target.path) is not None:
         raise UsageError("HDF5 cannot be written to a pipe: name a file (-o FILE.h5)")
-    parts = [part for part in (target.group or "").split("/") if part not in ("", ".")]  # //a/./b/ is /a/b
+    # //a/./b/ is /a/b
+    parts = [part for part in (target.group or "").split("/") if part not in ("", ".")]
     if ".." in parts:
-        remedy = "'..' is no group of an HDF5 file: give its path from the root, ::/NAME"
+        remedy = (
+            "'..' is no group of an HDF5 file: give its path from the root, ::/NAME"
+        )
         raise UsageError(f"::{target.group}: {remedy}")
     store = StoreOutput(target.path, "/" + "/".join(cleaned(part) for part in parts))
     if os.path.isfile(store.path):
         with _locked(store.path):
-            pass  # not held while the file is looked at: that takes time, and others wait
+            # not held while the file is looked at: that takes time, and others wait
+            pass
         store.refuse_foreign()
     if not whole_output.is_replaceable(target.path):
         raise OutputError(f"{target.path}: this is no regular file: name a file")
@@ -184,7 +208,8 @@ def store_output(target: Address, attributes: Mapping[str, str | float]) -> Iter
                 group.attrs[name] = cleaned(value) if isinstance(value, str) else value
             yield group
         except BaseException:
-            with contextlib.suppress(OSError, RuntimeError, ValueError):  # what led here is to be shown
+            # what led here is to be shown
+            with contextlib.suppress(OSError, RuntimeError, ValueError):
                 file.close()
             raise
         file.close()
@@ -197,14 +222,19 @@ def _in_use(path: str) -> str:
 @contextlib.contextmanager
 def _locked(path: str) -> Iterator[None]:
     """Hold HDF5's lock on a file; OutputError where somebody else has it open for writing."""
-    if whole_output.WINDOWS:  # no locks of this kind there, and a file that is open cannot be replaced
+    # no locks of this kind there, and a file that is open cannot be replaced
+    if whole_output.WINDOWS:
         yield
         return
     start = time.monotonic()
     while True:
         handle = os.open(path, os.O_RDONLY)
         try:
-            if whole_output.try_lock(handle) and not _is_open_for_writing(handle) and _is_still(handle, path):
+            if (
+                whole_output.try_lock(handle)
+                and not _is_open_for_writing(handle)
+                and _is_still(handle, path)
+            ):
                 yield
                 return
         finally:
@@ -227,7 +257,8 @@ def _is_open_for_writing(handle: int) -> bool:
     try:
         fcntl.fcntl(handle, fcntl.F_SETLEASE, fcntl.F_RDLCK)
     except OSError as problem:
-        return problem.errno == errno.EAGAIN  # EACCES: another user's file; EINVAL: no leases there
+        # EACCES: another user's file; EINVAL: no leases there
+        return problem.errno == errno.EAGAIN
     fcntl.fcntl(handle, fcntl.F_SETLEASE, fcntl.F_UNLCK)
     return False
 
@@ -244,7 +275,10 @@ def _is_being_added_to(path: str) -> bool:
     """Tell whether a living process of this program is writing beside the file, in all likelihood into it."""
     folder, name = os.path.split(os.path.realpath(path))
     writers = whole_output.writers_in(folder, f".{name[:30]}").values()
-    return any(process != os.getpid() and whole_output.is_running(process) for process in writers)
+    return any(
+        process != os.getpid() and whole_output.is_running(process)
+        for process in writers
+    )
 
 
 @contextlib.contextmanager
@@ -264,18 +298,25 @@ class Hdf5Writer:
     Parameters
     ----------
     group
-        What is written to; with its attributes (``sample_rate``, ``model_sha256``, ``command``).
+        What is written to; with its attributes (``sample_rate``, ``model_sha256``,
+        ``command``).
     columns
-        One dataset each, named by its header, with the attributes ``units`` and ``quantity``.
+        One dataset each, named by its header, with the attributes ``units`` and
+        ``quantity``.
     """
 
     def __init__(self, group: Any, columns: Sequence[OutColumn]) -> None:
         # A slash would make a group, and a lone dot is the group itself.
         headers = (header.replace("/", "_") for header in unique_headers(columns))
-        self._names = [name if name not in ("", ".") else f"column_{n}" for n, name in enumerate(headers, 1)]
+        self._names = [
+            name if name not in ("", ".") else f"column_{n}"
+            for n, name in enumerate(headers, 1)
+        ]
         self._group = group
         self._group.attrs[MARK] = self._names
-        clocks = [number for number, column in enumerate(columns) if column.header == "time_s"]
+        clocks = [
+            number for number, column in enumerate(columns) if column.header == "time_s"
+        ]
         self._clock = clocks[0] if clocks and "sample_rate" not in group.attrs else None
         self._times = TimeCheck(group.file.filename)
         self._columns = columns
@@ -299,16 +340,21 @@ class Hdf5Writer:
 
     def finish(self) -> None:
         """Write what is left; only now are the datasets whole."""
-        self._store(CHUNK_ROWS if self._datasets else max(1, self._kept_rows), last=True)
+        self._store(
+            CHUNK_ROWS if self._datasets else max(1, self._kept_rows), last=True
+        )
         for dataset in self._datasets:
             dataset.resize((self._rows,))
         rate = self._times.rate()
         if rate is not None:
-            self._group.attrs["sample_rate"] = float(f"{rate:.12g}")  # 2000, not 1999.9999999999998
+            # 2000, not 1999.9999999999998
+            self._group.attrs["sample_rate"] = float(f"{rate:.12g}")
 
     def _store(self, chunk: int, last: bool = False) -> None:
         """Write the whole chunks that are kept; the ``last`` one is filled up with zeros."""
-        for name, column in () if self._datasets else zip(self._names, self._columns, strict=True):
+        for name, column in (
+            () if self._datasets else zip(self._names, self._columns, strict=True)
+        ):
             dataset = self._group.create_dataset(
                 name, (0,), "<f8", maxshape=(None,), chunks=(chunk,), compression="gzip", compression_opts=1,
                 shuffle=True,
@@ -321,7 +367,9 @@ class Hdf5Writer:
         if not rows:
             return
         for number, dataset in enumerate(self._datasets):
-            values = np.concatenate([*self._kept[number], np.zeros(-rows % chunk if last else 0)])
+            values = np.concatenate(
+                [*self._kept[number], np.zeros(-rows % chunk if last else 0)]
+            )
             for start in range(0, rows, chunk):
                 dataset.resize((self._rows + start + chunk,))
                 encoded = shuffled_deflated(values[start : start + chunk])
@@ -356,12 +404,19 @@ def _squeezed(plane: bytes) -> bytes:
     if len(zlib.compress(probe, 1)) < _WORTH * len(probe):
         raw = zlib.compressobj(1, zlib.DEFLATED, -zlib.MAX_WBITS)
         return raw.compress(plane) + raw.flush(zlib.Z_SYNC_FLUSH)
-    pieces = [plane[start : start + _STORED_MOST] for start in range(0, len(plane), _STORED_MOST)]
+    pieces = [
+        plane[start : start + _STORED_MOST]
+        for start in range(0, len(plane), _STORED_MOST)
+    ]
     # a byte that says "stored", the length and its complement, both little-endian
-    return b"".join(struct.pack("<BHH", 0, len(piece), len(piece) ^ 0xFFFF) + piece for piece in pieces)
+    return b"".join(
+        struct.pack("<BHH", 0, len(piece), len(piece) ^ 0xFFFF) + piece
+        for piece in pieces
+    )
 
 
-# --- matrices: a dataset a quantity, rows of samples, a column of each channel ------------------------
+# --- matrices: a dataset a quantity, rows of samples, a column of each channel
+# ------------------------
 
 WriteChannel = Callable[[int, Sequence[FloatArray]], None]
 
@@ -379,7 +434,8 @@ def matrix_writer(
 ) -> Iterator[WriteChannel]:
     """Open a file for matrices; gives a function that writes one channel's column of each.
 
-    A channel that is not written is NaN, so that no other's numbers are taken for its own.
+    A channel that is not written is NaN, so that no other's numbers are taken for its
+    own.
 
     Raises
     ------
@@ -390,17 +446,24 @@ def matrix_writer(
     """
     whole_output.check_output(target, protect)
     with store_output(target, attributes) as group:
-        group.attrs[MARK] = [*(["time_s"] if time is not None else []), *(column.name for column in columns)]
+        group.attrs[MARK] = [
+            *(["time_s"] if time is not None else []),
+            *(column.name for column in columns),
+        ]
         if time is not None:
             group["time_s"] = time
             group["time_s"].attrs["units"] = "s"
         datasets, chunks = [], (min(rows, MATRIX_ROWS), 1)
         for column in columns:
             shape = rows, len(channels)
-            dataset = group.create_dataset(column.name, shape, "<f8", chunks=chunks, fillvalue=np.nan)
+            dataset = group.create_dataset(
+                column.name, shape, "<f8", chunks=chunks, fillvalue=np.nan
+            )
             dataset.attrs["quantity"] = cleaned(column.quantity or column.name)
             few = len(channels) <= MOST_NAMES
-            dataset.attrs["channel_of_column"] = list(channels) if few else "\n".join(channels)
+            dataset.attrs["channel_of_column"] = (
+                list(channels) if few else "\n".join(channels)
+            )
             if column.unit:
                 dataset.attrs["units"] = cleaned(column.unit)
             datasets.append(dataset)

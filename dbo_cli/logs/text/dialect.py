@@ -1,9 +1,9 @@
 """How a text log is written: delimiter, decimal sign, header, units line and where the data begin.
 
-Detected from the first lines; every part can be forced.  The bottom of the sample, where junk lines are rare,
-decides delimiter, decimal sign and the number of columns; then the first data row is looked for from the top,
-and the header above it.  In doubt a line counts as data, so that it is refused aloud instead of dropped in
-silence.
+Detected from the first lines; every part can be forced.  The bottom of the sample,
+where junk lines are rare, decides delimiter, decimal sign and the number of columns;
+then the first data row is looked for from the top, and the header above it.  In doubt a
+line counts as data, so that it is refused aloud instead of dropped in silence.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ from dbo_cli.logs.units import is_known_unit
 _NAMES = {",": "comma", ";": "semicolon", "\t": "tab", BLANKS: "blanks", "|": "pipe"}
 COMMENTS = "#%"
 SAMPLE_LINES = 40  # enough rows to outvote junk lines
-# Before a line of names or units: ``# columns:`` and ``# units:`` (JPK), ``# column_headers=`` (Qudi).
+# Before a line of names or units: ``# columns:`` and ``# units:`` (JPK), ``#
+# column_headers=`` (Qudi).
 _LABEL = pattern(
     r"(?:fancyNames|column_?(?:names|headers)|columns|channels|fields|names|(?P<unit>units?|einheiten?))"
     r"(?:\s*[:=]\s*|$)",
@@ -44,10 +45,13 @@ _NUMBER_WITH_UNIT = pattern(
 )
 _PLAIN_NUMBERS = "write them without units and labels; Grafana: without Formatted data"
 _MOST_COLUMNS = 1 << 20  # a line of more delimiters is none of a log
-_MOST_ACROSS = 64  # columns of a log whose names are lost; more, fewer lines, and names in front: it lies
-_THOUSAND = pattern(r"(?<![\d.,])[1-9]\d{0,2},\d{3}(?![\d,eEdD])")  # 1,234, to some 1234
+# columns of a log whose names are lost; more, fewer lines, and names in front: it lies
+_MOST_ACROSS = 64
+# 1,234, to some 1234
+_THOUSAND = pattern(r"(?<![\d.,])[1-9]\d{0,2},\d{3}(?![\d,eEdD])")
 _UNIT_OF_ONE = pattern(
-    r"(?P<name>\S.{0,60}?)[ _](?:unit|einheit)\s*[:=,;\t]\s*(?P<unit>\S{1,30})", re.IGNORECASE
+    r"(?P<name>\S.{0,60}?)[ _](?:unit|einheit)\s*[:=,;\t]\s*(?P<unit>\S{1,30})",
+    re.IGNORECASE,
 )
 
 
@@ -55,16 +59,19 @@ _UNIT_OF_ONE = pattern(
 class Dialect:
     """How a text log is written.
 
-    ``first_line`` is the line number (from 1) of the first data row; ``headers`` and ``units`` are empty
-    where the log has none, else ``width`` cells long.  ``numeric`` are the columns (from 0) that hold numbers
-    in most rows; ``writings`` is how each column is written (``ColumnInfo.written``), where any holds time
-    stamps; ``header_block`` is what stands again before each segment of the data; ``sparse`` tells that every
-    row leaves out a number that other rows have; ``labels`` are comments of names or units; ``remarks`` tells
-    that a row may end in one cell of text more.
+    ``first_line`` is the line number (from 1) of the first data row; ``headers`` and
+    ``units`` are empty where the log has none, else ``width`` cells long.  ``numeric``
+    are the columns (from 0) that hold numbers in most rows; ``writings`` is how each
+    column is written (``ColumnInfo.written``), where any holds time stamps;
+    ``header_block`` is what stands again before each segment of the data; ``sparse``
+    tells that every row leaves out a number that other rows have; ``labels`` are
+    comments of names or units; ``remarks`` tells that a row may end in one cell of text
+    more.
 
-    ``clock`` is what the header states of the sample rate, ``start`` the time (s) of the first row, ``notes``
-    are for the user, and ``end_mark`` is what the program writes behind the last row. ``passed`` are the
-    numbers and the texts of lines above the first row that belong neither to it nor to the header.
+    ``clock`` is what the header states of the sample rate, ``start`` the time (s) of
+    the first row, ``notes`` are for the user, and ``end_mark`` is what the program
+    writes behind the last row. ``passed`` are the numbers and the texts of lines above
+    the first row that belong neither to it nor to the header.
     """
 
     delimiter: str
@@ -108,7 +115,11 @@ class Dialect:
 
     def describe(self) -> str:
         """Describe in one line what was detected, for ``verbose``."""
-        head = "no header" if not self.headers else "a header" + (" and a units line" if self.units else "")
+        head = (
+            "no header"
+            if not self.headers
+            else "a header" + (" and a units line" if self.units else "")
+        )
         sign = "decimal comma" if self.decimal == "," else "decimal point"
         mark = _NAMES.get(self.delimiter, repr(self.delimiter))
         columns = counted(self.width, "column")
@@ -133,7 +144,11 @@ def has_data(text: bytes, options: ReadingOptions) -> bool:
     forced = options.delimiter_character
     comments = COMMENTS if options.comment is None else options.comment
     marks = [forced] if forced else ["\t", ";", ",", " ", "|"]
-    lines = [line for raw in text.split(b"\n")[-2::-1] if not is_comment(line := decoded(raw), comments)]
+    lines = [
+        line
+        for raw in text.split(b"\n")[-2::-1]
+        if not is_comment(line := decoded(raw), comments)
+    ]
     return any(
         all(is_number(cell, sign) for cell in split_cells(line, mark))
         for line in lines
@@ -156,7 +171,11 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
         lines.pop()
     comments = COMMENTS if options.comment is None else options.comment
     skip = options.skip_lines or 0
-    candidates = [number for number in range(skip, len(lines)) if not is_comment(lines[number], comments)]
+    candidates = [
+        number
+        for number in range(skip, len(lines))
+        if not is_comment(lines[number], comments)
+    ]
     if not any(line.strip() for line in lines):
         raise InputError(f"{place}: the file is empty")
     shapes = _shapes(lines, candidates, options)
@@ -164,13 +183,18 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
         searches = (_NUMBER_WITH_UNIT.search(lines[n]) for n in reversed(candidates))
         match = next(filter(None, searches), None)
         if match is not None:
-            raise InputError(f"{place}: no line holds plain numbers, but '{match[0]}' ({_PLAIN_NUMBERS})")
+            raise InputError(
+                f"{place}: no line holds plain numbers, but '{match[0]}' ({_PLAIN_NUMBERS})"
+            )
         raise InputError(f"{place}: no data rows: no line holds numbers")
     best = max(shape.score for shape in shapes)
     tied = [shape for shape in shapes if shape.score >= best - 1e-12]
-    # Single tabs read as blanks, too; a header with one name too few must not be taken apart at its words.
+    # Single tabs read as blanks, too; a header with one name too few must not be taken
+    # apart at its words.
     tabs = {shape.width for shape in tied if shape.delimiter == "\t"}
-    tied = [shape for shape in tied if shape.delimiter != BLANKS or shape.width not in tabs]
+    tied = [
+        shape for shape in tied if shape.delimiter != BLANKS or shape.width not in tabs
+    ]
     layouts = [_layout(lines, candidates, shape, comments, options) for shape in tied]
     shape, layout = max(zip(tied, layouts, strict=True), key=lambda pair: pair[1].fits)
     decimal = shape.decimal
@@ -184,7 +208,11 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
     headers, units = _aligned(place, layout, shape.width, rows[:3])
     if headers and not any(units):
         units = _units_apart(lines[: layout.first], headers, shape, comments)
-    if not headers and 0 not in shape.numeric and shape.width > max(_MOST_ACROSS, len(data)):
+    if (
+        not headers
+        and 0 not in shape.numeric
+        and shape.width > max(_MOST_ACROSS, len(data))
+    ):
         raise InputError(
             f"{place}: the samples run along the lines, {shape.width - 1:,} in each: turn it round (pandas: "
             "read_csv(FILE, header=None, index_col=0).T)"
@@ -205,12 +233,19 @@ def labelled(line: str, comments: str, units: bool = True) -> list[tuple[str, st
     """Return the label of a comment that names columns (or units), with what follows it; else nothing."""
     body = line.strip().lstrip(comments).strip()
     label = _LABEL.match(body) if line.strip()[:1] in comments else None
-    return [] if label is None or (label["unit"] and not units) else [(label[0], body[label.end() :])]
+    return (
+        []
+        if label is None or (label["unit"] and not units)
+        else [(label[0], body[label.end() :])]
+    )
 
 
 def _is_sparse(rows: list[list[str]], shape: _Shape) -> bool:
     rows = [row[: shape.width] for row in rows]
-    full = [[column for column, cell in enumerate(row) if is_number(cell, shape.decimal)] for row in rows]
+    full = [
+        [column for column, cell in enumerate(row) if is_number(cell, shape.decimal)]
+        for row in rows
+    ]
     if shape.delimiter == BLANKS or len(set(map(tuple, full))) < 2:
         return False
     partly = set().union(*full) - set(full[0]).intersection(*full[1:])
@@ -220,7 +255,8 @@ def _is_sparse(rows: list[list[str]], shape: _Shape) -> bool:
 def _ask_about_numbered_columns(place: str, rows: list[list[str]]) -> None:
     """Refuse a first row that counts the columns above rows of decimals: a table saved without names.
 
-    Two numbers may be a sample written short (0,1), so they are asked about only where no other cell is.
+    Two numbers may be a sample written short (0,1), so they are asked about only where
+    no other cell is.
 
     Raises
     ------
@@ -229,10 +265,16 @@ def _ask_about_numbered_columns(place: str, rows: list[list[str]]) -> None:
     """
     first, *rest = rows
     written = first[1:] if not first[0] else first
-    counted = [[str(number + start) for number in range(len(written))] for start in (0, 1)]
+    counted = [
+        [str(number + start) for number in range(len(written))] for start in (0, 1)
+    ]
     if written not in counted or len(written) < 2:
         return
-    whole = [bool(re.fullmatch(r"[-+]?\d*", cell)) for row in rest for cell in row[-len(written) :]]
+    whole = [
+        bool(re.fullmatch(r"[-+]?\d*", cell))
+        for row in rest
+        for cell in row[-len(written) :]
+    ]
     if whole and (not any(whole) or (len(written) > 2 and not all(whole))):
         raise InputError(
             f"{place}: the first row, {','.join(written)}, counts the columns: are these names or a sample? "
@@ -263,14 +305,20 @@ class _Shape(NamedTuple):
     whole_numbers: bool
 
 
-def _shapes(lines: list[str], candidates: list[int], options: ReadingOptions) -> list[_Shape]:
+def _shapes(
+    lines: list[str], candidates: list[int], options: ReadingOptions
+) -> list[_Shape]:
     """Read the last lines with every delimiter and decimal sign that may be meant."""
     delimiter, decimal = options.delimiter_character, options.decimal_sign
     sample = [lines[number] for number in candidates[-SAMPLE_LINES:]]
     shapes = []
     for sign in [decimal] if decimal else [".", ","]:
         for mark in [delimiter] if delimiter else ["\t", ";", ",", BLANKS, "|"]:
-            absent = delimiter is None and mark != BLANKS and not any(mark in line for line in sample)
+            absent = (
+                delimiter is None
+                and mark != BLANKS
+                and not any(mark in line for line in sample)
+            )
             alone = mark == "," and sign == "."  # one column without any delimiter
             if alone or not (absent or mark == sign):
                 shapes.append(_shape(sample, mark, sign))
@@ -285,18 +333,28 @@ def _shape(sample: list[str], delimiter: str, decimal: str) -> _Shape | None:
     numbered = [number for number, verdict in enumerate(verdicts) if any(verdict)]
     if not numbered:
         return None
-    shares = {number: sum(verdicts[number]) / sum(1 for cell in rows[number] if cell) for number in numbered}
+    shares = {
+        number: sum(verdicts[number]) / sum(1 for cell in rows[number] if cell)
+        for number in numbered
+    }
     votes: dict[int, float] = defaultdict(float)
-    for number in numbered:  # a key beside its value counts half of a full row of numbers
+    # a key beside its value counts half of a full row of numbers
+    for number in numbered:
         votes[len(rows[number])] += shares[number]
     width = max(votes, key=lambda count: (votes[count], count))
     usual = [number for number in numbered if len(rows[number]) == width]
-    counts = [sum(verdicts[number][column] for number in usual) for column in range(width)]
-    numeric = frozenset(column for column, count in enumerate(counts) if 2 * count >= len(usual))
+    counts = [
+        sum(verdicts[number][column] for number in usual) for column in range(width)
+    ]
+    numeric = frozenset(
+        column for column, count in enumerate(counts) if 2 * count >= len(usual)
+    )
     if not numeric:
         return None
     quality = sum(shares[number] for number in usual) / len(sample)
-    whole = all(cell.lstrip("+-").isdigit() for number in usual for cell in rows[number] if cell)
+    whole = all(
+        cell.lstrip("+-").isdigit() for number in usual for cell in rows[number] if cell
+    )
     return _Shape(delimiter, decimal, width, numeric, quality, whole)
 
 
@@ -311,17 +369,25 @@ class _Layout(NamedTuple):
 
 
 def _layout(
-    lines: list[str], candidates: list[int], shape: _Shape, comments: str, options: ReadingOptions
+    lines: list[str],
+    candidates: list[int],
+    shape: _Shape,
+    comments: str,
+    options: ReadingOptions,
 ) -> _Layout:
     if options.header_lines is not None or options.skip_lines is not None:
         return _forced_layout(lines, candidates, shape, options)
     rows = {}
     for good in candidates:
         cells = rows[good] = split_cells(lines[good], shape.delimiter)
-        if len(cells) == shape.width and all(is_number(cells[n], shape.decimal) for n in shape.numeric):
+        if len(cells) == shape.width and all(
+            is_number(cells[n], shape.decimal) for n in shape.numeric
+        ):
             break
     else:  # rows are there, but every one of them has a bad cell
-        good = next(number for number in candidates if _some_numbers(rows[number], shape))
+        good = next(
+            number for number in candidates if _some_numbers(rows[number], shape)
+        )
     above = [number for number in candidates if number < good]
     numbered = [number for number in above if _some_numbers(rows[number], shape)]
     header = [number for number in above if _header_like(rows[number], shape)]
@@ -330,15 +396,31 @@ def _layout(
         names, units = _names_and_units(rows, above, header)
         fits = 2 if len(_trimmed(names, shape.width)) == shape.width else 1
         below = [number for number in above if header[-1] < number < first]
-        if header[-1] - 1 in header and _has_units(rows[header[-1] - 1]) and not (units or _has_units(names)):
+        if (
+            header[-1] - 1 in header
+            and _has_units(rows[header[-1] - 1])
+            and not (units or _has_units(names))
+        ):
             below.insert(0, header[-1])  # the names may be a row without numbers
-        return _Layout(first, names, units, fits, [n for n in below if not _is_ruled(rows[n])])
+        return _Layout(
+            first, names, units, fits, [n for n in below if not _is_ruled(rows[n])]
+        )
     # What a blank line separates from the data are key-value lines of an instrument.
-    blank = max((number for number in range(good) if not lines[number].strip()), default=-1)
-    full = (number for number in numbered if len(rows[number]) == shape.width and number > blank)
+    blank = max(
+        (number for number in range(good) if not lines[number].strip()), default=-1
+    )
+    full = (
+        number
+        for number in numbered
+        if len(rows[number]) == shape.width and number > blank
+    )
     first = next(full, good)
     names, units = _other_header(lines, first, shape, comments)
-    empty = [n for n in above if n < first and len(rows[n]) == shape.width and not any(rows[n])]
+    empty = [
+        n
+        for n in above
+        if n < first and len(rows[n]) == shape.width and not any(rows[n])
+    ]
     return _Layout(first, names, units, 2 if names else 0, empty)
 
 
@@ -352,7 +434,10 @@ def _is_ruled(cells: list[str]) -> bool:
 
 
 def _some_numbers(cells: list[str], shape: _Shape) -> bool:
-    return any(column < len(cells) and is_number(cells[column], shape.decimal) for column in shape.numeric)
+    return any(
+        column < len(cells) and is_number(cells[column], shape.decimal)
+        for column in shape.numeric
+    )
 
 
 def _header_like(cells: list[str], shape: _Shape) -> bool:
@@ -367,12 +452,20 @@ def _names_and_units(
 ) -> tuple[list[str], list[str]]:
     """Find the line of names from a line of units below it (and one of remarks below that)."""
     last = header[-1]
-    joined = [n for n in (last, last - 1, last - 2) if all(k in header for k in range(n, last + 1))]
+    joined = [
+        n
+        for n in (last, last - 1, last - 2)
+        if all(k in header for k in range(n, last + 1))
+    ]
     for number in joined:
         units = _units_in(rows[number])
         if units:
             place = above.index(number)
-            named = (rows[n] for n in above[:place][::-1] if re.search(r"\w", "".join(rows[n])))
+            named = (
+                rows[n]
+                for n in above[:place][::-1]
+                if re.search(r"\w", "".join(rows[n]))
+            )
             over = next(named, [])  # not a line of dashes
             if over and abs(len(over) - len(units)) <= 1 and not _units_in(over):
                 return over, units
@@ -383,12 +476,18 @@ def _names_and_units(
 def _units_in(cells: list[str]) -> list[str]:
     """Return the cells of a line of units, a label in front (``Units: s``) aside; empty for any other."""
     label = _LABEL.match(cells[0]) if cells else None
-    cells = [cells[0][label.end() :], *cells[1:]] if label is not None and label["unit"] else cells
+    cells = (
+        [cells[0][label.end() :], *cells[1:]]
+        if label is not None and label["unit"]
+        else cells
+    )
     filled = [cell.strip("[](){}<> ") for cell in cells if cell.strip("[](){}<> -")]
     return cells if filled and all(is_known_unit(cell) for cell in filled) else []
 
 
-def _units_apart(above: list[str], names: tuple[str, ...], shape: _Shape, comments: str) -> tuple[str, ...]:
+def _units_apart(
+    above: list[str], names: tuple[str, ...], shape: _Shape, comments: str
+) -> tuple[str, ...]:
     """Find units that stand apart from the names: in a comment, or one a line (``Voltage unit: mV``)."""
     stated = {}
     for line in above:
@@ -398,14 +497,18 @@ def _units_apart(above: list[str], names: tuple[str, ...], shape: _Shape, commen
         if match is not None and is_known_unit(match["unit"].strip("[]()")):
             stated[match["name"].lower()] = match["unit"]
         elif (label is not None and label["unit"]) or line.strip()[:1] in comments:
-            cells = _fitting_cells(body[label.end() :] if label is not None else body, shape)
+            cells = _fitting_cells(
+                body[label.end() :] if label is not None else body, shape
+            )
             if cells is not None and _units_in(cells):
                 return tuple(cells)
     units = tuple(stated.get(name.lower(), "") for name in names)
     return units if any(units) else ()
 
 
-def _other_header(lines: list[str], first: int, shape: _Shape, comments: str) -> tuple[list[str], list[str]]:
+def _other_header(
+    lines: list[str], first: int, shape: _Shape, comments: str
+) -> tuple[list[str], list[str]]:
     """Look for a header in the comment lines, or the differently separated line, right above the data."""
     labels = (
         cells_of_line
@@ -439,12 +542,24 @@ def _fitting_cells(text: str, shape: _Shape) -> list[str] | None:
     if certain:
         ways = ways[-1:]
     ways.append([cell.strip() for cell in re.split(r"\s{2,}|\t+", text)])
-    if not certain:  # else, taken apart at blanks, a header with one name too few would shift all the others
-        ways.append([cell.strip() for cell in re.findall(r"[^\s(\[]+\s*(?:[(\[][^)\]]{0,60}[)\]])?", text)])
+    # else, taken apart at blanks, a header with one name too few would shift all the
+    # others
+    if not certain:
+        ways.append(
+            [
+                cell.strip()
+                for cell in re.findall(r"[^\s(\[]+\s*(?:[(\[][^)\]]{0,60}[)\]])?", text)
+            ]
+        )
         ways.append(text.split())
     fitting = (cells for cells in ways if len(cells) == shape.width and all(cells))
     return next(
-        (cells for cells in fitting if not any(is_number(cell, shape.decimal) for cell in cells)), None
+        (
+            cells
+            for cells in fitting
+            if not any(is_number(cell, shape.decimal) for cell in cells)
+        ),
+        None,
     )
 
 
@@ -453,14 +568,21 @@ def _forced_layout(
 ) -> _Layout:
     count = options.header_lines
     if count is None:
-        rows = [split_cells(lines[number], shape.delimiter) for number in candidates[:2]]
+        rows = [
+            split_cells(lines[number], shape.delimiter) for number in candidates[:2]
+        ]
         count = sum(1 for row in rows if not _some_numbers(row, shape))
         count = min(count, 2 if len(rows) > 1 and _units_in(rows[1]) else 1)
     if len(candidates) <= count:
         return _Layout(len(lines), [], [], 0)
     above = [lines[number] for number in candidates[:count]]
-    rows = [_fitting_cells(line, shape) or split_cells(line, shape.delimiter) for line in above]
-    return _Layout(candidates[count], rows[0] if count else [], rows[1] if count > 1 else [], 1)
+    rows = [
+        _fitting_cells(line, shape) or split_cells(line, shape.delimiter)
+        for line in above
+    ]
+    return _Layout(
+        candidates[count], rows[0] if count else [], rows[1] if count > 1 else [], 1
+    )
 
 
 def _trimmed(cells: list[str], width: int) -> list[str]:
@@ -478,7 +600,9 @@ def _aligned(
     if names and len(names) == width - 1:
         if rows and not rows[0][-1]:
             names = [*names, ""]  # the rows end with a delimiter
-        elif rows and [row[0] for row in rows] == [str(number + 1) for number in range(len(rows))]:
+        elif rows and [row[0] for row in rows] == [
+            str(number + 1) for number in range(len(rows))
+        ]:
             names = ["", *names]  # numbered rows, their column without a name
     if names and len(names) != width:
         raise InputError(

@@ -1,6 +1,7 @@
 """Lines of a text, in blocks: cells, which of them are numbers, and header blocks among the data.
 
-The fast parsers accept a subset of this grammar; whatever they refuse is decided here, so both always agree.
+The fast parsers accept a subset of this grammar; whatever they refuse is decided here,
+so both always agree.
 """
 
 from __future__ import annotations
@@ -23,17 +24,21 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
 
 Item = TypeVar("Item")
-HEAD_BYTES = 1 << 18  # read ahead: longer than the header of any instrument, and some thousand rows
+# read ahead: longer than the header of any instrument, and some thousand rows
+HEAD_BYTES = 1 << 18
 LONGEST_LINE = 1 << 24  # a row of a million columns; what is longer has no line ends
 NEIGHBOUR_BYTES = 1 << 14  # kept of the text above: some hundred rows of a usual log
 # Numbers with either decimal sign; d is Fortran's exponent.
 _POINT = pattern(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?")
 _COMMA = pattern(r"[+-]?(?:\d+(?:,\d*)?|,\d+)(?:[eEdD][+-]?\d+)?")
-# Groups of three digits whose mark can be nothing else: 1,234.5 or 1'234 or 1,234,567. A lone 1,234 is taken
-# for a group where the decimal sign of the log is known to be a point (``text.dialect`` asks).
+# Groups of three digits whose mark can be nothing else: 1,234.5 or 1'234 or 1,234,567.
+# A lone 1,234 is taken for a group where the decimal sign of the log is known to be a
+# point (``text.dialect`` asks).
 _BLANK_MARKS = "'\u2019\u00a0\u202f\u2009 "
 _GROUPED = {
-    sign: pattern(rf"([+-]?[1-9]\d{{0,2}})([{mark}{_BLANK_MARKS}])(\d{{3}}(?:\2\d{{3}})*)([{sign}]\d*)?")
+    sign: pattern(
+        rf"([+-]?[1-9]\d{{0,2}})([{mark}{_BLANK_MARKS}])(\d{{3}}(?:\2\d{{3}})*)([{sign}]\d*)?"
+    )
     for sign, mark in ((".", ","), (",", "."))
 }
 NOT_FINITE = frozenset({"nan", "inf", "infinity", "1.#qnan", "1.#inf", "1.#ind"})
@@ -42,11 +47,20 @@ NOT_FINITE = frozenset({"nan", "inf", "infinity", "1.#qnan", "1.#inf", "1.#ind"}
 def split_cells(line: str, delimiter: str) -> list[str]:
     """Split a line into stripped cells; quotes are honoured, and blanks count as one delimiter."""
     if '"' not in line:
-        return line.split() if delimiter == BLANKS else [cell.strip() for cell in line.split(delimiter)]
+        return (
+            line.split()
+            if delimiter == BLANKS
+            else [cell.strip() for cell in line.split(delimiter)]
+        )
     if delimiter == BLANKS:
-        return [quoted or plain for quoted, plain in re.findall(r'"([^"]*)"|([^\s"]+)', line)]
+        return [
+            quoted or plain
+            for quoted, plain in re.findall(r'"([^"]*)"|([^\s"]+)', line)
+        ]
     mark = re.escape(delimiter)
-    cells = re.findall(rf'(?:\s*"((?:[^"]|"")*)"\s*|([^{mark}]*)){mark}', line + delimiter)
+    cells = re.findall(
+        rf'(?:\s*"((?:[^"]|"")*)"\s*|([^{mark}]*)){mark}', line + delimiter
+    )
     return [(quoted.replace('""', '"') or plain).strip() for quoted, plain in cells]
 
 
@@ -63,7 +77,9 @@ def to_number(cell: str, decimal: str) -> float | None:
 def _ungrouped(cell: str, decimal: str) -> str:
     """Return a number without the marks between its thousands; empty where it has none."""
     match = _GROUPED[decimal].fullmatch(cell)
-    if match is None or (decimal == "," and match[2] == "." and len(match[3]) == 3 and not match[4]):
+    if match is None or (
+        decimal == "," and match[2] == "." and len(match[3]) == 3 and not match[4]
+    ):
         return ""  # 1.234 among decimal commas is no whole number for sure
     return re.sub(r"[^\d+-]", "", match[1] + match[3]) + (match[4] or "")
 
@@ -75,7 +91,9 @@ def is_number(cell: str, decimal: str) -> bool:
     pattern = _POINT if decimal == "." else _COMMA
     if pattern.fullmatch(cell) is not None:
         return cell.isascii()
-    return (len(cell) > 4 and _ungrouped(cell, decimal) != "") or cell.lstrip("+-").lower() in NOT_FINITE
+    return (len(cell) > 4 and _ungrouped(cell, decimal) != "") or cell.lstrip(
+        "+-"
+    ).lower() in NOT_FINITE
 
 
 MISSING = frozenset({"na", "n/a", "nan", "null", "none", "nil", "missing"})
@@ -97,18 +115,36 @@ def complain(cell: str, decimal: str, written: str = "numbers") -> str:
     if written != "numbers":
         return f"is not a time stamp like the others: {shown}"
     if is_number(cell, decimal):
-        overflow = "the instrument's overflow" if to_number(cell, decimal) is None and "37" in cell else ""
+        overflow = (
+            "the instrument's overflow"
+            if to_number(cell, decimal) is None and "37" in cell
+            else ""
+        )
         return f"is {overflow or 'not finite'}: {shown}"
     return f"is not a number: {shown}"
 
 
-# --- dates and clock times in cells, read as seconds -----------------------------------------------------
+# --- dates and clock times in cells, read as seconds
+# -----------------------------------------------------
 #
-# Dates count from 1970-01-01 (no zone given: as if UTC), clock times from midnight. The arithmetic is on
-# whole numbers, so that a stamp becomes the float64 nearest to it.
+# Dates count from 1970-01-01 (no zone given: as if UTC), clock times from midnight. The
+# arithmetic is on whole numbers, so that a stamp becomes the float64 nearest to it.
 
 DAY = 86400  # s
-_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
+_MONTHS = (
+    "jan",
+    "feb",
+    "mar",
+    "apr",
+    "may",
+    "jun",
+    "jul",
+    "aug",
+    "sep",
+    "oct",
+    "nov",
+    "dec",
+)
 
 _MONTH_FIRST = pattern(r"(?P<month>\d{1,2})/(?P<day>\d{1,2})/(?P<year>\d{4}|\d\d)")
 _DATES = (
@@ -122,7 +158,9 @@ _CLOCK = pattern(
     r"(?:(?P<days>\d{1,5}) days?,? )?(?P<hours>\d{1,3}):(?P<minutes>[0-5]?\d):(?P<seconds>[0-5]?\d)"
     r"(?:[.,](?P<fraction>\d{1,20})|:(?P<millis>\d{3}))?(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?"
 )
-_MINUTES = pattern(r"(?P<minutes>\d{1,3}):(?P<seconds>[0-5]\d)[.,](?P<fraction>\d{1,20})")
+_MINUTES = pattern(
+    r"(?P<minutes>\d{1,3}):(?P<seconds>[0-5]\d)[.,](?P<fraction>\d{1,20})"
+)
 _STAMP = pattern(
     r"(?P<date>\d{4}([-/.])\d{1,2}\2\d{1,2}|\d{8}|\d{1,2}[-./]\d{1,2}[-./]\d{2,4}"
     r"|\d{1,2}[- ][A-Za-z]{3}[- ]\d{4})(?:T|[ _]+|, ?)"
@@ -135,8 +173,9 @@ _STAMP = pattern(
 def date_seconds(text: str) -> int | None:
     """Read a date as seconds since 1970, or give None.
 
-    ``2024-03-31``, ``2024/3/31``, ``31.03.2024``, ``31-03-2024``, ``31-Mar-2024``; with slashes and the year
-    last the month stands first (as in the United States) unless it cannot.
+    ``2024-03-31``, ``2024/3/31``, ``31.03.2024``, ``31-03-2024``, ``31-Mar-2024``; with
+    slashes and the year last the month stands first (as in the United States) unless it
+    cannot.
     """
     match = _date_match(text)
     if match is None:
@@ -191,7 +230,9 @@ def _clock_parts(text: str) -> tuple[int, str | None] | None:
             return None
         hours = hours % 12 + (12 if match["half"] in "pP" else 0)
     whole = int(match["days"] or 0) * DAY + hours * 3600
-    return whole + int(match["minutes"]) * 60 + int(match["seconds"]), match["fraction"] or match["millis"]
+    return whole + int(match["minutes"]) * 60 + int(match["seconds"]), match[
+        "fraction"
+    ] or match["millis"]
 
 
 def clock_seconds(text: str) -> float | None:
@@ -248,10 +289,14 @@ def writing_of(cells: Sequence[str]) -> str | None:
     return None
 
 
-# --- is the last number of a log whole? -----------------------------------------------------------------
+# --- is the last number of a log whole?
+# -----------------------------------------------------------------
 
-_USUAL_STEPS = 3.0  # a change this many times the largest one above is not the next sample
-_NUMBER = pattern(r"[+-]?(?P<whole>\d*)(?P<rest>[.,]\d*)?(?:[eEdD](?P<exponent>[+-]?\d*))?")
+# a change this many times the largest one above is not the next sample
+_USUAL_STEPS = 3.0
+_NUMBER = pattern(
+    r"[+-]?(?P<whole>\d*)(?P<rest>[.,]\d*)?(?:[eEdD](?P<exponent>[+-]?\d*))?"
+)
 
 
 def _digits(cell: str) -> tuple[int, int, int] | None:
@@ -266,20 +311,25 @@ def _digits(cell: str) -> tuple[int, int, int] | None:
 def looks_cut(cell: str, above: Sequence[str], decimal: str) -> bool:
     """Return whether a number has visibly fewer digits than all the numbers above it.
 
-    Fewer decimals, or fewer digits in the exponent, than any number above: cut, unless it ends in ``.0`` as
-    whole numbers do among numbers of varying length, and goes on from the one above. Fewer digits before the
-    decimal sign alone mean nothing (99 follows 100), unless the value leaps as well.
+    Fewer decimals, or fewer digits in the exponent, than any number above: cut, unless
+    it ends in ``.0`` as whole numbers do among numbers of varying length, and goes on
+    from the one above. Fewer digits before the decimal sign alone mean nothing (99
+    follows 100), unless the value leaps as well.
     """
     counts = _digits(cell)
     counts_above = [digits for digits in map(_digits, above) if digits is not None]
     if counts is None or not counts_above:
         return False
-    whole, decimals, exponent = (min(column) for column in zip(*counts_above, strict=True))
+    whole, decimals, exponent = (
+        min(column) for column in zip(*counts_above, strict=True)
+    )
     if counts[2] < exponent:
         return True
     if counts[1] < decimals:
         varying = len({digits[1] for digits in counts_above}) > 1
-        return not (varying and cell[-2:] in (".0", ",0") and not _leaps(cell, above, decimal))
+        return not (
+            varying and cell[-2:] in (".0", ",0") and not _leaps(cell, above, decimal)
+        )
     shorter = len(cell) < min(map(len, above)) or counts[0] < whole
     return shorter and _leaps(cell, above, decimal)
 
@@ -298,7 +348,8 @@ def _leaps(cell: str, above: Sequence[str], decimal: str) -> bool:
     return abs(value - numbers[-1]) > _USUAL_STEPS * max(steps)
 
 
-# --- header blocks that stand again, one before each segment (LabVIEW's Multi_Headings) --------------
+# --- header blocks that stand again, one before each segment (LabVIEW's Multi_Headings)
+# --------------
 
 END_OF_HEADER = "***End_of_Header***"  # as LabVIEW writes it
 
@@ -312,19 +363,34 @@ class HeaderBlock(NamedTuple):
     start: tuple[float, float] | None
 
 
-def find_header_block(lines: Sequence[str], first: int, delimiter: str) -> HeaderBlock | None:
+def find_header_block(
+    lines: Sequence[str], first: int, delimiter: str
+) -> HeaderBlock | None:
     """Find the block above the data (which begin at index ``first``) that each segment repeats.
 
-    Such a file has two ends of a header: that of the file's and that of the first segment's.
+    Such a file has two ends of a header: that of the file's and that of the first
+    segment's.
     """
-    ends = [number for number in range(first) if lines[number].strip().startswith(END_OF_HEADER)]
+    ends = [
+        number
+        for number in range(first)
+        if lines[number].strip().startswith(END_OF_HEADER)
+    ]
     if len(ends) < 2 or first - ends[-1] != 2:
         return None
-    inner = [lines[number] for number in range(ends[-2] + 1, ends[-1]) if lines[number].strip()]
+    inner = [
+        lines[number]
+        for number in range(ends[-2] + 1, ends[-1])
+        if lines[number].strip()
+    ]
     if not inner:
         return None
     word = split_cells(inner[0], delimiter)[0]
-    return HeaderBlock(word, lines[first - 1].strip(), delimiter, _start(inner, delimiter)) if word else None
+    return (
+        HeaderBlock(word, lines[first - 1].strip(), delimiter, _start(inner, delimiter))
+        if word
+        else None
+    )
 
 
 def _start(lines: Sequence[str], delimiter: str) -> tuple[float, float] | None:
@@ -340,8 +406,8 @@ def _start(lines: Sequence[str], delimiter: str) -> tuple[float, float] | None:
 class RepeatedHeader:
     """Takes header blocks out of the data, and lets the time go on where a segment begins it again.
 
-    A segment's time is shifted by what its header's date and time are later than the first one's; where that
-    is not stated, it begins one step after the last row.
+    A segment's time is shifted by what its header's date and time are later than the
+    first one's; where that is not stated, it begins one step after the last row.
     """
 
     place: str
@@ -418,15 +484,17 @@ class RepeatedHeader:
         return f"{self.place}: {self.count} more header{plural} among the data: {how}"
 
 
-# --- blocks of whole lines ---------------------------------------------------------------------------
+# --- blocks of whole lines
+# ---------------------------------------------------------------------------
 
 
 @dataclass
 class LineBlocks:
     """Blocks of whole lines of a source; the first one can be looked at before it is taken.
 
-    ``above`` is the end of the text given out so far, for a look back from the last line; ``empty_lines``
-    counts those that were left out at the start; ``ended`` tells that the source has been read to its end.
+    ``above`` is the end of the text given out so far, for a look back from the last
+    line; ``empty_lines`` counts those that were left out at the start; ``ended`` tells
+    that the source has been read to its end.
     """
 
     source: ByteSource
@@ -439,17 +507,26 @@ class LineBlocks:
     def head(self, enough: Any) -> bytes:
         """Read ahead HEAD_BYTES and at least two lines, or less once ``enough(text)`` holds.
 
-        ``enough`` is asked after every arrival. Empty lines at the very start are left out and counted.
+        ``enough`` is asked after every arrival. Empty lines at the very start are left
+        out and counted.
         """
         while not self.ended:
             read = len(self._pending)
-            if read >= HEAD_BYTES and (self._pending.count(b"\n") > 1 or read > LONGEST_LINE):
+            if read >= HEAD_BYTES and (
+                self._pending.count(b"\n") > 1 or read > LONGEST_LINE
+            ):
                 break
             self._append(self._read(HEAD_BYTES - read % HEAD_BYTES))
-            if len(self._pending) >= HEAD_BYTES and not self._pending[:HEAD_BYTES].strip():
-                above = len(self._pending) - len(self._pending.lstrip())  # a billion, in compressed data
+            if (
+                len(self._pending) >= HEAD_BYTES
+                and not self._pending[:HEAD_BYTES].strip()
+            ):
+                # a billion, in compressed data
+                above = len(self._pending) - len(self._pending.lstrip())
                 self.empty_lines += self._pending.count(b"\n", 0, above)
-                self._pending = self._pending[self._pending.rfind(b"\n", 0, above) + 1 :]
+                self._pending = self._pending[
+                    self._pending.rfind(b"\n", 0, above) + 1 :
+                ]
             if enough(self._pending[: self._pending.rfind(b"\n") + 1]):
                 break
         return self._pending
@@ -467,7 +544,8 @@ class LineBlocks:
         """Yield blocks of whole lines; a last line without its line end comes alone, after all others."""
         text, start, last = self._pending, 0, self._pending.rfind(b"\n") + 1
         self._pending = text[last:]
-        # What was read ahead is cut where it is much; the usual case is what one reading brought.
+        # What was read ahead is cut where it is much; the usual case is what one
+        # reading brought.
         most = self.block_bytes if last > 2 * self.block_bytes else last
         while start < last:
             limit = min(last, start + most)
@@ -478,7 +556,8 @@ class LineBlocks:
             data = self._read(self.block_bytes)
             end = data.rfind(b"\n") + 1
             if end:
-                block = b"".join((self._pending, memoryview(data)[:end]))  # the only copy of most of the text
+                # the only copy of most of the text
+                block = b"".join((self._pending, memoryview(data)[:end]))
                 self._pending = data[end:]
                 yield self._noted(block)
             else:
@@ -507,8 +586,9 @@ class LineBlocks:
 def one_ahead(items: Iterator[Item]) -> Iterator[Item]:
     """Give the items of an iterator, each made in a thread while the one before is worked on.
 
-    Only for regular files: a thread that waits for a pipe could not be interrupted. None is no item. An
-    exception of the iterator is raised here, after the items before it.
+    Only for regular files: a thread that waits for a pipe could not be interrupted.
+    None is no item. An exception of the iterator is raised here, after the items before
+    it.
     """
     from concurrent.futures import ThreadPoolExecutor
 

@@ -1,8 +1,9 @@
 """Delimited text as a table of columns: from blocks of lines to arrays, fast where a block is regular.
 
-Three readers, one meaning.  ``_parse_plain`` (pure Python, no import to pay for) and ``_parse_fast`` (polars)
-take a block only when every line is a row of the usual width and every wanted cell a finite number;
-``_parse_slowly`` takes whatever they refuse, and knows the line, the column and the value of what is wrong.
+Three readers, one meaning.  ``_parse_plain`` (pure Python, no import to pay for) and
+``_parse_fast`` (polars) take a block only when every line is a row of the usual width
+and every wanted cell a finite number; ``_parse_slowly`` takes whatever they refuse, and
+knows the line, the column and the value of what is wrong.
 """
 
 from __future__ import annotations
@@ -23,7 +24,15 @@ from dbo_cli.logs.clock import agreed_rate
 from dbo_cli.logs.columns import column_info, column_label
 from dbo_cli.logs.libraries import import_polars
 from dbo_cli.logs.plain_text import counted, decoded, pattern, shortened
-from dbo_cli.logs.request import ALL_ROWS, BLANKS, PIPE_ROWS, ReadingOptions, Request, Rows, remedy_for
+from dbo_cli.logs.request import (
+    ALL_ROWS,
+    BLANKS,
+    PIPE_ROWS,
+    ReadingOptions,
+    Request,
+    Rows,
+    remedy_for,
+)
 from dbo_cli.logs.sample_block import (
     MOST_NAMED,
     TIME,
@@ -37,13 +46,22 @@ from dbo_cli.logs.sample_block import (
     are_measured,
 )
 from dbo_cli.logs.text.dialect import Dialect, cause_of, detect, has_data
-from dbo_cli.logs.text.lines import LineBlocks, RepeatedHeader, complain, is_text, looks_cut, one_ahead
+from dbo_cli.logs.text.lines import (
+    LineBlocks,
+    RepeatedHeader,
+    complain,
+    is_text,
+    looks_cut,
+    one_ahead,
+)
 
-PLAIN_BYTES = 1 << 20  # below this, importing polars costs more than it saves (benchmarks/text_speed.py)
+# below this, importing polars costs more than it saves (benchmarks/text_speed.py)
+PLAIN_BYTES = 1 << 20
 _NEIGHBOURS = 100  # rows above the last: enough to see how many digits a column has
-_LARGEST_BLOCK = 1 << 23  # bytes; 8 MB in memory twice, whatever ``block_rows`` asks for
-# One line of names above nothing but numbers: no instrument's header, so its readers need not be loaded.
-# A rate in the names (tInc = 2e-6) is theirs.
+# bytes; 8 MB in memory twice, whatever ``block_rows`` asks for
+_LARGEST_BLOCK = 1 << 23
+# One line of names above nothing but numbers: no instrument's header, so its readers
+# need not be loaded. A rate in the names (tInc = 2e-6) is theirs.
 _PLAIN = pattern(rb"[^\n=:]*\n[0-9eE+\-.,;\t \r\n]+")
 
 
@@ -80,17 +98,25 @@ class TextTable(Table):
             raise
         units = dialect.units or ("",) * dialect.width
         writings = dialect.writings or ("numbers",) * dialect.width
-        known = dialect.numeric | {number for number, how in enumerate(writings) if how != "numbers"}
-        names = dialect.headers or ["" if number in known else "(text)" for number in range(dialect.width)]
+        known = dialect.numeric | {
+            number for number, how in enumerate(writings) if how != "numbers"
+        }
+        names = dialect.headers or [
+            "" if number in known else "(text)" for number in range(dialect.width)
+        ]
         self.columns = [
             replace(column_info(name, number, unit), written=how)
-            for number, (name, unit, how) in enumerate(zip(names, units, writings, strict=True), start=1)
+            for number, (name, unit, how) in enumerate(
+                zip(names, units, writings, strict=True), start=1
+            )
         ]
         self._small = live or (self._lines.ended and len(head) < PLAIN_BYTES)
         self._bytes_per_row = max(8, len(head) // max(1, head.count(b"\n")))
         self._ahead = self.source.is_regular and not (live or self._lines.ended)
 
-    def _detected(self, head: bytes | None, options: ReadingOptions, live: bool) -> Dialect:
+    def _detected(
+        self, head: bytes | None, options: ReadingOptions, live: bool
+    ) -> Dialect:
         """Detect the dialect and what the instrument states above it, perhaps below pages of remarks."""
         above = self._lines.empty_lines
         if options.skip_lines:
@@ -115,7 +141,9 @@ class TextTable(Table):
 
     def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
         """Return the sample rate (Hz) and the first row's time (s) that an instrument's header states."""
-        return agreed_rate(self.place, self.dialect.clock, self.notes), self.dialect.start
+        return agreed_rate(
+            self.place, self.dialect.clock, self.notes
+        ), self.dialect.start
 
     def blocks(self, picks: Mapping[str, ColumnInfo]) -> Iterator[SampleBlock]:
         """Read the wanted columns in blocks of about ``block_rows`` rows.
@@ -126,9 +154,22 @@ class TextTable(Table):
             At the first bad row, unless ``skip_bad``.
         """
         options = self._options
-        rows = options.block_rows if self.source.is_regular else min(options.block_rows, PIPE_ROWS)
-        self._lines.block_bytes = min(_LARGEST_BLOCK, max(64, rows * self._bytes_per_row))
-        parser = BlockParser(self.place, self.dialect, picks, options.rows, options.skip_bad, self.dropped)
+        rows = (
+            options.block_rows
+            if self.source.is_regular
+            else min(options.block_rows, PIPE_ROWS)
+        )
+        self._lines.block_bytes = min(
+            _LARGEST_BLOCK, max(64, rows * self._bytes_per_row)
+        )
+        parser = BlockParser(
+            self.place,
+            self.dialect,
+            picks,
+            options.rows,
+            options.skip_bad,
+            self.dropped,
+        )
         blocks = parser.parse(self._data(parser), self._small)
         if self._ahead:
             blocks = one_ahead(blocks)
@@ -150,8 +191,12 @@ class TextTable(Table):
                 passed = np.diff(lines) - np.diff(rows)
                 if not last_row:
                     passed[0] = 0  # what stands above the data
-                for place in np.flatnonzero(passed)[: MOST_NAMED - len(self.doubtful)].tolist():
-                    self.doubtful.append(f"line {lines[place + 1] - 1}: holds no number between two rows")
+                for place in np.flatnonzero(passed)[
+                    : MOST_NAMED - len(self.doubtful)
+                ].tolist():
+                    self.doubtful.append(
+                        f"line {lines[place + 1] - 1}: holds no number between two rows"
+                    )
                 last_row, last_line = int(rows[-1]), int(lines[-1])
             yield block
 
@@ -183,22 +228,40 @@ class TextTable(Table):
 
     def _is_whole(self, last: bytes, parser: BlockParser) -> bool:
         """Judge a last line without its end: True with a note, False where it is dropped, or refuse it."""
-        line, row, dialect = decoded(last.removesuffix(b"\r")), parser.next_row, self.dialect
+        line, row, dialect = (
+            decoded(last.removesuffix(b"\r")),
+            parser.next_row,
+            self.dialect,
+        )
         first, final = parser.rows
-        if dialect.is_comment(line) or row < first or (final is not None and row > final):
+        if (
+            dialect.is_comment(line)
+            or row < first
+            or (final is not None and row > final)
+        ):
             return True
         place = f"{self.place}:{parser.next_line}"
         cell = dialect.cells(line)[-1]
         near = self._lines.above.split(b"\n")[1:-1][-_NEIGHBOURS:]
-        rows = (dialect.cells(text) for raw in near if not dialect.is_comment(text := decoded(raw)))
+        rows = (
+            dialect.cells(text)
+            for raw in near
+            if not dialect.is_comment(text := decoded(raw))
+        )
         above = [cells[-1] for cells in rows if len(cells) == dialect.width]
         why = self.source.unfinished()
         if why is None and not looks_cut(cell, above, dialect.decimal):
-            self.notes.append(f"{place}: the last line has no line end: was the record cut there?")
+            self.notes.append(
+                f"{place}: the last line has no line end: was the record cut there?"
+            )
             return True
         if why is None:
             why = f"and its last cell {cell[:40]!r} is shorter than those above ({above[-1][:40]!r})"
-        bad = BadRow(row, place, f"the last line has no line end, {why}: the record was cut there")
+        bad = BadRow(
+            row,
+            place,
+            f"the last line has no line end, {why}: the record was cut there",
+        )
         if not parser.skip_bad:
             out = f"`skip_bad` or `rows` :{max(1, row - 1)} leaves it out"
             raise InputError(f"{bad} ({out}; end the line if it is whole)")
@@ -206,18 +269,20 @@ class TextTable(Table):
         return False
 
 
-# --- blocks of lines to arrays ------------------------------------------------------------------------
+# --- blocks of lines to arrays
+# ------------------------------------------------------------------------
 
 _DIGIT = pattern(r"\d")
-_AT_ONCE = 1 << 17  # bytes; what fits the cache is looked through three times as fast as 8 MB
+# bytes; what fits the cache is looked through three times as fast as 8 MB
+_AT_ONCE = 1 << 17
 
 
 @dataclass
 class BlockParser:
     """Turns blocks of lines into arrays of the wanted columns, counting rows and lines as it goes.
 
-    ``rows`` limits what is read to data rows first..last (from 1); ``dropped`` are the rows that ``skip_bad``
-    left out.
+    ``rows`` limits what is read to data rows first..last (from 1); ``dropped`` are the
+    rows that ``skip_bad`` left out.
     """
 
     place: str
@@ -243,16 +308,20 @@ class BlockParser:
         Raises
         ------
         InputError
-            A row has another width than the rest, or a wanted cell holds no finite number.
+            A row has another width than the rest, or a wanted cell holds no finite
+            number.
         """
         for block in blocks:
             if self.rows[1] is not None and self.next_row > self.rows[1]:
                 return
             if block[:1] == b"\n" and not block.strip(b"\n"):
-                self.next_line += len(block)  # a compressed megabyte may unpack to a billion empty lines
+                # a compressed megabyte may unpack to a billion empty lines
+                self.next_line += len(block)
             elif block:
                 parsed = self._parse_regularly(block, small)
-                yield (self._parse_slowly(block) if parsed is None else parsed).within(self.rows)
+                yield (self._parse_slowly(block) if parsed is None else parsed).within(
+                    self.rows
+                )
 
     def _parse_regularly(self, block: bytes, small: bool) -> SampleBlock | None:
         """Take a block at once where every line of it is a good row or empty; else None."""
@@ -273,14 +342,17 @@ class BlockParser:
             text, filled = _without_empty_lines(text)
             numbers = self.next_line + filled
         if marks > 2 * len(numbers) * self.dialect.width + 100:
-            return None  # polars takes hundreds of bytes for every cell of a line of delimiters
+            # polars takes hundreds of bytes for every cell of a line of delimiters
+            return None
         arrays = self._columns(text, len(numbers), small) if text else None
         if arrays is None:
             return None
         rows = range(self.next_row, self.next_row + len(numbers))
         self.next_row += len(numbers)
         self.next_line += lines
-        return SampleBlock(rows, numbers, None, dict(zip(self.picks, arrays, strict=True)))
+        return SampleBlock(
+            rows, numbers, None, dict(zip(self.picks, arrays, strict=True))
+        )
 
     def _columns(self, text: bytes, lines: int, small: bool) -> list[FloatArray] | None:
         """Read the wanted columns of a regular block; None where it is not regular after all."""
@@ -290,8 +362,12 @@ class BlockParser:
         read = _parse_plain if plain or stamped else _parse_fast
         if self.dialect.decimal == "," and b"." in text:
             return None
-        # With all columns wanted polars itself refuses long rows, and short ones leave a null.
-        whole = read is _parse_fast and len({pick.number for pick in picks}) == self.dialect.width
+        # With all columns wanted polars itself refuses long rows, and short ones leave
+        # a null.
+        whole = (
+            read is _parse_fast
+            and len({pick.number for pick in picks}) == self.dialect.width
+        )
         if not whole and not _is_rectangular(text, lines, self.dialect):
             return None
         if _has_text_in(self._unpicked, text, self.dialect):
@@ -319,7 +395,9 @@ class BlockParser:
                 row = self._parse_row(line)
                 if row is not None:
                     if time is not None and self.repeated is not None:
-                        row[time] = float(self.repeated.continued(np.array(row[time : time + 1]))[0])
+                        row[time] = float(
+                            self.repeated.continued(np.array(row[time : time + 1]))[0]
+                        )
                     places.append((self.next_row, self.next_line))
                     values.append(row)
                 self.next_row += 1
@@ -327,7 +405,9 @@ class BlockParser:
         rows, lines = np.array(places, dtype=np.int64).reshape(-1, 2).T
         table = np.array(values, dtype=np.float64).reshape(len(values), len(self.picks))
         columns = np.ascontiguousarray(table.T)
-        return SampleBlock(rows, lines, None, dict(zip(self.picks, columns, strict=True)))
+        return SampleBlock(
+            rows, lines, None, dict(zip(self.picks, columns, strict=True))
+        )
 
     def _refuse_other_columns(self, line: str) -> None:
         """Refuse a comment that names other columns than the one above the data (InputError)."""
@@ -343,7 +423,11 @@ class BlockParser:
         first, last = self.rows
         if self.next_row < first or (last is not None and self.next_row > last):
             return None
-        cells, sign, width = self.dialect.cells(line), self.dialect.decimal, self.dialect.width
+        cells, sign, width = (
+            self.dialect.cells(line),
+            self.dialect.decimal,
+            self.dialect.width,
+        )
         problem = ""
         trailing = len(cells) == width + 1 and (self.dialect.remarks or not cells[-1])
         if len(cells) != width and not trailing:
@@ -382,18 +466,31 @@ class BlockParser:
         """Describe where text stands in a column of numbers that nobody asked for: no sample has it."""
         for column in self._unpicked:
             numeric = column in self.dialect.numeric
-            if column < len(cells) and _is_text_in(cells[column], numeric, self.dialect):
+            if column < len(cells) and _is_text_in(
+                cells[column], numeric, self.dialect
+            ):
                 names = self.dialect.headers
                 info = column_info(names[column] if names else None, column + 1)
-                written = self.dialect.writings[column] if self.dialect.writings else "numbers"
+                written = (
+                    self.dialect.writings[column]
+                    if self.dialect.writings
+                    else "numbers"
+                )
                 return f"{column_label(info)} {complain(cells[column], self.dialect.decimal, written)}"
         return ""
 
     @cached_property
     def _unpicked(self) -> list[int]:
         """The columns of numbers or time stamps (from 0) that are not read."""
-        stamps = {at for at, written in enumerate(self.dialect.writings) if written != "numbers"}
-        return sorted((self.dialect.numeric | stamps) - {pick.number - 1 for pick in self.picks.values()})
+        stamps = {
+            at
+            for at, written in enumerate(self.dialect.writings)
+            if written != "numbers"
+        }
+        return sorted(
+            (self.dialect.numeric | stamps)
+            - {pick.number - 1 for pick in self.picks.values()}
+        )
 
 
 def _without_empty_lines(block: bytes) -> tuple[bytes, NDArray[np.int64]]:
@@ -412,7 +509,8 @@ def _without_empty_lines(block: bytes) -> tuple[bytes, NDArray[np.int64]]:
 def _without_blanks(block: bytes, delimiter: str) -> bytes:
     """Make one blank of every run of them, and take off those before a delimiter or the end of a line.
 
-    Polars and float() do without those after a delimiter. The time does not depend on how long the runs are.
+    Polars and float() do without those after a delimiter. The time does not depend on
+    how long the runs are.
     """
     if b"  " in block:
         text = np.frombuffer(block, dtype=np.uint8)
@@ -441,7 +539,8 @@ def _is_rectangular(block: bytes, lines: int, dialect: Dialect) -> bool:
 def _counts(block: bytes, mark: int) -> tuple[int, int, bool]:
     """Count line ends and another letter, and tell whether a line end stands first or behind another.
 
-    Numpy counts what is frequent five times faster than bytes.count, and ``in`` looks ten times as long.
+    Numpy counts what is frequent five times faster than bytes.count, and ``in`` looks
+    ten times as long.
     """
     text = np.frombuffer(block, dtype=np.uint8)
     lines, marks, empty = 0, 0, block[:1] == b"\n"
@@ -450,7 +549,9 @@ def _counts(block: bytes, mark: int) -> tuple[int, int, bool]:
         ends = part == 10
         lines += int(np.count_nonzero(ends))
         marks += int(np.count_nonzero(part == mark))
-        empty = empty or bool((ends[1:] & ends[:-1]).any() or block[start - 1 : start + 1] == b"\n\n")
+        empty = empty or bool(
+            (ends[1:] & ends[:-1]).any() or block[start - 1 : start + 1] == b"\n\n"
+        )
     return lines, marks, empty
 
 
@@ -459,25 +560,34 @@ def _has_text_in(columns: Sequence[int], block: bytes, dialect: Dialect) -> bool
     if not columns:
         return False
     text = np.frombuffer(block, dtype=np.uint8)
-    letters = np.flatnonzero(text >= 64)  # no digit, sign or blank; nor an exponent's e (101) or a delimiter
+    # no digit, sign or blank; nor an exponent's e (101) or a delimiter
+    letters = np.flatnonzero(text >= 64)
     characters = text[letters]
-    letters = letters[((characters | 32) != 101) & (characters != ord(dialect.delimiter))]
+    letters = letters[
+        ((characters | 32) != 101) & (characters != ord(dialect.delimiter))
+    ]
     if not len(letters):
         return False
     ends = np.flatnonzero((text == ord(dialect.delimiter)) | (text == 10))
     wanted, numeric = np.zeros((2, dialect.width), dtype=bool)
     wanted[columns], numeric[list(dialect.numeric)] = True, True
     cells = np.searchsorted(ends, letters)
-    cells = cells[(np.diff(cells, prepend=-1) > 0) & wanted[cells % dialect.width]]  # each cell once
+    # each cell once
+    cells = cells[(np.diff(cells, prepend=-1) > 0) & wanted[cells % dialect.width]]
     starts = np.where(cells > 0, ends[cells - 1] + 1, 0)
     digit = (text[starts] >= 48) & (text[starts] <= 57)
-    doubtful = numeric[cells % dialect.width] | ~digit  # time stamps with a T are many, and no text
+    # time stamps with a T are many, and no text
+    doubtful = numeric[cells % dialect.width] | ~digit
     stops = np.append(ends, len(block))[cells]
     words = {
         (block[start:stop], column in dialect.numeric)
-        for start, stop, column in np.stack([starts, stops, cells % dialect.width])[:, doubtful].T.tolist()
+        for start, stop, column in np.stack([starts, stops, cells % dialect.width])[
+            :, doubtful
+        ].T.tolist()
     }
-    return any(_is_text_in(decoded(word).strip(), numbers, dialect) for word, numbers in words)
+    return any(
+        _is_text_in(decoded(word).strip(), numbers, dialect) for word, numbers in words
+    )
 
 
 def _is_text_in(cell: str, numeric: bool, dialect: Dialect) -> bool:
@@ -497,9 +607,15 @@ def _parse_plain(
         cells = cells.replace(b",", b".")
     words = cells.split(mark)
     try:
-        columns = [map(_reader(pick, dialect), words[pick.number - 1 :: dialect.width]) for pick in picks]
+        columns = [
+            map(_reader(pick, dialect), words[pick.number - 1 :: dialect.width])
+            for pick in picks
+        ]
         arrays = [np.array(list(column), dtype=np.float64) for column in columns]
-    except (ValueError, TypeError):  # a cell that is none: float() raises, a reader of stamps gives None
+    except (
+        ValueError,
+        TypeError,
+    ):  # a cell that is none: float() raises, a reader of stamps gives None
         return None
     return arrays if all(are_measured(array).all() for array in arrays) else None
 
@@ -517,14 +633,18 @@ def _parse_fast(
     """Parse a large rectangular block with polars; None where a cell needs a careful look."""
     polars = import_polars()
     columns = sorted({pick.number - 1 for pick in picks})
-    schema: dict[str, Any] = {f"column_{n + 1}": polars.String for n in range(dialect.width)}
+    schema: dict[str, Any] = {
+        f"column_{n + 1}": polars.String for n in range(dialect.width)
+    }
     schema |= {f"column_{n + 1}": polars.Float64 for n in columns}
     try:
         table = polars.read_csv(
             block,
             has_header=False,
             schema=schema,
-            columns=columns if len(columns) < dialect.width else None,  # all: short rows leave a null
+            columns=columns
+            if len(columns) < dialect.width
+            else None,  # all: short rows leave a null
             separator=dialect.delimiter,
             decimal_comma=dialect.decimal == ",",
             quote_char='"' if b'"' in block else None,
