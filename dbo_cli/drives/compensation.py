@@ -357,7 +357,7 @@ class Compensation(ModelRun):
                 )
             return left_at
         if typed is None and self.start in ("empty", "full"):
-            low_end, high_end = self.model.covered_gears.operator.x_range
+            low_end, high_end = self.model.covered_gears.x_range
             end = low_end if self.start == "empty" else high_end
             voltage = self.model.inverted.outer_drive(end)
             return min(max(voltage, self.limits.v_min), self.limits.v_max)
