@@ -41,7 +41,7 @@ from dbo_cli.logs.request import (
     without_folder,
 )
 from dbo_cli.logs.sample_block import (
-    ColumnInfo,
+    Column,
     DroppedRows,
     SampleBlock,
     Table,
@@ -262,9 +262,9 @@ class SignalLog(Source):
             read.append(f"{quantity} {called} ({unit or 'no unit'}{scale})")
         return f"{self.name}: {'; '.join(filter(None, [', '.join(known), ', '.join(read)]))}"
 
-    def _used(self) -> list[tuple[str, ColumnInfo, str | None]]:
+    def _used(self) -> list[tuple[str, Column, str | None]]:
         """List role, column and unit of what is read, the time first."""
-        used: list[tuple[str, ColumnInfo, str | None]] = []
+        used: list[tuple[str, Column, str | None]] = []
         if self.time is not None:
             used.append(("time", self.time, self._clock.reading()))
         for role, column in self._picks.items():
@@ -401,7 +401,7 @@ def _plain(value: float, digits: int = 4) -> str:
     return f"{value:,.0f}" if 999.5 <= abs(value) < 1e9 else f"{value:.{digits}g}"
 
 
-def _doubtful_unit(place: str, column: ColumnInfo) -> str:
+def _doubtful_unit(place: str, column: Column) -> str:
     """Return what is odd about the unit of a column, if anything is."""
     own = contradicted_unit(column)
     if own is not None:
@@ -490,7 +490,7 @@ def open_log(
 def _scales_by_role(
     options: ReadingOptions,
     wishes: Mapping[str, ColumnWish],
-    columns: Mapping[str, ColumnInfo],
+    columns: Mapping[str, Column],
 ) -> dict[str, Scale]:
     """Give each scale its role, which may be called as the parameter that names its column is.
 

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from dbo_cli.errors import InputError, Remarks, UsageError
 from dbo_cli.logs.clock import find_clock
-from dbo_cli.logs.columns import ColumnWish, choose_columns, column_info, find_column
+from dbo_cli.logs.columns import ColumnWish, choose_columns, find_column, parse_column
 from dbo_cli.logs.request import (
     ALL_ROWS,
     BLOCK_ROWS,
@@ -27,7 +27,7 @@ from dbo_cli.logs.request import (
     checked_rate,
 )
 from dbo_cli.logs.sample_block import (
-    ColumnInfo,
+    Column,
     FloatArray,
     SampleBlock,
     TimeCheck,
@@ -64,7 +64,7 @@ class Source:
     """
 
     name: str
-    columns: dict[str, ColumnInfo]
+    columns: dict[str, Column]
     has_time: bool
     even_rate: float | None = None
     stated_rate: float | None = None
@@ -265,7 +265,7 @@ class ArraySource(Source):
         values: Mapping[str, ArrayLike],
         time: ArrayLike | None = None,
         sample_rate: float | None = None,
-        columns: Mapping[str, ColumnInfo] | None = None,
+        columns: Mapping[str, Column] | None = None,
         name: str = "the arrays",
         rows: Rows = ALL_ROWS,
         units: Mapping[str, str | None] = {},
@@ -289,7 +289,7 @@ class ArraySource(Source):
                     f"`{role}` has {signal.size} samples where `{first}` has {count}"
                 )
         infos = [
-            replace(column_info(role, n), unit=units.get(role))
+            replace(parse_column(role, n), unit=units.get(role))
             for n, role in enumerate(values, start=1)
         ]
         columns = columns or dict(zip(values, infos, strict=True))
@@ -306,7 +306,7 @@ class ArraySource(Source):
                 f"`{role}` has {values.size} samples where `{next(iter(self.values))}` has {self.count}"
             )
         self.values[role] = values
-        self.columns[role] = replace(column_info(role, len(self.values)), unit=unit)
+        self.columns[role] = replace(parse_column(role, len(self.values)), unit=unit)
 
     @property
     def count(self) -> int:
@@ -391,7 +391,7 @@ def table_source(
     """
     units: Mapping[str, str | None] = table.attrs.get("units", {})
     infos = [
-        column_info(str(name), k, units.get(name))
+        parse_column(str(name), k, units.get(name))
         for k, name in enumerate(table.columns, start=1)
     ]
     rate = (
@@ -400,7 +400,7 @@ def table_source(
         else sample_rate
     )
     warnings: list[str] = []
-    taken: list[ColumnInfo] = []
+    taken: list[Column] = []
     if sample_rate is None and (time is None or isinstance(time, str)):
         named = [
             find_column(TABLE, infos, wish.selector, wish.option)
