@@ -262,67 +262,6 @@ class Node(NamedTuple):
             raise ModelError(f"{self.file}: {self.at(str(problem))}") from None
 
 
-class Field(NamedTuple):
-    """One key of an object, and how it is read and written.
-
-    Attributes
-    ----------
-    key : str
-        As the file has it.
-    read : callable
-        What the object is built with, from the node and the key.
-    write : callable, optional
-        The value in the file, from what is written; else it is the attribute as it
-        stands.
-    attribute : str
-        Its name in the program, where it is another than the key.
-    optional : bool
-        Whether the key may be missing; it is not written where its value is empty or 0.
-    """
-
-    key: str
-    read: Callable[[Node, str], Any]
-    write: Callable[[Any], Any] | None = None
-    attribute: str = ""
-    optional: bool = False
-
-
-def _read(
-    node: Node,
-    make: Callable[..., Any],
-    fields: Sequence[Field],
-    besides: tuple[str, ...] = (),
-) -> Any:
-    """Return what ``make`` builds of an object's keys; those ``besides`` the fields take no part."""
-    needed = tuple(field.key for field in fields if not field.optional)
-    node.only(
-        (*besides, *needed), tuple(field.key for field in fields if field.optional)
-    )
-    present = [field for field in fields if field.key in node.values]
-    values = {
-        field.attribute or field.key: field.read(node, field.key) for field in present
-    }
-    return node.build(lambda: make(**values))
-
-
-def _written(thing: Any, fields: Sequence[Field]) -> Json:
-    """Return the keys and values of an object."""
-    values: Json = {}
-    for field in fields:
-        value = (
-            field.write(thing)
-            if field.write
-            else getattr(thing, field.attribute or field.key)
-        )
-        if value or not field.optional:
-            values[field.key] = value
-    return values
-
-
-def _unit(node: Node, key: str) -> str | None:
-    return None if node.values[key] is None else node.text(key)
-
-
 def read_relaxation(node: Node, key: str) -> tuple[Relaxation, Axis]:
     """Return the relaxation of a backlash stage, and the axis that it follows."""
     terms = node.node(key)
@@ -340,145 +279,162 @@ def read_relaxation(node: Node, key: str) -> tuple[Relaxation, Axis]:
     )
 
 
-def relaxation_values(terms: Relaxation | None, axis: Axis) -> Json | None:
-    """Return relaxation and the axis that it follows as plain values."""
-    if terms is None:
-        return None
-    return {
-        "on": axis,
-        "reference": terms.reference,
-        "tau": list(terms.tau),
-        "gain": list(terms.gain),
-    }
+def _read_quantity(node: Node) -> Quantity:
+    node.only(("quantity", "unit", "min", "max"))
+    name = node.text("quantity")
+    unit = None if node.values["unit"] is None else node.text("unit")
+    low = node.number("min")
+    high = node.number("max")
+    quantity: Quantity = node.build(lambda: Quantity(name, unit, low, high))
+    return quantity
 
 
-def _memory_values(stage: BacklashStage) -> Json | None:
-    return relaxation_values(stage.relaxation, stage.memory_on)
-
-
-def _backlash(
-    relaxation: tuple[Relaxation | None, Axis] = (None, "input"), **gears: Any
-) -> BacklashStage:
-    return BacklashStage(**gears, relaxation=relaxation[0], memory_on=relaxation[1])
-
-
-def _antiresonance(node: Node, key: str) -> Any:
-    return _read(node.node(key), Antiresonance, MODE)
-
-
-def _antiresonance_values(section: Resonance) -> Json | None:
-    return _written(section.antiresonance, MODE) if section.antiresonance else None
-
-
-def _sections(node: Node, key: str) -> tuple[Section, ...]:
-    """Return lags and resonances, these perhaps with an antiresonance."""
-    sections = node.listed(key, "sections")
-    nodes = [node.below(f"{key}[{k}]", values) for k, values in enumerate(sections)]
-    return tuple(
-        _read(section, Lag, LAG)
-        if "lag" in section.values
-        else _read(section, Resonance, RESONANCE)
-        for section in nodes
+def _read_backlash(node: Node) -> BacklashStage:
+    node.only(("type", "x0", "y0", "dx", "dy"), ("relaxation",))
+    x0 = node.number("x0")
+    y0 = node.number("y0")
+    dx = node.lengths("dx")
+    dy = node.lengths("dy")
+    terms: Relaxation | None = None
+    axis: Axis = "input"
+    if "relaxation" in node.values:
+        terms, axis = read_relaxation(node, "relaxation")
+    stage: BacklashStage = node.build(
+        lambda: BacklashStage(dx, dy, x0, y0, terms, axis)
     )
+    return stage
 
 
-def section_values(section: Section) -> Json:
-    """Return a section of the dynamics as plain values."""
-    return _written(section, LAG if isinstance(section, Lag) else RESONANCE)
+def _read_point(node: Node) -> PointStage:
+    node.only(("type", "x0", "y0", "dx", "dy"))
+    x0 = node.number("x0")
+    y0 = node.number("y0")
+    dx = node.lengths("dx")
+    dy = node.lengths("dy")
+    stage: PointStage = node.build(lambda: PointStage(dx, dy, x0, y0))
+    return stage
 
 
-def _with_runs(widths: list[float]) -> list[float | Json]:
-    """Return widths with every run of equal ones written once."""
-    written: list[float | Json] = []
-    for value, run in itertools.groupby(widths):
-        count = sum(1 for _ in run)
-        if count >= SHORTEST_RUN:
-            written.append({"repeat": count, "value": value})
+def _read_scale(node: Node) -> ScaleStage:
+    node.only(("type", "gain", "offset"))
+    gain = node.number("gain")
+    offset = node.number("offset")
+    stage: ScaleStage = node.build(lambda: ScaleStage(gain, offset))
+    return stage
+
+
+def _read_delay(node: Node) -> DelayStage:
+    node.only(("type", "seconds"))
+    seconds = node.time("seconds")
+    stage: DelayStage = node.build(lambda: DelayStage(seconds))
+    return stage
+
+
+def _read_dynamics(node: Node) -> DynamicsStage:
+    node.only(("type", "sections"))
+    listed = node.listed("sections", "sections")
+    nodes = [node.below(f"sections[{k}]", item) for k, item in enumerate(listed)]
+    sections: list[Section] = []
+    for section in nodes:
+        if "lag" in section.values:
+            sections.append(_read_lag(section))
         else:
-            written.extend([value] * count)
-    return written
+            sections.append(_read_resonance(section))
+    stage: DynamicsStage = node.build(lambda: DynamicsStage(tuple(sections)))
+    return stage
 
 
-QUANTITY = (
-    Field("quantity", Node.text),
-    Field("unit", _unit),
-    Field("min", Node.number, attribute="minimum"),
-    Field("max", Node.number, attribute="maximum"),
-)
-MODE = Field("frequency", Node.time), Field("damping", Node.length)
-RESONANCE = (
-    *MODE,
-    Field("antiresonance", _antiresonance, _antiresonance_values, optional=True),
-)
-LAG = (
-    Field("lag", Node.time, attribute="seconds"),
-    Field("lead", Node.time, optional=True),
-)
-CURVE = (
-    Field("x0", Node.number),
-    Field("y0", Node.number),
-    Field("dx", Node.lengths, lambda stage: _with_runs(stage.dx.tolist())),
-    Field("dy", Node.lengths, lambda stage: _with_runs(stage.dy.tolist())),
-)
-GEARS = (*CURVE, Field("relaxation", read_relaxation, _memory_values, optional=True))
-SECTIONS = (
-    Field(
-        "sections",
-        _sections,
-        lambda stage: [section_values(section) for section in stage.sections],
-    ),
-)
+def _read_lag(node: Node) -> Lag:
+    node.only(("lag",), ("lead",))
+    seconds = node.time("lag")
+    lead = node.time("lead") if "lead" in node.values else 0.0
+    lag: Lag = node.build(lambda: Lag(seconds, lead))
+    return lag
 
 
-class Kind(NamedTuple):
-    """A type of stage: its class, what builds one of its fields, and these."""
+def _read_resonance(node: Node) -> Resonance:
+    node.only(("frequency", "damping"), ("antiresonance",))
+    frequency = node.time("frequency")
+    damping = node.length("damping")
+    beside = None
+    if "antiresonance" in node.values:
+        beside = _read_antiresonance(node.node("antiresonance"))
+    resonance: Resonance = node.build(lambda: Resonance(frequency, damping, beside))
+    return resonance
 
-    stage: type
-    make: Callable[..., Any]
-    fields: Sequence[Field]
+
+def _read_antiresonance(node: Node) -> Antiresonance:
+    node.only(("frequency", "damping"))
+    frequency = node.time("frequency")
+    damping = node.length("damping")
+    antiresonance: Antiresonance = node.build(lambda: Antiresonance(frequency, damping))
+    return antiresonance
 
 
-STAGES = {
-    "backlash": Kind(BacklashStage, _backlash, GEARS),
-    "point": Kind(PointStage, PointStage, CURVE),
-    "scale": Kind(
-        ScaleStage,
-        ScaleStage,
-        (Field("gain", Node.number), Field("offset", Node.number)),
-    ),
-    "dynamics": Kind(DynamicsStage, DynamicsStage, SECTIONS),
-    "delay": Kind(DelayStage, DelayStage, (Field("seconds", Node.time),)),
-}
-"""Every stage that a model of gears may have; ``docs/model-file.md`` says what they mean."""
+def _read_gears_state(node: Node, model: ActuatorModel) -> BacklashState:
+    """Return bits and memory of the gears, checked against the model's."""
+    gears = model.backlash
+    node.only(("gears", "bits", "memory"))
+    if node.values["gears"] != gears.n:
+        raise node.refuse(
+            "gears", f"is not {gears.n}, the number of gears of the model"
+        )
+    digits = node.text("bits")
+    hexadecimal = digits and not set(digits) - set("0123456789abcdef")
+    if not hexadecimal or int(digits, 16) >> gears.n:
+        raise node.refuse("bits", f"is not a hexadecimal number of {gears.n} bits")
+    bits = int(digits, 16)
+    if node.values["memory"] is None:
+        return BacklashState(bits, None)
+    memory = tuple(node.numbers("memory"))
+    terms = len(gears.relaxation.tau) if gears.relaxation else 0
+    if len(memory) != terms:
+        raise node.refuse(
+            "memory",
+            f"has {len(memory)} entries where the model has {terms} relaxation terms",
+        )
+    return BacklashState(bits, memory)
 
 
 class StageInFiles(NamedTuple):
-    """How an extra reads a stage with another hysteresis than that of gears.
+    """How a type of stage is read, and what its hysteresis asks for where it has one.
 
     Attributes
     ----------
     read_stage : callable
         Makes the stage of its node.
     model : callable
-        Makes the model of a cascade with such a stage, as ``ActuatorModel`` does.
+        Makes the model of a cascade with such a hysteresis, as ``ActuatorModel`` does.
     read_state : callable
-        Makes what the stage remembers of its node in a state file and the model.
+        Makes what the hysteresis remembers of its node in a state file and the model.
     """
 
     read_stage: Callable[[Node], Stage]
-    model: Callable[..., ActuatorModel]
-    read_state: Callable[[Node, Any], BacklashState]
+    model: Callable[..., ActuatorModel] = ActuatorModel
+    read_state: Callable[[Node, Any], BacklashState] = _read_gears_state
 
 
-def _brought(stages: Iterable[Stage]) -> StageInFiles | None:
-    """Return what reads the other hysteresis of a cascade; None where it has gears."""
+STAGES = {
+    "backlash": StageInFiles(_read_backlash),
+    "point": StageInFiles(_read_point),
+    "scale": StageInFiles(_read_scale),
+    "dynamics": StageInFiles(_read_dynamics),
+    "delay": StageInFiles(_read_delay),
+}
+"""Every stage that a model of gears may have; ``docs/model-file.md`` says what they mean.
+Extras bring those with another hysteresis.
+"""
+
+
+def _hysteresis_in_files(stages: Iterable[Stage]) -> StageInFiles:
+    """Return how the hysteresis of a cascade is read: that of gears, or what an extra brings."""
     for stage in stages:
         if isinstance(stage, OtherHysteresis):
             brought: StageInFiles = extensions.find(
                 "model", stage.file_values()["type"]
             )
             return brought
-    return None
+    return STAGES["backlash"]
 
 
 def read_model(path: str) -> ActuatorModel:
@@ -567,14 +523,10 @@ def model_of(root: Node) -> ActuatorModel:
         note.check_notes(_NOTE_DEPTH)
     if "fit" in notes:
         _check_fit(notes["fit"])
-    source, result = (
-        _read(root.node(key), Quantity, QUANTITY) for key in ("input", "output")
-    )
+    source = _read_quantity(root.node("input"))
+    result = _read_quantity(root.node("output"))
     carried = {key: note.values for key, note in notes.items()}
-    brought = _brought(cascade)
-    make: Callable[..., ActuatorModel] = (
-        ActuatorModel if brought is None else brought.model
-    )
+    make = _hysteresis_in_files(cascade).model
     model: ActuatorModel = root.build(
         lambda: make(direction, source, result, cascade, **carried)
     )
@@ -711,8 +663,7 @@ def _stage(node: Node) -> Stage:
                 "type", f"{kind!r} is not a known stage; there are: {known}"
             )
         return brought.read_stage(node)
-    stage: Stage = _read(node, STAGES[kind].make, STAGES[kind].fields, ("type",))
-    return stage
+    return STAGES[kind].read_stage(node)
 
 
 def _stages(node: Node, key: str) -> tuple[Stage, ...]:
@@ -742,8 +693,8 @@ def model_values(model: ActuatorModel) -> Json:
         "format": MODEL_FORMAT,
         "version": _version(model),
         "direction": model.direction,
-        "input": _written(model.input, QUANTITY),
-        "output": _written(model.output, QUANTITY),
+        "input": _quantity_values(model.input),
+        "output": _quantity_values(model.output),
         "stages": [stage_values(stage) for stage in model.stages],
     }
     for key, notes in (("fit", model.fit), ("provenance", model.provenance)):
@@ -753,15 +704,82 @@ def model_values(model: ActuatorModel) -> Json:
 
 
 def stage_values(stage: Stage) -> Json:
-    """Return a stage as plain values."""
+    """Return a stage as plain values, its type first."""
     if isinstance(stage, OtherHysteresis):
         return stage.file_values()
-    kind, fields = next(
-        (name, kind.fields)
-        for name, kind in STAGES.items()
-        if isinstance(stage, kind.stage)
-    )
-    return {"type": kind, **_written(stage, fields)}
+    if isinstance(stage, ScaleStage):
+        return {"type": "scale", "gain": stage.gain, "offset": stage.offset}
+    if isinstance(stage, DelayStage):
+        return {"type": "delay", "seconds": stage.seconds}
+    if isinstance(stage, DynamicsStage):
+        sections = [section_values(section) for section in stage.sections]
+        return {"type": "dynamics", "sections": sections}
+    if isinstance(stage, PointStage):
+        return {"type": "point", **_curve_values(stage)}
+    values = {"type": "backlash", **_curve_values(stage)}
+    terms = relaxation_values(stage.relaxation, stage.memory_on)
+    if terms is not None:
+        values["relaxation"] = terms
+    return values
+
+
+def _curve_values(stage: BacklashStage | PointStage) -> Json:
+    return {
+        "x0": stage.x0,
+        "y0": stage.y0,
+        "dx": _with_runs(stage.dx.tolist()),
+        "dy": _with_runs(stage.dy.tolist()),
+    }
+
+
+def _with_runs(widths: list[float]) -> list[float | Json]:
+    """Return widths with every run of equal ones written once."""
+    written: list[float | Json] = []
+    for value, run in itertools.groupby(widths):
+        count = sum(1 for _ in run)
+        if count >= SHORTEST_RUN:
+            written.append({"repeat": count, "value": value})
+        else:
+            written.extend([value] * count)
+    return written
+
+
+def relaxation_values(terms: Relaxation | None, axis: Axis) -> Json | None:
+    """Return relaxation and the axis that it follows as plain values."""
+    if terms is None:
+        return None
+    return {
+        "on": axis,
+        "reference": terms.reference,
+        "tau": list(terms.tau),
+        "gain": list(terms.gain),
+    }
+
+
+def section_values(section: Section) -> Json:
+    """Return a section of the dynamics as plain values."""
+    if isinstance(section, Lag):
+        lag: Json = {"lag": section.seconds}
+        if section.lead:
+            lag["lead"] = section.lead
+        return lag
+    values: Json = {"frequency": section.frequency, "damping": section.damping}
+    beside = section.antiresonance
+    if beside is not None:
+        values["antiresonance"] = {
+            "frequency": beside.frequency,
+            "damping": beside.damping,
+        }
+    return values
+
+
+def _quantity_values(quantity: Quantity) -> Json:
+    return {
+        "quantity": quantity.quantity,
+        "unit": quantity.unit,
+        "min": quantity.minimum,
+        "max": quantity.maximum,
+    }
 
 
 def document_bytes(values: Mapping[str, Any]) -> bytes:
@@ -849,58 +867,23 @@ def read_state(path: str, model: ActuatorModel) -> ModelState:
     """
     root = load_document(path, STATE_FORMAT, "state", STATE_VERSION)
     timed = root.values["version"] > 1
-    brought = _brought(model.stages)
-    key, read = (
-        ("backlash", _bits_and_memory)
-        if brought is None
-        else ("plays", brought.read_state)
-    )
-    root.only(
-        (
-            "format",
-            "version",
-            "model",
-            key,
-            *(("time",) if timed else ()),
-            "drive",
-            "delay",
-        ),
-        ("dynamics", "drive_lag") if timed else (),
-    )
+    key = "backlash" if model.has_gears else "plays"
+    required = ["format", "version", "model", key, "drive", "delay"]
+    optional: tuple[str, ...] = ()
+    if timed:
+        required.insert(4, "time")
+        optional = ("dynamics", "drive_lag")
+    root.only(tuple(required), optional)
     if root.text("model") != model.digest:
         raise root.refuse(
             "model", "the state belongs to another model (save it again with this one)"
         )
-    backlash = read(root.node(key), model)
+    hysteresis = _hysteresis_in_files(model.stages)
+    backlash = hysteresis.read_state(root.node(key), model)
     drive = None if root.values["drive"] is None else root.number("drive")
     time = None if not timed or root.values["time"] is None else root.number("time")
     begun = ModelState(backlash, drive, _history(root), time=time)
     return _with_dynamics(begun, root, model)
-
-
-def _bits_and_memory(node: Node, model: ActuatorModel) -> BacklashState:
-    node.only(("gears", "bits", "memory"))
-    if node.values["gears"] != model.backlash.n:
-        raise node.refuse(
-            "gears", f"is not {model.backlash.n}, the number of gears of the model"
-        )
-    digits = node.text("bits")
-    if (
-        not digits
-        or set(digits) - set("0123456789abcdef")
-        or int(digits, 16) >> model.backlash.n
-    ):
-        raise node.refuse(
-            "bits", f"is not a hexadecimal number of {model.backlash.n} bits"
-        )
-    memory = None if node.values["memory"] is None else tuple(node.numbers("memory"))
-    terms = len(model.backlash.relaxation.tau) if model.backlash.relaxation else 0
-    if memory is not None and len(memory) != terms:
-        raise node.refuse(
-            "memory",
-            f"has {len(memory)} entries where the model has {terms} relaxation terms",
-        )
-    return BacklashState(int(digits, 16), memory)
 
 
 def _dynamics_values(state: ModelState) -> Json:

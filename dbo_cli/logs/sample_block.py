@@ -216,8 +216,8 @@ class Table:
     others: Sequence[str] = ()  # the addresses of further files that were joined
     # what may spoil a result; complete after the last block
     warnings: Sequence[str] = ()
-    # what ``clock.find_time_column`` found, where it looked already
-    found_time: Any = None
+    # of ``clock.find_clock``, where the table looked for it already
+    ready_clock: Any = None
 
     def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
         """Find the sample rate (Hz) that the file states for these columns, and the first row's time (s)."""

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dbo_cli.errors import InputError, Remarks, UsageError
-from dbo_cli.logs.clock import find_time_column
+from dbo_cli.logs.clock import find_clock
 from dbo_cli.logs.columns import ColumnWish, choose_columns, column_info, find_column
 from dbo_cli.logs.request import (
     ALL_ROWS,
@@ -407,19 +407,15 @@ def table_source(
             for wish in want.values()
             if wish.selector
         ]
-        time_column = find_time_column(TABLE, infos, ReadingOptions(time=time), named)
-        taken = time_column.taken
-        if time_column.clock is not None:
-            column = table.iloc[:, time_column.clock.column.number - 1]
-            if column.dtype.kind in "mM" or column.dtype.kind == "O":
-                time, rate = stamps(column.to_numpy()), None
+        clock = find_clock(TABLE, infos, ReadingOptions(time=time), named)
+        taken = clock.taken
+        if clock.column is not None:
+            rate = None
+            column = table.iloc[:, clock.column.number - 1]
+            if column.dtype.kind in "mMO":
+                time = stamps(column.to_numpy())
             else:
-                time, rate = (
-                    time_column.clock.whole(
-                        samples("time", column.to_numpy()), warnings
-                    ),
-                    None,
-                )
+                time = clock.whole(samples("time", column.to_numpy()), warnings)
     columns = choose_columns(TABLE, infos, want, taken)
     values = {
         role: table.iloc[:, column.number - 1].to_numpy()

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.byte_source import file_sha256
-from dbo_cli.logs.clock import FoundTime, find_time_column
+from dbo_cli.logs.clock import Clock, find_clock
 from dbo_cli.logs.columns import (
     MORE_TIME_NAMES,
     PLACE,
@@ -178,9 +178,9 @@ class HeldTable(Table):
         As the table that was read has them; only the columns that are held.
     block
         All rows; the values by column number, as text.
-    found_time
-        The time column, found among all columns of the log.
-    clock
+    ready_clock
+        The clock, found among all columns of the log.
+    stated_rate
         The rate (Hz) and the first row's time (s) that the file states, or the refusal.
     digest
         Of the file.
@@ -190,8 +190,8 @@ class HeldTable(Table):
     columns: list[ColumnInfo]
     described: str
     block: SampleBlock
-    found_time: FoundTime
-    clock: tuple[float | None, float] | InputError
+    ready_clock: Clock
+    stated_rate: tuple[float | None, float] | InputError
     digest: str | None
     remarks: tuple[str, ...] = ()
     rows: Rows = ALL_ROWS
@@ -201,20 +201,16 @@ class HeldTable(Table):
 
     def opened(self, options: ReadingOptions) -> HeldTable:
         """Return a table to read from, whose notes and clock are its own."""
-        time = self.found_time
-        if time.clock is not None:
-            time = time._replace(
-                clock=replace(time.clock, notes=list(time.clock.notes))
-            )
+        clock = replace(self.ready_clock, notes=list(self.ready_clock.notes))
         return replace(
-            self, rows=options.rows, found_time=time, notes=list(self.remarks)
+            self, rows=options.rows, ready_clock=clock, notes=list(self.remarks)
         )
 
     def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
         """Return the sample rate (Hz) that the file states, and the first row's time (s)."""
-        if isinstance(self.clock, InputError):
-            raise self.clock
-        return self.clock
+        if isinstance(self.stated_rate, InputError):
+            raise self.stated_rate
+        return self.stated_rate
 
     def describe(self) -> str:
         """Describe in one line how the log is written."""
@@ -291,10 +287,8 @@ class ChannelReader:
             named: list[ColumnInfo] = []
             for columns_of_channel in self.channels.values():
                 named += columns_of_channel.values()
-            self._time = find_time_column(
-                self._table.place, columns, self.options, named
-            )
-            self._timed = {} if self._time.clock is None else self._time.clock.picks
+            self._clock = find_clock(self._table.place, columns, self.options, named)
+            self._timed = self._clock.picks
         except BaseException:
             self._table.close()
             raise
@@ -379,14 +373,14 @@ class ChannelReader:
             columns=columns,
             described=self._table.describe(),
             block=replace(block, values=values),
-            found_time=self._time,
-            clock=self._clock(channel),
+            ready_clock=self._clock,
+            stated_rate=self._stated_rate(channel),
             digest=self._sha256,
             remarks=tuple(self._table.notes),
         )
 
-    def _clock(self, channel: str) -> tuple[float | None, float] | InputError:
-        if self._time.clock is not None or self.options.sample_rate is not None:
+    def _stated_rate(self, channel: str) -> tuple[float | None, float] | InputError:
+        if self._clock.is_known:
             return None, 0.0
         try:
             return self._table.even_clock(self.channels[channel].values())
