@@ -272,7 +272,7 @@ class SignalRun:
                         )
                         if destination.summary is not None:
                             figures.see(response.y, None)
-                        listener.progressed(len(response.y))
+                        listener.progressed(len(response.y), "written")
                     listener.finished()
             except BrokenPipeError:
                 if destination.save_state is None:
