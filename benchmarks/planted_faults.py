@@ -228,7 +228,7 @@ FAULTS: list[Fault] = [
         ("keep[:wiped] = False", "pass", "validation leaves the unknown history out"),
     ),
     *_faults(
-        "hysteresis/identification/refinement.py",
+        "hysteresis/identification/finalists.py",
         IDENTIFICATION,
         ("MARGIN = 0.125", "MARGIN = 0.0", "gears beyond the range of the logs"),
         ("(fitted.gains[acting] / basis.span)", "(fitted.gains[acting])", "the unit of the memories' gains"),
@@ -286,7 +286,7 @@ FAULTS: list[Fault] = [
          "creep is no unknown history"),
     ),
     *_faults(
-        "hysteresis/identification/identify.py",
+        "hysteresis/identification/paper.py",
         IDENTIFICATION,
         ("heights: Floats = floor + shares * np.cumsum(", "heights: Floats = shares * np.cumsum(",
          "no gear of the paper's method is flat"),
@@ -632,7 +632,7 @@ FAULTS: list[Fault] = [
         ("if q31 and shift < 16:", "if q31 and shift < 0:", "a gear too steep for q31 is refused"),
     ),
     *_faults(
-        "drives/before.py",
+        "drives/pieces.py",
         ("drives", "runs_cut_off"),
         ("return np.full(ahead + late, first)", "return np.full(ahead, first)", "a lead lasts as long as the delay"),
     ),

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.hysteresis.excitation import Excitation
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, identify
-from dbo_cli.hysteresis.identification.drive_range import (
+from dbo_cli.hysteresis.identification.cleaning import (
     drive_range,
     read_back_noise,
     within,

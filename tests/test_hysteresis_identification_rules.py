@@ -21,7 +21,7 @@ from dbo_cli.hysteresis.identification.evaluation import (
     predict,
     validation_of,
 )
-from dbo_cli.hysteresis.identification.identify import SHRUNK, _few_heights
+from dbo_cli.hysteresis.identification.finalists import MARGIN, Fitted, stages_of
 from dbo_cli.hysteresis.identification.normal_equations import (
     MAX_STEEPNESS,
     SLOPE_FLOOR,
@@ -41,6 +41,7 @@ from dbo_cli.hysteresis.identification.output_error import (
     corners,
     finer,
 )
+from dbo_cli.hysteresis.identification.paper import SHRUNK, _few_heights
 from dbo_cli.hysteresis.identification.preparation import (
     Prepared,
     gain_sign,
@@ -52,7 +53,6 @@ from dbo_cli.hysteresis.identification.recordings import (
     Recording,
     first_wiped_row,
 )
-from dbo_cli.hysteresis.identification.refinement import MARGIN, Fitted, stages_of
 from dbo_cli.hysteresis.identification.search import choose
 from dbo_cli.hysteresis.identification.statistics import (
     Basis,

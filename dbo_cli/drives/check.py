@@ -222,7 +222,7 @@ class Likeness(NamedTuple):
 def noise_of(played: Floats) -> float:
     """Return the standard deviation of a recording's read-back noise; 0 where none is evident."""
     # with all of identification
-    from dbo_cli.hysteresis.identification.drive_range import read_back_noise
+    from dbo_cli.hysteresis.identification.cleaning import read_back_noise
 
     return read_back_noise(played)
 

@@ -16,8 +16,7 @@ from dbo_cli.extras.compare.fitting import RELATIVES, fit
 from dbo_cli.extras.compare.play_model import RelativeModel, with_plays
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, identify
-from dbo_cli.hysteresis.identification.cleaning import cleaned
-from dbo_cli.hysteresis.identification.drive_range import drive_range, within
+from dbo_cli.hysteresis.identification.cleaning import cleaned, drive_range, within
 from dbo_cli.hysteresis.identification.evaluation import (
     Residual,
     residual_of,

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dbo_cli.drives.gate import DriveGate, GateError
-from dbo_cli.drives.limits import voltage_in
-from dbo_cli.drives.options import DriveOptions, Figure, check_seconds
+from dbo_cli.drives.options import DriveOptions, Figure, check_seconds, voltage_in
 from dbo_cli.drives.pieces import ramp
 from dbo_cli.errors import ModelError, UsageError
 from dbo_cli.extras.live.converter import Converter

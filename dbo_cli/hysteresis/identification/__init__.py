@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dbo_cli.hysteresis.identification.identify import identify
+from dbo_cli.hysteresis.identification.identify import Identification
+from dbo_cli.hysteresis.identification.methods import identify
 from dbo_cli.hysteresis.identification.recordings import (
     IdentificationOptions,
     Recording,
 )
-from dbo_cli.hysteresis.identification.static import Identification
 
 __all__ = ["Identification", "IdentificationOptions", "Recording", "identify"]

@@ -52,6 +52,7 @@ from dbo_cli.hysteresis.identification.evaluation import (
     validated,
     validation_of,
 )
+from dbo_cli.hysteresis.identification.identify import Identification, identify_static
 from dbo_cli.hysteresis.identification.recordings import (
     FastPart,
     Floats,
@@ -62,7 +63,6 @@ from dbo_cli.hysteresis.identification.recordings import (
     split,
 )
 from dbo_cli.hysteresis.identification.search import SEGMENTS
-from dbo_cli.hysteresis.identification.static import Identification, identify_static
 from dbo_cli.hysteresis.identification.statistics import EARNED, INDIFFERENCE
 from dbo_cli.hysteresis.model import (
     ActuatorModel,

@@ -26,6 +26,7 @@ from dbo_cli.hysteresis.identification.evaluation import (
     pooled,
     residual_of,
 )
+from dbo_cli.hysteresis.identification.finalists import Fitted, stages_of
 from dbo_cli.hysteresis.identification.normal_equations import (
     Solution,
     Structure,
@@ -38,7 +39,6 @@ from dbo_cli.hysteresis.identification.recordings import (
     Floats,
     Recording,
 )
-from dbo_cli.hysteresis.identification.refinement import Fitted, stages_of
 from dbo_cli.hysteresis.identification.search import BEND_STEP, Choice, sample_period
 from dbo_cli.hysteresis.identification.statistics import (
     LENGTHS,

@@ -4,7 +4,13 @@ The search (``search``) is convex and quick, and ranks by the equation error. Wh
 chose stands here beside simpler and other models: without its delay, without memories,
 with other rules for the slopes, from gears alone to many segments. What it chose holds
 unless another does better by more than the error bar; among those as good as the best
-the simplest is taken.
+the simplest is taken. It is refined on more rows, and becomes the stages of a model.
+
+What a linear frequency response explains far better than gears do is not of this class:
+a mass on a spring whose restoring force has hysteresis swings, which no model of gears
+with memories follows, but a linear filter does. The filter here is a finite impulse
+response, fitted by least squares with a little damping, and judged on quarters of each
+log left out in turn, as the candidates are.
 """
 
 from __future__ import annotations
@@ -16,29 +22,54 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dbo_cli.errors import FitError
-from dbo_cli.hysteresis.identification.linear_response import linear_response
 from dbo_cli.hysteresis.identification.normal_equations import (
     KNOT_SMOOTHNESS,
+    SLOPE_FLOOR,
     Structure,
+    least_squares,
 )
 from dbo_cli.hysteresis.identification.output_error import (
+    BLOCKS,
     TINY,
+    Errors,
     Judged,
     LeftOut,
     OutputProblem,
     Refined,
+    corners,
     finer,
     judged_rows,
 )
 from dbo_cli.hysteresis.identification.preparation import Prepared
-from dbo_cli.hysteresis.identification.recordings import Floats, IdentificationOptions
+from dbo_cli.hysteresis.identification.recordings import (
+    EVEN,
+    Floats,
+    IdentificationOptions,
+    Integers,
+    Recording,
+    drive_shape,
+)
 from dbo_cli.hysteresis.identification.search import Choice, swings_of_two_kinds
 from dbo_cli.hysteresis.identification.statistics import (
     EARNED,
+    FIT_ROWS,
     INDIFFERENCE,
     Basis,
     PreparedLog,
     fewer_rows,
+    gather,
+    weighted,
+)
+from dbo_cli.hysteresis.model import (
+    ActuatorModel,
+    BacklashStage,
+    DelayStage,
+    PointStage,
+    Quantity,
+    Relaxation,
+    ScaleStage,
+    Stage,
+    slow_output_range,
 )
 
 JUDGED_ROWS = 4000  # of the logs
@@ -337,3 +368,300 @@ def _complexity(one: Judged) -> float:
     parts = [bool(structure.memories), bool(one.basis.delay), bool(one.basis.bend)]
     free = structure.slopes == "free"
     return math.log2(structure.segments) + sum(parts) + 2.0 * free
+
+
+# --- the numbers of what was chosen, and its stages ---
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A fitted cascade in normalised terms: gears and memories, then the asymmetry, then offset and drift.
+
+    ``origin`` is w0, the gears' output with all bits cleared; ``knots`` the corners of
+    the asymmetry on its input axis, shape (segments + 1,), from 0 to 1; ``drift`` the
+    output's drift coefficients of all logs in turn.
+    """
+
+    basis: Basis
+    heights: Floats
+    gains: Floats
+    origin: float
+    knots: Floats
+    drift: Floats
+
+
+def fit(logs: Sequence[PreparedLog], finalist: Finalist) -> Fitted:
+    """Refine a finalist on ``FIT_ROWS`` rows, without the memories that do nothing.
+
+    Raises
+    ------
+    FitError
+        The solver failed.
+    """
+    basis, structure, vector = finalist.basis, finalist.structure, finalist.vector
+    heights = vector[: basis.gears]
+    count = len(basis.time_constants)
+    gains = vector[basis.gears : basis.gears + count]
+    kept = tuple(
+        k for k in structure.memories if gains[k] > SLOPE_FLOOR * heights.sum()
+    )
+    if kept != tuple(range(count)):
+        basis = replace(
+            basis, time_constants=tuple(basis.time_constants[k] for k in kept)
+        )
+        structure = replace(structure, memories=tuple(range(len(kept))))
+        vector = np.concatenate(
+            (heights, gains[list(kept)], vector[basis.gears + count :])
+        )
+    some = fewer_rows(logs, FIT_ROWS)
+    problem = OutputProblem(judged_rows(some, basis))
+    best = problem.refined(structure, vector)
+    convex = _convex(some, problem, structure)
+    if convex is not None and convex.penalised * (1.0 - INDIFFERENCE) <= best.penalised:
+        best = convex
+    return fitted_of(basis, structure, best.vector)
+
+
+def _convex(
+    logs: Sequence[PreparedLog], problem: OutputProblem, structure: Structure
+) -> Refined | None:
+    """Return the solution of the equation error, which holds where the output's own gains too little.
+
+    Where noise is small beside what no model of this class can follow, the two errors
+    differ by their weights alone, and the convex problem's solution predicts as well or
+    better.
+    """
+    try:
+        solution, _ = gather(logs, problem.rows.basis, structure.segments).solved(
+            structure
+        )
+    except FitError:
+        return None
+    return problem.levelled(solution.vector, structure)
+
+
+def fitted_of(basis: Basis, structure: Structure, vector: Floats) -> Fitted:
+    """Return the unknowns of a candidate as what they are."""
+    after_gears = basis.gears + len(basis.time_constants)
+    origin = after_gears + structure.segments - 1
+    drift = vector[origin:].copy()
+    drift[0] = 0.0  # the level is that of the gears
+    return Fitted(
+        basis,
+        vector[: basis.gears],
+        vector[basis.gears : after_gears],
+        float(vector[origin]),
+        corners(vector[after_gears:origin], structure.segments),
+        drift,
+    )
+
+
+# of the range, in gears beyond its top; half and double: the same errors
+MARGIN = 0.125
+
+
+def zero_shift(recording: Recording, zero: str | float) -> float:
+    """Displacement that counts as zero: 'none' (as logged), 'mean' or 'first' of the log, or a value.
+
+    Returns it in the unit of the displacement.
+    """
+    if zero == "none":
+        return 0.0
+    if zero == "mean":
+        return float(recording.displacement.mean())
+    if zero == "first":
+        return float(recording.displacement[0])
+    return float(zero)
+
+
+def stages_of(
+    fitted: Fitted, prepared: Prepared, shift: float, gears: int | None = None
+) -> tuple[Stage, ...]:
+    """Stages of the forward cascade: points on the drive, backlash with relaxation, point, scale, delay.
+
+    Gears are in the unit of the voltage on their input and without a unit on their
+    output (sum about 1); the scale stage carries the displacement's unit. ``shift`` is
+    taken off the displacement. ``gears``: their number where the user fixed it.
+    """
+    basis = fitted.basis
+    relaxation = None
+    if fitted.gains.any():
+        acting = fitted.gains > 0.0
+        relaxation = Relaxation(
+            basis.low,
+            tuple(
+                float(tau)
+                for tau, on in zip(basis.time_constants, acting, strict=True)
+                if on
+            ),
+            tuple((fitted.gains[acting] / basis.span).tolist()),
+        )
+    count = gears or basis.gears * basis.split
+    slope = np.minimum(
+        (np.arange(count) + 0.5) * basis.gears / count, basis.gears - 1
+    ).astype(np.int64)
+    heights = fitted.heights[slope] * basis.gears / count
+    x0, y0 = basis.low, fitted.origin
+    spare = 0 if gears is not None else int(MARGIN * count)
+    # A drive that goes a little further than the logs did shall turn there as it does
+    # inside.
+    heights = np.append(heights, np.full(2 * spare, heights[-1]))
+    widths = np.full(len(heights), basis.span / count)
+    x0, y0 = x0 - spare * widths[0], y0 - spare * heights[-1]
+    stages: list[Stage] = [basis.bend_points()] if basis.bend else []
+    stages.append(BacklashStage(widths, heights, x0, y0, relaxation))
+    segments = len(fitted.knots) - 1
+    if segments > 1:
+        stages.append(
+            PointStage(
+                np.diff(fitted.knots), np.full(segments, 1.0 / segments), 0.0, 0.0
+            )
+        )
+    # the first log's offset; the later terms are its drift
+    level = float(fitted.drift[0])
+    stages.append(
+        ScaleStage(prepared.scale, prepared.offset + prepared.scale * level - shift)
+    )
+    if basis.delay > 0.0:
+        stages.append(DelayStage(basis.delay))
+    return tuple(stages)
+
+
+def model_of(
+    fitted: Fitted,
+    prepared: Prepared,
+    recording: Recording,
+    zero: str | float,
+    gears: int | None = None,
+) -> ActuatorModel:
+    """Build the forward model; its input range is what the logs cover."""
+    stages = stages_of(fitted, prepared, zero_shift(recording, zero), gears)
+    low, high = slow_output_range(stages, prepared.low, prepared.high)
+    return ActuatorModel(
+        direction="forward",
+        input=Quantity(
+            recording.voltage_quantity,
+            recording.voltage_unit,
+            prepared.low,
+            prepared.high,
+        ),
+        output=Quantity(
+            recording.displacement_quantity, recording.displacement_unit, low, high
+        ),
+        stages=stages,
+    )
+
+
+# --- a linear response as a bar ---
+
+TAPS = (16, 64, 256)  # rows of the responses tried, shortest first
+ROWS_PER_TAP = 8  # fewer rows than this are no evidence of so long a response
+ROWS = 8192  # of a log, at most: thirty for each tap of the longest response
+# between turns: a resonance that a drive excites is sampled by about as many
+SWING_ROWS = 20
+DAMPING = 1e-6  # of the mean square of the drive, on every tap
+# times the error to beat: a short response that is further off is not made longer
+WITHIN_REACH = 4.0
+
+
+def linear_response(logs: Sequence[PreparedLog], to_beat: float) -> Errors | None:
+    """Return the errors on quarters left out of the best response, None where no clock is even.
+
+    Parameters
+    ----------
+    logs : the logs
+    to_beat : RMS error of the model on the same quarters: longer responses are tried
+        within reach of it
+    """
+    span = max(float(np.ptp(log.voltage)) for log in logs)
+    some = [_few_rows(log, span) for log in logs if _even(log)]
+    if len(some) < len(logs):
+        return None
+    best: Errors | None = None
+    for taps in TAPS:
+        if min(len(log.output) for log in some) < ROWS_PER_TAP * taps:
+            break
+        errors = _errors(some, taps)
+        if best is None or errors.mean_square < best.mean_square:
+            best = errors
+        if errors.mean_square > (WITHIN_REACH * to_beat) ** 2:
+            break
+    return best
+
+
+def _even(log: PreparedLog) -> bool:
+    """Return whether a log's clock has steps of one length."""
+    if log.seconds is None:
+        return False
+    steps = np.diff(log.seconds)
+    usual = float(np.median(steps))
+    return usual > 0.0 and float(np.abs(steps - usual).max()) <= EVEN * usual
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Neighbouring rows of one log: drive before the first, output, drift, quarter and weight of each row."""
+
+    drive: Floats
+    output: Floats
+    drift: Floats
+    quarter: Integers
+    weights: Floats | None
+
+
+def _few_rows(log: PreparedLog, span: float) -> _Rows:
+    """Return at most ``ROWS`` rows of a log, evenly thinned to some rows between turns, then cut.
+
+    The drive is in units of ``span``.
+    """
+    rows = len(log.voltage)
+    swing = rows / (len(drive_shape(log.voltage).turns) + 1)
+    every = max(1, int(swing / SWING_ROWS))
+    chosen = np.arange(0, rows, every)[:ROWS]
+    used = log.used[chosen]
+    quarter = np.full(len(chosen), -1)
+    count = int(used.sum())
+    quarter[used] = np.arange(count) * BLOCKS // max(count, 1)
+    drive = (log.voltage[chosen] - log.voltage[0]) / span
+    return _Rows(
+        drive, log.output[chosen], log.drift[chosen], quarter, log.weights_at(chosen)
+    )
+
+
+def _table(log: _Rows, taps: int) -> Floats:
+    """Return the drive of the last ``taps`` rows, offset and drift, and (last) the output, weighted."""
+    padded = np.concatenate((np.zeros(taps - 1), log.drive))
+    past = np.lib.stride_tricks.sliding_window_view(padded, taps)[:, ::-1]
+    return weighted(np.column_stack((past, log.drift, log.output)), log.weights)
+
+
+def _errors(logs: Sequence[_Rows], taps: int) -> Errors:
+    """Return the errors of a response of so many taps on quarters left out."""
+    size = taps + sum(log.drift.shape[1] for log in logs) + 1
+    grams = np.zeros((BLOCKS, size, size))
+    tables: list[tuple[Floats, Integers, Integers]] = []
+    begin = taps
+    for log in logs:
+        end = begin + log.drift.shape[1]
+        columns = np.concatenate((np.arange(taps), np.arange(begin, end), [size - 1]))
+        table = _table(log, taps)
+        for k in range(BLOCKS):
+            some = table[log.quarter == k]
+            grams[k][np.ix_(columns, columns)] += some.T @ some
+        tables.append((table, columns[:-1], log.quarter))
+        begin = end
+    squares = np.zeros(BLOCKS)
+    rows = np.zeros(BLOCKS, np.int64)
+    for k in range(BLOCKS):
+        rest = grams.sum(axis=0) - grams[k]
+        gram = rest[:-1, :-1].copy()
+        gram[np.arange(taps), np.arange(taps)] += (
+            DAMPING * np.trace(gram[:taps, :taps]) / taps
+        )
+        found = least_squares(gram, rest[:-1, -1])
+        for table, columns, quarter in tables:
+            some = table[quarter == k]
+            left = some[:, -1] - some[:, :-1] @ found[columns]
+            squares[k] += float(left @ left)
+            rows[k] += len(left)
+    return Errors(squares, rows)

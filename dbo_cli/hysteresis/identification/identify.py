@@ -1,344 +1,513 @@
-"""Identification from end to end: recordings and options in, a model and what must be said of it out.
-
-``method`` paper is that of the paper's Section V: one cycle, K, X_0 and Y_0 by its
-rule, few gears, no lag. K is the range of the cycle's output over that of its drive,
-Y_0 the output's minimum, X_0 the drive's; the gears then map volts to volts. The paper
-does not say how its 25 gears were placed and fitted beyond "least squares". Here their
-edges are spaced as a sine is in time, narrow where the drive turns. A turn inside a
-gear retraces it; fitted to the one full cycle alone, so few gears therefore predict
-smaller loops badly (0.76 against 0.67 um on the authors' other log). So a fine operator
-is fitted to the cycle first, and the few gears to what it does on the cycle and on the
-cycle shrunk about its middle. Slopes may only grow, so that the model can be inverted.
-"""
+"""Identification of gears, memories, asymmetry and delay: all but dynamics, from recordings to a model."""
 
 from __future__ import annotations
 
 import dataclasses
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from dbo_cli.errors import FitError, LimitError, UsageError
+from dbo_cli.errors import FitError
+from dbo_cli.hysteresis.identification.cleaning import (
+    Sensor,
+    cleaned,
+    drive_range,
+    within,
+)
 from dbo_cli.hysteresis.identification.evaluation import (
+    TINY,
+    WHOSE_LAG,
+    Residual,
+    fit_notes,
+    fit_warnings,
+    log_warnings,
     loop_width_percent,
+    pooled,
+    rated_warnings,
     residual_of,
+    straight_line,
+    swapped_warnings,
     validated,
     validation_of,
+    white_noise,
 )
-from dbo_cli.hysteresis.identification.normal_equations import Structure
-from dbo_cli.hysteresis.identification.output_error import corners
-from dbo_cli.hysteresis.identification.preparation import gain_sign
+from dbo_cli.hysteresis.identification.expectation import Expectation, expect
+from dbo_cli.hysteresis.identification.finalists import Fitted, best_of, fit, model_of
+from dbo_cli.hysteresis.identification.preparation import Prepared, prepare
 from dbo_cli.hysteresis.identification.recordings import (
     Floats,
     IdentificationOptions,
     Recording,
-    check_recordings,
-    split,
-    widest_first,
+    median_cycle_seconds,
+    without_voltage_glitches,
 )
-from dbo_cli.hysteresis.identification.refinement import zero_shift
-from dbo_cli.hysteresis.identification.static import Identification, identify_static
-from dbo_cli.hysteresis.identification.statistics import (
-    Basis,
-    PreparedLog,
-    gather,
-    usual_basis,
+from dbo_cli.hysteresis.identification.search import (
+    Choice,
+    choose,
+    sample_period,
+    slowest_lag,
 )
-from dbo_cli.hysteresis.model import (
-    SIGN_VERBS,
-    ActuatorModel,
-    BacklashStage,
-    PointStage,
-    Quantity,
-    ScaleStage,
-    Sign,
-    Stage,
-    slow_output_range,
+from dbo_cli.hysteresis.identification.statistics import PreparedLog
+from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.hysteresis.move_error import ZeroDrift, rms
+
+# of the straight line's RMSE: above this there is nothing but a line in the log
+NO_BETTER = 0.95
+
+# times the expected error: what makes a move err by more is warned of, or refused of a
+# prior
+BROKEN = 2.0
+
+LATE = 2.0
+"""Sample periods: a shorter delay is no evidence of one, since a first-order lag looks alike. Measured:
+docs/choices.md.
+"""
+
+# of the range: a sensor that drifts more is broken, or it is no sensor's drift
+LARGE_DRIFT = 0.05
+
+FASTEST = 98.0  # percentile of a log's rates: its few fastest steps are jumps and noise
+
+
+@dataclass(frozen=True)
+class Identification:
+    """A model and what must be said of it: ``summary`` and ``warnings`` are lines of plain words."""
+
+    model: ActuatorModel
+    fit: dict[str, object]
+    summary: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+
+NO_BETTER_THAN_LINE = (
+    "what is expected on new moves ({:.4g}) is no better than a straight line's error on the logs "
+    "({:.4g}): {}"
+)
+RECORD_MORE = "record more amplitudes and cycles before using the model"
+NO_CLOCK = (
+    "no clock, so neither lag nor delay could be looked for: name the time column (`time`) or give "
+    "`sample_rate`"
 )
 
-GEARS = 25  # the paper's
-# on its cycle 1, 2, 4 fit to 0.38, 0.22, 0.23 um and leave 0.89, 0.90, 1.04 um on the
-# other log
-SEGMENTS = 2
-# of the fine slopes; 1e-9 to 1e-13: 0.233 to 0.213 um on the cycle, 0.90 on the other
-# log
-SMOOTHNESS = 1e-11
-# amplitudes, over the cycle's own; the first is it
-SHRUNK = tuple(part / 20 for part in range(20, 5, -1))
 
-CYCLE_WEIGHT = 10.0
-"""Weight of the cycle's own amplitude, over each smaller one. Measured: docs/choices.md."""
-
-LEAST_SLOPE = 0.3
-"""Least slope of a gear, of the mean slope. Measured: docs/choices.md."""
-
-
-def identify(
+def identify_static(
     recordings: Sequence[Recording],
-    options: IdentificationOptions | None = None,
+    options: IdentificationOptions,
     validation: Sequence[Recording] = (),
-    prior: ActuatorModel | None = None,
+    warned: Sequence[str] = (),
 ) -> Identification:
-    """Identify a forward model from one or more recordings of one actuator.
+    """Identify a model without dynamics from recordings that were checked (see ``identify``).
 
     Parameters
     ----------
-    recordings : logs of drive voltage and displacement, in one unit each
-    options : what is fixed; everything else is chosen on data left out
-    validation : logs that take no part in the fit and tell how well the model predicts
-    prior : a model whose shape is kept: gain, offset and lag alone are found
+    warned : warnings that come before those found here
 
     Raises
     ------
     FitError
         Nothing trustworthy can be identified.
-    UsageError
-        Options that contradict the recordings.
-    LimitError
-        The displacement goes the other way than ``options.sign`` says.
     """
-    options = options or IdentificationOptions()
-    check_recordings(recordings)
-    if options.sign is not None:
-        _refuse_other_sign(recordings, options.sign)
-    found = _identify_by_method(widest_first(recordings), options, validation, prior)
-    sign: dict[str, object] = {"sign": found.model.sign}
-    stated: dict[str, object] = {}
-    lines: list[str] = []
-    if options.scale_uncertainty > 0.0:
-        stated, lines = _stated_gain(found.model, options.scale_uncertainty)
-    model = dataclasses.replace(found.model, fit=sign | dict(found.model.fit) | stated)
-    return dataclasses.replace(
-        found,
-        model=model,
-        fit=sign | found.fit | stated,
-        summary=[*found.summary, *lines],
+    clocked = all(log.seconds() is not None for log in recordings)
+    cycle = median_cycle_seconds(recordings) if clocked else None
+    sensor, given = Sensor.of(options), recordings
+    sensor.check(cycle)
+    recordings, said = without_voltage_glitches(
+        [sensor.taken_off(log) for log in recordings]
+    )
+    ends = drive_range(recordings)
+    logs = [cleaned(log) for log in recordings]
+    recordings = within([one.recording for one in logs], ends)
+    said += [note for one in logs for note in one.notes]
+    # Where dynamics are looked for, or left out, what swings at the beginning is no
+    # history.
+    at_rest = options.dynamics is None
+    prepared = prepare(
+        recordings, options.skip_seconds, [one.bad for one in logs], ends, at_rest
+    )
+    choice = choose(prepared, options, cycle)
+    finalist = best_of(prepared, choice, options)
+    choice = dataclasses.replace(
+        choice, basis=finalist.basis, structure=finalist.structure
+    )
+    if finalist.beaten and not options.force:
+        raise FitError(
+            f"{finalist.beaten}; {_lacking(prepared)} (`force` keeps the model)"
+        )
+    fitted = fit(prepared.logs, finalist)
+    model = model_of(fitted, prepared, recordings[0], options.zero, options.gears)
+    pairs = list(zip(recordings, prepared.logs, strict=True))
+    residuals = [residual_of(model, log, ready) for log, ready in pairs]
+    line = pooled([straight_line(log, ready) for log, ready in pairs], residuals)
+    rmse = pooled([one.rmse for one in residuals], residuals)
+    if not any(tau > slowest_lag(cycle) for tau in fitted.basis.time_constants):
+        # no creep was taken in its place
+        prepared = dataclasses.replace(prepared, doubtful_drift=0.0)
+    warnings = [
+        *warned,
+        *log_warnings(recordings, prepared.shapes),
+        *rated_warnings(prepared.low, prepared.high, options.rated),
+        *fit_warnings(recordings, prepared, choice, residuals),
+        *swapped_warnings(given, choice.clockwise),
+        *([] if clocked else [NO_CLOCK]),
+    ]
+    if finalist.beaten:
+        warnings.append(finalist.beaten)
+    if rmse > NO_BETTER * line:
+        warnings.append(_no_loop(recordings, prepared, rmse, line, options.force))
+    checks = [
+        validation_of(model, sensor.taken_off(log), options.skip_seconds)
+        for log in validation
+    ]
+    noise = white_noise([one.weighted for one in residuals]) / max(rmse, TINY) ** 2
+    expected = expect(
+        prepared, choice, model, rmse, noise, _zero_drift(residuals, recordings)
+    )
+    figures = _figures(
+        prepared,
+        choice,
+        fitted,
+        model,
+        residuals,
+        checks,
+        rmse,
+        line,
+        cycle,
+        expected,
+        given,
+    )
+    warnings += _drift_warnings(residuals, abs(prepared.scale), model.output.unit)
+    if expected.shape is not None and expected.shape >= line:
+        remedy = _scales_apart(recordings) or RECORD_MORE
+        warnings.append(NO_BETTER_THAN_LINE.format(expected.shape, line, remedy))
+    if not sensor and options.delay is None:
+        warnings += _late_warnings(choice, prepared, expected)
+    notes = fit_notes(
+        model.output.unit,
+        prepared,
+        choice.clockwise,
+        expected.gain_trend,
+        expected.forgets,
+    )
+    summary = (
+        said
+        + prepared.notes
+        + _summary(figures, model, prepared, residuals, checks, sensor)
+        + notes
+    )
+    figures |= (
+        {"notes": notes} | _for_use(expected, sensor) | {"warnings": list(warnings)}
+    )
+    figures["alternatives"] = [one.values() for one in expected.alternatives]
+    return Identification(
+        dataclasses.replace(model, fit=figures), figures, summary, warnings
     )
 
 
-def _stated_gain(
-    model: ActuatorModel, percent: float
-) -> tuple[dict[str, object], list[str]]:
-    """Return the gain from end to end with its standard uncertainty, as figures and as a line.
+def _zero_drift(
+    residuals: Sequence[Residual], recordings: Sequence[Recording]
+) -> ZeroDrift:
+    """Return how far the zero moved along the log on which it moved most."""
+    most = max(range(len(residuals)), key=lambda place: residuals[place].drift_span)
+    seconds = recordings[most].seconds()
+    lasted = 0.0 if seconds is None else float(seconds[-1] - seconds[0])
+    span = residuals[most].drift_span
+    return ZeroDrift(span, span / lasted if lasted > 0.0 else 0.0)
 
-    The shape's error is met at both ends, and the scale's ``percent`` in all rows
-    alike; squares add.
-    """
-    span = model.output.span
-    gain = span / model.input.span
-    shape = model.fit.get("expected_shape_rmse")
-    of_ends = math.sqrt(2.0) * shape / span if isinstance(shape, float) else 0.0
-    uncertainty = gain * math.hypot(of_ends, percent / 100.0)
-    if model.sign == "falling":
-        gain = -gain
-    unit = (
-        f" {model.output.unit}/{model.input.unit}"
-        if model.output.unit and model.input.unit
-        else ""
-    )
-    figures: dict[str, object] = {
-        "gain": gain,
-        "gain_uncertainty": uncertainty,
-        "scale_uncertainty_percent": percent,
+
+def _for_use(expected: Expectation, sensor: Sensor) -> dict[str, object]:
+    """Return what is known of the sensor, of the gain, and of the logs' swings, for the model file."""
+    taken_off = {"delay": sensor.delay, "lag": sensor.lag} if sensor else None
+    found = {
+        "sensor": taken_off,
+        "gain_trend": expected.gain_trend,
+        "swings": expected.swing_values(),
     }
-    return figures, [
-        f"gain {gain:.6g}{unit} from end to end, standard uncertainty {uncertainty:.2g}{unit}: "
-        f"{percent:.3g} % of the displacement's scale, {100.0 * of_ends:.3g} % of the shape"
+    return {key: value for key, value in found.items() if value is not None}
+
+
+# between the gains of logs; a piezo's own at small and at full swings differs by less
+SCALES_APART = 2.0
+
+
+def _scales_apart(recordings: Sequence[Recording]) -> str | None:
+    """Return what to do where the gains of logs are so far apart that their scales must be."""
+    gains = [
+        abs(float(np.polyfit(log.voltage, log.displacement, 1)[0]))
+        for log in recordings
+    ]
+    least, most = int(np.argmin(gains)), int(np.argmax(gains))
+    if gains[most] <= SCALES_APART * gains[least]:
+        return None
+    return (
+        f"the gain of {recordings[least].name} is {gains[least] / gains[most]:.3g} of that of "
+        f"{recordings[most].name}: bring the logs to one scale (`scale`)"
+    )
+
+
+FEWEST_CYCLES = 3  # with fewer nothing can be left out that the rest holds, too
+
+
+def _lacking(prepared: Prepared) -> str:
+    """Return what the logs lack, and what to record."""
+    cycles = sum(shape.cycle_count for shape in prepared.shapes)
+    if cycles < FEWEST_CYCLES:
+        return f"the logs hold fewer than {FEWEST_CYCLES} whole cycles: record more"
+    if prepared.one_amplitude:
+        return "the logs hold one amplitude: record swings of several"
+    if any(log.seconds is None for log in prepared.logs):
+        return "the logs have no clock, so no lag could be looked for: name the time column (`time`)"
+    return "cycles, amplitudes and a clock are there: check the columns and the sensor"
+
+
+def _no_loop(
+    recordings: Sequence[Recording],
+    prepared: Prepared,
+    rmse: float,
+    line: float,
+    force: bool,
+) -> str:
+    """Refuse a model that is no better than a straight line (FitError), or say so where it is kept."""
+    cause = _scales_apart(recordings) or (
+        "the log shows no loop that this class of models can follow, nor do gears alone; "
+        + _lacking(prepared)
+    )
+    message = f"the model (RMSE {rmse:.4g}) is no better than a straight line (RMSE {line:.4g}): {cause}"
+    if not force:
+        raise FitError(f"{message} (`force` keeps the model)")
+    return message
+
+
+def _drift_warnings(
+    residuals: Sequence[Residual], span: float, unit: str | None
+) -> list[str]:
+    """Warn of a drift so large that it is more likely the actuator's than the sensor's."""
+    of_what = f" {unit}" if unit else ""
+    warnings = []
+    for one in residuals:
+        share = one.drift_span / span
+        if share > LARGE_DRIFT:
+            warnings.append(
+                f"{one.name}: {one.drift_span:.3g}{of_what} of the displacement ({100.0 * share:.0f} % of "
+                "the range) was taken for a drift of the sensor and is not in the model: if the actuator "
+                "itself moved so, its loops do not close and no model of this class follows it"
+            )
+    return warnings
+
+
+def _figures(
+    prepared: Prepared,
+    choice: Choice,
+    fitted: Fitted,
+    model: ActuatorModel,
+    residuals: Sequence[Residual],
+    checks: Sequence[Residual],
+    rmse: float,
+    line: float,
+    cycle: float | None,
+    expected: Expectation,
+    given: Sequence[Recording],
+) -> dict[str, object]:
+    """Everything the model file says of its fit; errors in the displacement's unit, times in seconds."""
+    span = abs(prepared.scale)
+    cross = rmse * choice.score.rmse / expected.fitted
+    gears = fitted.basis
+    taus = zip(gears.time_constants, fitted.gains, strict=True)
+    return {
+        "method": "least-squares",
+        "rmse": rmse,
+        "rmse_percent": 100.0 * rmse / span,
+        "cross_validated_rmse": cross,
+        "cross_validated_percent": 100.0 * cross / span,
+        **_expected_figures(expected, span, model.output.suffix),
+        "straight_line_rmse": line,
+        "fastest_drive": fastest_drive(prepared.logs),
+        **validated(checks, span, "")[0],
+        "samples": sum(len(one.values) for one in residuals),
+        "gears": model.backlash.n,
+        "different_slopes": gears.gears,
+        "points": len(fitted.knots) - 1 if len(fitted.knots) > 2 else 0,
+        "drive_bend": gears.bend,
+        "slopes": choice.structure.slopes,
+        "smoothness": choice.structure.smoothness,
+        "loop_width_percent": loop_width_percent(model),
+        "relaxation_seconds": [float(tau) for tau, gain in taus if gain > 0.0],
+        "delay_seconds": gears.delay,
+        "delay_interval_seconds": list(choice.delay_interval)
+        if choice.delay_interval
+        else None,
+        "lag_seconds": lag_seconds(fitted, cycle),
+        "logs": [
+            {
+                "name": residual.name,
+                "samples": len(residual.values),
+                "rmse": residual.rmse,
+                "drift": residual.drift_span,
+                "begins_at": float(given[k].voltage[0]),
+                "start": None
+                if prepared.transient_rows[k] or log.stretches
+                else log.start,
+                "transient_rows": prepared.transient_rows[k],
+                "outlier_rows": prepared.outlier_rows[k],
+                "clipped_rows": prepared.clipped_rows[k],
+            }
+            for k, (residual, log) in enumerate(
+                zip(residuals, prepared.logs, strict=True)
+            )
+        ],
+    }
+
+
+def _expected_figures(
+    expected: Expectation, span: float, unit: str
+) -> dict[str, object]:
+    """Return what error to expect on new moves, in its parts, and what that rests on."""
+    rmse = expected.rmse
+    return {
+        "expected_rmse": rmse,
+        "expected_percent": None if rmse is None else 100.0 * rmse / span,
+        "expected_shape_rmse": expected.shape,
+        "expected_zero": expected.zero,
+        "expected_from": expected.words(),
+        "zero_from": expected.zero_words(unit),
+        "left_out_rmse": expected.known,
+        "line_left_out_rmse": expected.line,
+        "zero_drift": expected.zero_drift.span,
+        "zero_drift_rate": expected.zero_drift.rate,
+    }
+
+
+def asymmetry_words(segments: object) -> str:
+    """Return in words how many straight pieces bend the loop's two branches alike."""
+    if not segments:
+        return "no curve that bends the loop"
+    return f"a curve of {segments} straight pieces that bends the loop"
+
+
+def parts_words(figures: Mapping[str, Any], unit: str) -> str:
+    """Return the two parts of the error expected on new moves, and under which condition they hold."""
+    return (
+        f"{figures['expected_shape_rmse']:.3g}{unit} shape (RMS of the error less its mean), "
+        f"{figures['expected_zero']:.3g}{unit} zero (that mean; {figures['zero_from']})"
+    )
+
+
+def _late_warnings(
+    choice: Choice, prepared: Prepared, expected: Expectation
+) -> list[str]:
+    """Warn of a pure delay that would break the expected error if it were the sensor's or the logger's.
+
+    A stage and its amplifier lag; what comes late as a whole has mostly been delayed by
+    a filter or a bus. Where a first-order lag explains the logs about as well, it need
+    not be one.
+    """
+    delay = choice.basis.delay
+    lags_as_well = any(
+        one.kind == "lag" and one.weight > np.exp(-1.0) for one in expected.alternatives
+    )
+    if not delay or expected.rmse is None or lags_as_well:
+        return []
+    rate = max(rms(_rates(log)) for log in prepared.logs)
+    cost = delay * abs(prepared.scale) / prepared.span * rate
+    if (
+        delay < LATE * (sample_period(prepared.logs) or 0.0)
+        or cost <= BROKEN * expected.rmse
+    ):
+        return []
+    return [
+        f"the displacement is late by a pure delay of {1e3 * delay:.3g} ms, more often a sensor's or a "
+        "logger's than an actuator's: if so, compensating it costs "
+        f"{100.0 * cost / abs(prepared.scale):.2g} % of a move at the logs' speed (`sensor_delay` takes it "
+        "off)"
     ]
 
 
-def _refuse_other_sign(recordings: Sequence[Recording], sign: str) -> None:
-    """Refuse logs (LimitError) whose displacement does not go the way with the voltage that it should."""
-    for log in recordings:
-        measured: Sign = "rising" if gain_sign([log]) > 0.0 else "falling"
-        if measured != sign:
-            moves = f"{log.displacement_quantity} {SIGN_VERBS[measured]} as {log.voltage_quantity} rises"
-            raise LimitError(
-                f"{log.name}: {moves}, and `sign` is {sign}: check the actuator's leads and the sensor's sign"
-                " (`scale` displacement=-1 turns it)"
-            )
+def _rates(log: PreparedLog) -> Floats:
+    """Return how fast the voltage changes, a second, in each step that the clock makes; none without one."""
+    if log.seconds is None:
+        return np.zeros(0)
+    steps = np.diff(log.seconds)
+    forward = steps > 0.0
+    rates: Floats = np.abs(np.diff(log.voltage)[forward]) / steps[forward]
+    return rates
 
 
-def _identify_by_method(
-    recordings: Sequence[Recording],
-    options: IdentificationOptions,
-    validation: Sequence[Recording],
-    prior: ActuatorModel | None,
-) -> Identification:
-    """Identify a model by the method, or with the prior, that was asked for."""
-    if prior is not None:
-        from dbo_cli.hysteresis.identification.prior import refresh
-
-        return refresh(prior, recordings, options, validation)
-    if options.method == "paper":
-        return _paper(recordings, options, validation)
-    unexplained: list[str] = []
-    clocked = all(log.seconds() is not None for log in recordings)
-    if not clocked and (options.delay or options.relaxation or options.dynamics):
-        raise UsageError(
-            "`delay`, `relaxation` and `dynamics` need a clock: name the time column (`time`) or give "
-            "`sample_rate`"
-        )
-    if clocked and (
-        options.dynamics or (options.dynamics is None and split(recordings)[1])
-    ):
-        # The signal processing behind it takes half a second to import, and few logs
-        # need it.
-        from dbo_cli.hysteresis.identification.dynamics import with_dynamics
-
-        moving = with_dynamics(recordings, options, validation)
-        if isinstance(moving, Identification):
-            return moving
-        unexplained = moving
-    return identify_static(recordings, options, validation, unexplained)
+def fastest_drive(logs: Sequence[PreparedLog]) -> float | None:
+    """Rate of the voltage a second that one of the logs exceeds in 2 % of its steps; None without a clock."""
+    if any(log.seconds is None for log in logs):
+        return None
+    rates = [_rates(log) for log in logs]
+    return max(float(np.percentile(one, FASTEST)) if one.size else 0.0 for one in rates)
 
 
-def _paper(
-    recordings: Sequence[Recording],
-    options: IdentificationOptions,
-    validation: Sequence[Recording],
-) -> Identification:
-    """Identify as in the paper's Section V."""
-    if len(recordings) > 1:
-        raise UsageError(
-            "`method` paper takes one log of one cycle (`rows` A:B cuts it out)"
-        )
-    log = recordings[0]
-    if log.uncertainty is not None:
-        raise UsageError(
-            "`uncertainty` does not go with `method` paper, where all rows count alike"
-        )
-    model, cycle = identify_as_in_paper(
-        log, options.gears, options.points, options.zero
+def lag_seconds(fitted: Fitted, cycle: float | None) -> float:
+    """Lag of the displacement in seconds at the logs' own frequency, the loop's own lag left out.
+
+    To a slow sine of angular frequency w the gears answer with their mean slope s, a
+    memory with c / (1 + i w tau): together a gain whose phase, over w, is a time; the
+    delay adds to it.
+
+    Parameters
+    ----------
+    fitted : the model in normalised terms
+    cycle : duration of a cycle in seconds, None without a clock
+    """
+    if cycle is None or not len(fitted.gains):
+        return fitted.basis.delay
+    w = 2.0 * np.pi / cycle
+    gain = (
+        fitted.heights.sum()
+        + (
+            fitted.gains / (1.0 + 1j * w * np.asarray(fitted.basis.time_constants))
+        ).sum()
     )
-    again = dataclasses.replace(
-        log,
-        time=None,
-        sample_period=None,
-        voltage=cycle.voltage,
-        displacement=np.tile(log.displacement, 2),
-    )
-    drift = np.ones((len(cycle.voltage), 1))
-    residual = residual_of(model, again, dataclasses.replace(cycle, drift=drift))
-    span = float(np.ptp(log.displacement))
-    checks = [validation_of(model, other, options.skip_seconds) for other in validation]
-    figures: dict[str, object] = {
-        "method": "paper",
-        "rmse": residual.rmse,
-        "rmse_percent": 100.0 * residual.rmse / span,
-        "samples": len(residual.values),
-        "gears": len(model.backlash.dx),
-        "loop_width_percent": loop_width_percent(model),
-    }
+    return fitted.basis.delay - float(np.angle(gain)) / w
+
+
+def _summary(
+    figures: dict[str, object],
+    model: ActuatorModel,
+    prepared: Prepared,
+    residuals: Sequence[Residual],
+    checks: Sequence[Residual],
+    sensor: Sensor,
+) -> list[str]:
+    """Lines for the person at the terminal; ``show`` says how well the lag is determined."""
     unit = f" {model.output.unit}" if model.output.unit else ""
-    percent = f"{figures['rmse_percent']:.2f} % of the model's range"
-    summary = [f"fit RMSE {residual.rmse:.4g}{unit} ({percent}) on one cycle"]
-    found, lines = validated(checks, span, unit)
-    figures |= found
-    summary += lines
-    return Identification(dataclasses.replace(model, fit=figures), figures, summary, [])
-
-
-def twice_over(recording: Recording, low: float, scale: float) -> PreparedLog:
-    """Return the cycle played twice, the first time to bring the gears into the state in which it begins."""
-    samples = len(recording.voltage)
-    output = (recording.displacement - low) / scale
-    return PreparedLog(
-        recording.name,
-        np.tile(recording.voltage, 2),
-        np.tile(output, 2),
-        None,
-        np.repeat([-1, 0], samples),
-        np.empty((2 * samples, 0)),
-        "empty",
+    volt = f" {model.input.unit}" if model.input.unit else ""
+    fitted = (
+        f"fit RMSE {figures['rmse']:.4g}{unit} ({figures['rmse_percent']:.2f} %), a straight line's "
+        f"{figures['straight_line_rmse']:.4g}{unit}"
     )
-
-
-def identify_as_in_paper(
-    recording: Recording, gears: int | None, segments: int | None, zero: str | float
-) -> tuple[ActuatorModel, PreparedLog]:
-    """Identify from one cycle; returns the model and the cycle as it was fitted (played twice).
-
-    Raises
-    ------
-    FitError
-        The displacement falls where the voltage rises: the paper's rule takes K > 0.
-    """
-    voltage, displacement = recording.voltage, recording.displacement
-    if float(np.cov(voltage, displacement)[0, 1]) < 0.0:
-        raise FitError(
-            f"{recording.name}: the displacement falls as the voltage rises; `method` paper knows positive "
-            "gains only: use `method` least-squares"
+    if figures["expected_rmse"] is None:
+        lines = [
+            f"what error to expect on new moves cannot be told: {figures['expected_from']}",
+            fitted,
+        ]
+    else:
+        lines = [
+            f"expected on new moves inside the range: {figures['expected_rmse']:.4g}{unit} "
+            f"({figures['expected_percent']:.2f} % of the model's range); {fitted}",
+            f"in parts: {parts_words(figures, unit)}",
+        ]
+    lines.extend(validated(checks, abs(prepared.scale), unit)[1])
+    lines.append(
+        f"loop {figures['loop_width_percent']:.1f} % of the model's range, drive {prepared.low:g} to "
+        f"{prepared.high:g}{volt}; {figures['gears']} gears, {asymmetry_words(figures['points'])}"
+    )
+    lag = figures["lag_seconds"]
+    assert isinstance(lag, float)
+    whose = f", {WHOSE_LAG}" if lag > 0.0 else ""
+    if sensor:
+        whose = (
+            f"; the sensor's delay of {1e3 * sensor.delay:.3g} ms and lag of {1e3 * sensor.lag:.3g} ms "
+            "were taken off before and are not compensated"
         )
-    x0, swing = float(voltage.min()), float(np.ptp(voltage))
-    gain = float(np.ptp(displacement)) / swing
-    y0 = float(displacement.min())
-    basis = usual_basis(x0, x0 + swing)
-    log = twice_over(recording, y0, gain * swing)
-    fine, knots = _fine_heights(
-        log, basis, max(SEGMENTS if segments is None else segments, 1)
+    lines.append(f"lag {1e3 * lag:.3g} ms{whose}")
+    lines.extend(
+        f"{one.name}: sensor drift of {one.drift_span:.3g}{unit} fitted beside the model and left out of it"
+        for one in residuals
+        if one.drift_span > 0.002 * abs(prepared.scale)
     )
-    count = gears or GEARS
-    edges = 0.5 - 0.5 * np.cos(np.pi * np.arange(count + 1) / count)
-    widths = np.diff(edges) * swing
-    heights = _few_heights(voltage, basis, fine, widths)
-    stages: list[Stage] = [BacklashStage(widths, heights * swing, x0, 0.0)]
-    parts = len(knots) - 1
-    if parts > 1:
-        stages.append(
-            PointStage(np.diff(knots) * swing, np.full(parts, swing / parts), 0.0, 0.0)
-        )
-    stages.append(ScaleStage(gain, y0 - zero_shift(recording, zero)))
-    low, high = slow_output_range(stages, x0, x0 + swing)
-    model = ActuatorModel(
-        direction="forward",
-        input=Quantity(
-            recording.voltage_quantity, recording.voltage_unit, x0, x0 + swing
-        ),
-        output=Quantity(
-            recording.displacement_quantity, recording.displacement_unit, low, high
-        ),
-        stages=tuple(stages),
-    )
-    return model, log
-
-
-def _fine_heights(
-    log: PreparedLog, basis: Basis, segments: int
-) -> tuple[Floats, Floats]:
-    """Heights of the fine operator (a slope's gears together) and the corners of the asymmetry."""
-    solution, _ = gather([log], basis, segments).solved(
-        Structure("growing", (), segments, SMOOTHNESS)
-    )
-    return solution.heights, corners(solution.knots, segments)
-
-
-def _few_heights(cycle: Floats, basis: Basis, fine: Floats, widths: Floats) -> Floats:
-    """Heights of gears of the given widths that do what the fine operator does, over all amplitudes.
-
-    Each amplitude has an offset of its own. The first of two cycles of each only sets
-    the state.
-    """
-    from scipy.optimize import nnls
-
-    middle = 0.5 * (basis.low + basis.high)
-    drive = np.concatenate(
-        [np.tile(middle + part * (cycle - middle), 2) for part in SHRUNK]
-    )
-    judged = np.tile(np.repeat([False, True], len(cycle)), len(SHRUNK))
-    operator = basis.operator()
-    engaged, _ = operator.engagement(drive, operator.empty(), group_size=basis.split)
-    target = (engaged @ fine)[judged]
-    few = BacklashStage(widths, widths, basis.low, 0.0)
-    parts, _ = few.engagement(drive, few.empty())
-    shares = widths / basis.span
-    floor = LEAST_SLOPE * shares
-    growing = (parts * shares)[judged] @ np.tril(np.ones((len(widths), len(widths))))
-    amplitude = np.repeat(np.eye(len(SHRUNK)), len(cycle), axis=0)
-    table = np.hstack((growing, amplitude, -amplitude))
-    weight = np.sqrt(np.repeat([CYCLE_WEIGHT] + [1.0] * (len(SHRUNK) - 1), len(cycle)))
-    goal = weight * (target - parts[judged] @ floor)
-    increments, _ = nnls(weight[:, None] * table, goal, maxiter=100 * table.shape[1])
-    heights: Floats = floor + shares * np.cumsum(increments[: len(widths)])
-    return heights
+    return lines

@@ -19,9 +19,9 @@ from dbo_cli.hysteresis.identification.cleaning import (
     OF_NORMAL,
     SPIKE_SIGMAS,
     SPIKE_WINDOW,
+    drive_range,
     spiked_rows,
 )
-from dbo_cli.hysteresis.identification.drive_range import drive_range
 from dbo_cli.hysteresis.identification.normal_equations import (
     Structure,
     solve,

@@ -29,6 +29,7 @@ from dbo_cli.hysteresis.identification.evaluation import (
     validation_of,
     with_its_error,
 )
+from dbo_cli.hysteresis.identification.identify import BROKEN, Identification
 from dbo_cli.hysteresis.identification.preparation import STARTS, drift_order
 from dbo_cli.hysteresis.identification.recordings import (
     FEWEST_ROWS,
@@ -41,7 +42,6 @@ from dbo_cli.hysteresis.identification.recordings import (
     median_cycle_seconds,
     without_voltage_glitches,
 )
-from dbo_cli.hysteresis.identification.static import BROKEN, Identification
 from dbo_cli.hysteresis.identification.statistics import (
     drift_columns,
     row_weights,
