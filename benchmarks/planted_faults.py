@@ -632,7 +632,7 @@ FAULTS: list[Fault] = [
         ("if q31 and shift < 16:", "if q31 and shift < 0:", "a gear too steep for q31 is refused"),
     ),
     *_faults(
-        "drives/before.py",
+        "drives/pieces.py",
         ("drives", "runs_cut_off"),
         ("return np.full(ahead + late, first)", "return np.full(ahead, first)", "a lead lasts as long as the delay"),
     ),

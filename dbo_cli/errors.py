@@ -58,8 +58,8 @@ class Listener:
     def reading(self, what: str) -> None:
         """Take what is being read of a stream that may never end."""
 
-    def progressed(self, rows: int) -> None:
-        """Take the number of rows that were done since the last call."""
+    def progressed(self, rows: int, verb: str) -> None:
+        """Take the number of rows that were ``read``, ``written``, ... since the last call."""
 
     def working(self, what: str) -> None:
         """Take the name of something long that gives no rows, such as a fit."""

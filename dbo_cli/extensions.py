@@ -24,7 +24,7 @@ ENTRY_POINTS = "dbo_cli.extras"
 Kind = Literal["command", "option", "api", "run", "model", "reader", "generator"]
 """What an extra can bring:
 
-- ``command``: a ``cli.command.Command``; the key is its name.
+- ``command``: a ``cli.commands.Command``; the key is its name.
 - ``option``: a ``cli.options.Option`` of a command of the core; the key is ``COMMAND
   --OPTION``.
 - ``api``: a public name of ``dbo_cli``, or, as ``Model.NAME``, a method of a class of

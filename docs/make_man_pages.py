@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from dbo_cli.cli import commands
-from dbo_cli.cli.command import EXIT_CODES, Command
+from dbo_cli.cli.commands import EXIT_CODES, Command
 from dbo_cli.cli.typer_adapter import root_command
 from dbo_cli.version import __version__
 

@@ -18,7 +18,7 @@ import pytest
 
 from dbo_cli import __version__
 from dbo_cli.cli import app, commands
-from dbo_cli.cli.command import Progress, Reporter
+from dbo_cli.cli.commands import Reporter
 from dbo_cli.cli.typer_adapter import root_command
 from dbo_cli.errors import (
     FitError,
@@ -455,8 +455,8 @@ def test_a_fit_counts_its_seconds_on_a_terminal(
 ) -> None:
     screen = Terminal()
     monkeypatch.setattr(sys, "stderr", screen)
-    monkeypatch.setattr(Progress, "PATIENCE", 0.001)
-    progress = Progress(Reporter(), "read")
+    monkeypatch.setattr(Reporter, "PATIENCE", 0.001)
+    progress = Reporter()
     progress.working("fitting 5 rows")
     # the thread comes to it sooner or later
     while "fitting 5 rows" not in screen.getvalue():
@@ -466,7 +466,7 @@ def test_a_fit_counts_its_seconds_on_a_terminal(
     assert said.startswith("\r\x1b[Kdbo: fitting 5 rows, 0 s") and said.endswith(
         "\r\x1b[K"
     )
-    quiet = Progress(Reporter(quiet=True), "read")
+    quiet = Reporter(quiet=True)
     quiet.working("fitting")
     quiet.finished()
     assert screen.getvalue() == said
@@ -488,7 +488,7 @@ def test_identify_tells_a_listener_of_its_rows_and_its_fit(tmp_path: Path) -> No
     )
     IdentifyRun([log], [], ReadingOptions(block_rows=4000), asked).run(output, ear)
     assert [one for one in ear.heard if one[0] != "opened"] == [
-        ("progressed", 4000), ("progressed", 1786), ("working", "fitting 5,786 rows"), ("finished",),
+        ("progressed", 4000, "read"), ("progressed", 1786, "read"), ("working", "fitting 5,786 rows"), ("finished",),
     ]  # fmt: skip
 
 

@@ -168,11 +168,11 @@ def _torn_name(words: list[str]) -> str:
 
 def _print_line(text: str) -> None:
     """Print one line on stderr, whatever line breaks the text came with."""
-    from dbo_cli.cli.command import Progress, shell_line
+    from dbo_cli.cli.commands import Reporter, shell_line
 
     try:
         # over what a long run has shown so far
-        begin = Progress.ERASE if sys.stderr.isatty() else ""
+        begin = Reporter.ERASE if sys.stderr.isatty() else ""
         print(begin + "dbo: " + shell_line(text), file=sys.stderr, flush=True)
     except OSError:
         pass  # stderr is gone: the exit code still says it

@@ -1,4 +1,4 @@
-"""The commands of the core, and how any command is found by its name.
+"""What a command is; the commands of the core; and how any command is found by its name.
 
 A command is a function that makes one call into ``runs`` of its options and prints the
 messages. What it needs is imported when it runs: a page of help loads nothing heavy.
@@ -6,26 +6,284 @@ messages. What it needs is imported when it runs: a page of help loads nothing h
 
 from __future__ import annotations
 
+import functools
+import inspect
+import re
 import shlex
-from collections.abc import Iterable, Sequence
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Sequence
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from dbo_cli import extensions
 from dbo_cli.cli import options
-from dbo_cli.cli.command import (
-    Command,
-    Given,
-    Progress,
-    destination_of,
-    finish,
-    refuse_terminal,
-    shell_line,
-    work_of,
-)
 from dbo_cli.cli.options import Option
-from dbo_cli.errors import UsageError
+from dbo_cli.errors import Listener, Remarks, UsageError
+from dbo_cli.logs.plain_text import as_options, cleaned
+
+if TYPE_CHECKING:
+    from dbo_cli.logs.request import Address, ReadingOptions
+    from dbo_cli.runs.files import Destination
+    from dbo_cli.runs.jobs import Outcome, Work
+
+EXIT_CODES = (
+    ("0", "Done; also when the reader of a pipe leaves early."),
+    (
+        "1",
+        "The input, the model or the fit failed; one line on standard error says what to do.",
+    ),
+    ("2", "The command line is wrong."),
+    ("130", "Interrupted."),
+)
 
 
-def identify(arguments: Given) -> None:
+def shell_line(text: str) -> str:
+    """Return a message of the library as the shell shows it: one line, parameters spelled as options.
+
+    Names out of files hold no command that a terminal would obey.
+    """
+    return as_options(cleaned(text))
+
+
+def refuse_terminal(output: Address) -> None:
+    """Refuse to write a model onto a terminal, where nobody could read or keep it (UsageError)."""
+    if output.is_stream and sys.stdout.isatty():
+        raise UsageError(
+            "the model would be written onto the terminal: name a file (-o model.json)"
+        )
+
+
+class Reporter(Listener):
+    """Prints messages, and how far a run has come, on stderr.
+
+    On a terminal it counts rows or seconds: the number of rows of a stream is not known
+    beforehand, so that there is no bar to draw.
+
+    Parameters
+    ----------
+    quiet : bool
+        Print nothing but errors.
+    verbose : bool
+        Print details, too.
+    """
+
+    PATIENCE = 1.0  # s before the first count, and between two
+    ERASE = "\r\x1b[K"
+
+    def __init__(self, quiet: bool = False, verbose: bool = False) -> None:
+        self.quiet = quiet
+        self.verbose = verbose
+        self._counts = not quiet and sys.stderr.isatty()
+        self._rows = 0
+        self._last_count = time.monotonic()
+        self._count_is_shown = False
+        self._done = threading.Event()
+        self._ticking: threading.Thread | None = None
+
+    def note(self, text: str) -> None:
+        """Print what is good to know."""
+        if not self.quiet:
+            print("dbo: " + shell_line(text), file=sys.stderr, flush=True)
+
+    def notes(self, texts: Iterable[str]) -> None:
+        """Print notes, one line each."""
+        for text in texts:
+            self.note(text)
+
+    def remarks(self, remarks: Remarks) -> None:
+        """Print the remarks of a run, first what was read."""
+        self.notes(remarks.read)
+        self.notes(remarks.notes)
+        for text in remarks.warnings:
+            self.note(f"warning: {text}")
+
+    def detail(self, text: str) -> None:
+        """Print what was detected or assumed."""
+        if self.verbose:
+            self.note(text)
+
+    # --- while a run goes on ---
+
+    def opened(self, what: str) -> None:
+        """Print how a log was understood."""
+        self.detail(what)
+
+    def reading(self, what: str) -> None:
+        """Print what is being read."""
+        self.note(what)
+
+    def progressed(self, rows: int, verb: str) -> None:
+        """Count the rows of one more block."""
+        self._rows += rows
+        if self._counts and time.monotonic() - self._last_count > self.PATIENCE:
+            self._last_count = time.monotonic()
+            self._show(f"{self._rows:,} rows {verb}")
+
+    def working(self, what: str) -> None:
+        """Count the seconds of something that gives no rows, until it is finished."""
+        if self._counts:
+            self._done.clear()
+            self._ticking = threading.Thread(
+                target=self._tick, args=(what, time.monotonic()), daemon=True
+            )
+            self._ticking.start()
+
+    def _tick(self, what: str, begin: float) -> None:
+        while not self._done.wait(self.PATIENCE):
+            self._show(f"{what}, {time.monotonic() - begin:.0f} s")
+
+    def _show(self, text: str) -> None:
+        self._count_is_shown = True
+        print(f"{self.ERASE}dbo: {text}", end="", file=sys.stderr, flush=True)
+
+    def finished(self) -> None:
+        """Erase the count, so that the next message starts at the margin."""
+        if self._ticking is not None:
+            self._done.set()
+            self._ticking.join()
+            self._ticking = None
+        if self._count_is_shown:
+            print(self.ERASE, end="", file=sys.stderr, flush=True)
+            self._count_is_shown = False
+
+
+class Arguments(SimpleNamespace):
+    """The values of a command's options, each under its ``key``.
+
+    ``typed`` is the whole command line. ``brought`` has the values of options that
+    extras bring to a command of the core, by key; those that were not typed are not in
+    it.
+    """
+
+    def of(self, options: Iterable[Option]) -> dict[str, Any]:
+        """Return the values of some options by their keys, as keywords of a call."""
+        return {option.key: getattr(self, option.key) for option in options}
+
+    @functools.cached_property
+    def reporter(self) -> Reporter:
+        """What prints messages, as loudly as asked for (``app.main`` sees to ``--debug``)."""
+        return Reporter(self.quiet, self.verbose)
+
+    @property
+    def reading(self) -> ReadingOptions:
+        """How logs are to be read; what was not given stays at its default."""
+        from dbo_cli.logs.request import ReadingOptions
+
+        declared: tuple[Option, ...] = options.READING
+        if hasattr(self, "log_format"):  # --format is that of the report
+            declared = options.READING_OF_LOGS
+        chosen = {}
+        for name, value in self.of(declared).items():
+            if value is not None:
+                chosen[name.removeprefix("log_")] = value
+        return ReadingOptions(**chosen)
+
+    @property
+    def work(self) -> Work:
+        """How many runs are worked through at once, and what is done where one fails."""
+        from dbo_cli.runs.jobs import Work
+
+        return Work(self.jobs, self.keep_going)
+
+    @property
+    def command_line(self) -> str:
+        """What was typed, as files keep it."""
+        return shlex.join(["dbo", *self.typed])
+
+    def destination(self, inputs: Sequence[Any]) -> Destination:
+        """Return where the command writes, as far as it has options for it; ``inputs`` are protected."""
+        from dbo_cli.runs.files import Destination
+
+        values = vars(self)
+        return Destination(
+            output=self.output,
+            save_state=values.get("save_state"),
+            protect=inputs,
+            live=values.get("flush", False),
+            command=self.command_line,
+            summary=self.summary,
+            commented=values.get("header") == "comment",
+        )
+
+    def finish(self, outcome: Outcome) -> None:
+        """Print what is to be said of a run or of many, and end with their error, if there is one."""
+        self.reporter.remarks(outcome.remarks)
+        self.reporter.notes(outcome.last)
+        if outcome.failure is not None:
+            raise outcome.failure
+
+
+class Command(NamedTuple):
+    """A command: its function, whose docstring is its help, and its options in the order of the help.
+
+    ``brought``: the options that extras bring to a command of the core; they come last.
+    """
+
+    function: Callable[[Arguments], None]
+    options: tuple[Option, ...]
+    brought: tuple[Option, ...] = ()
+
+    def section(self, heading: str = "") -> str:
+        """Return what the docstring has under a heading; what it begins with under none."""
+        parts = re.split(
+            r"(?m)^(\w.*)\n-+\n", inspect.cleandoc(self.function.__doc__ or "")
+        )
+        return (
+            dict(zip(["", *parts[1::2]], parts[::2], strict=True))
+            .get(heading, "")
+            .strip()
+        )
+
+    @property
+    def summary(self) -> str:
+        """The first line of the help."""
+        return self.section().partition("\n")[0]
+
+    @property
+    def writes(self) -> str:
+        """What the command writes."""
+        return " ".join(self.section("Writes").split())
+
+    @property
+    def usual(self) -> list[str]:
+        """The options that most need; where the docstring names none, those of the command alone."""
+        named = self.section("Usual options").split()
+        if named:
+            return named
+        return [
+            option.names[-1]
+            for option in self.options
+            if option.names and option.heading == options.OPTIONS
+        ]
+
+    @property
+    def examples(self) -> list[tuple[str, str]]:
+        """What each example is for, and its command line."""
+        examples: list[tuple[str, str]] = []
+        for line in self.section("Examples").splitlines():
+            if line.startswith(" "):
+                purpose, command_line = examples.pop()
+                examples.append((purpose, f"{command_line} {line.strip()}".lstrip()))
+            else:
+                examples.append((line, ""))
+        return examples
+
+    @property
+    def exit_codes(self) -> list[tuple[str, str]]:
+        """The exit codes and what they mean."""
+        missed = " ".join(self.section("Exit code 3").split())
+        return sorted(
+            [*EXIT_CODES, *([("3", missed)] if missed else [])],
+            key=lambda code: int(code[0]),
+        )
+
+
+# --- the commands of the core ---
+
+
+def identify(arguments: Arguments) -> None:
     """Identify a model of an actuator from logs of its drive voltage and displacement.
 
     What is left at auto is chosen on cycles left out of the fit. Several logs of one
@@ -84,14 +342,13 @@ def identify(arguments: Given) -> None:
         reading,
         fixed,
         **arguments.of(options.FITTED),
-        command=shlex.join(["dbo", *arguments.typed]),
+        command=arguments.command_line,
         brought=arguments.brought,
     )
-    progress = Progress(arguments.reporter, "read")
-    finish(
-        arguments,
-        identify_one_or_many(run, arguments.output, work_of(arguments), progress),
+    outcome = identify_one_or_many(
+        run, arguments.output, arguments.work, arguments.reporter
     )
+    arguments.finish(outcome)
     if not arguments.output.is_stream and "{" not in arguments.output.text:
         model = shlex.quote(arguments.output.text)
         arguments.reporter.note(
@@ -99,7 +356,7 @@ def identify(arguments: Given) -> None:
         )
 
 
-def show(arguments: Given) -> None:
+def show(arguments: Arguments) -> None:
     """Show what is in a model: range and units, how good it is, lag, where it comes from, its warnings.
 
     Writes
@@ -130,7 +387,7 @@ def show(arguments: Given) -> None:
     )
 
 
-def invert(arguments: Given) -> None:
+def invert(arguments: Arguments) -> None:
     """Write the exact inverse of a model.
 
     Every gear and segment exchanges its widths, the cascade runs backwards, a delay
@@ -160,7 +417,7 @@ def invert(arguments: Given) -> None:
     arguments.reporter.detail(f"{arguments.model}: the inverse is {inverse.direction}")
 
 
-def simulate(arguments: Given) -> None:
+def simulate(arguments: Arguments) -> None:
     """Run a model over its input signal and write the output signal.
 
     A forward model turns a drive into the displacement, an inverse model a displacement
@@ -184,32 +441,22 @@ def simulate(arguments: Given) -> None:
         tail -f drive.log | dbo simulate model.json - --flush
     """
     from dbo_cli.runs.files import SignalRun
-    from dbo_cli.runs.many import signals
+    from dbo_cli.runs.many import run_signals
 
-    destination = destination_of(
-        arguments, [arguments.model, *arguments.log, arguments.state]
-    )
     run = SignalRun(
         arguments.model,
         arguments.log[0],
-        destination,
+        arguments.destination([arguments.model, *arguments.log, arguments.state]),
         arguments.reading,
         arguments.input,
         arguments.state,
         arguments.outside,
     )
-    finish(
-        arguments,
-        signals(
-            run,
-            arguments.log,
-            work_of(arguments),
-            Progress(arguments.reporter, "written"),
-        ),
-    )
+    outcome = run_signals(run, arguments.log, arguments.work, arguments.reporter)
+    arguments.finish(outcome)
 
 
-def compensate(arguments: Given) -> None:
+def compensate(arguments: Arguments) -> None:
     """Write the drive voltage that makes the actuator follow a desired displacement.
 
     The forward model is inverted exactly and started in the state in which dbo simulate
@@ -248,38 +495,27 @@ def compensate(arguments: Given) -> None:
     before the move takes more than a minute and ten times the move. No drive is
     written.
     """
-    reading = arguments.reading
     from dbo_cli.drives.options import DriveOptions
-
-    # the state is read with the model
-    drive = DriveOptions(**arguments.of(options.DRIVING))
     from dbo_cli.runs.files import run_of_signals
-    from dbo_cli.runs.many import signals
+    from dbo_cli.runs.many import run_signals
 
+    inputs = [arguments.model, *arguments.trajectory, arguments.state]
     run = run_of_signals(
         arguments.brought,
+        reading=arguments.reading,
+        # the state is read with the model
+        drive=DriveOptions(**arguments.of(options.DRIVING)),
         model=arguments.model,
         log=arguments.trajectory[0],
-        destination=destination_of(
-            arguments, [arguments.model, *arguments.trajectory, arguments.state]
-        ),
-        reading=reading,
+        destination=arguments.destination(inputs),
         column=arguments.displacement,
         state=arguments.state,
-        drive=drive,
     )
-    finish(
-        arguments,
-        signals(
-            run,
-            arguments.trajectory,
-            work_of(arguments),
-            Progress(arguments.reporter, "written"),
-        ),
-    )
+    outcome = run_signals(run, arguments.trajectory, arguments.work, arguments.reporter)
+    arguments.finish(outcome)
 
 
-def check(arguments: Given) -> None:
+def check(arguments: Arguments) -> None:
     """Check a drive of any program against the limits of an amplifier, before it is played.
 
     Range, slew, the first row (--from), the seam of a loop (--loop), gaps, repeated
@@ -324,7 +560,7 @@ def check(arguments: Given) -> None:
     )
 
 
-def report(arguments: Given) -> None:
+def report(arguments: Arguments) -> None:
     """Report how well the measured displacement follows the desired one.
 
     Several logs are put side by side, each with the ratio of its RMSE to the first
@@ -375,13 +611,11 @@ def report(arguments: Given) -> None:
         arguments.show,
         shell_line,
     )
-    finish(
-        arguments,
-        reported(run, work_of(arguments), Progress(arguments.reporter, "compared")),
-    )
+    outcome = reported(run, arguments.work, arguments.reporter)
+    arguments.finish(outcome)
 
 
-def excite(arguments: Given) -> None:
+def excite(arguments: Arguments) -> None:
     """Write the drive that identifies well; play it and record the displacement.
 
     A sweep over the whole range wipes out the past; then the drive turns at random

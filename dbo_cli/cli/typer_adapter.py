@@ -27,7 +27,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from dbo_cli.cli import commands, options
-from dbo_cli.cli.command import Command, Given
+from dbo_cli.cli.commands import Arguments, Command
 from dbo_cli.cli.options import Option
 from dbo_cli.errors import DboError, UsageError
 from dbo_cli.version import __version__
@@ -329,7 +329,7 @@ def _build(name: str, made_of: Command) -> Any:
             value = values.pop(option.key)
             if value:
                 brought[option.key] = value
-        made_of.function(Given(typed=WORDS.get(), brought=brought, **values))
+        made_of.function(Arguments(typed=WORDS.get(), brought=brought, **values))
 
     command.__doc__ = made_of.section()
     parameters = [_parameter(option) for option in declared]
@@ -395,15 +395,12 @@ def _parsed(parameter: Any, option: Option | None, context: Any, value: Any) -> 
 
 def offers(option: Option) -> Callable[[str], list[str]] | None:
     """Return what finds the words to offer, from the beginning of one; None where files are offered."""
-    value = option.metavar or ""
-    if value == options.COLUMN:
+    if option.metavar == options.COLUMN:
         return columns_beginning
-    words = value.split("|") if "|" in value else getattr(option.parser, "choices", ())
-    return (
-        (lambda incomplete: [word for word in words if word.startswith(incomplete)])
-        if words
-        else None
-    )
+    words = option.words
+    if not words:
+        return None
+    return lambda incomplete: [word for word in words if word.startswith(incomplete)]
 
 
 def without_help() -> None:

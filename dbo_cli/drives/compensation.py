@@ -19,14 +19,26 @@ from typing import Any, Protocol
 import numpy as np
 
 from dbo_cli import extensions
-from dbo_cli.drives.before import BeforeMove, longest_chosen, require_short
 from dbo_cli.drives.gate import DriveFigures, DriveGate
-from dbo_cli.drives.limits import beyond_range, limits_note, voltage_in
 from dbo_cli.drives.model_run import ModelRun, Response, Tally, first_blocks
-from dbo_cli.drives.move_loss import ALLOWED_PART, MoveLoss, first_beyond
-from dbo_cli.drives.options import DriveOptions, plain_in, volts_a_unit
-from dbo_cli.drives.pieces import Before, ramp, sweep_range
+from dbo_cli.drives.options import (
+    DriveOptions,
+    beyond_range,
+    limits_note,
+    plain_in,
+    voltage_in,
+    volts_a_unit,
+)
+from dbo_cli.drives.pieces import (
+    Before,
+    BeforeMove,
+    longest_chosen,
+    ramp,
+    require_short,
+    sweep_range,
+)
 from dbo_cli.errors import InputError, LimitError, Remarks, UsageError
+from dbo_cli.hysteresis.dynamics import SectionStates
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
 from dbo_cli.hysteresis.move_error import (
@@ -46,6 +58,87 @@ REACH_SLACK = 0.01
 SLACK = 1e-9  # of the range: what rounding may add to a drive that ends at its limit
 # of the range: two drives that agree to this are one; chosen, far above rounding
 SAME_DRIVE = 1e-9
+ALLOWED_PART = 0.01
+"""Of the move: so much of it (RMS) may be lost without being asked for. The order of the error that is
+left where a model is good; chosen.
+"""
+
+
+STREAMED_ROWS = 100
+"""Rows: what a stream has lost is a mean over at least so many, so that one row does not end it; chosen."""
+
+
+class MoveLoss:
+    """Adds up what a move loses.
+
+    It knows only of the rows added: those from the block of the first clipped row on,
+    whatever rows of that block come before it. All rows before lose nothing; they count
+    in ``rms`` by their number.
+
+    Parameters
+    ----------
+    model : ActuatorModel
+        A forward model.
+
+    Attributes
+    ----------
+    squares : float
+        The sum of the squares of what each row loses, in the displacement's unit.
+    most : float
+        The most that a row loses, in the same unit.
+    """
+
+    def __init__(self, model: ActuatorModel) -> None:
+        self._dynamics = model.dynamics
+        self._sections: SectionStates | None = None
+        self.squares = 0.0
+        self.most = 0.0
+
+    def add(self, lost: FloatArray, time_step: float | FloatArray | None) -> FloatArray:
+        """Add consecutive rows; return what they lose.
+
+        The first call brings the whole block of the first clipped row, the next ones
+        every block after it.
+
+        Parameters
+        ----------
+        lost
+            What the gears and the points were to reach, less what they do; what lies
+            behind them answers as it answers everything else.
+        time_step
+            Seconds since the row before.
+        """
+        if self._dynamics is not None and time_step is not None:
+            if self._sections is None:
+                self._sections = self._dynamics.run(np.zeros(1), 1.0, None)[1]
+            lost, self._sections = self._dynamics.run(lost, time_step, self._sections)
+        self.add_displacement(lost)
+        return lost
+
+    def add_displacement(self, lost: FloatArray) -> None:
+        """Add rows of which it is known how much displacement they lose."""
+        self.squares += float(lost @ lost)
+        self.most = max(self.most, float(np.abs(lost).max(initial=0.0)))
+
+    def rms(self, rows: int) -> float:
+        """Return the root of the mean square over all rows of a move, clipped or not."""
+        return math.sqrt(self.squares / max(rows, 1))
+
+
+def first_beyond(
+    squares: float, rows: int, lost: FloatArray, allowed: float
+) -> int | None:
+    """Return the first of the rows ``lost`` at which the RMS of a stream so far is more than ``allowed``.
+
+    Parameters
+    ----------
+    squares, rows
+        The sum of squares, and the rows, before these.
+    """
+    sums = squares + np.cumsum(lost * lost)
+    counts = np.maximum(rows + np.arange(1.0, lost.size + 1.0), STREAMED_ROWS)
+    beyond = sums > allowed * allowed * counts
+    return int(np.argmax(beyond)) if beyond.any() else None
 
 
 class Watcher(Protocol):
@@ -357,7 +450,7 @@ class Compensation(ModelRun):
                 )
             return left_at
         if typed is None and self.start in ("empty", "full"):
-            low_end, high_end = self.model.covered_gears.operator.x_range
+            low_end, high_end = self.model.covered_gears.x_range
             end = low_end if self.start == "empty" else high_end
             voltage = self.model.inverted.outer_drive(end)
             return min(max(voltage, self.limits.v_min), self.limits.v_max)

@@ -37,8 +37,9 @@ from dbo_cli.logs.plain_text import clean_text, pattern, shortened
 from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.sample_block import (
     TIME,
-    ColumnInfo,
+    Column,
     FloatArray,
+    Places,
     SampleBlock,
     TimeCheck,
 )
@@ -115,33 +116,15 @@ _LONGEST = 80
 _SAME = 1e-6
 
 
-class StatedTime(NamedTuple):
-    """What a time column's header states of its figures; ``unit`` is None where it states nothing."""
-
-    unit: str | None
-    factor: UnitFactor = ONE
-    origin: str | None = None
-
-
-def stated_time(place: str, column: ColumnInfo, given: str | None = None) -> StatedTime:
-    """Find the unit of a time column of numbers.
-
-    Parameters
-    ----------
-    place
-        The log's name, for messages.
-    column
-        The time column.
-    given
-        ``time_unit`` as the user gave it; goes before the header.
+def _with_stated_unit(clock: Clock, column: Column) -> Clock:
+    """Return a clock whose figures are in the unit that their header states.
 
     Raises
     ------
     InputError
         The header states a unit that is no known unit of time.
     """
-    if given is not None:
-        return StatedTime(*parse_time_unit(given))
+    place = clock.place
     words = re.findall(
         r"[^\W_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", column.quantity).lower()
     )
@@ -149,7 +132,7 @@ def stated_time(place: str, column: ColumnInfo, given: str | None = None) -> Sta
     units = _named_units(words) | {unit for word in behind if (unit := time_unit(word))}
     unknown = ""
     if HHMMSS in column.name.lower():
-        return StatedTime(HHMMSS)
+        return replace(clock, unit=HHMMSS)
     if column.unit is not None and column.unit.lower() not in _NO_UNIT:
         since = _SINCE.fullmatch(column.unit)
         unit = time_unit(since["unit"] if since else column.unit)
@@ -161,15 +144,14 @@ def stated_time(place: str, column: ColumnInfo, given: str | None = None) -> Sta
                     f"{place}: the time column '{column.name}' is in {units.pop()} by its name and in {unit} "
                     "by its unit (`time_unit` says which is right)"
                 )
-            return StatedTime(
-                unit, FACTORS[unit], since["origin"].strip() if since else None
-            )
+            origin = since["origin"].strip() if since else ""
+            return replace(clock, unit=unit, factor=FACTORS[unit], origin=origin)
         unknown = column.unit
     elif column.unit is None and is_torn(column.quantity):
         unknown = column.quantity
     elif len(units) == 1:
         unit = units.pop()
-        return StatedTime(unit, FACTORS[unit])
+        return replace(clock, unit=unit, factor=FACTORS[unit])
     else:
         unknown = next(
             iter(
@@ -184,7 +166,7 @@ def stated_time(place: str, column: ColumnInfo, given: str | None = None) -> Sta
             f"{place}: the time column '{column.name}' counts '{unknown}', which is no known unit of time "
             f"(`time_unit` {', '.join(FACTORS)} or a number of them such as 10us, or `sample_rate` HZ)"
         )
-    return StatedTime(None)
+    return clock
 
 
 def _named_units(words: list[str]) -> set[str]:
@@ -447,6 +429,11 @@ _DAY_STEP = 2e-5
 # After how many seconds a clock begins anew, and how that moment is called.
 _BITS = (8, 16, 24, 31, 32)  # of the counters of microcontrollers and cards
 _PERIODS = {"clock": (86_400.0, "midnight"), "minutes": (3_600.0, "the full hour")}
+_WRITTEN_AS = {
+    "stamp": "dates and clock times",
+    "clock": "clock times",
+    "minutes": "minutes and seconds",
+}
 _PLAIN_NAMES = frozenset(TIME_NAMES) - {"t"}  # T is a temperature as often as a time
 _DATE_WORDS = (
     "date",
@@ -474,31 +461,60 @@ SHORTEST_LOG = 1e-3
 BACKWARD_SHARE = 0.05
 
 
+def _calendar_at(stamp: float) -> _Calendar | None:
+    """Return the calendar that a first stamp without a unit can only belong to."""
+    for calendar in (*_CALENDARS, *_DAY_CALENDARS):
+        if calendar.low <= stamp < calendar.high:
+            return calendar
+    return None
+
+
 @dataclass
-class TimeColumn:
-    """Turns the cells of a time column into seconds, block by block.
+class Clock:
+    """Where the times of a log's rows come from: a column of stamps, a rate, or nothing.
 
     Attributes
     ----------
+    place
+        The log's name, for messages.
     column
-        The time column.
+        The column of stamps; None where a rate makes the times, or nothing does.
     date
-        The column of dates beside a column of clock times, or None.
-    stated
-        What the header states.
+        The column of dates beside a column of clock times, or of parts of a second
+        beside one of seconds; or None.
+    unit, factor
+        What the stamps are counted in, and how they become seconds; ``unit`` is None
+        where nothing states it.
+    origin
+        From when they count, as the header writes it.
+    given
+        The unit is certain, so that nothing is doubted: the user gave it, or the cells
+        say it.
+    part
+        Seconds in one count of ``date``, where that is a part of a second.
     described
         How the figures are read, for the line on what was read: ``ms``, ``clock
         times``.
+    rate, start
+        Without a column: samples a second (Hz), and the time (s) of the first row.
+    taken
+        The columns that no other role may take.
+    notes
+        What is worth knowing about the clock.
     """
 
     place: str
-    column: ColumnInfo
-    date: ColumnInfo | None
-    stated: StatedTime
-    given: bool  # by the user, so that nothing is doubted
-    # s in one count of ``date``, where that is a part of a second
+    column: Column | None = None
+    date: Column | None = None
+    unit: str | None = None
+    factor: UnitFactor = ONE
+    origin: str = ""
+    given: bool = False
     part: UnitFactor | None = None
     described: str = ""
+    rate: float | None = None
+    start: float = 0.0
+    taken: list[Column] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     _calendar: _Calendar | None = None
     _last: float | None = None
@@ -507,26 +523,43 @@ class TimeColumn:
     _doubt: str = ""
 
     @property
-    def picks(self) -> dict[str, ColumnInfo]:
+    def is_known(self) -> bool:
+        """Whether rows have times."""
+        return self.column is not None or self.rate is not None
+
+    @property
+    def picks(self) -> dict[str, Column]:
         """The columns to be read, by their places among the roles."""
-        return {TIME: self.column} | ({} if self.date is None else {DATE: self.date})
+        picks = {}
+        if self.column is not None:
+            picks[TIME] = self.column
+        if self.date is not None:
+            picks[DATE] = self.date
+        return picks
+
+    @property
+    def written(self) -> str:
+        """How the stamps are written (``Column.written``); empty without a column."""
+        return "" if self.column is None else self.column.written
 
     @property
     def bare(self) -> bool:
         """Whether figures stand without a unit."""
-        return self.column.written == "numbers" and self.stated.unit is None
+        return self.written == "numbers" and self.unit is None
+
+    @property
+    def _called(self) -> str:
+        """How messages call the column of stamps."""
+        assert self.column is not None
+        return f"{self.place}: the time column '{self.column.name}'"
 
     def reading(self) -> str:
         """Return how the column is read: its unit, or that there is none."""
         if self.described:
             return self.described
-        if self.stated.unit is None:
+        if self.unit is None:
             return "no unit, read as s"
-        return (
-            f"{self.stated.unit} since {self.stated.origin}"
-            if self.stated.origin
-            else self.stated.unit
-        )
+        return f"{self.unit} since {self.origin}" if self.origin else self.unit
 
     def held_back(self, blocks: Iterator[SampleBlock]) -> Iterator[SampleBlock]:
         """Keep blocks until it is known what the figures count: at most until the second time stamp."""
@@ -553,73 +586,85 @@ class TimeColumn:
         return seconds
 
     def seconds(self, values: dict[str, FloatArray]) -> FloatArray:
-        """Take the time out of a block's columns and return it in seconds."""
+        """Take the stamps out of a block's columns and return them in seconds."""
         raw, dates = values.pop(TIME), values.pop(DATE, None)
         if dates is not None:
-            if self.part is not None and self.date is not None:
-                dates = self.part.apply(dates)
-                inside = bool(((dates >= 0.0) & (dates < 1.0)).all())
-                odd = f"has a part of a second in '{self.date.name}', which holds more than one"
-                self._require(inside, odd)
-            return raw + dates
-        if self.column.written in _PERIODS:
-            return self._unrolled(raw, *_PERIODS[self.column.written])
-        if self.column.written != "numbers" or not len(raw):
+            return raw + self._dates(dates)
+        if self.written in _PERIODS:
+            return self._unrolled(raw, *_PERIODS[self.written])
+        if self.written != "numbers" or not len(raw):
             return raw
-        if self.stated.unit == HHMMSS:
-            minutes, seconds = np.divmod(raw, 100.0)
-            hours, minutes = np.divmod(minutes, 100.0)
-            self._require(
-                bool((seconds < 60.0).all() and (minutes < 60.0).all()),
-                f"is no {HHMMSS}",
-            )
-            return self._unrolled(
-                hours * 3600.0 + minutes * 60.0 + seconds, *_PERIODS["clock"]
-            )
+        if self.unit == HHMMSS:
+            return self._unrolled(self._since_midnight(raw), *_PERIODS["clock"])
         self._whole = self._whole and bool((raw == np.rint(raw)).all())
         if self._calendar is not None:
             return self._calendar.factor.apply(raw) + self._calendar.offset
-        return self.stated.factor.apply(raw)
+        return self.factor.apply(raw)
+
+    def _dates(self, dates: FloatArray) -> FloatArray:
+        """Return in seconds what the column of dates (or of parts of a second) adds to the stamps."""
+        if self.part is None or self.date is None:
+            return dates
+        dates = self.part.apply(dates)
+        inside = bool(((dates >= 0.0) & (dates < 1.0)).all())
+        odd = f"has a part of a second in '{self.date.name}', which holds more than one"
+        self._require(inside, odd)
+        return dates
+
+    def _since_midnight(self, figures: FloatArray) -> FloatArray:
+        """Return figures such as 142530 (14:25:30) in seconds."""
+        minutes, seconds = np.divmod(figures, 100.0)
+        hours, minutes = np.divmod(minutes, 100.0)
+        below_60 = bool((seconds < 60.0).all() and (minutes < 60.0).all())
+        self._require(below_60, f"is no {HHMMSS}")
+        return hours * 3600.0 + minutes * 60.0 + seconds
+
+    def times(self, rows: Places, values: dict[str, FloatArray]) -> FloatArray | None:
+        """Return the times (s) of rows, and take the stamps out of the columns; None where they have none."""
+        if self.column is not None:
+            return self.seconds(values)
+        if self.rate is None:
+            return None
+        numbers = np.asarray(rows, dtype=np.float64)
+        return self.start + (numbers - 1.0) / self.rate
 
     def _require(self, right: bool, problem: str) -> None:
         """Refuse figures that are not what the header states (InputError)."""
         if not right:
             raise InputError(
-                f"{self.place}: the time column '{self.column.name}' {problem} (`sample_rate` HZ gives the "
-                "time instead)"
+                f"{self._called} {problem} (`sample_rate` HZ gives the time instead)"
             )
 
     def periods(self) -> tuple[float, ...]:
         """Return after how many seconds a counter begins anew: of bits, or of a minute, an hour, a day."""
-        if self.column.written != "numbers" or self._calendar is not None:
+        if self.written != "numbers" or self._calendar is not None:
             return ()
-        count = float(self.stated.factor.apply(np.ones(1))[0])
+        count = float(self.factor.apply(np.ones(1))[0])
         return (*(2.0**bits * count for bits in _BITS), 1.0, 60.0, 3600.0, 86400.0)
 
     def _decide(self, figures: FloatArray, last: bool) -> bool:
         """Look for a calendar in the first stamps; False where a second one is needed."""
         first = float(figures[0]) if len(figures) else 0.0
-        found = next(
-            (
-                one
-                for one in (*_CALENDARS, *_DAY_CALENDARS)
-                if one.low <= first < one.high
-            ),
-            None,
-        )
-        if found in _DAY_CALENDARS:
-            others = figures[figures != first]
-            if not len(others) and not last:
+        calendar = _calendar_at(first)
+        if calendar is None:
+            return True
+        if calendar in _DAY_CALENDARS and not self._is_called_a_date():
+            later = figures[figures != first]
+            if not len(later) and not last:
                 return False
-            step = abs(float(others[0]) - first) if len(others) else np.inf
-            if step >= _DAY_STEP and not any(
-                word in self.column.name.lower() for word in _DATE_WORDS
-            ):
-                self._doubt = found.name if found and step < 10.0 * _DAY_STEP else ""
+            step = abs(float(later[0]) - first) if len(later) else np.inf
+            if step >= _DAY_STEP:
+                if step < 10.0 * _DAY_STEP:
+                    self._doubt = calendar.name
                 return True
-        if found is not None:
-            self._calendar, self.described = found, f"no unit, read as {found.name}"
+        self._calendar = calendar
+        self.described = f"no unit, read as {calendar.name}"
         return True
+
+    def _is_called_a_date(self) -> bool:
+        """Return whether the column's name says that it counts days of a calendar."""
+        name = "" if self.column is None else self.column.name.lower()
+        return any(word in name for word in _DATE_WORDS)
 
     def _unrolled(self, raw: FloatArray, period: float, what: str) -> FloatArray:
         """Let a clock go on where it passes midnight (or, of minutes alone, the full hour)."""
@@ -638,7 +683,6 @@ class TimeColumn:
 
     def warnings(self, check: TimeCheck) -> list[str]:
         """Return what is doubtful about the figures, with the remedy, once all of them have gone by."""
-        called = f"{self.place}: the time column '{self.column.name}'"
         doubts, rows = [], check.rows
         if self.bare and not self.given and rows > 1:
             doubts.append(self._of_figures(check))
@@ -652,9 +696,9 @@ class TimeColumn:
                 f"repeats its stamps in {check.repeat.count:,} of {rows:,} rows: they have too few "
                 "digits for the rate of the log (`sample_rate` HZ gives the time instead)"
             )
-        if self.column.written == "numbers" and not self.bare and not self.given:
+        if self.written == "numbers" and not self.bare and not self.given:
             doubts.append(self._of_stated(check))
-        return [f"{called} {text}" for text in doubts if text]
+        return [f"{self._called} {text}" for text in doubts if text]
 
     def _of_stated(self, check: TimeCheck) -> str:
         """Return why figures can hardly be in the unit that is stated."""
@@ -667,7 +711,7 @@ class TimeColumn:
             odd = f"its usual step would be {step:.3g} s"
         else:
             return ""
-        return f"is stated in {self.stated.unit}, but {odd} (`time_unit` says what it counts)"
+        return f"is stated in {self.unit}, but {odd} (`time_unit` says what it counts)"
 
     def _of_figures(self, check: TimeCheck) -> str:
         """Return why figures without a unit can hardly be seconds."""
@@ -718,13 +762,13 @@ class TimeColumn:
         return f"has no unit: read as seconds, {odd} {remedy}"
 
 
-def time_column(
+def clock_of(
     place: str,
-    column: ColumnInfo,
-    columns: Sequence[ColumnInfo],
+    column: Column,
+    columns: Sequence[Column],
     given: str | None = None,
-) -> TimeColumn:
-    """Prepare a time column, and find the dates beside clock times.
+) -> Clock:
+    """Return the clock of a column of stamps; the dates beside clock times are looked for.
 
     Parameters
     ----------
@@ -735,74 +779,80 @@ def time_column(
     columns
         All columns of the log.
     given
-        ``time_unit`` as the user gave it.
+        ``time_unit`` as the user gave it; goes before the header.
 
     Raises
     ------
     InputError
         Its unit is no known unit of time, or it holds dates without a time of day.
     """
-    if column.written == "numbers":
-        beside = None if given is not None else _part_beside(column, columns)
-        if beside is not None:
-            text = f"s and {beside[1]} in '{beside[0].name}'"
-            return TimeColumn(
-                place,
-                column,
-                beside[0],
-                StatedTime("s"),
-                True,
-                FACTORS[beside[1]],
-                text,
-            )
-        return TimeColumn(
-            place, column, None, stated_time(place, column, given), given is not None
-        )
+    clock = Clock(place, column)
+    if column.written != "numbers":
+        clock = _clock_of_texts(clock, column, columns, given)
+    elif given is not None:
+        unit, factor = parse_time_unit(given)
+        clock = replace(clock, unit=unit, factor=factor, given=True)
+    else:
+        clock = _clock_of_figures(clock, column, columns)
+    clock.taken = list(clock.picks.values())
+    return clock
+
+
+def _clock_of_figures(clock: Clock, column: Column, columns: Sequence[Column]) -> Clock:
+    """Return the clock of a column of numbers, with the parts of a second beside it."""
+    beside = _part_beside(column, columns)
+    if beside is None:
+        return _with_stated_unit(clock, column)
+    part, unit = beside
+    return replace(
+        clock,
+        date=part,
+        unit="s",
+        given=True,
+        part=FACTORS[unit],
+        described=f"s and {unit} in '{part.name}'",
+    )
+
+
+def _clock_of_texts(
+    clock: Clock,
+    column: Column,
+    columns: Sequence[Column],
+    given: str | None,
+) -> Clock:
+    """Return the clock of a column of dates, clock times or both."""
     if given is not None:
         raise InputError(
-            f"{place}: the time column '{column.name}' holds dates or clock times, which say by themselves "
+            f"{clock._called} holds dates or clock times, which say by themselves "
             "what they count (leave out `time_unit`)"
         )
     if column.written == "date":
         raise InputError(
-            f"{place}: column '{column.name}' holds dates without a time of day "
+            f"{clock.place}: column '{column.name}' holds dates without a time of day "
             "(`time` the column of clock times, whose dates are taken from here)"
         )
-    dates = (
-        [one for one in columns if one.written == "date"]
-        if column.written == "clock"
-        else []
-    )
-    date = dates[0] if len(dates) == 1 else None
-    kinds = {
-        "stamp": "dates and clock times",
-        "clock": "clock times",
-        "minutes": "minutes and seconds",
-    }
-    text = (
-        kinds[column.written]
-        if date is None
-        else f"clock times, dates in '{date.name}'"
-    )
-    return TimeColumn(
-        place, replace(column, unit=None), date, StatedTime("s"), True, described=text
+    date = None
+    described = _WRITTEN_AS[column.written]
+    dates = [beside for beside in columns if beside.written == "date"]
+    if column.written == "clock" and len(dates) == 1:
+        date = dates[0]
+        described = f"clock times, dates in '{date.name}'"
+    return replace(
+        clock,
+        column=replace(column, unit=None),
+        date=date,
+        unit="s",
+        given=True,
+        described=described,
     )
 
 
-class FoundTime(NamedTuple):
-    """The time column of a log, the columns that no other role may take, and notes for the user."""
-
-    clock: TimeColumn | None
-    taken: list[ColumnInfo]
-    notes: list[str]
-
-
-def find_time_column(
+def find_clock(
     place: str,
-    columns: list[ColumnInfo],
+    columns: list[Column],
     options: ReadingOptions,
-    named: Sequence[ColumnInfo],
-) -> FoundTime:
+    named: Sequence[Column],
+) -> Clock:
     """Find the time column; a sample rate given by the user replaces one that was only guessed.
 
     Parameters
@@ -822,34 +872,43 @@ def find_time_column(
         Several columns may be meant, or what the column's figures count is not known.
     """
     if options.time is not None:
-        found = [find_column(place, columns, options.time, "time")]
+        candidates = [find_column(place, columns, options.time, "time")]
     else:
         used = {column.number for column in named}
-        found = _time_candidates(
+        candidates = _time_candidates(
             [column for column in columns if column.number not in used]
         )
     if options.sample_rate is not None:
-        notes = [
-            f"{place}: `sample_rate` replaces the column '{one.name}'"
-            for one in found[:1]
-        ]
-        return FoundTime(None, found if len(found) == 1 else [], notes)
-    if len(found) > 1:
-        same = len({column.name for column in found}) < len(found)
-        names = [
-            f"{one.number} '{one.name}'" if same else f"'{one.name}'" for one in found
-        ]
-        asked = f"which column is the time, {any_of(names)}?"
-        raise InputError(f"{place}: {asked} (choose with `time` NAME or NUMBER)")
-    if not found:
-        return FoundTime(None, [], [])
-    clock = time_column(place, found[0], columns, options.time_unit)
-    return FoundTime(clock, list(clock.picks.values()), [])
+        clock = Clock(place, rate=options.sample_rate)
+        if candidates:
+            replaced = candidates[0].name
+            clock.notes.append(
+                f"{place}: `sample_rate` replaces the column '{replaced}'"
+            )
+        if len(candidates) == 1:
+            clock.taken = candidates
+        return clock
+    if len(candidates) > 1:
+        names = any_of(_told_apart(candidates))
+        raise InputError(
+            f"{place}: which column is the time, {names}? (choose with `time` NAME or NUMBER)"
+        )
+    if not candidates:
+        return Clock(place)
+    return clock_of(place, candidates[0], columns, options.time_unit)
+
+
+def _told_apart(columns: Sequence[Column]) -> list[str]:
+    """Return the names of columns as messages list them, with numbers where two have one name."""
+    names = {column.name for column in columns}
+    if len(names) == len(columns):
+        return [f"'{column.name}'" for column in columns]
+    return [f"{column.number} '{column.name}'" for column in columns]
 
 
 def _part_beside(
-    column: ColumnInfo, columns: Sequence[ColumnInfo]
-) -> tuple[ColumnInfo, str] | None:
+    column: Column, columns: Sequence[Column]
+) -> tuple[Column, str] | None:
     """Find the parts of a second beside a column of seconds (``sec``, ``nanosec``), and their unit."""
     first, last = _last_word(column.name)
     if last not in _SECONDS:
@@ -869,7 +928,7 @@ def _last_word(name: str) -> tuple[str, str]:
     return (found[1], found[2]) if found is not None else (name, "")
 
 
-def _time_candidates(columns: list[ColumnInfo]) -> list[ColumnInfo]:
+def _time_candidates(columns: list[Column]) -> list[Column]:
     """Find the columns that may hold the time: figures by name, then stamps by name, then stamps."""
     fitting = [
         one

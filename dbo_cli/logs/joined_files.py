@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError
 from dbo_cli.interpolation.smooth import interpolated
-from dbo_cli.logs.clock import FoundTime, TimeColumn, find_time_column, time_column
+from dbo_cli.logs.clock import DATE, Clock, clock_of, find_clock
 from dbo_cli.logs.clock_offset import ClockOffset, find_offset
 from dbo_cli.logs.columns import ColumnWish, choose_columns, find_column
 from dbo_cli.logs.request import ReadingOptions, Request, other_file, parse_address
@@ -29,7 +29,7 @@ from dbo_cli.logs.sample_block import (
     GAP_STEPS,
     JITTER,
     TIME,
-    ColumnInfo,
+    Column,
     DroppedRows,
     FloatArray,
     SampleBlock,
@@ -56,8 +56,8 @@ class _File:
     """One of the files: the columns wanted of it, by number in the joined log, and its clock."""
 
     table: Table
-    columns: dict[int, ColumnInfo]
-    time: ColumnInfo | None = None
+    columns: dict[int, Column]
+    time: Column | None = None
     # samples a second, and the first row's time (s)
     rate: tuple[float, float] | None = None
     wishes: list[str] = field(default_factory=list)
@@ -67,11 +67,12 @@ class _File:
         """How messages call the file."""
         return self.table.place
 
-    def clock(self, time_unit: str | None) -> TimeColumn | None:
-        """Return its time column, ready to be read from the first row on."""
+    def clock(self, time_unit: str | None) -> Clock:
+        """Return its clock, ready to be read from the first row on."""
         if self.time is None:
-            return None
-        return time_column(self.place, self.time, self.table.columns, time_unit)
+            rate, start = self.rate or (None, 0.0)
+            return Clock(self.place, rate=rate, start=start)
+        return clock_of(self.place, self.time, self.table.columns, time_unit)
 
 
 class _Timed(NamedTuple):
@@ -156,16 +157,14 @@ class JoinedTable(Table):
         file = self.files[address]
         file.wishes.append(role)
         columns = file.table.columns
-        time = find_time_column(
-            file.place, columns, replace(self._options, time=None), []
-        )
+        clock = find_clock(file.place, columns, replace(self._options, time=None), [])
         guessed = choose_columns(
-            file.place, columns, {role: replace(wish, selector=None)}, time.taken
+            file.place, columns, {role: replace(wish, selector=None)}, clock.taken
         )
         self._append(file, guessed[role])
         return f"number={len(self.columns)}"
 
-    def _append(self, file: _File, column: ColumnInfo) -> ColumnInfo:
+    def _append(self, file: _File, column: Column) -> Column:
         """Add a column of another file to those of the log; return it as it stands there."""
         number = len(self.columns) + 1
         added = replace(column, name=f"{file.place}::{column.name}", number=number)
@@ -207,7 +206,7 @@ class JoinedTable(Table):
                     "FILE::COLUMN is the clock of both)"
                 )
         self._by_time = True
-        self.found_time = self._time_of_target(options)
+        self.ready_clock = self._clock_of_target(options)
 
     def _refuse_offset(self, why: str) -> None:
         if self._options.clock_offset is not None:
@@ -224,24 +223,25 @@ class JoinedTable(Table):
         first = file is self.files[""]
         wanted = list(file.columns.values()) if not first else []
         own = options if first else replace(options, time=None)
-        found = find_time_column(file.place, list(file.table.columns), own, wanted)
-        if found.clock is not None:
-            file.time = found.clock.column
+        clock = find_clock(file.place, list(file.table.columns), own, wanted)
+        if clock.column is not None:
+            file.time = clock.column
             return
         columns = list(file.columns.values())
         rate, start = file.table.even_clock(columns)
         if rate is not None:
             file.rate = rate, start
 
-    def _time_of_target(self, options: ReadingOptions) -> FoundTime:
+    def _clock_of_target(self, options: ReadingOptions) -> Clock:
         """Return the clock of the file whose rows are kept, by its columns' numbers in the log."""
         first = self.files[""]
         taken = [] if first.time is None else [first.time]
         clock = self._target.clock(options.time_unit)
-        if clock is None:
-            return FoundTime(None, taken, [])
+        if clock.column is None:  # its rate is what ``even_clock`` finds
+            return Clock(self.place, taken=taken)
         if self._target is first:
-            return FoundTime(clock, [*taken, *clock.picks.values()], [])
+            clock.taken = [*taken, *clock.picks.values()]
+            return clock
         added = {
             role: self._append(self._target, column)
             for role, column in clock.picks.items()
@@ -249,11 +249,11 @@ class JoinedTable(Table):
         clock.column = replace(
             added[TIME], unit=clock.column.unit, written=clock.column.written
         )
-        if clock.date is not None:
-            clock.date = next(column for role, column in added.items() if role != TIME)
-        return FoundTime(clock, [*taken, *added.values()], [])
+        clock.date = added.get(DATE)
+        clock.taken = [*taken, *added.values()]
+        return clock
 
-    def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
+    def even_clock(self, columns: Collection[Column]) -> tuple[float | None, float]:
         """Return the stated sample rate (Hz) of the rows that are kept, and the first one's time (s)."""
         if self._by_time:
             return self._target.rate or (None, 0.0)
@@ -267,7 +267,7 @@ class JoinedTable(Table):
 
     # ---- rows
 
-    def blocks(self, picks: Mapping[str, ColumnInfo]) -> Iterator[SampleBlock]:
+    def blocks(self, picks: Mapping[str, Column]) -> Iterator[SampleBlock]:
         """Read the wanted columns of all files in blocks.
 
         Raises
@@ -298,7 +298,7 @@ class JoinedTable(Table):
                 )
 
     def _joined_by_row(
-        self, wanted: Mapping[str, Mapping[str, ColumnInfo]]
+        self, wanted: Mapping[str, Mapping[str, Column]]
     ) -> Iterator[SampleBlock]:
         """Put rows of equal number beside each other; a row dropped in one file is dropped in all."""
         places = [self.files[address].place for address in wanted]
@@ -312,7 +312,7 @@ class JoinedTable(Table):
         self.doubtful.extend(unequal)
 
     def _joined_by_time(
-        self, wanted: Mapping[str, Mapping[str, ColumnInfo]]
+        self, wanted: Mapping[str, Mapping[str, Column]]
     ) -> Iterator[SampleBlock]:
         """Interpolate what other files have onto the rows of one."""
         target = self._target
@@ -347,35 +347,27 @@ class JoinedTable(Table):
         whole = replace(rows.block, time=None, values=values)
         yield whole if keep.all() else whole.chosen(keep)
 
-    def _read(self, file: _File, columns: Mapping[str, ColumnInfo]) -> _Timed:
+    def _read(self, file: _File, columns: Mapping[str, Column]) -> _Timed:
         """Read all rows of a file, with their times."""
         clock = file.clock(self._options.time_unit)
-        picks = dict(columns) if clock is None else {**columns, **clock.picks}
-        stream = file.table.blocks(picks)
+        picks = {**columns, **clock.picks}
         pieces, times = [], []
-        for block in filter(len, stream if clock is None else clock.held_back(stream)):
-            if clock is not None:
-                times.append(clock.seconds(dict(block.values)))
-            pieces.append(
-                replace(block, values={role: block.values[role] for role in columns})
-            )
+        for block in filter(len, clock.held_back(file.table.blocks(picks))):
+            time = clock.times(block.rows, dict(block.values))
+            assert time is not None
+            times.append(time)
+            values = {role: block.values[role] for role in columns}
+            pieces.append(replace(block, values=values))
         if not pieces:
             raise InputError(f"{file.place}: no data rows")
-        whole = joined(pieces)
-        if clock is not None:
-            return _Timed(whole, np.concatenate(times))
-        assert file.rate is not None
-        rate, start = file.rate
-        return _Timed(
-            whole, start + (np.asarray(whole.rows, dtype=np.float64) - 1.0) / rate
-        )
+        return _Timed(joined(pieces), np.concatenate(times))
 
     def _on_clock_of(
         self,
         rows: _Timed,
         file: _File,
         given: _Timed,
-        columns: Mapping[str, ColumnInfo],
+        columns: Mapping[str, Column],
     ) -> _Timed:
         """Return another file's rows on the clock of the one whose rows are kept, each stamp once.
 
@@ -496,7 +488,7 @@ class JoinedTable(Table):
         return self.files[""].table.sha256
 
 
-def names_file(selector: str | None, columns: Sequence[ColumnInfo]) -> bool:
+def names_file(selector: str | None, columns: Sequence[Column]) -> bool:
     """Tell whether a selector is the name of a file alone, and of no column."""
     if selector is None or "::" in selector or not os.path.isfile(selector):
         return False

@@ -22,7 +22,7 @@ import numpy as np
 from dbo_cli import extensions
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.byte_source import HDF5, input_record
-from dbo_cli.logs.clock import FoundTime, find_time_column
+from dbo_cli.logs.clock import Clock, find_clock
 from dbo_cli.logs.columns import (
     ColumnWish,
     choose_columns,
@@ -41,7 +41,7 @@ from dbo_cli.logs.request import (
     without_folder,
 )
 from dbo_cli.logs.sample_block import (
-    ColumnInfo,
+    Column,
     DroppedRows,
     SampleBlock,
     Table,
@@ -157,31 +157,27 @@ class SignalLog(Source):
                 named.append(
                     find_column(place, table.columns, wish.selector, wish.option)
                 )
-        found_time: FoundTime = table.found_time or find_time_column(
+        clock: Clock = table.ready_clock or find_clock(
             place, table.columns, options, named
         )
-        clock = found_time.clock
-        rate = options.sample_rate
-        start = 0.0  # s
-        if clock is None and options.time_unit is not None:
+        if clock.column is None and options.time_unit is not None:
             raise InputError(
                 f"{place}: no column is recognised as the time (`time` COLUMN names it)"
             )
-        timed = clock is not None or rate is not None
         picks = choose_columns(
-            place, table.columns, wishes, found_time.taken, timed, table.notes
+            place, table.columns, wishes, clock.taken, clock.is_known, table.notes
         )
-        if rate is None and clock is None:
-            rate, start = table.even_clock(picks.values())
+        if not clock.is_known:
+            clock.rate, clock.start = table.even_clock(picks.values())
+        rate = clock.rate
         may_have_gaps = options.skip_bad or any(
             column.may_be_blank for column in picks.values()
         )
         even_rate = None if may_have_gaps else rate
-        timed = clock is not None or rate is not None
         super().__init__(
             place,
             dict(picks),
-            timed,
+            clock.is_known,
             options.resample or even_rate,
             options.resample or rate,
         )
@@ -190,7 +186,8 @@ class SignalLog(Source):
             self._factors[role], self.columns[role] = scale.applied_to(
                 self.name, picks[role]
             )
-        table.notes.extend(found_time.notes)
+        table.notes.extend(clock.notes)
+        clock.notes = []  # later ones are added when all rows were read
         self.notes = table.notes
         doubts = [_doubtful_unit(self.name, column) for column in picks.values()]
         self.warnings = [text for text in doubts if text]
@@ -199,8 +196,7 @@ class SignalLog(Source):
         self._table = table
         self._picks = picks
         self._clock = clock
-        self._start_time = start
-        self.time = None if clock is None else clock.column
+        self.time = clock.column
         self.sample_rate = rate
         self.rows_read = 0
         self._check: TimeCheck | None = None
@@ -266,13 +262,14 @@ class SignalLog(Source):
             read.append(f"{quantity} {called} ({unit or 'no unit'}{scale})")
         return f"{self.name}: {'; '.join(filter(None, [', '.join(known), ', '.join(read)]))}"
 
-    def _used(self) -> list[tuple[str, ColumnInfo, str | None]]:
+    def _used(self) -> list[tuple[str, Column, str | None]]:
         """List role, column and unit of what is read, the time first."""
-        clock = self._clock
-        timed = [] if clock is None else [("time", clock.column, clock.reading())]
-        return timed + [
-            (role, column, column.unit) for role, column in self._picks.items()
-        ]
+        used: list[tuple[str, Column, str | None]] = []
+        if self.time is not None:
+            used.append(("time", self.time, self._clock.reading()))
+        for role, column in self._picks.items():
+            used.append((role, column, column.unit))
+        return used
 
     def reading_record(self) -> dict[str, Any]:
         """Return what ``reading_line`` states as plain values, for a model's provenance."""
@@ -287,7 +284,7 @@ class SignalLog(Source):
                     {key: value for key, value in found.items() if value is not None},
                 )
             )
-        time = None if self._clock is None else columns.pop(0)[1]
+        time = None if self.time is None else columns.pop(0)[1]
         record: dict[str, Any] = {
             "rows": self.rows_read,
             "seconds": seconds,
@@ -363,21 +360,16 @@ class SignalLog(Source):
 
     def _as_recorded(self) -> Iterator[SampleBlock]:
         clock = self._clock
-        picks = self._picks | ({} if clock is None else clock.picks)
         most = self._options.block_rows
-        found, check = self._table.blocks(picks), None
-        if clock is not None:
-            found = clock.held_back(found)
+        blocks = clock.held_back(self._table.blocks(self._picks | clock.picks))
+        check = None
+        if clock.column is not None:
             check = TimeCheck(self.name, clock.periods())
-        for raw in found:
+        for raw in blocks:
             for start in range(0, len(raw.rows), most):
                 part = raw.part(start, start + most)
-                values, time = dict(part.values), None
-                if clock is not None:
-                    time = clock.seconds(values)
-                elif self.sample_rate is not None:
-                    rows = np.asarray(part.rows, dtype=np.float64)
-                    time = self._start_time + (rows - 1.0) / self.sample_rate
+                values = dict(part.values)
+                time = clock.times(part.rows, values)
                 block = replace(part, time=time, values=self.in_units(values))
                 if time is not None and len(time):
                     self._times = (
@@ -388,7 +380,7 @@ class SignalLog(Source):
                         check.feed(block)
                 self.rows_read += len(block.rows)
                 yield block
-        if check is not None and clock is not None:
+        if check is not None:
             self.notes.extend([*clock.notes, *check.notes()])
             # a clock in another unit makes all else wrong
             self.warnings[:0] = clock.warnings(check)
@@ -409,7 +401,7 @@ def _plain(value: float, digits: int = 4) -> str:
     return f"{value:,.0f}" if 999.5 <= abs(value) < 1e9 else f"{value:.{digits}g}"
 
 
-def _doubtful_unit(place: str, column: ColumnInfo) -> str:
+def _doubtful_unit(place: str, column: Column) -> str:
     """Return what is odd about the unit of a column, if anything is."""
     own = contradicted_unit(column)
     if own is not None:
@@ -498,7 +490,7 @@ def open_log(
 def _scales_by_role(
     options: ReadingOptions,
     wishes: Mapping[str, ColumnWish],
-    columns: Mapping[str, ColumnInfo],
+    columns: Mapping[str, Column],
 ) -> dict[str, Scale]:
     """Give each scale its role, which may be called as the parameter that names its column is.
 

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dbo_cli.errors import InputError, Remarks, UsageError
-from dbo_cli.logs.clock import find_time_column
-from dbo_cli.logs.columns import ColumnWish, choose_columns, column_info, find_column
+from dbo_cli.logs.clock import find_clock
+from dbo_cli.logs.columns import ColumnWish, choose_columns, find_column, parse_column
 from dbo_cli.logs.request import (
     ALL_ROWS,
     BLOCK_ROWS,
@@ -27,7 +27,7 @@ from dbo_cli.logs.request import (
     checked_rate,
 )
 from dbo_cli.logs.sample_block import (
-    ColumnInfo,
+    Column,
     FloatArray,
     SampleBlock,
     TimeCheck,
@@ -64,7 +64,7 @@ class Source:
     """
 
     name: str
-    columns: dict[str, ColumnInfo]
+    columns: dict[str, Column]
     has_time: bool
     even_rate: float | None = None
     stated_rate: float | None = None
@@ -265,7 +265,7 @@ class ArraySource(Source):
         values: Mapping[str, ArrayLike],
         time: ArrayLike | None = None,
         sample_rate: float | None = None,
-        columns: Mapping[str, ColumnInfo] | None = None,
+        columns: Mapping[str, Column] | None = None,
         name: str = "the arrays",
         rows: Rows = ALL_ROWS,
         units: Mapping[str, str | None] = {},
@@ -289,7 +289,7 @@ class ArraySource(Source):
                     f"`{role}` has {signal.size} samples where `{first}` has {count}"
                 )
         infos = [
-            replace(column_info(role, n), unit=units.get(role))
+            replace(parse_column(role, n), unit=units.get(role))
             for n, role in enumerate(values, start=1)
         ]
         columns = columns or dict(zip(values, infos, strict=True))
@@ -306,7 +306,7 @@ class ArraySource(Source):
                 f"`{role}` has {values.size} samples where `{next(iter(self.values))}` has {self.count}"
             )
         self.values[role] = values
-        self.columns[role] = replace(column_info(role, len(self.values)), unit=unit)
+        self.columns[role] = replace(parse_column(role, len(self.values)), unit=unit)
 
     @property
     def count(self) -> int:
@@ -391,7 +391,7 @@ def table_source(
     """
     units: Mapping[str, str | None] = table.attrs.get("units", {})
     infos = [
-        column_info(str(name), k, units.get(name))
+        parse_column(str(name), k, units.get(name))
         for k, name in enumerate(table.columns, start=1)
     ]
     rate = (
@@ -400,26 +400,22 @@ def table_source(
         else sample_rate
     )
     warnings: list[str] = []
-    taken: list[ColumnInfo] = []
+    taken: list[Column] = []
     if sample_rate is None and (time is None or isinstance(time, str)):
         named = [
             find_column(TABLE, infos, wish.selector, wish.option)
             for wish in want.values()
             if wish.selector
         ]
-        time_column = find_time_column(TABLE, infos, ReadingOptions(time=time), named)
-        taken = time_column.taken
-        if time_column.clock is not None:
-            column = table.iloc[:, time_column.clock.column.number - 1]
-            if column.dtype.kind in "mM" or column.dtype.kind == "O":
-                time, rate = stamps(column.to_numpy()), None
+        clock = find_clock(TABLE, infos, ReadingOptions(time=time), named)
+        taken = clock.taken
+        if clock.column is not None:
+            rate = None
+            column = table.iloc[:, clock.column.number - 1]
+            if column.dtype.kind in "mMO":
+                time = stamps(column.to_numpy())
             else:
-                time, rate = (
-                    time_column.clock.whole(
-                        samples("time", column.to_numpy()), warnings
-                    ),
-                    None,
-                )
+                time = clock.whole(samples("time", column.to_numpy()), warnings)
     columns = choose_columns(TABLE, infos, want, taken)
     values = {
         role: table.iloc[:, column.number - 1].to_numpy()

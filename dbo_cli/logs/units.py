@@ -15,7 +15,7 @@ import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.plain_text import pattern, shortened
-from dbo_cli.logs.sample_block import ColumnInfo, FloatArray
+from dbo_cli.logs.sample_block import Column, FloatArray
 
 # SI units and prefixes as instruments spell them; below, other spellings that
 # lower-case names have in use.
@@ -266,9 +266,7 @@ class Scale:
         units = f"{self.unit_out}/{self.unit_in}" if self.unit_out else ""
         return f"{self.role}={float(self.factor):.15g}{units}"
 
-    def applied_to(
-        self, place: str, column: ColumnInfo
-    ) -> tuple[UnitFactor, ColumnInfo]:
+    def applied_to(self, place: str, column: Column) -> tuple[UnitFactor, Column]:
         """Return the whole factor, and the column as it is afterwards.
 
         Raises

@@ -33,8 +33,7 @@ from dbo_cli.logs.plain_text import pattern
 from dbo_cli.logs.request import Address, Given, parse_address
 
 if TYPE_CHECKING:
-    from dbo_cli.logs.columns import OutColumn
-    from dbo_cli.logs.sample_block import FloatArray
+    from dbo_cli.logs.sample_block import Column, FloatArray
 
 # --- which file an output is
 # ------------------------------------------------------------------------
@@ -465,7 +464,7 @@ class KeptSignal:
     """A signal that was kept instead of written: what its writer was given."""
 
     address: Address
-    columns: Sequence[OutColumn]
+    columns: Sequence[Column]
     format: str | None
     attributes: Mapping[str, str | float]
     arrays: tuple[FloatArray, ...]

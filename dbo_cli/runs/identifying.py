@@ -70,7 +70,7 @@ def recording_of(
     for block in source.blocks():
         _check_uncertainty(block, source)
         blocks.append(block)
-        listener.progressed(len(block))
+        listener.progressed(len(block), "read")
     whole = joined(blocks)
     rate = source.even_rate
     units = {role: source.columns[role].unit for role in ("voltage", "displacement")}

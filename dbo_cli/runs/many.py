@@ -39,7 +39,7 @@ _PLACES = ("{}", CHANNEL, FILE)
 _WORTH_POLARS = 32
 
 
-def signals(
+def run_signals(
     run: SignalRun, logs: Sequence[Address], work: Work, listener: Listener
 ) -> Outcome:
     """Run ``simulate`` or ``compensate`` over one log, the channels that a pattern names, or many files.

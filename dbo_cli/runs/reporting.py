@@ -599,7 +599,7 @@ def _counted(source: Source, listener: Listener) -> Iterator[SampleBlock]:
     """Return the blocks of a source, each counted once it is done with."""
     for block in source.blocks():
         yield block
-        listener.progressed(len(block))
+        listener.progressed(len(block), "compared")
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dbo_cli.cli.command import Command, Given
+from dbo_cli.cli.commands import Arguments, Command
 from dbo_cli.cli.options import MODEL, REPORTING
 from dbo_cli.errors import InputError
 from dbo_cli.extras.moves.generators import GeneratorFormat, Signals
@@ -66,7 +66,7 @@ LAB_STEPS = GeneratorFormat((".steps",), _write_steps, _read_steps)
 # --- a command ---
 
 
-def rest(given: Given) -> None:
+def rest(given: Arguments) -> None:
     """Say at which voltage an actuator is left over night: the lower end of its model's range.
 
     Writes

@@ -15,7 +15,7 @@ from test_runs_repeated import RATE, actuator, move, period
 from trials import Floats
 
 from dbo_cli.drives.gate import DriveGate, GateError
-from dbo_cli.drives.limits import require_one_unit
+from dbo_cli.drives.options import require_one_unit
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.extras.live.converter import Converter
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli import extensions
-from dbo_cli.drives.limits import require_one_unit
+from dbo_cli.drives.options import require_one_unit
 from dbo_cli.errors import DboError, DboWarning, InputError
 from dbo_cli.extras.channels import model_set
 from dbo_cli.extras.channels.model_set import Coupling, set_to_bytes

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.byte_source import file_sha256
-from dbo_cli.logs.clock import FoundTime, find_time_column
+from dbo_cli.logs.clock import Clock, find_clock
 from dbo_cli.logs.columns import (
     MORE_TIME_NAMES,
     PLACE,
@@ -24,7 +24,7 @@ from dbo_cli.logs.columns import (
 )
 from dbo_cli.logs.request import ALL_ROWS, Address, ReadingOptions, Request, Rows
 from dbo_cli.logs.sample_block import (
-    ColumnInfo,
+    Column,
     DroppedRows,
     SampleBlock,
     Table,
@@ -49,10 +49,10 @@ def is_matrix(pattern: str) -> bool:
 
 def channels_of(
     place: str,
-    columns: Sequence[ColumnInfo],
+    columns: Sequence[Column],
     patterns: Mapping[str, str],
     taken: Collection[int] = (),
-) -> dict[str, dict[str, ColumnInfo]]:
+) -> dict[str, dict[str, Column]]:
     """Find the channels of a log: for each, the column of every pattern, in the order of the log.
 
     Parameters
@@ -114,11 +114,11 @@ def channels_of(
 
 def _matches(
     place: str,
-    columns: Sequence[ColumnInfo],
+    columns: Sequence[Column],
     option: str,
     pattern: str,
     taken: Collection[int],
-) -> dict[str, ColumnInfo]:
+) -> dict[str, Column]:
     """Return the columns of one pattern by channel: by the name without its unit, else the whole name."""
     before, after = PLACE.split(pattern)
     free = [
@@ -129,7 +129,7 @@ def _matches(
             re.escape(fold(before)) + "(.+)" + re.escape(fold(after)), re.DOTALL
         )
         for whole in (False, True):
-            by_channel: dict[str, ColumnInfo] = {}
+            by_channel: dict[str, Column] = {}
             for column in free:
                 name = column.name if whole else column.quantity
                 match = shape.fullmatch(fold(name))
@@ -153,9 +153,7 @@ def _matches(
     )
 
 
-def _only_column(
-    before: str, after: str, free: Sequence[ColumnInfo]
-) -> ColumnInfo | None:
+def _only_column(before: str, after: str, free: Sequence[Column]) -> Column | None:
     """Return the column of a matrix that has no other, and so no number behind its name."""
     if not before.endswith("[") or after != "]":
         return None
@@ -178,20 +176,20 @@ class HeldTable(Table):
         As the table that was read has them; only the columns that are held.
     block
         All rows; the values by column number, as text.
-    found_time
-        The time column, found among all columns of the log.
-    clock
+    ready_clock
+        The clock, found among all columns of the log.
+    stated_rate
         The rate (Hz) and the first row's time (s) that the file states, or the refusal.
     digest
         Of the file.
     """
 
     place: str
-    columns: list[ColumnInfo]
+    columns: list[Column]
     described: str
     block: SampleBlock
-    found_time: FoundTime
-    clock: tuple[float | None, float] | InputError
+    ready_clock: Clock
+    stated_rate: tuple[float | None, float] | InputError
     digest: str | None
     remarks: tuple[str, ...] = ()
     rows: Rows = ALL_ROWS
@@ -201,26 +199,22 @@ class HeldTable(Table):
 
     def opened(self, options: ReadingOptions) -> HeldTable:
         """Return a table to read from, whose notes and clock are its own."""
-        time = self.found_time
-        if time.clock is not None:
-            time = time._replace(
-                clock=replace(time.clock, notes=list(time.clock.notes))
-            )
+        clock = replace(self.ready_clock, notes=list(self.ready_clock.notes))
         return replace(
-            self, rows=options.rows, found_time=time, notes=list(self.remarks)
+            self, rows=options.rows, ready_clock=clock, notes=list(self.remarks)
         )
 
-    def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
+    def even_clock(self, columns: Collection[Column]) -> tuple[float | None, float]:
         """Return the sample rate (Hz) that the file states, and the first row's time (s)."""
-        if isinstance(self.clock, InputError):
-            raise self.clock
-        return self.clock
+        if isinstance(self.stated_rate, InputError):
+            raise self.stated_rate
+        return self.stated_rate
 
     def describe(self) -> str:
         """Describe in one line how the log is written."""
         return self.described
 
-    def blocks(self, picks: Mapping[str, ColumnInfo]) -> Iterator[SampleBlock]:
+    def blocks(self, picks: Mapping[str, Column]) -> Iterator[SampleBlock]:
         """Return the rows asked for as one block; none of them is bad."""
         values = {
             role: self.block.values[str(pick.number)] for role, pick in picks.items()
@@ -263,7 +257,7 @@ class ChannelReader:
     options: ReadingOptions
     patterns: Mapping[str, str]
     digest: bool = False
-    channels: dict[str, dict[str, ColumnInfo]] = field(init=False)
+    channels: dict[str, dict[str, Column]] = field(init=False)
     _held: dict[str, HeldTable | None] = field(default_factory=dict)
     _sha256: str | None = None
 
@@ -288,13 +282,11 @@ class ChannelReader:
             self.channels = channels_of(
                 self._table.place, columns, self.patterns, times
             )
-            named: list[ColumnInfo] = []
+            named: list[Column] = []
             for columns_of_channel in self.channels.values():
                 named += columns_of_channel.values()
-            self._time = find_time_column(
-                self._table.place, columns, self.options, named
-            )
-            self._timed = {} if self._time.clock is None else self._time.clock.picks
+            self._clock = find_clock(self._table.place, columns, self.options, named)
+            self._timed = self._clock.picks
         except BaseException:
             self._table.close()
             raise
@@ -379,14 +371,14 @@ class ChannelReader:
             columns=columns,
             described=self._table.describe(),
             block=replace(block, values=values),
-            found_time=self._time,
-            clock=self._clock(channel),
+            ready_clock=self._clock,
+            stated_rate=self._stated_rate(channel),
             digest=self._sha256,
             remarks=tuple(self._table.notes),
         )
 
-    def _clock(self, channel: str) -> tuple[float | None, float] | InputError:
-        if self._time.clock is not None or self.options.sample_rate is not None:
+    def _stated_rate(self, channel: str) -> tuple[float | None, float] | InputError:
+        if self._clock.is_known:
             return None, 0.0
         try:
             return self._table.even_clock(self.channels[channel].values())

@@ -1,7 +1,6 @@
 """The options of the core's commands that are for channels."""
 
-from dbo_cli.cli.options import Option
-from dbo_cli.cli.values import whole
+from dbo_cli.cli.options import Option, whole
 
 SHARED_SHAPE = Option(
     "--shared-shape",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dbo_cli.cli.command import Command, Given, Progress
+from dbo_cli.cli.commands import Arguments, Command
 from dbo_cli.cli.options import (
     DISPLACEMENT,
     FIGURES,
@@ -28,7 +28,7 @@ SAVE_MODELS = Option(
 )
 
 
-def compare(arguments: Given) -> None:
+def compare(arguments: Arguments) -> None:
     """Compare the DBO with its relatives: each fitted to the same logs, in one table.
 
     The relatives are a straight line and the Prandtl-Ishlinskii operators that the
@@ -72,8 +72,8 @@ def compare(arguments: Given) -> None:
         arguments.save_models,
     )
     run = IdentifyRun(*logs, arguments.voltage, arguments.displacement)
-    listener = Progress(arguments.reporter, "read")
-    arguments.reporter.remarks(compare_logs(run, arguments.output, table, listener))
+    reporter = arguments.reporter
+    reporter.remarks(compare_logs(run, arguments.output, table, reporter))
 
 
 COMPARE = Command(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dbo_cli.cli.command import Command, Given
+from dbo_cli.cli.commands import Arguments, Command
 from dbo_cli.cli.options import (
     EXTRAPOLATE,
     FOLDER,
@@ -45,7 +45,7 @@ EXPORTING = (
 )
 
 
-def export(arguments: Given) -> None:
+def export(arguments: Arguments) -> None:
     """Write a model as C for a controller, with the tables, a self-test and a page to read.
 
     C99 without allocation, recursion or library calls. double gives the bits of dbo

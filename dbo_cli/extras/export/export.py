@@ -12,7 +12,7 @@ from dataclasses import asdict, replace
 from importlib import resources
 from typing import Any, Literal
 
-from dbo_cli.drives.limits import beyond_range, drive_limits
+from dbo_cli.drives.options import beyond_range, drive_limits
 from dbo_cli.errors import DboError, ModelError, UsageError
 from dbo_cli.extras.export import project_files as project
 from dbo_cli.extras.export import source_text as c

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from dbo_cli.drives.limits import require_one_unit
+from dbo_cli.drives.options import require_one_unit
 from dbo_cli.errors import Remarks
 from dbo_cli.extras.export.export import export_model, export_set
 from dbo_cli.extras.export.project_files import ExportSummary

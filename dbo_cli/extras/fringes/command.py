@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dbo_cli.cli.command import Command, Given, Progress, destination_of
+from dbo_cli.cli.commands import Arguments, Command
 from dbo_cli.cli.options import (
     HEADER,
     OUTPUT,
@@ -12,8 +12,8 @@ from dbo_cli.cli.options import (
     SUMMARY,
     VOLTAGE,
     Option,
+    figure_above_0,
 )
-from dbo_cli.cli.values import choice, figure_above_0
 
 LOG = Option("LOG", "The recording; FILE::/group in HDF5; - is stdin.")
 FRINGES = (  # the fields of ``FringeOptions``
@@ -36,7 +36,6 @@ FRINGES = (  # the fields of ``FringeOptions``
     Option(
         "--sign rising|falling",
         "How the displacement runs with the voltage [default: rising; --quadrature: as it is seen].",
-        parse=choice(("rising", "falling")),
     ),
     SCALE_UNCERTAINTY._replace(
         meaning="Of the wavelength, common to all rows; said beside the result."
@@ -49,7 +48,7 @@ FRINGES = (  # the fields of ``FringeOptions``
 )
 
 
-def fringes(arguments: Given) -> None:
+def fringes(arguments: Arguments) -> None:
     """Turn the fringes of an interferometer into the displacement that identify reads.
 
     One photodiode: the intensity gives the phase but for its direction; that is the
@@ -81,13 +80,12 @@ def fringes(arguments: Given) -> None:
     from dbo_cli.extras.fringes.run import FringeOptions, write_displacement
 
     options = FringeOptions(**arguments.of(FRINGES))
-    destination = destination_of(arguments, [arguments.log])
-    progress = Progress(arguments.reporter, "read")
-    arguments.reporter.remarks(
-        write_displacement(
-            arguments.log, destination, arguments.reading, options, progress
-        )
+    destination = arguments.destination([arguments.log])
+    reporter = arguments.reporter
+    remarks = write_displacement(
+        arguments.log, destination, arguments.reading, options, reporter
     )
+    reporter.remarks(remarks)
 
 
 COMMAND = Command(

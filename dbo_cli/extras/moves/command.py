@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dbo_cli import extensions
-from dbo_cli.cli.command import Command, Given, destination_of
+from dbo_cli.cli.commands import Arguments, Command
 from dbo_cli.cli.options import (
     DRIVE_COLUMN,
     EXTRAPOLATE,
@@ -17,8 +17,11 @@ from dbo_cli.cli.options import (
     VOLTAGE_MAX,
     VOLTAGE_MIN,
     Option,
+    figure_above_0,
+    one_of,
+    positive,
+    whole,
 )  # fmt: skip
-from dbo_cli.cli.values import choice, figure_above_0, positive, whole
 
 GENERATOR_FILES = (
     "npy", "wav", "int16", "uint16", "tdms", "pi-gcs", "keysight-arb", "tektronix-tfw", "rigol-raf",
@@ -26,19 +29,19 @@ GENERATOR_FILES = (
 )  # fmt: skip
 
 
-class GeneratorFile(choice):
-    """A parser of the names of formats: of those in ``choices``, which a shell offers, or of extras."""
-
-    def __call__(self, option: str, text: str) -> str:
-        """Return the name; raise ``UsageError`` for any other."""
-        if text not in self.choices and extensions.find("generator", text) is not None:
-            return text
-        return super().__call__(option, text)
+def generator_file(option: str, text: str) -> str:
+    """Return the name of a format, also of one that another package brings (else ``UsageError``)."""
+    if text not in GENERATOR_FILES and extensions.find("generator", text) is not None:
+        return text
+    name: str = one_of(GENERATOR_FILES)(option, text)
+    return name
 
 
-generator_file = GeneratorFile(GENERATOR_FILES)
-SHAPES = choice(("raster", "spiral", "staircase", "sine", "triangle"))
-SHAPE = Option("SHAPE", "raster, spiral, staircase, sine or triangle.", parse=SHAPES)
+SHAPE = Option(
+    "SHAPE",
+    "raster, spiral, staircase, sine or triangle.",
+    choices=("raster", "spiral", "staircase", "sine", "triangle"),
+)
 MOVE = (  # the fields of ``TrajectoryOptions``
     Option("--rate HZ", "Rows a second.", REQUIRED),
     Option(
@@ -88,7 +91,11 @@ DRIVE_COLUMNS = DRIVE_COLUMN._replace(
 )
 GENERATOR = (  # the fields of ``WaveformOptions``
     Option(
-        "--to FORMAT", ", ".join(GENERATOR_FILES) + ".", REQUIRED, parse=generator_file
+        "--to FORMAT",
+        ", ".join(GENERATOR_FILES) + ".",
+        REQUIRED,
+        parse=generator_file,
+        choices=GENERATOR_FILES,
     ),
     Option("--gain FACTOR", "Of the amplifier behind the generator: divided out.", "1"),
     Option(
@@ -121,7 +128,7 @@ GENERATOR = (  # the fields of ``WaveformOptions``
 )
 
 
-def trajectory(arguments: Given) -> None:
+def trajectory(arguments: Arguments) -> None:
     """Write a move to be followed: raster, spiral, staircase, sine or triangle.
 
     It starts and stops softly, and its turns and steps are rounded to --bandwidth or to
@@ -152,7 +159,7 @@ def trajectory(arguments: Given) -> None:
 
     shape = TrajectoryOptions(arguments.shape, **arguments.of(MOVE))
     models = arguments.model or []
-    destination = destination_of(arguments, models)
+    destination = arguments.destination(models)
     drive = DriveOptions(**arguments.of(MOVE_LIMITS))
     arguments.reporter.notes(
         write_trajectory(
@@ -161,7 +168,7 @@ def trajectory(arguments: Given) -> None:
     )
 
 
-def waveform(arguments: Given) -> None:
+def waveform(arguments: Arguments) -> None:
     """Write a drive as the file that a generator, a wave table or a converter takes.
 
     What is written is read back and passes the gate that the drive passed. One line
@@ -194,7 +201,7 @@ def waveform(arguments: Given) -> None:
     generator = WaveformOptions(
         **arguments.of(GENERATOR), voltage=tuple(arguments.voltage or ())
     )
-    destination = destination_of(arguments, arguments.drive)
+    destination = arguments.destination(arguments.drive)
     arguments.reporter.remarks(
         write_waveform(arguments.drive, destination, arguments.reading, generator)
     )

@@ -1,7 +1,6 @@
 """The options of ``compensate`` for moves that are repeated."""
 
-from dbo_cli.cli.options import COLUMN, READING_LOGS, Option
-from dbo_cli.cli.values import text, whole
+from dbo_cli.cli.options import COLUMN, READING_LOGS, Option, text, whole
 
 PERIODIC = Option(
     "--periodic",

@@ -15,17 +15,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dbo_cli.drives.before import longest_chosen, require_short
-from dbo_cli.drives.compensation import SAME_DRIVE
+from dbo_cli.drives.compensation import ALLOWED_PART, SAME_DRIVE
 from dbo_cli.drives.model_run import Response, Tally
-from dbo_cli.drives.move_loss import ALLOWED_PART
 from dbo_cli.drives.pieces import (
     NOTHING,
     SHORTEST_WAY,
     Before,
     Chosen,
+    longest_chosen,
     ramp,
     require_rows,
+    require_short,
     rest_samples,
     soft_rise,
 )

@@ -62,7 +62,7 @@ class Dialect:
     ``first_line`` is the line number (from 1) of the first data row; ``headers`` and
     ``units`` are empty where the log has none, else ``width`` cells long.  ``numeric``
     are the columns (from 0) that hold numbers in most rows; ``writings`` is how each
-    column is written (``ColumnInfo.written``), where any holds time stamps;
+    column is written (``Column.written``), where any holds time stamps;
     ``header_block`` is what stands again before each segment of the data; ``sparse``
     tells that every row leaves out a number that other rows have; ``labels`` are
     comments of names or units; ``remarks`` tells that a row may end in one cell of text
