@@ -636,7 +636,9 @@ class ActuatorModel:
         begun = dataclasses.replace(
             state, backlash=backlash, drive=first.voltage, first=None, time=None
         )
-        later_steps = steps[1:] if isinstance(steps, np.ndarray) else steps
+        later_steps = None
+        if steps is not None:
+            later_steps = operators.steps_of(steps, slice(1, None))
         y, after, later, _ = self._backlash_block(
             x[1:], begun, later_steps, outside, limits
         )
