@@ -639,13 +639,13 @@ FAULTS: list[Fault] = [
     *_faults(
         "drives/model_run.py",
         ("runs_states",),
-        (" or (self.step is not None and self.last == first)", "", "a state's stamp that comes again is no time"),
-        ("> SAME_STEP * self.step", "> 1e9 * self.step", "rows left out of a rate are a pause"),
+        (" or (step is not None and last == first)", "", "a state's stamp that comes again is no time"),
+        ("> SAME_STEP * step", "> 1e9 * step", "rows left out of a rate are a pause"),
     ),
     *_faults(
         "drives/options.py",
         ("runs_api",),
-        ("if self.max_slew == math.inf:", "if False:", "an infinite slew limit asks for no clock"),
+        ("if name == \"max_slew\" and self.max_slew == math.inf:", "if False:", "an infinite slew limit asks for no clock"),
     ),
     *_faults(
         "logs/joined_files.py",
