@@ -469,7 +469,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "drives/check.py",
         ("cli_check",),
-        ("part = min(max(part - slope / gain, -1.0), 1.0) if gain else 0.0", "part = 0.0",
+        ("part = min(max(part - slope / gain, -1.0), 1.0)", "part = 0.0",
          "a recording between the rows is the drive"),
         ("for rows in sorted({drive.size, played.size} - {count}):", "for rows in ():",
          "a drive at another speed is seen to be that"),
