@@ -37,7 +37,7 @@ from dbo_cli.drives.pieces import (
     require_short,
     sweep_range,
 )
-from dbo_cli.errors import InputError, LimitError, Remarks, UsageError
+from dbo_cli.errors import InputError, LimitError, Remarks, UsageError, counted
 from dbo_cli.hysteresis.dynamics import SectionStates
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
@@ -48,7 +48,6 @@ from dbo_cli.hysteresis.move_error import (
     MoveError,
     move_error,
 )
-from dbo_cli.logs.plain_text import counted
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock, even_step, median_step
 from dbo_cli.logs.sources import Source
 

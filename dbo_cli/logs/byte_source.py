@@ -12,8 +12,7 @@ from collections.abc import Sequence
 from typing import IO, Any, cast
 
 from dbo_cli import extensions
-from dbo_cli.errors import InputError
-from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.errors import InputError, cleaned
 from dbo_cli.logs.request import CHANGED, Given, Request, parse_address
 
 _PIPE_BYTES = 1 << 18  # a reading of a pipe: four of what Linux keeps in one

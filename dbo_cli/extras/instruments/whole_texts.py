@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from dbo_cli.errors import InputError
+from dbo_cli.errors import InputError, counted, decoded
 from dbo_cli.logs.byte_source import ByteSource
 from dbo_cli.logs.clock import Statement
 from dbo_cli.logs.column_table import (
@@ -28,7 +28,6 @@ from dbo_cli.logs.column_table import (
     without_scalars,
 )
 from dbo_cli.logs.columns import MORE_TIME_NAMES, TIME_NAMES
-from dbo_cli.logs.plain_text import counted, decoded
 from dbo_cli.logs.request import FILL_GAPS, Request
 from dbo_cli.logs.sample_block import Table
 from dbo_cli.logs.text.dialect import Dialect

@@ -14,9 +14,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-from dbo_cli.errors import InputError
+from dbo_cli.errors import InputError, shortened
 from dbo_cli.logs.byte_source import ByteSource
-from dbo_cli.logs.plain_text import pattern, shortened
 from dbo_cli.logs.request import BLANKS
 from dbo_cli.logs.sample_block import FloatArray, is_overflow
 
@@ -29,14 +28,14 @@ HEAD_BYTES = 1 << 18
 LONGEST_LINE = 1 << 24  # a row of a million columns; what is longer has no line ends
 NEIGHBOUR_BYTES = 1 << 14  # kept of the text above: some hundred rows of a usual log
 # Numbers with either decimal sign; d is Fortran's exponent.
-_POINT = pattern(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?")
-_COMMA = pattern(r"[+-]?(?:\d+(?:,\d*)?|,\d+)(?:[eEdD][+-]?\d+)?")
+_POINT = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?")
+_COMMA = re.compile(r"[+-]?(?:\d+(?:,\d*)?|,\d+)(?:[eEdD][+-]?\d+)?")
 # Groups of three digits whose mark can be nothing else: 1,234.5 or 1'234 or 1,234,567.
 # A lone 1,234 is taken for a group where the decimal sign of the log is known to be a
 # point (``text.dialect`` asks).
 _BLANK_MARKS = "'\u2019\u00a0\u202f\u2009 "
 _GROUPED = {
-    sign: pattern(
+    sign: re.compile(
         rf"([+-]?[1-9]\d{{0,2}})([{mark}{_BLANK_MARKS}])(\d{{3}}(?:\2\d{{3}})*)([{sign}]\d*)?"
     )
     for sign, mark in ((".", ","), (",", "."))
@@ -146,22 +145,22 @@ _MONTHS = (
     "dec",
 )
 
-_MONTH_FIRST = pattern(r"(?P<month>\d{1,2})/(?P<day>\d{1,2})/(?P<year>\d{4}|\d\d)")
+_MONTH_FIRST = re.compile(r"(?P<month>\d{1,2})/(?P<day>\d{1,2})/(?P<year>\d{4}|\d\d)")
 _DATES = (
-    pattern(r"(?P<year>\d{4})([-/.])(?P<month>\d{1,2})\2(?P<day>\d{1,2})"),
-    pattern(r"(?P<year>\d{4})(?P<month>\d\d)(?P<day>\d\d)"),
-    pattern(r"(?P<day>\d{1,2})([-.])(?P<month>\d{1,2})\2(?P<year>\d{4}|\d\d)"),
+    re.compile(r"(?P<year>\d{4})([-/.])(?P<month>\d{1,2})\2(?P<day>\d{1,2})"),
+    re.compile(r"(?P<year>\d{4})(?P<month>\d\d)(?P<day>\d\d)"),
+    re.compile(r"(?P<day>\d{1,2})([-.])(?P<month>\d{1,2})\2(?P<year>\d{4}|\d\d)"),
     _MONTH_FIRST,
-    pattern(r"(?P<day>\d{1,2})[- ](?P<month>[A-Za-z]{3})[- ](?P<year>\d{4})"),
+    re.compile(r"(?P<day>\d{1,2})[- ](?P<month>[A-Za-z]{3})[- ](?P<year>\d{4})"),
 )
-_CLOCK = pattern(
+_CLOCK = re.compile(
     r"(?:(?P<days>\d{1,5}) days?,? )?(?P<hours>\d{1,3}):(?P<minutes>[0-5]?\d):(?P<seconds>[0-5]?\d)"
     r"(?:[.,](?P<fraction>\d{1,20})|:(?P<millis>\d{3}))?(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?"
 )
-_MINUTES = pattern(
+_MINUTES = re.compile(
     r"(?P<minutes>\d{1,3}):(?P<seconds>[0-5]\d)[.,](?P<fraction>\d{1,20})"
 )
-_STAMP = pattern(
+_STAMP = re.compile(
     r"(?P<date>\d{4}([-/.])\d{1,2}\2\d{1,2}|\d{8}|\d{1,2}[-./]\d{1,2}[-./]\d{2,4}"
     r"|\d{1,2}[- ][A-Za-z]{3}[- ]\d{4})(?:T|[ _]+|, ?)"
     r"(?P<clock>\d{1,2}:\d\d:\d\d(?:[.,]\d{1,20})?(?: ?[AaPp]\.?[Mm]\.?)?|\d{6}(?:\.\d{1,20})?)"
@@ -294,7 +293,7 @@ def writing_of(cells: Sequence[str]) -> str | None:
 
 # a change this many times the largest one above is not the next sample
 _USUAL_STEPS = 3.0
-_NUMBER = pattern(
+_NUMBER = re.compile(
     r"[+-]?(?P<whole>\d*)(?P<rest>[.,]\d*)?(?:[eEdD](?P<exponent>[+-]?\d*))?"
 )
 
