@@ -395,7 +395,7 @@ FAULTS: list[Fault] = [
          "what was never written to netCDF-4 is no number"),
     ),
     *_faults(
-        "logs/byte_source.py",
+        "logs/text/line_blocks.py",
         ("logs_changing_files",),
         ("now.st_size < self._largest or", "False or", "a text log that is cut while it is read"),
         ("now.st_mtime_ns != self._begun.st_mtime_ns)", "False)", "a text log that is written over while it is read"),

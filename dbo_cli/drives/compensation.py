@@ -49,7 +49,7 @@ from dbo_cli.hysteresis.move_error import (
     move_error,
 )
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock, even_step, median_step
-from dbo_cli.logs.sources import Source
+from dbo_cli.logs.signal_log import Source
 
 NOTHING_BROUGHT: Mapping[str, Any] = MappingProxyType({})
 # of the range: a trajectory this little outside is clipped and counted like any other

@@ -31,8 +31,7 @@ from dbo_cli.logs.request import (
     selected_files,
 )
 from dbo_cli.logs.sample_block import DroppedRows, SampleBlock, even_step, joined
-from dbo_cli.logs.signal_log import open_log
-from dbo_cli.logs.sources import remarks_of
+from dbo_cli.logs.signal_log import open_log, remarks_of
 from dbo_cli.logs.units import in_unit, require_unit
 from dbo_cli.logs.whole_output import check_output, write_whole
 

@@ -42,8 +42,7 @@ from dbo_cli.logs.request import (
     selected_files,
 )
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock
-from dbo_cli.logs.signal_log import SignalLog, open_log
-from dbo_cli.logs.sources import Source, remarks_of
+from dbo_cli.logs.signal_log import SignalLog, Source, open_log, remarks_of
 from dbo_cli.logs.whole_output import all_or_none, check_output, write_whole
 from dbo_cli.reports import renderers
 from dbo_cli.reports.accumulators import FigureData

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from dbo_cli import extensions
 from dbo_cli.errors import InputError, counted, decoded, shortened
-from dbo_cli.logs.byte_source import ByteSource
 from dbo_cli.logs.clock import agreed_rate
 from dbo_cli.logs.columns import column_label, parse_column
 from dbo_cli.logs.request import (
@@ -46,13 +45,12 @@ from dbo_cli.logs.sample_block import (
     are_measured,
 )
 from dbo_cli.logs.text.dialect import Dialect, cause_of, detect, has_data
+from dbo_cli.logs.text.line_blocks import ByteSource, LineBlocks, one_ahead
 from dbo_cli.logs.text.lines import (
-    LineBlocks,
     RepeatedHeader,
     complain,
     is_text,
     looks_cut,
-    one_ahead,
 )
 
 # below this, importing polars costs more than it saves (benchmarks/text_speed.py)
