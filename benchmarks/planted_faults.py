@@ -231,8 +231,8 @@ FAULTS: list[Fault] = [
         "hysteresis/identification/finalists.py",
         IDENTIFICATION,
         ("MARGIN = 0.125", "MARGIN = 0.0", "gears beyond the range of the logs"),
-        ("(fitted.gains[acting] / basis.span)", "(fitted.gains[acting])", "the unit of the memories' gains"),
-        ("prepared.scale * level - shift", "prepared.scale * level + shift", "what displacement counts as zero"),
+        ("(gains[acting] / basis.span)", "(gains[acting])", "the unit of the memories' gains"),
+        ("prepared.offset - shift", "prepared.offset + shift", "what displacement counts as zero"),
     ),
     *_faults(
         "hysteresis/identification/normal_equations.py",
