@@ -63,7 +63,7 @@ Errors = Callable[[ActuatorModel], list[float]]
 
 def coarser(model: ActuatorModel, count: int) -> ActuatorModel:
     """Return a model with so many even gears on the curve of its own, the spare ones left away."""
-    gears = model.covered_gears.operator
+    gears = model.covered_gears
     ends = np.concatenate(([0.0], np.cumsum(gears.dx)))
     even = np.linspace(0.0, float(ends[-1]), count + 1)
     heights = np.diff(

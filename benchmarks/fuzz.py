@@ -32,8 +32,9 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 from dbo_cli.errors import DboError  # noqa: E402
-from dbo_cli.logs.columns import ColumnWish, OutColumn  # noqa: E402
+from dbo_cli.logs.columns import ColumnWish  # noqa: E402
 from dbo_cli.logs.request import ReadingOptions, parse_rows  # noqa: E402
+from dbo_cli.logs.sample_block import Column  # noqa: E402
 from dbo_cli.logs.signal_log import open_log  # noqa: E402
 from dbo_cli.logs.signal_writer import signal_writer  # noqa: E402
 from tests.shapes.readable import READABLE  # noqa: E402
@@ -197,7 +198,7 @@ class Fuzzer:
                 open_log(str(self.folder / name), want, ReadingOptions(**call)) as log,
                 signal_writer(
                     str(out),
-                    [OutColumn("voltage", "V")],
+                    [Column("voltage", "V")],
                     protect=[str(self.folder / name)],
                 ) as writer,
             ):

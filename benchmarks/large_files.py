@@ -35,11 +35,11 @@ class Run(NamedTuple):
 
 def write_log(path: Path, rows: int) -> None:
     """Write a drive of many amplitudes, part by part."""
-    from dbo_cli.logs.columns import OutColumn
+    from dbo_cli.logs.sample_block import Column
     from dbo_cli.logs.signal_writer import signal_writer
 
     with signal_writer(
-        str(path), [OutColumn("time", "s"), OutColumn("voltage", "V")]
+        str(path), [Column("time", "s"), Column("voltage", "V")]
     ) as writer:
         for start in range(0, rows, PART):
             time_s = np.arange(start, min(rows, start + PART)) / 2000.0

@@ -231,8 +231,8 @@ FAULTS: list[Fault] = [
         "hysteresis/identification/finalists.py",
         IDENTIFICATION,
         ("MARGIN = 0.125", "MARGIN = 0.0", "gears beyond the range of the logs"),
-        ("(fitted.gains[acting] / basis.span)", "(fitted.gains[acting])", "the unit of the memories' gains"),
-        ("prepared.scale * level - shift", "prepared.scale * level + shift", "what displacement counts as zero"),
+        ("(gains[acting] / basis.span)", "(gains[acting])", "the unit of the memories' gains"),
+        ("prepared.offset - shift", "prepared.offset + shift", "what displacement counts as zero"),
     ),
     *_faults(
         "hysteresis/identification/normal_equations.py",
@@ -395,7 +395,7 @@ FAULTS: list[Fault] = [
          "what was never written to netCDF-4 is no number"),
     ),
     *_faults(
-        "logs/byte_source.py",
+        "logs/text/line_blocks.py",
         ("logs_changing_files",),
         ("now.st_size < self._largest or", "False or", "a text log that is cut while it is read"),
         ("now.st_mtime_ns != self._begun.st_mtime_ns)", "False)", "a text log that is written over while it is read"),

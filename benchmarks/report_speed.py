@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dbo_cli.logs.columns import OutColumn
+from dbo_cli.logs.sample_block import Column
 from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.whole_output import write_whole
 
@@ -33,10 +33,10 @@ with open_log(sys.argv[1], want) as log:
         pass
 """
 COLUMNS = (
-    OutColumn("time", "s", "time"),
-    OutColumn("voltage", "V", "voltage"),
-    OutColumn("desired", "um", "displacement"),
-    OutColumn("measured", "um", "displacement"),
+    Column("time", "s", "time"),
+    Column("voltage", "V", "voltage"),
+    Column("desired", "um", "displacement"),
+    Column("measured", "um", "displacement"),
 )
 
 

@@ -53,13 +53,13 @@ POLARS = (
 
 def write_log(path: Path, rows: int) -> None:
     """Write a drive of many amplitudes with full digits, as simulations and converted logs have them."""
-    from dbo_cli.logs.columns import OutColumn
+    from dbo_cli.logs.sample_block import Column
     from dbo_cli.logs.signal_writer import signal_writer
 
     time_s = np.arange(rows) / 2000.0
     drive = 50.0 + 50.0 * np.sin(0.7 * time_s) * np.cos(40.0 * time_s)
     with signal_writer(
-        str(path), [OutColumn("time", "s"), OutColumn("voltage", "V")]
+        str(path), [Column("time", "s"), Column("voltage", "V")]
     ) as writer:
         writer.write(time_s, drive)
 
@@ -164,7 +164,7 @@ def whole_processes(folder: Path, rows: int) -> bool:
 def parsers(rows: int) -> None:
     """Show what each way of reading and writing costs inside a process."""
     from dbo_cli.logs import signal_writer as numbers
-    from dbo_cli.logs.sample_block import ColumnInfo
+    from dbo_cli.logs.sample_block import Column
     from dbo_cli.logs.text import text_table as parsing
     from dbo_cli.logs.text.dialect import Dialect
 
@@ -173,9 +173,7 @@ def parsers(rows: int) -> None:
     numbers.write_rows(written, list(values), ",")  # of so many rows polars writes
     text = written.getvalue()
     dialect = Dialect(",", ".", "#%", 2, 1, (), ())
-    picks = [
-        ColumnInfo(name, None, name, number) for number, name in enumerate("ab", 1)
-    ]
+    picks = [Column(name, None, name, number) for number, name in enumerate("ab", 1)]
     print(f"one process, {rows} rows x 2 columns:")
     ways: dict[str, Callable[[], object]] = {
         "read, polars": lambda: parsing._parse_fast(text, rows, picks, dialect),

@@ -443,12 +443,12 @@ def test_single_wrong_voltages_are_replaced_and_steps_are_not() -> None:
 
 
 def test_simplest_that_is_no_worse() -> None:
-    weights = np.full(4, 0.25)
-    best = Score(np.array([1.0, 1.1, 0.9, 1.0]), weights)
+    rows = np.ones(4)
+    best = Score(np.array([1.0, 1.1, 0.9, 1.0]), rows)
     # 1.5 % of the RMSE: within the indifference
-    near = Score(best.mean_squares * 1.03, weights)
-    far = Score(best.mean_squares * 1.3, weights)
-    noisy = Score(best.mean_squares * np.array([1.4, 0.8, 1.2, 0.75]), weights)
+    near = Score(best.squares * 1.03, rows)
+    far = Score(best.squares * 1.3, rows)
+    noisy = Score(best.squares * np.array([1.4, 0.8, 1.2, 0.75]), rows)
     assert no_worse(near, best)
     assert not no_worse(far, best)
     assert no_worse(noisy, best)  # the folds do not agree which is better

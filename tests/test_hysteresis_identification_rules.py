@@ -21,7 +21,7 @@ from dbo_cli.hysteresis.identification.evaluation import (
     predict,
     validation_of,
 )
-from dbo_cli.hysteresis.identification.finalists import MARGIN, Fitted, stages_of
+from dbo_cli.hysteresis.identification.finalists import MARGIN, stages_of
 from dbo_cli.hysteresis.identification.normal_equations import (
     MAX_STEEPNESS,
     SLOPE_FLOOR,
@@ -32,11 +32,8 @@ from dbo_cli.hysteresis.identification.normal_equations import (
     solve,
 )
 from dbo_cli.hysteresis.identification.output_error import (
-    Errors,
-    Judged,
-    JudgedRows,
+    Candidate,
     OutputProblem,
-    Refined,
     asymmetry,
     corners,
     finer,
@@ -77,11 +74,12 @@ def small_model() -> ActuatorModel:
 
 def fitted_with(
     basis: Basis, gains: list[float] | None = None
-) -> tuple[Fitted, Prepared]:
+) -> tuple[Candidate, Prepared]:
     heights = np.linspace(0.5, 1.5, basis.gears) / basis.gears
-    knots, drift = np.array([0.0, 0.4, 1.0]), np.array([0.25])
+    deviation, origin = -0.1, 0.05
+    vector = np.array([*heights, *(gains or []), deviation, origin])
     ready = Prepared((), (), basis.low, basis.high, 3.0, 7.0, (), (), ())
-    return Fitted(basis, heights, np.array(gains or []), 0.05, knots, drift), ready
+    return Candidate(basis, Structure("free", (), 2, 1e-8), vector), ready
 
 
 def test_a_greatest_speed_that_the_model_does_not_know_is_a_slew_limit() -> None:
@@ -136,7 +134,7 @@ def test_the_gains_of_memories_are_output_per_volt_and_zero_is_where_it_was_aske
         next(s for s in stages if isinstance(s, ScaleStage))
         for stages in (plain, shifted)
     )
-    assert (before.gain, before.offset) == pytest.approx((3.0, 7.0 + 3.0 * 0.25))
+    assert (before.gain, before.offset) == pytest.approx((3.0, 7.0))
     assert after.offset == pytest.approx(before.offset - 2.0)
 
 
@@ -219,11 +217,11 @@ def test_rows_of_the_output_error_leave_the_output_error_over() -> None:
     rng = np.random.default_rng(3)
     drive = rng.uniform(0.0, 1.0, (50, 7))
     output = rng.uniform(0.0, 1.0, 50)
-    rows = JudgedRows(
+    problem = OutputProblem(
         basis, drive, output, np.ones((50, 1)), (slice(0, 50),), {}, np.arange(50)
     )
     vector = np.concatenate((heights, gains, moved, [0.02]))
-    table = OutputProblem(rows).table(vector, 4)
+    table = problem.table(vector, 4)
     predicted = asymmetry(drive @ np.concatenate((heights, gains)) + 0.02, knots)[0]
     left = table[:, -1] - table[:, :-1] @ vector
     assert left == pytest.approx(output - predicted, abs=1e-12)
@@ -240,16 +238,15 @@ def test_finer_segments_are_the_same_curve() -> None:
     assert fine[-1] == 0.05
 
 
-def judged(*kinds: tuple[str, list[float]]) -> Judged:
+def judged(*kinds: tuple[str, list[float]]) -> Candidate:
     """Return a candidate with these mean squares on the parts of each kind, of ten rows each."""
     errors = {
-        name: Errors(10.0 * np.array(squares), np.full(len(squares), 10))
+        name: Score(10.0 * np.array(squares), np.full(len(squares), 10.0))
         for name, squares in kinds
     }
     structure = Structure("growing", (), 1, 1e-8)
-    return Judged(
-        errors, 0.01, Basis(6, 0.0, 10.0), Refined(structure, np.zeros(7), 1.0, 1.0)
-    )
+    basis = Basis(6, 0.0, 10.0)
+    return Candidate(basis, structure, np.zeros(7), 1.0, 1.0, 100, errors)
 
 
 def test_each_kind_of_parts_counts_once_and_by_its_ratio() -> None:
@@ -297,14 +294,14 @@ def test_few_gears_are_not_flat_either() -> None:
 def test_the_standard_error_is_that_of_the_mean() -> None:
     """Over ten folds it is a third of their scatter: a loss between the two is not excused."""
     scatter = np.tile([0.035, -0.005], 5)  # mean 0.015, deviation 0.02
-    best = Score(np.ones(10), np.full(10, 0.1))
-    candidate = Score(np.exp(2.0 * scatter), np.full(10, 0.1))
+    best = Score(np.ones(10), np.ones(10))
+    candidate = Score(np.exp(2.0 * scatter), np.ones(10))
     assert not no_worse(candidate, best, indifference=0.0)
     # deviation 0.1
-    wide = Score(np.exp(2.0 * (0.009 + 5.0 * (scatter - 0.015))), np.full(10, 0.1))
+    wide = Score(np.exp(2.0 * (0.009 + 5.0 * (scatter - 0.015))), np.ones(10))
     assert no_worse(wide, best, indifference=0.0)
     # deviation 0.1
-    wider = Score(np.exp(2.0 * (0.025 + 5.0 * (scatter - 0.015))), np.full(10, 0.1))
+    wider = Score(np.exp(2.0 * (0.025 + 5.0 * (scatter - 0.015))), np.ones(10))
     assert not no_worse(wider, best, indifference=0.0)
 
 

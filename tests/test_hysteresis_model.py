@@ -10,7 +10,7 @@ import pytest
 from trials import Floats
 
 from dbo_cli.errors import ModelError
-from dbo_cli.hysteresis.cascade import covered_gears, read_ahead
+from dbo_cli.hysteresis.cascade import covered_gears, read_ahead, spare_bits
 from dbo_cli.hysteresis.model import (
     ActuatorModel,
     BacklashStage,
@@ -603,5 +603,5 @@ def test_gears_to_spare_are_told_whatever_the_range_is() -> None:
             widths, heights, low - spare * widths[0], -spare / count
         )
         covered = covered_gears(gears, low, low + span)
-        assert covered.spare_bits == ((1 << spare) - 1) << count
-        assert (covered.operator.x0, covered.operator.n) == (low, count)
+        assert spare_bits(gears, low, low + span) == ((1 << spare) - 1) << count
+        assert (covered.x0, covered.n) == (low, count)

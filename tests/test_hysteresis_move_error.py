@@ -84,12 +84,12 @@ def test_another_model_kept_starts_where_the_chosen_one_does() -> None:
     chosen = dataclasses.replace(
         model(), input=drive, stages=(bend, gears, ScaleStage(2.0, 0.0))
     )
-    assert chosen.covered_gears.spare_bits
+    assert chosen.spare_bits
     kept = dataclasses.replace(
         chosen, fit={"alternatives": [Alternative("lag", 1.0, chosen).values()]}
     )
     [other] = alternatives_of(kept)
-    assert other.model.covered_gears.spare_bits == chosen.covered_gears.spare_bits
+    assert other.model.spare_bits == chosen.spare_bits
 
 
 def test_what_other_models_say_of_the_very_move_is_added() -> None:

@@ -9,19 +9,18 @@ from pathlib import Path
 import pytest
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.byte_source import input_record
 from dbo_cli.logs.columns import (
     ColumnWish,
     choose_columns,
-    column_info,
     column_label,
     column_wish,
     list_columns,
     matching_columns,
+    parse_column,
     split_header,
 )
 from dbo_cli.logs.request import ReadingOptions, parse_address
-from dbo_cli.logs.signal_log import open_log
+from dbo_cli.logs.signal_log import input_record, open_log
 from dbo_cli.logs.units import normalise_unit
 from dbo_cli.version import program_version_string
 
@@ -65,15 +64,15 @@ def test_units_are_spelled_plainly() -> None:
 
 
 def test_a_units_line_goes_before_the_name() -> None:
-    assert column_info("drive_mV", 2, "(V)").unit == "V"
-    assert column_info("", 2).name == "2"
-    assert column_label(column_info("", 2)) == "column 2"
-    assert column_label(column_info("u_V", 2)) == "column 'u_V'"
+    assert parse_column("drive_mV", 2, "(V)").unit == "V"
+    assert parse_column("", 2).name == "2"
+    assert column_label(parse_column("", 2)) == "column 2"
+    assert column_label(parse_column("u_V", 2)) == "column 'u_V'"
 
 
 def test_guesses() -> None:
     names = ["time_s", "Drive Voltage (V)", "sensorPosition_um", "index"]
-    columns = [column_info(name, number) for number, name in enumerate(names, start=1)]
+    columns = [parse_column(name, number) for number, name in enumerate(names, start=1)]
     want = {
         "voltage": ColumnWish(None, ("voltage", "u")),
         "displacement": ColumnWish(None, ("position",)),
@@ -101,7 +100,7 @@ def test_guesses() -> None:
 
 def test_a_column_is_not_guessed_twice() -> None:
     columns = [
-        column_info(name, number)
+        parse_column(name, number)
         for number, name in enumerate(("u", "v", "y"), start=1)
     ]
     want = {"desired": ColumnWish("1"), "voltage": ColumnWish(None, ("u", "v"))}
@@ -110,7 +109,7 @@ def test_a_column_is_not_guessed_twice() -> None:
 
 def test_a_column_by_name_case_or_quantity() -> None:
     columns = [
-        column_info(name, number)
+        parse_column(name, number)
         for number, name in enumerate(("Drive (V)", "y"), start=1)
     ]
     for selector in ("Drive (V)", "drive (v)", "drive", " Drive  (V) ", "1"):
@@ -120,7 +119,7 @@ def test_a_column_by_name_case_or_quantity() -> None:
 
 
 def test_long_lists_are_shortened() -> None:
-    columns = [column_info(f"c{number}", number) for number in range(1, 31)]
+    columns = [parse_column(f"c{number}", number) for number in range(1, 31)]
     assert list_columns(columns).endswith("20 c20, … (30 in all)")
 
 
@@ -181,8 +180,8 @@ def test_the_digest_is_that_of_the_whole_file_though_few_rows_of_it_are_read(
 def calls_to_match(columns: int) -> int:
     """How many functions are called to find the displacement among columns called x."""
     given = [
-        column_info("stage displacement", 1, "um"),
-        *(column_info("x (um)", n + 2) for n in range(columns)),
+        parse_column("stage displacement", 1, "um"),
+        *(parse_column("x (um)", n + 2) for n in range(columns)),
     ]
     calls = 0
 
@@ -204,7 +203,7 @@ def test_the_work_grows_with_the_number_of_columns_not_with_its_square() -> None
 
 
 def test_a_message_names_twenty_columns_at_most(tmp_path: Path) -> None:
-    columns = [column_info("position (um)", n + 1) for n in range(30)]
+    columns = [parse_column("position (um)", n + 1) for n in range(30)]
     with pytest.raises(InputError) as raised:
         choose_columns(
             "log.csv",
@@ -268,7 +267,7 @@ def taken(
 ) -> tuple[dict[str, str], list[str]]:
     """Return what the columns of a header are taken for, and what is said of it."""
     columns = [
-        column_info(name, number)
+        parse_column(name, number)
         for number, name in enumerate(header.split(","), start=1)
     ]
     want = {
@@ -435,7 +434,7 @@ def test_a_name_of_which_only_brackets_are_left_may_be_meant() -> None:
     """It stood beside 'Sensor voltage', which was taken for the displacement without a word."""
     headers = (") (mm)", "time (hours)", "Voltage (V)", "Sensor voltage (V)")
     columns = [
-        column_info(name, number) for number, name in enumerate(headers, start=1)
+        parse_column(name, number) for number, name in enumerate(headers, start=1)
     ]
     assert [
         one.number for one in matching_columns(columns, column_wish("displacement"))

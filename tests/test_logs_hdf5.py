@@ -14,9 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbo_cli.errors import InputError, OutputError
-from dbo_cli.logs.columns import ColumnWish, OutColumn
+from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.hdf5.store import shuffled_deflated
 from dbo_cli.logs.request import ReadingOptions
+from dbo_cli.logs.sample_block import Column
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.signal_writer import signal_writer
 
@@ -340,7 +341,7 @@ def test_a_group_is_added_to_a_file_and_nothing_else_in_it_is_lost(
         file["run/A"] = np.arange(5.0)
         file.create_group("new")
     for value in (1.0, 2.0):  # the second replaces the group, whole
-        with signal_writer(f"{path}::/new", [OutColumn("time", "s")]) as writer:
+        with signal_writer(f"{path}::/new", [Column("time", "s")]) as writer:
             writer.write(np.full(4, value))
     with h5py.File(path) as file:
         assert file["run/A"][:].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
@@ -349,7 +350,7 @@ def test_a_group_is_added_to_a_file_and_nothing_else_in_it_is_lost(
     before = path.read_bytes()
     with (
         pytest.raises(RuntimeError),
-        signal_writer(f"{path}::/new", [OutColumn("time", "s")]) as writer,
+        signal_writer(f"{path}::/new", [Column("time", "s")]) as writer,
     ):
         writer.write(np.zeros(9))
         raise RuntimeError
@@ -361,6 +362,6 @@ def test_a_group_is_added_to_a_file_and_nothing_else_in_it_is_lost(
             OutputError,
             match=r"text\.h5: this is no HDF5 file, so no group can be added to it",
         ),
-        signal_writer(f"{tmp_path / 'text.h5'}::/new", [OutColumn("time", "s")]),
+        signal_writer(f"{tmp_path / 'text.h5'}::/new", [Column("time", "s")]),
     ):
         pass

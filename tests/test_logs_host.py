@@ -14,7 +14,8 @@ import polars
 import pytest
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.columns import OutColumn, column_wish
+from dbo_cli.logs.columns import column_wish
+from dbo_cli.logs.sample_block import Column
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.whole_output import all_or_none, write_whole
@@ -76,7 +77,7 @@ def test_writing_sets_no_handler(tmp_path: Path) -> None:
     before = [signal.getsignal(number) for number in numbers]
     with all_or_none():
         write_whole(str(tmp_path / "a.json"), b"{}")
-        with signal_writer(str(tmp_path / "b.h5"), [OutColumn("time", "s")]) as writer:
+        with signal_writer(str(tmp_path / "b.h5"), [Column("time", "s")]) as writer:
             writer.write([1.0])
             assert [signal.getsignal(number) for number in numbers] == before
     assert [signal.getsignal(number) for number in numbers] == before

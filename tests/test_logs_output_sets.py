@@ -17,8 +17,8 @@ import pytest
 
 from dbo_cli.cli.app import CommandProcess
 from dbo_cli.errors import OutputError, UsageError
-from dbo_cli.logs.columns import OutColumn
 from dbo_cli.logs.request import check_document
+from dbo_cli.logs.sample_block import Column
 from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.whole_output import (
     all_or_none,
@@ -44,11 +44,9 @@ def test_all_outputs_appear_together(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_bytes(b"old")
     with all_or_none():
         write_whole(str(tmp_path / "a.json"), b"new")
-        with signal_writer(str(tmp_path / "b.csv"), [OutColumn("time", "s")]) as writer:
+        with signal_writer(str(tmp_path / "b.csv"), [Column("time", "s")]) as writer:
             writer.write([1.0])
-        with signal_writer(
-            f"{tmp_path / 'c.h5'}::/g", [OutColumn("time", "s")]
-        ) as writer:
+        with signal_writer(f"{tmp_path / 'c.h5'}::/g", [Column("time", "s")]) as writer:
             writer.write([1.0])
         assert (tmp_path / "a.json").read_bytes() == b"old"
         assert not (tmp_path / "b.csv").exists() and not (tmp_path / "c.h5").exists()
@@ -91,7 +89,7 @@ def test_a_rename_that_fails_takes_the_others_back(
 
 
 def test_one_output_does_not_wait_for_another(tmp_path: Path) -> None:
-    with signal_writer(str(tmp_path / "a.csv"), [OutColumn("time", "s")]):
+    with signal_writer(str(tmp_path / "a.csv"), [Column("time", "s")]):
         write_whole(str(tmp_path / "state.json"), b"{}")
         assert (tmp_path / "state.json").exists()
 
@@ -174,7 +172,7 @@ def test_a_signal_among_the_renames_waits_until_all_are_done(
         time.sleep(0.01)
 
     monkeypatch.setattr(os, "replace", replace)
-    monkeypatch.setattr("dbo_cli.logs.libraries._host", CommandProcess())
+    monkeypatch.setattr("dbo_cli.logs.request._host", CommandProcess())
     with ended_by_sigterm(), pytest.raises(SystemExit) as raised, all_or_none():
         for name in "ab":
             (tmp_path / f"{name}.json").write_bytes(b"old")
@@ -187,9 +185,9 @@ def test_a_signal_among_the_renames_waits_until_all_are_done(
 def test_what_a_killed_writer_left_is_cleaned_up(tmp_path: Path) -> None:
     script = (
         "import os, sys\n"
-        "from dbo_cli.logs.columns import OutColumn\n"
+        "from dbo_cli.logs.sample_block import Column\n"
         "from dbo_cli.logs.signal_writer import signal_writer\n"
-        "with signal_writer(sys.argv[1], [OutColumn('time', 's')]) as writer:\n"
+        "with signal_writer(sys.argv[1], [Column('time', 's')]) as writer:\n"
         "    writer.write([0.0] * 100_000)\n"
         "    os.kill(os.getpid(), 9)\n"
     )
@@ -316,10 +314,10 @@ def test_what_stands_behind_standard_output_is_appended_to(
     (tmp_path / "link").symlink_to("/dev/stdout")
     script = (
         "import sys\n"
-        "from dbo_cli.logs.columns import OutColumn\n"
+        "from dbo_cli.logs.sample_block import Column\n"
         "from dbo_cli.logs.signal_writer import signal_writer\n"
         "from dbo_cli.logs.whole_output import write_whole\n"
-        "with signal_writer(sys.argv[1], [OutColumn('time', 's')]) as writer:\n"
+        "with signal_writer(sys.argv[1], [Column('time', 's')]) as writer:\n"
         "    writer.write([1.0])\n"
         "write_whole(sys.argv[1], b'end\\n')\n"
     )
@@ -344,7 +342,7 @@ def test_another_descriptor_is_written_to(tmp_path: Path) -> None:
         assert descriptor_of(name) == file.fileno()
         write_whole(name, b"second\n")
         with pytest.raises(UsageError, match="HDF5 cannot be written to a pipe"):
-            with signal_writer(name, [OutColumn("time", "s")], format="hdf5"):
+            with signal_writer(name, [Column("time", "s")], format="hdf5"):
                 pass
     assert path.read_text() == "first\nsecond\n"
     with (
@@ -407,9 +405,7 @@ def test_a_file_is_what_it_is_called(
     tmp_path: Path, name: str, format: str | None, said: str
 ) -> None:
     with pytest.raises(UsageError) as raised:
-        with signal_writer(
-            str(tmp_path / name), [OutColumn("time", "s")], format=format
-        ):
+        with signal_writer(str(tmp_path / name), [Column("time", "s")], format=format):
             pass
     assert said in str(raised.value)
     assert os.listdir(tmp_path) == []
@@ -472,7 +468,7 @@ def test_a_name_that_says_nothing_takes_any_format(tmp_path: Path) -> None:
     for name, format, start in cases:
         with signal_writer(
             str(tmp_path / name),
-            [OutColumn("time", "s"), OutColumn("u")],
+            [Column("time", "s"), Column("u")],
             format=format,
         ):
             pass
@@ -492,12 +488,12 @@ def test_a_name_that_says_nothing_takes_any_format(tmp_path: Path) -> None:
     ],
 )
 def test_headers_are_harmless(tmp_path: Path, name: str, cell: str) -> None:
-    with signal_writer(str(tmp_path / "out.csv"), [OutColumn(name)]) as writer:
+    with signal_writer(str(tmp_path / "out.csv"), [Column(name)]) as writer:
         writer.write([1.0])
     assert (tmp_path / "out.csv").read_text(encoding="utf-8") == f"{cell}\n1.0\n"
     stated = {"command": name}
     with signal_writer(
-        str(tmp_path / "out.h5"), [OutColumn(name, name)], attributes=lambda: stated
+        str(tmp_path / "out.h5"), [Column(name, name)], attributes=lambda: stated
     ) as h5:
         h5.write([1.0])
 

@@ -16,13 +16,14 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import InputError, OutputError, UsageError
-from dbo_cli.logs.columns import OutColumn, column_wish
-from dbo_cli.logs.libraries import import_polars
+from dbo_cli.logs.columns import column_wish, header_of
+from dbo_cli.logs.request import import_polars
+from dbo_cli.logs.sample_block import Column
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.signal_writer import _plain_rows, signal_writer, write_rows
 from dbo_cli.logs.whole_output import check_output, reason_of, write_whole
 
-COLUMNS = [OutColumn("time", "s"), OutColumn("voltage", "V")]
+COLUMNS = [Column("time", "s"), Column("voltage", "V")]
 
 
 def test_an_error_leaves_the_old_file_and_no_litter(tmp_path: Path) -> None:
@@ -50,9 +51,9 @@ def test_a_signal_leaves_the_old_file_and_no_litter(
         "import sys, time, numpy\n"
         "from dbo_cli.cli.app import prepare_process\n"
         "prepare_process()\n"
-        "from dbo_cli.logs.columns import OutColumn\n"
+        "from dbo_cli.logs.sample_block import Column\n"
         "from dbo_cli.logs.signal_writer import signal_writer\n"
-        "with signal_writer(sys.argv[1], [OutColumn('voltage', 'V')]) as writer:\n"
+        "with signal_writer(sys.argv[1], [Column('voltage', 'V')]) as writer:\n"
         "    writer.write(numpy.zeros(100_000))\n"
         "    print('writing', flush=True)\n"
         "    while True:\n"  # a signal right before one long sleep would be heard after it
@@ -88,14 +89,14 @@ def test_a_full_disk_leaves_the_old_file_and_no_litter(
         "import resource, sys, numpy\n"
         "from dbo_cli.errors import OutputError\n"
         "from dbo_cli.logs.whole_output import write_whole\n"
-        "from dbo_cli.logs.columns import OutColumn\n"
+        "from dbo_cli.logs.sample_block import Column\n"
         "from dbo_cli.logs.signal_writer import signal_writer\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))\n"
         "try:\n"
         "    if sys.argv[1].endswith('.json'):\n"
         "        write_whole(sys.argv[1], bytes(1_000_000))\n"
         "    else:\n"
-        "        with signal_writer(sys.argv[1], [OutColumn('voltage', 'V')]) as writer:\n"
+        "        with signal_writer(sys.argv[1], [Column('voltage', 'V')]) as writer:\n"
         "            for _ in range(4):\n"
         "                writer.write(numpy.random.default_rng(1).normal(size=100_000))\n"
         "except OutputError as problem:\n"
@@ -237,8 +238,8 @@ def test_several_writers_in_one_folder_do_not_disturb_each_other(
 ) -> None:
     path = str(tmp_path / "out.csv")
     with (
-        signal_writer(path, [OutColumn("a")]) as one,
-        signal_writer(path, [OutColumn("b")]) as other,
+        signal_writer(path, [Column("a")]) as one,
+        signal_writer(path, [Column("b")]) as other,
     ):
         one.write(np.array([1.0]))
         other.write(np.array([2.0]))
@@ -258,11 +259,11 @@ def test_a_device_is_written_directly(tmp_path: Path) -> None:
 def test_a_pipe_closed_early_stays_a_broken_pipe() -> None:
     script = (
         "import numpy\n"
-        "from dbo_cli.logs.columns import OutColumn\n"
+        "from dbo_cli.logs.sample_block import Column\n"
         "from dbo_cli.logs.signal_writer import signal_writer\n"
         "import os, sys\n"
         "try:\n"
-        "    with signal_writer('-', [OutColumn('voltage', 'V')]) as writer:\n"
+        "    with signal_writer('-', [Column('voltage', 'V')]) as writer:\n"
         "        for _ in range(100):\n"
         "            writer.write(numpy.zeros(100_000))\n"
         "except BrokenPipeError:\n"
@@ -283,9 +284,9 @@ def test_a_pipe_closed_early_stays_a_broken_pipe() -> None:
 def test_flush_hands_every_row_on(tmp_path: Path) -> None:
     script = (
         "import sys, numpy\n"
-        "from dbo_cli.logs.columns import OutColumn\n"
+        "from dbo_cli.logs.sample_block import Column\n"
         "from dbo_cli.logs.signal_writer import signal_writer\n"
-        "with signal_writer('-', [OutColumn('voltage', 'V')], flush=True) as writer:\n"
+        "with signal_writer('-', [Column('voltage', 'V')], flush=True) as writer:\n"
         "    for line in sys.stdin:\n"
         "        writer.write(numpy.array([float(line)]))\n"
     )
@@ -323,10 +324,10 @@ def test_the_same_signal_gives_the_same_bytes(name: str, tmp_path: Path) -> None
 
 
 def test_headers() -> None:
-    assert OutColumn("time", "s").header == "time_s"
-    assert OutColumn("voltage").header == "voltage"
-    assert OutColumn("voltage_V", "V").header == "voltage_V"
-    assert OutColumn("force", "furlong").header == "force (furlong)"
+    assert header_of(Column("time", "s")) == "time_s"
+    assert header_of(Column("voltage")) == "voltage"
+    assert header_of(Column("voltage_V", "V")) == "voltage_V"
+    assert header_of(Column("force", "furlong")) == "force (furlong)"
 
 
 def test_a_header_that_needs_quotes_reads_back(tmp_path: Path) -> None:
@@ -335,7 +336,7 @@ def test_a_header_that_needs_quotes_reads_back(tmp_path: Path) -> None:
 
     path = str(tmp_path / "out.csv")
     with signal_writer(
-        path, [OutColumn('the "drive", raw', "V"), OutColumn("#2", "um")]
+        path, [Column('the "drive", raw', "V"), Column("#2", "um")]
     ) as writer:
         writer.write([1.0], [2.0])
     with open_log(
@@ -408,8 +409,8 @@ def test_hdf5_does_not_go_down_a_pipe() -> None:
 
 
 def test_a_column_that_may_be_blank(tmp_path: Path) -> None:
-    desired = OutColumn("desired", "um", may_be_blank=True)
-    columns = [OutColumn("time", "s"), desired, OutColumn("voltage", "V")]
+    desired = Column("desired", "um", may_be_blank=True)
+    columns = [Column("time", "s"), desired, Column("voltage", "V")]
     values = np.array([0.0, 1.0]), np.array([0.5, np.nan]), np.array([2.0, 3.0])
     rows, fast = b"0.0,0.5,2.0\n1.0,,3.0\n", io.BytesIO()
     import_polars()

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import OutputError, UsageError
-from dbo_cli.logs.columns import OutColumn
 from dbo_cli.logs.hdf5 import store
+from dbo_cli.logs.sample_block import Column
 from dbo_cli.logs.signal_writer import signal_writer
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX locks")
@@ -39,7 +39,7 @@ APPENDERS = """
 import os, signal, sys, numpy
 from dbo_cli.errors import OutputError
 from dbo_cli.logs.hdf5 import store
-from dbo_cli.logs.columns import OutColumn
+from dbo_cli.logs.sample_block import Column
 from dbo_cli.logs.signal_writer import signal_writer
 store._PATIENCE = store._QUEUE = 1e9  # on a busy machine another may hold the lock for long
 ready, go = os.pipe()
@@ -50,7 +50,7 @@ for number in range(12):
         signal.alarm(600)  # who waits for ever is ended, and the test fails
         os.close(go)
         os.read(ready, 1)  # until all are there
-        with signal_writer(f"{sys.argv[1]}::/run{number}", [OutColumn("time", "s")]) as writer:
+        with signal_writer(f"{sys.argv[1]}::/run{number}", [Column("time", "s")]) as writer:
             writer.write(numpy.full(1000, float(number)))
         sys.exit(0)
 os.close(go)
@@ -64,7 +64,7 @@ def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def write(address: str, value: float = 1.0) -> None:
-    with signal_writer(address, [OutColumn("time", "s")]) as writer:
+    with signal_writer(address, [Column("time", "s")]) as writer:
         writer.write(np.full(4, value))
 
 
@@ -203,10 +203,10 @@ def test_a_group_that_goes_up_is_refused(tmp_path: Path) -> None:
 
 def test_columns_of_one_name_and_with_slashes(tmp_path: Path) -> None:
     columns = [
-        OutColumn("time", "s"),
-        OutColumn("time", "s"),
-        OutColumn("rate (V/s)"),
-        OutColumn("."),
+        Column("time", "s"),
+        Column("time", "s"),
+        Column("rate (V/s)"),
+        Column("."),
     ]
     with signal_writer(f"{tmp_path}/out.h5", columns) as writer:
         writer.write([1.0], [2.0], [3.0], [4.0])

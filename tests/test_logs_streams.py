@@ -17,9 +17,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.columns import ColumnWish, OutColumn
+from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.request import ReadingOptions
-from dbo_cli.logs.sample_block import ColumnInfo
+from dbo_cli.logs.sample_block import Column
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.signal_writer import shortest, signal_writer, write_rows
 from dbo_cli.logs.text import text_table as parsing
@@ -30,11 +30,11 @@ ECHO = """
 import sys
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.signal_log import open_log
-from dbo_cli.logs.columns import OutColumn
+from dbo_cli.logs.sample_block import Column
 from dbo_cli.logs.signal_writer import signal_writer
 live = sys.argv[1] == "live"
 with open_log("-", {"voltage": ColumnWish(None, ("voltage",))}, live=live, digest=True) as log:
-    with signal_writer("-", [OutColumn("voltage", "V")], flush=live) as writer:
+    with signal_writer("-", [Column("voltage", "V")], flush=live) as writer:
         for block in log.blocks():
             writer.write(block.values["voltage"])
 print(log.record(), *log.notes, sep="|", file=sys.stderr)
@@ -139,7 +139,7 @@ def calls_for_a_table_with_words(columns: int) -> int:
     """How many functions are called to read one of many columns, of which the last holds words."""
     text = (",".join(["1.5"] * (columns - 1) + ["ok"]) + "\n").encode() * 50
     dialect = Dialect(",", ".", "#%", columns, 1, (), (), frozenset(range(columns - 1)))
-    parser = parsing.BlockParser("log", dialect, {"one": ColumnInfo("1", None, "", 1)})
+    parser = parsing.BlockParser("log", dialect, {"one": Column("1", None, "", 1)})
     calls = 0
 
     def count(frame: object, event: str, argument: object) -> None:
@@ -174,8 +174,8 @@ CELLS = st.one_of(
 
 def outcome(text: bytes, dialect: Dialect, skip: bool) -> object:
     """What one block gives: numbers with their places, or the message of its refusal."""
-    first = ColumnInfo("one", None, "one", 1)
-    picks = {"one": first, "three": ColumnInfo("three", None, "three", dialect.width)}
+    first = Column("one", None, "one", 1)
+    picks = {"one": first, "three": Column("three", None, "three", dialect.width)}
     parser = parsing.BlockParser("log", dialect, picks, skip_bad=skip)
     try:
         blocks = list(parser.parse(iter([text]), small=True))
@@ -259,7 +259,7 @@ def test_the_written_bytes_do_not_depend_on_the_cut(tmp_path: Path) -> None:
     contents = set()
     for step in (140_000, 131_072, 1_000):
         path = tmp_path / "out.csv"
-        with signal_writer(str(path), [OutColumn("a"), OutColumn("b")]) as writer:
+        with signal_writer(str(path), [Column("a"), Column("b")]) as writer:
             for start in range(0, 140_000, step):
                 writer.write(*values[:, start : start + step])
         contents.add(path.read_bytes())

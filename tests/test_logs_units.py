@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.columns import column_info, column_wish
+from dbo_cli.logs.columns import column_wish, parse_column
 from dbo_cli.logs.request import ReadingOptions
-from dbo_cli.logs.signal_log import open_log
-from dbo_cli.logs.sources import Source
+from dbo_cli.logs.signal_log import Source, open_log
 from dbo_cli.logs.units import kind_of_unit, parse_scale, unit_factor
 
 
@@ -66,7 +65,7 @@ def test_a_conversion_keeps_the_digits() -> None:
 
 def converted(header: str, wanted: str | None, taker: str) -> tuple[Source, float]:
     """Return a source after a conversion, and what it makes of 1."""
-    source = Source("run.csv", {"x": column_info(header, 2)}, False, None, None)
+    source = Source("run.csv", {"x": parse_column(header, 2)}, False, None, None)
     source.warns_of_units = True
     source.convert("x", wanted, taker)
     return source, float(source.in_units({"x": np.ones(1)})["x"][0])

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import OutputError
-from dbo_cli.logs.columns import OutColumn
+from dbo_cli.logs.sample_block import Column
 from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from tests import windows
@@ -59,7 +59,7 @@ def test_every_kind_of_signal_is_written_and_replaced(
     tmp_path: Path, name: str
 ) -> None:
     for value in (1.0, 2.0):
-        with signal_writer(f"{tmp_path}/{name}", [OutColumn("time", "s")]) as writer:
+        with signal_writer(f"{tmp_path}/{name}", [Column("time", "s")]) as writer:
             writer.write(np.full(100_000, value))
     assert os.listdir(tmp_path) == [name.partition("::")[0]]
 
@@ -69,7 +69,7 @@ def test_a_group_is_added_to_a_store(tmp_path: Path) -> None:
         file["mine"] = np.arange(3.0)
     for group in ("a", "b", "a"):
         with signal_writer(
-            f"{tmp_path}/store.h5::/{group}", [OutColumn("time", "s")]
+            f"{tmp_path}/store.h5::/{group}", [Column("time", "s")]
         ) as writer:
             writer.write([1.0, 2.0])
     with h5py.File(tmp_path / "store.h5") as file:
@@ -80,14 +80,14 @@ def test_a_group_is_added_to_a_store(tmp_path: Path) -> None:
 
 def test_a_store_that_is_open_elsewhere_is_left_as_it_was(tmp_path: Path) -> None:
     path = tmp_path / "store.h5"
-    with signal_writer(f"{path}::/a", [OutColumn("time", "s")]) as writer:
+    with signal_writer(f"{path}::/a", [Column("time", "s")]) as writer:
         writer.write([1.0])
     before = path.read_bytes()
     with (
         open(path, "rb"),
         pytest.raises(OutputError, match=r"store\.h5: cannot be written: ") as raised,
     ):
-        with signal_writer(f"{path}::/b", [OutColumn("time", "s")]) as writer:
+        with signal_writer(f"{path}::/b", [Column("time", "s")]) as writer:
             writer.write([1.0])
     assert "cannot be written: Permission denied" in str(raised.value)
     assert path.read_bytes() == before
@@ -194,6 +194,6 @@ def test_where_there_are_no_links_the_rename_does(
 
     monkeypatch.setattr(os, "link", link)
     for value in (1.0, 2.0):
-        with signal_writer(f"{tmp_path}/new.h5", [OutColumn("time", "s")]) as writer:
+        with signal_writer(f"{tmp_path}/new.h5", [Column("time", "s")]) as writer:
             writer.write([value])
     assert os.listdir(tmp_path) == ["new.h5"]

@@ -32,7 +32,8 @@ from dbo_cli.hysteresis.model_file import (
     read_state,
     state_to_bytes,
 )
-from dbo_cli.logs.columns import OutColumn, require_finite
+from dbo_cli.logs.columns import require_finite
+from dbo_cli.logs.sample_block import Column
 
 ODD: tuple[Any, ...] = (
     None, True, False, 0, -1, 1, 2, 0.0, -0.0, 1.5, -2.5, 1e-9, 1e9, 1e150, 1e200, 1e308, -1e308, 1e-308, 5e-324,
@@ -139,7 +140,7 @@ class Mutants:
     def _used(self, model: Any, start: Any) -> Any:
         with np.errstate(over="ignore", invalid="ignore"):
             done = model.simulate(self.drive, start, time_step=0.01)
-        require_finite([OutColumn("result")], ["result"], [done.y])  # as the writers do
+        require_finite([Column("result")], ["result"], [done.y])  # as the writers do
         return done.state
 
     def _model(self) -> str:

@@ -37,7 +37,7 @@ from dbo_cli.drives.pieces import (
     require_short,
     sweep_range,
 )
-from dbo_cli.errors import InputError, LimitError, Remarks, UsageError
+from dbo_cli.errors import InputError, LimitError, Remarks, UsageError, counted
 from dbo_cli.hysteresis.dynamics import SectionStates
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
@@ -48,9 +48,8 @@ from dbo_cli.hysteresis.move_error import (
     MoveError,
     move_error,
 )
-from dbo_cli.logs.plain_text import counted
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock, even_step, median_step
-from dbo_cli.logs.sources import Source
+from dbo_cli.logs.signal_log import Source
 
 NOTHING_BROUGHT: Mapping[str, Any] = MappingProxyType({})
 # of the range: a trajectory this little outside is clipped and counted like any other
@@ -455,7 +454,7 @@ class Compensation(ModelRun):
                 )
             return left_at
         if typed is None and self.start in ("empty", "full"):
-            low_end, high_end = self.model.covered_gears.operator.x_range
+            low_end, high_end = self.model.covered_gears.x_range
             end = low_end if self.start == "empty" else high_end
             voltage = self.model.inverted.outer_drive(end)
             return min(max(voltage, self.limits.v_min), self.limits.v_max)

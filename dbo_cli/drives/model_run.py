@@ -32,7 +32,7 @@ from dbo_cli.logs.sample_block import (
     SampleBlock,
     require_even,
 )
-from dbo_cli.logs.sources import Source, remarks_of
+from dbo_cli.logs.signal_log import Source, remarks_of
 
 CLOCK_SAMPLES = 101
 """A clock's step is that of so many first samples, however the signal is cut."""

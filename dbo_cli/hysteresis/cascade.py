@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -501,54 +501,61 @@ def slow_output_range(
     return min(ends), max(ends)
 
 
-class CoveredGears(NamedTuple):
-    """The gears that a drive inside the covered range moves, and the bits of all others while it does."""
-
-    operator: DiscreteBacklashOperator
-    spare_bits: int
-
-    def whole(self, state: BacklashState) -> BacklashState:
-        """Return a state of the covered gears as a state of all gears."""
-        return BacklashState(state.bits | self.spare_bits, state.memory)
-
-
 ROUNDED = 1e-6
 """Of a gear: the ends of the covered range may be so far off its edges, which are sums of rounded widths."""
 
 
 def covered_gears(
     gears: DiscreteBacklashOperator, low: float, top: float
-) -> CoveredGears:
+) -> DiscreteBacklashOperator:
     """Return the gears of a forward operator that a drive from ``low`` to ``top`` moves.
 
     A model may have gears to spare, so that a drive that goes a little further turns
     there as it does inside. They come last in the table, so that the bits of the others
-    keep their places. Where some reach below ``low``, the drive finds them engaged
-    after one swing over the covered range, and there they stay.
+    keep their places; ``spare_bits`` are theirs.
     """
-    core, bits, x0, y0 = gears, 0, gears.x0, gears.y0
-    if low > gears.x0 + 0.5 * float(gears.dx[-1]):
-        at_once = np.zeros((1, len(gears.relaxation.tau))) if gears.relaxation else None
-        beyond = ROUNDED * float(gears.dx.min())
-        ends = [top + beyond, low - beyond]
-        # relaxation plays no part
-        _, state, _ = gears.run(ends, gears.empty(), decay=at_once)
-        count = _gears_within(gears, top - low)
-        # else the gears do not divide the range: nothing to spare
-        if state.bits & ((1 << count) - 1) == 0:
-            bits, x0 = state.bits, low
-            y0 = gears.coordinates(BacklashState(bits))[1]
+    x0, y0 = gears.x0, gears.y0
+    spare = _engaged_below(gears, low, top)
+    if spare is not None:
+        x0 = low
+        y0 = gears.coordinates(BacklashState(spare))[1]
     count = _gears_within(gears, top - x0)
-    if count < gears.n or bits:
-        core = DiscreteBacklashOperator(
-            gears.dx[:count],
-            gears.dy[:count],
-            x0,
-            y0,
-            gears.relaxation,
-            gears.memory_on,
-        )
-    return CoveredGears(core, bits)
+    if count == gears.n and not spare:
+        return gears
+    return DiscreteBacklashOperator(
+        gears.dx[:count],
+        gears.dy[:count],
+        x0,
+        y0,
+        gears.relaxation,
+        gears.memory_on,
+    )
+
+
+def spare_bits(gears: DiscreteBacklashOperator, low: float, top: float) -> int:
+    """Return the bits of the gears to spare while a drive stays between ``low`` and ``top``.
+
+    Where some reach below ``low``, the drive finds them engaged after one swing over
+    the covered range, and there they stay.
+    """
+    return _engaged_below(gears, low, top) or 0
+
+
+def _engaged_below(
+    gears: DiscreteBacklashOperator, low: float, top: float
+) -> int | None:
+    """Return the bits of the gears that reach below ``low``; None where there are none to spare."""
+    if low <= gears.x0 + 0.5 * float(gears.dx[-1]):
+        return None
+    # relaxation plays no part
+    at_once = np.zeros((1, len(gears.relaxation.tau))) if gears.relaxation else None
+    beyond = ROUNDED * float(gears.dx.min())
+    ends = [top + beyond, low - beyond]
+    _, state, _ = gears.run(ends, gears.empty(), decay=at_once)
+    covered = (1 << _gears_within(gears, top - low)) - 1
+    if state.bits & covered:
+        return None  # the gears do not divide the range
+    return state.bits
 
 
 def _gears_within(gears: DiscreteBacklashOperator, width: float) -> int:

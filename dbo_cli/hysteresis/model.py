@@ -267,13 +267,25 @@ class ActuatorModel:
         return self.backlash if self.direction == "forward" else self.backlash.inverse()
 
     @cached_property
-    def covered_gears(self) -> cascade.CoveredGears:
+    def covered_gears(self) -> DiscreteBacklashOperator:
         """The forward gears that a drive inside the covered range moves; others take no part in starts."""
+        return cascade.covered_gears(self.forward_backlash, *self._drive_at_gears)
+
+    @cached_property
+    def spare_bits(self) -> int:
+        """The bits of the forward gears that such a drive does not move."""
+        return cascade.spare_bits(self.forward_backlash, *self._drive_at_gears)
+
+    @property
+    def _drive_at_gears(self) -> tuple[float, float]:
+        """The covered range of the drive, as it reaches the forward gears."""
         bent = self.head if self.direction == "forward" else self.tail_inverse
         ends = through(bent, np.array([self.drive.minimum, self.drive.maximum]))
-        return cascade.covered_gears(
-            self.forward_backlash, float(ends.min()), float(ends.max())
-        )
+        return float(ends.min()), float(ends.max())
+
+    def of_all_gears(self, state: operators.BacklashState) -> operators.BacklashState:
+        """Return a state of the covered gears as one of all gears."""
+        return operators.BacklashState(state.bits | self.spare_bits, state.memory)
 
     @cached_property
     def head_inverse(self) -> cascade.MemoryFree:
@@ -415,16 +427,14 @@ class ActuatorModel:
             return state
         value = float(self._before_backlash([first_input])[0])
         covered = self.covered_gears
-        operator = covered.operator
         if self.direction == "forward" or state in {"empty", "full"}:
-            return ModelState(
-                covered.whole(model_state.start_state(operator, value, state))
-            )
-        model_state.start_state(operator, value, state)  # refuses a name that is none
+            begun = model_state.start_state(covered, value, state)
+            return ModelState(self.of_all_gears(begun))
+        model_state.start_state(covered, value, state)  # refuses a name that is none
         inner = None if limits is None else self.inner_limits(limits)
         bounds = (inner.v_min, inner.v_max) if inner else (-math.inf, math.inf)
-        first = model_state.start_drive(operator, value, *bounds)
-        first = first._replace(state=covered.whole(first.state))
+        first = model_state.start_drive(covered, value, *bounds)
+        first = first._replace(state=self.of_all_gears(first.state))
         return ModelState(first.state, first=first)
 
     def simulate(
@@ -532,7 +542,7 @@ class ActuatorModel:
 
     def _held(self, x: Floats) -> Floats:
         """Return what reaches the gears, kept within those that the model covers."""
-        core = self.covered_gears.operator
+        core = self.covered_gears
         if self.direction == "inverse" or core.n == self.backlash.n:
             return x
         return np.clip(x, *core.x_range)
@@ -690,7 +700,7 @@ class ActuatorModel:
         begun = self.inverted.start(first_desired, state, limits)
         inner = self.inverted.inner_limits(limits)
         if state in ("empty", "full") and inner.max_slew is not None:
-            drive = self.covered_gears.operator.x_range[0 if state == "empty" else 1]
+            drive = self.covered_gears.x_range[0 if state == "empty" else 1]
             begun = dataclasses.replace(
                 begun, drive=min(max(drive, inner.v_min), inner.v_max)
             )
@@ -709,8 +719,10 @@ class ActuatorModel:
             else float(self._before_backlash([first_input])[0])
         )
         covered = self.covered_gears
-        pasts = (covered.operator.empty(), covered.operator.full())
-        ends = [gears.run([drive], covered.whole(past))[0] for past in pasts]
+        ends = [
+            gears.run([drive], self.of_all_gears(past))[0]
+            for past in (covered.empty(), covered.full())
+        ]
         bent = self.tail if self.direction == "forward" else self.head_inverse
         low, high = (float(through(bent, end)[0]) for end in ends)
         return abs(high - low)

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dbo_cli.errors import InputError
+from dbo_cli.errors import InputError, clean_text, shortened
 from dbo_cli.logs.columns import (
     MORE_TIME_NAMES,
     TIME_NAMES,
@@ -33,11 +33,10 @@ from dbo_cli.logs.columns import (
     is_torn,
     split_header,
 )
-from dbo_cli.logs.plain_text import clean_text, pattern, shortened
 from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.sample_block import (
     TIME,
-    ColumnInfo,
+    Column,
     FloatArray,
     Places,
     SampleBlock,
@@ -82,8 +81,8 @@ _OTHER_HALVES = frozenset(
     ("date", "time", "datum", "zeit", "uhrzeit", "fecha", "hora", "clock", "day")
 )
 # ``Time / ms``, ``ms since 2026-01-02``, ``10us``.
-_STATED = pattern(r"(?P<left>.+?)(?:\s*/\s*|\s+in\s+)(?P<right>\S+)", re.IGNORECASE)
-_SINCE = pattern(r"(?P<unit>\S+)\s+since\s+(?P<origin>\d.*)", re.IGNORECASE)
+_STATED = re.compile(r"(?P<left>.+?)(?:\s*/\s*|\s+in\s+)(?P<right>\S+)", re.IGNORECASE)
+_SINCE = re.compile(r"(?P<unit>\S+)\s+since\s+(?P<origin>\d.*)", re.IGNORECASE)
 
 # Names of rates and steps without blanks and signs, from the formats and manuals in
 # docs/instruments.md.
@@ -105,7 +104,7 @@ _LARGE = {"": 1.0, "k": 1e3, "K": 1e3, "M": 1e6, "G": 1e9}
 _HERTZ = {
     prefix + unit: factor for prefix, factor in _LARGE.items() for unit in _PER_SECOND
 } | {"mHz": 1e-3}
-_AMOUNT = pattern(
+_AMOUNT = re.compile(
     r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(1/s|s\^?-1|[^\d]*?)\s*"
 )
 # characters of a name or of an amount with its unit; the patterns' time grows with the
@@ -116,7 +115,7 @@ _LONGEST = 80
 _SAME = 1e-6
 
 
-def _with_stated_unit(clock: Clock, column: ColumnInfo) -> Clock:
+def _with_stated_unit(clock: Clock, column: Column) -> Clock:
     """Return a clock whose figures are in the unit that their header states.
 
     Raises
@@ -504,8 +503,8 @@ class Clock:
     """
 
     place: str
-    column: ColumnInfo | None = None
-    date: ColumnInfo | None = None
+    column: Column | None = None
+    date: Column | None = None
     unit: str | None = None
     factor: UnitFactor = ONE
     origin: str = ""
@@ -514,7 +513,7 @@ class Clock:
     described: str = ""
     rate: float | None = None
     start: float = 0.0
-    taken: list[ColumnInfo] = field(default_factory=list)
+    taken: list[Column] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     _calendar: _Calendar | None = None
     _last: float | None = None
@@ -528,7 +527,7 @@ class Clock:
         return self.column is not None or self.rate is not None
 
     @property
-    def picks(self) -> dict[str, ColumnInfo]:
+    def picks(self) -> dict[str, Column]:
         """The columns to be read, by their places among the roles."""
         picks = {}
         if self.column is not None:
@@ -539,7 +538,7 @@ class Clock:
 
     @property
     def written(self) -> str:
-        """How the stamps are written (``ColumnInfo.written``); empty without a column."""
+        """How the stamps are written (``Column.written``); empty without a column."""
         return "" if self.column is None else self.column.written
 
     @property
@@ -764,8 +763,8 @@ class Clock:
 
 def clock_of(
     place: str,
-    column: ColumnInfo,
-    columns: Sequence[ColumnInfo],
+    column: Column,
+    columns: Sequence[Column],
     given: str | None = None,
 ) -> Clock:
     """Return the clock of a column of stamps; the dates beside clock times are looked for.
@@ -798,9 +797,7 @@ def clock_of(
     return clock
 
 
-def _clock_of_figures(
-    clock: Clock, column: ColumnInfo, columns: Sequence[ColumnInfo]
-) -> Clock:
+def _clock_of_figures(clock: Clock, column: Column, columns: Sequence[Column]) -> Clock:
     """Return the clock of a column of numbers, with the parts of a second beside it."""
     beside = _part_beside(column, columns)
     if beside is None:
@@ -818,8 +815,8 @@ def _clock_of_figures(
 
 def _clock_of_texts(
     clock: Clock,
-    column: ColumnInfo,
-    columns: Sequence[ColumnInfo],
+    column: Column,
+    columns: Sequence[Column],
     given: str | None,
 ) -> Clock:
     """Return the clock of a column of dates, clock times or both."""
@@ -851,9 +848,9 @@ def _clock_of_texts(
 
 def find_clock(
     place: str,
-    columns: list[ColumnInfo],
+    columns: list[Column],
     options: ReadingOptions,
-    named: Sequence[ColumnInfo],
+    named: Sequence[Column],
 ) -> Clock:
     """Find the time column; a sample rate given by the user replaces one that was only guessed.
 
@@ -900,7 +897,7 @@ def find_clock(
     return clock_of(place, candidates[0], columns, options.time_unit)
 
 
-def _told_apart(columns: Sequence[ColumnInfo]) -> list[str]:
+def _told_apart(columns: Sequence[Column]) -> list[str]:
     """Return the names of columns as messages list them, with numbers where two have one name."""
     names = {column.name for column in columns}
     if len(names) == len(columns):
@@ -909,8 +906,8 @@ def _told_apart(columns: Sequence[ColumnInfo]) -> list[str]:
 
 
 def _part_beside(
-    column: ColumnInfo, columns: Sequence[ColumnInfo]
-) -> tuple[ColumnInfo, str] | None:
+    column: Column, columns: Sequence[Column]
+) -> tuple[Column, str] | None:
     """Find the parts of a second beside a column of seconds (``sec``, ``nanosec``), and their unit."""
     first, last = _last_word(column.name)
     if last not in _SECONDS:
@@ -930,7 +927,7 @@ def _last_word(name: str) -> tuple[str, str]:
     return (found[1], found[2]) if found is not None else (name, "")
 
 
-def _time_candidates(columns: list[ColumnInfo]) -> list[ColumnInfo]:
+def _time_candidates(columns: list[Column]) -> list[Column]:
     """Find the columns that may hold the time: figures by name, then stamps by name, then stamps."""
     fitting = [
         one

@@ -13,15 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from dbo_cli.errors import InputError
+from dbo_cli.errors import InputError, clean_text, counted
 from dbo_cli.logs.clock import Statement, agreed_rate, read_statements
-from dbo_cli.logs.columns import column_info, column_label
-from dbo_cli.logs.plain_text import clean_text, counted
+from dbo_cli.logs.columns import column_label, parse_column
 from dbo_cli.logs.request import Request, remedy_for
 from dbo_cli.logs.sample_block import (
     MOST_NAMED,
     BadRow,
-    ColumnInfo,
+    Column,
     DroppedRows,
     FloatArray,
     SampleBlock,
@@ -335,7 +334,7 @@ class ColumnTable(Table):
         self.notes, self.columns = [], []
         self.dropped, self.doubtful = DroppedRows(), []
         for number, source in enumerate(self.sources, start=1):
-            info = column_info(source.label.rsplit("/", 1)[-1], number, source.unit)
+            info = parse_column(source.label.rsplit("/", 1)[-1], number, source.unit)
             self.columns.append(
                 replace(info, name=source.label, written=source.written)
             )
@@ -346,7 +345,7 @@ class ColumnTable(Table):
         rate = f", {stated[0].rate:g} samples a second" if stated else ""
         return f"{self.place}: {self.kind}, {counted(len(self.sources), 'column')}{self.where}{rate}"
 
-    def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
+    def even_clock(self, columns: Collection[Column]) -> tuple[float | None, float]:
         """Return the sample rate (Hz) that the file states for these columns, and the first row's time (s).
 
         Raises
@@ -369,7 +368,7 @@ class ColumnTable(Table):
             )
         return rate, starts.pop() or self.start if starts else self.start
 
-    def blocks(self, picks: Mapping[str, ColumnInfo]) -> Iterator[SampleBlock]:
+    def blocks(self, picks: Mapping[str, Column]) -> Iterator[SampleBlock]:
         """Read the wanted columns in blocks of ``block_rows`` rows.
 
         Raises
@@ -432,7 +431,7 @@ class ColumnTable(Table):
     def _bad_row(
         self,
         start: int,
-        wanted: Sequence[ColumnInfo],
+        wanted: Sequence[Column],
         arrays: Sequence[FloatArray],
         row: int,
         number: int,

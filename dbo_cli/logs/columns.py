@@ -16,9 +16,8 @@ from functools import cache, lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dbo_cli.errors import InputError, OutputError, UsageError
-from dbo_cli.logs.plain_text import cleaned, counted, pattern
-from dbo_cli.logs.sample_block import ColumnInfo
+from dbo_cli.errors import InputError, OutputError, UsageError, cleaned, counted
+from dbo_cli.logs.sample_block import Column
 from dbo_cli.logs.units import (
     DRIVING_KINDS,
     MOVED_KINDS,
@@ -29,29 +28,29 @@ from dbo_cli.logs.units import (
 
 # How headers state units: ``voltage (V)``, ``voltage/V``, ``voltage_V``, ``voltage in
 # milli volts``.
-_BRACKETED = pattern(
+_BRACKETED = re.compile(
     r"^(?P<quantity>.*?)\s*[\[(<{](?P<unit>[^\[\](){}<>]*)[\])>}]\s*$", re.DOTALL
 )
-_SLASHED = pattern(
+_SLASHED = re.compile(
     r"^(?P<quantity>.*?)\s*(?:/|\bin\b|,)\s*(?P<unit>\S{1,30})$", re.DOTALL
 )
-_SUFFIXED = pattern(r"^(?P<quantity>.+)[_ ](?P<unit>[^_ ]+)$", re.DOTALL)
+_SUFFIXED = re.compile(r"^(?P<quantity>.+)[_ ](?P<unit>[^_ ]+)$", re.DOTALL)
 
-_PREFIXED = pattern(
+_PREFIXED = re.compile(
     r"(?P<quantity>.+?)[_ /-](?P<prefix>milli|micro|nano|pico|kilo|mega|centi)",
     re.IGNORECASE,
 )
 
 # data[2], x(1), Voltage (CH1)
-_INDEX = pattern(r"[-+]?\d+([.:,]\s*\d+)*|ch(an(nel)?)?[ _]?\w|:")
+_INDEX = re.compile(r"[-+]?\d+([.:,]\s*\d+)*|ch(an(nel)?)?[ _]?\w|:")
 _BESIDES = frozenset(
     ("n", "no", "index", "idx", "row", "sample", "flag", "temp", "temperature", "loop", "cycle", "trigger",
      "status", "marker", "segment", "remark", "comment", "date", "time")
 )  # fmt: skip
 """Names of columns that stand beside the signals in many logs and are none."""
 # V(drive), as simulators name a node; t(ticks) has its unit
-_SYMBOL = pattern(r"[A-SU-Za-su-z]\([^()]*\)")
-_CHANNEL = pattern(
+_SYMBOL = re.compile(r"[A-SU-Za-su-z]\([^()]*\)")
+_CHANNEL = re.compile(
     r"(ch|chan|channel|kanal|canal|voie|ai|ao|in|out|input|output|signal|probe|column|col|data|trace)"
     r"[ _.#-]?[a-z]?\d{0,3}",
     re.IGNORECASE,
@@ -60,7 +59,7 @@ _READINGS = frozenset(
     ("monitor", "mon", "readback", "actual", "meas", "ist", "istwert", "laser", "read")
 )
 """Words that say that a column was measured, on which scale nobody knows."""
-_CARD = pattern(r"(?:^|[/ ])(ao|ai)[ _]?\d{1,3}$", re.IGNORECASE)
+_CARD = re.compile(r"(?:^|[/ ])(ao|ai)[ _]?\d{1,3}$", re.IGNORECASE)
 _REMARKS = frozenset(
     ("raw", "measured", "actual", "filtered", "calibrated", "corrected", "desired", "target", "setpoint",
      "commanded", "command", "sensor", "feedback", "monitor", "smoothed", "mean", "avg", "average", "drive",
@@ -68,7 +67,7 @@ _REMARKS = frozenset(
 )  # fmt: skip
 """What stands in brackets behind a name and is no unit."""
 
-_HASHED = pattern(r"/#[^\W\d]")  # TIME/#secs may have been ms
+_HASHED = re.compile(r"/#[^\W\d]")  # TIME/#secs may have been ms
 
 _LISTED = 20  # names of columns that a message holds at most
 # a column called "um" is in um; "m" and "Volts" may be anything
@@ -345,14 +344,14 @@ def is_torn(text: str) -> bool:
 
 
 @lru_cache(maxsize=256)
-def column_info(header: str | None, number: int, unit: str | None = None) -> ColumnInfo:
+def parse_column(header: str | None, number: int, unit: str | None = None) -> Column:
     """Describe column ``number`` (from 1) by its header cell; a unit given apart (units line) goes first."""
     # no command for a terminal, no half a letter
     header, unit = cleaned(header or ""), cleaned(unit or "")
     if header[:1] == "'" and header[1:2] in ("=", "+", "-", "@"):
         header = header[1:]  # what keeps a spreadsheet from taking it for a formula
     if not header:
-        return ColumnInfo(str(number), normalise_unit(unit or ""), "", number)
+        return Column(str(number), normalise_unit(unit or ""), "", number)
     quantity, unit_in_name = split_header(header)
     bare = header.strip(" /_")  # "/nm": the name is lost
     if (
@@ -361,12 +360,10 @@ def column_info(header: str | None, number: int, unit: str | None = None) -> Col
         and kind_of_unit(normalise_unit(bare)) in _NAMING
     ):
         unit_in_name = normalise_unit(bare)
-    return ColumnInfo(
-        header, normalise_unit(unit or "") or unit_in_name, quantity, number
-    )
+    return Column(header, normalise_unit(unit or "") or unit_in_name, quantity, number)
 
 
-def contradicted_unit(column: ColumnInfo) -> str | None:
+def contradicted_unit(column: Column) -> str | None:
     """Return the unit that a column's name states where it is another than the one it was given apart."""
     unit_in_name = (
         split_header(column.name.rsplit("/", 1)[-1])[1] if column.quantity else None
@@ -379,12 +376,12 @@ def contradicted_unit(column: ColumnInfo) -> str | None:
     return unit_in_name if known and unit_in_name != column.unit else None
 
 
-def column_label(column: ColumnInfo) -> str:
+def column_label(column: Column) -> str:
     """Name a column in a message: ``column 'voltage_V'``, or ``column 2`` where the log has no header."""
     return f"column '{column.name}'" if column.quantity else f"column {column.number}"
 
 
-def list_columns(columns: Sequence[ColumnInfo]) -> str:
+def list_columns(columns: Sequence[Column]) -> str:
     """List the columns of a log for an error message, shortened when there are many."""
     if not any(column.quantity for column in columns):
         return f"it has {counted(len(columns), 'column')} without names"
@@ -405,8 +402,8 @@ def any_of(names: Sequence[str]) -> str:
 
 
 def find_column(
-    place: str, columns: Sequence[ColumnInfo], selector: str, option: str
-) -> ColumnInfo:
+    place: str, columns: Sequence[Column], selector: str, option: str
+) -> Column:
     """Find the column that the user named, or gave a part of the name with ``*`` for the rest.
 
     Raises
@@ -429,8 +426,8 @@ def find_column(
 
 
 def _column_number(
-    place: str, columns: Sequence[ColumnInfo], number: int, typed: str
-) -> ColumnInfo:
+    place: str, columns: Sequence[Column], number: int, typed: str
+) -> Column:
     if number < 1:
         raise UsageError(f"{typed}: columns are counted from 1")
     if number > len(columns):
@@ -440,8 +437,8 @@ def _column_number(
 
 
 def _column_named(
-    place: str, columns: Sequence[ColumnInfo], selector: str, option: str
-) -> ColumnInfo:
+    place: str, columns: Sequence[Column], selector: str, option: str
+) -> Column:
     """Find a column by its name, by its name in other capitals, its quantity, or a part of its name."""
     wanted = cleaned(selector)
     lower = wanted.lower()
@@ -482,7 +479,7 @@ def fits_pattern(name: str, pattern: str) -> bool:
 
 
 def _ask_about_number(
-    place: str, columns: Sequence[ColumnInfo], selector: str, option: str
+    place: str, columns: Sequence[Column], selector: str, option: str
 ) -> None:
     """Refuse a number that is the name of another column than the one at that place (InputError)."""
     number = int(selector)
@@ -499,9 +496,7 @@ def _ask_about_number(
         )
 
 
-def guess_columns(
-    columns: Sequence[ColumnInfo], guesses: Sequence[str]
-) -> list[ColumnInfo]:
+def guess_columns(columns: Sequence[Column], guesses: Sequence[str]) -> list[Column]:
     """Find the columns whose quantity is one of ``guesses``, or else contains one as a word."""
     exact = [column for column in columns if column.quantity.lower() in guesses]
     return exact or [
@@ -509,9 +504,7 @@ def guess_columns(
     ]
 
 
-def matching_columns(
-    columns: Sequence[ColumnInfo], wish: ColumnWish
-) -> list[ColumnInfo]:
+def matching_columns(columns: Sequence[Column], wish: ColumnWish) -> list[Column]:
     """Find the columns that a wish may mean; the log is clear where it is one.
 
     Names are tried from the surest to the weakest: preferred names, the guesses, then
@@ -550,22 +543,22 @@ def matching_columns(
     return [column for column in fitting if column in possible]
 
 
-def _has_proving_unit(column: ColumnInfo, wish: ColumnWish) -> bool:
+def _has_proving_unit(column: Column, wish: ColumnWish) -> bool:
     return kind_of_unit(column.unit) in wish.proving_units
 
 
-def _is_sure(column: ColumnInfo, wish: ColumnWish) -> bool:
+def _is_sure(column: Column, wish: ColumnWish) -> bool:
     """Return whether a column was found by a whole name, or by a word and a unit of the right kind."""
     kind = kind_of_unit(column.unit)
     whole = len(column.quantity) > 1 and column.quantity.lower() in wish.guesses
     return kind in wish.proving_units or (whole and kind is None)
 
 
-def _misspelled(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[ColumnInfo]:
+def _misspelled(columns: Sequence[Column], wish: ColumnWish) -> list[Column]:
     """Find the columns of which a word is a long name but for one letter."""
     names = [name for name in wish.guesses if len(name) >= 4]
 
-    def is_slip(column: ColumnInfo) -> bool:
+    def is_slip(column: Column) -> bool:
         words = {
             *_words(column.quantity),
             *re.findall(r"[^\W_]+", column.quantity.lower()),
@@ -576,11 +569,11 @@ def _misspelled(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[ColumnI
 
 
 def _suspects(
-    fitting: Sequence[ColumnInfo],
+    fitting: Sequence[Column],
     wish: ColumnWish,
     has_name: bool,
-    lesser: Sequence[ColumnInfo],
-) -> list[ColumnInfo]:
+    lesser: Sequence[Column],
+) -> list[Column]:
     """Find what may be meant beside a column that has no whole name: names run together, letters in words.
 
     Where no unit supports what was found by a lesser name, any column of an unknown
@@ -606,11 +599,11 @@ def _suspects(
     ]
 
 
-def _letters(column: ColumnInfo) -> str:
+def _letters(column: Column) -> str:
     return "".join(re.findall(r"[^\W_]+", column.quantity.lower()))
 
 
-def _runs_into_unit(column: ColumnInfo, wish: ColumnWish) -> bool:
+def _runs_into_unit(column: Column, wish: ColumnWish) -> bool:
     """Return whether a name and a unit of the right kind stand without anything between them: Wegµm."""
     word = _letters(column)
     ends = [
@@ -623,7 +616,7 @@ def _runs_into_unit(column: ColumnInfo, wish: ColumnWish) -> bool:
     )
 
 
-def _is_unknown(column: ColumnInfo, wish: ColumnWish) -> bool:
+def _is_unknown(column: Column, wish: ColumnWish) -> bool:
     """Return whether nothing is known of a column's name: no other role's, and no mere number or flag."""
     words = set(_words(column.quantity))
     return bool(words) and not words & (wish.foreign | _BESIDES)
@@ -655,7 +648,7 @@ def _one_changed_or_swapped(word: str, name: str) -> bool:
     return word[first] == name[second] and word[second] == name[first]
 
 
-def _has_lesser_name(column: ColumnInfo, wish: ColumnWish) -> bool:
+def _has_lesser_name(column: Column, wish: ColumnWish) -> bool:
     words = set(_words(column.quantity))
     # a monitor has a scale of its own
     if words & set(wish.by_unit) and not words & {"monitor", "mon"}:
@@ -668,7 +661,7 @@ def _has_lesser_name(column: ColumnInfo, wish: ColumnWish) -> bool:
     )
 
 
-def may_be(column: ColumnInfo, wish: ColumnWish) -> bool:
+def may_be(column: Column, wish: ColumnWish) -> bool:
     """Return whether nothing in a column's unit and words speaks against a wish."""
     if column.written != "numbers":
         return False
@@ -689,12 +682,12 @@ def _words(quantity: str) -> list[str]:
 
 def choose_columns(
     place: str,
-    columns: Sequence[ColumnInfo],
+    columns: Sequence[Column],
     wishes: Mapping[str, ColumnWish],
-    reserved: Sequence[ColumnInfo] = (),
+    reserved: Sequence[Column] = (),
     timed: bool = True,
     notes: list[str] | None = None,
-) -> dict[str, ColumnInfo]:
+) -> dict[str, Column]:
     """Give every wished role its column.
 
     Parameters
@@ -718,7 +711,7 @@ def choose_columns(
     InputError
         A named column is absent, or a guess finds none or several.
     """
-    role_columns: dict[str, ColumnInfo] = {}
+    role_columns: dict[str, Column] = {}
     for role, wish in wishes.items():
         if wish.selector is not None:
             role_columns[role] = find_column(place, columns, wish.selector, wish.option)
@@ -750,10 +743,10 @@ def choose_columns(
 
 def _refuse_named_away(
     place: str,
-    columns: Sequence[ColumnInfo],
-    free: Sequence[ColumnInfo],
+    columns: Sequence[Column],
+    free: Sequence[Column],
     wishes: Mapping[str, ColumnWish],
-    named: Mapping[str, ColumnInfo],
+    named: Mapping[str, Column],
 ) -> None:
     """Refuse, for a role that is only ever named, the column that by its name is another role's (InputError).
 
@@ -775,12 +768,12 @@ def _refuse_named_away(
 
 
 def _guess_roles(
-    columns: Sequence[ColumnInfo],
-    free: list[ColumnInfo],
+    columns: Sequence[Column],
+    free: list[Column],
     wishes: Mapping[str, ColumnWish],
-    role_columns: dict[str, ColumnInfo],
+    role_columns: dict[str, Column],
     reasons: dict[str, str] | None,
-) -> dict[str, list[ColumnInfo]]:
+) -> dict[str, list[Column]]:
     """Give each role that has no column the only one that may be meant.
 
     Parameters
@@ -802,7 +795,7 @@ def _guess_roles(
     dict
         What may be meant for each role that is not clear.
     """
-    unclear: dict[str, list[ColumnInfo]] = {}
+    unclear: dict[str, list[Column]] = {}
     for role, wish in wishes.items():
         if role in role_columns:
             continue
@@ -837,13 +830,13 @@ def _guess_roles(
 
 
 def _candidates(
-    free: Sequence[ColumnInfo],
-    columns: Sequence[ColumnInfo],
+    free: Sequence[Column],
+    columns: Sequence[Column],
     role: str,
     wish: ColumnWish,
     wishes: int,
     by_unit: bool,
-) -> tuple[list[ColumnInfo], str]:
+) -> tuple[list[Column], str]:
     """Find the columns that may be meant, and why, where no name says it (only with ``by_unit``)."""
     candidates = matching_columns(free, wish)
     if candidates or not (wish.required or wish.by_quantity):
@@ -855,7 +848,7 @@ def _candidates(
     return candidates, ""
 
 
-def _last_column(free: Sequence[ColumnInfo], wish: ColumnWish) -> list[ColumnInfo]:
+def _last_column(free: Sequence[Column], wish: ColumnWish) -> list[Column]:
     """Return the column that is left for the only wish, unless its unit or name speaks against it."""
     return [
         column
@@ -865,8 +858,8 @@ def _last_column(free: Sequence[ColumnInfo], wish: ColumnWish) -> list[ColumnInf
 
 
 def _only_candidate(
-    free: Sequence[ColumnInfo], columns: Sequence[ColumnInfo], wish: ColumnWish
-) -> tuple[list[ColumnInfo], str]:
+    free: Sequence[Column], columns: Sequence[Column], wish: ColumnWish
+) -> tuple[list[Column], str]:
     """Find a column that no name gives away, and why it is meant: its unit, or its place on a card.
 
     Not beside a column of the right name whose unit cannot be meant, nor one whose name
@@ -901,8 +894,8 @@ _ROLE_WORDS = {
 
 
 def _by_what_is_left(
-    free: Sequence[ColumnInfo], wishes: Mapping[str, ColumnWish], absent: Sequence[str]
-) -> tuple[dict[str, ColumnInfo], str]:
+    free: Sequence[Column], wishes: Mapping[str, ColumnWish], absent: Sequence[str]
+) -> tuple[dict[str, Column], str]:
     """Find the drive and what came out by elimination, in logs of other actuators than piezos.
 
     Where one role is known, the only column that is left has the other; so has the only
@@ -942,8 +935,8 @@ def _by_what_is_left(
 
 
 def _the_rest(
-    numbered: Sequence[ColumnInfo], wish: ColumnWish, role: str, wishes: int
-) -> tuple[ColumnInfo | None, str]:
+    numbered: Sequence[Column], wish: ColumnWish, role: str, wishes: int
+) -> tuple[Column | None, str]:
     """Find the column of the only role that is absent, and why it is meant; None where that is not clear."""
     if role == "voltage":
         fits, contrary, wrong_words = (
@@ -974,7 +967,7 @@ def _the_rest(
     return rest[0], "no other column is left"
 
 
-def _only_drive(free: Sequence[ColumnInfo], wish: ColumnWish) -> ColumnInfo | None:
+def _only_drive(free: Sequence[Column], wish: ColumnWish) -> Column | None:
     """Find the drive of a report, which can do without it: the only column of a quantity that drives.
 
     A temperature is none: it stands beside the signals of many logs.
@@ -991,7 +984,7 @@ def _only_drive(free: Sequence[ColumnInfo], wish: ColumnWish) -> ColumnInfo | No
     return drives[0] if len(drives) == 1 else None
 
 
-def _drives(column: ColumnInfo) -> bool:
+def _drives(column: Column) -> bool:
     """Return whether a column is a quantity that drives actuators besides a voltage."""
     kind = kind_of_unit(column.unit)
     if kind is not None:
@@ -999,13 +992,13 @@ def _drives(column: ColumnInfo) -> bool:
     return column.quantity.lower() in _DRIVING_WORDS
 
 
-def _is_called_a_voltage_in_vain(column: ColumnInfo) -> bool:
+def _is_called_a_voltage_in_vain(column: Column) -> bool:
     """Return whether a column is called a voltage, and its unit is that of something else."""
     called = _VOLTAGE_WORDS & set(_words(column.name))
     return bool(called) and kind_of_unit(column.unit) not in (None, "voltage")
 
 
-def _is_moved(column: ColumnInfo) -> bool:
+def _is_moved(column: Column) -> bool:
     """Return whether a column is a quantity that actuators give, as displacement is."""
     kind = kind_of_unit(column.unit)
     if kind in ("length", "angle") or kind in MOVED_KINDS:
@@ -1014,8 +1007,8 @@ def _is_moved(column: ColumnInfo) -> bool:
 
 
 def _only_card_channel(
-    free: Sequence[ColumnInfo], columns: Sequence[ColumnInfo], wish: ColumnWish
-) -> tuple[list[ColumnInfo], str]:
+    free: Sequence[Column], columns: Sequence[Column], wish: ColumnWish
+) -> tuple[list[Column], str]:
     """Find the only channel of a data acquisition card without units: ao drives and ai measures.
 
     The card has one output; of several it is not known which one drives.
@@ -1034,9 +1027,9 @@ def _only_card_channel(
 
 def _not_unique(
     place: str,
-    columns: Sequence[ColumnInfo],
+    columns: Sequence[Column],
     wishes: Mapping[str, ColumnWish],
-    unclear: Mapping[str, Sequence[ColumnInfo]],
+    unclear: Mapping[str, Sequence[Column]],
     free: Sequence[int],
     timed: bool,
 ) -> str:
@@ -1079,7 +1072,7 @@ def _not_unique(
     return f"{place}: {' '.join(questions)} ({remedy})"
 
 
-def _order_instead(columns: Sequence[ColumnInfo], wish: ColumnWish) -> str:
+def _order_instead(columns: Sequence[Column], wish: ColumnWish) -> str:
     """Say that a log holds what was wanted, where what was measured is missing."""
     for column in columns:
         if is_order(column, wish):
@@ -1090,7 +1083,7 @@ def _order_instead(columns: Sequence[ColumnInfo], wish: ColumnWish) -> str:
     return ""
 
 
-def is_order(column: ColumnInfo, wish: ColumnWish) -> bool:
+def is_order(column: Column, wish: ColumnWish) -> bool:
     """Return whether a column says what was wanted, where what was measured is looked for."""
     if not wish.contrary >= _ORDERS:
         return False  # what was wanted may be meant
@@ -1107,41 +1100,31 @@ def is_order(column: ColumnInfo, wish: ColumnWish) -> bool:
 # ---------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class OutColumn:
-    """A column to be written: name, unit, and what it measures (for HDF5 alone; the name by default).
-
-    NaN in a column that ``may_be_blank`` is written as an empty cell (HDF5: as NaN).
-    """
-
-    name: str
-    unit: str | None = None
-    quantity: str | None = None
-    may_be_blank: bool = False
-
-    @property
-    def header(self) -> str:
-        """The header cell, ``voltage_V``; a unit that no reader would know stands in brackets."""
-        name, unit = cleaned(self.name), cleaned(self.unit or "")
-        if not unit or split_header(name)[1] == unit:
-            return name
-        is_plain = is_known_unit(unit) and "/" not in unit
-        return f"{name}_{unit}" if is_plain else f"{name} ({unit})"
+def header_of(column: Column) -> str:
+    """Return a header cell, ``voltage_V``; a unit that no reader would know stands in brackets."""
+    name, unit = cleaned(column.name), cleaned(column.unit or "")
+    if not unit or split_header(name)[1] == unit:
+        return name
+    is_plain = is_known_unit(unit) and "/" not in unit
+    return f"{name}_{unit}" if is_plain else f"{name} ({unit})"
 
 
-def unique_headers(columns: Sequence[OutColumn]) -> list[str]:
+def unique_headers(columns: Sequence[Column]) -> list[str]:
     """Return the headers of a table; the second column of a name is called ``name_2``."""
     headers: list[str] = []
     for column in columns:
-        header, number = column.header, 2
+        first = header_of(column)
+        header = first
+        number = 2
         while header in headers:
-            header, number = f"{column.header}_{number}", number + 1
+            header = f"{first}_{number}"
+            number += 1
         headers.append(header)
     return headers
 
 
 def require_finite(
-    columns: Sequence[OutColumn], headers: Sequence[str], arrays: Sequence[ArrayLike]
+    columns: Sequence[Column], headers: Sequence[str], arrays: Sequence[ArrayLike]
 ) -> None:
     """Refuse to write NaN or infinity: the model or the signal is beyond the range of the arithmetic.
 
@@ -1160,7 +1143,7 @@ def require_finite(
             )
 
 
-PLACE = pattern(r"\{(?:channel)?\}")
+PLACE = re.compile(r"\{(?:channel)?\}")
 """Stands in the name of a column for the name of each of many channels."""
 
 

@@ -29,7 +29,7 @@ from dbo_cli.logs.sample_block import (
     GAP_STEPS,
     JITTER,
     TIME,
-    ColumnInfo,
+    Column,
     DroppedRows,
     FloatArray,
     SampleBlock,
@@ -56,8 +56,8 @@ class _File:
     """One of the files: the columns wanted of it, by number in the joined log, and its clock."""
 
     table: Table
-    columns: dict[int, ColumnInfo]
-    time: ColumnInfo | None = None
+    columns: dict[int, Column]
+    time: Column | None = None
     # samples a second, and the first row's time (s)
     rate: tuple[float, float] | None = None
     wishes: list[str] = field(default_factory=list)
@@ -164,7 +164,7 @@ class JoinedTable(Table):
         self._append(file, guessed[role])
         return f"number={len(self.columns)}"
 
-    def _append(self, file: _File, column: ColumnInfo) -> ColumnInfo:
+    def _append(self, file: _File, column: Column) -> Column:
         """Add a column of another file to those of the log; return it as it stands there."""
         number = len(self.columns) + 1
         added = replace(column, name=f"{file.place}::{column.name}", number=number)
@@ -253,7 +253,7 @@ class JoinedTable(Table):
         clock.taken = [*taken, *added.values()]
         return clock
 
-    def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
+    def even_clock(self, columns: Collection[Column]) -> tuple[float | None, float]:
         """Return the stated sample rate (Hz) of the rows that are kept, and the first one's time (s)."""
         if self._by_time:
             return self._target.rate or (None, 0.0)
@@ -267,7 +267,7 @@ class JoinedTable(Table):
 
     # ---- rows
 
-    def blocks(self, picks: Mapping[str, ColumnInfo]) -> Iterator[SampleBlock]:
+    def blocks(self, picks: Mapping[str, Column]) -> Iterator[SampleBlock]:
         """Read the wanted columns of all files in blocks.
 
         Raises
@@ -298,7 +298,7 @@ class JoinedTable(Table):
                 )
 
     def _joined_by_row(
-        self, wanted: Mapping[str, Mapping[str, ColumnInfo]]
+        self, wanted: Mapping[str, Mapping[str, Column]]
     ) -> Iterator[SampleBlock]:
         """Put rows of equal number beside each other; a row dropped in one file is dropped in all."""
         places = [self.files[address].place for address in wanted]
@@ -312,7 +312,7 @@ class JoinedTable(Table):
         self.doubtful.extend(unequal)
 
     def _joined_by_time(
-        self, wanted: Mapping[str, Mapping[str, ColumnInfo]]
+        self, wanted: Mapping[str, Mapping[str, Column]]
     ) -> Iterator[SampleBlock]:
         """Interpolate what other files have onto the rows of one."""
         target = self._target
@@ -347,7 +347,7 @@ class JoinedTable(Table):
         whole = replace(rows.block, time=None, values=values)
         yield whole if keep.all() else whole.chosen(keep)
 
-    def _read(self, file: _File, columns: Mapping[str, ColumnInfo]) -> _Timed:
+    def _read(self, file: _File, columns: Mapping[str, Column]) -> _Timed:
         """Read all rows of a file, with their times."""
         clock = file.clock(self._options.time_unit)
         picks = {**columns, **clock.picks}
@@ -367,7 +367,7 @@ class JoinedTable(Table):
         rows: _Timed,
         file: _File,
         given: _Timed,
-        columns: Mapping[str, ColumnInfo],
+        columns: Mapping[str, Column],
     ) -> _Timed:
         """Return another file's rows on the clock of the one whose rows are kept, each stamp once.
 
@@ -488,7 +488,7 @@ class JoinedTable(Table):
         return self.files[""].table.sha256
 
 
-def names_file(selector: str | None, columns: Sequence[ColumnInfo]) -> bool:
+def names_file(selector: str | None, columns: Sequence[Column]) -> bool:
     """Tell whether a selector is the name of a file alone, and of no column."""
     if selector is None or "::" in selector or not os.path.isfile(selector):
         return False

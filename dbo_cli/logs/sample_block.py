@@ -26,21 +26,32 @@ TIME = "the clock"
 
 
 @dataclass(frozen=True)
-class ColumnInfo:
-    """One column of a log.
+class Column:
+    """One column of a log, or of an output.
 
-    ``name`` is the header as written (or the number where there is none), ``quantity``
-    the header without its unit, ``unit`` the normalised unit or None (units are never
-    guessed), ``number`` counts from 1. ``written`` is ``numbers``, or how a column of
-    time stamps is written: ``stamp``, ``clock``, ``minutes``, ``date``
-    (logs.text.lines); such columns are read as seconds. Rows without a value in a
-    column that ``may_be_blank`` are left out.
+    Attributes
+    ----------
+    name
+        The header as written; the number where a log has none.
+    unit
+        The normalised unit, or None: units are never guessed.
+    quantity
+        What it measures: the header without its unit. In an output for HDF5 alone, the
+        name where it is empty.
+    number
+        Its place in a log, from 1.
+    written
+        ``numbers``, or how a column of time stamps is written: ``stamp``, ``clock``,
+        ``minutes``, ``date``; such columns are read as seconds.
+    may_be_blank
+        Rows of a log without a value here are left out; an output has an empty cell
+        where it is NaN (HDF5: NaN).
     """
 
     name: str
-    unit: str | None
-    quantity: str
-    number: int
+    unit: str | None = None
+    quantity: str = ""
+    number: int = 0
     written: str = "numbers"
     may_be_blank: bool = False
 
@@ -208,7 +219,7 @@ class Table:
     """A log in some format: its columns at once, its rows in blocks, as the options that opened it ask."""
 
     place: str
-    columns: list[ColumnInfo]
+    columns: list[Column]
     notes: list[str]
     dropped: DroppedRows  # what ``skip_bad`` left out; complete after the last block
     # lines that were passed over in silence and may have been rows; likewise
@@ -219,7 +230,7 @@ class Table:
     # of ``clock.find_clock``, where the table looked for it already
     ready_clock: Any = None
 
-    def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
+    def even_clock(self, columns: Collection[Column]) -> tuple[float | None, float]:
         """Find the sample rate (Hz) that the file states for these columns, and the first row's time (s)."""
         raise NotImplementedError
 
@@ -227,7 +238,7 @@ class Table:
         """Describe in one line how the log is written, for ``verbose``."""
         raise NotImplementedError
 
-    def blocks(self, picks: Mapping[str, ColumnInfo]) -> Iterator[SampleBlock]:
+    def blocks(self, picks: Mapping[str, Column]) -> Iterator[SampleBlock]:
         """Read the wanted columns in blocks."""
         raise NotImplementedError
 

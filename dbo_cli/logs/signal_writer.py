@@ -14,11 +14,10 @@ from typing import IO, TYPE_CHECKING, Protocol, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dbo_cli.logs.columns import OutColumn, require_finite, unique_headers
-from dbo_cli.logs.libraries import import_polars
-from dbo_cli.logs.plain_text import cleaned
-from dbo_cli.logs.request import BLOCK_ROWS, Address, Given, parse_output
-from dbo_cli.logs.sample_block import FloatArray
+from dbo_cli.errors import cleaned
+from dbo_cli.logs.columns import require_finite, unique_headers
+from dbo_cli.logs.request import BLOCK_ROWS, Address, Given, import_polars, parse_output
+from dbo_cli.logs.sample_block import Column, FloatArray
 from dbo_cli.logs.whole_output import (
     KEPT,
     KeptSignal,
@@ -54,7 +53,7 @@ class TextWriter:
     """
 
     stream: IO[bytes]
-    columns: Sequence[OutColumn]
+    columns: Sequence[Column]
     delimiter: str
     flush: bool
     behind: bool
@@ -126,7 +125,7 @@ class TextWriter:
 class _Keeper:
     """Keeps rows in memory."""
 
-    def __init__(self, columns: Sequence[OutColumn]) -> None:
+    def __init__(self, columns: Sequence[Column]) -> None:
         self._columns, self._headers = columns, unique_headers(columns)
         self._parts: list[list[FloatArray]] = [[] for _ in columns]
 
@@ -147,7 +146,7 @@ class _Keeper:
 @contextlib.contextmanager
 def signal_writer(
     address: Given,
-    columns: Sequence[OutColumn],
+    columns: Sequence[Column],
     *,
     format: str | None = None,
     attributes: Callable[[], Mapping[str, str | float]] = dict,

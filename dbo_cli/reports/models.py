@@ -52,7 +52,7 @@ def plots_of_model(model: ActuatorModel) -> list[Plot]:
     )
     # Spare gears stand beyond both ends of the logs' range; what they would do was
     # never seen.
-    covered = model.covered_gears.operator
+    covered = model.covered_gears
     if model.direction == "inverse":
         covered = covered.inverse()
     paint_loop = partial(_paint_gears, covered, labels)

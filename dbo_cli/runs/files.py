@@ -28,6 +28,7 @@ from dbo_cli.errors import (
     OutputError,
     Remarks,
     UsageError,
+    cleaned,
     plain,
 )
 from dbo_cli.hysteresis.model import ActuatorModel
@@ -46,19 +47,12 @@ from dbo_cli.hysteresis.model_state import (
 )
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs import request
-from dbo_cli.logs.columns import ColumnWish, OutColumn, column_wish, split_header
-from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.logs.columns import ColumnWish, column_wish, header_of, split_header
 from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, Rows
-from dbo_cli.logs.signal_log import SignalLog, open_log
+from dbo_cli.logs.sample_block import Column
+from dbo_cli.logs.signal_log import SignalLog, Source, open_log
 from dbo_cli.logs.signal_writer import signal_writer
-from dbo_cli.logs.sources import (
-    ArraySource,
-    Source,
-    is_file,
-    is_log,
-    is_table,
-    table_source,
-)
+from dbo_cli.logs.sources import ArraySource, is_file, is_log, is_table, table_source
 from dbo_cli.logs.units import quantity_name
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 
@@ -214,7 +208,7 @@ class SignalRun:
             # Not under the name of what will be measured: a drive must not be taken for
             # a recording.
             unit = log.columns[wanted.quantity].unit or wanted.unit
-            desired = OutColumn("desired", unit, "desired", may_be_blank=True)
+            desired = Column("desired", unit, "desired", may_be_blank=True)
             with all_or_none():
                 remarks = self._written(run, log, desired, listener)
                 run.finish()
@@ -242,14 +236,14 @@ class SignalRun:
             yield log
 
     def _written(
-        self, run: ModelRun, log: SignalLog, wanted: OutColumn, listener: Listener
+        self, run: ModelRun, log: SignalLog, wanted: Column, listener: Listener
     ) -> Remarks:
         """Run to the end of the log and write what comes out, then the state."""
         output, destination = run.output, self.destination
-        out = OutColumn(output.quantity, output.unit)
-        if out.header == wanted.header:
-            out = OutColumn(f"model_{output.quantity}", output.unit)
-        columns = [*([OutColumn("time", "s")] if log.has_time else []), wanted, out]
+        out = Column(output.quantity, output.unit)
+        if header_of(out) == header_of(wanted):
+            out = Column(f"model_{output.quantity}", output.unit)
+        columns = [*([Column("time", "s")] if log.has_time else []), wanted, out]
         responses = run.responses()
         # Computed before anything is opened: a log that is bad from the start leaves
         # not even a header.
@@ -367,9 +361,9 @@ def write_excitation(
         fastest = max(fastest, float(np.abs(np.diff(drive)).max()) * rate)
     request.check_format(form, [output])
     quantity = quantity_name("voltage", excitation.unit)
-    columns = [OutColumn("time", "s")]
+    columns = [Column("time", "s")]
     columns += [
-        OutColumn(name.replace("voltage", quantity), excitation.unit) for name in drives
+        Column(name.replace("voltage", quantity), excitation.unit) for name in drives
     ]
     with signal_writer(
         output.or_format(form), columns, attributes=lambda: {"sample_rate": rate}
@@ -462,7 +456,7 @@ def write_json(output: Address, content: object) -> None:
     )
 
 
-def _column_of(log: SignalLog, taken: Quantity) -> OutColumn:
+def _column_of(log: SignalLog, taken: Quantity) -> Column:
     """Return the input column under its own name."""
     column = log.columns[taken.quantity]
     stated = split_header(column.name)[1]
@@ -471,7 +465,7 @@ def _column_of(log: SignalLog, taken: Quantity) -> OutColumn:
     name = (named[1] if named else column.name) if column.quantity else taken.quantity
     if stated is not None and stated != column.unit:
         name = column.quantity  # converted: the unit in its name is no longer its own
-    return OutColumn(name, column.unit or taken.unit, taken.quantity)
+    return Column(name, column.unit or taken.unit, taken.quantity)
 
 
 def check_order(model_file: str, log_file: str) -> None:

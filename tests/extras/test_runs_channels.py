@@ -23,10 +23,9 @@ from dbo_cli.hysteresis.model_file import (
     read_model,
     read_set,
 )
-from dbo_cli.logs.columns import OutColumn
 from dbo_cli.logs.hdf5.store import matrix_writer
 from dbo_cli.logs.request import ReadingOptions, parse_address
-from dbo_cli.logs.sample_block import ColumnInfo
+from dbo_cli.logs.sample_block import Column
 from dbo_cli.logs.text.text_table import TextTable
 from dbo_cli.runs.jobs import spread_line, summed_up
 
@@ -804,10 +803,10 @@ def test_bad_words_to_identify(
     assert (said.code, said.err) == (2, f"dbo: error: {message}\n")
 
 
-def info(*names: str) -> list[ColumnInfo]:
-    from dbo_cli.logs.columns import column_info
+def info(*names: str) -> list[Column]:
+    from dbo_cli.logs.columns import parse_column
 
-    return [column_info(name, number) for number, name in enumerate(names, 1)]
+    return [parse_column(name, number) for number, name in enumerate(names, 1)]
 
 
 @pytest.mark.parametrize(
@@ -974,7 +973,7 @@ def test_a_matrix_that_is_wider_than_long_is_read_by_its_time_stamps(
 
 def test_some_thousand_channels_fit_into_an_output(tmp_path: Path) -> None:
     channels, path = [str(k) for k in range(1, 4101)], tmp_path / "out.h5"
-    columns = [OutColumn("displacement", "um")]
+    columns = [Column("displacement", "um")]
     with matrix_writer(
         parse_address(str(path)), columns, channels, None, 2, attributes={}, protect=()
     ) as write:

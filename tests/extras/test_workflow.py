@@ -26,7 +26,7 @@ KINDS = ("model.json", "drive.csv", "drive.json", "report.json", "report.csv")
 @pytest.fixture
 def bench(tmp_path: Path) -> Path:
     """A folder with three small logs of different forms and a trajectory."""
-    from dbo_cli.logs.columns import OutColumn
+    from dbo_cli.logs.sample_block import Column
     from dbo_cli.logs.signal_writer import signal_writer
 
     (tmp_path / "logs").mkdir()
@@ -36,9 +36,9 @@ def bench(tmp_path: Path) -> Path:
         NAMES, (".csv", ".h5", ".csv.gz"), (1.0, 1.2, 0.8), strict=True
     ):
         columns = [
-            OutColumn("time", "s"),
-            OutColumn("voltage", "V"),
-            OutColumn("displacement", "um"),
+            Column("time", "s"),
+            Column("voltage", "V"),
+            Column("displacement", "um"),
         ]
         with signal_writer(str(tmp_path / "logs" / (name + ending)), columns) as writer:
             displacement = gain * (
@@ -49,7 +49,7 @@ def bench(tmp_path: Path) -> Path:
             writer.write(seconds, drive, displacement)
     with signal_writer(
         str(tmp_path / "trajectory.csv"),
-        [OutColumn("time", "s"), OutColumn("displacement", "um")],
+        [Column("time", "s"), Column("displacement", "um")],
     ) as out:
         out.write(seconds, 2.0 + np.sin(seconds))
     return tmp_path

@@ -13,7 +13,6 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.byte_source import file_sha256
 from dbo_cli.logs.clock import Clock, find_clock
 from dbo_cli.logs.columns import (
     MORE_TIME_NAMES,
@@ -24,13 +23,13 @@ from dbo_cli.logs.columns import (
 )
 from dbo_cli.logs.request import ALL_ROWS, Address, ReadingOptions, Request, Rows
 from dbo_cli.logs.sample_block import (
-    ColumnInfo,
+    Column,
     DroppedRows,
     SampleBlock,
     Table,
     joined,
 )
-from dbo_cli.logs.signal_log import open_table
+from dbo_cli.logs.signal_log import file_sha256, open_table
 from dbo_cli.logs.text.text_table import TextTable
 
 _LISTED = 5  # channels that a message names at most
@@ -49,10 +48,10 @@ def is_matrix(pattern: str) -> bool:
 
 def channels_of(
     place: str,
-    columns: Sequence[ColumnInfo],
+    columns: Sequence[Column],
     patterns: Mapping[str, str],
     taken: Collection[int] = (),
-) -> dict[str, dict[str, ColumnInfo]]:
+) -> dict[str, dict[str, Column]]:
     """Find the channels of a log: for each, the column of every pattern, in the order of the log.
 
     Parameters
@@ -114,11 +113,11 @@ def channels_of(
 
 def _matches(
     place: str,
-    columns: Sequence[ColumnInfo],
+    columns: Sequence[Column],
     option: str,
     pattern: str,
     taken: Collection[int],
-) -> dict[str, ColumnInfo]:
+) -> dict[str, Column]:
     """Return the columns of one pattern by channel: by the name without its unit, else the whole name."""
     before, after = PLACE.split(pattern)
     free = [
@@ -129,7 +128,7 @@ def _matches(
             re.escape(fold(before)) + "(.+)" + re.escape(fold(after)), re.DOTALL
         )
         for whole in (False, True):
-            by_channel: dict[str, ColumnInfo] = {}
+            by_channel: dict[str, Column] = {}
             for column in free:
                 name = column.name if whole else column.quantity
                 match = shape.fullmatch(fold(name))
@@ -153,9 +152,7 @@ def _matches(
     )
 
 
-def _only_column(
-    before: str, after: str, free: Sequence[ColumnInfo]
-) -> ColumnInfo | None:
+def _only_column(before: str, after: str, free: Sequence[Column]) -> Column | None:
     """Return the column of a matrix that has no other, and so no number behind its name."""
     if not before.endswith("[") or after != "]":
         return None
@@ -187,7 +184,7 @@ class HeldTable(Table):
     """
 
     place: str
-    columns: list[ColumnInfo]
+    columns: list[Column]
     described: str
     block: SampleBlock
     ready_clock: Clock
@@ -206,7 +203,7 @@ class HeldTable(Table):
             self, rows=options.rows, ready_clock=clock, notes=list(self.remarks)
         )
 
-    def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
+    def even_clock(self, columns: Collection[Column]) -> tuple[float | None, float]:
         """Return the sample rate (Hz) that the file states, and the first row's time (s)."""
         if isinstance(self.stated_rate, InputError):
             raise self.stated_rate
@@ -216,7 +213,7 @@ class HeldTable(Table):
         """Describe in one line how the log is written."""
         return self.described
 
-    def blocks(self, picks: Mapping[str, ColumnInfo]) -> Iterator[SampleBlock]:
+    def blocks(self, picks: Mapping[str, Column]) -> Iterator[SampleBlock]:
         """Return the rows asked for as one block; none of them is bad."""
         values = {
             role: self.block.values[str(pick.number)] for role, pick in picks.items()
@@ -259,7 +256,7 @@ class ChannelReader:
     options: ReadingOptions
     patterns: Mapping[str, str]
     digest: bool = False
-    channels: dict[str, dict[str, ColumnInfo]] = field(init=False)
+    channels: dict[str, dict[str, Column]] = field(init=False)
     _held: dict[str, HeldTable | None] = field(default_factory=dict)
     _sha256: str | None = None
 
@@ -284,7 +281,7 @@ class ChannelReader:
             self.channels = channels_of(
                 self._table.place, columns, self.patterns, times
             )
-            named: list[ColumnInfo] = []
+            named: list[Column] = []
             for columns_of_channel in self.channels.values():
                 named += columns_of_channel.values()
             self._clock = find_clock(self._table.place, columns, self.options, named)

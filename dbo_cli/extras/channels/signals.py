@@ -29,7 +29,7 @@ from dbo_cli.extras.channels.model_set import Coupling
 from dbo_cli.hysteresis.model_file import is_set, read_model, read_set
 from dbo_cli.hysteresis.model_state import START_NAMES
 from dbo_cli.logs import whole_output
-from dbo_cli.logs.columns import PLACE, TIME_NAMES, OutColumn, column_info, is_pattern
+from dbo_cli.logs.columns import PLACE, TIME_NAMES, header_of, is_pattern, parse_column
 from dbo_cli.logs.request import (
     ALL_ROWS,
     Address,
@@ -38,7 +38,7 @@ from dbo_cli.logs.request import (
     parse_address,
     parse_output,
 )
-from dbo_cli.logs.sample_block import FloatArray, joined
+from dbo_cli.logs.sample_block import Column, FloatArray, joined
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.sources import TABLE, is_file, is_table
@@ -95,7 +95,7 @@ class TableReader:
     def __init__(self, table: Any, patterns: Mapping[str, str]) -> None:
         self._table = table
         infos = [
-            column_info(str(name), number)
+            parse_column(str(name), number)
             for number, name in enumerate(table.columns, 1)
         ]
         taken = {
@@ -335,7 +335,7 @@ def _may_pad(run: SignalRun) -> bool:
 def _pad(outputs: Sequence[KeptOutputs]) -> None:
     """Let drives that begin later than others rest at their first row until then, and at their last."""
     signals = [output.signals[0] for output in outputs]
-    timed = all(signal.columns[0].header == "time_s" for signal in signals)
+    timed = all(header_of(signal.columns[0]) == "time_s" for signal in signals)
     common = common_rows([signal.arrays[0] if timed else None for signal in signals])
     if common is None:
         return  # the table says which channel has other rows
@@ -405,7 +405,7 @@ class ChannelTable:
     def add(self, channel: str, outputs: KeptOutputs) -> None:
         """Take the signal of a channel; matrices are written at once, columns wait for the others."""
         (signal,) = outputs.signals
-        timed = signal.columns[0].header == "time_s"
+        timed = header_of(signal.columns[0]) == "time_s"
         time: Any = signal.arrays[0] if timed else None
         arrays = signal.arrays[timed:]
         attributes = {
@@ -449,7 +449,7 @@ class ChannelTable:
         whole = dataclasses.replace(first, columns=columns, arrays=tuple(arrays))
         _write_signal(whole, self.destination.protect, _ROWS)
 
-    def _column(self, column: OutColumn, channel: str) -> OutColumn:
+    def _column(self, column: Column, channel: str) -> Column:
         """Return a channel's column: an input keeps its own name, which holds the channel's."""
         stem = column_of(self.pattern, channel).removeprefix("name=")
         if column.name.startswith(stem):

@@ -339,12 +339,8 @@ def _widths(segments: int) -> tuple[Floats, Floats, float]:
 
 def cross_validated(products: Products) -> Score:
     """Leave out each fold in turn, fit the others, and measure the error on the fold left out."""
-    errors = [
-        products.left_out(fold) / max(count, 1)
-        for fold, count in enumerate(products.rows)
-    ]
-    rows = np.asarray(products.rows, dtype=float)
-    return Score(np.asarray(errors), rows / rows.sum())
+    squares = [products.left_out(fold) for fold in range(len(products.rows))]
+    return Score.of(squares, products.rows)
 
 
 def _held_out(logs: Sequence[PreparedLog], design: Design, cycles: float) -> float:

@@ -284,7 +284,7 @@ def with_plays(model: ActuatorModel) -> RelativeModel:
     does a play of radius d_i/2 and weight s_i - s_(i-1). The scaled drive goes from -1
     to 1 over the gears that the drive moves; what differs is a turn inside a gear.
     """
-    gears = model.covered_gears.operator
+    gears = model.covered_gears
     slopes, travelled = gears.dy / gears.dx, np.cumsum(gears.dx)
     begins = np.flatnonzero(np.diff(slopes, prepend=0.0))
     per_volt = 2.0 / float(travelled[-1])

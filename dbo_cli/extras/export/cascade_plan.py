@@ -134,7 +134,7 @@ class CascadePlan:
     @property
     def first_output(self) -> float:
         """The output after a rest at the lower end, no covered gear engaged."""
-        covered = self.model.covered_gears.operator
+        covered = self.model.covered_gears
         at = covered.x0 if self.model.direction == "inverse" else covered.y0
         y = float(through(self.model.tail, np.array([at]))[0])
         return (
@@ -151,19 +151,15 @@ class CascadePlan:
     def empty_state(self) -> ModelState:
         """Return the state of ``NAME_init``: no covered gear engaged, nothing remembered."""
         memory = (0.0,) * self.terms if self.terms else None
-        covered = self.model.covered_gears
-        return ModelState(
-            BacklashState(covered.spare_bits, memory), drive=covered.operator.x0
-        )
+        state = BacklashState(self.model.spare_bits, memory)
+        return ModelState(state, drive=self.model.covered_gears.x0)
 
     def settled_state(self, drive: float) -> ModelState:
         """Return the state of ``NAME_reset``: settled and at rest at a drive (V)."""
         inner = float(through(self.drive_stages, np.array([drive]))[0])
         covered = self.model.covered_gears
-        operator = covered.operator
-        start = covered.whole(
-            operator.empty() if inner <= operator.x0 else operator.settled(inner)
-        )
+        start = covered.empty() if inner <= covered.x0 else covered.settled(inner)
+        start = self.model.of_all_gears(start)
         _, after, _ = self.model.forward_backlash.run([inner], start)
         memory = (
             tuple(0.0 + (inner - self.reference) for _ in range(self.terms))
@@ -177,7 +173,7 @@ class CascadePlan:
 
     def spare_words(self, width: int) -> list[str]:
         """Return the spare gears' bits as C constants of ``width`` bits; empty where there are none."""
-        bits = self.model.covered_gears.spare_bits
+        bits = self.model.spare_bits
         count, mask = -(-self.model.backlash.n // width), (1 << width) - 1
         form = "UINT64_C(0x{:x})" if width == 64 else "0x{:x}U"
         return (

@@ -101,11 +101,11 @@ def double_code(plan: CascadePlan, lookup: bool) -> c.ModelCode:
         "inverse": plan.model.direction == "inverse", "counts": False, "lookup": lookup, "lag": lag,
         "moving": dynamics, "terms": plan.terms > 0, "points": parts.segments > 0, "spare": bool(spare),
         "delay": bool(delay),
-        "TERMS": str(plan.terms), "SEGMENTS": str(parts.segments), "COVERED": str(covered.operator.n),
+        "TERMS": str(plan.terms), "SEGMENTS": str(parts.segments), "COVERED": str(covered.n),
         "CHECKPOINTS": c.checkpoints_of(plan.model.backlash.n, "double"),
         "MEMORY": "state->memory" if plan.terms else "0", "SPARE": "spare" if spare else "0",
-        "SPARE_STATE": str(covered.spare_bits),
-        "LOWEST_DRIVE": c.hex_double(covered.operator.x0),
+        "SPARE_STATE": str(plan.model.spare_bits),
+        "LOWEST_DRIVE": c.hex_double(covered.x0),
         "FIRST_OUTPUT": c.hex_double(plan.first_output),
         "REACH": ignored_beyond(plan.model.input), "DRIVE_REACH": ignored_beyond(plan.model.drive),
         "LOWEST_OUTPUT": c.hex_double(plan.limits.v_min) if plan.limits else "",
@@ -326,7 +326,7 @@ def _lag_step(plan: CascadePlan, parts: _Parts, gear_members: Sequence[str]) -> 
     constants = {
         "LEAST": low, "MOST": high,
         "CHANGE": plan.limits.largest_change(plan.time_step) or 0.0, "PART": float(numbers[0, 0]),
-        "RISE": float(numbers[0, 1]), "BEGUN": plan.model.outer_drive(plan.model.covered_gears.operator.x0),
+        "RISE": float(numbers[0, 1]), "BEGUN": plan.model.outer_drive(plan.model.covered_gears.x0),
         "INNER_LEAST": plan.inner_limits.v_min, "INNER_MOST": plan.inner_limits.v_max,
     }  # fmt: skip
     members = [_kept(member) for member in gear_members]

@@ -324,7 +324,7 @@ def single_tables(
         drive_offset=round(offset / drive_count) if plan.terms else 0, drive_shift=drive_shift,
         slope_shift=slope_shift, x_shift=axes.fine[0], y_shift=axes.fine[1],
         least=-span, most=2 * span, limits=positions,
-        covered=plan.model.covered_gears.operator.n, spare_bits=plan.model.covered_gears.spare_bits,
+        covered=plan.model.covered_gears.n, spare_bits=plan.model.spare_bits,
         before=segments_of(before, q31, taken, (base, x_step)),
         behind=segments_of(behind, q31, (gears.y0, axes.y_count), goes_in),
         drive=drive, clip=clip, change=change, first=first, delay=delay, smooth=smooth,
@@ -623,7 +623,7 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
     values: dict[str, str | bool] = {
         "counts": q31, "inverse": plan.model.direction == "inverse", "terms": bool(t.terms),
         "spare": bool(spare), "delay": bool(delay), "tables": tables, "delay_line": delay,
-        "TERMS": str(len(t.terms)), "COVERED": str(plan.model.covered_gears.operator.n),
+        "TERMS": str(len(t.terms)), "COVERED": str(plan.model.covered_gears.n),
         "MEMORY": "state->memory" if t.terms else "0", "SPARE": "spare" if spare else "0",
         "CHECKPOINTS": checkpoints_of(t.n, arithmetic),
         "LIMITS": "0" if t.limits is None else "&limits", "LOWEST_OUTPUT": low, "HIGHEST_OUTPUT": high,

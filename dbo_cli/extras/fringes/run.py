@@ -19,8 +19,9 @@ from dbo_cli.extras.fringes.one_signal import track_one_signal
 from dbo_cli.extras.fringes.quadrature import track_quadrature
 from dbo_cli.extras.fringes.swings import Floats
 from dbo_cli.extras.fringes.track import Track, joined
-from dbo_cli.logs.columns import ColumnWish, OutColumn, column_wish
+from dbo_cli.logs.columns import ColumnWish, column_wish
 from dbo_cli.logs.request import Address, ReadingOptions, check_format, parse_address
+from dbo_cli.logs.sample_block import Column
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.units import in_unit
@@ -478,10 +479,10 @@ def _write(
 ) -> None:
     """Write the rows of one part."""
     columns = [
-        OutColumn("time", "s"),
-        OutColumn("voltage", unit),
-        OutColumn("displacement", "um"),
-        OutColumn("standard_deviation", "um"),
+        Column("time", "s"),
+        Column("voltage", unit),
+        Column("displacement", "um"),
+        Column("standard_deviation", "um"),
     ]
     with signal_writer(
         output.or_format(reading.format),

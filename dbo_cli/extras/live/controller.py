@@ -619,7 +619,7 @@ class Controller(LiveDrive[float, float | int]):
         if not math.isnan(self._last) or self._start not in ("empty", "full"):
             return self._last
         end = 0 if self._start == "empty" else 1
-        inner = self._model.covered_gears.operator.x_range[end]
+        inner = self._model.covered_gears.x_range[end]
         return min(max(self._inverse.outer_drive(inner), self._low), self._high)
 
     def _voltage(self, what: str, value: object) -> float:

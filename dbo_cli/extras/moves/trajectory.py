@@ -19,8 +19,9 @@ from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import read_model
 from dbo_cli.hysteresis.model_state import DriveLimits
 from dbo_cli.hysteresis.move_error import trusted_frequency
-from dbo_cli.logs.columns import OutColumn
+from dbo_cli.logs.columns import header_of
 from dbo_cli.logs.request import check_format
+from dbo_cli.logs.sample_block import Column
 from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.whole_output import all_or_none
 from dbo_cli.runs.api import Model, require_known
@@ -203,8 +204,8 @@ def write_trajectory(
         options, [(shown_name(path), read_model(path)) for path in models], unit, drive
     )
     columns = [
-        OutColumn("time", "s"),
-        *(OutColumn(name, made.unit) for name in made.axes),
+        Column("time", "s"),
+        *(Column(name, made.unit) for name in made.axes),
     ]
     with all_or_none():
         with signal_writer(
@@ -223,7 +224,9 @@ def write_trajectory(
         return made.notes
     words = ["dbo", "compensate", *(models[:1] or ["MODEL"]), output.text]
     picked, second_axis = (
-        (columns[1].header, columns[2].header) if len(made.axes) > 1 else ("", "")
+        (header_of(columns[1]), header_of(columns[2]))
+        if len(made.axes) > 1
+        else ("", "")
     )
     then = shlex.join(words) + (
         f" `displacement` {shlex.quote(picked)}" if picked else ""

@@ -26,12 +26,12 @@ from dbo_cli.hysteresis.identification.evaluation import (
     pooled,
     residual_of,
 )
-from dbo_cli.hysteresis.identification.finalists import Fitted, stages_of
+from dbo_cli.hysteresis.identification.finalists import stages_of
 from dbo_cli.hysteresis.identification.normal_equations import (
     Solution,
     Structure,
 )
-from dbo_cli.hysteresis.identification.output_error import corners
+from dbo_cli.hysteresis.identification.output_error import Candidate, corners
 from dbo_cli.hysteresis.identification.preparation import Prepared, level_moves
 from dbo_cli.hysteresis.identification.recordings import (
     FEWEST_ROWS,
@@ -381,13 +381,8 @@ def _other(
     model: ActuatorModel,
 ) -> ActuatorModel:
     """Return what was fitted with another basis or structure as a model."""
-    gains, origin = (
-        solution.gains[: len(basis.time_constants)],
-        float(solution.drift[0]),
-    )
-    knots = corners(solution.knots, structure.segments)
-    numbers = Fitted(basis, solution.heights, gains, origin, knots, np.zeros(1))
-    return replace(model, stages=stages_of(numbers, prepared, 0.0), fit={})
+    candidate = Candidate(basis, structure, solution.vector)
+    return replace(model, stages=stages_of(candidate, prepared, 0.0), fit={})
 
 
 def _forgetting(

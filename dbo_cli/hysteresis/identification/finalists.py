@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -31,14 +31,10 @@ from dbo_cli.hysteresis.identification.normal_equations import (
 from dbo_cli.hysteresis.identification.output_error import (
     BLOCKS,
     TINY,
-    Errors,
-    Judged,
-    LeftOut,
+    Candidate,
     OutputProblem,
-    Refined,
-    corners,
     finer,
-    judged_rows,
+    output_problem,
 )
 from dbo_cli.hysteresis.identification.preparation import Prepared
 from dbo_cli.hysteresis.identification.recordings import (
@@ -56,6 +52,7 @@ from dbo_cli.hysteresis.identification.statistics import (
     INDIFFERENCE,
     Basis,
     PreparedLog,
+    Score,
     fewer_rows,
     gather,
     weighted,
@@ -88,23 +85,9 @@ well enough.
 SMOOTHNESS = (1e-6, 1e-8, 1e-10, 1e-12, 1e-16)  # of the slopes
 
 
-@dataclass(frozen=True)
-class Finalist:
-    """What is delivered: basis, structure, and the unknowns from which the last refinement begins.
-
-    ``beaten`` says in words what predicts parts left out better than all candidates do,
-    and what the logs lack; empty where nothing does.
-    """
-
-    basis: Basis
-    structure: Structure
-    vector: Floats
-    beaten: str = ""
-
-
 def best_of(
     prepared: Prepared, choice: Choice, options: IdentificationOptions
-) -> Finalist:
+) -> Candidate:
     """Return the candidate that predicts best what was left out; the simplest of those as good.
 
     Raises
@@ -131,19 +114,19 @@ class _Finalists:
             few = choice.basis  # a number of gears that the user fixed
         self._choice, self._options = replace(choice, basis=few), options
         self._problems: dict[Basis, OutputProblem] = {}
-        self._alone: dict[tuple[Basis, Structure], Judged] = {}
+        self._alone: dict[tuple[Basis, Structure], Candidate] = {}
 
     def _problem(self, basis: Basis) -> OutputProblem:
         if basis not in self._problems:
-            self._problems[basis] = OutputProblem(judged_rows(self._logs, basis))
+            self._problems[basis] = output_problem(self._logs, basis)
         return self._problems[basis]
 
-    def best(self) -> Finalist:
+    def best(self) -> Candidate:
         """Return the winner."""
         chosen = self._judged_choice()
         if self._at_noise(chosen):
             return self._finalist(chosen)
-        refined: list[Refined] = []
+        refined: list[Candidate] = []
         least_squares: dict[int, float] = {}
         basis = chosen.basis  # the delay has been judged
         for structure in self._starts(basis, least_squares):
@@ -157,35 +140,31 @@ class _Finalists:
                 continue
         # What is left out is predicted no better than what is fitted: most need not be
         # left out at all.
-        refined.sort(key=lambda one: one.squares)
+        refined.sort(key=lambda candidate: candidate.squares)
         judged = [chosen]
         least = chosen.score
         for candidate in refined:
-            if (
-                0.5 * np.log(candidate.squares / self._problem(basis).count + TINY)
-                > least
-            ):
+            if candidate.least_score > least:
                 break
             try:
-                one = self._problem(basis).judged(candidate)
+                judged.append(self._problem(basis).judged(candidate))
             except FitError:
                 continue
-            judged.append(one)
-            least = min(least, one.score)
+            least = min(least, judged[-1].score)
         winner = self._no_worse_than_simpler(self._winner(judged))
         return self._finalist(winner, self._beaten(winner))
 
-    def _finalist(self, winner: Judged, beaten: str = "") -> Finalist:
+    def _finalist(self, winner: Candidate, beaten: str = "") -> Candidate:
         """Return the winner with all the gears that were chosen."""
         parts = self._gears // winner.basis.gears
         basis = replace(
             winner.basis, gears=self._gears, split=winner.basis.split // parts
         )
-        heights, rest = np.split(winner.candidate.vector, [winner.basis.gears])
+        heights, rest = np.split(winner.vector, [winner.basis.gears])
         vector = np.concatenate((np.repeat(heights / parts, parts), rest))
-        return Finalist(basis, winner.structure, vector, beaten)
+        return replace(winner, basis=basis, vector=vector, beaten=beaten)
 
-    def _no_worse_than_simpler(self, winner: Judged) -> Judged:
+    def _no_worse_than_simpler(self, winner: Candidate) -> Candidate:
         """Return the winner, or what is simpler and has a smaller error.
 
         That is: itself without its delay, and gears alone; where they predict what was
@@ -208,7 +187,7 @@ class _Finalists:
                 winner = simpler
         return winner
 
-    def _simpler(self, winner: Judged) -> Iterator[Structure]:
+    def _simpler(self, winner: Candidate) -> Iterator[Structure]:
         """Yield the structures that are tried without a delay: the winner's, and gears alone."""
         yield winner.structure
         memories = (
@@ -218,7 +197,7 @@ class _Finalists:
         if self._options.points in (None, 0, 1):
             yield replace(alone, knot_smoothness=KNOT_SMOOTHNESS)
 
-    def _beaten(self, winner: Judged) -> str:
+    def _beaten(self, winner: Candidate) -> str:
         """Return what predicts parts left out better than the winner, in words; empty where nothing does."""
         straight = replace(winner.basis, delay=0.0, bend=0.0)
         line = self._problem(straight).line()
@@ -245,13 +224,13 @@ class _Finalists:
     def _reaches(self, basis: Basis, alone: Structure, least: dict[int, float]) -> bool:
         """Return whether gears alone, of a smoothness not yet chosen, are not far worse than the best."""
         problem = self._problem(basis)
-        start = np.zeros(problem.rows.columns(1).total)
+        start = np.zeros(problem.columns(1).total)
         squares = problem.refined(alone, start, steps=1).squares
         return squares <= OUT_OF_REACH**2 * least.get(1, np.inf)
 
     def _within_reach(
-        self, chain: Iterator[Refined], least: dict[int, float]
-    ) -> Iterator[Refined]:
+        self, chain: Iterator[Candidate], least: dict[int, float]
+    ) -> Iterator[Candidate]:
         """Yield the candidates of a chain until one is far worse than others of as many segments.
 
         ``least`` holds the least sum of squares of each number of segments, and is
@@ -268,12 +247,12 @@ class _Finalists:
         """Return the share of the error by which another candidate has to do better."""
         return 1.0 / EARNED - 1.0 if self._one_amplitude else INDIFFERENCE
 
-    def _at_noise(self, chosen: Judged) -> bool:
+    def _at_noise(self, chosen: Candidate) -> bool:
         """Return whether the choice leaves so little beyond white noise that none could do so much better."""
-        noise = self._problem(chosen.basis).noise(chosen.candidate)
+        noise = self._problem(chosen.basis).noise(chosen)
         return chosen.score - 0.5 * math.log(noise + TINY) <= math.log1p(self._needed())
 
-    def _winner(self, judged: Sequence[Judged]) -> Judged:
+    def _winner(self, judged: Sequence[Candidate]) -> Candidate:
         """Return the simplest candidate within the error bar of the best; the choice where it is as good.
 
         What cannot be left out cannot be judged: among the cycles of one amplitude the
@@ -286,7 +265,7 @@ class _Finalists:
         as_good = [one for one in judged if not one.beaten_by(best, 0.0)]
         return min(as_good, key=lambda one: (_complexity(one), one.score))
 
-    def _judged_choice(self) -> Judged:
+    def _judged_choice(self) -> Candidate:
         """Return what the search chose, refined and judged; without its delay where that is as good."""
         basis, structure = self._choice.basis, self._choice.structure
         chosen = self._judged(basis, structure)
@@ -298,7 +277,7 @@ class _Finalists:
             return chosen
         return chosen if prompt.beaten_by(chosen, 0.0) else prompt
 
-    def _judged(self, basis: Basis, structure: Structure) -> Judged:
+    def _judged(self, basis: Basis, structure: Structure) -> Candidate:
         """Return one candidate, refined from gears alone and judged."""
         key = basis, structure
         if key not in self._alone:
@@ -334,7 +313,7 @@ class _Finalists:
 
     def _chain(
         self, basis: Basis, structure: Structure, upto: Structure | None = None
-    ) -> Iterator[Refined]:
+    ) -> Iterator[Candidate]:
         """Yield the refined candidates of more and more segments, each begun where the last one ended."""
         problem = self._problem(basis)
         segments: tuple[tuple[int, float], ...] = SEGMENTS
@@ -346,23 +325,23 @@ class _Finalists:
                 (1, KNOT_SMOOTHNESS),
                 (max(self._options.points, 1), KNOT_SMOOTHNESS),
             )
-        vector = np.zeros(problem.rows.columns(1).total)
+        vector = np.zeros(problem.columns(1).total)
         before = 1
         for count, kinks in segments:
             some = replace(structure, segments=count, knot_smoothness=kinks)
-            start = finer(vector, problem.rows.columns(before), before, count)
+            start = finer(vector, problem.columns(before), before, count)
             refined = problem.refined(some, start)
             vector, before = refined.vector, count
             if self._options.points is None or count == max(self._options.points, 1):
                 yield refined
 
 
-def _percent(one: LeftOut) -> str:
+def _percent(one: Candidate) -> str:
     """Return the error left out, mean over the kinds, as a share of the range."""
     return f"{100.0 * math.exp(one.score):.3g} % of the range"
 
 
-def _complexity(one: Judged) -> float:
+def _complexity(one: Candidate) -> float:
     """Return how much a candidate has: halvings of its segments, memories, delay, bend, free slopes."""
     structure = one.structure
     parts = [bool(structure.memories), bool(one.basis.delay), bool(one.basis.bend)]
@@ -373,24 +352,7 @@ def _complexity(one: Judged) -> float:
 # --- the numbers of what was chosen, and its stages ---
 
 
-@dataclass(frozen=True)
-class Fitted:
-    """A fitted cascade in normalised terms: gears and memories, then the asymmetry, then offset and drift.
-
-    ``origin`` is w0, the gears' output with all bits cleared; ``knots`` the corners of
-    the asymmetry on its input axis, shape (segments + 1,), from 0 to 1; ``drift`` the
-    output's drift coefficients of all logs in turn.
-    """
-
-    basis: Basis
-    heights: Floats
-    gains: Floats
-    origin: float
-    knots: Floats
-    drift: Floats
-
-
-def fit(logs: Sequence[PreparedLog], finalist: Finalist) -> Fitted:
+def fit(logs: Sequence[PreparedLog], finalist: Candidate) -> Candidate:
     """Refine a finalist on ``FIT_ROWS`` rows, without the memories that do nothing.
 
     Raises
@@ -398,33 +360,38 @@ def fit(logs: Sequence[PreparedLog], finalist: Finalist) -> Fitted:
     FitError
         The solver failed.
     """
-    basis, structure, vector = finalist.basis, finalist.structure, finalist.vector
-    heights = vector[: basis.gears]
-    count = len(basis.time_constants)
-    gains = vector[basis.gears : basis.gears + count]
-    kept = tuple(
-        k for k in structure.memories if gains[k] > SLOPE_FLOOR * heights.sum()
-    )
-    if kept != tuple(range(count)):
-        basis = replace(
-            basis, time_constants=tuple(basis.time_constants[k] for k in kept)
-        )
-        structure = replace(structure, memories=tuple(range(len(kept))))
-        vector = np.concatenate(
-            (heights, gains[list(kept)], vector[basis.gears + count :])
-        )
+    finalist = _without_idle_memories(finalist)
+    basis, structure = finalist.basis, finalist.structure
     some = fewer_rows(logs, FIT_ROWS)
-    problem = OutputProblem(judged_rows(some, basis))
-    best = problem.refined(structure, vector)
+    problem = output_problem(some, basis)
+    best = problem.refined(structure, finalist.vector)
     convex = _convex(some, problem, structure)
     if convex is not None and convex.penalised * (1.0 - INDIFFERENCE) <= best.penalised:
-        best = convex
-    return fitted_of(basis, structure, best.vector)
+        return convex
+    return best
+
+
+def _without_idle_memories(candidate: Candidate) -> Candidate:
+    """Return a candidate without the memories whose gains are next to nothing."""
+    basis, structure = candidate.basis, candidate.structure
+    least = SLOPE_FLOOR * candidate.heights.sum()
+    acting = [k for k in structure.memories if candidate.gains[k] > least]
+    if acting == list(range(len(basis.time_constants))):
+        return candidate
+    rest = candidate.vector[basis.gears + len(basis.time_constants) :]
+    parts = (candidate.heights, candidate.gains[acting], rest)
+    time_constants = tuple(basis.time_constants[k] for k in acting)
+    return replace(
+        candidate,
+        basis=replace(basis, time_constants=time_constants),
+        structure=replace(structure, memories=tuple(range(len(acting)))),
+        vector=np.concatenate(parts),
+    )
 
 
 def _convex(
     logs: Sequence[PreparedLog], problem: OutputProblem, structure: Structure
-) -> Refined | None:
+) -> Candidate | None:
     """Return the solution of the equation error, which holds where the output's own gains too little.
 
     Where noise is small beside what no model of this class can follow, the two errors
@@ -432,28 +399,11 @@ def _convex(
     better.
     """
     try:
-        solution, _ = gather(logs, problem.rows.basis, structure.segments).solved(
-            structure
-        )
+        statistics = gather(logs, problem.basis, structure.segments)
+        solution, _ = statistics.solved(structure)
     except FitError:
         return None
     return problem.levelled(solution.vector, structure)
-
-
-def fitted_of(basis: Basis, structure: Structure, vector: Floats) -> Fitted:
-    """Return the unknowns of a candidate as what they are."""
-    after_gears = basis.gears + len(basis.time_constants)
-    origin = after_gears + structure.segments - 1
-    drift = vector[origin:].copy()
-    drift[0] = 0.0  # the level is that of the gears
-    return Fitted(
-        basis,
-        vector[: basis.gears],
-        vector[basis.gears : after_gears],
-        float(vector[origin]),
-        corners(vector[after_gears:origin], structure.segments),
-        drift,
-    )
 
 
 # of the range, in gears beyond its top; half and double: the same errors
@@ -475,7 +425,7 @@ def zero_shift(recording: Recording, zero: str | float) -> float:
 
 
 def stages_of(
-    fitted: Fitted, prepared: Prepared, shift: float, gears: int | None = None
+    candidate: Candidate, prepared: Prepared, shift: float, gears: int | None = None
 ) -> tuple[Stage, ...]:
     """Stages of the forward cascade: points on the drive, backlash with relaxation, point, scale, delay.
 
@@ -483,59 +433,57 @@ def stages_of(
     output (sum about 1); the scale stage carries the displacement's unit. ``shift`` is
     taken off the displacement. ``gears``: their number where the user fixed it.
     """
-    basis = fitted.basis
-    relaxation = None
-    if fitted.gains.any():
-        acting = fitted.gains > 0.0
-        relaxation = Relaxation(
-            basis.low,
-            tuple(
-                float(tau)
-                for tau, on in zip(basis.time_constants, acting, strict=True)
-                if on
-            ),
-            tuple((fitted.gains[acting] / basis.span).tolist()),
-        )
-    count = gears or basis.gears * basis.split
-    slope = np.minimum(
-        (np.arange(count) + 0.5) * basis.gears / count, basis.gears - 1
-    ).astype(np.int64)
-    heights = fitted.heights[slope] * basis.gears / count
-    x0, y0 = basis.low, fitted.origin
-    spare = 0 if gears is not None else int(MARGIN * count)
-    # A drive that goes a little further than the logs did shall turn there as it does
-    # inside.
-    heights = np.append(heights, np.full(2 * spare, heights[-1]))
-    widths = np.full(len(heights), basis.span / count)
-    x0, y0 = x0 - spare * widths[0], y0 - spare * heights[-1]
+    basis = candidate.basis
     stages: list[Stage] = [basis.bend_points()] if basis.bend else []
-    stages.append(BacklashStage(widths, heights, x0, y0, relaxation))
-    segments = len(fitted.knots) - 1
+    stages.append(_backlash_of(candidate, gears))
+    segments = candidate.structure.segments
     if segments > 1:
-        stages.append(
-            PointStage(
-                np.diff(fitted.knots), np.full(segments, 1.0 / segments), 0.0, 0.0
-            )
-        )
-    # the first log's offset; the later terms are its drift
-    level = float(fitted.drift[0])
-    stages.append(
-        ScaleStage(prepared.scale, prepared.offset + prepared.scale * level - shift)
-    )
+        outputs = np.full(segments, 1.0 / segments)
+        stages.append(PointStage(np.diff(candidate.knots), outputs, 0.0, 0.0))
+    stages.append(ScaleStage(prepared.scale, prepared.offset - shift))
     if basis.delay > 0.0:
         stages.append(DelayStage(basis.delay))
     return tuple(stages)
 
 
+def _backlash_of(candidate: Candidate, gears: int | None) -> BacklashStage:
+    """Return the gears and the memories beside them; each slope is shared by neighbours.
+
+    A drive that goes a little further than the logs did shall turn there as it does
+    inside, so gears follow beyond either end, unless the user fixed their number.
+    """
+    basis = candidate.basis
+    count = gears or basis.gears * basis.split
+    places = (np.arange(count) + 0.5) * basis.gears / count
+    slope = np.minimum(places, basis.gears - 1).astype(np.int64)
+    heights = candidate.heights[slope] * basis.gears / count
+    spare = 0 if gears is not None else int(MARGIN * count)
+    heights = np.append(heights, np.full(2 * spare, heights[-1]))
+    widths = np.full(len(heights), basis.span / count)
+    x0 = basis.low - spare * widths[0]
+    y0 = candidate.origin - spare * heights[-1]
+    return BacklashStage(widths, heights, x0, y0, _relaxation_of(candidate))
+
+
+def _relaxation_of(candidate: Candidate) -> Relaxation | None:
+    """Return the memories that act, their gains per volt."""
+    basis, gains = candidate.basis, candidate.gains
+    acting = np.flatnonzero(gains > 0.0)
+    if not acting.size:
+        return None
+    taus = tuple(float(basis.time_constants[k]) for k in acting)
+    return Relaxation(basis.low, taus, tuple((gains[acting] / basis.span).tolist()))
+
+
 def model_of(
-    fitted: Fitted,
+    candidate: Candidate,
     prepared: Prepared,
     recording: Recording,
     zero: str | float,
     gears: int | None = None,
 ) -> ActuatorModel:
     """Build the forward model; its input range is what the logs cover."""
-    stages = stages_of(fitted, prepared, zero_shift(recording, zero), gears)
+    stages = stages_of(candidate, prepared, zero_shift(recording, zero), gears)
     low, high = slow_output_range(stages, prepared.low, prepared.high)
     return ActuatorModel(
         direction="forward",
@@ -564,7 +512,7 @@ DAMPING = 1e-6  # of the mean square of the drive, on every tap
 WITHIN_REACH = 4.0
 
 
-def linear_response(logs: Sequence[PreparedLog], to_beat: float) -> Errors | None:
+def linear_response(logs: Sequence[PreparedLog], to_beat: float) -> Score | None:
     """Return the errors on quarters left out of the best response, None where no clock is even.
 
     Parameters
@@ -577,11 +525,11 @@ def linear_response(logs: Sequence[PreparedLog], to_beat: float) -> Errors | Non
     some = [_few_rows(log, span) for log in logs if _even(log)]
     if len(some) < len(logs):
         return None
-    best: Errors | None = None
+    best: Score | None = None
     for taps in TAPS:
         if min(len(log.output) for log in some) < ROWS_PER_TAP * taps:
             break
-        errors = _errors(some, taps)
+        errors = _response_left_out(some, taps)
         if best is None or errors.mean_square < best.mean_square:
             best = errors
         if errors.mean_square > (WITHIN_REACH * to_beat) ** 2:
@@ -598,44 +546,40 @@ def _even(log: PreparedLog) -> bool:
     return usual > 0.0 and float(np.abs(steps - usual).max()) <= EVEN * usual
 
 
-@dataclass(frozen=True)
-class _Rows:
-    """Neighbouring rows of one log: drive before the first, output, drift, quarter and weight of each row."""
-
-    drive: Floats
-    output: Floats
-    drift: Floats
-    quarter: Integers
-    weights: Floats | None
-
-
-def _few_rows(log: PreparedLog, span: float) -> _Rows:
+def _few_rows(log: PreparedLog, span: float) -> PreparedLog:
     """Return at most ``ROWS`` rows of a log, evenly thinned to some rows between turns, then cut.
 
-    The drive is in units of ``span``.
+    The drive is counted from the log's first row, in units of ``span``; the folds are
+    quarters of the log.
     """
     rows = len(log.voltage)
     swing = rows / (len(drive_shape(log.voltage).turns) + 1)
     every = max(1, int(swing / SWING_ROWS))
     chosen = np.arange(0, rows, every)[:ROWS]
     used = log.used[chosen]
-    quarter = np.full(len(chosen), -1)
     count = int(used.sum())
+    quarter = np.full(len(chosen), -1)
     quarter[used] = np.arange(count) * BLOCKS // max(count, 1)
-    drive = (log.voltage[chosen] - log.voltage[0]) / span
-    return _Rows(
-        drive, log.output[chosen], log.drift[chosen], quarter, log.weights_at(chosen)
+    return PreparedLog(
+        log.name,
+        (log.voltage[chosen] - log.voltage[0]) / span,
+        log.output[chosen],
+        None,
+        quarter,
+        log.drift[chosen],
+        log.start,
+        weights=log.weights_at(chosen),
     )
 
 
-def _table(log: _Rows, taps: int) -> Floats:
+def _table(log: PreparedLog, taps: int) -> Floats:
     """Return the drive of the last ``taps`` rows, offset and drift, and (last) the output, weighted."""
-    padded = np.concatenate((np.zeros(taps - 1), log.drive))
+    padded = np.concatenate((np.zeros(taps - 1), log.voltage))
     past = np.lib.stride_tricks.sliding_window_view(padded, taps)[:, ::-1]
     return weighted(np.column_stack((past, log.drift, log.output)), log.weights)
 
 
-def _errors(logs: Sequence[_Rows], taps: int) -> Errors:
+def _response_left_out(logs: Sequence[PreparedLog], taps: int) -> Score:
     """Return the errors of a response of so many taps on quarters left out."""
     size = taps + sum(log.drift.shape[1] for log in logs) + 1
     grams = np.zeros((BLOCKS, size, size))
@@ -646,12 +590,12 @@ def _errors(logs: Sequence[_Rows], taps: int) -> Errors:
         columns = np.concatenate((np.arange(taps), np.arange(begin, end), [size - 1]))
         table = _table(log, taps)
         for k in range(BLOCKS):
-            some = table[log.quarter == k]
+            some = table[log.fold == k]
             grams[k][np.ix_(columns, columns)] += some.T @ some
-        tables.append((table, columns[:-1], log.quarter))
+        tables.append((table, columns[:-1], log.fold))
         begin = end
     squares = np.zeros(BLOCKS)
-    rows = np.zeros(BLOCKS, np.int64)
+    rows = np.zeros(BLOCKS)
     for k in range(BLOCKS):
         rest = grams.sum(axis=0) - grams[k]
         gram = rest[:-1, :-1].copy()
@@ -664,4 +608,4 @@ def _errors(logs: Sequence[_Rows], taps: int) -> Errors:
             left = some[:, -1] - some[:, :-1] @ found[columns]
             squares[k] += float(left @ left)
             rows[k] += len(left)
-    return Errors(squares, rows)
+    return Score(squares, rows)

@@ -34,7 +34,8 @@ from dbo_cli.hysteresis.identification.evaluation import (
     white_noise,
 )
 from dbo_cli.hysteresis.identification.expectation import Expectation, expect
-from dbo_cli.hysteresis.identification.finalists import Fitted, best_of, fit, model_of
+from dbo_cli.hysteresis.identification.finalists import best_of, fit, model_of
+from dbo_cli.hysteresis.identification.output_error import Candidate
 from dbo_cli.hysteresis.identification.preparation import Prepared, prepare
 from dbo_cli.hysteresis.identification.recordings import (
     Floats,
@@ -299,7 +300,7 @@ def _drift_warnings(
 def _figures(
     prepared: Prepared,
     choice: Choice,
-    fitted: Fitted,
+    fitted: Candidate,
     model: ActuatorModel,
     residuals: Sequence[Residual],
     checks: Sequence[Residual],
@@ -441,7 +442,7 @@ def fastest_drive(logs: Sequence[PreparedLog]) -> float | None:
     return max(float(np.percentile(one, FASTEST)) if one.size else 0.0 for one in rates)
 
 
-def lag_seconds(fitted: Fitted, cycle: float | None) -> float:
+def lag_seconds(fitted: Candidate, cycle: float | None) -> float:
     """Lag of the displacement in seconds at the logs' own frequency, the loop's own lag left out.
 
     To a slow sine of angular frequency w the gears answer with their mean slope s, a

@@ -19,8 +19,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -41,6 +41,7 @@ from dbo_cli.hysteresis.identification.recordings import FEWEST_ROWS, Floats, In
 from dbo_cli.hysteresis.identification.statistics import (
     Basis,
     PreparedLog,
+    Score,
     drive_rows,
     groupings,
     hat_functions,
@@ -79,13 +80,125 @@ class Part:
 
 
 @dataclass(frozen=True)
-class JudgedRows:
-    """The used rows of all logs for one basis, sorted by cells: what is left out together lies together.
+class Candidate:
+    """A basis and a structure with their numbers, and the errors of the output that these leave.
 
-    ``drive`` has shape (rows, gears + memories), ``drift`` (rows, terms of all logs);
-    ``kinds`` maps each way to leave parts out to its parts; ``in_time`` puts the rows
-    into the order in which they were recorded; ``weights`` are the roots of the rows'
-    weights, None where all count alike.
+    Attributes
+    ----------
+    vector : Floats
+        All unknowns: heights of the gears, gains of the memories, deviations of the
+        asymmetry's inner knots, w0 (the gears' output with all bits cleared), drift.
+    squares, penalised : float
+        Sum of the squared errors on the rows that were fitted, in the square of the
+        normalised output; and with what smoothness adds.
+    rows : int
+        Number of these rows.
+    errors : mapping of str to Score
+        Errors on parts left out, of every kind that the logs have; empty before it is
+        judged.
+    beaten : str
+        What predicts parts left out better than all candidates do, in words; empty
+        where nothing does.
+    """
+
+    basis: Basis
+    structure: Structure
+    vector: Floats
+    squares: float = 0.0
+    penalised: float = 0.0
+    rows: int = 1
+    errors: Mapping[str, Score] = field(default_factory=dict)
+    beaten: str = ""
+
+    @property
+    def heights(self) -> Floats:
+        """Heights of the gears, their sum about 1."""
+        return self.vector[: self.basis.gears]
+
+    @property
+    def gains(self) -> Floats:
+        """Gains of the memories of the time."""
+        first = self.basis.gears
+        return self.vector[first : first + len(self.basis.time_constants)]
+
+    @property
+    def knots(self) -> Floats:
+        """Corners of the asymmetry on its input axis, from 0 to 1; shape (segments + 1,)."""
+        segments = self.structure.segments
+        first = self._after_memories
+        return corners(self.vector[first : first + segments - 1], segments)
+
+    @property
+    def origin(self) -> float:
+        """The gears' output with all bits cleared, w0."""
+        return float(self.vector[self._after_memories + self.structure.segments - 1])
+
+    @property
+    def _after_memories(self) -> int:
+        basis = self.basis
+        return basis.gears + len(basis.time_constants) + len(basis.lengths)
+
+    @property
+    def score(self) -> float:
+        """Logarithm of the RMS error left out, mean over the kinds; of the fit where nothing could be."""
+        if not self.errors:
+            return self.least_score
+        kinds = [np.log(kind.mean_square + TINY) for kind in self.errors.values()]
+        return 0.5 * float(np.mean(kinds))
+
+    @property
+    def least_score(self) -> float:
+        """Logarithm of the RMS error on all rows: what is left out is predicted no better."""
+        return 0.5 * float(np.log(self.squares / self.rows + TINY))
+
+    def beaten_by(self, rival: Candidate, least: float) -> bool:
+        """Return whether a rival does better by more than the error bar, and by this share of the error."""
+        bars = self._error_bars(rival)
+        bar = float(np.sqrt(np.sum(np.square(bars)))) / max(len(bars), 1)
+        return self.score - rival.score > max(bar, math.log1p(least))
+
+    def surely_beaten_by(self, rival: Candidate) -> bool:
+        """Return whether a rival does better by more than two standard errors.
+
+        All kinds leave out parts of the same rows, so their errors are taken as one.
+        """
+        bars = self._error_bars(rival)
+        if not bars:
+            return False
+        return self.score - rival.score > 2.0 * float(np.mean(bars))
+
+    def _error_bars(self, rival: Candidate) -> list[float]:
+        """Return one standard error of the difference of the scores for each kind."""
+        return [
+            _error_bar(score, rival.errors[kind]) for kind, score in self.errors.items()
+        ]
+
+
+def _error_bar(mine: Score, rival: Score) -> float:
+    """Return one standard error of the logarithm of a ratio of RMS errors, from its scatter between parts.
+
+    Of a kind with a single part the scatter is not known: its whole difference may be
+    chance.
+    """
+    count = len(mine.rows)
+    if count == 1:
+        ratio = (mine.mean_square + TINY) / (rival.mean_square + TINY)
+        return 0.5 * abs(math.log(ratio))
+    share = mine.squares / (mine.squares.sum() + TINY)
+    rival_share = rival.squares / (rival.squares.sum() + TINY)
+    scatter = float(np.sum((share - rival_share) ** 2))
+    return 0.5 * math.sqrt(scatter * count / (count - 1.0))
+
+
+@dataclass(frozen=True)
+class OutputProblem:
+    """The used rows of all logs for one basis: candidates are refined on them, and judged there.
+
+    The rows are sorted by cells: what is left out together lies together. ``drive`` has
+    shape (rows, gears + memories), ``drift`` (rows, terms of all logs); ``kinds`` maps
+    each way to leave parts out to its parts; ``in_time`` puts the rows into the order in
+    which they were recorded; ``weights`` are the roots of the rows' weights, None where
+    all count alike.
     """
 
     basis: Basis
@@ -96,18 +209,287 @@ class JudgedRows:
     kinds: dict[str, tuple[Part, ...]]
     in_time: Integers
     weights: Floats | None = None
+    _bending: dict[tuple[int, float, float], Floats] = field(
+        default_factory=dict, repr=False, compare=False
+    )
 
-    def weighted(self, values: Floats, some: Integers | slice = slice(None)) -> Floats:
+    @property
+    def count(self) -> int:
+        """Number of rows."""
+        return len(self.output)
+
+    def weighted(self, values: Floats, rows: Integers | slice = slice(None)) -> Floats:
         """Return values of some rows times the roots of the rows' weights."""
-        return weighted(values, None if self.weights is None else self.weights[some])
+        return weighted(values, None if self.weights is None else self.weights[rows])
 
     def columns(self, segments: int) -> Columns:
         """Return where the unknowns of a candidate with so many segments stand."""
         memories = self.drive.shape[1] - self.basis.gears
         return Columns(self.basis.gears, memories, segments, self.drift.shape[1])
 
+    def predicted(self, vector: Floats, segments: int) -> Floats:
+        """Return what the unknowns predict of the rows, drift and all."""
+        shared, drift = self.drive.shape[1], self.drift.shape[1]
+        origin = len(vector) - drift
+        y: Floats = np.einsum("ij,j->i", self.drive, vector[:shared]) + vector[origin]
+        if segments > 1:
+            y, _ = asymmetry(y, corners(vector[shared:origin], segments))
+        if drift > 1:
+            y = y + np.einsum("ij,j->i", self.drift[:, 1:], vector[origin + 1 :])
+        return y
 
-def judged_rows(logs: Sequence[PreparedLog], basis: Basis) -> JudgedRows:
+    def left_over(self, vector: Floats, segments: int) -> Floats:
+        """Return the weighted errors of the output; shape (rows,)."""
+        return self.weighted(self.output - self.predicted(vector, segments))
+
+    def squares(self, vector: Floats, segments: int) -> float:
+        """Return the sum of the squared errors of the output."""
+        return _sum_of_squares(self.left_over(vector, segments))
+
+    def noise(self, candidate: Candidate) -> float:
+        """Return the mean square of what is white in what a candidate leaves, by its second differences."""
+        left = self.left_over(candidate.vector, candidate.structure.segments)
+        bends = np.diff(left[self.in_time], 2)
+        return float(np.sum(bends * bends)) / (6.0 * max(len(bends), 1))
+
+    def table(self, vector: Floats, segments: int) -> Floats:
+        """Return the rows of the problem linearised about a vector; the target is the last column."""
+        shared, drift = self.drive.shape[1], self.drift.shape[1]
+        origin = len(vector) - drift
+        table = np.empty((self.count, len(vector) + 1))
+        table[:, origin + 1 : -1] = self.drift[:, 1:]
+        if segments == 1:
+            table[:, :shared] = self.drive
+            table[:, origin] = 1.0
+            table[:, -1] = self.output
+            return self.weighted(table)
+        moved = vector[shared:origin]
+        w = np.einsum("ij,j->i", self.drive, vector[:shared]) + vector[origin]
+        y, slope = asymmetry(w, corners(moved, segments))
+        hats = hat_functions(y, segments) * slope[:, None]
+        table[:, :shared] = self.drive * slope[:, None]
+        table[:, shared:origin] = -hats
+        table[:, origin] = slope
+        table[:, -1] = self.output - y + slope * w - np.einsum("ij,j->i", hats, moved)
+        return self.weighted(table)
+
+    def products(self, table: Floats, rows: slice = slice(None)) -> Floats:
+        """Return the products of the columns over some rows."""
+        size = table.shape[1]
+        gram = np.zeros((size, size))
+        CHOSEN.add_products(table[rows], size, gram)
+        return np.triu(gram) + np.triu(gram, 1).T
+
+    def solved(
+        self,
+        gram: Floats,
+        structure: Structure,
+        count: int,
+        states: States | None = None,
+    ) -> tuple[Floats, States]:
+        """Return the unknowns of least penalised error of linearised rows, and which of them are zero."""
+        unknowns = SignedUnknowns(
+            self.columns(structure.segments), structure.slopes, structure.segments
+        )
+        guess = unknowns.states(structure.memories) if states is None else states.copy()
+        found = minimum(unknowns.products(gram), unknowns, structure, count, guess)
+        return unknowns.solution(found).vector, guess
+
+    def penalty(self, vector: Floats, structure: Structure) -> float:
+        """Return what the smoothness of slopes and asymmetry adds to the squares."""
+        key = structure.segments, structure.smoothness, structure.knot_smoothness
+        if key not in self._bending:
+            slopes, kinks = penalties(self.columns(structure.segments))
+            self._bending[key] = (
+                structure.smoothness * slopes + structure.knot_smoothness * kinks
+            )
+        return self.count * quadratic(self._bending[key], np.append(vector, -1.0))
+
+    def refined(
+        self, structure: Structure, start: Floats, steps: int = STEPS
+    ) -> Candidate:
+        """Return the candidate at the least error that Gauss-Newton steps from ``start`` reach."""
+        segments = structure.segments
+        vector = start
+        squares = self.squares(vector, segments)
+        error = squares + self.penalty(vector, structure)
+        for _ in range(steps):
+            gram = self.products(self.table(vector, segments))
+            try:
+                goal, _ = self.solved(gram, structure, self.count)
+            except FitError:
+                break
+            before = error
+            for halving in range(HALVINGS + 1):
+                trial = vector + 0.5**halving * (goal - vector)
+                left = self.squares(trial, segments)
+                total = left + self.penalty(trial, structure)
+                if total < error:
+                    vector, squares, error = trial, left, total
+                    break
+            if error > before * (1.0 - ENOUGH):
+                break
+        return Candidate(self.basis, structure, vector, squares, error, self.count)
+
+    def levelled(self, vector: Floats, structure: Structure) -> Candidate:
+        """Return other unknowns with w0 and drift fitted to the output."""
+        segments = structure.segments
+        gram = self.products(self.table(vector, segments))
+        first = len(vector) - self.drift.shape[1]
+        own = slice(first, len(vector))
+        rest = np.append(vector, -1.0)
+        rest[own] = 0.0
+        products = np.einsum("ij,j->i", gram[own], rest)
+        vector = vector.copy()
+        vector[own] = -least_squares(gram[own, own], products)
+        squares = self.squares(vector, segments)
+        penalised = squares + self.penalty(vector, structure)
+        return Candidate(self.basis, structure, vector, squares, penalised, self.count)
+
+    def judged(self, candidate: Candidate) -> Candidate:
+        """Return the candidate with its errors on parts left out; raises FitError where it cannot be solved.
+
+        The fit without a part is one step from the fit to all rows.
+        """
+        structure = candidate.structure
+        grams = self._products_of_cells(
+            self.table(candidate.vector, structure.segments)
+        )
+        total = np.add.reduce(grams)
+        _, states = self.solved(total, structure, self.count)
+        left = self.left_over(candidate.vector, structure.segments)
+        errors: dict[str, Score] = {}
+        for kind, parts in self.kinds.items():
+            squares = [
+                self._left_out(candidate, part, total, grams, states, left)
+                for part in parts
+            ]
+            errors[kind] = Score.of(squares, [len(part.rows) for part in parts])
+        return replace(candidate, errors=errors)
+
+    def _products_of_cells(self, table: Floats) -> list[Floats]:
+        """Return the products of the columns over the rows of each cell."""
+        return [self.products(table, cell) for cell in self.cells]
+
+    def _left_out(
+        self,
+        candidate: Candidate,
+        part: Part,
+        total: Floats,
+        grams: Sequence[Floats],
+        states: States,
+        left_of_all: Floats,
+    ) -> float:
+        """Return the sum of squared errors on a part of the fit without it.
+
+        ``left_of_all`` is what the candidate, fitted to all rows, leaves of them.
+        """
+        segments = candidate.structure.segments
+        kept = total - np.add.reduce([grams[k] for k in part.cells])
+        rows = self.count - len(part.rows)
+        try:
+            vector, _ = self.solved(kept, candidate.structure, rows, states)
+        except FitError:
+            vector = candidate.vector
+        if segments > 1:
+            left = self._shortened(vector, candidate, part, left_of_all)
+        else:
+            left = self.left_over(vector, segments)
+        return self._squares_on(part, left[part.rows])
+
+    def _squares_on(self, part: Part, left: Floats) -> float:
+        """Return the sum of squares on a part, what its own drift takes aside."""
+        drift = self.drift[part.rows, part.nuisance]
+        return _free_of(left, self.weighted(drift, part.rows))
+
+    def line(self) -> Candidate:
+        """Return a straight line with the same offset and drift, judged: gears of equal heights."""
+        gears = self.basis.gears
+        drive = self.drive[:, :gears].sum(axis=1)
+        constant = np.ones(self.count)
+        columns = (drive, constant, self.drift[:, 1:], self.output)
+        table = self.weighted(np.column_stack(columns))
+        grams = [
+            np.einsum("ij,ik->jk", table[cell], table[cell]) for cell in self.cells
+        ]
+        total = np.add.reduce(grams)
+        errors: dict[str, Score] = {}
+        for kind, parts in self.kinds.items():
+            squares = []
+            for part in parts:
+                kept = total - np.add.reduce([grams[k] for k in part.cells])
+                left = _left_by_line(table[part.rows], _line_of(kept))
+                squares.append(self._squares_on(part, left))
+            errors[kind] = Score.of(squares, [len(part.rows) for part in parts])
+        line = _line_of(total)
+        least = _sum_of_squares(_left_by_line(table, line))
+        memories = np.zeros(self.drive.shape[1] - gears)
+        vector = np.concatenate((np.full(gears, line[0]), memories, line[1:]))
+        structure = Structure("free", (), 1, 0.0)
+        return Candidate(
+            self.basis, structure, vector, least, least, self.count, errors
+        )
+
+    def smoothest(self, structure: Structure, tried: Sequence[float]) -> Structure:
+        """Return gears without an asymmetry with the smoothness that does best on parts left out."""
+        table = self.table(np.zeros(self.columns(1).total), 1)
+        grams = self._products_of_cells(table)
+        total = np.add.reduce(grams)
+        unknowns = SignedUnknowns(self.columns(1), structure.slopes, 1)
+        parts: list[Part] = []
+        shares: list[float] = []
+        for parts_of_kind in self.kinds.values():
+            parts += parts_of_kind
+            rows = [len(part.rows) for part in parts_of_kind]
+            shares += [count / len(parts_of_kind) for count in rows]
+        left_out = [np.add.reduce([grams[k] for k in part.cells]) for part in parts]
+        kept = [unknowns.products(total - gram) for gram in left_out]
+        errors = []
+        for smoothness in tried:
+            trial = replace(structure, smoothness=smoothness)
+            error = 0.0
+            for part, gram, products, share in zip(
+                parts, left_out, kept, shares, strict=True
+            ):
+                states = unknowns.states(structure.memories)
+                weight = self.count - len(part.rows)
+                found = minimum(products, unknowns, trial, weight, states)
+                vector = unknowns.solution(found).vector
+                left = squared_error_free_of(gram, vector, self._own_columns(part))
+                error += share * left / len(part.rows)
+            errors.append(error)
+        return replace(structure, smoothness=tried[int(np.argmin(errors))])
+
+    def _own_columns(self, part: Part) -> slice:
+        """Return where the drift that a part has to itself stands among the columns of gears alone."""
+        first = self.drive.shape[1]
+        return slice(first + part.nuisance.start, first + part.nuisance.stop)
+
+    def _shortened(
+        self,
+        vector: Floats,
+        candidate: Candidate,
+        part: Part,
+        left_of_all: Floats,
+    ) -> Floats:
+        """Return what the step without a part leaves, shortened where it leaves more of the rows kept.
+
+        ``left_of_all`` is what the candidate leaves.
+        """
+        structure = candidate.structure
+        kept = np.ones(self.count, bool)
+        kept[part.rows] = False
+        penalty = self.penalty(candidate.vector, structure)
+        least = _sum_of_squares(left_of_all[kept]) + penalty
+        for halving in range(HALVINGS + 1):
+            trial = candidate.vector + 0.5**halving * (vector - candidate.vector)
+            left = self.left_over(trial, structure.segments)
+            if _sum_of_squares(left[kept]) + self.penalty(trial, structure) < least:
+                return left
+        return left_of_all
+
+
+def output_problem(logs: Sequence[PreparedLog], basis: Basis) -> OutputProblem:
     """Return the used rows of the logs with what the gears and memories make of the drive."""
     terms = [log.drift.shape[1] for log in logs]
     begins = np.concatenate(([0], np.cumsum(terms)))
@@ -128,38 +510,47 @@ def judged_rows(logs: Sequence[PreparedLog], basis: Basis) -> JudgedRows:
         owner.append(np.full(len(table), place))
     labels = _labels(logs, basis)
     owners = np.concatenate(owner)
-    code = np.unique(
-        np.column_stack([*labels.values(), owners]), axis=0, return_inverse=True
-    )[1].ravel()
-    order = np.argsort(code, kind="stable")
-    edges = np.concatenate(([0], np.cumsum(np.bincount(code))))
-    cells = tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(edges))
-    kinds: dict[str, tuple[Part, ...]] = {}
+    order, cells = _cells(np.column_stack([*labels.values(), owners]))
     owners = owners[order]
+    kinds: dict[str, tuple[Part, ...]] = {}
     for name, label in labels.items():
-        parts = [
-            _part(label[order], k, cells, owners, begins, logs)
-            for k in range(1, int(label.max(initial=0)) + 1)
-        ]
-        kept = tuple(part for part in parts if part is not None)
-        if kept and (len(kept) > 1 or name not in ("cycles", "blocks")):
-            kinds[name] = kept
-    drive, output, drift = (
+        parts = _parts(label[order], cells, owners, begins, logs)
+        if len(parts) > 1 or (parts and name not in ("cycles", "blocks")):
+            kinds[name] = parts
+    return OutputProblem(
+        basis,
         np.vstack(drives)[order],
         np.concatenate(outputs)[order],
         np.vstack(drifts)[order],
-    )
-    roots = np.concatenate(weights)[order] if weights else None
-    return JudgedRows(
-        basis,
-        drive,
-        output,
-        drift,
         cells,
         kinds,
         np.argsort(order, kind="stable"),
-        roots,
+        np.concatenate(weights)[order] if weights else None,
     )
+
+
+def _cells(labels: Integers) -> tuple[Integers, tuple[slice, ...]]:
+    """Return the order in which rows of the same labels lie together, and where those rows are in it."""
+    codes = np.unique(labels, axis=0, return_inverse=True)[1].ravel()
+    order = np.argsort(codes, kind="stable")
+    edges = np.concatenate(([0], np.cumsum(np.bincount(codes)))).tolist()
+    return order, tuple(slice(a, b) for a, b in itertools.pairwise(edges))
+
+
+def _parts(
+    label: Integers,
+    cells: tuple[slice, ...],
+    owners: Integers,
+    begins: Integers,
+    logs: Sequence[PreparedLog],
+) -> tuple[Part, ...]:
+    """Return the parts that a label names from 1 on, those that can be left out."""
+    parts = []
+    for k in range(1, int(label.max(initial=0)) + 1):
+        part = _part(label, k, cells, owners, begins, logs)
+        if part is not None:
+            parts.append(part)
+    return tuple(parts)
 
 
 def _labels(logs: Sequence[PreparedLog], basis: Basis) -> dict[str, Integers]:
@@ -199,281 +590,15 @@ def _part(
     return Part(np.flatnonzero(here), rows, nuisance)
 
 
-@dataclass(frozen=True)
-class Refined:
-    """A candidate at its least penalised error of the output; ``vector`` holds all unknowns by columns.
-
-    The first of its drift terms is w0, the gears' output with all bits cleared.
-    """
-
-    structure: Structure
-    vector: Floats
-    squares: float
-    penalised: float
+def _line_of(gram: Floats) -> Floats:
+    """Return the coefficients of a straight line; the target is the last column of the products."""
+    return least_squares(gram[:-1, :-1], gram[:-1, -1])
 
 
-class OutputProblem:
-    """The output-error problem of one basis: candidates are refined on its rows, and judged there."""
-
-    def __init__(self, rows: JudgedRows) -> None:
-        self.rows = rows
-        self.count = len(rows.output)
-        self._bending: dict[tuple[int, float, float], Floats] = {}
-
-    def predicted(self, vector: Floats, segments: int) -> Floats:
-        """Return what the unknowns predict of the rows, drift and all."""
-        rows = self.rows
-        shared, drift = rows.drive.shape[1], rows.drift.shape[1]
-        origin = len(vector) - drift
-        y: Floats = np.einsum("ij,j->i", rows.drive, vector[:shared]) + vector[origin]
-        if segments > 1:
-            y, _ = asymmetry(y, corners(vector[shared:origin], segments))
-        if drift > 1:
-            y = y + np.einsum("ij,j->i", rows.drift[:, 1:], vector[origin + 1 :])
-        return y
-
-    def left_over(self, vector: Floats, segments: int) -> Floats:
-        """Return the weighted errors of the output; shape (rows,)."""
-        return self.rows.weighted(self.rows.output - self.predicted(vector, segments))
-
-    def squares(self, vector: Floats, segments: int) -> float:
-        """Return the sum of the squared errors of the output."""
-        return _sum_of_squares(self.left_over(vector, segments))
-
-    def noise(self, candidate: Refined) -> float:
-        """Return the mean square of what is white in what a candidate leaves, by its second differences."""
-        left = self.left_over(candidate.vector, candidate.structure.segments)
-        bends = np.diff(left[self.rows.in_time], 2)
-        return float(np.sum(bends * bends)) / (6.0 * max(len(bends), 1))
-
-    def table(self, vector: Floats, segments: int) -> Floats:
-        """Return the rows of the problem linearised about a vector; the target is the last column."""
-        rows = self.rows
-        shared, drift = rows.drive.shape[1], rows.drift.shape[1]
-        origin = len(vector) - drift
-        table = np.empty((self.count, len(vector) + 1))
-        table[:, origin + 1 : -1] = rows.drift[:, 1:]
-        if segments == 1:
-            table[:, :shared] = rows.drive
-            table[:, origin] = 1.0
-            table[:, -1] = rows.output
-            return rows.weighted(table)
-        moved = vector[shared:origin]
-        w = np.einsum("ij,j->i", rows.drive, vector[:shared]) + vector[origin]
-        y, slope = asymmetry(w, corners(moved, segments))
-        hats = hat_functions(y, segments) * slope[:, None]
-        table[:, :shared] = rows.drive * slope[:, None]
-        table[:, shared:origin] = -hats
-        table[:, origin] = slope
-        table[:, -1] = rows.output - y + slope * w - np.einsum("ij,j->i", hats, moved)
-        return rows.weighted(table)
-
-    def products(self, table: Floats, rows: slice = slice(None)) -> Floats:
-        """Return the products of the columns over some rows."""
-        size = table.shape[1]
-        gram = np.zeros((size, size))
-        CHOSEN.add_products(table[rows], size, gram)
-        return np.triu(gram) + np.triu(gram, 1).T
-
-    def solved(
-        self,
-        gram: Floats,
-        structure: Structure,
-        count: int,
-        states: States | None = None,
-    ) -> tuple[Floats, States]:
-        """Return the unknowns of least penalised error of linearised rows, and which of them are zero."""
-        unknowns = SignedUnknowns(
-            self.rows.columns(structure.segments), structure.slopes, structure.segments
-        )
-        guess = unknowns.states(structure.memories) if states is None else states.copy()
-        found = minimum(unknowns.products(gram), unknowns, structure, count, guess)
-        return unknowns.solution(found).vector, guess
-
-    def penalty(self, vector: Floats, structure: Structure) -> float:
-        """Return what the smoothness of slopes and asymmetry adds to the squares."""
-        key = structure.segments, structure.smoothness, structure.knot_smoothness
-        if key not in self._bending:
-            slopes, kinks = penalties(self.rows.columns(structure.segments))
-            self._bending[key] = (
-                structure.smoothness * slopes + structure.knot_smoothness * kinks
-            )
-        return self.count * quadratic(self._bending[key], np.append(vector, -1.0))
-
-    def refined(
-        self, structure: Structure, start: Floats, steps: int = STEPS
-    ) -> Refined:
-        """Return the candidate at the least error that Gauss-Newton steps from ``start`` reach."""
-        segments = structure.segments
-        vector = start
-        squares = self.squares(vector, segments)
-        error = squares + self.penalty(vector, structure)
-        for _ in range(steps):
-            gram = self.products(self.table(vector, segments))
-            try:
-                goal, _ = self.solved(gram, structure, self.count)
-            except FitError:
-                break
-            before = error
-            for halving in range(HALVINGS + 1):
-                trial = vector + 0.5**halving * (goal - vector)
-                left = self.squares(trial, segments)
-                total = left + self.penalty(trial, structure)
-                if total < error:
-                    vector, squares, error = trial, left, total
-                    break
-            if error > before * (1.0 - ENOUGH):
-                break
-        return Refined(structure, vector, squares, error)
-
-    def levelled(self, vector: Floats, structure: Structure) -> Refined:
-        """Return other unknowns with w0 and drift fitted to the output."""
-        segments = structure.segments
-        gram = self.products(self.table(vector, segments))
-        first = len(vector) - self.rows.drift.shape[1]
-        own = slice(first, len(vector))
-        rest = np.append(vector, -1.0)
-        rest[own] = 0.0
-        products = np.einsum("ij,j->i", gram[own], rest)
-        vector = vector.copy()
-        vector[own] = -least_squares(gram[own, own], products)
-        squares = self.squares(vector, segments)
-        return Refined(
-            structure, vector, squares, squares + self.penalty(vector, structure)
-        )
-
-    def judged(self, candidate: Refined) -> Judged:
-        """Return the candidate with its errors on parts left out; raises FitError where it cannot be solved.
-
-        The fit without a part is one step from the fit to all rows.
-        """
-        structure, segments = candidate.structure, candidate.structure.segments
-        table = self.table(candidate.vector, segments)
-        grams = [self.products(table, cell) for cell in self.rows.cells]
-        total = np.add.reduce(grams)
-        _, states = self.solved(total, structure, self.count)
-        own = self.left_over(candidate.vector, segments)
-        parts = {}
-        for kind, some in self.rows.kinds.items():
-            squares = [
-                self._left_out(candidate, part, total, grams, states, own)
-                for part in some
-            ]
-            parts[kind] = Errors(
-                np.array(squares), np.array([len(part.rows) for part in some])
-            )
-        return Judged(parts, candidate.squares / self.count, self.rows.basis, candidate)
-
-    def _left_out(
-        self,
-        candidate: Refined,
-        part: Part,
-        total: Floats,
-        grams: Sequence[Floats],
-        states: States,
-        own: Floats,
-    ) -> float:
-        """Return the sum of squared errors on a part of the fit without it.
-
-        ``own`` is what the candidate leaves of all rows.
-        """
-        segments = candidate.structure.segments
-        kept = total - np.add.reduce([grams[k] for k in part.cells])
-        try:
-            vector, _ = self.solved(
-                kept, candidate.structure, self.count - len(part.rows), states
-            )
-        except FitError:
-            vector = candidate.vector
-        if segments > 1:
-            left = self._shortened(vector, candidate, part, own)
-        else:
-            left = self.left_over(vector, segments)
-        drift = self.rows.drift[part.rows, part.nuisance]
-        return _free_of(left[part.rows], self.rows.weighted(drift, part.rows))
-
-    def line(self) -> LeftOut:
-        """Return the errors of a straight line with the same offset and drift: gears of equal slopes."""
-        rows = self.rows
-        drive = rows.drive[:, : rows.basis.gears].sum(axis=1)
-        table = rows.weighted(np.column_stack((drive, rows.drift, rows.output)))
-        grams = [
-            np.einsum("ij,ik->jk", table[cell], table[cell]) for cell in rows.cells
-        ]
-        total = np.add.reduce(grams)
-        parts = {}
-        for kind, some in rows.kinds.items():
-            squares = []
-            for part in some:
-                mine = np.add.reduce([grams[k] for k in part.cells])
-                rest = total - mine
-                found = least_squares(rest[:-1, :-1], rest[:-1, -1])
-                left = table[part.rows, -1] - np.einsum(
-                    "ij,j->i", table[part.rows, :-1], found
-                )
-                drift = rows.drift[part.rows, part.nuisance]
-                squares.append(_free_of(left, rows.weighted(drift, part.rows)))
-            parts[kind] = Errors(
-                np.array(squares), np.array([len(part.rows) for part in some])
-            )
-        found = least_squares(total[:-1, :-1], total[:-1, -1])
-        left = table[:, -1] - np.einsum("ij,j->i", table[:, :-1], found)
-        return LeftOut(parts, float(np.mean(left * left)))
-
-    def smoothest(self, structure: Structure, tried: Sequence[float]) -> Structure:
-        """Return gears without an asymmetry with the smoothness that does best on parts left out."""
-        table = self.table(np.zeros(self.rows.columns(1).total), 1)
-        grams = [self.products(table, cell) for cell in self.rows.cells]
-        total = np.add.reduce(grams)
-        unknowns = SignedUnknowns(self.rows.columns(1), structure.slopes, 1)
-        parts = [part for some in self.rows.kinds.values() for part in some]
-        own = [np.add.reduce([grams[k] for k in part.cells]) for part in parts]
-        kept = [unknowns.products(total - gram) for gram in own]
-        shares = np.array(
-            [
-                len(part.rows) / len(some)
-                for some in self.rows.kinds.values()
-                for part in some
-            ]
-        )
-        errors = []
-        for smoothness in tried:
-            trial = replace(structure, smoothness=smoothness)
-            error = 0.0
-            for part, gram, products, share in zip(
-                parts, own, kept, shares, strict=True
-            ):
-                states = unknowns.states(structure.memories)
-                rows = self.count - len(part.rows)
-                found = minimum(products, unknowns, trial, rows, states)
-                vector = unknowns.solution(found).vector
-                left = squared_error_free_of(gram, vector, self._own_columns(part))
-                error += share * left / len(part.rows)
-            errors.append(error)
-        return replace(structure, smoothness=tried[int(np.argmin(errors))])
-
-    def _own_columns(self, part: Part) -> slice:
-        """Return where the drift that a part has to itself stands among the columns of gears alone."""
-        first = self.rows.drive.shape[1]
-        return slice(first + part.nuisance.start, first + part.nuisance.stop)
-
-    def _shortened(
-        self, vector: Floats, candidate: Refined, part: Part, own: Floats
-    ) -> Floats:
-        """Return what the step without a part leaves, shortened where it leaves more of the rows kept.
-
-        ``own`` is what the candidate leaves.
-        """
-        structure = candidate.structure
-        kept = np.ones(self.count, bool)
-        kept[part.rows] = False
-        least = _sum_of_squares(own[kept]) + self.penalty(candidate.vector, structure)
-        for halving in range(HALVINGS + 1):
-            trial = candidate.vector + 0.5**halving * (vector - candidate.vector)
-            left = self.left_over(trial, structure.segments)
-            if _sum_of_squares(left[kept]) + self.penalty(trial, structure) < least:
-                return left
-        return own
+def _left_by_line(table: Floats, line: Floats) -> Floats:
+    """Return what a straight line leaves of the last column."""
+    left: Floats = table[:, -1] - np.einsum("ij,j->i", table[:, :-1], line)
+    return left
 
 
 def _sum_of_squares(values: Floats) -> float:
@@ -497,88 +622,3 @@ def finer(vector: Floats, columns: Columns, segments: int, to: int) -> Floats:
     inner = np.arange(1, to) / to
     moved = np.interp(inner, np.arange(segments + 1) / segments, coarse) - inner
     return np.concatenate((vector[:at], moved, vector[at + segments - 1 :]))
-
-
-@dataclass(frozen=True)
-class Errors:
-    """Squared errors on the parts of one kind, each part left out in turn, and the parts' rows."""
-
-    squares: Floats
-    rows: Integers
-
-    @property
-    def mean_square(self) -> float:
-        """Mean over all rows of the kind."""
-        return float(self.squares.sum() / self.rows.sum())
-
-
-@dataclass(frozen=True)
-class LeftOut:
-    """Errors on parts left out, of every kind that the logs have, and on all rows that were fitted.
-
-    ``fitted`` is the mean square on all rows, in the square of the normalised output.
-    """
-
-    errors: dict[str, Errors]
-    fitted: float
-
-    @property
-    def score(self) -> float:
-        """Logarithm of the RMS error left out, mean over the kinds; of the fit where nothing could be."""
-        kinds = [np.log(one.mean_square + TINY) for one in self.errors.values()]
-        return 0.5 * float(np.mean(kinds)) if kinds else self.least_score
-
-    @property
-    def least_score(self) -> float:
-        """Logarithm of the RMS error on all rows: what is left out is predicted no better."""
-        return 0.5 * float(np.log(self.fitted + TINY))
-
-    def beaten_by(self, rival: LeftOut, least: float) -> bool:
-        """Return whether a rival does better by more than the error bar, and by this share of the error."""
-        return self.score - rival.score > max(self._error_bar(rival), math.log1p(least))
-
-    def surely_beaten_by(self, rival: LeftOut) -> bool:
-        """Return whether a rival does better by more than two standard errors.
-
-        All kinds leave out parts of the same rows, so their errors are taken as one.
-        """
-        bars = [
-            _error_bar(mine, rival.errors[kind]) for kind, mine in self.errors.items()
-        ]
-        return self.score - rival.score > 2.0 * float(np.mean(bars)) if bars else False
-
-    def _error_bar(self, rival: LeftOut) -> float:
-        """Return one standard error of the difference of the scores, the kinds taken as independent."""
-        bars = [
-            _error_bar(mine, rival.errors[kind]) for kind, mine in self.errors.items()
-        ]
-        return float(np.sqrt(np.sum(np.square(bars)))) / max(len(bars), 1)
-
-
-def _error_bar(mine: Errors, rival: Errors) -> float:
-    """Return one standard error of the logarithm of a ratio of RMS errors, from its scatter between parts.
-
-    Of a kind with a single part the scatter is not known: its whole difference may be
-    chance.
-    """
-    count = len(mine.rows)
-    if count == 1:
-        return 0.5 * abs(
-            math.log((mine.mean_square + TINY) / (rival.mean_square + TINY))
-        )
-    shares = [one.squares / (one.squares.sum() + TINY) for one in (mine, rival)]
-    scatter = float(np.sum((shares[0] - shares[1]) ** 2))
-    return 0.5 * math.sqrt(scatter * count / (count - 1.0))
-
-
-@dataclass(frozen=True)
-class Judged(LeftOut):
-    """A refined candidate and its errors on parts left out."""
-
-    basis: Basis
-    candidate: Refined
-
-    @property
-    def structure(self) -> Structure:
-        """Which unknowns take part."""
-        return self.candidate.structure

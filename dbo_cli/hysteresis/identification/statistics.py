@@ -631,25 +631,35 @@ docs/choices.md.
 
 @dataclass(frozen=True)
 class Score:
-    """Cross-validated error of one candidate.
+    """Errors of one candidate on parts left out in turn, the folds of cycles or others.
 
-    ``mean_squares`` of each fold, shape (folds,), in the square of the normalised
-    output; ``weights`` the folds' share of the rows.
+    ``squares`` are the sums of squared errors, shape (parts,), in the square of the
+    normalised output; ``rows`` the numbers of their rows.
     """
 
-    mean_squares: Floats
-    weights: Floats
+    squares: Floats
+    rows: Floats
 
     @staticmethod
     def of(squares: Sequence[float] | Floats, rows: Sequence[int]) -> Score:
-        """Return the score of sums of squares by fold, and the folds' rows."""
-        held = np.asarray(rows, dtype=float)
-        return Score(np.asarray(squares) / np.maximum(held, 1.0), held / held.sum())
+        """Return the score of sums of squares by parts, and the parts' rows."""
+        return Score(np.asarray(squares, dtype=float), np.asarray(rows, dtype=float))
+
+    @property
+    def mean_squares(self) -> Floats:
+        """Mean square of each part; shape (parts,)."""
+        means: Floats = self.squares / np.maximum(self.rows, 1.0)
+        return means
+
+    @property
+    def mean_square(self) -> float:
+        """Mean square over all rows left out in turn."""
+        return float((self.rows / self.rows.sum()) @ self.mean_squares)
 
     @property
     def rmse(self) -> float:
         """Root of the mean square over all rows left out in turn."""
-        return float(np.sqrt(self.weights @ self.mean_squares))
+        return float(np.sqrt(self.mean_square))
 
     def excess_over(self, other: Score) -> Floats:
         """Logarithm of the ratio of the root mean squares, fold by fold; shape (folds,).

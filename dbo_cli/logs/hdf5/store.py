@@ -29,12 +29,11 @@ import h5py
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dbo_cli.errors import OutputError, UsageError
+from dbo_cli.errors import OutputError, UsageError, cleaned
 from dbo_cli.logs import whole_output
-from dbo_cli.logs.columns import OutColumn, require_finite, unique_headers
-from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.logs.columns import header_of, require_finite, unique_headers
 from dbo_cli.logs.request import Address, FileWatch, Given
-from dbo_cli.logs.sample_block import FloatArray, SampleBlock, TimeCheck
+from dbo_cli.logs.sample_block import Column, FloatArray, SampleBlock, TimeCheck
 
 MARK = "dbo_columns"  # the attribute of a group that this program wrote
 # s to wait for a lock: a program that opens, appends and closes is done by then
@@ -283,7 +282,7 @@ def _is_being_added_to(path: str) -> bool:
 
 @contextlib.contextmanager
 def hdf5_writer(
-    target: Address, columns: Sequence[OutColumn], attributes: Mapping[str, str | float]
+    target: Address, columns: Sequence[Column], attributes: Mapping[str, str | float]
 ) -> Iterator[Hdf5Writer]:
     """Open an HDF5 output; it is complete, and published, when the block is left without an error."""
     with store_output(target, attributes) as group:
@@ -305,7 +304,7 @@ class Hdf5Writer:
         ``quantity``.
     """
 
-    def __init__(self, group: Any, columns: Sequence[OutColumn]) -> None:
+    def __init__(self, group: Any, columns: Sequence[Column]) -> None:
         # A slash would make a group, and a lone dot is the group itself.
         headers = (header.replace("/", "_") for header in unique_headers(columns))
         self._names = [
@@ -315,7 +314,9 @@ class Hdf5Writer:
         self._group = group
         self._group.attrs[MARK] = self._names
         clocks = [
-            number for number, column in enumerate(columns) if column.header == "time_s"
+            number
+            for number, column in enumerate(columns)
+            if header_of(column) == "time_s"
         ]
         self._clock = clocks[0] if clocks and "sample_rate" not in group.attrs else None
         self._times = TimeCheck(group.file.filename)
@@ -424,7 +425,7 @@ WriteChannel = Callable[[int, Sequence[FloatArray]], None]
 @contextlib.contextmanager
 def matrix_writer(
     target: Address,
-    columns: Sequence[OutColumn],
+    columns: Sequence[Column],
     channels: Sequence[str],
     time: FloatArray | None,
     rows: int,
@@ -469,7 +470,7 @@ def matrix_writer(
             datasets.append(dataset)
 
         def write(place: int, arrays: Sequence[FloatArray]) -> None:
-            require_finite(columns, [column.header for column in columns], arrays)
+            require_finite(columns, [header_of(column) for column in columns], arrays)
             for dataset, array in zip(datasets, arrays, strict=True):
                 dataset[:, place] = array
 

@@ -8,6 +8,7 @@ knows the line, the column and the value of what is wrong.
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,12 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli import extensions
-from dbo_cli.errors import InputError
-from dbo_cli.logs.byte_source import ByteSource
+from dbo_cli.errors import InputError, counted, decoded, shortened
 from dbo_cli.logs.clock import agreed_rate
-from dbo_cli.logs.columns import column_info, column_label
-from dbo_cli.logs.libraries import import_polars
-from dbo_cli.logs.plain_text import counted, decoded, pattern, shortened
+from dbo_cli.logs.columns import column_label, parse_column
 from dbo_cli.logs.request import (
     ALL_ROWS,
     BLANKS,
@@ -31,13 +29,14 @@ from dbo_cli.logs.request import (
     ReadingOptions,
     Request,
     Rows,
+    import_polars,
     remedy_for,
 )
 from dbo_cli.logs.sample_block import (
     MOST_NAMED,
     TIME,
     BadRow,
-    ColumnInfo,
+    Column,
     DroppedRows,
     FloatArray,
     Places,
@@ -46,13 +45,12 @@ from dbo_cli.logs.sample_block import (
     are_measured,
 )
 from dbo_cli.logs.text.dialect import Dialect, cause_of, detect, has_data
+from dbo_cli.logs.text.line_blocks import ByteSource, LineBlocks, one_ahead
 from dbo_cli.logs.text.lines import (
-    LineBlocks,
     RepeatedHeader,
     complain,
     is_text,
     looks_cut,
-    one_ahead,
 )
 
 # below this, importing polars costs more than it saves (benchmarks/text_speed.py)
@@ -62,7 +60,7 @@ _NEIGHBOURS = 100  # rows above the last: enough to see how many digits a column
 _LARGEST_BLOCK = 1 << 23
 # One line of names above nothing but numbers: no instrument's header, so its readers
 # need not be loaded. A rate in the names (tInc = 2e-6) is theirs.
-_PLAIN = pattern(rb"[^\n=:]*\n[0-9eE+\-.,;\t \r\n]+")
+_PLAIN = re.compile(rb"[^\n=:]*\n[0-9eE+\-.,;\t \r\n]+")
 
 
 class TextTable(Table):
@@ -105,7 +103,7 @@ class TextTable(Table):
             "" if number in known else "(text)" for number in range(dialect.width)
         ]
         self.columns = [
-            replace(column_info(name, number, unit), written=how)
+            replace(parse_column(name, number, unit), written=how)
             for number, (name, unit, how) in enumerate(
                 zip(names, units, writings, strict=True), start=1
             )
@@ -139,13 +137,13 @@ class TextTable(Table):
         """Describe in one line how the log is written, for ``verbose``."""
         return f"{self.place}: {self.dialect.describe()}"
 
-    def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
+    def even_clock(self, columns: Collection[Column]) -> tuple[float | None, float]:
         """Return the sample rate (Hz) and the first row's time (s) that an instrument's header states."""
         return agreed_rate(
             self.place, self.dialect.clock, self.notes
         ), self.dialect.start
 
-    def blocks(self, picks: Mapping[str, ColumnInfo]) -> Iterator[SampleBlock]:
+    def blocks(self, picks: Mapping[str, Column]) -> Iterator[SampleBlock]:
         """Read the wanted columns in blocks of about ``block_rows`` rows.
 
         Raises
@@ -272,7 +270,7 @@ class TextTable(Table):
 # --- blocks of lines to arrays
 # ------------------------------------------------------------------------
 
-_DIGIT = pattern(r"\d")
+_DIGIT = re.compile(r"\d")
 # bytes; what fits the cache is looked through three times as fast as 8 MB
 _AT_ONCE = 1 << 17
 
@@ -287,7 +285,7 @@ class BlockParser:
 
     place: str
     dialect: Dialect
-    picks: Mapping[str, ColumnInfo]
+    picks: Mapping[str, Column]
     rows: Rows = ALL_ROWS
     skip_bad: bool = False
     dropped: DroppedRows = field(default_factory=DroppedRows)
@@ -470,7 +468,7 @@ class BlockParser:
                 cells[column], numeric, self.dialect
             ):
                 names = self.dialect.headers
-                info = column_info(names[column] if names else None, column + 1)
+                info = parse_column(names[column] if names else None, column + 1)
                 written = (
                     self.dialect.writings[column]
                     if self.dialect.writings
@@ -596,7 +594,7 @@ def _is_text_in(cell: str, numeric: bool, dialect: Dialect) -> bool:
 
 
 def _parse_plain(
-    block: bytes, lines: int, picks: list[ColumnInfo], dialect: Dialect
+    block: bytes, lines: int, picks: list[Column], dialect: Dialect
 ) -> list[FloatArray] | None:
     """Parse a small rectangular block without any library; None where a cell needs a careful look."""
     if b'"' in block or b"_" in block or not block.isascii():
@@ -620,7 +618,7 @@ def _parse_plain(
     return arrays if all(are_measured(array).all() for array in arrays) else None
 
 
-def _reader(pick: ColumnInfo, dialect: Dialect) -> Callable[[bytes], float | None]:
+def _reader(pick: Column, dialect: Dialect) -> Callable[[bytes], float | None]:
     """Return what reads the cells of a column."""
     if pick.written == "numbers":
         return float
@@ -628,7 +626,7 @@ def _reader(pick: ColumnInfo, dialect: Dialect) -> Callable[[bytes], float | Non
 
 
 def _parse_fast(
-    block: bytes, lines: int, picks: list[ColumnInfo], dialect: Dialect
+    block: bytes, lines: int, picks: list[Column], dialect: Dialect
 ) -> list[FloatArray] | None:
     """Parse a large rectangular block with polars; None where a cell needs a careful look."""
     polars = import_polars()
