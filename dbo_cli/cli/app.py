@@ -13,9 +13,8 @@ from collections.abc import Iterator, Sequence
 from types import FrameType
 from typing import IO, Any
 
-from dbo_cli.errors import DboError, UsageError
-from dbo_cli.logs.libraries import GAVE_UP, Host, set_host
-from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.errors import DboError, UsageError, cleaned
+from dbo_cli.logs.request import GAVE_UP, Host, set_host
 
 INTERRUPTED = 130  # exit code: 128 and the number of SIGINT, as shells report it
 

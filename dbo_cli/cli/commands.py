@@ -20,8 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from dbo_cli import extensions
 from dbo_cli.cli import options
 from dbo_cli.cli.options import Option
-from dbo_cli.errors import Listener, Remarks, UsageError
-from dbo_cli.logs.plain_text import as_options, cleaned
+from dbo_cli.errors import Listener, Remarks, UsageError, as_options, cleaned
 
 if TYPE_CHECKING:
     from dbo_cli.logs.request import Address, ReadingOptions

@@ -11,11 +11,11 @@ import inspect
 import keyword
 import math
 import os
+import re
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from dbo_cli.errors import UsageError
-from dbo_cli.logs.plain_text import pattern
 
 if TYPE_CHECKING:
     from dbo_cli.logs.request import Address
@@ -60,7 +60,7 @@ def positive(option: str, text: str) -> float:
     return value
 
 
-_WITH_UNIT = pattern(r"(.*[\d.])\s*[^\W\d][^\d]*")
+_WITH_UNIT = re.compile(r"(.*[\d.])\s*[^\W\d][^\d]*")
 
 
 def with_unit(parse: Parser) -> Parser:
@@ -192,7 +192,7 @@ def offset(option: str, text: str) -> float | str:
     return text if text == "auto" else number(option, in_seconds(option, text))
 
 
-_FIGURE_AND_UNIT = pattern(
+_FIGURE_AND_UNIT = re.compile(
     r"\s*([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([^\W\d][^\d]*|/s)\s*"
 )
 

@@ -14,10 +14,9 @@ from typing import IO, TYPE_CHECKING, Protocol, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dbo_cli.errors import cleaned
 from dbo_cli.logs.columns import require_finite, unique_headers
-from dbo_cli.logs.libraries import import_polars
-from dbo_cli.logs.plain_text import cleaned
-from dbo_cli.logs.request import BLOCK_ROWS, Address, Given, parse_output
+from dbo_cli.logs.request import BLOCK_ROWS, Address, Given, import_polars, parse_output
 from dbo_cli.logs.sample_block import Column, FloatArray
 from dbo_cli.logs.whole_output import (
     KEPT,

@@ -28,9 +28,7 @@ from dataclasses import dataclass, field
 from typing import IO, TYPE_CHECKING
 
 from dbo_cli.errors import DboError, OutputError, UsageError
-from dbo_cli.logs.libraries import host
-from dbo_cli.logs.plain_text import pattern
-from dbo_cli.logs.request import Address, Given, parse_address
+from dbo_cli.logs.request import Address, Given, host, parse_address
 
 if TYPE_CHECKING:
     from dbo_cli.logs.sample_block import Column, FloatArray
@@ -39,16 +37,16 @@ if TYPE_CHECKING:
 # ------------------------------------------------------------------------
 
 # Linux' names of open files, and the names that ``partial_path`` gives.
-_DESCRIPTOR = pattern(
+_DESCRIPTOR = re.compile(
     r"/(?:dev/fd|proc/(?:self|thread-self|\d+(?:/task/\d+)?)/fd)/(\d{1,9})"
 )
-_PARTIAL = pattern(r"\..*\.(\d{1,10})-[0-9a-f]{8}\.partial", re.DOTALL)
+_PARTIAL = re.compile(r"\..*\.(\d{1,10})-[0-9a-f]{8}\.partial", re.DOTALL)
 # of the output's own name; most file systems allow 255 bytes for all of it
 _NAME_BYTES = 100
 WINDOWS = os.name == "nt"
 # Names that Windows gives to devices, with any ending, and names that it cannot give to
 # a file at all.
-_NO_FILE = pattern(
+_NO_FILE = re.compile(
     r"(con|prn|aux|com[0-9]|lpt[0-9])(\..*)?|nul\..*|.*[<>:\"|?*].*|.*[. ]",
     re.IGNORECASE | re.DOTALL,
 )
@@ -330,7 +328,9 @@ def _is_locked(path: str) -> bool:
 # --- outputs under temporary names, and their renames
 # -----------------------------------------------
 
-_ERRNO = pattern(r"(?:errno = |os error )(\d+)")  # in the texts of HDF5 and of polars
+_ERRNO = re.compile(
+    r"(?:errno = |os error )(\d+)"
+)  # in the texts of HDF5 and of polars
 
 Prepare = Callable[[str], AbstractContextManager[bool]]
 """Takes the temporary name right before the renames, and is left after them: it may hold a lock meanwhile.

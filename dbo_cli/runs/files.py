@@ -28,6 +28,7 @@ from dbo_cli.errors import (
     OutputError,
     Remarks,
     UsageError,
+    cleaned,
     plain,
 )
 from dbo_cli.hysteresis.model import ActuatorModel
@@ -47,19 +48,11 @@ from dbo_cli.hysteresis.model_state import (
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs import request
 from dbo_cli.logs.columns import ColumnWish, column_wish, header_of, split_header
-from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, Rows
 from dbo_cli.logs.sample_block import Column
-from dbo_cli.logs.signal_log import SignalLog, open_log
+from dbo_cli.logs.signal_log import SignalLog, Source, open_log
 from dbo_cli.logs.signal_writer import signal_writer
-from dbo_cli.logs.sources import (
-    ArraySource,
-    Source,
-    is_file,
-    is_log,
-    is_table,
-    table_source,
-)
+from dbo_cli.logs.sources import ArraySource, is_file, is_log, is_table, table_source
 from dbo_cli.logs.units import quantity_name
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 

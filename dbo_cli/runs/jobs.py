@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 from dbo_cli import errors
 from dbo_cli.errors import SILENT, DboError, Listener, Remarks, UsageError
-from dbo_cli.logs.plain_text import pattern
 from dbo_cli.logs.request import Address, parse_address
 from dbo_cli.logs.whole_output import KeptOutputs, kept_outputs, make_folder
 
@@ -31,7 +30,7 @@ Jobs = Iterable[tuple[str, Callable[[], Value]]]
 _AHEAD = 2
 FILE = "{file}"  # in the name of an output: the log's name without folder and ending
 _NAMED = 8  # channels or files that a message names at most
-_NUMBER = pattern(r"[-+]?\d[\d.,]*(?:e[-+]?\d+)?(?<![.,])")
+_NUMBER = re.compile(r"[-+]?\d[\d.,]*(?:e[-+]?\d+)?(?<![.,])")
 
 
 @dataclass(frozen=True)

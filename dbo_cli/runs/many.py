@@ -8,9 +8,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from dbo_cli import extensions
-from dbo_cli.errors import InputError, Listener, Remarks, UsageError
+from dbo_cli.errors import InputError, Listener, Remarks, UsageError, as_options
 from dbo_cli.logs.columns import is_pattern
-from dbo_cli.logs.plain_text import as_options
 from dbo_cli.logs.request import Address, check_document, parse_address
 from dbo_cli.logs.whole_output import check_outputs, make_folder
 from dbo_cli.runs.files import Destination, SignalRun, write_json
