@@ -12,9 +12,7 @@ import numpy as np
 from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.identification.cleaning import (
     Sensor,
-    cleaned,
-    drive_range,
-    within,
+    clean,
 )
 from dbo_cli.hysteresis.identification.evaluation import (
     TINY,
@@ -42,7 +40,6 @@ from dbo_cli.hysteresis.identification.recordings import (
     IdentificationOptions,
     Recording,
     median_cycle_seconds,
-    without_voltage_glitches,
 )
 from dbo_cli.hysteresis.identification.search import (
     Choice,
@@ -114,19 +111,12 @@ def identify_static(
     cycle = median_cycle_seconds(recordings) if clocked else None
     sensor, given = Sensor.of(options), recordings
     sensor.check(cycle)
-    recordings, said = without_voltage_glitches(
-        [sensor.taken_off(log) for log in recordings]
-    )
-    ends = drive_range(recordings)
-    logs = [cleaned(log) for log in recordings]
-    recordings = within([one.recording for one in logs], ends)
-    said += [note for one in logs for note in one.notes]
+    said: list[str] = []
+    recordings, ends = clean(recordings, sensor, said)
     # Where dynamics are looked for, or left out, what swings at the beginning is no
     # history.
     at_rest = options.dynamics is None
-    prepared = prepare(
-        recordings, options.skip_seconds, [one.bad for one in logs], ends, at_rest
-    )
+    prepared = prepare(recordings, options.skip_seconds, ends, at_rest)
     choice = choose(prepared, options, cycle)
     finalist = best_of(prepared, choice, options)
     choice = dataclasses.replace(
