@@ -27,6 +27,7 @@ from dbo_cli.hysteresis.identification.search import ROWS_PER_SLOPE, Choice
 from dbo_cli.hysteresis.identification.statistics import PreparedLog, weighted
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import StartName
+from dbo_cli.hysteresis.move_error import ZeroDrift
 
 TINY = float(np.finfo(float).tiny)  # in place of a divisor of 0
 WHOSE_LAG = (
@@ -145,6 +146,48 @@ def pooled(values: Sequence[float], residuals: Sequence[Residual]) -> float:
     """Root of the mean square over all logs, weighted by their rows."""
     weights = np.array([len(one.values) for one in residuals], dtype=float)
     return float(np.sqrt(weights @ np.square(values) / weights.sum()))
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What a model, and a straight line, leave over on the logs that they were fitted to.
+
+    ``rmse`` and ``line`` are the RMS errors over all logs, in the displacement's unit;
+    ``noise`` is the share of the model's mean square that is white, ``zero_drift`` by
+    how much the zero moved along the log on which it moved most.
+    """
+
+    residuals: Sequence[Residual]
+    rmse: float
+    line: float
+    noise: float
+    zero_drift: ZeroDrift
+
+
+def judge(
+    model: ActuatorModel, recordings: Sequence[Recording], logs: Sequence[PreparedLog]
+) -> Judged:
+    """Run a model over the logs that it was fitted to, beside a straight line."""
+    pairs = list(zip(recordings, logs, strict=True))
+    residuals = [residual_of(model, recording, log) for recording, log in pairs]
+    lines = [straight_line(recording, log) for recording, log in pairs]
+    rmse = pooled([residual.rmse for residual in residuals], residuals)
+    white = white_noise([residual.weighted for residual in residuals])
+    noise = white / max(rmse, TINY) ** 2
+    zero_drift = _zero_drift(residuals, recordings)
+    return Judged(residuals, rmse, pooled(lines, residuals), noise, zero_drift)
+
+
+def _zero_drift(
+    residuals: Sequence[Residual], recordings: Sequence[Recording]
+) -> ZeroDrift:
+    """Return how far the zero moved along the log on which it moved most."""
+    spans = [residual.drift_span for residual in residuals]
+    most = spans.index(max(spans))
+    seconds = recordings[most].seconds()
+    if seconds is None or seconds[-1] <= seconds[0]:
+        return ZeroDrift(spans[most], 0.0)
+    return ZeroDrift(spans[most], spans[most] / float(seconds[-1] - seconds[0]))
 
 
 def validated(
