@@ -53,13 +53,12 @@ from dbo_cli.hysteresis.identification.statistics import (
 )
 from dbo_cli.hysteresis.model import ActuatorModel, Relaxation, ScaleStage
 from dbo_cli.hysteresis.move_error import (
-    STILL,
     ZERO_STAYS,
     Alternative,
     StatedError,
-    ZeroDrift,
     capped,
     changed_gain,
+    moving_zero,
     played,
     rms,
     spread,
@@ -94,9 +93,9 @@ class Expectation:
     ``seen`` some of the logs' swings, ``swings`` their number; ``left_out`` names what
     was left out; ``gain_trend`` by how much the gain changes along a log where that
     makes most of the error; ``line`` what a straight line leaves of what was left out,
-    RMS, and ``zero_drift`` by how much the zero moved along a log, both in the
-    displacement's unit; ``one_level`` whether the mean of the drive stays where it is,
-    from cycle to cycle.
+    RMS, ``zero_drift`` by how much the zero moved along a log and ``zero_drift_rate``
+    how fast, a second, all in the displacement's unit; ``one_level`` whether the mean
+    of the drive stays where it is, from cycle to cycle.
     """
 
     known: float
@@ -108,7 +107,8 @@ class Expectation:
     swings: int
     gain_trend: float | None
     line: float
-    zero_drift: ZeroDrift
+    zero_drift: float
+    zero_drift_rate: float
     one_level: bool
 
     @property
@@ -139,8 +139,8 @@ class Expectation:
 
     def zero_words(self, unit: str) -> str:
         """Say under which condition the zero is as stated; ``unit`` follows a number."""
-        if self.zero_drift.span > self.known:
-            moved = f"{self.zero_drift.span:.2g}{unit}"
+        if self.zero_drift > self.known:
+            moved = f"{self.zero_drift:.2g}{unit}"
             return f"it moved by {moved} along a log, which may go on and is not in the whole"
         if self.one_level:
             return "logs at one mean level hardly tell creep from a moving zero"
@@ -164,7 +164,8 @@ def expect(
     model: ActuatorModel,
     delivered: float,
     noise: float,
-    zero_drift: ZeroDrift = STILL,
+    zero_drift: float = 0.0,
+    zero_drift_rate: float = 0.0,
 ) -> Expectation:
     """Estimate the error on new moves.
 
@@ -177,7 +178,8 @@ def expect(
         counts on the wrong side
         of the asymmetry, is brought over by the ratio of the two
     noise : the share of its mean square that is white
-    zero_drift : by how much the zero moved along a log
+    zero_drift, zero_drift_rate : by how much the zero moved along a log, and how fast, a
+        second
     """
     some = fewer_rows(prepared.logs)
     own, square = gather(some, choice.basis, choice.structure.segments).solved(
@@ -203,7 +205,14 @@ def expect(
     shapes = zip(prepared.shapes, prepared.logs, strict=True)
     one_level = not any(level_moves(shape, log.voltage) for shape, log in shapes)
     figure = capped(
-        stated(known, distance, apart, drifted, zero_drift.during(lasted)), line
+        stated(
+            known,
+            distance,
+            apart,
+            drifted,
+            moving_zero(zero_drift, zero_drift_rate, lasted),
+        ),
+        line,
     )
     return Expectation(
         known,
@@ -216,6 +225,7 @@ def expect(
         trend,
         line,
         zero_drift,
+        zero_drift_rate,
         one_level,
     )
 

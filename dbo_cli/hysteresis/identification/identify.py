@@ -52,7 +52,7 @@ from dbo_cli.hysteresis.identification.search import (
 )
 from dbo_cli.hysteresis.identification.statistics import PreparedLog
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.move_error import ZeroDrift, rms
+from dbo_cli.hysteresis.move_error import rms
 
 # of the straight line's RMSE: above this there is nothing but a line in the log
 NO_BETTER = 0.95
@@ -163,7 +163,7 @@ def identify_static(
     ]
     noise = white_noise([one.weighted for one in residuals]) / max(rmse, TINY) ** 2
     expected = expect(
-        prepared, choice, model, rmse, noise, _zero_drift(residuals, recordings)
+        prepared, choice, model, rmse, noise, *_zero_drift(residuals, recordings)
     )
     figures = _figures(
         prepared,
@@ -208,13 +208,14 @@ def identify_static(
 
 def _zero_drift(
     residuals: Sequence[Residual], recordings: Sequence[Recording]
-) -> ZeroDrift:
-    """Return how far the zero moved along the log on which it moved most."""
+) -> tuple[float, float]:
+    """Return how far the zero moved along the log on which it moved most, and how fast, a second."""
     most = max(range(len(residuals)), key=lambda place: residuals[place].drift_span)
     seconds = recordings[most].seconds()
     lasted = 0.0 if seconds is None else float(seconds[-1] - seconds[0])
     span = residuals[most].drift_span
-    return ZeroDrift(span, span / lasted if lasted > 0.0 else 0.0)
+    rate = span / lasted if lasted > 0.0 else 0.0
+    return span, rate
 
 
 def _for_use(expected: Expectation, sensor: Sensor) -> dict[str, object]:
@@ -374,8 +375,8 @@ def _expected_figures(
         "zero_from": expected.zero_words(unit),
         "left_out_rmse": expected.known,
         "line_left_out_rmse": expected.line,
-        "zero_drift": expected.zero_drift.span,
-        "zero_drift_rate": expected.zero_drift.rate,
+        "zero_drift": expected.zero_drift,
+        "zero_drift_rate": expected.zero_drift_rate,
     }
 
 
