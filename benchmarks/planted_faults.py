@@ -395,7 +395,7 @@ FAULTS: list[Fault] = [
          "what was never written to netCDF-4 is no number"),
     ),
     *_faults(
-        "logs/byte_source.py",
+        "logs/text/line_blocks.py",
         ("logs_changing_files",),
         ("now.st_size < self._largest or", "False or", "a text log that is cut while it is read"),
         ("now.st_mtime_ns != self._begun.st_mtime_ns)", "False)", "a text log that is written over while it is read"),
@@ -469,7 +469,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "drives/check.py",
         ("cli_check",),
-        ("part = min(max(part - slope / gain, -1.0), 1.0) if gain else 0.0", "part = 0.0",
+        ("part = min(max(part - slope / gain, -1.0), 1.0)", "part = 0.0",
          "a recording between the rows is the drive"),
         ("for rows in sorted({drive.size, played.size} - {count}):", "for rows in ():",
          "a drive at another speed is seen to be that"),
@@ -639,13 +639,13 @@ FAULTS: list[Fault] = [
     *_faults(
         "drives/model_run.py",
         ("runs_states",),
-        (" or (self.step is not None and self.last == first)", "", "a state's stamp that comes again is no time"),
-        ("> SAME_STEP * self.step", "> 1e9 * self.step", "rows left out of a rate are a pause"),
+        (" or (step is not None and last == first)", "", "a state's stamp that comes again is no time"),
+        ("> SAME_STEP * step", "> 1e9 * step", "rows left out of a rate are a pause"),
     ),
     *_faults(
         "drives/options.py",
         ("runs_api",),
-        ("if self.max_slew == math.inf:", "if False:", "an infinite slew limit asks for no clock"),
+        ("if name == \"max_slew\" and self.max_slew == math.inf:", "if False:", "an infinite slew limit asks for no clock"),
     ),
     *_faults(
         "logs/joined_files.py",

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.byte_source import input_record
 from dbo_cli.logs.columns import (
     ColumnWish,
     choose_columns,
@@ -21,7 +20,7 @@ from dbo_cli.logs.columns import (
     split_header,
 )
 from dbo_cli.logs.request import ReadingOptions, parse_address
-from dbo_cli.logs.signal_log import open_log
+from dbo_cli.logs.signal_log import input_record, open_log
 from dbo_cli.logs.units import normalise_unit
 from dbo_cli.version import program_version_string
 

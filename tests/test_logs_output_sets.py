@@ -172,7 +172,7 @@ def test_a_signal_among_the_renames_waits_until_all_are_done(
         time.sleep(0.01)
 
     monkeypatch.setattr(os, "replace", replace)
-    monkeypatch.setattr("dbo_cli.logs.libraries._host", CommandProcess())
+    monkeypatch.setattr("dbo_cli.logs.request._host", CommandProcess())
     with ended_by_sigterm(), pytest.raises(SystemExit) as raised, all_or_none():
         for name in "ab":
             (tmp_path / f"{name}.json").write_bytes(b"old")

@@ -17,7 +17,7 @@ import pytest
 
 from dbo_cli.errors import InputError, OutputError, UsageError
 from dbo_cli.logs.columns import column_wish, header_of
-from dbo_cli.logs.libraries import import_polars
+from dbo_cli.logs.request import import_polars
 from dbo_cli.logs.sample_block import Column
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.signal_writer import _plain_rows, signal_writer, write_rows

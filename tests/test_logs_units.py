@@ -11,8 +11,7 @@ import pytest
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.columns import column_wish, parse_column
 from dbo_cli.logs.request import ReadingOptions
-from dbo_cli.logs.signal_log import open_log
-from dbo_cli.logs.sources import Source
+from dbo_cli.logs.signal_log import Source, open_log
 from dbo_cli.logs.units import kind_of_unit, parse_scale, unit_factor
 
 

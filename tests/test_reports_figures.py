@@ -14,11 +14,10 @@ import numpy as np
 import pytest
 from trials import pairs
 
-from dbo_cli.errors import OutputError
+from dbo_cli.errors import OutputError, cleaned
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
 from dbo_cli.hysteresis.model import ActuatorModel, PointStage, Quantity, ScaleStage
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator
-from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.reports import drawing
 from dbo_cli.reports.accumulators import (
     BUCKETS,

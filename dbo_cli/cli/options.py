@@ -11,11 +11,11 @@ import inspect
 import keyword
 import math
 import os
+import re
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from dbo_cli.errors import UsageError
-from dbo_cli.logs.plain_text import pattern
 
 if TYPE_CHECKING:
     from dbo_cli.logs.request import Address
@@ -60,7 +60,7 @@ def positive(option: str, text: str) -> float:
     return value
 
 
-_WITH_UNIT = pattern(r"(.*[\d.])\s*[^\W\d][^\d]*")
+_WITH_UNIT = re.compile(r"(.*[\d.])\s*[^\W\d][^\d]*")
 
 
 def with_unit(parse: Parser) -> Parser:
@@ -68,8 +68,11 @@ def with_unit(parse: Parser) -> Parser:
 
     def parse_figure(option: str, text: str) -> float | str:
         match = _WITH_UNIT.fullmatch(text.strip())
-        value: float = parse(option, match[1] if match else text)
-        return text if match else value
+        if match is None:
+            value: float = parse(option, text)
+            return value
+        parse(option, match[1])
+        return text
 
     return parse_figure
 
@@ -192,7 +195,7 @@ def offset(option: str, text: str) -> float | str:
     return text if text == "auto" else number(option, in_seconds(option, text))
 
 
-_FIGURE_AND_UNIT = pattern(
+_FIGURE_AND_UNIT = re.compile(
     r"\s*([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([^\W\d][^\d]*|/s)\s*"
 )
 
@@ -388,7 +391,8 @@ class Option(NamedTuple):
 
     def value(self, typed: Any) -> Any:
         """Return what the parser makes of a text, or of each of several; None of None."""
-        parse, name = self.parser, self.key if self.names else ""
+        parse = self.parser
+        name = self.key if self.names else ""  # an argument has none
         if parse is None or typed is None:
             return typed
         if not self.repeated:
@@ -591,6 +595,7 @@ RATED_MIN = Option(
 )
 RATED_MAX = Option("--v-max VOLT", "The rating's upper end, with --v-min.")
 FORCE = Option("--force", "Keep a model that is no better than a straight line.")
+FIXED = (SIGN, ZERO, METHOD, FORCE)
 
 # --- simulate, compensate, check ---
 STATE = Option(

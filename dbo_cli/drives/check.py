@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dbo_cli.drives.gate import DriveFigures, DriveGate, Floats
 from dbo_cli.errors import InputError
@@ -30,6 +31,9 @@ OTHER_SPEED = 0.1
 LARGEST = 1e100
 # rows from which on a part of a row is looked for: three numbers are fitted to them
 FEWEST_FOR_PARTS = 16
+
+
+Rows = NDArray[np.int64]
 
 
 @dataclass
@@ -94,9 +98,9 @@ def check_drive(
     """
     require_voltages(drive, place, suffix)
     checked = CheckedDrive(DriveFigures())
-    steps = (
-        None if time is None or time.size < 2 else _check_clock(checked, time, place)
-    )
+    steps = None
+    if time is not None and time.size > 1:
+        steps = _check_clock(checked, time, place)
     if steps is None and limits.max_slew is not None:
         raise InputError(
             "there is no time, and `max_slew` depends on it (`time` COLUMN or `sample_rate` HZ)"
@@ -112,29 +116,32 @@ def check_drive(
     # On a slow ramp a recorder gives the same value twice; a drive that was computed
     # moves in every row.
     gate = DriveGate(allowed, from_, suffix, may_wait=tolerance > 0.0)
-    before = np.concatenate([[drive[0] if from_ is None else from_], drive[:-1]])
     bad = gate.broken(drive, waits)
     checked.outside = gate.outside
     if gate.outside == drive.size:
         bad[-1] = True  # it never came inside
     if bad.any():
         row = int(np.argmax(bad))
-        reason = DriveGate(limits, suffix=suffix).reason(
-            float(drive[row]), float(before[row])
-        )
-        reason += (
-            f" by more than the tolerance, {tolerance:.3g}{suffix}" if tolerance else ""
-        )
+        before = _row_before(drive, row, from_)
+        reason = DriveGate(limits, suffix=suffix).reason(float(drive[row]), before)
+        if tolerance:
+            reason += f" by more than the tolerance, {tolerance:.3g}{suffix}"
         checked.problems.append(_problem(place, bad, reason))
     if loop:
         seam = gate.violation(drive[:1], None if waits is None else waits[:1])
-        problem = (
-            f"from the last row to the first: {seam}"
-            if seam
-            else _open_seam(drive, suffix)
-        )
-        checked.problems += [problem] if problem else []
+        if seam:
+            seam = f"from the last row to the first: {seam}"
+        seam = seam or _open_seam(drive, suffix)
+        if seam:
+            checked.problems.append(seam)
     return checked
+
+
+def _row_before(drive: Floats, row: int, from_: float | None) -> float:
+    """Return the voltage before a row; before the first one that is ``from_``, where it is known."""
+    if row == 0 and from_ is not None:
+        return from_
+    return float(drive[max(row - 1, 0)])
 
 
 def require_voltages(
@@ -151,10 +158,8 @@ def require_voltages(
 
 def _open_seam(drive: Floats, suffix: str) -> str:
     """Return what is said of a loop whose last step is not of its kind; nothing where it closes."""
-    seam, inside = (
-        abs(drive[0] - drive[-1]),
-        float(np.abs(np.diff(drive)).max(initial=0.0)),
-    )
+    seam = abs(drive[0] - drive[-1])
+    inside = float(np.abs(np.diff(drive)).max(initial=0.0))
     if seam <= 3.0 * inside:  # as a period that does not close (see ``loops``)
         return ""
     return (
@@ -265,17 +270,17 @@ def check_played(
     """
     most = played_tolerance(drive, played * gain, tolerance)
     step, played_step = steps
-    count, ratio = drive.size, None
-    if (
-        step is not None
-        and played_step is not None
-        and abs(played_step / step - 1.0) > SAME_RATE
-    ):
+    count = drive.size
+    ratio = late_seconds = None
+    if step is not None and played_step is not None:
         ratio = played_step / step
-        count = int((drive.size - 1) / ratio + 1e-9) + 1
+        if abs(ratio - 1.0) > SAME_RATE:
+            count = int((drive.size - 1) / ratio + 1e-9) + 1
+        else:
+            ratio = None
     likeness, speed = _found(drive, played * gain, most, count, ratio)
-    late = likeness.lag + likeness.part
-    late_seconds = None if played_step is None else late * played_step
+    if played_step is not None:
+        late_seconds = (likeness.lag + likeness.part) * played_step
     checked.played = {
         "rows": likeness.rows, "lag_rows": likeness.lag, "lag_seconds": late_seconds,
         "resampled": count != drive.size, "gain": likeness.gain, "offset": likeness.offset,
@@ -311,11 +316,10 @@ def _cause(
     explained = likeness.left <= 0.5 * likeness.largest
     if likeness.cut <= most:
         beyond = (likeness.ends[0] - drive.min(), drive.max() - likeness.ends[1])
-        cut = [
-            f"{end:.6g}"
-            for end, by in zip(likeness.ends, beyond, strict=True)
-            if by > most
-        ]
+        cut = []
+        for end, by in zip(likeness.ends, beyond, strict=True):
+            if by > most:
+                cut.append(f"{end:.6g}")
         cause = f"it is the drive cut off at {' and '.join(cut)}{suffix}: a limit of the amplifier?"
     elif explained:
         cause = f"gain {likeness.gain:.6g} and offset {likeness.offset:.6g}{suffix} explain all but "
@@ -332,15 +336,14 @@ def _found(
     drive: Floats, played: Floats, most: float, count: int, ratio: float | None
 ) -> tuple[Likeness, float]:
     """Return how a recording is like a drive in ``count`` rows, and how many times as fast it was played."""
-    likeness, speed = _likeness(_stretched(drive, count, ratio), played, most), 1.0
+    likeness = _likeness(_stretched(drive, count, ratio), played, most)
+    speed = 1.0
     # at another speed: row for row, or from end to end?
     if likeness.alike < ANOTHER or likeness.left > most:
         for rows in sorted({drive.size, played.size} - {count}):
             again = _likeness(_stretched(drive, rows), played, most)
-            if (
-                again.left < OTHER_SPEED * likeness.left
-                and again.alike > likeness.alike
-            ):
+            closer = again.left < OTHER_SPEED * likeness.left
+            if closer and again.alike > likeness.alike:
                 likeness, speed = again, count / rows
     return likeness, speed
 
@@ -349,10 +352,10 @@ def _stretched(drive: Floats, count: int, step: float | None = None) -> Floats:
     """Return a drive in so many rows, ``step`` of its own rows apart (over all of it, where not given)."""
     if count == drive.size:
         return drive
-    each = (drive.size - 1) / max(count - 1, 1) if step is None else step
-    return interpolated(
-        np.arange(float(drive.size)), drive, each * np.arange(float(count))
-    )[0]
+    if step is None:
+        step = (drive.size - 1) / max(count - 1, 1)
+    rows = np.arange(float(drive.size))
+    return interpolated(rows, drive, step * np.arange(float(count)))[0]
 
 
 def _likeness(drive: Floats, played: Floats, most: float) -> Likeness:
@@ -360,24 +363,26 @@ def _likeness(drive: Floats, played: Floats, most: float) -> Likeness:
     lag = _lag(drive, played)
     begin, end = max(0, -lag), min(drive.size, played.size - lag)
     likeness = _fitted(drive[begin:end], played[begin + lag : end + lag], lag, 0.0)
-    if (
-        likeness.left <= most
-        or end - begin < FEWEST_FOR_PARTS
-        or likeness.alike < ANOTHER
-    ):
+    if likeness.left <= most or likeness.alike < ANOTHER:
         return likeness
-    curve, part = _Curve(drive), 0.0
+    if end - begin < FEWEST_FOR_PARTS:
+        return likeness
+    curve = _Curve(drive)
+    part = 0.0
     rows = np.arange(begin + 1.0, end - 1.0)
     b = played[begin + 1 + lag : end - 1 + lag]
     for _ in range(2):
         a, speed = curve.at(rows - part)
         columns = np.column_stack([a - a.mean(), np.ones(a.size), speed])
         gain, _, slope = np.linalg.lstsq(columns, b, rcond=None)[0].tolist()
-        part = min(max(part - slope / gain, -1.0), 1.0) if gain else 0.0
+        if gain:
+            part = min(max(part - slope / gain, -1.0), 1.0)
+        else:
+            part = 0.0
     again = _fitted(curve.at(rows - part)[0], b, lag, part)
-    return (
-        again._replace(rows=likeness.rows) if again.left < likeness.left else likeness
-    )
+    if again.left < likeness.left:
+        return again._replace(rows=likeness.rows)
+    return likeness
 
 
 class _Curve:
@@ -432,20 +437,24 @@ def _fitted(a: Floats, b: Floats, lag: int, part: float) -> Likeness:
     columns = np.column_stack([a - a.mean(), np.ones(a.size)])
     gain, middle = np.linalg.lstsq(columns, b, rcond=None)[0].tolist()
     offset = middle - gain * float(a.mean())
-    alike = (
-        1.0
-        if np.ptp(a) == 0.0
-        else abs(float(np.corrcoef(a, b)[0, 1]))
-        if np.ptp(b) > 0.0
-        else 0.0
-    )
-    largest, left = (
-        float(np.abs(b - a).max()),
-        float(np.abs(b - gain * a - offset).max()),
-    )
+    if np.ptp(a) == 0.0:
+        alike = 1.0
+    elif np.ptp(b) > 0.0:
+        alike = abs(float(np.corrcoef(a, b)[0, 1]))
+    else:
+        alike = 0.0
+    largest = float(np.abs(b - a).max())
+    left = float(np.abs(b - gain * a - offset).max())
     ends = float(b.min()), float(b.max())
     cut = float(np.abs(b - np.clip(a, *ends)).max())
     return Likeness(lag, part, a.size, gain, offset, alike, largest, left, ends, cut)
+
+
+def _sums_between(values: Floats, begin: Rows, end: Rows) -> Floats:
+    """Return the sum of the values of each stretch of rows."""
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    sums: Floats = total[end] - total[begin]
+    return sums
 
 
 def _lag(drive: Floats, played: Floats) -> int:
@@ -459,13 +468,12 @@ def _lag(drive: Floats, played: Floats) -> int:
     lags = np.arange(1 - a.size, b.size)
     begin, end = np.maximum(0, -lags), np.minimum(a.size, b.size - lags)
     count = end - begin
-    sums = [
-        (total := np.concatenate([[0.0], np.cumsum(values)]))[end + shift]
-        - total[begin + shift]
-        for values, shift in ((a, 0), (b, lags), (a * a, 0), (b * b, lags))
-    ]
-    spread = (sums[2] - sums[0] ** 2 / count) * (sums[3] - sums[1] ** 2 / count)
-    shared = _correlated(b, a) - sums[0] * sums[1] / count
+    sum_a = _sums_between(a, begin, end)
+    sum_b = _sums_between(b, begin + lags, end + lags)
+    squares_a = _sums_between(a * a, begin, end) - sum_a**2 / count
+    squares_b = _sums_between(b * b, begin + lags, end + lags) - sum_b**2 / count
+    spread = squares_a * squares_b
+    shared = _correlated(b, a) - sum_a * sum_b / count
     moving = (spread > EXACT * spread.max()) & (
         count >= FEWEST_SHARED * min(a.size, b.size)
     )

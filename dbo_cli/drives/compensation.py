@@ -37,7 +37,7 @@ from dbo_cli.drives.pieces import (
     require_short,
     sweep_range,
 )
-from dbo_cli.errors import InputError, LimitError, Remarks, UsageError
+from dbo_cli.errors import InputError, LimitError, Remarks, UsageError, counted
 from dbo_cli.hysteresis.dynamics import SectionStates
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
@@ -48,9 +48,8 @@ from dbo_cli.hysteresis.move_error import (
     MoveError,
     move_error,
 )
-from dbo_cli.logs.plain_text import counted
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock, even_step, median_step
-from dbo_cli.logs.sources import Source
+from dbo_cli.logs.signal_log import Source
 
 NOTHING_BROUGHT: Mapping[str, Any] = MappingProxyType({})
 # of the range: a trajectory this little outside is clipped and counted like any other
@@ -138,7 +137,9 @@ def first_beyond(
     sums = squares + np.cumsum(lost * lost)
     counts = np.maximum(rows + np.arange(1.0, lost.size + 1.0), STREAMED_ROWS)
     beyond = sums > allowed * allowed * counts
-    return int(np.argmax(beyond)) if beyond.any() else None
+    if not beyond.any():
+        return None
+    return int(np.argmax(beyond))
 
 
 class Watcher(Protocol):
@@ -245,8 +246,10 @@ class Compensation(ModelRun):
     def __post_init__(self) -> None:
         """Take the options apart."""
         options = self.options
-        self.limits, self.start = options.limits(self.model), options.state
-        self.why_time, self.bandwidth = options.why_time, options.rounding
+        self.limits = options.limits(self.model)
+        self.start = options.state
+        self.why_time = options.why_time
+        self.bandwidth = options.rounding
         super().__post_init__()
         self._run = functools.partial(self.model.compensate, limits=self.limits)
         self.loss = MoveLoss(self.model)
@@ -266,42 +269,43 @@ class Compensation(ModelRun):
         GateError
             A row breaks a limit: this program's fault.
         """
-        blocks, role, step = self.source.blocks(), self.input.quantity, 0.0
+        blocks = self.source.blocks()
+        step = 0.0
         if self.options.has_pieces:
-            read, stamps = first_blocks(blocks)
-            blocks = chain(read, blocks)
-            if self.steps.needed:
+            first, stamps = first_blocks(blocks)
+            blocks = chain(first, blocks)
+            if self.needs_time:
                 step = self._usual_step(stamps)
-            if read:
-                before = self.before_move(float(read[0].values[role][0]), step)
+            if first:
+                value = float(first[0].values[self.input.quantity][0])
+                before = self.before_move(value, step)
+                times = _times_before(before, stamps, step)
+                self.lead_in_seconds = step * (times.size - 1)
                 blocks = self._read_enough(before, step, blocks)
-                count = before.voltage.size + before.desired.size
-                # From one step before the first row on.
-                times = step * np.arange(-count - 1, 0.0) + (
-                    stamps[0] if stamps.size else 0.0
-                )
-                self.lead_in_seconds = count * step
                 yield from self._played(before, times[: before.voltage.size + 1], step)
                 blocks = chain(self._way_in(before, times), blocks)
         for block, x in self.inputs.blocks(self._watched(blocks), self.state):
-            desired, drive = block.values[role], self.feed(block, x).y
-            if not block.before_move:
-                desired = self.desired_rows(desired)
-                self._see(desired, drive)
-            if self.stream_ends is not None:
-                if self.stream_ends > 0:
-                    yield _first_rows(
-                        Response(block.time, desired, drive), self.stream_ends
-                    )
-                raise LimitError(self._stream_ended())
-            yield Response(block.time, desired, drive)
+            yield from self._answer(block, x)
         self._require_reached()
-        if (
-            self.options.return_ is not None
-            and self.state is not None
-            and self.state.time is not None
-        ):
-            yield self._return(self.state, self.state.time, step)
+        state = self.state
+        if self.options.return_ is not None and state is not None:
+            if state.time is not None:
+                yield self._return(state, state.time, step)
+
+    def _answer(self, block: SampleBlock, x: FloatArray) -> Iterator[Response]:
+        """Give the drive of a block; a stream that has lost too much ends here (LimitError)."""
+        desired = block.values[self.input.quantity]
+        drive = self.feed(block, x).y
+        if not block.before_move:
+            desired = self.desired_rows(desired)
+            self._see(desired, drive)
+        response = Response(block.time, desired, drive)
+        if self.stream_ends is None:
+            yield response
+            return
+        if self.stream_ends > 0:
+            yield _first_rows(response, self.stream_ends)
+        raise LimitError(self._stream_ended())
 
     def _way_in(self, before: Before, times: FloatArray) -> Iterator[SampleBlock]:
         """Give the displacements before the first row as a block of rows that end with row 0."""
@@ -428,7 +432,7 @@ class Compensation(ModelRun):
             self.state = before.state
             if self.source.has_time:
                 self.state = dataclasses.replace(before.state, time=float(times[-1]))
-                self.steps.last = float(times[-1])
+                self.last_time = float(times[-1])
 
     # --- the rows before and after the trajectory ---
 
@@ -458,7 +462,7 @@ class Compensation(ModelRun):
 
     def _usual_step(self, stamps: FloatArray) -> float:
         """Return seconds a row for the pieces (InputError where the clock stands still)."""
-        step = self.steps.step or even_step(stamps)
+        step = self.even_step or even_step(stamps)
         if step is not None:
             return step
         steps = np.diff(stamps)
@@ -505,8 +509,7 @@ class Compensation(ModelRun):
         self, time: FloatArray, desired: FloatArray, drive: FloatArray, step: float
     ) -> Response:
         """Let voltages that are played as they are pass the gate."""
-        self.gate.admit(drive, step)
-        self.drive_figures.see(drive, step)
+        self._admit(drive, step)
         return Response(time, desired, drive)
 
     # --- one block ---
@@ -521,42 +524,50 @@ class Compensation(ModelRun):
         if self.state is None:
             self.state = self._begun(float(x[0]))
         before = self.state
-        done, steps = super().feed(block, x), self.time_step
+        done = super().feed(block, x)
+        steps = self.time_step
         if not self.drive_figures.rows:
-            self.gate.require_start(
-                None if steps is None else float(np.ravel(steps)[0])
-            )
-        if not block.before_move:  # what cannot be reached before a move is none of it
-            reach, slack = self.model.output, REACH_SLACK * self.model.output.span
-            desired = (
-                x if self.model.dynamics is None else block.values[self.input.quantity]
-            )
-            outside = (desired < reach.minimum - slack) | (
-                desired > reach.maximum + slack
-            )
-            self.unreachable += int(np.count_nonzero(outside))
+            first_step = None if steps is None else float(np.ravel(steps)[0])
+            self.gate.require_start(first_step)
+        if block.before_move:
+            self.lead_in_figures.see(done.y, None)
+        else:  # what cannot be reached before a move is none of it
+            self._count_unreachable(block, x)
             self._count_clipped(done, block)
             if self.clipped.count:
-                reached = self.model.without_dynamics_and_delay.follow(
-                    done.y, before, steps
-                ).y
-                self._add_lost(x - reached, steps)
-                if self.stream_ends is not None:
-                    self._uncount_behind_end(
-                        done, self.stream_ends + 1, x, before, steps
-                    )
-        else:
-            self.lead_in_figures.see(done.y, None)
+                self._count_lost(done, x, before, steps)
         self.first_value_missed = self.first_value_missed or done.first_missed
-        self.gate.admit(done.y, steps)
-        self.drive_figures.see(done.y, steps)
-        room = MOST_ROWS - sum(drive.size for drive, _ in self.first_drives)
-        if room > 0:  # on its first rows the error to expect is looked at in the end
-            every = (
-                None if steps is None else np.broadcast_to(steps, done.y.shape)[:room]
-            )
-            self.first_drives.append((done.y[:room], every))
+        self._admit(done.y, steps)
+        self._keep_first_rows(done.y, steps)
         return done
+
+    def _admit(self, drive: FloatArray, steps: float | FloatArray | None) -> None:
+        """Let rows pass the gate (GateError), and measure them."""
+        self.gate.admit(drive, steps)
+        self.drive_figures.see(drive, steps)
+
+    def _keep_first_rows(
+        self, drive: FloatArray, steps: float | FloatArray | None
+    ) -> None:
+        """Keep the first rows, on which the error to expect is looked at in the end."""
+        room = MOST_ROWS - sum(rows.size for rows, _ in self.first_drives)
+        if room <= 0:
+            return
+        each_step = None
+        if steps is not None:
+            each_step = np.broadcast_to(steps, drive.shape)[:room]
+        self.first_drives.append((drive[:room], each_step))
+
+    def _count_unreachable(self, block: SampleBlock, x: FloatArray) -> None:
+        """Count the rows outside the range of the model's displacement."""
+        desired = x
+        if self.model.dynamics is not None:
+            desired = block.values[self.input.quantity]
+        reach = self.model.output
+        slack = REACH_SLACK * reach.span
+        below = desired < reach.minimum - slack
+        above = desired > reach.maximum + slack
+        self.unreachable += int(np.count_nonzero(below | above))
 
     def _count_clipped(self, done: Simulated, block: SampleBlock | None) -> None:
         """Count the clipped rows, or refuse them (LimitError); rows before a loop are in no block."""
@@ -565,14 +576,24 @@ class Compensation(ModelRun):
         if self.options.on_limit == "error" and self.clipped.count:
             raise LimitError(f"{self._clipping_words()} (`on_limit` clip goes on)")
 
-    def _add_lost(self, lost: FloatArray, steps: float | FloatArray | None) -> None:
-        """Add up what rows of the move lose, from the block of the first clipped row on."""
-        rows = self.rows - self.rows_before - lost.size
+    def _count_lost(
+        self,
+        done: Simulated,
+        x: FloatArray,
+        before: ModelState,
+        steps: float | FloatArray | None,
+    ) -> None:
+        """Add up what the rows of a block lose, from the first clipped block on; a stream may end in it."""
+        model = self.model.without_dynamics_and_delay
+        reached = model.follow(done.y, before, steps).y
+        rows = self.rows - self.rows_before - x.size
         squares = self.loss.squares
-        lost = self.loss.add(lost, steps)
+        lost = self.loss.add(x - reached, steps)
         if self.streamed and self.options.on_limit == "auto":
             allowed = ALLOWED_PART * self.model.output.span
             self.stream_ends = first_beyond(squares, rows, lost, allowed)
+        if self.stream_ends is not None:
+            self._uncount_behind_end(done, self.stream_ends + 1, x, before, steps)
 
     def _uncount_behind_end(
         self,
@@ -634,11 +655,9 @@ class Compensation(ModelRun):
             )
         rest, target = self._rest_after()
         if self.options.return_ is not None and rest != target:
-            came = (
-                "where the drive came from"
-                if self.came_from is not None
-                else "where drives rest"
-            )
+            came = "where drives rest"
+            if self.came_from is not None:
+                came = "where the drive came from"
             remarks.warn(
                 f"{name}: the drive returns to {target:.6g}{unit} alone: {rest:.6g}{unit}, {came}, is "
                 f"outside {within}"
@@ -656,10 +675,8 @@ class Compensation(ModelRun):
         farad, drive = self.options.farad, self.drive_figures
         if farad is not None and drive.seconds:
             volts = float(volts_a_unit(self.model))
-            coulombs, joules = (
-                farad * volts * drive.travel,
-                farad * volts**2 * drive.work,
-            )
+            coulombs = farad * volts * drive.travel
+            joules = farad * volts**2 * drive.work
             remarks.notes.append(
                 f"{name}: into {farad:g} F the drive takes {farad * volts * drive.fastest:.3g} A at most, "
                 f"{coulombs / drive.seconds:.3g} A and {joules / drive.seconds:.3g} W (voltage times "
@@ -783,11 +800,9 @@ class Compensation(ModelRun):
             return self.before_its_first_sweep if self.start == "auto" else ""
         unit = self.model.output.suffix
         whole = math.hypot(error.from_any_past, self._lost_rms())
-        start = (
-            "settled at the first row"
-            if self.start in ("auto", "settled")
-            else self.start
-        )
+        start = str(self.start)
+        if start in ("auto", "settled"):
+            start = "settled at the first row"
         return (
             f"; that is from the start assumed ({start}){self.or_after_a_sweep}, from an unknown past "
             f"{_rounded_up(whole):.3g}{unit}"
@@ -812,15 +827,19 @@ class Compensation(ModelRun):
         move = self.move_figures
         if move.low <= move.high:
             values["move_range"] = [move.low, move.high]
-        error = self._move_error() if self.expected_rmse()[0] is not None else None
-        values["expected_shape_rmse"] = None if error is None else error.shape
-        values["expected_zero"] = None if error is None else error.zero
+        values["expected_shape_rmse"] = None
+        values["expected_zero"] = None
         values["expected_from_any_past"] = None
-        if error is not None:
-            past = error.from_any_past if self._past_matters(error) else error.rmse
-            values["expected_from_any_past"] = math.hypot(
-                past, self._lost_rms(), self._delay_left_rms()
-            )
+        if self.expected_rmse()[0] is None:
+            return values
+        error = self._move_error()
+        if error is None:
+            return values
+        past = error.from_any_past if self._past_matters(error) else error.rmse
+        whole = math.hypot(past, self._lost_rms(), self._delay_left_rms())
+        values["expected_shape_rmse"] = error.shape
+        values["expected_zero"] = error.zero
+        values["expected_from_any_past"] = whole
         return values
 
     def expected_rmse(self) -> tuple[float | None, float | None]:
@@ -882,6 +901,14 @@ def _rounded_up(value: float) -> float:
         return value
     unit = 10.0 ** (math.floor(math.log10(value)) - 2)
     return math.ceil(value / unit * (1.0 - 1e-12)) * unit
+
+
+def _times_before(before: Before, stamps: FloatArray, step: float) -> FloatArray:
+    """Return the times (s) of the rows before a move, from one step before the first of them on."""
+    count = before.voltage.size + before.desired.size
+    begin = float(stamps[0]) if stamps.size else 0.0
+    times: FloatArray = step * np.arange(-count - 1, 0.0) + begin
+    return times
 
 
 def _first_rows(response: Response, count: int) -> Response:

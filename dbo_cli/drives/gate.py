@@ -57,12 +57,10 @@ class DriveGate:
         suffix: str = "",
         may_wait: bool = True,
     ) -> None:
-        self.limits, self.last, self.suffix, self.may_wait = (
-            limits,
-            last,
-            suffix,
-            may_wait,
-        )
+        self.limits = limits
+        self.last = last
+        self.suffix = suffix
+        self.may_wait = may_wait
         self.outside = 0
         self._begun = False
 
@@ -98,17 +96,21 @@ class DriveGate:
 
     def _inwards(self, drive: Floats, last: float) -> int:
         """Return how many rows, the first ones, come inwards from outside the range and are outside still."""
-        limits = self.limits
-        bound, sign = (
-            (limits.v_max, 1.0) if last > limits.v_max else (limits.v_min, -1.0)
-        )
+        if last > self.limits.v_max:
+            bound, sign = self.limits.v_max, 1.0
+        else:
+            bound, sign = self.limits.v_min, -1.0
         before = _before(drive, last)
         outwards: Bools = sign * drive > sign * before
-        refused = outwards if self.may_wait else outwards | (drive == before)
+        refused = outwards
+        if not self.may_wait:
+            refused = outwards | (drive == before)
         if not self._begun:
             refused[:1] = outwards[:1]  # the first row may be where the drive stood
         coming = (sign * drive > sign * bound) & ~refused
-        return drive.size if coming.all() else int(np.argmin(coming))
+        if coming.all():
+            return drive.size
+        return int(np.argmin(coming))
 
     def violation(self, drive: Floats, time_step: float | Floats | None = None) -> str:
         """Say why the first row that breaks a limit does so, nothing where none does; see ``broken``."""
@@ -166,13 +168,13 @@ class DriveGate:
         step = limits.largest_change(time_step)
         if last is None or step is None:
             return
-        low, high = (limits.v_min, limits.v_max) if first is None else (first, first)
+        if first is None:
+            low, high = limits.v_min, limits.v_max
+            aim = f"its limits, {low:.6g} to {high:.6g}"
+        else:
+            low = high = first
+            aim = f"{first:.6g}"
         if max(low - last, last - high) > step:
-            aim = (
-                f"{first:.6g}"
-                if first is not None
-                else f"its limits, {low:.6g} to {high:.6g}"
-            )
             raise LimitError(
                 f"the drive comes from {last:.6g}{unit}, and {limits.max_slew:g}{unit} per second does not "
                 f"bring it to {aim}{unit}, in one row (`approach` SECONDS ramps there)"
@@ -181,7 +183,9 @@ class DriveGate:
 
 def _before(drive: Floats, last: float | None) -> Floats:
     """Return the row before each, ``last`` before the first one."""
-    return np.concatenate([drive[:1] if last is None else [last], drive[:-1]])
+    if last is None:
+        return np.concatenate([drive[:1], drive[:-1]])
+    return np.concatenate([[last], drive[:-1]])
 
 
 @dataclass
@@ -217,22 +221,26 @@ class DriveFigures:
         """See consecutive rows."""
         if not drive.size:
             return
-        self.low, self.high = (
-            min(self.low, float(drive.min())),
-            max(self.high, float(drive.max())),
-        )
-        change = np.abs(
-            np.diff(drive, prepend=drive[0] if self.last is None else self.last)
-        )
+        self.low = min(self.low, float(drive.min()))
+        self.high = max(self.high, float(drive.max()))
+        before = drive[0] if self.last is None else self.last
+        change = np.abs(np.diff(drive, prepend=before))
         if steps is not None:
-            time = np.broadcast_to(steps, drive.shape)[int(self.last is None) :]
-            moved = change[int(self.last is None) :]
-            self.seconds += float(time.sum())
-            with np.errstate(over="ignore"):  # in steps of next to no time
-                rates = moved[time > 0.0] / time[time > 0.0]
-            self.fastest = max(self.fastest, float(rates.max(initial=0.0)))
+            self._see_rates(change, steps)
         self.largest_step = max(self.largest_step, float(change.max()))
         self.travel += float(change.sum())
         self.work += float((np.abs(drive) * change).sum())
-        self.first = float(drive[0]) if self.first is None else self.first
-        self.last, self.rows = float(drive[-1]), self.rows + drive.size
+        if self.first is None:
+            self.first = float(drive[0])
+        self.last = float(drive[-1])
+        self.rows += drive.size
+
+    def _see_rates(self, change: Floats, steps: float | Floats) -> None:
+        """See how fast the rows change; before the very first one there is no step."""
+        begin = 1 if self.last is None else 0
+        time = np.broadcast_to(steps, change.shape)[begin:]
+        moved = change[begin:]
+        self.seconds += float(time.sum())
+        with np.errstate(over="ignore"):  # in steps of next to no time
+            rates = moved[time > 0.0] / time[time > 0.0]
+        self.fastest = max(self.fastest, float(rates.max(initial=0.0)))

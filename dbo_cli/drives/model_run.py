@@ -32,7 +32,7 @@ from dbo_cli.logs.sample_block import (
     SampleBlock,
     require_even,
 )
-from dbo_cli.logs.sources import Source, remarks_of
+from dbo_cli.logs.signal_log import Source, remarks_of
 
 CLOCK_SAMPLES = 101
 """A clock's step is that of so many first samples, however the signal is cut."""
@@ -108,50 +108,54 @@ class Inputs:
         UsageError
             The low-pass cannot be had at this rate.
         """
-        role, last, dynamics = self.input.quantity, self.last_row, self.dynamics
-        self.start, step = begun or self.start, 0.0
+        role = self.input.quantity
+        last = self.last_row
+        self.start = begun or self.start
         blocks = read if last is None else _split(read, last)
-        if (
-            last is None
-            and dynamics is None
-            and self.bandwidth is None
-            and not self.delay
-        ):
-            for block in blocks:
-                yield block, block.values[role]
-            return
-        if dynamics is not None or self.bandwidth is not None:
-            why = EVEN_FOR_BANDWIDTH if dynamics is None else EVEN_FOR_DYNAMICS
-            undoing = None if self.start is None else self.start.undoing
-            step, blocks = even_clock(
-                self.source, blocks, why, undoing.time_step if undoing else None
-            )
+        step = 0.0
+        if self.dynamics is not None or self.bandwidth is not None:
+            step, blocks = self._on_even_clock(blocks)
         taken: Iterable[Taken] = ((block, block.values[role]) for block in blocks)
         if self.bandwidth is not None:
             taken = self._rounded(taken, ZeroPhaseLowPass(self.bandwidth, step), step)
         if self.delay:
             taken = self._ahead(taken, self.delay)
-        if dynamics is not None:
-            taken = self._undone(taken, dynamics.inverter(step))
+        if self.dynamics is not None:
+            taken = self._undone(taken, self.dynamics.inverter(step))
         for block, x in taken:
             if block is self._rest or (last is not None and block.rows[0] > last):
                 return
             yield block, x
 
+    def _on_even_clock(
+        self, blocks: Iterable[SampleBlock]
+    ) -> tuple[float, Iterator[SampleBlock]]:
+        """Return the time step (s), and the blocks, each refused where its clock is not even."""
+        why = EVEN_FOR_BANDWIDTH if self.dynamics is None else EVEN_FOR_DYNAMICS
+        known = None
+        if self.start is not None and self.start.undoing is not None:
+            known = self.start.undoing.time_step
+        return even_clock(self.source, blocks, why, known)
+
     def _ahead(self, taken: Iterable[Taken], delay: DelayStage) -> Iterator[Taken]:
         """Read ahead by a delay, and note what it leaves."""
         self.delay_left = DelayLeft(delay, DELAY_ROWS)
-        timed = (
-            ((block, x), block.time, x) for block, x in taken if block.time is not None
-        )
-        for (block, x), ahead in read_ahead(timed, abs(delay.seconds), delay.between):
+
+        def timed() -> Iterator[tuple[Taken, FloatArray, FloatArray]]:
+            for block, x in taken:
+                if block.time is not None:
+                    yield (block, x), block.time, x
+
+        ahead_of = read_ahead(timed(), abs(delay.seconds), delay.between)
+        for (block, x), ahead in ahead_of:
             if block.time is not None and block is not self._rest:
                 self.delay_left.add(block.time, x, ahead)
             yield block, ahead
 
     def remarks(self) -> Remarks:
         """Return what is to be said of the transformed signal so far."""
-        remarks, unit, name = Remarks(), self.input.suffix, self.source.name
+        remarks = Remarks()
+        unit, name = self.input.suffix, self.source.name
         if self._smoothed:
             rms = math.sqrt(self._squares / self._smoothed)
             remarks.notes.append(
@@ -171,16 +175,21 @@ class Inputs:
                 f"{abs(self._ends_off):.3g}{unit} more (let it end at rest; `bandwidth` HZ rounds it)"
             )
         if self._corners and self.dynamics is not None:
-            lowest = min(
-                (resonance.frequency for resonance in self.dynamics.resonances),
-                default=None,
-            )
-            propose = f" {lowest / PROPOSED_PART:.3g}" if lowest is not None else " HZ"
             remarks.notes.append(
                 f"{name}: in {self._corners:,} samples the corners and the speed of the trajectory, not its "
-                f"place, ask for a drive beyond the range (`bandwidth`{propose} rounds it)"
+                f"place, ask for a drive beyond the range (`bandwidth` {self._proposed()} rounds it)"
             )
         return remarks
+
+    def _proposed(self) -> str:
+        """Return the bandwidth (Hz) to propose, from the lowest resonance."""
+        frequencies = []
+        if self.dynamics is not None:
+            for resonance in self.dynamics.resonances:
+                frequencies.append(resonance.frequency)
+        if not frequencies:
+            return "HZ"
+        return f"{min(frequencies) / PROPOSED_PART:.3g}"
 
     def _rounded(
         self, taken: Iterable[Taken], low_pass: ZeroPhaseLowPass, step: float
@@ -201,14 +210,15 @@ class Inputs:
         block, x = None, np.zeros(0)
         for block, x in taken:
             yield block, x
-        if block is not None and x.size:
-            rows, times = np.arange(1, count + 1), step * np.arange(1.0, count + 1.0)
-            end = None if block.time is None else block.time[-1] + times
-            resting = np.full(count, x[-1])
-            self._rest = SampleBlock(
-                block.rows[-1] + rows, None, end, {self.input.quantity: resting}
-            )
-            yield self._rest, resting
+        if block is None or not x.size:
+            return
+        rows = block.rows[-1] + np.arange(1, count + 1)
+        times = None
+        if block.time is not None:
+            times = block.time[-1] + step * np.arange(1.0, count + 1.0)
+        resting = np.full(count, x[-1])
+        self._rest = SampleBlock(rows, None, times, {self.input.quantity: resting})
+        yield self._rest, resting
 
     def note_rounding(self, before: FloatArray, after: FloatArray) -> None:
         """Add up what a low-pass took off."""
@@ -222,21 +232,15 @@ class Inputs:
     ) -> Iterator[Taken]:
         """Undo the dynamics; from a state's memory where the signal goes on from it, else from a rest."""
         low, high = self.input.minimum, self.input.maximum
-        rest = iter(taken)
-        first = next(rest, None)
-        memory, start, late = None, self.start, 0.0
-        if first is not None and start is not None:
-            if start.time is not None and first[0].time is not None:
-                late = float(first[0].time[0]) - start.time
-            memory = (
-                start.memory_for(inverter)
-                if late <= GAP_STEPS * inverter.time_step
-                else None
-            )
+        following = iter(taken)
+        first = next(following, None)
+        if first is None:
+            return
+        memory = self._memory_at(first[0], inverter)
         begun = memory is not None
 
         def counted() -> Iterator[tuple[Taken, FloatArray]]:
-            for block, x in chain([first] if first else [], rest):
+            for block, x in chain([first], following):
                 self._read += x.size
                 yield (block, x), x
 
@@ -247,14 +251,28 @@ class Inputs:
                     "the inverse of the model's dynamics reads ahead (let it begin and end at rest)"
                 )
             if not begun:
-                begun, self._starts_off = True, float(u[0] - x[0])
+                begun = True
+                self._starts_off = float(u[0] - x[0])
             beyond = (u < low) | (u > high)
             if beyond.any():
-                self._corners += int(
-                    np.count_nonzero(beyond & (x >= low) & (x <= high))
-                )
-            self.memory, self._ends_off = after, float(u[-1] - x[-1])
+                inside = (x >= low) & (x <= high)
+                self._corners += int(np.count_nonzero(beyond & inside))
+            self.memory = after
+            self._ends_off = float(u[-1] - x[-1])
             yield block, u
+
+    def _memory_at(
+        self, first: SampleBlock, inverter: DynamicsInverter
+    ) -> InverseMemory | None:
+        """Return what the inverse remembers before the first block; None where it begins at rest."""
+        start = self.start
+        if start is None:
+            return None
+        if start.time is not None and first.time is not None:
+            late = float(first.time[0]) - start.time
+            if late > GAP_STEPS * inverter.time_step:
+                return None
+        return start.memory_for(inverter)
 
 
 def even_clock(
@@ -272,28 +290,19 @@ def even_clock(
     """
     if source.even_rate is not None:
         return 1.0 / source.even_rate, iter(blocks)
-    rest = iter(blocks)
-    first, stamps = first_blocks(rest)
-    steps = np.diff(stamps)
-    if known is not None and (
-        not steps.size or abs(float(np.mean(steps)) - known) <= JITTER * known
-    ):
-        step = known
-    elif not steps.size:
-        raise InputError(
-            f"{source.name}: holds a single sample, which is no clock, and {why}"
-        )
-    else:
-        step = require_even(source.name, stamps, why)
-    slack = JITTER * step + 2.0 * float(np.abs(steps - step).max(initial=0.0))
+    following = iter(blocks)
+    first, stamps = first_blocks(following)
+    step = _even_step_of(source, stamps, why, known)
+    jitter = float(np.abs(np.diff(stamps) - step).max(initial=0.0))
+    slack = JITTER * step + 2.0 * jitter
 
     def checked() -> Iterator[SampleBlock]:
         last: float | None = None
-        for block in chain(first, rest):
+        for block in chain(first, following):
             if block.time is not None and len(block):
-                steps = np.diff(
-                    block.time, prepend=block.time[0] - step if last is None else last
-                )
+                if last is None:
+                    last = block.time[0] - step
+                steps = np.diff(block.time, prepend=last)
                 odd = np.abs(steps - step) > slack
                 if odd.any():
                     index = int(np.argmax(odd))
@@ -307,6 +316,22 @@ def even_clock(
     return step, checked()
 
 
+def _even_step_of(
+    source: Source, stamps: FloatArray, why: str, known: float | None
+) -> float:
+    """Return the step (s) of the first time stamps: the ``known`` one, where they agree with it."""
+    steps = np.diff(stamps)
+    if known is not None:
+        agrees = not steps.size or abs(float(np.mean(steps)) - known) <= JITTER * known
+        if agrees:
+            return known
+    if not steps.size:
+        raise InputError(
+            f"{source.name}: holds a single sample, which is no clock, and {why}"
+        )
+    return require_even(source.name, stamps, why)
+
+
 def first_blocks(blocks: Iterator[SampleBlock]) -> tuple[list[SampleBlock], FloatArray]:
     """Take the first blocks, enough to tell the rate from; return them and their first stamps (s)."""
     first: list[SampleBlock] = []
@@ -316,7 +341,8 @@ def first_blocks(blocks: Iterator[SampleBlock]) -> tuple[list[SampleBlock], Floa
             break
         first.append(more)
     times = [block.time for block in first if block.time is not None]
-    return first, np.concatenate(times)[:CLOCK_SAMPLES] if times else np.zeros(0)
+    stamps = np.concatenate([np.zeros(0), *times])
+    return first, stamps[:CLOCK_SAMPLES]
 
 
 def _split(blocks: Iterable[SampleBlock], last_row: int) -> Iterator[SampleBlock]:
@@ -367,91 +393,6 @@ class Tally:
         self.count += count
 
 
-class TimeSteps:
-    """Tells the seconds since the sample before.
-
-    Parameters
-    ----------
-    source : Source
-        Where the samples come from.
-    why : str, optional
-        Why the time is needed, for the refusal of a source without; None: it is not
-        needed.
-    last : float, optional
-        When the sample before the first one was (s), from a state that knows it; then
-        that of the last one.
-    """
-
-    def __init__(
-        self, source: Source, why: str | None, last: float | None = None
-    ) -> None:
-        self.needed = why is not None
-        self.name = source.name
-        if why is not None:
-            source.require_time(why)
-        # One number where samples are evenly spaced by definition: a delay of whole
-        # samples is exact then.
-        rate = source.even_rate
-        self.step = None if rate is None else 1.0 / rate
-        self.last = last
-        self._begun = False
-
-    def of(self, block: SampleBlock) -> float | FloatArray | None:
-        """Return one number, or one for each sample of the block; None where no time is needed.
-
-        Raises
-        ------
-        InputError
-            Time goes backwards.
-        """
-        if block.time is None:
-            return None
-        if not self._begun:
-            self._begin(block.time)
-        if self.step is not None:
-            return self.step
-        steps: FloatArray = np.diff(
-            block.time, prepend=0.0 if self.last is None else self.last
-        )
-        if (steps < 0.0).any():
-            place = block.place(self.name, int(np.argmax(steps < 0.0)))
-            raise InputError(
-                f"{place}: time goes backwards, and this model's lag and creep depend on the time between "
-                "samples (cut the log with `rows` A:B)"
-            )
-        self.last = float(block.time[-1])
-        return steps
-
-    def _begin(self, time: FloatArray) -> None:
-        """Find when the sample before the first one was.
-
-        Only after a saved state does the very first step count. Where the state does
-        not know its time, or the clock began anew since, the first sample comes one
-        step after it. The stamp of the state's own last sample is a repeated one: no
-        time has passed.
-        """
-        self._begun = True
-        first = float(time[0])
-        usual = (
-            self.step
-            if self.step is not None
-            else float(time[1]) - first
-            if len(time) > 1
-            else 0.0
-        )
-        if (
-            self.last is None
-            or self.last > first
-            or (self.step is not None and self.last == first)
-        ):
-            self.last = first - usual
-        elif (
-            self.step is not None
-            and abs(first - self.last - self.step) > SAME_STEP * self.step
-        ):
-            self.step = None  # a pause: from here on the stamps count
-
-
 class Response(NamedTuple):
     """One block of a run: seconds (None where they are not known), the model's input x, and its output y."""
 
@@ -483,6 +424,12 @@ class ModelRun:
     input, output : Quantity
         What goes into the run and comes out of it: a compensation's are its model's,
         exchanged.
+    needs_time : bool
+        Whether the time between samples is needed.
+    even_step : float, or None
+        The time step (s), where samples are evenly spaced by definition.
+    last_time : float, or None
+        When the sample before the next block was (s), as far as that is known.
     """
 
     model: ActuatorModel
@@ -504,9 +451,12 @@ class ModelRun:
     input: Quantity = field(init=False)
     output: Quantity = field(init=False)
     displacement: Quantity = field(init=False)
-    steps: TimeSteps = field(init=False)
+    needs_time: bool = field(init=False)
+    even_step: float | None = field(init=False)
+    last_time: float | None = field(init=False)
     inputs: Inputs = field(init=False)
     _run: Callable[..., Simulated] = field(init=False)
+    _clock_runs: bool = False
 
     remedies = ""
     """What brings an actuator into the start, in front of other ways."""
@@ -515,18 +465,15 @@ class ModelRun:
 
     def __post_init__(self) -> None:
         """Refuse a source without time where the model needs one."""
-        model, begun = (
-            self.model,
-            self.start if isinstance(self.start, ModelState) else None,
-        )
+        model = self.model
+        begun = self.start if isinstance(self.start, ModelState) else None
         self.input, self.output = model.input, model.output
         if self.compensates:
             self.input, self.output = model.output, model.input
         inverting = self.compensates or model.direction == "inverse"
         self.displacement = self.input if inverting else self.output
-        needed = model.needs_time or (inverting and reads_ahead(model))
-        why = LAG_DEPENDS if needed else self.why_time
-        self.steps = TimeSteps(self.source, why, begun.time if begun else None)
+        depends = model.needs_time or (inverting and reads_ahead(model))
+        self._prepare_clock(LAG_DEPENDS if depends else self.why_time, begun)
         self._run = functools.partial(model.simulate, outside=self.outside)
         delay = model.delay if inverting and model.delay_seconds > 0.0 else None
         dynamics = model.dynamics if inverting else None
@@ -540,15 +487,29 @@ class ModelRun:
             begun,
         )
 
+    def _prepare_clock(self, why: str | None, begun: ModelState | None) -> None:
+        """Note whether time is needed, and what is known of it; refuse a source that lacks it."""
+        self.needs_time = why is not None
+        if why is not None:
+            self.source.require_time(why)
+        self.last_time = None if begun is None else begun.time
+        # One number where samples are evenly spaced by definition: a delay of whole
+        # samples is exact then.
+        rate = self.source.even_rate
+        self.even_step = None if rate is None else 1.0 / rate
+
     @property
     def voltage_scale(self) -> str | None:
         """What the voltages of the model's logs were multiplied by, ``times 20``; None where by nothing."""
         inputs: Any = self.model.provenance.get("inputs") or []
-        reads = [log.get("read", {}) for log in inputs]
-        scales = {
-            read.get("columns", {}).get("voltage", {}).get("scale") for read in reads
-        }
-        return scales.pop() if len(scales) == 1 else None
+        scales = set()
+        for log in inputs:
+            columns = log.get("read", {}).get("columns", {})
+            scales.add(columns.get("voltage", {}).get("scale"))
+        if len(scales) != 1:
+            return None
+        scale: str | None = scales.pop()
+        return scale
 
     def responses(self) -> Iterator[Response]:
         """Run over the whole source; the blocks may be of any length, their samples always the same.
@@ -565,7 +526,7 @@ class ModelRun:
 
     def feed(self, block: SampleBlock, x: FloatArray) -> Simulated:
         """Run one block, and go on from there."""
-        steps = self.time_step = self.steps.of(block) if self.steps.needed else None
+        steps = self.time_step = self._time_steps(block)
         if self.state is None:
             self.state = self._begun(float(x[0]))
         try:
@@ -587,6 +548,48 @@ class ModelRun:
         if steps is not None and self.model.direction == "forward":
             self._watch_speed(done.y if self.compensates else x, steps, block)
         return done
+
+    def _time_steps(self, block: SampleBlock) -> float | FloatArray | None:
+        """Return the seconds since the sample before: one number, or one for each; None where not needed.
+
+        Raises
+        ------
+        InputError
+            Time goes backwards.
+        """
+        if not self.needs_time or block.time is None:
+            return None
+        if not self._clock_runs:
+            self._start_clock(block.time)
+        if self.even_step is not None:
+            return self.even_step
+        before = 0.0 if self.last_time is None else self.last_time
+        steps: FloatArray = np.diff(block.time, prepend=before)
+        if (steps < 0.0).any():
+            place = block.place(self.source.name, int(np.argmax(steps < 0.0)))
+            raise InputError(
+                f"{place}: time goes backwards, and this model's lag and creep depend on the time between "
+                "samples (cut the log with `rows` A:B)"
+            )
+        self.last_time = float(block.time[-1])
+        return steps
+
+    def _start_clock(self, time: FloatArray) -> None:
+        """Find when the sample before the first one was.
+
+        Only after a saved state does the very first step count. Where the state does
+        not know its time, or the clock began anew since, the first sample comes one
+        step after it. The stamp of the state's own last sample is a repeated one: no
+        time has passed.
+        """
+        self._clock_runs = True
+        first = float(time[0])
+        step = self.even_step
+        last = self.last_time
+        if last is None or last > first or (step is not None and last == first):
+            self.last_time = first - _clock_step(time, step)
+        elif step is not None and abs(first - last - step) > SAME_STEP * step:
+            self.even_step = None  # a pause: from here on the stamps count
 
     def _watch_speed(
         self, drive: FloatArray, steps: float | FloatArray, block: SampleBlock
@@ -639,13 +642,10 @@ class ModelRun:
             )
 
     def _counted(self, tally: Tally) -> str:
-        place = (
-            f"row {tally.first_row:,}"
-            if tally.first_row > 0
-            else "the rows before row 1"
-        )
+        place, rows = "the rows before row 1", self.rows
+        if tally.first_row > 0:
+            place, rows = f"row {tally.first_row:,}", self.rows - self.rows_before
         first = place if tally.count == 1 else f"first in {place}"
-        rows = self.rows - (self.rows_before if tally.first_row > 0 else 0)
         return f"{self.source.name}: {tally.count:,} of {rows:,} samples ({first})"
 
     def _range(self) -> str:
@@ -661,11 +661,22 @@ class ModelRun:
 
     def _note_assumed(self, begun: ModelState, first: float) -> None:
         """Remember by how much the displacement at the start depends on an unknown past."""
-        if self.start == "auto" and not self.found_start:
-            spread = self.model.start_spread(begun, first)
-            self.assumed = (
-                spread if spread > ASSUMED_SPREAD * self.displacement.span else 0.0
-            )
+        if self.start != "auto" or self.found_start:
+            return
+        spread = self.model.start_spread(begun, first)
+        if spread > ASSUMED_SPREAD * self.displacement.span:
+            self.assumed = spread
+        else:
+            self.assumed = 0.0
+
+
+def _clock_step(time: FloatArray, even_step: float | None) -> float:
+    """Return the step (s) of a clock: the even one, else that of its first two samples; 0 of one sample."""
+    if even_step is not None:
+        return even_step
+    if len(time) < 2:
+        return 0.0
+    return float(time[1]) - float(time[0])
 
 
 def _largest_change(values: FloatArray, before: float) -> float:
@@ -683,14 +694,13 @@ def found_start(model: ActuatorModel, name: str, first: float) -> StartName | No
     if model.direction != "forward" or not isinstance(logs, list):
         return None
     for log in logs:
-        known = log if isinstance(log, dict) else {}
-        named = name == known.get("name") or name.endswith(f"/{known.get('name')}")
+        if not isinstance(log, dict) or log.get("begins_at") != first:
+            continue
+        log_name = log.get("name")
+        if name != log_name and not name.endswith(f"/{log_name}"):
+            continue
         for start in model_state.START_NAMES:
-            if (
-                named
-                and known.get("begins_at") == first
-                and known.get("start") == start
-            ):
+            if log.get("start") == start:
                 return start
     return None
 

@@ -179,21 +179,21 @@ class DriveOptions:
     @property
     def farad(self) -> float | None:
         """The load, where it is known."""
-        return (
-            None
-            if self.capacitance is None
-            else in_unit("capacitance", self.capacitance, "F")
-        )
+        if self.capacitance is None:
+            return None
+        return in_unit("capacitance", self.capacitance, "F")
 
     @property
     def why_time(self) -> str | None:
         """Why the time between samples is needed, where it is."""
-        needing = [
-            name for name in NEED_TIME if getattr(self, name) not in (None, False)
-        ]
-        if self.max_slew == math.inf:
-            needing.remove("max_slew")
-        return f"`{needing[0]}` depends on it" if needing else None
+        for name in NEED_TIME:
+            value = getattr(self, name)
+            if value in (None, False):
+                continue
+            if name == "max_slew" and self.max_slew == math.inf:
+                continue  # no limit
+            return f"`{name}` depends on it"
+        return None
 
     @property
     def rounding(self) -> float | None:
@@ -232,14 +232,15 @@ def limits_in(
     unit: str | None, v_min: Figure, v_max: Figure, max_slew: Figure
 ) -> DriveLimits:
     """Return limits in the unit of a drive, infinite where not given (UsageError)."""
-    low = -math.inf if v_min is None else in_unit("v_min", v_min, unit)
-    high = math.inf if v_max is None else in_unit("v_max", v_max, unit)
+    low, high, slew = -math.inf, math.inf, None
+    if v_min is not None:
+        low = in_unit("v_min", v_min, unit)
+    if v_max is not None:
+        high = in_unit("v_max", v_max, unit)
     check_range(low, high)
-    return DriveLimits(
-        low,
-        high,
-        None if max_slew is None else in_unit("max_slew", max_slew, unit, "s"),
-    )
+    if max_slew is not None:
+        slew = in_unit("max_slew", max_slew, unit, "s")
+    return DriveLimits(low, high, slew)
 
 
 def plain_in(unit: str | None, *limits: Figure) -> str:
@@ -291,9 +292,13 @@ def drive_limits(
         A limit cannot be read, is probably in another unit, or leaves nothing of the
         range.
     """
-    low = drive.minimum if v_min is None else voltage_in("v_min", v_min, drive)
-    high = drive.maximum if v_max is None else voltage_in("v_max", v_max, drive)
-    slew = None if max_slew is None else slew_in("max_slew", max_slew, drive)
+    low, high, slew = drive.minimum, drive.maximum, None
+    if v_min is not None:
+        low = voltage_in("v_min", v_min, drive)
+    if v_max is not None:
+        high = voltage_in("v_max", v_max, drive)
+    if max_slew is not None:
+        slew = slew_in("max_slew", max_slew, drive)
     if extrapolate:
         if v_min is None and v_max is None:
             raise UsageError(

@@ -95,8 +95,9 @@ def ramp(
     """
     if begin == end and not isinstance(seconds, float | int):
         return np.zeros(0)
-    free = SWEEP_SECONDS if limits.max_slew is None else 0.0
-    duration = float(seconds) if isinstance(seconds, float | int) else free
+    duration = SWEEP_SECONDS if limits.max_slew is None else 0.0
+    if isinstance(seconds, float | int):
+        duration = float(seconds)
     count = _rows(f"`{name}`: the ramp", end - begin, step, duration, limits)
     _require_seconds(name, seconds, count, step)
     return swings([begin, end], [count])[1:]
@@ -132,7 +133,9 @@ def rest_samples(model: ActuatorModel, step: float) -> int:
     """Return the rows (none without dynamics) after which lags and resonances have died away."""
     slowest = 0.0
     for stage in (model.dynamics, model.drive_lag):
-        for section in () if stage is None else stage.sections:
+        if stage is None:
+            continue
+        for section in stage.sections:
             if isinstance(section, Lag):
                 fade = section.seconds
             else:
@@ -172,13 +175,12 @@ def way(
     begin, end = ends
     if begin == end and creep == 0.0 and not isinstance(seconds, float | int):
         return np.zeros(0)
-    part = min(abs(end - begin) / model.output.span, 1.0)
-    free = SWEEP_SECONDS * part if limits.max_slew is None else 0.0
-    duration = (
-        float(seconds)
-        if isinstance(seconds, float | int)
-        else max(free, SHORTEST_WAY * SWEEP_SECONDS)
-    )
+    duration = SHORTEST_WAY * SWEEP_SECONDS
+    if isinstance(seconds, float | int):
+        duration = float(seconds)
+    elif limits.max_slew is None:
+        part = min(abs(end - begin) / model.output.span, 1.0)
+        duration = max(SWEEP_SECONDS * part, duration)
     count = swing_samples(end - begin, step, duration)
     if limits.max_slew is None:
         path = _way(begin, end, creep, count, step)
@@ -242,13 +244,17 @@ class _Slowed:
         )
         return done.y
 
+    def _begin_of(self, drive: Floats) -> float:
+        """Return the voltage before a drive: that of the state, where it is known."""
+        return float(drive[0]) if self._first is None else self._first
+
     def _largest_step(self, drive: Floats) -> float:
-        before = drive[0] if self._first is None else self._first
+        before = self._begin_of(drive)
         return float(np.abs(np.diff(drive, prepend=before)).max())
 
     def _swing_rows(self, drive: Floats) -> int:
         """Return how many rows a swing of the drive takes to where it has to be in the end."""
-        begin = drive[0] if self._first is None else self._first
+        begin = self._begin_of(drive)
         return swing_samples(float(drive[-1] - begin), self._step, 0.0, self._slew)
 
     def _path_of_swing(self, count: int, drive: Floats) -> Floats:
@@ -256,8 +262,8 @@ class _Slowed:
         end = self._ends[1]
         path = self._plain(count)
         for _ in range(PLANS):
-            first = float(drive[0] if self._first is None else self._first)
-            voltage = swings([first, float(drive[-1])], [count])[1:]
+            ends = [self._begin_of(drive), float(drive[-1])]
+            voltage = swings(ends, [count])[1:]
             path = self._model.simulate(voltage, self._state, time_step=self._step).y
             # What creeps meanwhile makes it end a little off.
             part = (np.arange(1.0, path.size + 1.0)) / path.size
@@ -273,10 +279,8 @@ class _Slowed:
 
 def _way(begin: float, end: float, creep: float, count: int, step: float) -> Floats:
     """Return a smooth way of so many rows: no jump of speed or acceleration at either end."""
-    t = (
-        np.arange(1.0, require_rows("the way to the first row", count, step) + 1.0)
-        / count
-    )
+    rows = require_rows("the way to the first row", count, step)
+    t = np.arange(1.0, rows + 1.0) / count
     values: Floats = (
         begin
         + soft_rise(t) * (end - begin)
@@ -305,8 +309,10 @@ def _rows(
     what: str, distance: float, step: float, seconds: float, limits: DriveLimits
 ) -> int:
     """Return how many rows a swing takes within the slew limit, or refuse one that no memory could hold."""
-    slew = None if limits.max_slew is None else SLEW_SPARE * limits.max_slew
-    slowest = 0.0 if slew is None else 0.5 * math.pi * abs(distance) / slew
+    slew, slowest = None, 0.0
+    if limits.max_slew is not None:
+        slew = SLEW_SPARE * limits.max_slew
+        slowest = 0.5 * math.pi * abs(distance) / slew
     rows = max(slowest, seconds) / step
     if rows > MOST_SAMPLES:
         at, remedy = "", "rate"
@@ -376,11 +382,9 @@ class BeforeMove:
         """
         options = self.options
         lead = self._lead(first)
-        chosen = (
-            []
-            if _typed(options.lead)
-            else [Chosen("the lead", lead.size, "`lead` SECONDS")]
-        )
+        chosen = []
+        if not _typed(options.lead):
+            chosen.append(Chosen("the lead", lead.size, "`lead` SECONDS"))
         known = self._state is not None or options.from_ is not None
         if not known and not options.condition and options.approach is None:
             return Before(NOTHING, NOTHING, lead, None, tuple(chosen))
@@ -420,10 +424,11 @@ class BeforeMove:
         if _typed(typed):
             rows = math.ceil(float(typed or 0.0) / self.step - WHOLE_ROW)
             return np.full(require_rows("`lead`", rows, self.step), first)
-        dynamics = self.model.dynamics
-        ahead = 0 if dynamics is None else dynamics.inverter(self.step).ahead
-        delay = self.model.delay
-        late = 0 if delay is None else delay.rows_ahead(self.step)
+        ahead = late = 0
+        if self.model.dynamics is not None:
+            ahead = self.model.dynamics.inverter(self.step).ahead
+        if self.model.delay is not None:
+            late = self.model.delay.rows_ahead(self.step)
         return np.full(ahead + late, first)
 
     def _inside(self) -> float:
@@ -465,9 +470,9 @@ class BeforeMove:
         """Play the voltages, from the state or from a start at the first of them."""
         model, state = self.model, self._state
         if voltage.size == 0 and state is not None:
-            reached = (
-                0.0 if self.options.approach is None else model.displacement_of(state)
-            )
+            reached = 0.0
+            if self.options.approach is not None:
+                reached = model.displacement_of(state)
             return _Played(state, NOTHING, reached, 0.0)
         rows = voltage
         if voltage.size == 0 and self.last is not None:

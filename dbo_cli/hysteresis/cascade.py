@@ -74,24 +74,32 @@ def interpolated(times: Floats, values: Floats, wanted: Floats) -> tuple[Floats,
     within 1e-9 of a sample's (in steps) is that sample's, so that shifting there and
     back is exact. Neither times fall.
     """
-    wanted, values_wanted = np.ascontiguousarray(wanted), np.empty(wanted.size)
-    signal = np.ascontiguousarray(times), np.ascontiguousarray(values)
-    return values_wanted, kernel.CHOSEN.interpolated(
-        *signal, wanted, values_wanted, WHOLE
+    values_wanted = np.empty(wanted.size)
+    before = kernel.CHOSEN.interpolated(
+        np.ascontiguousarray(times),
+        np.ascontiguousarray(values),
+        np.ascontiguousarray(wanted),
+        values_wanted,
+        WHOLE,
     )
+    return values_wanted, before
 
 
 def whole_and_part(samples: float) -> tuple[int, float]:
     """Return whole samples and the part beyond; within a billionth of a whole number there is none."""
     whole = math.floor(samples + WHOLE)
-    part = max(samples - whole, 0.0)
-    return whole, part if part > WHOLE else 0.0
+    part = samples - whole
+    if part <= WHOLE:
+        part = 0.0
+    return whole, part
 
 
 def late_by(values: Floats, part: float) -> Floats:
     """Return all values but the first, late by a part of a sample."""
     later = values[1:]
-    return later + part * (values[:-1] - later) if part else later.copy()
+    if part == 0.0:
+        return later.copy()
+    return later + part * (values[:-1] - later)
 
 
 @dataclass(frozen=True)
@@ -186,9 +194,7 @@ class DelayStage:
         while begin < x.size:
             waiting = 0 if history is None else len(history.times)
             end = begin + max(PIECE, 2 * waiting)
-            steps = (
-                time_step[begin:end] if isinstance(time_step, np.ndarray) else time_step
-            )
+            steps = operators.steps_of(time_step, slice(begin, end))
             y[begin:end], history = self._lag_piece(x[begin:end], steps, history)
             begin = end
         return y, history
@@ -199,16 +205,14 @@ class DelayStage:
         """Return what ``lag`` does."""
         if x.size == 0:
             return x, history
-        past_times, past_values = (
-            (history.times, history.values) if history else ((0.0,), (float(x[0]),))
-        )
-        all_times = np.concatenate([past_times, np.broadcast_to(time_step, x.shape)])
-        now = len(past_times) - 1
+        past = history or DelayHistory((0.0,), (float(x[0]),))
+        all_times = np.concatenate([past.times, np.broadcast_to(time_step, x.shape)])
+        now = len(past.times) - 1
         if history is None:
             all_times[1] = 0.0
         # one after the other: any block size
         all_times[now:] = np.cumsum(all_times[now:])
-        all_values = np.concatenate([past_values, x])
+        all_values = np.concatenate([past.values, x])
         if np.ndim(time_step) == 0:
             return self._by_count(
                 float(np.asarray(time_step)), all_times, all_values, x.size
@@ -244,7 +248,9 @@ class DelayStage:
                 f"time step: {step:g} s is {whole:,} times in the delay of {self.seconds:g} s, and more than "
                 f"{MOST_DELAYED:,} samples are not held back (a lower sample rate, or a shorter delay)"
             )
-        place = window_place(whole) if part and self.between == "smooth" else 0
+        place = 0
+        if part and self.between == "smooth":
+            place = window_place(whole)
         needed = whole + 1 + place  # samples before the one that has just come
         missing = needed - (values.size - count)
         if missing > 0:
@@ -346,12 +352,13 @@ def _with_rest_before(
     past = values.size - count
     if past > 1 or values.size < 2:
         return times, values
-    first = times[1:] if times.size > 2 and times[1] == times[0] else times
-    step = float(first[1] - first[0])
-    rest = first[0] - step * np.arange(smooth.WINDOW - 1.0, 0.0, -1.0)
-    return np.concatenate([rest, times]), np.concatenate(
-        [np.full(rest.size, values[0]), values]
-    )
+    moving = times
+    if times.size > 2 and times[1] == times[0]:
+        moving = times[1:]
+    step = float(moving[1] - moving[0])
+    rest_times = moving[0] - step * np.arange(smooth.WINDOW - 1.0, 0.0, -1.0)
+    rest = np.full(rest_times.size, values[0])
+    return np.concatenate([rest_times, times]), np.concatenate([rest, values])
 
 
 def read_ahead(
@@ -365,36 +372,35 @@ def read_ahead(
     as soon as enough of the future is known; the last value holds. The result does not
     depend on how the signal is cut into blocks; empty blocks are dropped.
     """
-    ahead = _linear_ahead if between == "linear" else _smooth_ahead
+    ahead = _smooth_ahead
     # samples needed behind the last time wanted
-    after = 1 if between == "linear" else smooth.AFTER
+    after = smooth.AFTER
     # the first samples are made of the first six, too
-    fewest = 2 if between == "linear" else smooth.WINDOW
+    fewest = smooth.WINDOW
+    if between == "linear":
+        ahead, after, fewest = _linear_ahead, 1, 2
     waiting: deque[tuple[Payload, Floats, Floats]] = deque()
-    past_times, past_values = np.zeros(0), np.zeros(0)
+    past_times = np.zeros(0)
+    past_values = np.zeros(0)
     for block in chain(blocks, [None]):
-        if block is not None and block[1].size == 0:
-            continue
-        waiting.extend([block] if block is not None else [])
+        at_end = block is None
+        if block is not None:
+            if block[1].size == 0:
+                continue
+            waiting.append(block)
         while waiting:
-            if (
-                block is not None
-                and past_times.size + sum(entry[1].size for entry in waiting) < fewest
-            ):
-                break
-            if block is not None and not _reaches(
-                waiting, float(waiting[0][1][-1]) + seconds, after
-            ):
-                break
+            if not at_end:
+                known = past_times.size + sum(time.size for _, time, _ in waiting)
+                last_wanted = float(waiting[0][1][-1]) + seconds
+                if known < fewest or not _reaches(waiting, last_wanted, after):
+                    break
             time = np.concatenate([past_times, *(entry[1] for entry in waiting)])
             values = np.concatenate([past_values, *(entry[2] for entry in waiting)])
             payload, block_time, _ = waiting.popleft()
             yield payload, ahead(time, values, block_time + seconds)
             gone = slice(past_times.size + block_time.size)
-            past_times, past_values = (
-                time[gone][-smooth.WINDOW :],
-                values[gone][-smooth.WINDOW :],
-            )
+            past_times = time[gone][-smooth.WINDOW :]
+            past_values = values[gone][-smooth.WINDOW :]
 
 
 def _reaches(
@@ -415,8 +421,8 @@ def _linear_ahead(time: Floats, values: Floats, wanted: Floats) -> Floats:
     Mirrored in time, so that the sample after takes the part of the one before: lagging
     the result by the delay again finds the same pairs of samples.
     """
-    found, _ = interpolated(-time[::-1], values[::-1], -wanted[::-1])
-    return found[::-1]
+    mirrored, _ = interpolated(-time[::-1], values[::-1], -wanted[::-1])
+    return mirrored[::-1]
 
 
 def _smooth_ahead(time: Floats, values: Floats, wanted: Floats) -> Floats:
@@ -452,11 +458,8 @@ Stage = (
 
 def memory_free(stages: Sequence[Stage]) -> MemoryFree:
     """Return the points and scales among stages."""
-    return tuple(
-        stage
-        for stage in stages
-        if isinstance(stage, DiscretePointOperator | ScaleStage)
-    )
+    kinds = DiscretePointOperator | ScaleStage
+    return tuple(stage for stage in stages if isinstance(stage, kinds))
 
 
 def through(
@@ -490,10 +493,14 @@ def slow_output_range(
     exchanges the two.
     """
     place, operator = next(
-        (k, s) for k, s in enumerate(stages) if isinstance(s, DiscreteBacklashOperator)
+        (place, stage)
+        for place, stage in enumerate(stages)
+        if isinstance(stage, DiscreteBacklashOperator)
     )
-    head, tail = memory_free(stages[:place]), memory_free(stages[place:])
-    state, ends = operator.empty(), []
+    head = memory_free(stages[:place])
+    tail = memory_free(stages[place:])
+    state = operator.empty()
+    ends = []
     for voltage in (v_max, v_min):
         y, after, _ = operator.run(through(head, np.array([voltage])), state)
         state = BacklashState(after.bits)
@@ -547,8 +554,9 @@ def _engaged_below(
     """Return the bits of the gears that reach below ``low``; None where there are none to spare."""
     if low <= gears.x0 + 0.5 * float(gears.dx[-1]):
         return None
-    # relaxation plays no part
-    at_once = np.zeros((1, len(gears.relaxation.tau))) if gears.relaxation else None
+    at_once = None
+    if gears.relaxation:  # plays no part
+        at_once = np.zeros((1, len(gears.relaxation.tau)))
     beyond = ROUNDED * float(gears.dx.min())
     ends = [top + beyond, low - beyond]
     _, state, _ = gears.run(ends, gears.empty(), decay=at_once)
@@ -560,10 +568,9 @@ def _engaged_below(
 
 def _gears_within(gears: DiscreteBacklashOperator, width: float) -> int:
     """Return how many gears, the first ones, are needed to span ``width``."""
-    count = (
-        int(np.searchsorted(np.cumsum(gears.dx), width - 0.5 * float(gears.dx[-1]))) + 1
-    )
-    return min(count, gears.n)
+    ends = np.cumsum(gears.dx)
+    last = int(np.searchsorted(ends, width - 0.5 * float(gears.dx[-1])))
+    return min(last + 1, gears.n)
 
 
 def digest_of(stages: Sequence[Stage]) -> str:
@@ -574,12 +581,10 @@ def digest_of(stages: Sequence[Stage]) -> str:
     for stage in stages:
         if isinstance(stage, ScaleStage):
             parts.append([f"{stage.gain:.9e}", f"{stage.offset:.9e}"])
+        elif isinstance(stage, DelayStage) and stage.between == "linear":
+            parts.append(stage.seconds)
         elif isinstance(stage, DelayStage):
-            parts.append(
-                stage.seconds
-                if stage.between == "linear"
-                else [stage.seconds, stage.between]
-            )
+            parts.append([stage.seconds, stage.between])
         elif isinstance(stage, DynamicsStage):
             parts.append([dataclasses.asdict(section) for section in stage.sections])
         elif isinstance(stage, OtherHysteresis):

@@ -33,6 +33,7 @@ from dbo_cli.hysteresis.operators import (
     Counts,
     DiscreteBacklashOperator,
     Outside,
+    steps_of,
 )
 
 Steps = float | Floats
@@ -63,8 +64,12 @@ def undone(
     """
     if w.size == 0:
         return w, state
-    p, _, u = (float(w[0]), 0.0, float(w[0])) if state is None else state[0]
-    memory, v = np.array([[u, 0.0, p]]), np.empty(w.size)
+    p = u = float(w[0])
+    if state is not None:
+        p, _, u = state[0]
+    # the lag's input and output, exchanged
+    memory = np.array([[u, 0.0, p]])
+    v = np.empty(w.size)
     kernel.CHOSEN.dynamics_run(
         np.zeros((1, 2)), memory, np.ascontiguousarray(w), v, undoing_rows(numbers)
     )
@@ -73,7 +78,8 @@ def undone(
 
 def undoing_rows(numbers: Floats) -> Floats:
     """Return the section, one row a time step, that has the lag's output for its input."""
-    rows, (part, rise) = np.zeros((len(numbers), 6)), numbers.T
+    rows = np.zeros((len(numbers), 6))
+    part, rise = numbers.T
     moves = rise > 0.0
     rows[moves, 1] = part[moves] / rise[moves]
     rows[moves, 2] = 1.0 / rise[moves]
@@ -90,9 +96,25 @@ class Block(NamedTuple):
 
     def of(self, rows: slice) -> Block:
         """Return some of the samples."""
-        steps = self.steps[rows] if isinstance(self.steps, np.ndarray) else self.steps
-        numbers = self.numbers if len(self.numbers) == 1 else self.numbers[rows]
+        numbers = self.numbers
+        if len(numbers) > 1:
+            numbers = numbers[rows]
+        steps = steps_of(self.steps, rows)
         return Block(self.x[rows], steps, numbers, self.limits)
+
+    @property
+    def largest_steps(self) -> list[float | None]:
+        """The largest change of the drive in each sample; None where any is allowed."""
+        most = self.limits.largest_step(self.steps)
+        if most is None:
+            return [None] * self.x.size
+        steps: list[float | None] = np.broadcast_to(most, self.x.shape).tolist()
+        return steps
+
+    def window(self, sample: int, drive: float | None) -> tuple[float, float]:
+        """Return the bounds of the drive in a sample, after the drive before it."""
+        step = self.largest_steps[sample]
+        return window(self.limits.v_min, self.limits.v_max, step, drive)
 
 
 class Prompt(Protocol):
@@ -169,30 +191,34 @@ def _limited(rest: Prompt, block: Block, state: ModelState) -> Simulated:
     other one alone. The bits are those of one sample after the other, however many are
     tried at once.
     """
-    drives, total, missed = [np.zeros(0)], Counts(), 0.0
-    # side: 1 or -1 while the upper or lower bound holds the drive back
-    at, count, side = 0, block.x.size, 0
-    while at < block.x.size:
-        part = block.of(slice(at, at + count))
-        done = _held_run(rest, part, state, side) if side else _free(rest, part, state)
+    drives = [np.zeros(0)]
+    total = Counts()
+    missed = 0.0
+    begin = 0
+    count = block.x.size
+    side = 0  # 1 or -1 while the upper or lower bound holds the drive back
+    while begin < block.x.size:
+        part = block.of(slice(begin, begin + count))
+        if side:
+            done = _held_run(rest, part, state, side)
+        else:
+            done = _free(rest, part, state)
         if done.y.size == part.x.size:
             count *= 2
         elif side or done.y.size:
-            side, count = 0, FIRST_CHUNK
-        else:
-            done, side = _held_back(rest, block.of(slice(at, at + 1)), state)
-            # how far these go on without the inverse is known of gears alone
-            side *= rest.has_gears
+            side = 0
             count = FIRST_CHUNK
-        counts = Counts(
-            done.outside_count,
-            done.first_outside,
-            done.clipped_count,
-            done.first_clipped,
-        )
-        total, missed = total.then(counts, at), missed or done.first_missed
+        else:
+            done, side = _held_back(rest, block.of(slice(begin, begin + 1)), state)
+            if not rest.has_gears:
+                # how far these go on without the inverse is known of gears alone
+                side = 0
+            count = FIRST_CHUNK
+        total = total.then(done.counts, begin)
+        missed = missed or done.first_missed
         drives.append(np.clip(done.y, block.limits.v_min, block.limits.v_max))
-        state, at = done.state, at + done.y.size
+        state = done.state
+        begin += done.y.size
     return Simulated(np.concatenate(drives), state, *total, missed)
 
 
@@ -203,8 +229,12 @@ def _free(rest: Prompt, block: Block, state: ModelState) -> Simulated:
     most = block.limits.largest_step(block.steps)
     if most is not None:
         before = rest.drive_of(state)
-        bad |= np.abs(np.diff(v, prepend=v[0] if before is None else before)) > most
-    good = int(np.argmax(bad)) if bad.any() else v.size
+        if before is None:
+            before = v[0]
+        bad |= np.abs(np.diff(v, prepend=before)) > most
+    good = v.size
+    if bad.any():
+        good = int(np.argmax(bad))
     if good == 0:
         return Simulated(v[:0], state)
     if good < v.size:  # the same again, of the samples before the one that is held back
@@ -226,47 +256,83 @@ def _held_back(rest: Prompt, block: Block, state: ModelState) -> tuple[Simulated
     """Return one sample whose drive is the bound that holds it back, and which one that is."""
     unbounded, drives = _unbounded(rest, block, state)
     wanted = float(drives[0])
-    part, rise = block.numbers[0].tolist()
-    most = block.limits.largest_step(block.steps)
-    step = None if most is None else float(np.ravel(most)[0])
-    bounds = window(block.limits.v_min, block.limits.v_max, step, rest.drive_of(state))
-    p, _, u = (0.0, 0.0, 0.0) if state.drive_lag is None else state.drive_lag[0]
-    low, high = bounds
-    # else at rest at this sample: the lag passes on what it gets
-    if state.drive_lag is not None:
-        low, high = (
-            p + part * (u - p) + (rise * (bound - u) if rise else 0.0)
-            for bound in bounds
-        )
-    # the slew limit allows nothing in no time, or a lag passes nothing on in no time
-    if not low < high:
-        high = np.nextafter(low, np.inf)
+    bounds = block.window(0, rest.drive_of(state))
+    lower, upper = bounds
+    low, high = _passed_on(block, state, bounds)
     done = rest.simulate(
         block.x, state, time_step=block.steps, limits=DriveLimits(low, high)
     )
-    w, side = done.y.item(), 0
-    # what comes in no time moves nothing: the drive stays
-    if state.drive_lag is not None and not rise:
-        drive = min(max(u, bounds[0]), bounds[1])
-    elif min(w - low, high - w) <= NEGLIGIBLE * (high - low):
-        side = -1 if w - low <= high - w else 1
-        drive = bounds[0] if side < 0 else bounds[1]
-    else:  # only rounding was in the way
-        drive = w if state.drive_lag is None else u + ((w - p) - part * (u - p)) / rise
-        drive = min(max(drive, bounds[0]), bounds[1])
+    w = done.y.item()
+    side = 0
+    if _stays(block, state):
+        drive = _drive_before(state)
+    elif min(w - low, high - w) > NEGLIGIBLE * (high - low):
+        # only rounding was in the way
+        drive = _drive_for(w, block, state)
+    elif w - low <= high - w:
+        side = -1
+        drive = lower
+    else:
+        side = 1
+        drive = upper
+    drive = min(max(drive, lower), upper)
     drive = min(max(drive, block.limits.v_min), block.limits.v_max)
     # Where the lag has come to an end of the range, what is asked of the drive is
     # hardly beyond it: the range holds back what the lag is to pass on.
-    beyond = max(wanted - bounds[1], bounds[0] - wanted) > block.limits.slack(
-        rest.drive.span
-    )
+    beyond = max(wanted - upper, lower - wanted) > block.limits.slack(rest.drive.span)
     clipped = beyond or unbounded.clipped_count > 0
     after = replace(done.state, drive_lag=((w, 0.0, drive),))
-    row = np.array([drive])
     limited = Simulated(
-        row, after, done.outside_count, 0, int(clipped), 0, done.first_missed
+        np.array([drive]),
+        after,
+        done.outside_count,
+        0,
+        int(clipped),
+        0,
+        done.first_missed,
     )
     return limited, side
+
+
+def _passed_on(
+    block: Block, state: ModelState, bounds: tuple[float, float]
+) -> tuple[float, float]:
+    """Return what the lag makes of the bounds of its drive in one sample."""
+    low, high = bounds
+    # without a state it is at rest at this sample: the lag passes on what it gets
+    if state.drive_lag is not None:
+        p, _, u = state.drive_lag[0]
+        part, rise = block.numbers[0].tolist()
+        low = high = p + part * (u - p)
+        if rise:
+            low = low + rise * (bounds[0] - u)
+            high = high + rise * (bounds[1] - u)
+    # the slew limit allows nothing in no time, or a lag passes nothing on in no time
+    if not low < high:
+        high = float(np.nextafter(low, np.inf))
+    return low, high
+
+
+def _stays(block: Block, state: ModelState) -> bool:
+    """Whether a sample comes in no time, which moves nothing: the drive stays."""
+    _, rise = block.numbers[0].tolist()
+    return state.drive_lag is not None and not rise
+
+
+def _drive_before(state: ModelState) -> float:
+    """Return the drive of the sample before."""
+    assert state.drive_lag is not None
+    return state.drive_lag[0][2]
+
+
+def _drive_for(w: float, block: Block, state: ModelState) -> float:
+    """Return the drive of one sample of which the lag makes ``w``."""
+    if state.drive_lag is None:
+        return w
+    p, _, u = state.drive_lag[0]
+    part, rise = block.numbers[0].tolist()
+    drive: float = u + ((w - p) - part * (u - p)) / rise
+    return drive
 
 
 def _held_run(rest: Prompt, block: Block, state: ModelState, side: int) -> Simulated:
@@ -281,7 +347,9 @@ def _held_run(rest: Prompt, block: Block, state: ModelState, side: int) -> Simul
     limited = _clearly_held(
         rest, block.of(slice(0, drive.size)), side, lagged, inner, y
     )
-    count = drive.size if limited.all() else int(np.argmin(limited))
+    count = drive.size
+    if not limited.all():
+        count = int(np.argmin(limited))
     if count == 0:
         return Simulated(drive[:0], state)
     if count < drive.size:
@@ -311,28 +379,27 @@ def _ramp(
     """
     assert state.drive_lag is not None
     p, _, u = state.drive_lag[0]
-    most = block.limits.largest_step(block.steps)
-    size, rising = block.x.shape, side * _sense(rest) > 0
-    steps = (
-        [None] * block.x.size if most is None else np.broadcast_to(most, size).tolist()
-    )
-    parts, rises = (
-        np.broadcast_to(numbers, size).tolist() for numbers in block.numbers.T
-    )
+    rising = side * _sense(rest) > 0
+    size = block.x.shape
+    parts = np.broadcast_to(block.numbers[:, 0], size).tolist()
+    rises = np.broadcast_to(block.numbers[:, 1], size).tolist()
     limited_rows: list[tuple[float, float, float]] = []
-    for step, part, rise in zip(steps, parts, rises, strict=True):
-        bounds = window(block.limits.v_min, block.limits.v_max, step, u)
-        low, high = (p + part * (u - p) + rise * (bound - u) for bound in bounds)
+    for step, part, rise in zip(block.largest_steps, parts, rises, strict=True):
+        lower, upper = window(block.limits.v_min, block.limits.v_max, step, u)
+        low = p + part * (u - p) + rise * (lower - u)
+        high = p + part * (u - p) + rise * (upper - u)
         if not low < high:
             break
-        w = inner = high if side > 0 else low
+        bound, end = (upper, high) if side > 0 else (lower, low)
+        w = inner = end
         if rest.tail:  # rounding on the way through the points and back
             reach = rest.inner_limits(DriveLimits(low, high))
             inner = reach.v_max if rising else reach.v_min
             w = min(max(rest.outer_drive(inner), low), high)
-            if abs(w - (high if side > 0 else low)) > NEGLIGIBLE * (high - low):
+            if abs(w - end) > NEGLIGIBLE * (high - low):
                 break
-        p, u = w, bounds[side > 0]
+        p = w
+        u = bound
         limited_rows.append((u, w, inner))
     drive, lagged, reached = np.array(limited_rows).reshape(-1, 3).T.copy()
     return drive, lagged, reached
@@ -349,11 +416,9 @@ def _followed(
 ) -> tuple[Floats, BacklashState]:
     """Return what the gears make of a drive that reaches them, and their state after it."""
     gears = rest.forward_backlash
-    decay = (
-        gears.relaxation.decay(block.of(slice(0, inner.size)).steps)
-        if gears.relaxation
-        else None
-    )
+    decay = None
+    if gears.relaxation:
+        decay = gears.relaxation.decay(block.of(slice(0, inner.size)).steps)
     y, after, _ = gears.run(inner, state.backlash, decay=decay)
     return y, after
 
@@ -369,13 +434,16 @@ def _clearly_held(
     counts as outside by how far the demand goes beyond them, which only the inverse
     knows, unless the model does not cover it anyhow.
     """
-    gears, unclear = rest.forward_backlash, UNCLEAR * rest.drive.span
+    gears = rest.forward_backlash
+    unclear = UNCLEAR * rest.drive.span
     missing = (through(rest.head, block.x) - y) * (side * _sense(rest))
-    slope = float(gears.gears[:, 2].max()) + (
-        sum(gears.relaxation.gain) if gears.relaxation else 0.0
-    )
+    slope = float(gears.gears[:, 2].max())
+    if gears.relaxation:
+        slope += sum(gears.relaxation.gain)
     outer = math.prod(least_slope(stage) for stage in rest.tail)
-    room = block.limits.v_max - lagged if side > 0 else lagged - block.limits.v_min
+    room = lagged - block.limits.v_min
+    if side > 0:
+        room = block.limits.v_max - lagged
     tolerance = 2.0 * float((gears.gears[:, 0] * (1.0 - gears.gears[:, 3])).max())
     low, high = gears.x_range
     inside = (inner > low + tolerance) & (inner < high - tolerance)

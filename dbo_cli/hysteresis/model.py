@@ -69,6 +69,10 @@ Floats = NDArray[np.float64]
 Steps = float | Floats  # seconds since the sample before: one number, or one for each
 Direction = Literal["forward", "inverse"]
 Sign = Literal["rising", "falling"]
+WITH_ARTICLE: Mapping[Direction, str] = {
+    "forward": "a forward",
+    "inverse": "an inverse",
+}
 SIGN_VERBS: Mapping[Sign, str] = {"rising": "rises", "falling": "falls"}
 BacklashStage = DiscreteBacklashOperator
 PointStage = operators.DiscretePointOperator
@@ -124,129 +128,138 @@ class ActuatorModel:
 
     def __post_init__(self) -> None:
         """Check the order of the stages."""
-        forward = self.direction == "forward"
-        gears = [
-            k
-            for k, stage in enumerate(self.stages)
+        places = [
+            place
+            for place, stage in enumerate(self.stages)
             if isinstance(stage, DiscreteBacklashOperator)
         ]
-        if not gears:
+        if not places:
             raise ModelError("stages: no backlash stage is among them")
-        if len(gears) > 1:
-            raise ModelError(f"stages[{gears[1]}]: only one backlash stage is possible")
-        backlash = self.stages[gears[0]]
-        assert isinstance(backlash, DiscreteBacklashOperator)
-        axis: operators.Axis = "input" if forward else "output"
-        if backlash.memory_on != axis:
-            if backlash.relaxation is not None:
-                raise ModelError(
-                    f"stages[{gears[0]}].relaxation.on: must be {axis!r} in this direction"
-                )
-            # Without relaxation a file does not say which axis is the drive's; the
-            # direction does.
-            drawn = DiscreteBacklashOperator(
-                backlash.dx, backlash.dy, backlash.x0, backlash.y0, None, axis
+        if len(places) > 1:
+            raise ModelError(
+                f"stages[{places[1]}]: only one backlash stage is possible"
             )
-            self._put(backlash, drawn)
-        self._take_apart(gears[0])
+        self._check_drive_axis(places[0])
+        self._take_apart(places[0])
+
+    def _check_drive_axis(self, place: int) -> None:
+        """See that the memory of the backlash stage follows the drive, as the direction tells."""
+        backlash = self.stages[place]
+        assert isinstance(backlash, DiscreteBacklashOperator)
+        axis: operators.Axis = "input" if self.is_forward else "output"
+        if backlash.memory_on == axis:
+            return
+        if backlash.relaxation is not None:
+            raise ModelError(
+                f"stages[{place}].relaxation.on: must be {axis!r} in this direction"
+            )
+        # Without relaxation a file does not say which axis is the drive's; the
+        # direction does.
+        turned = DiscreteBacklashOperator(
+            backlash.dx, backlash.dy, backlash.x0, backlash.y0, None, axis
+        )
+        self._put(backlash, turned)
 
     def _take_apart(self, hysteresis: int) -> None:
         """Check what stands beside the hysteresis, and name it."""
         self._check_dynamics(hysteresis)
         self._check_delay()
-        before, behind = self.stages[:hysteresis], self.stages[hysteresis + 1 :]
-        near, far = (
-            (before, behind) if self.direction == "forward" else (behind, before)
-        )
-        self.__dict__.update(
-            head=cascade.memory_free(before),
-            tail=cascade.memory_free(behind),
-            drive_lag=next(
-                (stage for stage in near if isinstance(stage, DynamicsStage)), None
-            ),
-            dynamics=next(
-                (stage for stage in far if isinstance(stage, DynamicsStage)), None
-            ),
-            delay=next(
-                (stage for stage in self.stages if isinstance(stage, DelayStage)), None
-            ),
-        )
+        before = self.stages[:hysteresis]
+        behind = self.stages[hysteresis + 1 :]
+        parts: dict[str, object] = {
+            "head": cascade.memory_free(before),
+            "tail": cascade.memory_free(behind),
+            "drive_lag": _dynamics_among(before),
+            "dynamics": _dynamics_among(behind),
+            "delay": None,
+        }
+        if not self.is_forward:
+            parts["drive_lag"] = _dynamics_among(behind)
+            parts["dynamics"] = _dynamics_among(before)
+        for stage in self.stages:
+            if isinstance(stage, DelayStage):
+                parts["delay"] = stage
+        self.__dict__.update(parts)
 
     def _check_dynamics(self, hysteresis: int) -> None:
         """Refuse dynamics in another place than theirs; the direction tells how they act."""
-        forward = self.direction == "forward"
         for place, stage in enumerate(self.stages):
             if not isinstance(stage, DynamicsStage):
                 continue
-            if (place < hysteresis) == forward:
-                end = "first" if forward else "last"
-                if place != (0 if forward else len(self.stages) - 1):
-                    raise ModelError(
-                        f"stages[{place}]: dynamics on the drive's side stand {end}, and once"
-                    )
-                lag = stage.sections[0]
-                if not (
-                    len(stage.sections) == 1
-                    and isinstance(lag, Lag)
-                    and lag.lead == 0.0
-                ):
-                    raise ModelError(
-                        f"stages[{place}].sections: one lag alone may stand {end}"
-                    )
+            if (place < hysteresis) == self.is_forward:
+                self._check_drive_lag(place, stage)
+            elif self.is_forward:
+                self._check_outermost(place, self.stages[place + 1 :], "after")
             else:
-                outer = self.stages[place + 1 :] if forward else self.stages[:place]
-                if not all(isinstance(stage, DelayStage) for stage in outer):
-                    where = (
-                        "after all stages but a delay"
-                        if forward
-                        else "before all stages but a delay"
-                    )
-                    raise ModelError(
-                        f"stages[{place}]: dynamics stand {where}, and once"
-                    )
+                self._check_outermost(place, self.stages[:place], "before")
             self._turn(stage)
+
+    def _check_drive_lag(self, place: int, stage: DynamicsStage) -> None:
+        """Refuse dynamics on the drive's side that are not one lag at the very end."""
+        end = "first" if self.is_forward else "last"
+        outermost = 0 if self.is_forward else len(self.stages) - 1
+        if place != outermost:
+            raise ModelError(
+                f"stages[{place}]: dynamics on the drive's side stand {end}, and once"
+            )
+        lag = stage.sections[0]
+        is_lag = isinstance(lag, Lag) and lag.lead == 0.0
+        if len(stage.sections) > 1 or not is_lag:
+            raise ModelError(f"stages[{place}].sections: one lag alone may stand {end}")
+
+    def _check_outermost(self, place: int, outer: tuple[Stage, ...], side: str) -> None:
+        """Refuse dynamics beyond which anything but a delay stands."""
+        for stage in outer:
+            if not isinstance(stage, DelayStage):
+                raise ModelError(
+                    f"stages[{place}]: dynamics stand {side} all stages but a delay, and once"
+                )
 
     def _check_delay(self) -> None:
         """Refuse a delay in another place than its own, or of the other direction's sign."""
-        forward = self.direction == "forward"
         for place, stage in enumerate(self.stages):
-            if isinstance(stage, DelayStage):
-                if place != (len(self.stages) - 1 if forward else 0):
-                    raise ModelError(
-                        f"stages[{place}]: a delay stands {'last' if forward else 'first'}"
-                    )
-                if (stage.seconds < 0.0) if forward else (stage.seconds > 0.0):
-                    raise ModelError(
-                        f"stages[{place}].seconds: {stage.seconds!r} has the wrong sign here"
-                    )
+            if not isinstance(stage, DelayStage):
+                continue
+            if self.is_forward and place != len(self.stages) - 1:
+                raise ModelError(f"stages[{place}]: a delay stands last")
+            if not self.is_forward and place != 0:
+                raise ModelError(f"stages[{place}]: a delay stands first")
+            forward_seconds = stage.seconds if self.is_forward else -stage.seconds
+            if forward_seconds < 0.0:
+                raise ModelError(
+                    f"stages[{place}].seconds: {stage.seconds!r} has the wrong sign here"
+                )
 
     def _turn(self, stage: DynamicsStage | cascade.OtherHysteresis) -> None:
         """Let a stage act, or be undone, as the direction tells."""
-        if stage.inverted == (self.direction == "forward"):
+        if stage.inverted == self.is_forward:
             self._put(stage, stage.inverse())
 
     def _put(self, old: Stage, new: Stage) -> None:
         """Put a stage in another's place, while the model is made."""
-        object.__setattr__(
-            self,
-            "stages",
-            tuple(new if stage is old else stage for stage in self.stages),
-        )
+        stages = list(self.stages)
+        for place, stage in enumerate(self.stages):
+            if stage is old:
+                stages[place] = new
+        object.__setattr__(self, "stages", tuple(stages))
+
+    @property
+    def is_forward(self) -> bool:
+        """Whether the voltage goes in, and the displacement comes out."""
+        return self.direction == "forward"
 
     def require(self, direction: Direction, place: str = "the model") -> None:
         """Raise ModelError, with the remedy, where the model is of the other direction."""
         if self.direction != direction:
-            is_one, needed = (
-                f"a{'n' if name == 'inverse' else ''} {name}"
-                for name in (self.direction, direction)
-            )
+            model = WITH_ARTICLE[self.direction]
+            needed = WITH_ARTICLE[direction]
             raise ModelError(
-                f"{place}: is {is_one} model where {needed} one is needed (dbo invert turns it)"
+                f"{place}: is {model} model where {needed} one is needed (dbo invert turns it)"
             )
 
     def inverse(self) -> Self:
         """Return the inverse model (17)-(18): every stage inverted, the order reversed."""
-        direction: Direction = "inverse" if self.direction == "forward" else "forward"
+        direction: Direction = "inverse" if self.is_forward else "forward"
         stages = tuple(stage.inverse() for stage in reversed(self.stages))
         return type(self)(
             direction, self.output, self.input, stages, self.fit, self.provenance
@@ -264,7 +277,7 @@ class ActuatorModel:
     @cached_property
     def forward_backlash(self) -> DiscreteBacklashOperator:
         """The backlash stage from voltage to displacement, whatever the direction of the model."""
-        return self.backlash if self.direction == "forward" else self.backlash.inverse()
+        return self.backlash if self.is_forward else self.backlash.inverse()
 
     @cached_property
     def covered_gears(self) -> DiscreteBacklashOperator:
@@ -279,7 +292,7 @@ class ActuatorModel:
     @property
     def _drive_at_gears(self) -> tuple[float, float]:
         """The covered range of the drive, as it reaches the forward gears."""
-        bent = self.head if self.direction == "forward" else self.tail_inverse
+        bent = self.head if self.is_forward else self.tail_inverse
         ends = through(bent, np.array([self.drive.minimum, self.drive.maximum]))
         return float(ends.min()), float(ends.max())
 
@@ -325,9 +338,8 @@ class ActuatorModel:
             return state.drive_lag[0][2]
         if state.drive is None:
             return None
-        return (self if self.direction == "inverse" else self.inverted).outer_drive(
-            state.drive
-        )
+        inverse = self.inverted if self.is_forward else self
+        return inverse.outer_drive(state.drive)
 
     def displacement_of(self, state: ModelState) -> float:
         """Return the displacement that gears and memories of a state hold, at its own voltage."""
@@ -354,7 +366,7 @@ class ActuatorModel:
     def needs_time(self) -> bool:
         """Whether the time between samples matters."""
         parts = self.backlash.relaxation, self.dynamics, self.drive_lag
-        return any(parts) or (self.direction == "forward" and self.delay_seconds > 0.0)
+        return any(parts) or (self.is_forward and self.delay_seconds > 0.0)
 
     @property
     def size(self) -> str:
@@ -373,9 +385,8 @@ class ActuatorModel:
     @cached_property
     def digest(self) -> str:
         """A name for everything a state refers to: equal for a model and its inverse."""
-        return cascade.digest_of(
-            self.stages if self.direction == "forward" else self.inverse().stages
-        )
+        forward = self if self.is_forward else self.inverse()
+        return cascade.digest_of(forward.stages)
 
     def _before_backlash(self, x: ArrayLike) -> Floats:
         """Return what reaches the backlash stage of this model."""
@@ -427,13 +438,15 @@ class ActuatorModel:
             return state
         value = float(self._before_backlash([first_input])[0])
         covered = self.covered_gears
-        if self.direction == "forward" or state in {"empty", "full"}:
+        if self.is_forward or state in {"empty", "full"}:
             begun = model_state.start_state(covered, value, state)
             return ModelState(self.of_all_gears(begun))
         model_state.start_state(covered, value, state)  # refuses a name that is none
-        inner = None if limits is None else self.inner_limits(limits)
-        bounds = (inner.v_min, inner.v_max) if inner else (-math.inf, math.inf)
-        first = model_state.start_drive(covered, value, *bounds)
+        low, high = -math.inf, math.inf
+        if limits is not None:
+            inner = self.inner_limits(limits)
+            low, high = inner.v_min, inner.v_max
+        first = model_state.start_drive(covered, value, low, high)
         first = first._replace(state=self.of_all_gears(first.state))
         return ModelState(first.state, first=first)
 
@@ -488,9 +501,10 @@ class ActuatorModel:
             if self.direction == "inverse":
                 return done
         beyond = self._beyond(x)  # of the model's input range, too
-        count, first = max(beyond.size, done.outside_count), done.first_outside
-        if beyond.size:
-            first = min(int(beyond[0]), first) if done.outside_count else int(beyond[0])
+        count = max(beyond.size, done.outside_count)
+        first = done.first_outside
+        if beyond.size and (not done.outside_count or beyond[0] < first):
+            first = int(beyond[0])
         if outside == "error" and count:
             raise model_state.OutsideError(first, float(x[first]), *self._covered)
         return done._replace(outside_count=count, first_outside=first)
@@ -504,37 +518,38 @@ class ActuatorModel:
         limits: DriveLimits | None,
     ) -> Simulated:
         """Return what ``simulate`` does, for a model without a lag before its gears."""
-        given = x
+        signal = x  # the caller's, not to be written into
         x = through(self.head, x)
         if outside == "hold":
             x = self._held(x)
-        drive = float(x[-1]) if x.size else None
         inner = None if limits is None else self.inner_limits(limits)
-        room = None if x is given else x
+        room = None if x is signal else x
+        drive = float(x[-1]) if x.size else None
         y, after, counts, missed = self._backlash_block(
             x, state, steps, outside, inner, room
         )
-        y = through(self.tail, y, overwrite=y is not given)
+        y = through(self.tail, y, overwrite=y is not signal)
         if limits is not None and self.tail:
             # rounding on the way back through the points
             y = np.clip(y, limits.v_min, limits.v_max)
-        if self.direction == "forward":
-            if drive is not None:
-                after = dataclasses.replace(after, drive=drive)
-            if steps is not None and self.dynamics:
-                y, sections = self.dynamics.run(y, steps, state.dynamics)
-                after = dataclasses.replace(after, dynamics=sections)
-            if steps is not None and self.delay and self.delay.seconds > 0.0:
-                y, history = self.delay.lag(
-                    y, steps, state.history, overwrite=y is not given
-                )
-                after = dataclasses.replace(after, history=history)
+        if not self.is_forward:
+            return Simulated(y, after, *counts, missed)
+        if drive is not None:
+            after = dataclasses.replace(after, drive=drive)
+        if steps is not None and self.dynamics:
+            y, sections = self.dynamics.run(y, steps, state.dynamics)
+            after = dataclasses.replace(after, dynamics=sections)
+        if steps is not None and self.delay and self.delay.seconds > 0.0:
+            y, history = self.delay.lag(
+                y, steps, state.history, overwrite=y is not signal
+            )
+            after = dataclasses.replace(after, history=history)
         return Simulated(y, after, *counts, missed)
 
     @property
     def drive(self) -> Quantity:
         """The voltages that the model covers: what goes into it, or comes out of an inverse."""
-        return self.input if self.direction == "forward" else self.output
+        return self.input if self.is_forward else self.output
 
     def outer_drive(self, drive: float) -> float:
         """Return the voltage of an inverse model for a drive at its backlash stage."""
@@ -543,7 +558,7 @@ class ActuatorModel:
     def _held(self, x: Floats) -> Floats:
         """Return what reaches the gears, kept within those that the model covers."""
         core = self.covered_gears
-        if self.direction == "inverse" or core.n == self.backlash.n:
+        if not self.is_forward or core.n == self.backlash.n:
             return x
         return np.clip(x, *core.x_range)
 
@@ -566,12 +581,8 @@ class ActuatorModel:
         steps = np.array(time_step, dtype=np.float64)
         if steps.shape != (count,):
             raise ModelError(f"{steps.size} time steps for {count} samples")
-        if (
-            count
-            and state.drive is None
-            and state.history is None
-            and state.dynamics is None
-        ):
+        begun = (state.drive, state.history, state.dynamics) != (None, None, None)
+        if count and not begun:
             steps[0] = 0.0
         return steps
 
@@ -590,28 +601,12 @@ class ActuatorModel:
         """
         if x.size == 0:
             return x, state, Counts(), 0.0
-        # the block begins with a voltage found by ``start``
         if state.first is not None:
-            first, (low, high) = state.first, self.backlash.x_range
-            _, backlash, _ = self.forward_backlash.run([first.voltage], state.backlash)
-            _, _, unbound = self.backlash.run(x[:1], state.backlash)
-            missed = float(x[0]) - first.reached
-            short = abs(missed) > NEGLIGIBLE * (high - low)
-            clipped = short and limits is not None and first.at_limit
-            rest_steps = steps[1:] if isinstance(steps, np.ndarray) else steps
-            begun = dataclasses.replace(
-                state, backlash=backlash, drive=first.voltage, first=None, time=None
-            )
-            y, after, counts, _ = self._backlash_block(
-                x[1:], begun, rest_steps, outside, limits
-            )
-            total = Counts(unbound.outside, 0, int(clipped), 0).then(counts, 1)
-            # By the mean size of this model's input per unit of the stage's input.
-            miss = missed if short and not clipped and not unbound.outside else 0.0
-            missed = miss * (self.input.span / (high - low))
-            return np.concatenate([[first.voltage], y]), after, total, missed
+            return self._first_block(x, state, state.first, steps, outside, limits)
         relaxation = self.backlash.relaxation
-        decay = relaxation.decay(steps) if relaxation and steps is not None else None
+        decay = None
+        if relaxation and steps is not None:
+            decay = relaxation.decay(steps)
         bound = None if limits is None else self.output_limits(limits, steps)
         y, backlash, counts = self.backlash.run(
             x,
@@ -627,15 +622,46 @@ class ActuatorModel:
         )
         return y, after, counts, 0.0
 
+    def _first_block(
+        self,
+        x: Floats,
+        state: ModelState,
+        first: model_state.DriveStart,
+        steps: Steps | None,
+        outside: Outside,
+        limits: DriveLimits | None,
+    ) -> tuple[Floats, ModelState, Counts, float]:
+        """Return what ``_backlash_block`` does, for a block whose first voltage ``start`` has found."""
+        _, backlash, _ = self.forward_backlash.run([first.voltage], state.backlash)
+        begun = dataclasses.replace(
+            state, backlash=backlash, drive=first.voltage, first=None, time=None
+        )
+        later_steps = None
+        if steps is not None:
+            later_steps = operators.steps_of(steps, slice(1, None))
+        y, after, later, _ = self._backlash_block(
+            x[1:], begun, later_steps, outside, limits
+        )
+        y = np.concatenate([[first.voltage], y])
+        _, _, unbound = self.backlash.run(x[:1], state.backlash)
+        low, high = self.backlash.x_range
+        missed = float(x[0]) - first.reached
+        short = abs(missed) > NEGLIGIBLE * (high - low)
+        clipped = short and limits is not None and first.at_limit
+        counts = Counts(unbound.outside, 0, int(clipped), 0).then(later, 1)
+        if clipped or unbound.outside or not short:
+            missed = 0.0
+        # By the mean size of this model's input per unit of the stage's input.
+        return y, after, counts, missed * (self.input.span / (high - low))
+
     @cached_property
     def _covered(self) -> tuple[float, float]:
         """The range of this model's input: what it was identified on, or less where its gears end."""
+        low, high = self.input.minimum, self.input.maximum
+        if not self.is_forward:
+            return low, high
         ends = through(self.head_inverse, np.array(self.backlash.x_range))
-        if self.direction == "inverse":
-            return self.input.minimum, self.input.maximum
-        return max(self.input.minimum, float(ends.min())), min(
-            self.input.maximum, float(ends.max())
-        )
+        return max(low, float(ends.min())), min(high, float(ends.max()))
 
     def _beyond(self, x: Floats) -> NDArray[np.intp]:
         """Return the samples beyond the model's input range; usually there are none, which the ends tell."""
@@ -681,12 +707,9 @@ class ActuatorModel:
         self, drive: ArrayLike, state: ModelState, time_step: float | ArrayLike | None
     ) -> Simulated:
         """Return what this forward model makes of a drive that ``compensate`` computed from a state."""
-        begun = (
-            state
-            if state.first is None
-            else dataclasses.replace(state, first=None, drive=None)
-        )
-        return self.simulate(drive, begun, time_step=time_step)
+        if state.first is not None:
+            state = dataclasses.replace(state, first=None, drive=None)
+        return self.simulate(drive, state, time_step=time_step)
 
     def start_compensation(
         self, first_desired: float, state: StartName | ModelState, limits: DriveLimits
@@ -700,7 +723,8 @@ class ActuatorModel:
         begun = self.inverted.start(first_desired, state, limits)
         inner = self.inverted.inner_limits(limits)
         if state in ("empty", "full") and inner.max_slew is not None:
-            drive = self.covered_gears.x_range[0 if state == "empty" else 1]
+            low, high = self.covered_gears.x_range
+            drive = low if state == "empty" else high
             begun = dataclasses.replace(
                 begun, drive=min(max(drive, inner.v_min), inner.v_max)
             )
@@ -713,21 +737,28 @@ class ActuatorModel:
         displacement's unit.
         """
         gears = self.forward_backlash
-        drive = (
-            begun.first.voltage
-            if begun.first
-            else float(self._before_backlash([first_input])[0])
-        )
+        if begun.first is not None:
+            drive = begun.first.voltage
+        else:
+            drive = float(self._before_backlash([first_input])[0])
         covered = self.covered_gears
         ends = [
             gears.run([drive], self.of_all_gears(past))[0]
             for past in (covered.empty(), covered.full())
         ]
-        bent = self.tail if self.direction == "forward" else self.head_inverse
-        low, high = (float(through(bent, end)[0]) for end in ends)
-        return abs(high - low)
+        bent = self.tail if self.is_forward else self.head_inverse
+        low, high = through(bent, np.concatenate(ends))
+        return abs(float(high) - float(low))
 
     @cached_property
     def inverted(self) -> Self:
         """The inverse, kept."""
         return self.inverse()
+
+
+def _dynamics_among(stages: tuple[Stage, ...]) -> DynamicsStage | None:
+    """Return the dynamics among stages, where there are any."""
+    for stage in stages:
+        if isinstance(stage, DynamicsStage):
+            return stage
+    return None

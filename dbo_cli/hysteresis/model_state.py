@@ -21,6 +21,7 @@ from dbo_cli.hysteresis.dynamics import DynamicsInverter, InverseMemory, Section
 from dbo_cli.hysteresis.operators import (
     CROSSING_TOLERANCE,
     BacklashState,
+    Counts,
     DiscreteBacklashOperator,
     Floats,
 )
@@ -80,23 +81,25 @@ def start_drive(
     halving the range, and within the reach of one state exactly.
     """
     inverse = operator.inverse()
-    for end in (operator.empty(), operator.full()):
-        voltage = float(inverse.run([displacement], end)[0][0])
-        if (
-            voltage <= operator.x_range[0]
-            if end.bits == 0
-            else voltage >= operator.x_range[1]
-        ):
-            return _within(operator, voltage, low, high)
-    constants = operator.constants(True), inverse.constants(True)
+    lowest, highest = operator.x_range
+    from_empty = float(inverse.run([displacement], operator.empty())[0][0])
+    if from_empty <= lowest:
+        return _within(operator, from_empty, low, high)
+    from_full = float(inverse.run([displacement], operator.full())[0][0])
+    if from_full >= highest:
+        return _within(operator, from_full, low, high)
     below, above = kernel.CHOSEN.backlash_start(
-        *constants, displacement, *operator.x_range
+        operator.constants(True),
+        inverse.constants(True),
+        displacement,
+        lowest,
+        highest,
     )
     if below == above:
         return _within(operator, below, low, high)
     # A little off the step, so that a voltage that was rounded on its way still starts
     # on the same side.
-    off = CROSSING_TOLERANCE * (operator.x_range[1] - operator.x_range[0])
+    off = CROSSING_TOLERANCE * (highest - lowest)
     ends = (
         _within(operator, below - off, low, high),
         _within(operator, above + off, low, high),
@@ -276,7 +279,9 @@ class ModelState:
         """Return what the inverse of the dynamics goes on from, on its clock, or None."""
         if self.undoing is not None and self.undoing.time_step == inverter.time_step:
             return self.undoing
-        return None if self.dynamics is None else inverter.memory_of(self.dynamics)
+        if self.dynamics is None:
+            return None
+        return inverter.memory_of(self.dynamics)
 
 
 class Simulated(NamedTuple):
@@ -296,3 +301,13 @@ class Simulated(NamedTuple):
     clipped_count: int = 0
     first_clipped: int = 0
     first_missed: float = 0.0
+
+    @property
+    def counts(self) -> Counts:
+        """The samples that were unusual, as an operator counts them."""
+        return Counts(
+            self.outside_count,
+            self.first_outside,
+            self.clipped_count,
+            self.first_clipped,
+        )

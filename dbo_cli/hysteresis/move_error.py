@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis.cascade import DelayStage, through
-from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import (
     Node,
@@ -31,7 +30,7 @@ from dbo_cli.hysteresis.model_file import (
     stage_values,
 )
 from dbo_cli.hysteresis.model_state import StartName
-from dbo_cli.hysteresis.operators import Floats, Relaxation
+from dbo_cli.hysteresis.operators import Floats, Relaxation, steps_of
 
 Integers = NDArray[np.int64]
 
@@ -120,9 +119,8 @@ def swings_between_turns(drive: Floats, span: float) -> tuple[Integers, Floats]:
 def travelled(drive: Floats, span: float) -> Floats:
     """Return how far a drive has gone since its first sample, in its unit; noise is no way."""
     way = np.zeros(len(drive))
-    for first, last in itertools.pairwise(
-        swings_between_turns(drive, span)[0].tolist()
-    ):
+    edges, _ = swings_between_turns(drive, span)
+    for first, last in itertools.pairwise(edges.tolist()):
         gone = np.maximum.accumulate(np.abs(drive[first : last + 1] - drive[first]))
         way[first : last + 1] = way[first] + gone
     return way
@@ -132,11 +130,11 @@ def thinned(swings: Floats, span: float) -> Floats:
     """Return at most ``MOST_SWINGS`` of the swings, one of those that lie close together."""
     near = NEAREST * span
     while True:
-        kept: Floats = swings[
-            np.unique(np.round(swings / near), axis=0, return_index=True)[1]
-        ]
-        if len(kept) <= MOST_SWINGS:
-            return kept
+        cells = np.round(swings / near)
+        _, firsts = np.unique(cells, axis=0, return_index=True)
+        if len(firsts) <= MOST_SWINGS:
+            few: Floats = swings[firsts]
+            return few
         near *= 2.0
 
 
@@ -166,9 +164,10 @@ def repeats_small_swings(drive: Floats, span: float, begin: int = 0) -> bool:
     small = np.abs(swings[:, 1] - swings[:, 0]) < SMALL * span
     again = np.abs(swings[2:] - swings[:-2]).max(axis=1) < NEAREST * span
     again &= small[2:]
-    repeats = np.concatenate((again, [False, False])) | np.concatenate(
-        ([False, False], again)
-    )
+    # a swing that comes again, and the one that it is again
+    repeats = np.zeros(len(swings), dtype=bool)
+    repeats[:-2] |= again
+    repeats[2:] |= again
     rows = np.diff(edges)[repeats].sum()
     return bool(rows > MOSTLY * (len(drive) - begin))
 
@@ -195,12 +194,11 @@ class Alternative:
         # What stands before the gears says where a drive meets their edges, and where
         # it starts.
         stages[gears:] = _rounded(stages[gears:])
-        found = {"changed": self.kind, "weight": self.weight, "stages": stages}
+        values = {"changed": self.kind, "weight": self.weight, "stages": stages}
         if self.forgetting is not None:
-            found["forgetting"] = {"on": "input"} | _rounded(
-                dataclasses.asdict(self.forgetting)
-            )
-        return found
+            terms = _rounded(dataclasses.asdict(self.forgetting))
+            values["forgetting"] = {"on": "input"} | terms
+        return values
 
     def played(self, drive: Floats, time_step: float | Floats | None) -> Floats:
         """Return the displacement it predicts from its own start."""
@@ -275,12 +273,13 @@ def _rounded(value: Any) -> Any:
     if isinstance(value, float):
         return float(f"{value:.{DIGITS}g}")
     if isinstance(value, list | tuple):
-        return [_rounded(one) for one in value]
+        return [_rounded(entry) for entry in value]
     if isinstance(value, dict):
-        return {
-            key: one if key in ("x0", "dx") else _rounded(one)
-            for key, one in value.items()
-        }
+        rounded = dict(value)
+        for key, entry in value.items():
+            if key not in ("x0", "dx"):
+                rounded[key] = _rounded(entry)
+        return rounded
     return value
 
 
@@ -304,39 +303,34 @@ _READ = "alternatives that were read"
 
 def _read_alternatives(model: ActuatorModel) -> list[Alternative]:
     """Return the other models out of the values that ``fit`` has of them."""
-    kept = model.fit.get("alternatives")
-    found = []
-    for place, one in enumerate(kept[:MOST] if isinstance(kept, list) else []):
+    entries = model.fit.get("alternatives")
+    if not isinstance(entries, list):
+        return []
+    alternatives = []
+    for place, entry in enumerate(entries[:MOST]):
         path = f"fit.alternatives[{place}]"
         try:
-            kind, weight, values = (
-                str(one["changed"]),
-                float(one["weight"]),
-                one["stages"],
-            )
+            kind = str(entry["changed"])
+            weight = float(entry["weight"])
+            values = entry["stages"]
         except (TypeError, KeyError, ValueError):
             raise ModelError(
                 f"{path}: needs `changed`, `weight` and `stages`"
             ) from None
         stages = read_stages(values, f"{path}.stages")
         beside = None
-        if "forgetting" in one:
-            beside, _ = read_relaxation(Node("the model", path, one), "forgetting")
-        found.append(Alternative(kind, weight, _behind(model, stages), beside))
-    return found
+        if "forgetting" in entry:
+            beside, _ = read_relaxation(Node("the model", path, entry), "forgetting")
+        alternatives.append(Alternative(kind, weight, _behind(model, stages), beside))
+    return alternatives
 
 
 def _behind(model: ActuatorModel, stages: Sequence[Any]) -> ActuatorModel:
     """Return another model's slow stages with the dynamics of this one, which were found besides."""
     if model.dynamics is not None or model.drive_lag is not None:
-        own = [
-            stage
-            for stage in model.stages
-            if isinstance(stage, DynamicsStage | DelayStage)
-        ]
-        first = own[:1] if model.drive_lag is not None else []
         slow = [stage for stage in stages if not isinstance(stage, DelayStage)]
-        stages = [*first, *slow, *own[len(first) :]]
+        around = (model.drive_lag, *slow, model.dynamics, model.delay)
+        stages = [stage for stage in around if stage is not None]
     return dataclasses.replace(model, stages=tuple(stages), fit={}, provenance={})
 
 
@@ -362,27 +356,31 @@ def move_error(
     if not isinstance(expected, float) or drive.size <= begin:
         return None
     drive = drive[:MOST_ROWS]
-    steps = time_step[:MOST_ROWS] if isinstance(time_step, np.ndarray) else time_step
-    own = played(model, drive, steps, start)[begin:]
-    straight = rms(own - _straight(model, drive[begin:]))
-    shape, zero, distance = None, None, 0.0
+    steps = time_step
+    if steps is not None:
+        steps = steps_of(steps, slice(0, MOST_ROWS))
+    predicted = played(model, drive, steps, start)[begin:]
+    straight = rms(predicted - _straight(model, drive[begin:]))
+    shape = zero = None
+    distance = 0.0
     if isinstance(known, float):
-        others = [
-            one
-            for one in alternatives_of(model)
-            if steps is not None or not one.model.needs_time
-        ]
-        apart = spread(own, [(one, one.played(drive, steps)[begin:]) for one in others])
-        drifted = changed_gain(own, model.fit.get("gain_trend"))
-        zero_drift = ZeroDrift(
-            _of_fit(model, "zero_drift"), _of_fit(model, "zero_drift_rate")
+        others = []
+        for alternative in alternatives_of(model):
+            if steps is not None or not alternative.model.needs_time:
+                displacement = alternative.played(drive, steps)[begin:]
+                others.append((alternative, displacement))
+        apart = spread(predicted, others)
+        drifted = changed_gain(predicted, model.fit.get("gain_trend"))
+        moving = moving_zero(
+            _of_fit(model, "zero_drift"),
+            _of_fit(model, "zero_drift_rate"),
+            _seconds(steps, drive.size, begin),
         )
-        moving = zero_drift.during(_seconds(steps, drive.size, begin))
         distance = _unlike(model, drive, begin)
         error = stated(known, distance, apart, drifted, moving)
         error = capped(error, model.fit.get("line_left_out_rmse"))
         expected, shape, zero = error.rmse, error.shape, error.zero
-    past = _past(model, drive, steps, begin, own)
+    past = _past(model, drive, steps, begin, predicted)
     from_any_past = float(np.hypot(expected, past))
     small = repeats_small_swings(drive, model.input.span, begin)
     return MoveError(expected, straight, shape, zero, from_any_past, distance, small)
@@ -415,24 +413,20 @@ def _past(
     return apart
 
 
-@dataclass(frozen=True)
-class ZeroDrift:
-    """How far the zero moved along a log (``span``), in the displacement's unit, and how fast, a second."""
+def moving_zero(span: float, rate: float, seconds: float) -> StatedError:
+    """Return what a zero that moves adds to the error of a move.
 
-    span: float
-    rate: float
+    As a whole the move may be off by as much as the zero moved; and while it lasts the
+    zero moves on, at most as far, evenly.
 
-    def during(self, seconds: float) -> StatedError:
-        """Return what it adds to the error of a move that lasts so long.
-
-        As a whole the move may be off by as much as the zero moved; and while it lasts
-        the zero moves on, at most as far, evenly.
-        """
-        goes_on = min(self.rate * seconds, self.span)
-        return StatedError(goes_on / math.sqrt(12.0), 0.0, self.span)
-
-
-STILL = ZeroDrift(0.0, 0.0)
+    Parameters
+    ----------
+    span : how far the zero moved along a log, in the displacement's unit
+    rate : how fast, a second
+    seconds : how long the move lasts
+    """
+    goes_on = min(rate * seconds, span)
+    return StatedError(goes_on / math.sqrt(12.0), 0.0, span)
 
 
 def stated(
@@ -467,11 +461,11 @@ def capped(error: StatedError, line: object) -> StatedError:
 
 def _unlike(model: ActuatorModel, drive: Floats, begin: int) -> float:
     """Return how unlike the logs' swings a drive's are; 0 where the model does not know them."""
-    kept = model.fit.get("swings")
-    if not kept:
+    swings = model.fit.get("swings")
+    if not swings:
         return 0.0
     try:
-        known = np.asarray(kept, dtype=float).reshape(-1, 2)
+        known = np.asarray(swings, dtype=float).reshape(-1, 2)
     except (TypeError, ValueError):
         raise ModelError("fit.swings: needs pairs of voltages") from None
     return unlike(drive, known, model.input.span, begin)
@@ -480,8 +474,8 @@ def _unlike(model: ActuatorModel, drive: Floats, begin: int) -> float:
 def _straight(model: ActuatorModel, drive: Floats) -> Floats:
     """Return what the best straight line through the model's slow loop over its range makes of a drive."""
     still = model.without_lag
-    way = np.linspace(model.input.minimum, model.input.maximum, 101)
-    loop = np.concatenate((way, way[::-1]))
+    upwards = np.linspace(model.input.minimum, model.input.maximum, 101)
+    loop = np.concatenate((upwards, upwards[::-1]))
     gain, offset = np.polyfit(loop, played(still, loop, 1e9), 1)
     line: Floats = gain * drive + offset
     return line
@@ -505,16 +499,18 @@ def spread(own: Floats, others: Sequence[tuple[Alternative, Floats]]) -> StatedE
     Of each kind of change the one that goes farthest counts, weighted by how well it
     explains the logs; their squares add up.
     """
-    farthest: dict[str, tuple[float, float]] = {}
-    for one, predicted in others:
+    shapes: dict[str, float] = {}
+    zeros: dict[str, float] = {}
+    for alternative, predicted in others:
         left = predicted - own
-        shape, zero = farthest.get(one.kind, (0.0, 0.0))
-        shape = max(shape, one.weight * float(left.std()))
-        zero = max(zero, one.weight * abs(float(left.mean())))
-        farthest[one.kind] = shape, zero
-    shapes = sum(shape**2 for shape, _ in farthest.values())
-    zeros = sum(zero**2 for _, zero in farthest.values())
-    return StatedError(float(np.sqrt(shapes)), float(np.sqrt(zeros)))
+        kind = alternative.kind
+        shape = alternative.weight * float(left.std())
+        zero = alternative.weight * abs(float(left.mean()))
+        shapes[kind] = max(shapes.get(kind, 0.0), shape)
+        zeros[kind] = max(zeros.get(kind, 0.0), zero)
+    shape_squared = sum(shape**2 for shape in shapes.values())
+    zero_squared = sum(zero**2 for zero in zeros.values())
+    return StatedError(float(np.sqrt(shape_squared)), float(np.sqrt(zero_squared)))
 
 
 def changed_gain(own: Floats, trend: object) -> StatedError:

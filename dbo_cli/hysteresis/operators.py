@@ -137,7 +137,9 @@ def equal_run(gears: Floats) -> int:
     starts = np.flatnonzero(np.any(gears[1:] != gears[:-1], axis=1)) + 1
     run = math.gcd(*starts.tolist()) or len(gears)
     # the kernel divides by a 32-bit multiplication
-    return run if run * len(gears) < 2**32 else 1
+    if run * len(gears) >= 2**32:
+        return 1
+    return run
 
 
 def kernel_table(gears: Floats, run: int) -> tuple[Floats, NDArray[np.uint32]]:
@@ -166,6 +168,13 @@ def checked_steps(time_step: float | ArrayLike) -> Floats:
             f"time step {k + 1}: {float(steps[k])!r} s; time must not go backwards"
         )
     return steps
+
+
+def steps_of(time_step: float | Floats, rows: slice) -> float | Floats:
+    """Return the time steps (s) of some rows: a part of theirs, or the one number of all."""
+    if isinstance(time_step, np.ndarray):
+        return time_step[rows]
+    return time_step
 
 
 @dataclass(frozen=True)
@@ -211,6 +220,10 @@ class Relaxation:
                     f"relaxation.gain[{j}]: {gain!r} is not a finite number of at least 0"
                 )
 
+    def most(self, drive: float) -> float:
+        """Return what the terms add up to at most while the drive is no larger than ``drive``."""
+        return math.fsum(self.gain) * (drive + abs(self.reference))
+
     def decay(self, time_step: float | ArrayLike) -> Floats:
         """Return a_j = exp(-Δt/tau_j) as rows: one for a single time step (s), else one per sample.
 
@@ -225,15 +238,25 @@ class Relaxation:
         """
         steps = checked_steps(time_step)
         few = sorted(set(steps[:_LOOKED_AT].tolist()))
-        known, which = 0, np.zeros(steps.size, dtype=np.int8)
-        for place, step in enumerate(few if len(few) <= _FEW < steps.size else ()):
+        if not len(few) <= _FEW < steps.size:
+            return self._factors(steps)
+        known = 0
+        which = np.zeros(steps.size, dtype=np.int8)
+        for place, step in enumerate(few):
             same = steps == step
             known += int(np.count_nonzero(same))
             which += np.int8(place) * same
-        unlike = known < steps.size
-        steps = steps if unlike else np.array(few)
+        if known < steps.size:
+            return self._factors(steps)
+        factors = self._factors(np.array(few))
+        if len(few) == 1:
+            return factors
+        return factors.take(which, axis=0)
+
+    def _factors(self, steps: Floats) -> Floats:
+        """Return the decay factors of time steps, a row for each."""
         factors: Floats = np.exp(-steps[:, np.newaxis] / np.array(self.tau))
-        return factors if unlike or steps.size == 1 else factors.take(which, axis=0)
+        return factors
 
     def lags(
         self,
@@ -243,18 +266,19 @@ class Relaxation:
     ) -> tuple[Floats, tuple[float, ...]]:
         """Return L_j after each sample (len(x) × terms) and after the last; at rest first without memory."""
         drive = np.ascontiguousarray(x, dtype=np.float64)
-        memories = np.array(
-            memory if memory is not None else [0.0] * len(self.tau), dtype=np.float64
-        )
+        memories = np.zeros(len(self.tau))
         rows = np.empty((drive.size, len(self.tau)))
-        decay = self.decay(time_step)
         start = 0
-        if memory is None and drive.size:
+        if memory is not None:
+            memories[:] = memory
+        elif drive.size:
             rows[0] = memories[:] = drive[0] - self.reference
             start = 1
-        later = decay if len(decay) == 1 else np.ascontiguousarray(decay[start:])
+        decay = self.decay(time_step)
+        if len(decay) > 1:
+            decay = np.ascontiguousarray(decay[start:])
         kernel.CHOSEN.memory_run(
-            self.reference, memories, drive[start:], rows[start:], later
+            self.reference, memories, drive[start:], rows[start:], decay
         )
         return rows, tuple(memories.tolist())
 
@@ -276,10 +300,8 @@ class BacklashState:
 
     def to_json_dict(self) -> dict[str, object]:
         """Return the state as plain JSON values; ``bits`` is hexadecimal."""
-        return {
-            "bits": f"{self.bits:x}",
-            "memory": None if self.memory is None else list(self.memory),
-        }
+        memory = None if self.memory is None else list(self.memory)
+        return {"bits": f"{self.bits:x}", "memory": memory}
 
 
 @dataclass(frozen=True)
@@ -317,12 +339,17 @@ class Counts(NamedTuple):
 
     def then(self, later: Counts, samples: int) -> Counts:
         """Return the counts of two blocks, the later of which begins ``samples`` behind the other's begin."""
-        known = self.outside or not later.outside, self.clipped or not later.clipped
+        first_outside = self.first_outside
+        if later.outside and not self.outside:
+            first_outside = later.first_outside + samples
+        first_clipped = self.first_clipped
+        if later.clipped and not self.clipped:
+            first_clipped = later.first_clipped + samples
         return Counts(
             self.outside + later.outside,
-            self.first_outside if known[0] else later.first_outside + samples,
+            first_outside,
             self.clipped + later.clipped,
-            self.first_clipped if known[1] else later.first_clipped + samples,
+            first_clipped,
         )
 
 
@@ -365,23 +392,21 @@ class DiscreteBacklashOperator:
         memory_on: Axis = "input",
     ) -> None:
         self.dx, self.dy = checked_pair(dx, dy, x0, y0)
-        self.x0, self.y0 = float(x0), float(y0)
-        self.relaxation, self.memory_on = relaxation, memory_on
+        self.x0 = float(x0)
+        self.y0 = float(y0)
+        self.relaxation = relaxation
+        self.memory_on = memory_on
         self.n = self.dx.size
-        widths, heights = on_binary_grid("dx", self.dx), on_binary_grid("dy", self.dy)
-        self._width, self._height = (
-            math.fsum(widths.tolist()),
-            math.fsum(heights.tolist()),
-        )
+        widths = on_binary_grid("dx", self.dx)
+        heights = on_binary_grid("dy", self.dy)
+        self._width = math.fsum(widths.tolist())
+        self._height = math.fsum(heights.tolist())
         scale_x = max(abs(self.x0), abs(self.x0 + self._width), self._width)
         scale_y = max(abs(self.y0), abs(self.y0 + self._height), self._height)
-        if relaxation is not None:
-            drive = scale_x if memory_on == "input" else scale_y
-            remembered = math.fsum(relaxation.gain) * (
-                drive + abs(relaxation.reference)
-            )
-            scale_x += remembered * (memory_on == "output")
-            scale_y += remembered * (memory_on == "input")
+        if relaxation is not None and memory_on == "input":
+            scale_y += relaxation.most(scale_x)
+        elif relaxation is not None:
+            scale_x += relaxation.most(scale_y)
         self.gears = gear_table(widths, heights, scale_x, scale_y)
         self.equal_run = equal_run(self.gears)
         self._gain = np.array(relaxation.gain if relaxation else (), dtype=np.float64)
@@ -450,9 +475,10 @@ class DiscreteBacklashOperator:
         decides that, not rounding. Close to an end the state passes over into ``empty``
         or ``full``.
         """
-        axis = 0 if self.memory_on == "input" else 1
-        span = self._width if axis == 0 else self._height
-        target = float(voltage) - (self.x0 if axis == 0 else self.y0)
+        origin, span = self.x0, self._width
+        if self.memory_on == "output":
+            origin, span = self.y0, self._height
+        target = float(voltage) - origin
         if target <= 0.0:
             return self.empty()
         if target >= span:
@@ -463,9 +489,8 @@ class DiscreteBacklashOperator:
 
     def coordinates(self, state: BacklashState) -> tuple[float, float]:
         """Return X_B and Y_B, (2)-(3)."""
-        stored = state.bits.to_bytes(
-            max(self.n, state.bits.bit_length()) // 8 + 1, "little"
-        )
+        size = max(self.n, state.bits.bit_length()) // 8 + 1
+        stored = state.bits.to_bytes(size, "little")
         bits = np.unpackbits(np.frombuffer(stored, dtype=np.uint8), bitorder="little")
         chosen = np.flatnonzero(bits[: self.n])
         return (
@@ -526,12 +551,10 @@ class DiscreteBacklashOperator:
         """
         x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
         y = np.empty_like(x) if out is None else out
-        words, terms = self._words(state), self._gain.size
-        if (
-            limits is not None
-            and self.relaxation is not None
-            and self.memory_on == "input"
-        ):
+        words = self._words(state)
+        terms = self._gain.size
+        memory_on_input = self.relaxation is not None and self.memory_on == "input"
+        if limits is not None and memory_on_input:
             raise ModelError(
                 "limits on the output of an operator whose memory follows its input"
             )
@@ -541,7 +564,8 @@ class DiscreteBacklashOperator:
             raise ModelError(
                 f"state: remembers {memory.size} relaxation terms, this model has {terms}"
             )
-        counts, before = Counts(), math.nan if last is None else last
+        counts = Counts()
+        before = math.nan if last is None else last
         for begin, end, factors, steps in self._spans(x.size, state, decay, bound.step):
             counted = kernel.CHOSEN.backlash_run(
                 *self.constants(outside != "hold"), words, memory, before, x[begin:end], y[begin:end],
@@ -573,16 +597,19 @@ class DiscreteBacklashOperator:
         step: float | Floats | None,
     ) -> list[tuple[int, int, Floats, Floats]]:
         """Return (begin, end, decay, step) of the kernel's calls: a sample at rest is one of its own."""
-        steps = (
-            NO_FACTORS if step is None else np.array(step, dtype=np.float64).reshape(-1)
-        )
-        if self.relaxation is None or not count:
-            return [(0, count, NO_FACTORS, steps)] if count else []
+        if not count:
+            return []
+        steps = NO_FACTORS
+        if step is not None:
+            steps = np.array(step, dtype=np.float64).reshape(-1)
+        if self.relaxation is None:
+            return [(0, count, NO_FACTORS, steps)]
         at_rest = state.memory is None
+        edges = [0, count]
+        if at_rest and count > 1:
+            edges = [0, 1, count]
         spans = []
-        for begin, end in pairwise(
-            [0, 1, count] if at_rest and count > 1 else [0, count]
-        ):
+        for begin, end in pairwise(edges):
             factors = decay
             if at_rest and begin == 0:
                 factors = np.zeros((1, self._gain.size))
@@ -592,15 +619,11 @@ class DiscreteBacklashOperator:
                 )
             if len(factors) not in (1, end - begin):
                 factors = factors[begin:end]
-            steps_of_span = steps[begin:end] if steps.size > 1 else steps
-            spans.append(
-                (
-                    begin,
-                    end,
-                    np.ascontiguousarray(factors),
-                    np.ascontiguousarray(steps_of_span),
-                )
-            )
+            factors = np.ascontiguousarray(factors)
+            span_steps = steps
+            if steps.size > 1:
+                span_steps = np.ascontiguousarray(steps[begin:end])
+            spans.append((begin, end, factors, span_steps))
         return spans
 
     def engagement(
@@ -652,14 +675,14 @@ class DiscretePointOperator:
         self.dx, self.dy = checked_pair(dx, dy, x0, y0)
         self.x0, self.y0 = float(x0), float(y0)
         self.m = self.dx.size
-        widths, heights = on_binary_grid("dx", self.dx), on_binary_grid("dy", self.dy)
-        starts = [
-            np.concatenate([[0.0], np.cumsum(axis)]) for axis in (widths, heights)
-        ]
-        self.x_range = (self.x0, self.x0 + float(starts[0][-1]))
-        self.y_range = (self.y0, self.y0 + float(starts[1][-1]))
+        widths = on_binary_grid("dx", self.dx)
+        heights = on_binary_grid("dy", self.dy)
+        x = np.concatenate([[0.0], np.cumsum(widths)])
+        y = np.concatenate([[0.0], np.cumsum(heights)])
+        self.x_range = (self.x0, self.x0 + float(x[-1]))
+        self.y_range = (self.y0, self.y0 + float(y[-1]))
         self.segments: Floats = np.ascontiguousarray(
-            np.column_stack([starts[0][:-1], starts[1][:-1], heights / widths])
+            np.column_stack([x[:-1], y[:-1], heights / widths])
         )
         self.segments.flags.writeable = False
 

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dbo_cli.errors import InputError
+from dbo_cli.errors import InputError, clean_text, shortened
 from dbo_cli.logs.columns import (
     MORE_TIME_NAMES,
     TIME_NAMES,
@@ -33,7 +33,6 @@ from dbo_cli.logs.columns import (
     is_torn,
     split_header,
 )
-from dbo_cli.logs.plain_text import clean_text, pattern, shortened
 from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.sample_block import (
     TIME,
@@ -82,8 +81,8 @@ _OTHER_HALVES = frozenset(
     ("date", "time", "datum", "zeit", "uhrzeit", "fecha", "hora", "clock", "day")
 )
 # ``Time / ms``, ``ms since 2026-01-02``, ``10us``.
-_STATED = pattern(r"(?P<left>.+?)(?:\s*/\s*|\s+in\s+)(?P<right>\S+)", re.IGNORECASE)
-_SINCE = pattern(r"(?P<unit>\S+)\s+since\s+(?P<origin>\d.*)", re.IGNORECASE)
+_STATED = re.compile(r"(?P<left>.+?)(?:\s*/\s*|\s+in\s+)(?P<right>\S+)", re.IGNORECASE)
+_SINCE = re.compile(r"(?P<unit>\S+)\s+since\s+(?P<origin>\d.*)", re.IGNORECASE)
 
 # Names of rates and steps without blanks and signs, from the formats and manuals in
 # docs/instruments.md.
@@ -105,7 +104,7 @@ _LARGE = {"": 1.0, "k": 1e3, "K": 1e3, "M": 1e6, "G": 1e9}
 _HERTZ = {
     prefix + unit: factor for prefix, factor in _LARGE.items() for unit in _PER_SECOND
 } | {"mHz": 1e-3}
-_AMOUNT = pattern(
+_AMOUNT = re.compile(
     r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(1/s|s\^?-1|[^\d]*?)\s*"
 )
 # characters of a name or of an amount with its unit; the patterns' time grows with the

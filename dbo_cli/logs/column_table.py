@@ -13,10 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from dbo_cli.errors import InputError
+from dbo_cli.errors import InputError, clean_text, counted
 from dbo_cli.logs.clock import Statement, agreed_rate, read_statements
 from dbo_cli.logs.columns import column_label, parse_column
-from dbo_cli.logs.plain_text import clean_text, counted
 from dbo_cli.logs.request import Request, remedy_for
 from dbo_cli.logs.sample_block import (
     MOST_NAMED,

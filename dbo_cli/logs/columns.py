@@ -16,8 +16,7 @@ from functools import cache, lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dbo_cli.errors import InputError, OutputError, UsageError
-from dbo_cli.logs.plain_text import cleaned, counted, pattern
+from dbo_cli.errors import InputError, OutputError, UsageError, cleaned, counted
 from dbo_cli.logs.sample_block import Column
 from dbo_cli.logs.units import (
     DRIVING_KINDS,
@@ -29,29 +28,29 @@ from dbo_cli.logs.units import (
 
 # How headers state units: ``voltage (V)``, ``voltage/V``, ``voltage_V``, ``voltage in
 # milli volts``.
-_BRACKETED = pattern(
+_BRACKETED = re.compile(
     r"^(?P<quantity>.*?)\s*[\[(<{](?P<unit>[^\[\](){}<>]*)[\])>}]\s*$", re.DOTALL
 )
-_SLASHED = pattern(
+_SLASHED = re.compile(
     r"^(?P<quantity>.*?)\s*(?:/|\bin\b|,)\s*(?P<unit>\S{1,30})$", re.DOTALL
 )
-_SUFFIXED = pattern(r"^(?P<quantity>.+)[_ ](?P<unit>[^_ ]+)$", re.DOTALL)
+_SUFFIXED = re.compile(r"^(?P<quantity>.+)[_ ](?P<unit>[^_ ]+)$", re.DOTALL)
 
-_PREFIXED = pattern(
+_PREFIXED = re.compile(
     r"(?P<quantity>.+?)[_ /-](?P<prefix>milli|micro|nano|pico|kilo|mega|centi)",
     re.IGNORECASE,
 )
 
 # data[2], x(1), Voltage (CH1)
-_INDEX = pattern(r"[-+]?\d+([.:,]\s*\d+)*|ch(an(nel)?)?[ _]?\w|:")
+_INDEX = re.compile(r"[-+]?\d+([.:,]\s*\d+)*|ch(an(nel)?)?[ _]?\w|:")
 _BESIDES = frozenset(
     ("n", "no", "index", "idx", "row", "sample", "flag", "temp", "temperature", "loop", "cycle", "trigger",
      "status", "marker", "segment", "remark", "comment", "date", "time")
 )  # fmt: skip
 """Names of columns that stand beside the signals in many logs and are none."""
 # V(drive), as simulators name a node; t(ticks) has its unit
-_SYMBOL = pattern(r"[A-SU-Za-su-z]\([^()]*\)")
-_CHANNEL = pattern(
+_SYMBOL = re.compile(r"[A-SU-Za-su-z]\([^()]*\)")
+_CHANNEL = re.compile(
     r"(ch|chan|channel|kanal|canal|voie|ai|ao|in|out|input|output|signal|probe|column|col|data|trace)"
     r"[ _.#-]?[a-z]?\d{0,3}",
     re.IGNORECASE,
@@ -60,7 +59,7 @@ _READINGS = frozenset(
     ("monitor", "mon", "readback", "actual", "meas", "ist", "istwert", "laser", "read")
 )
 """Words that say that a column was measured, on which scale nobody knows."""
-_CARD = pattern(r"(?:^|[/ ])(ao|ai)[ _]?\d{1,3}$", re.IGNORECASE)
+_CARD = re.compile(r"(?:^|[/ ])(ao|ai)[ _]?\d{1,3}$", re.IGNORECASE)
 _REMARKS = frozenset(
     ("raw", "measured", "actual", "filtered", "calibrated", "corrected", "desired", "target", "setpoint",
      "commanded", "command", "sensor", "feedback", "monitor", "smoothed", "mean", "avg", "average", "drive",
@@ -68,7 +67,7 @@ _REMARKS = frozenset(
 )  # fmt: skip
 """What stands in brackets behind a name and is no unit."""
 
-_HASHED = pattern(r"/#[^\W\d]")  # TIME/#secs may have been ms
+_HASHED = re.compile(r"/#[^\W\d]")  # TIME/#secs may have been ms
 
 _LISTED = 20  # names of columns that a message holds at most
 # a column called "um" is in um; "m" and "Volts" may be anything
@@ -1144,7 +1143,7 @@ def require_finite(
             )
 
 
-PLACE = pattern(r"\{(?:channel)?\}")
+PLACE = re.compile(r"\{(?:channel)?\}")
 """Stands in the name of a column for the name of each of many channels."""
 
 

@@ -13,15 +13,14 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from dbo_cli import extensions
-from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.byte_source import HDF5, input_record
+from dbo_cli.errors import InputError, Remarks, UsageError, cleaned
 from dbo_cli.logs.clock import Clock, find_clock
 from dbo_cli.logs.columns import (
     ColumnWish,
@@ -43,15 +42,23 @@ from dbo_cli.logs.request import (
 from dbo_cli.logs.sample_block import (
     Column,
     DroppedRows,
+    FloatArray,
     SampleBlock,
     Table,
     TimeCheck,
     joined,
     resampled,
 )
-from dbo_cli.logs.sources import Source
+from dbo_cli.logs.text.line_blocks import HDF5
 from dbo_cli.logs.text.text_table import TextTable
-from dbo_cli.logs.units import Scale, kind_of_unit, quantity_name
+from dbo_cli.logs.units import (
+    ONE,
+    Scale,
+    UnitFactor,
+    kind_of_unit,
+    quantity_name,
+    unit_factor,
+)
 
 _USER_BLOCKS = (0, 512, 1024, 2048)  # where an HDF5 file may begin (MATLAB v7.3: 512)
 # endings of text; others may be an extra's
@@ -120,6 +127,116 @@ def _open_hdf5(request: Request) -> Table:
     from dbo_cli.logs.hdf5.reader import open_hdf5
 
     return open_hdf5(request)
+
+
+# --- what a run needs of a log
+# ------------------------------
+
+
+@dataclass(eq=False)
+class Source:
+    """What a run needs of a log: files (``SignalLog``), arrays and tables (``logs.sources``) are sources.
+
+    Attributes
+    ----------
+    name
+        How messages call it.
+    columns
+        Role to column; the unit is the one that the samples are handed out in.
+    has_time
+        Whether samples carry a time.
+    even_rate
+        Samples a second (Hz) where they are evenly spaced by definition, else None.
+    stated_rate
+        Samples a second (Hz) as it was given, rows that were dropped aside, or None.
+    notes, warnings
+        What is worth knowing, and what may spoil a result; complete after the last
+        block.
+    """
+
+    name: str
+    columns: dict[str, Column]
+    has_time: bool
+    even_rate: float | None = None
+    stated_rate: float | None = None
+    notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    _factors: dict[str, UnitFactor] = field(default_factory=dict)
+    no_time = "no time is given, and {why} (`time` or `sample_rate` HZ)"
+    warns_of_units = False  # figures of an unknown unit are taken as they are
+
+    def require_time(self, why: str) -> None:
+        """Refuse a source without time, naming the remedy (InputError)."""
+        if not self.has_time:
+            raise InputError(f"{self.name}: {self.no_time.format(why=why)}")
+
+    def convert(self, role: str, wanted: str | None, taker: str) -> None:
+        """Hand a role's samples out in another unit from now on, with a note.
+
+        Parameters
+        ----------
+        role
+            Whose samples.
+        wanted
+            The unit that is worked in, or None where it is not known.
+        taker
+            Who works in it, for messages: ``model.json takes voltage``.
+
+        Raises
+        ------
+        InputError
+            The units measure unlike things, or one of them is not known.
+        """
+        unit = self.columns[role].unit
+        called = f"{self.name}: column '{self.columns[role].name}'"
+        factor = unit_factor(unit, wanted)
+        if unit == wanted:
+            return
+        if unit is None or wanted is None:
+            unlike = (
+                f"has no unit, but {taker} in {wanted}: its figures are taken as {wanted} "
+                "(name the unit in the header, or convert with `scale`)"
+                if unit is None
+                else f"is in {unit}, but {taker} without a unit: the figures are used as they are "
+                "(convert with `scale` if they are not alike)"
+            )
+            self.warnings.extend([f"{called} {unlike}"] if self.warns_of_units else [])
+            return
+        if factor is None:
+            remedy = f"`scale` ROLE=FACTOR{wanted}/{unit} converts it"
+            raise InputError(
+                f"{called} is in {unit}, but {taker} in {wanted} ({remedy})"
+            )
+        self.notes.append(f"{called} is converted from {unit} to {wanted}")
+        if factor != ONE:
+            self.columns[role] = replace(self.columns[role], unit=wanted)
+            self._factors[role] = self._factors.get(role, ONE).times(*factor)
+
+    def in_units(self, values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+        """Return samples by role in the units that they are to be handed out in."""
+        if not self._factors:
+            return dict(values)
+        return {
+            role: self._factors.get(role, ONE).apply(array)
+            for role, array in values.items()
+        }
+
+    def reading_line(self) -> str | None:
+        """Describe what was read, once it was; None where nothing was."""
+        return None
+
+    def blocks(self) -> Iterator[SampleBlock]:
+        """Return the samples in blocks, by role."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Close the file, where there is one."""
+
+
+def remarks_of(source: Source) -> Remarks:
+    """Return notes, warnings and reading line of a source that was read."""
+    line = source.reading_line()
+    return Remarks(source.notes, source.warnings, [] if line is None else [line])
 
 
 # --- the log
@@ -519,3 +636,49 @@ def _scales_by_role(
         if role in columns:
             found[role] = scale
     return found
+
+
+# --- where a model comes from
+# ------------------------------------------------------------------------
+
+
+def file_sha256(path: str) -> str:
+    """Hash a file's bytes (hexadecimal SHA-256).
+
+    Raises
+    ------
+    InputError
+        It cannot be read.
+    """
+    import hashlib
+
+    try:
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as problem:
+        raise InputError(
+            f"{path}: cannot be read: {problem.strerror or problem}"
+        ) from None
+
+
+def input_record(
+    address: Given, rows: int, sha256: str | None = None, joined: Sequence[Given] = ()
+) -> dict[str, Any]:
+    """Record an input: its name without folders (they differ between machines), its digest and the rows used.
+
+    ``sha256`` must be given for standard input, which cannot be read twice
+    (``SignalLog.sha256``); ``others`` are the addresses of further files of the same
+    log, whose records are ``joined``.
+    """
+    parsed = parse_address(address)
+    name = os.path.basename(parsed.path) + (f"::{parsed.group}" if parsed.group else "")
+    record = {
+        "name": cleaned(name),
+        "sha256": sha256 or file_sha256(parsed.path),
+        "rows": rows,
+    }
+    return record | (
+        {"joined": [input_record(address, rows) for address in joined]}
+        if joined
+        else {}
+    )

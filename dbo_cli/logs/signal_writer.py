@@ -14,10 +14,9 @@ from typing import IO, TYPE_CHECKING, Protocol, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dbo_cli.errors import cleaned
 from dbo_cli.logs.columns import require_finite, unique_headers
-from dbo_cli.logs.libraries import import_polars
-from dbo_cli.logs.plain_text import cleaned
-from dbo_cli.logs.request import BLOCK_ROWS, Address, Given, parse_output
+from dbo_cli.logs.request import BLOCK_ROWS, Address, Given, import_polars, parse_output
 from dbo_cli.logs.sample_block import Column, FloatArray
 from dbo_cli.logs.whole_output import (
     KEPT,
@@ -127,7 +126,8 @@ class _Keeper:
     """Keeps rows in memory."""
 
     def __init__(self, columns: Sequence[Column]) -> None:
-        self._columns, self._headers = columns, unique_headers(columns)
+        self._columns = columns
+        self._headers = unique_headers(columns)
         self._parts: list[list[FloatArray]] = [[] for _ in columns]
 
     def write(self, *arrays: ArrayLike) -> None:
@@ -136,11 +136,19 @@ class _Keeper:
         for parts, array in zip(self._parts, arrays, strict=True):
             parts.append(np.array(array, dtype=np.float64))
 
-    def arrays(self) -> tuple[FloatArray, ...]:
-        """Return all rows, an array a column."""
-        return tuple(
-            parts[0] if len(parts) == 1 else np.concatenate(parts)
-            for parts in self._parts
+    def signal(
+        self,
+        address: Address,
+        format: str | None,
+        attributes: Mapping[str, str | float],
+        commented: bool,
+    ) -> KeptSignal:
+        """Return all rows, with what they would have been written with."""
+        arrays = []
+        for parts in self._parts:
+            arrays.append(parts[0] if len(parts) == 1 else np.concatenate(parts))
+        return KeptSignal(
+            address, self._columns, format, attributes, tuple(arrays), commented
         )
 
 
@@ -184,14 +192,11 @@ def signal_writer(
         It cannot be written.
     """
     target = parse_output(address, format)
-    if (outputs := KEPT.get()) is not None:
+    outputs = KEPT.get()
+    if outputs is not None:
         keeper = _Keeper(columns)
         yield keeper
-        outputs.signals.append(
-            KeptSignal(
-                target, columns, format, attributes(), keeper.arrays(), commented
-            )
-        )
+        outputs.signals.append(keeper.signal(target, format, attributes(), commented))
         return
     check_output(target, protect)
     if target.kind == "hdf5":

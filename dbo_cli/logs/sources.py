@@ -1,22 +1,17 @@
-"""The one way in: logs, tables and arrays as sources of samples, with the same checks for all.
-
-A source hands out blocks of finite float64 samples by role, in the unit that is asked
-for, and knows its clock. ``SignalLog`` is one for files; arrays and tables become one
-here.
-"""
+"""Arrays and tables in memory as sources of samples, with the same checks as files."""
 
 from __future__ import annotations
 
 import math
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dbo_cli.errors import InputError, Remarks, UsageError
+from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.clock import find_clock
 from dbo_cli.logs.columns import ColumnWish, choose_columns, find_column, parse_column
 from dbo_cli.logs.request import (
@@ -34,118 +29,12 @@ from dbo_cli.logs.sample_block import (
     joined,
     require_even,
 )
-from dbo_cli.logs.units import ONE, UnitFactor, unit_factor
+from dbo_cli.logs.signal_log import Source
 
 if TYPE_CHECKING:
     import pandas
 
 TABLE = "the table"
-
-
-@dataclass(eq=False)
-class Source:
-    """What a run needs of a log: files (``logs.signal_log.SignalLog``), arrays and tables are sources.
-
-    Attributes
-    ----------
-    name
-        How messages call it.
-    columns
-        Role to column; the unit is the one that the samples are handed out in.
-    has_time
-        Whether samples carry a time.
-    even_rate
-        Samples a second (Hz) where they are evenly spaced by definition, else None.
-    stated_rate
-        Samples a second (Hz) as it was given, rows that were dropped aside, or None.
-    notes, warnings
-        What is worth knowing, and what may spoil a result; complete after the last
-        block.
-    """
-
-    name: str
-    columns: dict[str, Column]
-    has_time: bool
-    even_rate: float | None = None
-    stated_rate: float | None = None
-    notes: list[str] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
-    _factors: dict[str, UnitFactor] = field(default_factory=dict)
-    no_time = "no time is given, and {why} (`time` or `sample_rate` HZ)"
-    warns_of_units = False  # figures of an unknown unit are taken as they are
-
-    def require_time(self, why: str) -> None:
-        """Refuse a source without time, naming the remedy (InputError)."""
-        if not self.has_time:
-            raise InputError(f"{self.name}: {self.no_time.format(why=why)}")
-
-    def convert(self, role: str, wanted: str | None, taker: str) -> None:
-        """Hand a role's samples out in another unit from now on, with a note.
-
-        Parameters
-        ----------
-        role
-            Whose samples.
-        wanted
-            The unit that is worked in, or None where it is not known.
-        taker
-            Who works in it, for messages: ``model.json takes voltage``.
-
-        Raises
-        ------
-        InputError
-            The units measure unlike things, or one of them is not known.
-        """
-        unit = self.columns[role].unit
-        called = f"{self.name}: column '{self.columns[role].name}'"
-        factor = unit_factor(unit, wanted)
-        if unit == wanted:
-            return
-        if unit is None or wanted is None:
-            unlike = (
-                f"has no unit, but {taker} in {wanted}: its figures are taken as {wanted} "
-                "(name the unit in the header, or convert with `scale`)"
-                if unit is None
-                else f"is in {unit}, but {taker} without a unit: the figures are used as they are "
-                "(convert with `scale` if they are not alike)"
-            )
-            self.warnings.extend([f"{called} {unlike}"] if self.warns_of_units else [])
-            return
-        if factor is None:
-            remedy = f"`scale` ROLE=FACTOR{wanted}/{unit} converts it"
-            raise InputError(
-                f"{called} is in {unit}, but {taker} in {wanted} ({remedy})"
-            )
-        self.notes.append(f"{called} is converted from {unit} to {wanted}")
-        if factor != ONE:
-            self.columns[role] = replace(self.columns[role], unit=wanted)
-            self._factors[role] = self._factors.get(role, ONE).times(*factor)
-
-    def in_units(self, values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-        """Return samples by role in the units that they are to be handed out in."""
-        if not self._factors:
-            return dict(values)
-        return {
-            role: self._factors.get(role, ONE).apply(array)
-            for role, array in values.items()
-        }
-
-    def reading_line(self) -> str | None:
-        """Describe what was read, once it was; None where nothing was."""
-        return None
-
-    def blocks(self) -> Iterator[SampleBlock]:
-        """Return the samples in blocks, by role."""
-        raise NotImplementedError
-
-    def close(self) -> None:
-        """Close the file, where there is one."""
-
-
-def remarks_of(source: Source) -> Remarks:
-    """Return notes, warnings and reading line of a source that was read."""
-    line = source.reading_line()
-    return Remarks(source.notes, source.warnings, [] if line is None else [line])
 
 
 def samples(name: str, values: ArrayLike) -> FloatArray:

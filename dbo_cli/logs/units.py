@@ -13,8 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.plain_text import pattern, shortened
+from dbo_cli.errors import InputError, UsageError, shortened
 from dbo_cli.logs.sample_block import Column, FloatArray
 
 # SI units and prefixes as instruments spell them; below, other spellings that
@@ -123,7 +122,7 @@ class UnitFactor(NamedTuple):
 ONE = UnitFactor()
 
 
-_MICRO = pattern(r"[µμ](?=[^\W\d])")  # before a unit, nowhere else
+_MICRO = re.compile(r"[µμ](?=[^\W\d])")  # before a unit, nowhere else
 
 
 def normalise_unit(text: str) -> str | None:
@@ -288,11 +287,11 @@ class Scale:
 
 
 _NUMBER = r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
-_SCALE = pattern(
+_SCALE = re.compile(
     rf"\s*(?P<role>[^=\s]+)\s*=\s*(?P<factor>{_NUMBER})"
     r"\s*(?:(?P<out>[^\s/\d.][^\s/]*)\s*/\s*(?P<in>[^\s/]+))?\s*"
 )
-_FIGURE = pattern(
+_FIGURE = re.compile(
     rf"\s*(?P<number>{_NUMBER})\s*(?P<unit>[^\s\d./][^\s\d/]*)?(?:/(?P<per>[^\s\d/]+(?:/[^\s\d/]+)?))?\s*"
 )
 # of ten; float64 ends at 308, and a conversion of units besides takes up to 42 of them
@@ -417,7 +416,7 @@ SPELLINGS = {
 UNIT_OF = {
     spelling: unit for unit, spellings in SPELLINGS.items() for spelling in spellings
 }
-_COUNT = pattern(r"(?P<number>\d+(?:\.\d+)?)\s*(?P<unit>[^\d\s.].*)")
+_COUNT = re.compile(r"(?P<number>\d+(?:\.\d+)?)\s*(?P<unit>[^\d\s.].*)")
 
 
 def time_unit(text: str) -> str | None:

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.errors import cleaned
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.reports.sample_pairs import (
     BATCH,

@@ -28,8 +28,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
-from dbo_cli.errors import OutputError, UsageError
-from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.errors import OutputError, UsageError, cleaned
 from dbo_cli.logs.whole_output import make_folder, write_whole
 
 if TYPE_CHECKING:

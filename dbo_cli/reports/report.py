@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from dbo_cli.errors import InputError, LimitError, UsageError
-from dbo_cli.logs.plain_text import cleaned, counted
+from dbo_cli.errors import InputError, LimitError, UsageError, cleaned, counted
 from dbo_cli.logs.request import Rows
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.units import in_unit

@@ -19,10 +19,9 @@ from dbo_cli.drives.check import (
 )
 from dbo_cli.drives.gate import Floats
 from dbo_cli.drives.options import Figure, check_gain, limits_in, plain_in
-from dbo_cli.errors import LimitError, Remarks, UsageError, plain
+from dbo_cli.errors import LimitError, Remarks, UsageError, cleaned, counted, plain
 from dbo_cli.hysteresis.model_state import DriveLimits
 from dbo_cli.logs.columns import column_wish
-from dbo_cli.logs.plain_text import cleaned, counted
 from dbo_cli.logs.request import (
     ALL_ROWS,
     Address,
@@ -32,8 +31,7 @@ from dbo_cli.logs.request import (
     selected_files,
 )
 from dbo_cli.logs.sample_block import DroppedRows, SampleBlock, even_step, joined
-from dbo_cli.logs.signal_log import open_log
-from dbo_cli.logs.sources import remarks_of
+from dbo_cli.logs.signal_log import open_log, remarks_of
 from dbo_cli.logs.units import in_unit, require_unit
 from dbo_cli.logs.whole_output import check_output, write_whole
 

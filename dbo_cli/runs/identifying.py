@@ -13,7 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from dbo_cli.errors import SILENT, InputError, Listener, Remarks, UsageError, plain
+from dbo_cli.errors import (
+    SILENT,
+    InputError,
+    Listener,
+    Remarks,
+    UsageError,
+    cleaned,
+    plain,
+)
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording
 from dbo_cli.hysteresis.identification import identify as identify_model
 from dbo_cli.hysteresis.identification.recordings import LARGEST, LEAST_DEVIATION
@@ -21,11 +29,10 @@ from dbo_cli.hysteresis.model import SIGN_VERBS, ActuatorModel, Sign
 from dbo_cli.hysteresis.model_file import model_to_bytes, read_model
 from dbo_cli.logs import request
 from dbo_cli.logs.columns import ColumnWish, is_order
-from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.request import ALL_ROWS, Address, ReadingOptions
 from dbo_cli.logs.sample_block import SampleBlock, joined
-from dbo_cli.logs.signal_log import SignalLog
-from dbo_cli.logs.sources import ArraySource, Source, is_table, remarks_of
+from dbo_cli.logs.signal_log import SignalLog, Source, remarks_of
+from dbo_cli.logs.sources import ArraySource, is_table
 from dbo_cli.logs.units import in_unit, kind_of_unit, quantity_name
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.runs.files import (

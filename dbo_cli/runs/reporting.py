@@ -18,14 +18,21 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from dbo_cli.drives.model_run import ModelRun
-from dbo_cli.errors import SILENT, InputError, LimitError, Listener, Remarks, UsageError
+from dbo_cli.errors import (
+    SILENT,
+    InputError,
+    LimitError,
+    Listener,
+    Remarks,
+    UsageError,
+    shortened,
+)
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import read_model
 from dbo_cli.hysteresis.model_state import START_NAMES, ModelState, StartName
 from dbo_cli.hysteresis.move_error import MOST_ROWS, move_error
 from dbo_cli.logs import request
 from dbo_cli.logs.columns import ColumnWish, column_wish
-from dbo_cli.logs.plain_text import shortened
 from dbo_cli.logs.request import (
     ALL_ROWS,
     Address,
@@ -35,8 +42,7 @@ from dbo_cli.logs.request import (
     selected_files,
 )
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock
-from dbo_cli.logs.signal_log import SignalLog, open_log
-from dbo_cli.logs.sources import Source, remarks_of
+from dbo_cli.logs.signal_log import SignalLog, Source, open_log, remarks_of
 from dbo_cli.logs.whole_output import all_or_none, check_output, write_whole
 from dbo_cli.reports import renderers
 from dbo_cli.reports.accumulators import FigureData

@@ -15,7 +15,7 @@ import pytest
 
 from dbo_cli.cli.app import CommandProcess
 from dbo_cli.errors import InputError
-from dbo_cli.logs.libraries import GAVE_UP
+from dbo_cli.logs.request import GAVE_UP
 
 PATH = {"PYTHONPATH": str(Path(__file__).parents[2])}
 

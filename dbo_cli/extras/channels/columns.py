@@ -13,7 +13,6 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.byte_source import file_sha256
 from dbo_cli.logs.clock import Clock, find_clock
 from dbo_cli.logs.columns import (
     MORE_TIME_NAMES,
@@ -30,7 +29,7 @@ from dbo_cli.logs.sample_block import (
     Table,
     joined,
 )
-from dbo_cli.logs.signal_log import open_table
+from dbo_cli.logs.signal_log import file_sha256, open_table
 from dbo_cli.logs.text.text_table import TextTable
 
 _LISTED = 5  # channels that a message names at most

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from dbo_cli.errors import InputError
+from dbo_cli.errors import InputError, clean_text
 from dbo_cli.logs.clock import Statement, is_clock_name, read_statements
 from dbo_cli.logs.column_table import (
     MATLAB_OBJECTS,
@@ -35,9 +35,7 @@ from dbo_cli.logs.column_table import (
     without_scalars,
 )
 from dbo_cli.logs.columns import TIME_NAMES
-from dbo_cli.logs.libraries import host, import_extra, import_polars
-from dbo_cli.logs.plain_text import clean_text
-from dbo_cli.logs.request import Request
+from dbo_cli.logs.request import Request, host, import_extra, import_polars
 from dbo_cli.logs.text.lines import is_number
 from dbo_cli.logs.text.text_table import TextTable
 

@@ -13,9 +13,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from dbo_cli.errors import InputError
+from dbo_cli.errors import InputError, decoded
 from dbo_cli.logs.clock import Statement, is_clock_name, read_statements
-from dbo_cli.logs.plain_text import decoded
 from dbo_cli.logs.request import BLANKS, ReadingOptions
 from dbo_cli.logs.text.dialect import COMMENTS, SAMPLE_LINES, Dialect, detect
 from dbo_cli.logs.text.lines import (

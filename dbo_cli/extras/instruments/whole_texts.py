@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from dbo_cli.errors import InputError
-from dbo_cli.logs.byte_source import ByteSource
+from dbo_cli.errors import InputError, counted, decoded
 from dbo_cli.logs.clock import Statement
 from dbo_cli.logs.column_table import (
     ColumnSource,
@@ -28,10 +27,10 @@ from dbo_cli.logs.column_table import (
     without_scalars,
 )
 from dbo_cli.logs.columns import MORE_TIME_NAMES, TIME_NAMES
-from dbo_cli.logs.plain_text import counted, decoded
 from dbo_cli.logs.request import FILL_GAPS, Request
 from dbo_cli.logs.sample_block import Table
 from dbo_cli.logs.text.dialect import Dialect
+from dbo_cli.logs.text.line_blocks import ByteSource
 from dbo_cli.logs.text.lines import to_number
 from dbo_cli.logs.text.text_table import TextTable
 from dbo_cli.logs.units import FACTORS, time_unit

@@ -12,8 +12,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.plain_text import shortened
+from dbo_cli.errors import InputError, UsageError, shortened
 
 Wanted = TypeVar("Wanted")
 Played = TypeVar("Played")

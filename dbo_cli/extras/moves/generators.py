@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from dbo_cli import extensions
 from dbo_cli.errors import OutputError, UsageError
-from dbo_cli.logs.libraries import import_extra
+from dbo_cli.logs.request import import_extra
 
 Floats = NDArray[np.float64]
 Codes = NDArray[np.int64]

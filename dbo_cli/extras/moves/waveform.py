@@ -19,8 +19,7 @@ from dbo_cli.hysteresis.model_state import DriveLimits
 from dbo_cli.logs.columns import column_wish
 from dbo_cli.logs.request import Address, ReadingOptions, check_document
 from dbo_cli.logs.sample_block import joined, require_even
-from dbo_cli.logs.signal_log import open_log
-from dbo_cli.logs.sources import remarks_of
+from dbo_cli.logs.signal_log import open_log, remarks_of
 from dbo_cli.logs.units import in_unit
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.runs.files import (

@@ -31,7 +31,8 @@ from dbo_cli.hysteresis.dynamics import Resonance, ZeroPhaseLowPass
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.move_error import rms, trusted_frequency
 from dbo_cli.logs.sample_block import SAME_RATE, FloatArray, even_step
-from dbo_cli.logs.sources import Source, WholeSource
+from dbo_cli.logs.signal_log import Source
+from dbo_cli.logs.sources import WholeSource
 from dbo_cli.logs.whole_output import write_whole
 
 FORMAT, VERSION = "dbo-history", 1

@@ -20,8 +20,8 @@ from dbo_cli.logs import request
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.request import ALL_ROWS, Address
 from dbo_cli.logs.sample_block import joined
-from dbo_cli.logs.signal_log import open_log
-from dbo_cli.logs.sources import Source, is_log
+from dbo_cli.logs.signal_log import Source, open_log
+from dbo_cli.logs.sources import is_log
 from dbo_cli.logs.whole_output import check_outputs
 from dbo_cli.runs.files import (
     Destination,

@@ -27,7 +27,6 @@ from dbo_cli.hysteresis.identification.search import ROWS_PER_SLOPE, Choice
 from dbo_cli.hysteresis.identification.statistics import PreparedLog, weighted
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import StartName
-from dbo_cli.hysteresis.move_error import ZeroDrift
 
 TINY = float(np.finfo(float).tiny)  # in place of a divisor of 0
 WHOSE_LAG = (
@@ -153,15 +152,17 @@ class Judged:
     """What a model, and a straight line, leave over on the logs that they were fitted to.
 
     ``rmse`` and ``line`` are the RMS errors over all logs, in the displacement's unit;
-    ``noise`` is the share of the model's mean square that is white, ``zero_drift`` by
-    how much the zero moved along the log on which it moved most.
+    ``noise`` is the share of the model's mean square that is white;
+    ``zero_drift`` and ``zero_drift_rate`` are by how much the zero moved along the log
+    on which it moved most, and how fast, a second.
     """
 
     residuals: Sequence[Residual]
     rmse: float
     line: float
     noise: float
-    zero_drift: ZeroDrift
+    zero_drift: float
+    zero_drift_rate: float
 
 
 def judge(
@@ -174,20 +175,21 @@ def judge(
     rmse = pooled([residual.rmse for residual in residuals], residuals)
     white = white_noise([residual.weighted for residual in residuals])
     noise = white / max(rmse, TINY) ** 2
-    zero_drift = _zero_drift(residuals, recordings)
-    return Judged(residuals, rmse, pooled(lines, residuals), noise, zero_drift)
+    drift, drift_rate = _zero_drift(residuals, recordings)
+    line = pooled(lines, residuals)
+    return Judged(residuals, rmse, line, noise, drift, drift_rate)
 
 
 def _zero_drift(
     residuals: Sequence[Residual], recordings: Sequence[Recording]
-) -> ZeroDrift:
-    """Return how far the zero moved along the log on which it moved most."""
+) -> tuple[float, float]:
+    """Return how far the zero moved along the log on which it moved most, and how fast, a second."""
     spans = [residual.drift_span for residual in residuals]
     most = spans.index(max(spans))
     seconds = recordings[most].seconds()
     if seconds is None or seconds[-1] <= seconds[0]:
-        return ZeroDrift(spans[most], 0.0)
-    return ZeroDrift(spans[most], spans[most] / float(seconds[-1] - seconds[0]))
+        return spans[most], 0.0
+    return spans[most], spans[most] / float(seconds[-1] - seconds[0])
 
 
 def validated(

@@ -57,9 +57,9 @@ from dbo_cli.hysteresis.move_error import (
     ZERO_STAYS,
     Alternative,
     StatedError,
-    ZeroDrift,
     capped,
     changed_gain,
+    moving_zero,
     played,
     rms,
     spread,
@@ -94,9 +94,9 @@ class Expectation:
     ``seen`` some of the logs' swings, ``swings`` their number; ``left_out`` names what
     was left out; ``gain_trend`` by how much the gain changes along a log where that
     makes most of the error; ``line`` what a straight line leaves of what was left out,
-    RMS, and ``zero_drift`` by how much the zero moved along a log, both in the
-    displacement's unit; ``one_level`` whether the mean of the drive stays where it is,
-    from cycle to cycle.
+    RMS, ``zero_drift`` by how much the zero moved along a log and ``zero_drift_rate``
+    how fast, a second, all in the displacement's unit; ``one_level`` whether the mean
+    of the drive stays where it is, from cycle to cycle.
     """
 
     known: float
@@ -108,7 +108,8 @@ class Expectation:
     swings: int
     gain_trend: float | None
     line: float
-    zero_drift: ZeroDrift
+    zero_drift: float
+    zero_drift_rate: float
     one_level: bool
 
     @property
@@ -139,8 +140,8 @@ class Expectation:
 
     def zero_words(self, unit: str) -> str:
         """Say under which condition the zero is as stated; ``unit`` follows a number."""
-        if self.zero_drift.span > self.known:
-            moved = f"{self.zero_drift.span:.2g}{unit}"
+        if self.zero_drift > self.known:
+            moved = f"{self.zero_drift:.2g}{unit}"
             return f"it moved by {moved} along a log, which may go on and is not in the whole"
         if self.one_level:
             return "logs at one mean level hardly tell creep from a moving zero"
@@ -194,7 +195,7 @@ def expect(
     drifted = changed_gain(own_moves, trend)
     line = abs(prepared.scale) * line_left_out(logs, basis)
     lasted = 0.0 if logs[0].seconds is None else float(moves[1][-1] - moves[1][0])
-    zero = judged.zero_drift.during(lasted)
+    zero = moving_zero(judged.zero_drift, judged.zero_drift_rate, lasted)
     figure = stated(known, distance, apart, drifted, zero)
     return Expectation(
         known=known,
@@ -207,6 +208,7 @@ def expect(
         gain_trend=trend,
         line=line,
         zero_drift=judged.zero_drift,
+        zero_drift_rate=judged.zero_drift_rate,
         one_level=_one_level(prepared),
     )
 

@@ -418,8 +418,8 @@ def _expected_figures(
         "zero_from": expected.zero_words(unit),
         "left_out_rmse": expected.known,
         "line_left_out_rmse": expected.line,
-        "zero_drift": expected.zero_drift.span,
-        "zero_drift_rate": expected.zero_drift.rate,
+        "zero_drift": expected.zero_drift,
+        "zero_drift_rate": expected.zero_drift_rate,
     }
 
 

@@ -18,7 +18,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from dbo_cli.errors import InputError
+from dbo_cli.errors import InputError, clean_text
 from dbo_cli.logs.clock import Statement, is_clock_name, read_statements
 from dbo_cli.logs.column_table import (
     NETCDF_FILL,
@@ -31,7 +31,6 @@ from dbo_cli.logs.column_table import (
     unpacked,
     without_scalars,
 )
-from dbo_cli.logs.plain_text import clean_text
 
 # Names in use: NeXus, CF conventions and netCDF, LabVIEW, h5py recorders; MATLAB's own
 # classes of numbers.

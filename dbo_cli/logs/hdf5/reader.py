@@ -19,7 +19,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from dbo_cli.errors import InputError
+from dbo_cli.errors import InputError, clean_text, cleaned
 from dbo_cli.logs.clock import Statement, is_clock_name
 from dbo_cli.logs.column_table import (
     MATLAB_OBJECTS,
@@ -48,7 +48,6 @@ from dbo_cli.logs.hdf5.columns import (
     statements_of,
     stored_text,
 )
-from dbo_cli.logs.plain_text import clean_text, cleaned
 from dbo_cli.logs.request import BLOCK_ROWS, Address, FileWatch, Request, brief
 
 # What h5py raises at damaged bytes.

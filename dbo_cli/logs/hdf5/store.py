@@ -29,10 +29,9 @@ import h5py
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dbo_cli.errors import OutputError, UsageError
+from dbo_cli.errors import OutputError, UsageError, cleaned
 from dbo_cli.logs import whole_output
 from dbo_cli.logs.columns import header_of, require_finite, unique_headers
-from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.request import Address, FileWatch, Given
 from dbo_cli.logs.sample_block import Column, FloatArray, SampleBlock, TimeCheck
 

@@ -14,10 +14,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from dbo_cli.errors import InputError
+from dbo_cli.errors import InputError, counted, decoded
 from dbo_cli.logs.clock import Statement
 from dbo_cli.logs.columns import split_header
-from dbo_cli.logs.plain_text import counted, decoded, pattern
 from dbo_cli.logs.request import BLANKS, FILL_GAPS, ReadingOptions
 from dbo_cli.logs.text.lines import (
     HeaderBlock,
@@ -34,13 +33,13 @@ COMMENTS = "#%"
 SAMPLE_LINES = 40  # enough rows to outvote junk lines
 # Before a line of names or units: ``# columns:`` and ``# units:`` (JPK), ``#
 # column_headers=`` (Qudi).
-_LABEL = pattern(
+_LABEL = re.compile(
     r"(?:fancyNames|column_?(?:names|headers)|columns|channels|fields|names|(?P<unit>units?|einheiten?))"
     r"(?:\s*[:=]\s*|$)",
     re.IGNORECASE,
 )
 # 1.5 V, as Grafana formats its cells; V:1.5, as the Arduino's plotter reads it.
-_NUMBER_WITH_UNIT = pattern(
+_NUMBER_WITH_UNIT = re.compile(
     r"(?<![\w.:-])(?:[-+]?\d+(?:[.,]\d+)? ?[^\W\d_]{1,4}\b|[^\W\d_]\w{0,20} ?[:=] ?[-+]?\d[\d.]*)"
 )
 _PLAIN_NUMBERS = "write them without units and labels; Grafana: without Formatted data"
@@ -48,8 +47,8 @@ _MOST_COLUMNS = 1 << 20  # a line of more delimiters is none of a log
 # columns of a log whose names are lost; more, fewer lines, and names in front: it lies
 _MOST_ACROSS = 64
 # 1,234, to some 1234
-_THOUSAND = pattern(r"(?<![\d.,])[1-9]\d{0,2},\d{3}(?![\d,eEdD])")
-_UNIT_OF_ONE = pattern(
+_THOUSAND = re.compile(r"(?<![\d.,])[1-9]\d{0,2},\d{3}(?![\d,eEdD])")
+_UNIT_OF_ONE = re.compile(
     r"(?P<name>\S.{0,60}?)[ _](?:unit|einheit)\s*[:=,;\t]\s*(?P<unit>\S{1,30})",
     re.IGNORECASE,
 )

@@ -9,34 +9,24 @@ from __future__ import annotations
 import datetime
 import itertools
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
-from dbo_cli.errors import InputError
-from dbo_cli.logs.byte_source import ByteSource
-from dbo_cli.logs.plain_text import pattern, shortened
+from dbo_cli.errors import InputError, shortened
 from dbo_cli.logs.request import BLANKS
 from dbo_cli.logs.sample_block import FloatArray, is_overflow
 
-if TYPE_CHECKING:
-    from concurrent.futures import Future
-
-Item = TypeVar("Item")
-# read ahead: longer than the header of any instrument, and some thousand rows
-HEAD_BYTES = 1 << 18
-LONGEST_LINE = 1 << 24  # a row of a million columns; what is longer has no line ends
-NEIGHBOUR_BYTES = 1 << 14  # kept of the text above: some hundred rows of a usual log
 # Numbers with either decimal sign; d is Fortran's exponent.
-_POINT = pattern(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?")
-_COMMA = pattern(r"[+-]?(?:\d+(?:,\d*)?|,\d+)(?:[eEdD][+-]?\d+)?")
+_POINT = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?")
+_COMMA = re.compile(r"[+-]?(?:\d+(?:,\d*)?|,\d+)(?:[eEdD][+-]?\d+)?")
 # Groups of three digits whose mark can be nothing else: 1,234.5 or 1'234 or 1,234,567.
 # A lone 1,234 is taken for a group where the decimal sign of the log is known to be a
 # point (``text.dialect`` asks).
 _BLANK_MARKS = "'\u2019\u00a0\u202f\u2009 "
 _GROUPED = {
-    sign: pattern(
+    sign: re.compile(
         rf"([+-]?[1-9]\d{{0,2}})([{mark}{_BLANK_MARKS}])(\d{{3}}(?:\2\d{{3}})*)([{sign}]\d*)?"
     )
     for sign, mark in ((".", ","), (",", "."))
@@ -146,22 +136,22 @@ _MONTHS = (
     "dec",
 )
 
-_MONTH_FIRST = pattern(r"(?P<month>\d{1,2})/(?P<day>\d{1,2})/(?P<year>\d{4}|\d\d)")
+_MONTH_FIRST = re.compile(r"(?P<month>\d{1,2})/(?P<day>\d{1,2})/(?P<year>\d{4}|\d\d)")
 _DATES = (
-    pattern(r"(?P<year>\d{4})([-/.])(?P<month>\d{1,2})\2(?P<day>\d{1,2})"),
-    pattern(r"(?P<year>\d{4})(?P<month>\d\d)(?P<day>\d\d)"),
-    pattern(r"(?P<day>\d{1,2})([-.])(?P<month>\d{1,2})\2(?P<year>\d{4}|\d\d)"),
+    re.compile(r"(?P<year>\d{4})([-/.])(?P<month>\d{1,2})\2(?P<day>\d{1,2})"),
+    re.compile(r"(?P<year>\d{4})(?P<month>\d\d)(?P<day>\d\d)"),
+    re.compile(r"(?P<day>\d{1,2})([-.])(?P<month>\d{1,2})\2(?P<year>\d{4}|\d\d)"),
     _MONTH_FIRST,
-    pattern(r"(?P<day>\d{1,2})[- ](?P<month>[A-Za-z]{3})[- ](?P<year>\d{4})"),
+    re.compile(r"(?P<day>\d{1,2})[- ](?P<month>[A-Za-z]{3})[- ](?P<year>\d{4})"),
 )
-_CLOCK = pattern(
+_CLOCK = re.compile(
     r"(?:(?P<days>\d{1,5}) days?,? )?(?P<hours>\d{1,3}):(?P<minutes>[0-5]?\d):(?P<seconds>[0-5]?\d)"
     r"(?:[.,](?P<fraction>\d{1,20})|:(?P<millis>\d{3}))?(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?"
 )
-_MINUTES = pattern(
+_MINUTES = re.compile(
     r"(?P<minutes>\d{1,3}):(?P<seconds>[0-5]\d)[.,](?P<fraction>\d{1,20})"
 )
-_STAMP = pattern(
+_STAMP = re.compile(
     r"(?P<date>\d{4}([-/.])\d{1,2}\2\d{1,2}|\d{8}|\d{1,2}[-./]\d{1,2}[-./]\d{2,4}"
     r"|\d{1,2}[- ][A-Za-z]{3}[- ]\d{4})(?:T|[ _]+|, ?)"
     r"(?P<clock>\d{1,2}:\d\d:\d\d(?:[.,]\d{1,20})?(?: ?[AaPp]\.?[Mm]\.?)?|\d{6}(?:\.\d{1,20})?)"
@@ -294,7 +284,7 @@ def writing_of(cells: Sequence[str]) -> str | None:
 
 # a change this many times the largest one above is not the next sample
 _USUAL_STEPS = 3.0
-_NUMBER = pattern(
+_NUMBER = re.compile(
     r"[+-]?(?P<whole>\d*)(?P<rest>[.,]\d*)?(?:[eEdD](?P<exponent>[+-]?\d*))?"
 )
 
@@ -482,118 +472,3 @@ class RepeatedHeader:
         elif self.guessed:
             how = "the time goes on one step after the last row, for no date and time say more"
         return f"{self.place}: {self.count} more header{plural} among the data: {how}"
-
-
-# --- blocks of whole lines
-# ---------------------------------------------------------------------------
-
-
-@dataclass
-class LineBlocks:
-    """Blocks of whole lines of a source; the first one can be looked at before it is taken.
-
-    ``above`` is the end of the text given out so far, for a look back from the last
-    line; ``empty_lines`` counts those that were left out at the start; ``ended`` tells
-    that the source has been read to its end.
-    """
-
-    source: ByteSource
-    block_bytes: int
-    above: bytes = b""
-    empty_lines: int = 0
-    ended: bool = False
-    _pending: bytes = b""
-
-    def head(self, enough: Any) -> bytes:
-        """Read ahead HEAD_BYTES and at least two lines, or less once ``enough(text)`` holds.
-
-        ``enough`` is asked after every arrival. Empty lines at the very start are left
-        out and counted.
-        """
-        while not self.ended:
-            read = len(self._pending)
-            if read >= HEAD_BYTES and (
-                self._pending.count(b"\n") > 1 or read > LONGEST_LINE
-            ):
-                break
-            self._append(self._read(HEAD_BYTES - read % HEAD_BYTES))
-            if (
-                len(self._pending) >= HEAD_BYTES
-                and not self._pending[:HEAD_BYTES].strip()
-            ):
-                # a billion, in compressed data
-                above = len(self._pending) - len(self._pending.lstrip())
-                self.empty_lines += self._pending.count(b"\n", 0, above)
-                self._pending = self._pending[
-                    self._pending.rfind(b"\n", 0, above) + 1 :
-                ]
-            if enough(self._pending[: self._pending.rfind(b"\n") + 1]):
-                break
-        return self._pending
-
-    def longer_head(self) -> bytes | None:
-        """Read twice as far ahead as before; None at the end of the source or at LONGEST_LINE."""
-        wanted = 2 * len(self._pending)
-        if self.ended or wanted > LONGEST_LINE:
-            return None
-        while len(self._pending) < wanted and not self.ended:
-            self._append(self._read(wanted - len(self._pending)))
-        return self._pending
-
-    def __iter__(self) -> Iterator[bytes]:
-        """Yield blocks of whole lines; a last line without its line end comes alone, after all others."""
-        text, start, last = self._pending, 0, self._pending.rfind(b"\n") + 1
-        self._pending = text[last:]
-        # What was read ahead is cut where it is much; the usual case is what one
-        # reading brought.
-        most = self.block_bytes if last > 2 * self.block_bytes else last
-        while start < last:
-            limit = min(last, start + most)
-            end = text.rfind(b"\n", start, limit) + 1 or text.index(b"\n", limit) + 1
-            yield self._noted(text[start:end])
-            start = end
-        while not self.ended:
-            data = self._read(self.block_bytes)
-            end = data.rfind(b"\n") + 1
-            if end:
-                # the only copy of most of the text
-                block = b"".join((self._pending, memoryview(data)[:end]))
-                self._pending = data[end:]
-                yield self._noted(block)
-            else:
-                self._append(data)
-        if self._pending:
-            text, self._pending = self._pending, b""
-            yield text
-
-    def _noted(self, block: bytes) -> bytes:
-        self.above = (self.above + block[-NEIGHBOUR_BYTES:])[-NEIGHBOUR_BYTES:]
-        return block
-
-    def _read(self, size: int) -> bytes:
-        data = self.source.read(size)
-        self.ended = not data
-        return data
-
-    def _append(self, data: bytes) -> None:
-        self._pending += data
-        if len(self._pending) > LONGEST_LINE and b"\n" not in self._pending:
-            raise InputError(
-                f"{self.source.name}: no line end in the first {LONGEST_LINE >> 20} MB: is this a text log?"
-            )
-
-
-def one_ahead(items: Iterator[Item]) -> Iterator[Item]:
-    """Give the items of an iterator, each made in a thread while the one before is worked on.
-
-    Only for regular files: a thread that waits for a pipe could not be interrupted.
-    None is no item. An exception of the iterator is raised here, after the items before
-    it.
-    """
-    from concurrent.futures import ThreadPoolExecutor
-
-    with ThreadPoolExecutor(1) as pool:
-        coming: Future[Item | None] = pool.submit(next, items, None)
-        while (item := coming.result()) is not None:
-            coming = pool.submit(next, items, None)
-            yield item

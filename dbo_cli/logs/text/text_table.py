@@ -8,6 +8,7 @@ knows the line, the column and the value of what is wrong.
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,12 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli import extensions
-from dbo_cli.errors import InputError
-from dbo_cli.logs.byte_source import ByteSource
+from dbo_cli.errors import InputError, counted, decoded, shortened
 from dbo_cli.logs.clock import agreed_rate
 from dbo_cli.logs.columns import column_label, parse_column
-from dbo_cli.logs.libraries import import_polars
-from dbo_cli.logs.plain_text import counted, decoded, pattern, shortened
 from dbo_cli.logs.request import (
     ALL_ROWS,
     BLANKS,
@@ -31,6 +29,7 @@ from dbo_cli.logs.request import (
     ReadingOptions,
     Request,
     Rows,
+    import_polars,
     remedy_for,
 )
 from dbo_cli.logs.sample_block import (
@@ -46,13 +45,12 @@ from dbo_cli.logs.sample_block import (
     are_measured,
 )
 from dbo_cli.logs.text.dialect import Dialect, cause_of, detect, has_data
+from dbo_cli.logs.text.line_blocks import ByteSource, LineBlocks, one_ahead
 from dbo_cli.logs.text.lines import (
-    LineBlocks,
     RepeatedHeader,
     complain,
     is_text,
     looks_cut,
-    one_ahead,
 )
 
 # below this, importing polars costs more than it saves (benchmarks/text_speed.py)
@@ -62,7 +60,7 @@ _NEIGHBOURS = 100  # rows above the last: enough to see how many digits a column
 _LARGEST_BLOCK = 1 << 23
 # One line of names above nothing but numbers: no instrument's header, so its readers
 # need not be loaded. A rate in the names (tInc = 2e-6) is theirs.
-_PLAIN = pattern(rb"[^\n=:]*\n[0-9eE+\-.,;\t \r\n]+")
+_PLAIN = re.compile(rb"[^\n=:]*\n[0-9eE+\-.,;\t \r\n]+")
 
 
 class TextTable(Table):
@@ -272,7 +270,7 @@ class TextTable(Table):
 # --- blocks of lines to arrays
 # ------------------------------------------------------------------------
 
-_DIGIT = pattern(r"\d")
+_DIGIT = re.compile(r"\d")
 # bytes; what fits the cache is looked through three times as fast as 8 MB
 _AT_ONCE = 1 << 17
 

@@ -1,4 +1,4 @@
-"""Bytes in: files, gzip and standard input as plain text, in constant memory."""
+"""Files, gzip and standard input as plain text, in blocks of whole lines and in constant memory."""
 
 from __future__ import annotations
 
@@ -8,13 +8,22 @@ import os
 import stat
 import sys
 import zlib
-from collections.abc import Sequence
-from typing import IO, Any, cast
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import IO, TYPE_CHECKING, Any, TypeVar, cast
 
 from dbo_cli import extensions
 from dbo_cli.errors import InputError
-from dbo_cli.logs.plain_text import cleaned
-from dbo_cli.logs.request import CHANGED, Given, Request, parse_address
+from dbo_cli.logs.request import CHANGED, Request
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
+Item = TypeVar("Item")
+# read ahead: longer than the header of any instrument, and some thousand rows
+HEAD_BYTES = 1 << 18
+LONGEST_LINE = 1 << 24  # a row of a million columns; what is longer has no line ends
+NEIGHBOUR_BYTES = 1 << 14  # kept of the text above: some hundred rows of a usual log
 
 _PIPE_BYTES = 1 << 18  # a reading of a pipe: four of what Linux keeps in one
 _UNREADABLE = (EOFError, zlib.error, OSError)  # what reading and unpacking raise
@@ -266,47 +275,116 @@ class ByteSource:
         return lambda data: decoder.decode(data).encode("utf-8")
 
 
-# --- where a model comes from
-# ------------------------------------------------------------------------
+# --- blocks of whole lines
+# ---------------------------------------------------------------------------
 
 
-def file_sha256(path: str) -> str:
-    """Hash a file's bytes (hexadecimal SHA-256).
+@dataclass
+class LineBlocks:
+    """Blocks of whole lines of a source; the first one can be looked at before it is taken.
 
-    Raises
-    ------
-    InputError
-        It cannot be read.
+    ``above`` is the end of the text given out so far, for a look back from the last
+    line; ``empty_lines`` counts those that were left out at the start; ``ended`` tells
+    that the source has been read to its end.
     """
-    import hashlib
 
-    try:
-        with open(path, "rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as problem:
-        raise InputError(
-            f"{path}: cannot be read: {problem.strerror or problem}"
-        ) from None
+    source: ByteSource
+    block_bytes: int
+    above: bytes = b""
+    empty_lines: int = 0
+    ended: bool = False
+    _pending: bytes = b""
+
+    def head(self, enough: Any) -> bytes:
+        """Read ahead HEAD_BYTES and at least two lines, or less once ``enough(text)`` holds.
+
+        ``enough`` is asked after every arrival. Empty lines at the very start are left
+        out and counted.
+        """
+        while not self.ended:
+            read = len(self._pending)
+            if read >= HEAD_BYTES and (
+                self._pending.count(b"\n") > 1 or read > LONGEST_LINE
+            ):
+                break
+            self._append(self._read(HEAD_BYTES - read % HEAD_BYTES))
+            if (
+                len(self._pending) >= HEAD_BYTES
+                and not self._pending[:HEAD_BYTES].strip()
+            ):
+                # a billion, in compressed data
+                above = len(self._pending) - len(self._pending.lstrip())
+                self.empty_lines += self._pending.count(b"\n", 0, above)
+                self._pending = self._pending[
+                    self._pending.rfind(b"\n", 0, above) + 1 :
+                ]
+            if enough(self._pending[: self._pending.rfind(b"\n") + 1]):
+                break
+        return self._pending
+
+    def longer_head(self) -> bytes | None:
+        """Read twice as far ahead as before; None at the end of the source or at LONGEST_LINE."""
+        wanted = 2 * len(self._pending)
+        if self.ended or wanted > LONGEST_LINE:
+            return None
+        while len(self._pending) < wanted and not self.ended:
+            self._append(self._read(wanted - len(self._pending)))
+        return self._pending
+
+    def __iter__(self) -> Iterator[bytes]:
+        """Yield blocks of whole lines; a last line without its line end comes alone, after all others."""
+        text, start, last = self._pending, 0, self._pending.rfind(b"\n") + 1
+        self._pending = text[last:]
+        # What was read ahead is cut where it is much; the usual case is what one
+        # reading brought.
+        most = self.block_bytes if last > 2 * self.block_bytes else last
+        while start < last:
+            limit = min(last, start + most)
+            end = text.rfind(b"\n", start, limit) + 1 or text.index(b"\n", limit) + 1
+            yield self._noted(text[start:end])
+            start = end
+        while not self.ended:
+            data = self._read(self.block_bytes)
+            end = data.rfind(b"\n") + 1
+            if end:
+                # the only copy of most of the text
+                block = b"".join((self._pending, memoryview(data)[:end]))
+                self._pending = data[end:]
+                yield self._noted(block)
+            else:
+                self._append(data)
+        if self._pending:
+            text, self._pending = self._pending, b""
+            yield text
+
+    def _noted(self, block: bytes) -> bytes:
+        self.above = (self.above + block[-NEIGHBOUR_BYTES:])[-NEIGHBOUR_BYTES:]
+        return block
+
+    def _read(self, size: int) -> bytes:
+        data = self.source.read(size)
+        self.ended = not data
+        return data
+
+    def _append(self, data: bytes) -> None:
+        self._pending += data
+        if len(self._pending) > LONGEST_LINE and b"\n" not in self._pending:
+            raise InputError(
+                f"{self.source.name}: no line end in the first {LONGEST_LINE >> 20} MB: is this a text log?"
+            )
 
 
-def input_record(
-    address: Given, rows: int, sha256: str | None = None, joined: Sequence[Given] = ()
-) -> dict[str, Any]:
-    """Record an input: its name without folders (they differ between machines), its digest and the rows used.
+def one_ahead(items: Iterator[Item]) -> Iterator[Item]:
+    """Give the items of an iterator, each made in a thread while the one before is worked on.
 
-    ``sha256`` must be given for standard input, which cannot be read twice
-    (``SignalLog.sha256``); ``others`` are the addresses of further files of the same
-    log, whose records are ``joined``.
+    Only for regular files: a thread that waits for a pipe could not be interrupted.
+    None is no item. An exception of the iterator is raised here, after the items before
+    it.
     """
-    parsed = parse_address(address)
-    name = os.path.basename(parsed.path) + (f"::{parsed.group}" if parsed.group else "")
-    record = {
-        "name": cleaned(name),
-        "sha256": sha256 or file_sha256(parsed.path),
-        "rows": rows,
-    }
-    return record | (
-        {"joined": [input_record(address, rows) for address in joined]}
-        if joined
-        else {}
-    )
+    from concurrent.futures import ThreadPoolExecutor
+
+    with ThreadPoolExecutor(1) as pool:
+        coming: Future[Item | None] = pool.submit(next, items, None)
+        while (item := coming.result()) is not None:
+            coming = pool.submit(next, items, None)
+            yield item
