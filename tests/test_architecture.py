@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import sys
 from pathlib import Path
@@ -64,3 +65,62 @@ def test_the_walks_are_what_the_commands_do(tmp_path: Path) -> None:
     in_order(
         walk("compensate"), calls_of(["compensate", model, trajectory, "-o", drive])
     )
+
+
+def test_the_story_of_identify_is_quoted_as_it_stands() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    screen = re.search(r"### `identify` on.*?```python\n(.*?)```", page, re.DOTALL)
+    assert screen is not None
+    quoted = screen[1].splitlines()
+    file = PACKAGE / "hysteresis" / "identification" / "identify.py"
+    lines = file.read_text(encoding="utf-8").splitlines()
+    assert len(quoted) == 8
+    assert [line for line in lines if line in quoted] == quoted
+
+
+def names_of(path: Path) -> set[str]:
+    """Return what a file defines: functions, classes, their methods and fields, constants."""
+    names = set()
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names.add(node.name)
+        if isinstance(node, ast.ClassDef):
+            for part in ast.walk(node):
+                if isinstance(part, ast.FunctionDef):
+                    names.add(f"{node.name}.{part.name}")
+                elif isinstance(part, ast.AnnAssign):
+                    names.add(f"{node.name}.{ast.unparse(part.target)}")
+        if isinstance(node, ast.Assign):
+            names.update(ast.unparse(target) for target in node.targets)
+        if isinstance(node, ast.AnnAssign):
+            names.add(ast.unparse(node.target))
+    return names
+
+
+def test_the_names_in_the_text_are_those_of_the_code() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    text = re.sub(r"```.*?```", "", page, flags=re.DOTALL)
+    names = {}
+    for path in PACKAGE.rglob("*.py"):
+        place = path.relative_to(PACKAGE).with_suffix("").as_posix()
+        names[place] = names_of(path)
+    everywhere = set().union(*names.values())
+    unknown = []
+    for word in re.findall(r"`([\w/.]+)`", text):
+        place, _, name = word.partition(".")
+        if "/" in place and name not in (
+            "",
+            "py",
+            "md",
+        ):  # `drives/gate.DriveGate.admit`
+            known = any(name in names[file] for file in names if file.endswith(place))
+        elif re.fullmatch(r"[A-Z]\w*[a-z]\w*\.\w+", word):  # `DriveGate.admit`
+            known = word in everywhere
+        elif "/" in place:  # `drives/gate`, `runs/`, `tests/test_rooms.py`
+            inside = any(f"/{place.rstrip('/')}" in f"/{file}" for file in names)
+            known = inside or (ROOT / word).exists()
+        else:
+            continue
+        if not known:
+            unknown.append(word)
+    assert unknown == []

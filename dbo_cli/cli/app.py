@@ -139,21 +139,30 @@ def _report_error(problem: BaseException, words: list[str]) -> int:
         if refused is not None:
             text, code = f"{refused[0]}{_where_to_look(words)}", refused[1]
         elif isinstance(problem, OSError):
-            closed = "standard output: " if problem.errno == errno.EBADF else ""
-            place = f"{problem.filename}: " if problem.filename else closed
-            text = f"{place}{problem.strerror or problem}"
+            text = f"{_place_of(problem)}{problem.strerror or problem}"
         elif isinstance(problem, MemoryError):
             text = "out of memory (--rows A:B takes a part of a log)"
     _print_line(f"error: {text}")
     return code
 
 
+def _place_of(problem: OSError) -> str:
+    """Return where the system refused something: a file, or standard output where that is closed."""
+    if problem.filename:
+        return f"{problem.filename}: "
+    if problem.errno == errno.EBADF:
+        return "standard output: "
+    return ""
+
+
 def _where_to_look(words: list[str]) -> str:
     """Return the remedy for a wrong command line: where the options are listed."""
     from dbo_cli.cli import commands
 
-    command = "".join(f" {word}" for word in words[:1] if word in commands.names())
-    return f" (dbo{command} --help lists what there is)"
+    help_of = "dbo"
+    if words and words[0] in commands.names():
+        help_of = f"dbo {words[0]}"
+    return f" ({help_of} --help lists what there is)"
 
 
 def _torn_name(words: list[str]) -> str:

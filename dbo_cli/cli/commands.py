@@ -248,14 +248,13 @@ class Command(NamedTuple):
     @property
     def usual(self) -> list[str]:
         """The options that most need; where the docstring names none, those of the command alone."""
-        named = self.section("Usual options").split()
-        if named:
-            return named
-        return [
-            option.names[-1]
-            for option in self.options
-            if option.names and option.heading == options.OPTIONS
-        ]
+        usual = self.section("Usual options").split()
+        if usual:
+            return usual
+        for option in self.options:
+            if option.names and option.heading == options.OPTIONS:
+                usual.append(option.names[-1])
+        return usual
 
     @property
     def examples(self) -> list[tuple[str, str]]:
@@ -272,11 +271,11 @@ class Command(NamedTuple):
     @property
     def exit_codes(self) -> list[tuple[str, str]]:
         """The exit codes and what they mean."""
+        codes = list(EXIT_CODES)
         missed = " ".join(self.section("Exit code 3").split())
-        return sorted(
-            [*EXIT_CODES, *([("3", missed)] if missed else [])],
-            key=lambda code: int(code[0]),
-        )
+        if missed:
+            codes.append(("3", missed))
+        return sorted(codes, key=lambda code: int(code[0]))
 
 
 # --- the commands of the core ---
@@ -322,18 +321,14 @@ def identify(arguments: Arguments) -> None:
     from dbo_cli.runs.identifying import IdentifyRun
     from dbo_cli.runs.many import identify_one_or_many
 
+    rated = None
+    if arguments.v_min is not None:
+        rated = arguments.v_min, arguments.v_max
     fixed = IdentificationOptions(
-        **arguments.of(
-            [
-                *options.IDENTIFICATION,
-                options.SIGN,
-                options.ZERO,
-                options.METHOD,
-                options.FORCE,
-            ]
-        ),
+        **arguments.of(options.IDENTIFICATION),
+        **arguments.of(options.FIXED),
         skip_seconds=arguments.skip,
-        rated=None if arguments.v_min is None else (arguments.v_min, arguments.v_max),
+        rated=rated,
     )
     run = IdentifyRun(
         arguments.log,
@@ -592,7 +587,7 @@ def report(arguments: Arguments) -> None:
     A limit (--max-...) is missed; the report is written all the same, and begins with
     that.
     """
-    from dbo_cli.runs.many import reported
+    from dbo_cli.runs.many import run_report
     from dbo_cli.runs.reporting import ReportRun, TrackingOptions
 
     tracking = TrackingOptions(
@@ -610,7 +605,7 @@ def report(arguments: Arguments) -> None:
         arguments.show,
         shell_line,
     )
-    outcome = reported(run, arguments.work, arguments.reporter)
+    outcome = run_report(run, arguments.work, arguments.reporter)
     arguments.finish(outcome)
 
 
@@ -649,10 +644,9 @@ def excite(arguments: Arguments) -> None:
     words = arguments.of(options.EXCITATION)
     unit = drive_unit(words["v_max"])
     for key in ("v_min", "v_max", "max_slew", "sweep_amplitude"):
+        per = "s" if key == "max_slew" else None
         if words[key] is not None:
-            words[key] = in_unit(
-                key, words[key], unit, "s" if key == "max_slew" else None
-            )
+            words[key] = in_unit(key, words[key], unit, per)
     drive = excitation_of(unit=unit, **words)
     drives = excitation_drives(drive, arguments.points, arguments.brought)
     fastest = write_excitation(arguments.output, drive, arguments.format, drives)
@@ -731,16 +725,14 @@ def find(name: str, words: Sequence[str] | None = None) -> Command | None:
     command = command._replace(brought=_brought(name, extensions.own()))
     if words is not None:
         typed = {word.partition("=")[0] for word in words if word.startswith("--")}
-        known = {
-            spelling
-            for option in (*command.options, *command.brought)
-            for spelling in option.names
-        }
+        known: set[str] = set()
+        for option in (*command.options, *command.brought):
+            known.update(option.names)
         if typed <= known:
             return command
-        for option in sorted(typed - known):
+        for spelling in sorted(typed - known):
             # refuses one of an extra that is missing
-            extensions.find("option", f"{name} {option}")
+            extensions.find("option", f"{name} {spelling}")
     return command._replace(brought=_brought(name, extensions.installed()))
 
 

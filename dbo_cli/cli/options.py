@@ -68,8 +68,11 @@ def with_unit(parse: Parser) -> Parser:
 
     def parse_figure(option: str, text: str) -> float | str:
         match = _WITH_UNIT.fullmatch(text.strip())
-        value: float = parse(option, match[1] if match else text)
-        return text if match else value
+        if match is None:
+            value: float = parse(option, text)
+            return value
+        parse(option, match[1])
+        return text
 
     return parse_figure
 
@@ -388,7 +391,8 @@ class Option(NamedTuple):
 
     def value(self, typed: Any) -> Any:
         """Return what the parser makes of a text, or of each of several; None of None."""
-        parse, name = self.parser, self.key if self.names else ""
+        parse = self.parser
+        name = self.key if self.names else ""  # an argument has none
         if parse is None or typed is None:
             return typed
         if not self.repeated:
@@ -591,6 +595,7 @@ RATED_MIN = Option(
 )
 RATED_MAX = Option("--v-max VOLT", "The rating's upper end, with --v-min.")
 FORCE = Option("--force", "Keep a model that is no better than a straight line.")
+FIXED = (SIGN, ZERO, METHOD, FORCE)
 
 # --- simulate, compensate, check ---
 STATE = Option(

@@ -118,28 +118,30 @@ class TableCommand(ParsedValues, TyperCommand):
         for name in command_of(self.name or "").usual:
             if name in by_name:  # an extra that brings it may be missing
                 usual.append(_explained(by_name[name], ctx))
-        return [
-            (heading, rows)
-            for heading, rows in (("Arguments", arguments), ("Usual options", usual))
-            if rows
-        ]
+        sections = []
+        if arguments:
+            sections.append(("Arguments", arguments))
+        if usual:
+            sections.append(("Usual options", usual))
+        return sections
 
     def sections(self, ctx: Any) -> list[tuple[str, list[tuple[str, str]]]]:
         """Return each heading with its options and what they mean; columns come before the rest."""
         sections: dict[str, list[Any]] = {heading: [] for heading in HEADINGS}
         for parameter in self.get_params(ctx):
-            is_argument = parameter.param_type_name == "argument"
             # the library's own --help has none
-            named = getattr(parameter, "rich_help_panel", None)
-            heading = "Arguments" if is_argument else named or options.OPTIONS
+            heading = getattr(parameter, "rich_help_panel", None) or options.OPTIONS
+            if parameter.param_type_name == "argument":
+                heading = "Arguments"
             sections[heading].append(parameter)
         for parameters in sections.values():
             parameters.sort(key=lambda parameter: parameter.metavar != options.COLUMN)
-        return [
-            (heading, [_explained(option, ctx) for option in listed])
-            for heading, listed in sections.items()
-            if listed
-        ]
+        explained = []
+        for heading, listed in sections.items():
+            if listed:
+                rows = [_explained(option, ctx) for option in listed]
+                explained.append((heading, rows))
+        return explained
 
 
 class Commands(ParsedValues, TyperGroup):
@@ -244,13 +246,10 @@ def _reading_page() -> str:
     )
     rows = []
     for option in (options.VOLTAGE, options.DISPLACEMENT, *options.READING):
-        rows.append(
-            (
-                ", ".join(option.names)
-                + (f" {option.metavar}" if option.metavar else ""),
-                option.meaning,
-            )
-        )
+        written = ", ".join(option.names)
+        if option.metavar:
+            written += f" {option.metavar}"
+        rows.append((written, option.meaning))
     with formatter.section(options.READING_LOGS):
         formatter.write_dl(rows, col_max=28)
     page: str = formatter.getvalue().rstrip("\n")
@@ -385,9 +384,9 @@ def _parsed(parameter: Any, option: Option | None, context: Any, value: Any) -> 
         )
     if option is not None:
         value = option.value(value)
-    return (
-        parameter.callback(context, parameter, value) if parameter.callback else value
-    )
+    if parameter.callback:
+        return parameter.callback(context, parameter, value)
+    return value
 
 
 # --- what a shell offers for the word that is typed ---
@@ -433,11 +432,11 @@ def columns_beginning(incomplete: str) -> list[str]:
                         _typed(column.name or "") for column in table.columns
                     )
                     table.close()
-    return [
-        name
-        for name in names
-        if name.startswith(incomplete) and name and " " not in name
-    ]
+    offered = []
+    for name in names:
+        if name and name.startswith(incomplete) and " " not in name:
+            offered.append(name)
+    return offered
 
 
 def _typed(name: str) -> str:

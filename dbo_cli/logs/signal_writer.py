@@ -126,7 +126,8 @@ class _Keeper:
     """Keeps rows in memory."""
 
     def __init__(self, columns: Sequence[Column]) -> None:
-        self._columns, self._headers = columns, unique_headers(columns)
+        self._columns = columns
+        self._headers = unique_headers(columns)
         self._parts: list[list[FloatArray]] = [[] for _ in columns]
 
     def write(self, *arrays: ArrayLike) -> None:
@@ -135,11 +136,19 @@ class _Keeper:
         for parts, array in zip(self._parts, arrays, strict=True):
             parts.append(np.array(array, dtype=np.float64))
 
-    def arrays(self) -> tuple[FloatArray, ...]:
-        """Return all rows, an array a column."""
-        return tuple(
-            parts[0] if len(parts) == 1 else np.concatenate(parts)
-            for parts in self._parts
+    def signal(
+        self,
+        address: Address,
+        format: str | None,
+        attributes: Mapping[str, str | float],
+        commented: bool,
+    ) -> KeptSignal:
+        """Return all rows, with what they would have been written with."""
+        arrays = []
+        for parts in self._parts:
+            arrays.append(parts[0] if len(parts) == 1 else np.concatenate(parts))
+        return KeptSignal(
+            address, self._columns, format, attributes, tuple(arrays), commented
         )
 
 
@@ -183,14 +192,11 @@ def signal_writer(
         It cannot be written.
     """
     target = parse_output(address, format)
-    if (outputs := KEPT.get()) is not None:
+    outputs = KEPT.get()
+    if outputs is not None:
         keeper = _Keeper(columns)
         yield keeper
-        outputs.signals.append(
-            KeptSignal(
-                target, columns, format, attributes(), keeper.arrays(), commented
-            )
-        )
+        outputs.signals.append(keeper.signal(target, format, attributes(), commented))
         return
     check_output(target, protect)
     if target.kind == "hdf5":

@@ -146,13 +146,8 @@ def check_outputs(outputs: Sequence[Given], inputs: Sequence[Given] = ()) -> Non
     OutputError
         A folder is missing or not writable, an output is a folder, a name is too long.
     """
-    if (
-        sum(
-            address == "-" or (isinstance(address, Address) and address.is_stream)
-            for address in inputs
-        )
-        > 1
-    ):
+    streams = [address for address in inputs if _is_stream(address)]
+    if len(streams) > 1:
         raise UsageError(
             "two inputs are standard input, which can be read once: give one of them as a file"
         )
@@ -175,6 +170,12 @@ def check_outputs(outputs: Sequence[Given], inputs: Sequence[Given] = ()) -> Non
         written[which] = target
         if not target.is_stream:
             _check_place(target.path)
+
+
+def _is_stream(address: Given) -> bool:
+    if isinstance(address, Address):
+        return address.is_stream
+    return address == "-"
 
 
 def _readable(inputs: Sequence[Given]) -> Iterator[Address]:
@@ -340,20 +341,30 @@ Gives whether there was no file of the output's own name.
 
 
 @dataclass
-class _Pending:
-    """An output that is complete under its temporary name."""
+class Output:
+    """An output that is complete under its temporary name.
+
+    Attributes
+    ----------
+    path, target
+        Its name as it was given, and with symbolic links followed.
+    temporary, backup
+        The names of what was written, and of the file that it replaces.
+    prepare
+        Called before the renames.
+    exclusive
+        Whether no file of its name may be there.
+    renamed
+        Whether it has its own name by now.
+    """
 
     path: str
     target: str
     temporary: str
     prepare: Prepare
-    exclusive: bool = False  # no file of its name may be there
+    exclusive: bool = False
     backup: str | None = None
     renamed: bool = False
-
-
-class _AppearedMeanwhile(Exception):
-    """A file that was not there has been made by somebody else."""
 
 
 def _unprepared(temporary: str) -> AbstractContextManager[bool]:
@@ -364,7 +375,7 @@ class OutputSet:
     """The outputs of one command, collected under temporary names; see :func:`all_or_none`."""
 
     def __init__(self) -> None:
-        self.pending: list[_Pending] = []
+        self.pending: list[Output] = []
         self.folders: list[str] = []
 
     def commit(self) -> None:
@@ -380,17 +391,11 @@ class OutputSet:
             with contextlib.ExitStack() as prepared:
                 for output in self.pending:
                     with _telling(output.path):
-                        output.exclusive = prepared.enter_context(
-                            output.prepare(output.temporary)
-                        )
+                        lock = output.prepare(output.temporary)
+                        output.exclusive = prepared.enter_context(lock)
                         # Else a power failure leaves an empty file.
                         _bring_to_disk(output.temporary, os.O_RDWR)
-                        # the permissions of the file that it replaces
-                        with contextlib.suppress(OSError):
-                            os.chmod(
-                                output.temporary,
-                                stat.S_IMODE(os.stat(output.target).st_mode),
-                            )
+                        _keep_permissions(output)
                 done = self._renamed()
         for output in self.pending:
             _remove(output.backup)
@@ -413,35 +418,41 @@ class OutputSet:
             try:
                 for output in self.pending:
                     with _telling(output.path):
-                        self._rename(output)
-            except BaseException as problem:
+                        if not self._rename(output):
+                            self._take_back()
+                            return False
+            except BaseException:
                 self._take_back()
-                if isinstance(problem, _AppearedMeanwhile):
-                    return False
                 raise
         return True
 
-    def _rename(self, output: _Pending) -> None:
+    def _rename(self, output: Output) -> bool:
+        """Give an output its own name; False where a file appeared there that may not be replaced."""
         if output.exclusive:
             try:
                 os.link(output.temporary, output.target)
                 _remove(output.temporary)
             except FileExistsError:
-                raise _AppearedMeanwhile from None
+                return False
             except OSError:  # a file system without hard links: the best that it can do
                 os.replace(output.temporary, output.target)
         else:
             if len(self.pending) > 1 and os.path.exists(output.target):
-                backup = partial_path(output.target)
-                if WINDOWS:  # a link to a file that is open could not be removed again
-                    os.replace(output.target, backup)
-                    output.backup = backup
-                else:
-                    with contextlib.suppress(OSError):
-                        os.link(output.target, backup)
-                        output.backup = backup
+                self._back_up(output)
             os.replace(output.temporary, output.target)
         output.renamed = True
+        return True
+
+    def _back_up(self, output: Output) -> None:
+        """Keep the file that an output replaces, until all have their names."""
+        backup = partial_path(output.target)
+        if WINDOWS:  # a link to a file that is open could not be removed again
+            os.replace(output.target, backup)
+            output.backup = backup
+            return
+        with contextlib.suppress(OSError):
+            os.link(output.target, backup)
+            output.backup = backup
 
     def _take_back(self) -> None:
         """Undo the renames done so far: the new files go under their temporary names again."""
@@ -453,7 +464,8 @@ class OutputSet:
                     os.replace(output.backup, output.target)
             # still there where nothing had been renamed: both names were one file's
             _remove(output.backup)
-            output.renamed, output.backup = False, None
+            output.renamed = False
+            output.backup = None
 
 
 _CURRENT: ContextVar[OutputSet | None] = ContextVar("dbo_outputs", default=None)
@@ -557,21 +569,20 @@ def replacing(path: str, prepare: Prepare = _unprepared) -> Iterator[str]:
     target = os.path.realpath(path)  # through a symbolic link, its target is replaced
     with _current_or_new() as outputs:
         which = identity_of(target)
-        if which is not None and any(
-            identity_of(output.target) == which for output in outputs.pending
-        ):
-            raise OutputError(
-                f"{path}: two outputs go there: give each a file of its own"
-            )
+        for earlier in outputs.pending:
+            if which is not None and identity_of(earlier.target) == which:
+                raise OutputError(
+                    f"{path}: two outputs go there: give each a file of its own"
+                )
         remove_orphans(os.path.dirname(target))
-        pending = _Pending(path, target, partial_path(target), prepare)
+        output = Output(path, target, partial_path(target), prepare)
         with _telling(path):
             try:
-                yield pending.temporary
+                yield output.temporary
             except BaseException:
-                _remove(pending.temporary)
+                _remove(output.temporary)
                 raise
-        outputs.pending.append(pending)
+        outputs.pending.append(output)
 
 
 def make_folder(path: str) -> None:
@@ -648,6 +659,13 @@ def reason_of(problem: OSError) -> str:
     if number in (errno.ENOSPC, errno.EDQUOT):
         return "the disk is full: nothing was written"
     return f"cannot be written: {os.strerror(number) if number else str(problem).splitlines()[0]}"
+
+
+def _keep_permissions(output: Output) -> None:
+    """Give what was written the permissions of the file that it replaces."""
+    with contextlib.suppress(OSError):
+        permissions = stat.S_IMODE(os.stat(output.target).st_mode)
+        os.chmod(output.temporary, permissions)
 
 
 def _remove(path: str | None) -> None:

@@ -20,7 +20,7 @@ import numpy as np
 
 from dbo_cli import extensions
 from dbo_cli.drives.gate import DriveFigures, DriveGate, Floats
-from dbo_cli.drives.model_run import ModelRun, reads_ahead
+from dbo_cli.drives.model_run import ModelRun, Response, reads_ahead
 from dbo_cli.errors import (
     SILENT,
     InputError,
@@ -51,7 +51,7 @@ from dbo_cli.logs.columns import ColumnWish, column_wish, header_of, split_heade
 from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, Rows
 from dbo_cli.logs.sample_block import Column
 from dbo_cli.logs.signal_log import SignalLog, Source, open_log
-from dbo_cli.logs.signal_writer import signal_writer
+from dbo_cli.logs.signal_writer import SignalWriter, signal_writer
 from dbo_cli.logs.sources import ArraySource, is_file, is_log, is_table, table_source
 from dbo_cli.logs.units import quantity_name
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
@@ -89,21 +89,16 @@ class Destination(NamedTuple):
 
     def placed(self, put: Callable[[Address], Address]) -> Destination:
         """Put the name of a channel or a file into every output's."""
-        state, summary = (
-            None if path is None else put(path)
-            for path in (self.save_state, self.summary)
-        )
+        state, summary = self.save_state, self.summary
+        if state is not None:
+            state = put(state)
+        if summary is not None:
+            summary = put(summary)
         return self._replace(output=put(self.output), save_state=state, summary=summary)
 
     def check(self) -> None:
         """Refuse outputs that cannot be written, or that are inputs or each other, before the long work."""
-        if (
-            sum(
-                path == "-" or (isinstance(path, Address) and path.is_stream)
-                for path in self.protect
-            )
-            > 1
-        ):
+        if sum(map(_is_stream, self.protect)) > 1:
             raise UsageError(
                 "standard input can be read once only: give the model or the signal as a file"
             )
@@ -114,6 +109,11 @@ class Destination(NamedTuple):
             request.check_document(self.summary, "a summary", "json")
         if self.save_state is not None:
             request.check_document(self.save_state, "a state", "json")
+
+
+def _is_stream(given: Given) -> bool:
+    """Tell whether an input is standard input."""
+    return given == "-" or (isinstance(given, Address) and given.is_stream)
 
 
 @dataclass(frozen=True)
@@ -157,14 +157,12 @@ class SignalRun:
         destination.check()
         check_order(model_file, self.log.text)
         request.check_format(self.reading.format, [self.log, destination.output])
-        run, model = (
-            dataclasses.replace(self, destination=destination),
-            read_model(model_file),
-        )
+        model = read_model(model_file)
+        run = dataclasses.replace(self, destination=destination)
         if self.drive is None:
-            return run._simulated(model, listener)
+            return run._simulate(model, listener)
         model.require("forward", shown_name(model_file))
-        return run._compensated(model, self.drive, listener)
+        return run._compensate(model, self.drive, listener)
 
     @property
     def may_read_ahead(self) -> bool:
@@ -182,14 +180,14 @@ class SignalRun:
         """Return what was brought, as ``compensation`` takes it: files are read."""
         return self.brought
 
-    def _simulated(self, model: ActuatorModel, listener: Listener) -> Remarks:
+    def _simulate(self, model: ActuatorModel, listener: Listener) -> Remarks:
         ahead = model.direction == "inverse" and reads_ahead(model)
-        with self._opened(model.input, ahead, listener) as log:
+        with self._open_log(model.input, ahead, listener) as log:
             last = self.reading.rows[1] if ahead else None
             run = ModelRun(model, log, start_of(self.state, model), self.outside, last)
-            return self._written(run, log, _column_of(log, model.input), listener)
+            return self._write_run(run, log, _column_of(log, model.input), listener)
 
-    def _compensated(
+    def _compensate(
         self, model: ActuatorModel, drive: DriveOptions, listener: Listener
     ) -> Remarks:
         from dbo_cli.drives.compensation import compensation
@@ -199,23 +197,22 @@ class SignalRun:
             reads_ahead(model) or drive.bandwidth is not None
         )
         brought = self.brought_to(model, listener)
-        with self._opened(wanted, ahead, listener) as log:
+        with self._open_log(wanted, ahead, listener) as log:
             options = dataclasses.replace(drive, state=start_of(self.state, model))
-            run = compensation(
-                model, log, options, brought, self.reading.rows[1] if ahead else None
-            )
+            last = self.reading.rows[1] if ahead else None
+            run = compensation(model, log, options, brought, last)
             run.streamed = self.destination.output.is_stream
             # Not under the name of what will be measured: a drive must not be taken for
             # a recording.
             unit = log.columns[wanted.quantity].unit or wanted.unit
             desired = Column("desired", unit, "desired", may_be_blank=True)
             with all_or_none():
-                remarks = self._written(run, log, desired, listener)
+                remarks = self._write_run(run, log, desired, listener)
                 run.finish()
             return remarks
 
     @contextlib.contextmanager
-    def _opened(
+    def _open_log(
         self, taken: Quantity, ahead: bool, listener: Listener
     ) -> Iterator[SignalLog]:
         """Open the log; where it is to be read ahead, those after the last row asked for are there, too."""
@@ -235,15 +232,11 @@ class SignalRun:
             bring_to(log, taken.quantity, taken, shown_name(self.model))
             yield log
 
-    def _written(
+    def _write_run(
         self, run: ModelRun, log: SignalLog, wanted: Column, listener: Listener
     ) -> Remarks:
-        """Run to the end of the log and write what comes out, then the state."""
-        output, destination = run.output, self.destination
-        out = Column(output.quantity, output.unit)
-        if header_of(out) == header_of(wanted):
-            out = Column(f"model_{output.quantity}", output.unit)
-        columns = [*([Column("time", "s")] if log.has_time else []), wanted, out]
+        """Run to the end of the log and write what comes out, then the state and the summary."""
+        destination = self.destination
         responses = run.responses()
         # Computed before anything is opened: a log that is bad from the start leaves
         # not even a header.
@@ -253,16 +246,14 @@ class SignalRun:
             try:
                 with signal_writer(
                     destination.output.or_format(self.reading.format),
-                    columns,
+                    _output_columns(run, log, wanted),
                     attributes=partial(_attributes, run, log, destination.command),
                     flush=destination.live,
                     protect=destination.protect,
                     commented=destination.commented,
                 ) as writer:
                     for response in chain([first], responses):
-                        writer.write(
-                            *(response if response.time is not None else response[1:])
-                        )
+                        _write_block(writer, response)
                         if destination.summary is not None:
                             figures.see(response.y, None)
                         listener.progressed(len(response.y), "written")
@@ -274,19 +265,36 @@ class SignalRun:
                     "standard output: its reader left before the end, so there is no last state to save"
                 ) from None
             if destination.save_state is not None and run.state is not None:
-                write_whole(
-                    destination.save_state, state_to_bytes(run.state, run.model)
-                )
+                state = state_to_bytes(run.state, run.model)
+                write_whole(destination.save_state, state)
             if destination.summary is not None:
+                command = destination.command
                 read = read_record(log.name, log.reading_record())
-                done = summary_of(
-                    destination.command, read, figures, run.remarks(), run
-                )
-                write_summary(destination.summary, [done])
+                summary = summary_of(command, read, figures, run.remarks(), run)
+                write_summary(destination.summary, [summary])
         remarks = run.remarks()
         if destination.live:
             remarks.read.clear()  # printed when the stream began
         return remarks
+
+
+def _output_columns(run: ModelRun, log: SignalLog, wanted: Column) -> list[Column]:
+    """Return the columns to write: time, where it is known, what goes into the run and what comes out."""
+    quantity, unit = run.output.quantity, run.output.unit
+    out = Column(quantity, unit)
+    if header_of(out) == header_of(wanted):
+        out = Column(f"model_{quantity}", unit)
+    if log.has_time:
+        return [Column("time", "s"), wanted, out]
+    return [wanted, out]
+
+
+def _write_block(writer: SignalWriter, response: Response) -> None:
+    """Write one block; without time it has two columns."""
+    if response.time is None:
+        writer.write(response.x, response.y)
+    else:
+        writer.write(response.time, response.x, response.y)
 
 
 def run_of_signals(brought: Mapping[str, Any], **fields: Any) -> SignalRun:
@@ -296,8 +304,8 @@ def run_of_signals(brought: Mapping[str, Any], **fields: Any) -> SignalRun:
     ----------
     brought
         What the options that extras bring were given, by name.
-    **asked
-        The fields of ``SignalRun``.
+    **fields
+        Those of ``SignalRun``.
     """
     make: type[SignalRun] = SignalRun
     for name in brought:
@@ -429,10 +437,11 @@ def summary_of(
 
 def read_record(name: str, read: Mapping[str, Any]) -> dict[str, Any]:
     """Return what a summary says of a file that was read."""
-    return {
-        "file": name,
-        **{key: read[key] for key in ("rows", "seconds", "columns") if key in read},
-    }
+    record: dict[str, Any] = {"file": name}
+    for key in ("rows", "seconds", "columns"):
+        if key in read:
+            record[key] = read[key]
+    return record
 
 
 def summary_of_values(
@@ -460,11 +469,15 @@ def _column_of(log: SignalLog, taken: Quantity) -> Column:
     """Return the input column under its own name."""
     column = log.columns[taken.quantity]
     stated = split_header(column.name)[1]
-    # the column of another file goes by its own name
-    named = request.other_file(column.name)
-    name = (named[1] if named else column.name) if column.quantity else taken.quantity
+    of_other_file = request.other_file(column.name)
     if stated is not None and stated != column.unit:
         name = column.quantity  # converted: the unit in its name is no longer its own
+    elif not column.quantity:
+        name = taken.quantity
+    elif of_other_file:
+        name = of_other_file[1]
+    else:
+        name = column.name
     return Column(name, column.unit or taken.unit, taken.quantity)
 
 
@@ -529,7 +542,9 @@ def short_names(logs: Sequence[Any]) -> dict[Address, str]:
     """Return the names of files without their folders, where these differ."""
     files = [log for log in logs if isinstance(log, Address) and not log.is_stream]
     short = {log: cleaned(os.path.basename(log.text)) for log in files}
-    return short if len(set(short.values())) == len(short) else {}
+    if len(set(short.values())) < len(short):
+        return {}
+    return short
 
 
 def bring_to(source: Source, role: str, wanted: Quantity, model: str) -> None:

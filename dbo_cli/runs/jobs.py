@@ -119,12 +119,9 @@ class Outcome:
                 if noun != "file" or not text.startswith(end.name):
                     text = f"{noun} {end.name}: {text}"
                 if not work.keep_going:
-                    remedy = (
-                        ""
-                        if work.all_needed
-                        else f" (`keep_going` writes the other {noun}s)"
-                    )
-                    raise type(end.problem)(text + remedy)
+                    if not work.all_needed:
+                        text += f" (`keep_going` writes the other {noun}s)"
+                    raise type(end.problem)(text)
                 self.remarks.warn(text)
                 self.failures[end.name] = str(end.problem)
             if number < count:
@@ -132,11 +129,9 @@ class Outcome:
         if failed:
             # What the others gave is written: exit code 1, whatever ended the ones that
             # failed.
-            fate = (
-                "nothing is written"
-                if len(failed) == count
-                else "the others are written"
-            )
+            fate = "the others are written"
+            if len(failed) == count:
+                fate = "nothing is written"
             self.failure = DboError(
                 f"{len(failed):,} of {count:,} {noun}s failed ({named(list(failed))}): {fate}"
             )
@@ -184,7 +179,8 @@ def _prepare_worker() -> None:
 
 def run_job(name: str, call: Callable[[], Value], keep: bool) -> Done[Value] | Failed:
     """Run one job, its outputs kept or written."""
-    with kept_outputs() if keep else contextlib.nullcontext(KeptOutputs()) as outputs:
+    keeping = kept_outputs() if keep else contextlib.nullcontext(KeptOutputs())
+    with keeping as outputs:
         try:
             return Done(name, call(), outputs)
         except DboError as problem:
@@ -275,15 +271,26 @@ def spread_line(
     """
     ordered = sorted(percents.values())
     most = ordered[(9 * len(ordered) - 1) // 10]
-    steps = (digit * 10.0**power for power in range(-6, 7) for digit in (1, 2, 5))
-    bound = next((step for step in steps if step > most), ordered[-1])
+    bound = _next_round(most, ordered[-1])
     below = sum(value < bound for value in ordered)
     worst = max(percents, key=lambda name: percents[name])
-    reason = f": {why[worst]}" if why.get(worst) else ""
+    reason = ""
+    if why.get(worst):
+        reason = f": {why[worst]}"
     return (
         f"{what}: {below:,} of {len(ordered):,} {noun}s below {bound:g} %; worst: {worst}, "
         f"{percents[worst]:.2g} %{reason}"
     )
+
+
+def _next_round(value: float, last: float) -> float:
+    """Return the next of 1, 2, 5, 10, 20, ... above a value; ``last`` where it is beyond them all."""
+    for power in range(-6, 7):
+        for digit in (1, 2, 5):
+            step = digit * 10.0**power
+            if step > value:
+                return step
+    return last
 
 
 # --- files: each is one run, its outputs whole by themselves, whatever becomes of the
@@ -298,7 +305,8 @@ def name_of(log: Address) -> str:
     if name.lower().endswith(".gz"):
         name = name[:-3]
     group = (log.group or "").strip("/").replace("/", "_")
-    return os.path.splitext(name)[0] + (f"_{group}" if group else "")
+    stem = os.path.splitext(name)[0]
+    return f"{stem}_{group}" if group else stem
 
 
 def of_file(address: Address, log: Address) -> Address:

@@ -136,7 +136,7 @@ def identify_one_or_many(
     return Outcome(Remarks([*remarks.notes, *result.summary], remarks.warnings, read))
 
 
-def reported(run: ReportRun, work: Work, listener: Listener) -> Outcome:
+def run_report(run: ReportRun, work: Work, listener: Listener) -> Outcome:
     """Report on logs side by side, or on the channels that a pattern names."""
     from dbo_cli.runs.reporting import report_logs
 
@@ -151,8 +151,12 @@ def reported(run: ReportRun, work: Work, listener: Listener) -> Outcome:
 
 def _are_many(logs: Sequence[Address], output: Address, *selectors: str | None) -> bool:
     """Tell whether there is more than one run, or a name that asks for more."""
-    texts = [text for text in (output.text, *selectors) if text is not None]
-    return len(logs) > 1 or any(place in text for text in texts for place in _PLACES)
+    if len(logs) > 1:
+        return True
+    for text in (output.text, *selectors):
+        if text is not None and any(place in text for place in _PLACES):
+            return True
+    return False
 
 
 def wants_channels(output: Address, *selectors: str | None) -> bool:
@@ -193,12 +197,10 @@ def identify_files(
         of_log = dataclasses.replace(run, logs=[log], summary=summary)
         calls.append((log, functools.partial(of_log.run, file)))
     results, outcome = each_file(calls, work, listener)
-    outcome.remarks.read += summed_up(
-        {name: result.remarks.read for name, result in results.items()}, "file"
-    )
-    exchanged = sign_warning(
-        {name: result.model for name, result in results.items()}, "file"
-    )
+    read = {name: result.remarks.read for name, result in results.items()}
+    outcome.remarks.read += summed_up(read, "file")
+    models = {name: result.model for name, result in results.items()}
+    exchanged = sign_warning(models, "file")
     if exchanged is not None:
         outcome.remarks.warn(exchanged)
     if of_all is not None:
@@ -235,21 +237,22 @@ def say_found(
     results: Mapping[str, IdentifyResult], noun: str, remarks: Remarks
 ) -> None:
     """Sum up what was found over all channels or files."""
-    why = {
-        channel: next(iter(one.remarks.warnings), "")
-        for channel, one in results.items()
-    }
+    remarks_of = {name: result.remarks for name, result in results.items()}
+    first_warnings = {}
+    for name, of_name in remarks_of.items():
+        first_warnings[name] = of_name.warnings[0] if of_name.warnings else ""
     for key, what in (
         ("rmse_percent", "fit, RMSE of the model's range"),
         ("expected_percent", "expected on new moves, of the model's range"),
     ):
-        percents = {c: one.model.fit.get(key) for c, one in results.items()}
-        known = {c: value for c, value in percents.items() if isinstance(value, float)}
-        if known:
-            remarks.notes.append(spread_line(known, noun, what, why))
-    sum_up(
-        remarks, {channel: result.remarks for channel, result in results.items()}, noun
-    )
+        percents = {}
+        for name, result in results.items():
+            percent = result.model.fit.get(key)
+            if isinstance(percent, float):
+                percents[name] = percent
+        if percents:
+            remarks.notes.append(spread_line(percents, noun, what, first_warnings))
+    sum_up(remarks, remarks_of, noun)
 
 
 def in_name(name: str, channel: str) -> str:
