@@ -46,7 +46,14 @@ from dbo_cli.logs.signal_log import SignalLog, Source, open_log, remarks_of
 from dbo_cli.logs.whole_output import all_or_none, check_output, write_whole
 from dbo_cli.reports import renderers
 from dbo_cli.reports.accumulators import FigureData
-from dbo_cli.reports.drawing import Plot, check_folder, file_stems, save
+from dbo_cli.reports.drawing import (
+    Plot,
+    check_folder,
+    file_stems,
+    require_display,
+    save,
+    show_in_windows,
+)
 from dbo_cli.reports.report import (
     Expected,
     LogReport,
@@ -59,7 +66,6 @@ from dbo_cli.reports.report import (
     judged_by_expected,
 )
 from dbo_cli.reports.sample_pairs import TrajectoryMatch, rows_to_read, with_values
-from dbo_cli.reports.windows import require_display, show_in_windows
 from dbo_cli.runs.files import bring_to, opened, short_names, start_of
 from dbo_cli.runs.jobs import Outcome
 from dbo_cli.version import program_version_string

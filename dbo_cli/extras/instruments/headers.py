@@ -19,7 +19,7 @@ from dbo_cli.logs.request import BLANKS, ReadingOptions
 from dbo_cli.logs.text.dialect import COMMENTS, SAMPLE_LINES, Dialect, detect
 from dbo_cli.logs.text.lines import (
     END_OF_HEADER,
-    find_header_block,
+    find_repeated_header,
     is_number,
     split_cells,
 )
@@ -137,7 +137,7 @@ def _header(
     return Dialect(
         delimiter, decimal, COMMENTS, width, first + 1, filled[0], filled[1] if any(units) else (),
         numeric=frozenset(n for n, count in enumerate(counts) if count and 2 * count >= len(rows)),
-        header_block=find_header_block(lines, first, delimiter),
+        repeated_header=find_repeated_header(lines, first, delimiter),
         **stated,
     )  # fmt: skip
 

@@ -10,17 +10,17 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NoReturn
 
 from dbo_cli.errors import InputError, counted, decoded
 from dbo_cli.logs.clock import Statement
 from dbo_cli.logs.columns import split_header
 from dbo_cli.logs.request import BLANKS, FILL_GAPS, ReadingOptions
 from dbo_cli.logs.text.lines import (
-    HeaderBlock,
-    find_header_block,
+    RepeatedHeader,
+    find_repeated_header,
     is_number,
     split_cells,
     value_of,
@@ -62,7 +62,7 @@ class Dialect:
     ``units`` are empty where the log has none, else ``width`` cells long.  ``numeric``
     are the columns (from 0) that hold numbers in most rows; ``writings`` is how each
     column is written (``Column.written``), where any holds time stamps;
-    ``header_block`` is what stands again before each segment of the data; ``sparse``
+    ``repeated_header`` is what stands again before each segment of the data; ``sparse``
     tells that every row leaves out a number that other rows have; ``labels`` are
     comments of names or units; ``remarks`` tells that a row may end in one cell of text
     more.
@@ -71,6 +71,10 @@ class Dialect:
     the first row, ``notes`` are for the user, and ``end_mark`` is what the program
     writes behind the last row. ``passed`` are the numbers and the texts of lines above
     the first row that belong neither to it nor to the header.
+
+    ``score`` is the share of numbers in the lines that it was detected from, and
+    ``fits`` ranks dialects of equal score: 2 where a header names every column, 1 where
+    there is another one.
     """
 
     delimiter: str
@@ -82,7 +86,7 @@ class Dialect:
     units: tuple[str, ...]
     numeric: frozenset[int] = frozenset()
     writings: tuple[str, ...] = ()
-    header_block: HeaderBlock | None = None
+    repeated_header: RepeatedHeader | None = None
     sparse: bool = False
     labels: tuple[tuple[str, str], ...] = ()
     remarks: bool = False
@@ -91,6 +95,8 @@ class Dialect:
     notes: tuple[str, ...] = ()
     end_mark: bytes = b""
     passed: tuple[tuple[int, str], ...] = ()
+    score: float = 0.0
+    fits: int = 0
 
     def is_comment(self, line: str) -> bool:
         """Return whether a line is empty or a comment."""
@@ -164,68 +170,86 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
     InputError
         There is no line of numbers.
     """
+    lines = _lines_of(head)
+    if not any(line.strip() for line in lines):
+        raise InputError(f"{place}: the file is empty")
+    comments = COMMENTS if options.comment is None else options.comment
+    candidates = _candidates(lines, comments, options.skip_lines or 0)
+    sample = [lines[number] for number in candidates[-SAMPLE_LINES:]]
+    readings = _readings(sample, comments, options)
+    if not readings:
+        _refuse_no_numbers(place, [lines[number] for number in candidates])
+    tied = _best_readings(readings)
+    with_headers = [
+        _with_header(reading, lines, candidates, options) for reading in tied
+    ]
+    dialect = max(with_headers, key=lambda reading: reading.fits)
+    first = dialect.first_line - 1
+    decimal = dialect.decimal
+    if options.decimal is None and _may_have_commas(dialect, tied, sample):
+        decimal = _late_decimal(place, lines[first:], comments)
+    data = [lines[number] for number in candidates if number >= first]
+    rows = [dialect.cells(line) for line in data[:SAMPLE_LINES]]
+    last_rows = [dialect.cells(line) for line in data[-SAMPLE_LINES:]]
+    headers, units = _aligned(place, dialect, rows[:3])
+    if headers and not any(units):
+        units = _units_apart(lines[:first], headers, dialect)
+    if not headers:
+        _refuse_samples_across(place, dialect, len(data))
+        if options.header_lines is None:
+            _ask_about_numbered_columns(place, rows)
+    labels = []
+    for line in lines[:first]:
+        labels += labelled(line, comments)
+    return replace(
+        dialect,
+        decimal=decimal,
+        headers=headers,
+        units=units,
+        writings=_writings(last_rows, dialect),
+        repeated_header=find_repeated_header(lines, first, dialect.delimiter),
+        sparse=_is_sparse(last_rows, dialect),
+        labels=tuple(labels),
+    )
+
+
+def _lines_of(head: bytes) -> list[str]:
+    """Return the lines of a text without their ends."""
     lines = [decoded(line.removesuffix(b"\r")) for line in head.split(b"\n")]
     lines[0] = lines[0].removeprefix("\ufeff")
     if not lines[-1]:
         lines.pop()
-    comments = COMMENTS if options.comment is None else options.comment
-    skip = options.skip_lines or 0
-    candidates = [
-        number
-        for number in range(skip, len(lines))
-        if not is_comment(lines[number], comments)
-    ]
-    if not any(line.strip() for line in lines):
-        raise InputError(f"{place}: the file is empty")
-    shapes = _shapes(lines, candidates, options)
-    if not shapes:
-        searches = (_NUMBER_WITH_UNIT.search(lines[n]) for n in reversed(candidates))
-        match = next(filter(None, searches), None)
+    return lines
+
+
+def _candidates(lines: Sequence[str], comments: str, skip: int) -> list[int]:
+    """Return the numbers (from 0) of the lines that may be rows or headers."""
+    candidates = []
+    for number in range(skip, len(lines)):
+        if not is_comment(lines[number], comments):
+            candidates.append(number)
+    return candidates
+
+
+def _refuse_no_numbers(place: str, lines: Sequence[str]) -> NoReturn:
+    """Refuse a log without a line of numbers (InputError)."""
+    for line in reversed(lines):
+        match = _NUMBER_WITH_UNIT.search(line)
         if match is not None:
             raise InputError(
                 f"{place}: no line holds plain numbers, but '{match[0]}' ({_PLAIN_NUMBERS})"
             )
-        raise InputError(f"{place}: no data rows: no line holds numbers")
-    best = max(shape.score for shape in shapes)
-    tied = [shape for shape in shapes if shape.score >= best - 1e-12]
-    # Single tabs read as blanks, too; a header with one name too few must not be taken
-    # apart at its words.
-    tabs = {shape.width for shape in tied if shape.delimiter == "\t"}
-    tied = [
-        shape for shape in tied if shape.delimiter != BLANKS or shape.width not in tabs
-    ]
-    layouts = [_layout(lines, candidates, shape, comments, options) for shape in tied]
-    shape, layout = max(zip(tied, layouts, strict=True), key=lambda pair: pair[1].fits)
-    decimal = shape.decimal
-    either = len({tie.decimal for tie in tied if tie.delimiter == shape.delimiter}) > 1
-    doubtful = either or (decimal == "." and shape.whole_numbers)
-    if options.decimal is None and shape.delimiter != "," and doubtful:
-        decimal = _late_decimal(place, lines[layout.first :], comments)
-    data = [lines[number] for number in candidates if number >= layout.first]
-    rows = [split_cells(line, shape.delimiter) for line in data[:SAMPLE_LINES]]
-    last = [split_cells(line, shape.delimiter) for line in data[-SAMPLE_LINES:]]
-    headers, units = _aligned(place, layout, shape.width, rows[:3])
-    if headers and not any(units):
-        units = _units_apart(lines[: layout.first], headers, shape, comments)
-    if (
-        not headers
-        and 0 not in shape.numeric
-        and shape.width > max(_MOST_ACROSS, len(data))
-    ):
+    raise InputError(f"{place}: no data rows: no line holds numbers")
+
+
+def _refuse_samples_across(place: str, dialect: Dialect, rows: int) -> None:
+    """Refuse a log whose few lines hold a name and many samples each (InputError)."""
+    named_in_front = 0 not in dialect.numeric
+    if named_in_front and dialect.width > max(_MOST_ACROSS, rows):
         raise InputError(
-            f"{place}: the samples run along the lines, {shape.width - 1:,} in each: turn it round (pandas: "
-            "read_csv(FILE, header=None, index_col=0).T)"
+            f"{place}: the samples run along the lines, {dialect.width - 1:,} in each: turn it round "
+            "(pandas: read_csv(FILE, header=None, index_col=0).T)"
         )
-    if not headers and options.header_lines is None:
-        _ask_about_numbered_columns(place, rows)
-    return Dialect(
-        shape.delimiter, decimal, comments, shape.width, layout.first + 1, headers, units, shape.numeric,
-        _writings(last, shape),
-        find_header_block(lines, layout.first, shape.delimiter),
-        _is_sparse(last, shape),
-        tuple(label for line in lines[: layout.first] for label in labelled(line, comments)),
-        passed=tuple((number + 1, lines[number].strip()) for number in layout.passed),
-    )  # fmt: skip
 
 
 def labelled(line: str, comments: str, units: bool = True) -> list[tuple[str, str]]:
@@ -239,13 +263,13 @@ def labelled(line: str, comments: str, units: bool = True) -> list[tuple[str, st
     )
 
 
-def _is_sparse(rows: list[list[str]], shape: _Shape) -> bool:
-    rows = [row[: shape.width] for row in rows]
+def _is_sparse(rows: list[list[str]], dialect: Dialect) -> bool:
+    rows = [row[: dialect.width] for row in rows]
     full = [
-        [column for column, cell in enumerate(row) if is_number(cell, shape.decimal)]
+        [column for column, cell in enumerate(row) if is_number(cell, dialect.decimal)]
         for row in rows
     ]
-    if shape.delimiter == BLANKS or len(set(map(tuple, full))) < 2:
+    if dialect.delimiter == BLANKS or len(set(map(tuple, full))) < 2:
         return False
     partly = set().union(*full) - set(full[0]).intersection(*full[1:])
     return all(any(n < len(row) and not row[n] for n in partly) for row in rows)
@@ -281,36 +305,25 @@ def _ask_about_numbered_columns(place: str, rows: list[list[str]]) -> None:
         )
 
 
-def _writings(rows: list[list[str]], shape: _Shape) -> tuple[str, ...]:
+def _writings(rows: list[list[str]], dialect: Dialect) -> tuple[str, ...]:
     """Find the columns of time stamps; empty where there are none."""
-    texts = sorted(set(range(shape.width)) - shape.numeric)
+    texts = sorted(set(range(dialect.width)) - dialect.numeric)
     if not texts:
         return ()
-    rows = [row for row in rows if len(row) >= shape.width]
+    rows = [row for row in rows if len(row) >= dialect.width]
     writings = {column: writing_of([row[column] for row in rows]) for column in texts}
     if not any(writings.values()):
         return ()
-    return tuple(writings.get(column) or "numbers" for column in range(shape.width))
+    return tuple(writings.get(column) or "numbers" for column in range(dialect.width))
 
 
-class _Shape(NamedTuple):
-    """One reading of the sample: ``numeric`` are the columns that hold numbers in most of its rows."""
-
-    delimiter: str
-    decimal: str
-    width: int
-    numeric: frozenset[int]
-    score: float
-    whole_numbers: bool
-
-
-def _shapes(
-    lines: list[str], candidates: list[int], options: ReadingOptions
-) -> list[_Shape]:
+def _readings(
+    sample: Sequence[str], comments: str, options: ReadingOptions
+) -> list[Dialect]:
     """Read the last lines with every delimiter and decimal sign that may be meant."""
-    delimiter, decimal = options.delimiter_character, options.decimal_sign
-    sample = [lines[number] for number in candidates[-SAMPLE_LINES:]]
-    shapes = []
+    delimiter = options.delimiter_character
+    decimal = options.decimal_sign
+    readings = []
     for sign in [decimal] if decimal else [".", ","]:
         for mark in [delimiter] if delimiter else ["\t", ";", ",", BLANKS, "|"]:
             absent = (
@@ -320,11 +333,16 @@ def _shapes(
             )
             alone = mark == "," and sign == "."  # one column without any delimiter
             if alone or not (absent or mark == sign):
-                shapes.append(_shape(sample, mark, sign))
-    return [shape for shape in shapes if shape is not None]
+                reading = _reading(sample, mark, sign, comments)
+                if reading is not None:
+                    readings.append(reading)
+    return readings
 
 
-def _shape(sample: list[str], delimiter: str, decimal: str) -> _Shape | None:
+def _reading(
+    sample: Sequence[str], delimiter: str, decimal: str, comments: str
+) -> Dialect | None:
+    """Read lines with one delimiter and decimal sign; None where no column holds numbers."""
     if any(line.count(delimiter) > _MOST_COLUMNS for line in sample):
         return None
     rows = [split_cells(line, delimiter) for line in sample]
@@ -332,95 +350,156 @@ def _shape(sample: list[str], delimiter: str, decimal: str) -> _Shape | None:
     numbered = [number for number, verdict in enumerate(verdicts) if any(verdict)]
     if not numbered:
         return None
-    shares = {
-        number: sum(verdicts[number]) / sum(1 for cell in rows[number] if cell)
-        for number in numbered
-    }
+    shares: dict[int, float] = {}
     votes: dict[int, float] = defaultdict(float)
-    # a key beside its value counts half of a full row of numbers
     for number in numbered:
+        filled = [cell for cell in rows[number] if cell]
+        shares[number] = sum(verdicts[number]) / len(filled)
+        # a key beside its value counts half of a full row of numbers
         votes[len(rows[number])] += shares[number]
     width = max(votes, key=lambda count: (votes[count], count))
     usual = [number for number in numbered if len(rows[number]) == width]
-    counts = [
-        sum(verdicts[number][column] for number in usual) for column in range(width)
-    ]
-    numeric = frozenset(
-        column for column, count in enumerate(counts) if 2 * count >= len(usual)
-    )
+    numeric = set()
+    for column in range(width):
+        count = sum(verdicts[number][column] for number in usual)
+        if 2 * count >= len(usual):
+            numeric.add(column)
     if not numeric:
         return None
-    quality = sum(shares[number] for number in usual) / len(sample)
-    whole = all(
-        cell.lstrip("+-").isdigit() for number in usual for cell in rows[number] if cell
+    score = sum(shares[number] for number in usual) / len(sample)
+    return Dialect(
+        delimiter, decimal, comments, width, 1, (), (), frozenset(numeric), score=score
     )
-    return _Shape(delimiter, decimal, width, numeric, quality, whole)
 
 
-class _Layout(NamedTuple):
-    """Where the data begin (index of the line) and the header rows above; ``fits`` ranks equal readings."""
-
-    first: int
-    names: list[str]
-    units: list[str]
-    fits: int
-    passed: Sequence[int] = ()
-
-
-def _layout(
-    lines: list[str],
-    candidates: list[int],
-    shape: _Shape,
-    comments: str,
-    options: ReadingOptions,
-) -> _Layout:
-    if options.header_lines is not None or options.skip_lines is not None:
-        return _forced_layout(lines, candidates, shape, options)
-    rows = {}
-    for good in candidates:
-        cells = rows[good] = split_cells(lines[good], shape.delimiter)
-        if len(cells) == shape.width and all(
-            is_number(cells[n], shape.decimal) for n in shape.numeric
-        ):
-            break
-    else:  # rows are there, but every one of them has a bad cell
-        good = next(
-            number for number in candidates if _some_numbers(rows[number], shape)
-        )
-    above = [number for number in candidates if number < good]
-    numbered = [number for number in above if _some_numbers(rows[number], shape)]
-    header = [number for number in above if _header_like(rows[number], shape)]
-    if header:
-        first = next((number for number in numbered if number > header[-1]), good)
-        names, units = _names_and_units(rows, above, header)
-        fits = 2 if len(_trimmed(names, shape.width)) == shape.width else 1
-        below = [number for number in above if header[-1] < number < first]
-        if (
-            header[-1] - 1 in header
-            and _has_units(rows[header[-1] - 1])
-            and not (units or _has_units(names))
-        ):
-            below.insert(0, header[-1])  # the names may be a row without numbers
-        return _Layout(
-            first, names, units, fits, [n for n in below if not _is_ruled(rows[n])]
-        )
-    # What a blank line separates from the data are key-value lines of an instrument.
-    blank = max(
-        (number for number in range(good) if not lines[number].strip()), default=-1
-    )
-    full = (
-        number
-        for number in numbered
-        if len(rows[number]) == shape.width and number > blank
-    )
-    first = next(full, good)
-    names, units = _other_header(lines, first, shape, comments)
-    empty = [
-        n
-        for n in above
-        if n < first and len(rows[n]) == shape.width and not any(rows[n])
+def _best_readings(readings: Sequence[Dialect]) -> list[Dialect]:
+    """Return the readings that no other one outdoes."""
+    best = max(reading.score for reading in readings)
+    tied = [reading for reading in readings if reading.score >= best - 1e-12]
+    # Single tabs read as blanks, too; a header with one name too few must not be taken
+    # apart at its words.
+    tabs = {reading.width for reading in tied if reading.delimiter == "\t"}
+    return [
+        reading
+        for reading in tied
+        if reading.delimiter != BLANKS or reading.width not in tabs
     ]
-    return _Layout(first, names, units, 2 if names else 0, empty)
+
+
+def _may_have_commas(
+    dialect: Dialect, tied: Sequence[Dialect], sample: Sequence[str]
+) -> bool:
+    """Return whether the sample leaves open that commas further down are decimal signs."""
+    if dialect.delimiter == ",":
+        return False
+    signs = {tie.decimal for tie in tied if tie.delimiter == dialect.delimiter}
+    if len(signs) > 1:
+        return True
+    return dialect.decimal == "." and _holds_whole_numbers(dialect, sample)
+
+
+def _holds_whole_numbers(dialect: Dialect, sample: Sequence[str]) -> bool:
+    """Return whether every cell in the usual rows of a sample is a whole number."""
+    for line in sample:
+        cells = dialect.cells(line)
+        numbered = any(is_number(cell, dialect.decimal) for cell in cells)
+        if len(cells) == dialect.width and numbered:
+            if not all(cell.lstrip("+-").isdigit() for cell in cells if cell):
+                return False
+    return True
+
+
+def _with_header(
+    dialect: Dialect,
+    lines: Sequence[str],
+    candidates: Sequence[int],
+    options: ReadingOptions,
+) -> Dialect:
+    """Find where the data begin, and the header above them."""
+    if options.header_lines is not None or options.skip_lines is not None:
+        return _with_forced_header(dialect, lines, candidates, options)
+    good = _first_good_row(dialect, lines, candidates)
+    above = [number for number in candidates if number < good]
+    rows = {number: dialect.cells(lines[number]) for number in (*above, good)}
+    numbered = [number for number in above if _some_numbers(rows[number], dialect)]
+    header = [number for number in above if _header_like(rows[number], dialect)]
+    if not header:
+        return _with_other_header(dialect, lines, rows, numbered, good)
+    first = next((number for number in numbered if number > header[-1]), good)
+    names, units = _names_and_units(rows, above, header)
+    fits = 2 if len(_trimmed(names, dialect.width)) == dialect.width else 1
+    passed = [number for number in above if header[-1] < number < first]
+    over = header[-1] - 1
+    if over in header and _has_units(rows[over]) and not (units or _has_units(names)):
+        passed.insert(0, header[-1])  # the names may be a row without numbers
+    passed = [number for number in passed if not _is_ruled(rows[number])]
+    return _headed(dialect, lines, first, names, units, fits, passed)
+
+
+def _first_good_row(
+    dialect: Dialect, lines: Sequence[str], candidates: Sequence[int]
+) -> int:
+    """Find the first line with a number in every column of numbers, or else in one of them."""
+    for number in candidates:
+        cells = dialect.cells(lines[number])
+        if len(cells) == dialect.width and all(
+            is_number(cells[column], dialect.decimal) for column in dialect.numeric
+        ):
+            return number
+    # rows are there, but every one of them has a bad cell
+    return next(
+        number
+        for number in candidates
+        if _some_numbers(dialect.cells(lines[number]), dialect)
+    )
+
+
+def _with_other_header(
+    dialect: Dialect,
+    lines: Sequence[str],
+    rows: Mapping[int, list[str]],
+    numbered: Sequence[int],
+    good: int,
+) -> Dialect:
+    """Find where the data begin where no line above them is separated as they are."""
+    # What a blank line separates from the data are key-value lines of an instrument.
+    blank = -1
+    for number in range(good):
+        if not lines[number].strip():
+            blank = number
+    first = good
+    for number in numbered:
+        if len(rows[number]) == dialect.width and number > blank:
+            first = number
+            break
+    names, units = _other_header(lines, first, dialect)
+    passed = []  # rows of nothing but delimiters
+    for number, cells in rows.items():
+        if number < first and len(cells) == dialect.width and not any(cells):
+            passed.append(number)
+    fits = 2 if names else 0
+    return _headed(dialect, lines, first, names, units, fits, passed)
+
+
+def _headed(
+    dialect: Dialect,
+    lines: Sequence[str],
+    first: int,
+    names: Sequence[str],
+    units: Sequence[str],
+    fits: int,
+    passed: Sequence[int] = (),
+) -> Dialect:
+    """Return a dialect whose rows begin at line ``first`` (from 0), with its header."""
+    texts = tuple((number + 1, lines[number].strip()) for number in passed)
+    return replace(
+        dialect,
+        first_line=first + 1,
+        headers=tuple(names),
+        units=tuple(units),
+        fits=fits,
+        passed=texts,
+    )
 
 
 def _has_units(names: list[str]) -> bool:
@@ -432,18 +511,20 @@ def _is_ruled(cells: list[str]) -> bool:
     return any(cells) and not re.search(r"\w", "".join(cells))
 
 
-def _some_numbers(cells: list[str], shape: _Shape) -> bool:
+def _some_numbers(cells: list[str], dialect: Dialect) -> bool:
     return any(
-        column < len(cells) and is_number(cells[column], shape.decimal)
-        for column in shape.numeric
+        column < len(cells) and is_number(cells[column], dialect.decimal)
+        for column in dialect.numeric
     )
 
 
-def _header_like(cells: list[str], shape: _Shape) -> bool:
+def _header_like(cells: list[str], dialect: Dialect) -> bool:
     """No numbers where the data have them, and about as many cells (a trailing delimiter aside)."""
-    if _some_numbers(cells, shape) or not any(re.search(r"\w", cell) for cell in cells):
+    if _some_numbers(cells, dialect) or not any(
+        re.search(r"\w", cell) for cell in cells
+    ):
         return False
-    return abs(len(cells) - shape.width) <= 1 and len(cells) >= min(shape.width, 2)
+    return abs(len(cells) - dialect.width) <= 1 and len(cells) >= min(dialect.width, 2)
 
 
 def _names_and_units(
@@ -485,9 +566,10 @@ def _units_in(cells: list[str]) -> list[str]:
 
 
 def _units_apart(
-    above: list[str], names: tuple[str, ...], shape: _Shape, comments: str
+    above: Sequence[str], names: tuple[str, ...], dialect: Dialect
 ) -> tuple[str, ...]:
     """Find units that stand apart from the names: in a comment, or one a line (``Voltage unit: mV``)."""
+    comments = dialect.comments
     stated = {}
     for line in above:
         body = line.strip().lstrip(comments).strip()
@@ -497,7 +579,7 @@ def _units_apart(
             stated[match["name"].lower()] = match["unit"]
         elif (label is not None and label["unit"]) or line.strip()[:1] in comments:
             cells = _fitting_cells(
-                body[label.end() :] if label is not None else body, shape
+                body[label.end() :] if label is not None else body, dialect
             )
             if cells is not None and _units_in(cells):
                 return tuple(cells)
@@ -506,25 +588,22 @@ def _units_apart(
 
 
 def _other_header(
-    lines: list[str], first: int, shape: _Shape, comments: str
+    lines: Sequence[str], first: int, dialect: Dialect
 ) -> tuple[list[str], list[str]]:
     """Look for a header in the comment lines, or the differently separated line, right above the data."""
-    labels = (
-        cells_of_line
-        for text in lines[:first][::-1]
-        for cells_of_line in labelled(text, comments, units=False)
-    )
-    for _, names in labels:  # JPK's and Qudi's
-        cells = _fitting_cells(names.strip("'").replace(";;", ";"), shape)
-        if cells is not None:
-            return cells, []
+    comments = dialect.comments
+    for text in reversed(lines[:first]):
+        for _, names in labelled(text, comments, units=False):  # JPK's and Qudi's
+            cells = _fitting_cells(names.strip("'").replace(";;", ";"), dialect)
+            if cells is not None:
+                return cells, []
     headers: list[list[str]] = []
     for number in range(first - 1, max(-1, first - 4), -1):
         text = lines[number].strip()
         body = text.lstrip(comments).strip() if text and text[0] in comments else text
         if body.isdigit() and body != text and number == first - 1:
             continue  # QCoDeS counts its rows there
-        cells = _fitting_cells(body, shape) if body else None
+        cells = _fitting_cells(body, dialect) if body else None
         if cells is None:
             break
         headers.append(cells)
@@ -533,11 +612,11 @@ def _other_header(
     return (headers[0] if headers else []), []
 
 
-def _fitting_cells(text: str, shape: _Shape) -> list[str] | None:
+def _fitting_cells(text: str, dialect: Dialect) -> list[str] | None:
     """Split a header line in the way that gives as many cells as the data have columns."""
     ways = [split_cells(text, mark) for mark in ("\t", ";", ",", "|") if mark in text]
-    ways.append(split_cells(text, shape.delimiter))
-    certain = shape.delimiter != BLANKS and shape.delimiter in text
+    ways.append(split_cells(text, dialect.delimiter))
+    certain = dialect.delimiter != BLANKS and dialect.delimiter in text
     if certain:
         ways = ways[-1:]
     ways.append([cell.strip() for cell in re.split(r"\s{2,}|\t+", text)])
@@ -551,37 +630,38 @@ def _fitting_cells(text: str, shape: _Shape) -> list[str] | None:
             ]
         )
         ways.append(text.split())
-    fitting = (cells for cells in ways if len(cells) == shape.width and all(cells))
+    fitting = (cells for cells in ways if len(cells) == dialect.width and all(cells))
     return next(
         (
             cells
             for cells in fitting
-            if not any(is_number(cell, shape.decimal) for cell in cells)
+            if not any(is_number(cell, dialect.decimal) for cell in cells)
         ),
         None,
     )
 
 
-def _forced_layout(
-    lines: list[str], candidates: list[int], shape: _Shape, options: ReadingOptions
-) -> _Layout:
+def _with_forced_header(
+    dialect: Dialect,
+    lines: Sequence[str],
+    candidates: Sequence[int],
+    options: ReadingOptions,
+) -> Dialect:
+    """Take as many header lines as the user said, or as have no numbers, at most two."""
     count = options.header_lines
     if count is None:
-        rows = [
-            split_cells(lines[number], shape.delimiter) for number in candidates[:2]
-        ]
-        count = sum(1 for row in rows if not _some_numbers(row, shape))
+        rows = [dialect.cells(lines[number]) for number in candidates[:2]]
+        count = sum(1 for row in rows if not _some_numbers(row, dialect))
         count = min(count, 2 if len(rows) > 1 and _units_in(rows[1]) else 1)
     if len(candidates) <= count:
-        return _Layout(len(lines), [], [], 0)
-    above = [lines[number] for number in candidates[:count]]
-    rows = [
-        _fitting_cells(line, shape) or split_cells(line, shape.delimiter)
-        for line in above
-    ]
-    return _Layout(
-        candidates[count], rows[0] if count else [], rows[1] if count > 1 else [], 1
-    )
+        return _headed(dialect, lines, len(lines), [], [], 0)
+    header = []
+    for number in candidates[:count]:
+        line = lines[number]
+        header.append(_fitting_cells(line, dialect) or dialect.cells(line))
+    names = header[0] if count else []
+    units = header[1] if count > 1 else []
+    return _headed(dialect, lines, candidates[count], names, units, 1)
 
 
 def _trimmed(cells: list[str], width: int) -> list[str]:
@@ -592,10 +672,11 @@ def _trimmed(cells: list[str], width: int) -> list[str]:
 
 
 def _aligned(
-    place: str, layout: _Layout, width: int, rows: list[list[str]]
+    place: str, dialect: Dialect, rows: list[list[str]]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Bring the header to the width of the rows, or refuse one that cannot be meant for them."""
-    names = _trimmed(layout.names, width)
+    width = dialect.width
+    names = _trimmed(list(dialect.headers), width)
     if names and len(names) == width - 1:
         if rows and not rows[0][-1]:
             names = [*names, ""]  # the rows end with a delimiter
@@ -605,10 +686,10 @@ def _aligned(
             names = ["", *names]  # numbered rows, their column without a name
     if names and len(names) != width:
         raise InputError(
-            f"{place}:{layout.first + 1}: {width} cells where the header names {len(names)} columns "
+            f"{place}:{dialect.first_line}: {width} cells where the header names {len(names)} columns "
             "(check the delimiter, or skip the lines above the data with `skip_lines`)"
         )
-    units = _trimmed(layout.units, width)
+    units = _trimmed(list(dialect.units), width)
     units = [*units, *[""] * (width - len(units))][:width] if units else []
     return tuple(name.strip() for name in names), tuple(units)
 

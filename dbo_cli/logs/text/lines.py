@@ -12,7 +12,6 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
 
 from dbo_cli.errors import InputError, shortened
 from dbo_cli.logs.request import BLANKS
@@ -344,18 +343,9 @@ def _leaps(cell: str, above: Sequence[str], decimal: str) -> bool:
 END_OF_HEADER = "***End_of_Header***"  # as LabVIEW writes it
 
 
-class HeaderBlock(NamedTuple):
-    """What begins and ends each header block, and the date and time that the first one states (each s)."""
-
-    first_word: str
-    names: str
-    delimiter: str
-    start: tuple[float, float] | None
-
-
-def find_header_block(
+def find_repeated_header(
     lines: Sequence[str], first: int, delimiter: str
-) -> HeaderBlock | None:
+) -> RepeatedHeader | None:
     """Find the block above the data (which begin at index ``first``) that each segment repeats.
 
     Such a file has two ends of a header: that of the file's and that of the first
@@ -376,14 +366,13 @@ def find_header_block(
     if not inner:
         return None
     word = split_cells(inner[0], delimiter)[0]
-    return (
-        HeaderBlock(word, lines[first - 1].strip(), delimiter, _start(inner, delimiter))
-        if word
-        else None
-    )
+    if not word:
+        return None
+    start = _stated_start(inner, delimiter)
+    return RepeatedHeader(word, lines[first - 1].strip(), delimiter, start)
 
 
-def _start(lines: Sequence[str], delimiter: str) -> tuple[float, float] | None:
+def _stated_start(lines: Sequence[str], delimiter: str) -> tuple[float, float] | None:
     """Return when a segment began: the date and the time that its header states, each in seconds."""
     rows = [split_cells(line, delimiter) for line in lines]
     stated = {cells[0]: cells[1] for cells in rows if len(cells) > 1}
@@ -398,15 +387,33 @@ class RepeatedHeader:
 
     A segment's time is shifted by what its header's date and time are later than the
     first one's; where that is not stated, it begins one step after the last row.
+
+    Attributes
+    ----------
+    first_word, names
+        What begins and ends each header block.
+    delimiter
+        Of the log.
+    start
+        The date and the time that the first header states (each s), or None.
+    place
+        The log's name, for messages.
+    count
+        Headers that were taken out so far.
+    guessed
+        Segments that began one step after the last row.
     """
 
-    place: str
-    block: HeaderBlock
+    first_word: str
+    names: str
+    delimiter: str
+    start: tuple[float, float] | None = None
+    place: str = ""
     count: int = 0
     guessed: int = 0
     _lines: list[str] | None = None
     _begins: bool = False
-    _start: tuple[float, float] | None = None
+    _segment_start: tuple[float, float] | None = None
     _shift: float = 0.0
     _last: float | None = None
     _step: float = 0.0
@@ -420,18 +427,19 @@ class RepeatedHeader:
             The block names other columns than the first one.
         """
         if self._lines is None:
-            if split_cells(line, self.block.delimiter)[0] != self.block.first_word:
+            if split_cells(line, self.delimiter)[0] != self.first_word:
                 return False
             self._lines = []
         ended = bool(self._lines) and self._lines[-1].strip().startswith(END_OF_HEADER)
         if ended and line.strip():
-            if line.strip() != self.block.names:
+            if line.strip() != self.names:
                 raise InputError(
                     f"{self.place}:{number}: a header in the middle of the data names other columns than the "
                     "first one (cut the log with `rows` A:B)"
                 )
-            self._start = _start(self._lines, self.block.delimiter)
-            self._lines, self._begins = None, True
+            self._segment_start = _stated_start(self._lines, self.delimiter)
+            self._lines = None
+            self._begins = True
             self.count += 1
         else:
             self._lines.append(line)
@@ -446,18 +454,19 @@ class RepeatedHeader:
             self._shift = self._shift_for(float(time[0]))
         if self._shift:
             time = time + self._shift
-        if len(time) > 1 or self._last is not None:
-            before = float(time[-2]) if len(time) > 1 else self._last
-            self._step = float(time[-1]) - before if before is not None else 0.0
+        before = float(time[-2]) if len(time) > 1 else self._last
+        if before is not None:
+            self._step = float(time[-1]) - before
         self._last = float(time[-1])
         return time
 
     def _shift_for(self, first: float) -> float:
         if self._last is None or first > self._last:
             return 0.0  # this writer lets the time go on by itself
-        if self._start is not None and self.block.start is not None:
-            dates, clocks = zip(self._start, self.block.start, strict=True)
-            shift = dates[0] - dates[1] + clocks[0] - clocks[1]
+        if self._segment_start is not None and self.start is not None:
+            date, clock = self._segment_start
+            first_date, first_clock = self.start
+            shift = date - first_date + clock - first_clock
             if first + shift > self._last:
                 return shift
         self.guessed += 1

@@ -297,8 +297,8 @@ class BlockParser:
 
     def __post_init__(self) -> None:
         """Prepare for headers among the data."""
-        if self.dialect.header_block is not None:
-            self.repeated = RepeatedHeader(self.place, self.dialect.header_block)
+        if self.dialect.repeated_header is not None:
+            self.repeated = replace(self.dialect.repeated_header, place=self.place)
 
     def parse(self, blocks: Iterator[bytes], small: bool) -> Iterator[SampleBlock]:
         """Parse blocks of whole lines, starting with the first data row.
