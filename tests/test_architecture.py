@@ -67,6 +67,17 @@ def test_the_walks_are_what_the_commands_do(tmp_path: Path) -> None:
     )
 
 
+def test_the_story_of_identify_is_quoted_as_it_stands() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    screen = re.search(r"### `identify` on.*?```python\n(.*?)```", page, re.DOTALL)
+    assert screen is not None
+    quoted = screen[1].splitlines()
+    file = PACKAGE / "hysteresis" / "identification" / "identify.py"
+    lines = file.read_text(encoding="utf-8").splitlines()
+    assert len(quoted) == 8
+    assert [line for line in lines if line in quoted] == quoted
+
+
 def names_of(path: Path) -> set[str]:
     """Return what a file defines: functions, classes, their methods and fields, constants."""
     names = set()

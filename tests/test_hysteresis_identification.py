@@ -294,7 +294,7 @@ def test_a_fold_that_outliers_empty_is_no_fold() -> None:
     fault[: shape.cycles[1]] = fault[shape.cycles[2] :] = False
     fault[shape.cycles[1] + 50] = False  # all that is left of the cycle is a spike
     spiked[shape.cycles[1] + 50] += 20.0
-    ready = prepare([replace(log, displacement=spiked)], 0.0, [fault])
+    ready = prepare([replace(log, displacement=spiked, faulty=fault)], 0.0)
     folds = ready.logs[0].fold
     assert ready.outlier_rows[0] == fault.sum() + 1
     assert np.unique(folds[folds >= 0]).tolist() == list(range(folds.max() + 1))

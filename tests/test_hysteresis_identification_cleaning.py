@@ -11,7 +11,7 @@ from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording
 from dbo_cli.hysteresis.identification.cleaning import (
     Sensor,
-    cleaned,
+    mended,
     slope,
     spiked_rows,
     stuck_rows,
@@ -37,16 +37,23 @@ def log(voltage: np.ndarray, displacement: np.ndarray) -> Recording:
     return Recording("a", voltage, displacement, None, STEP, "V", "um")
 
 
+def mended_and_notes(recording: Recording) -> tuple[Recording, list[str]]:
+    notes: list[str] = []
+    return mended(recording, notes), notes
+
+
 def test_a_clean_log_is_left_alone() -> None:
     voltage = drive()
     recording = log(voltage, moved(voltage))
-    found = cleaned(recording)
-    assert found.recording is recording
-    assert (found.notes, found.bad.sum()) == ([], 0)
+    found, notes = mended_and_notes(recording)
+    assert found.voltage is recording.voltage
+    assert found.displacement is recording.displacement
+    assert found.faulty is not None and found.faulty.sum() == 0
+    assert notes == []
     coarse = log(voltage, np.round(moved(voltage) / 0.5) * 0.5)
-    assert cleaned(coarse).notes == []
+    assert mended_and_notes(coarse)[1] == []
     held = log(voltage, np.repeat(moved(voltage)[::4], 4))
-    assert cleaned(held).notes == []
+    assert mended_and_notes(held)[1] == []
 
 
 @pytest.mark.parametrize("size", [0.02, 1.0])
@@ -54,16 +61,13 @@ def test_hum_is_said_and_taken_off(size: float) -> None:
     voltage = drive()
     clean = moved(voltage, 0.005)
     time = STEP * np.arange(len(voltage))
-    found = cleaned(
+    found, notes = mended_and_notes(
         log(voltage, clean + size * np.sin(2.0 * np.pi * 50.0 * time + 0.4))
     )
     inside = slice(100, -100)
-    assert (
-        float(np.std((found.recording.displacement - clean)[inside]))
-        < 0.003 + 0.02 * size
-    )
-    assert float(found.notes[0].split()[3]) == pytest.approx(size, rel=0.05)
-    assert " um at 50 Hz, which the drive does not have" in found.notes[0]
+    assert float(np.std((found.displacement - clean)[inside])) < 0.003 + 0.02 * size
+    assert float(notes[0].split()[3]) == pytest.approx(size, rel=0.05)
+    assert " um at 50 Hz, which the drive does not have" in notes[0]
 
 
 def test_what_the_drive_has_is_no_hum() -> None:
@@ -71,20 +75,22 @@ def test_what_the_drive_has_is_no_hum() -> None:
     time = STEP * np.arange(len(voltage))
     humming = voltage + 2.0 * np.sin(2.0 * np.pi * 50.0 * time)
     assert not any(
-        "hum" in note for note in cleaned(log(humming, moved(humming))).notes
+        "hum" in note for note in mended_and_notes(log(humming, moved(humming)))[1]
     )
     square = 50.0 + 50.0 * np.sign(np.sin(2.0 * np.pi * time))
-    assert not any("hum" in note for note in cleaned(log(square, moved(square))).notes)
+    assert not any(
+        "hum" in note for note in mended_and_notes(log(square, moved(square)))[1]
+    )
 
 
 def test_noise_of_the_read_back_is_smoothed() -> None:
     voltage = drive()
     noisy = voltage + 0.5 * np.random.default_rng(1).normal(size=len(voltage))
-    found = cleaned(log(noisy, moved(voltage)))
-    assert float(np.std(found.recording.voltage - voltage)) < 0.2
-    assert "the voltage's read-back is noisy (0.5" in found.notes[0]
+    found, notes = mended_and_notes(log(noisy, moved(voltage)))
+    assert float(np.std(found.voltage - voltage)) < 0.2
+    assert "the voltage's read-back is noisy (0.5" in notes[0]
     jumps = np.repeat([10.0, 90.0, 30.0, 70.0, 0.0, 100.0], 400)
-    assert cleaned(log(jumps, moved(jumps))).notes == []
+    assert mended_and_notes(log(jumps, moved(jumps)))[1] == []
 
 
 def test_many_spikes_are_left_out_and_turns_are_not() -> None:
@@ -96,10 +102,10 @@ def test_many_spikes_are_left_out_and_turns_are_not() -> None:
     spiky[rows] += rng.choice([-1.0, 1.0], len(rows)) * rng.uniform(
         2.0, 12.0, len(rows)
     )
-    found = cleaned(log(voltage, spiky))
-    assert found.bad[rows].mean() > 0.9
-    assert found.bad.sum() < 1.1 * len(rows)
-    assert f"first at row {int(np.argmax(found.bad)) + 1}" in found.notes[0]
+    found, notes = mended_and_notes(log(voltage, spiky))
+    assert found.faulty[rows].mean() > 0.9
+    assert found.faulty.sum() < 1.1 * len(rows)
+    assert f"first at row {int(np.argmax(found.faulty)) + 1}" in notes[0]
     triangle = np.abs((np.arange(2000) / 10.0) % 2.0 - 1.0)
     assert not spiked_rows(triangle).any()
 
@@ -111,7 +117,7 @@ def test_a_sensor_that_stands_still_is_left_out() -> None:
     assert np.flatnonzero(stuck_rows(stuck, voltage)).tolist() == list(range(900, 1000))
     assert (
         "100 rows left out: the displacement stands still"
-        in cleaned(log(voltage, stuck)).notes[0]
+        in mended_and_notes(log(voltage, stuck))[1][0]
     )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import FitError
+from dbo_cli.hysteresis.identification.cleaning import without_voltage_glitches
 from dbo_cli.hysteresis.identification.normal_equations import (
     SLOPE_FLOOR,
     Columns,
@@ -31,7 +32,6 @@ from dbo_cli.hysteresis.identification.recordings import (
     known_behind_gaps,
     one_amplitude,
     pieces_behind_gaps,
-    without_voltage_glitches,
 )
 from dbo_cli.hysteresis.identification.search import (
     Score,
@@ -430,7 +430,8 @@ def test_single_wrong_voltages_are_replaced_and_steps_are_not() -> None:
     voltage = sine(5)
     wrong = voltage.copy()
     wrong[[33, 90]] = [60.0, -300.0]
-    [clean], notes = without_voltage_glitches([Recording("a", wrong, voltage)])
+    notes: list[str] = []
+    clean = without_voltage_glitches(Recording("a", wrong, voltage), notes)
     assert np.abs(clean.voltage - voltage).max() < 0.05
     assert notes == [
         "a: 2 single voltages that jump away and back replaced by the mean of their neighbours "
@@ -438,8 +439,9 @@ def test_single_wrong_voltages_are_replaced_and_steps_are_not() -> None:
     ]
     steps = np.repeat([0.0, 10.0, 2.0, 7.0], 30)
     for drive in (steps, sine(30, 6), voltage):
-        same, silent = without_voltage_glitches([Recording("a", drive, drive)])
-        assert (same[0].voltage is drive, silent) == (True, [])
+        notes = []
+        same = without_voltage_glitches(Recording("a", drive, drive), notes)
+        assert (same.voltage is drive, notes) == (True, [])
 
 
 def test_simplest_that_is_no_worse() -> None:

@@ -46,17 +46,7 @@ from dbo_cli.runs.files import (
 from dbo_cli.runs.jobs import named
 from dbo_cli.version import program_version_string
 
-
-@dataclass(frozen=True)
-class RecordedLog:
-    """A recording ready to be identified from, and what the model keeps of where it came from."""
-
-    recording: Recording
-    record: Mapping[str, Any]
-    remarks: Remarks = field(default_factory=Remarks)
-
-
-Recordings = tuple[Sequence[RecordedLog], Sequence[RecordedLog]]
+Recordings = tuple[Sequence[Recording], Sequence[Recording]]
 """Of one actuator: what is fitted, and what its model is judged on."""
 
 
@@ -113,9 +103,9 @@ def _check_uncertainty(block: SampleBlock, source: Source) -> None:
 
 
 def identify_recordings(
-    logs: Sequence[RecordedLog],
+    logs: Sequence[Recording],
     options: IdentificationOptions,
-    validation: Sequence[RecordedLog] = (),
+    validation: Sequence[Recording] = (),
     arguments: Sequence[str] = (),
     prior: ActuatorModel | None = None,
 ) -> IdentifyResult:
@@ -143,15 +133,14 @@ def identify_recordings(
     UsageError
         The options contradict each other or the recordings.
     """
-    tests = [log.recording for log in validation]
     for log in [*logs, *validation]:
         if not options.force:
-            _refuse_swapped_units(log.recording)
+            _refuse_swapped_units(log)
     if options.rated is not None:
-        unit, (low, high) = logs[0].recording.voltage_unit, options.rated
+        unit, (low, high) = logs[0].voltage_unit, options.rated
         rated = in_unit("v_min", low, unit), in_unit("v_max", high, unit)
         options = dataclasses.replace(options, rated=rated)
-    result = identify_model([log.recording for log in logs], options, tests, prior)
+    result = identify_model(logs, options, validation, prior)
     provenance: dict[str, Any] = {
         "program": program_version_string(),
         "arguments": list(arguments),
@@ -381,8 +370,8 @@ class IdentifyRun:
 
         def read(
             log: Any, reading: ReadingOptions, wishes: Mapping[str, ColumnWish]
-        ) -> RecordedLog:
-            if isinstance(log, RecordedLog):
+        ) -> Recording:
+            if isinstance(log, Recording):
                 return log
             opened_log = opened(
                 log, wishes, reading, listener, time=self.time, digest=True
@@ -425,7 +414,8 @@ class IdentifyRun:
                             }
                         )
                     )
-                return RecordedLog(recording, _record_of(source, log), remarks)
+                record = _record_of(source, log)
+                return dataclasses.replace(recording, record=record, remarks=remarks)
 
         whole = dataclasses.replace(self.reading, rows=ALL_ROWS)
         return (
@@ -453,7 +443,7 @@ class IdentifyRun:
             {key: column for key, column in columns.items() if column is not None},
             self.prior,
         )
-        rows = sum(len(log.recording.voltage) for log in fitted)
+        rows = sum(len(log.voltage) for log in fitted)
         listener.working(f"fitting {rows:,} rows")
         try:
             result = identify_recordings(fitted, self.options, checks, arguments, prior)

@@ -21,7 +21,7 @@ from dbo_cli.extras.channels.signals import (
     opened_readers,
     patterns_of,
 )
-from dbo_cli.hysteresis.identification import IdentificationOptions
+from dbo_cli.hysteresis.identification import IdentificationOptions, Recording
 from dbo_cli.hysteresis.identification.prior import OF_OTHERS
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes, read_model
@@ -33,7 +33,6 @@ from dbo_cli.runs.files import write_json
 from dbo_cli.runs.identifying import (
     IdentifyResult,
     IdentifyRun,
-    RecordedLog,
     Recordings,
     sign_line,
     sign_warning,
@@ -253,28 +252,27 @@ def recordings_apart(
         apart = coupling.apart(
             matrix_of(
                 channels,
-                [log.recording.displacement for log in frame],
-                frame[0].recording.name,
+                [log.displacement for log in frame],
+                frame[0].name,
             )
         )
         for place, log in enumerate(frame):
-            changed = dataclasses.replace(
-                log.recording, displacement=np.ascontiguousarray(apart[:, place])
+            frame[place] = dataclasses.replace(
+                log, displacement=np.ascontiguousarray(apart[:, place])
             )
-            frame[place] = dataclasses.replace(log, recording=changed)
     return coupling, {
         channel: ([frame[k] for frame in logs], [frame[k] for frame in checks])
         for k, channel in enumerate(channels)
     }
 
 
-def _frames(channels: Sequence[str], logs: Sequence[RecordedLog]) -> Frames:
-    first = logs[0].recording
+def _frames(channels: Sequence[str], logs: Sequence[Recording]) -> Frames:
+    first = logs[0]
     seconds = first.seconds()
     return Frames(
         np.arange(float(len(first.voltage))) if seconds is None else seconds,
-        matrix_of(channels, [log.recording.voltage for log in logs], first.name),
-        matrix_of(channels, [log.recording.displacement for log in logs], first.name),
+        matrix_of(channels, [log.voltage for log in logs], first.name),
+        matrix_of(channels, [log.displacement for log in logs], first.name),
     )
 
 
@@ -331,7 +329,7 @@ def options_of_channel(options: IdentificationOptions) -> IdentificationOptions:
 
 def shared_shape(
     channels: Sequence[str],
-    read: Callable[[str], Sequence[RecordedLog]],
+    read: Callable[[str], Sequence[Recording]],
     options: IdentificationOptions,
     arguments: Sequence[str],
     processes: int = 1,
@@ -411,7 +409,7 @@ def _spread(channels: Sequence[str], count: int) -> list[str]:
 
 def _ratio(
     shape: ActuatorModel,
-    logs: Sequence[RecordedLog],
+    logs: Sequence[Recording],
     options: IdentificationOptions,
     own_fit: IdentifyResult,
 ) -> float:
@@ -429,19 +427,19 @@ def _ratio(
     return error / left_out
 
 
-def _are_driven_alike(logs: Mapping[str, Sequence[RecordedLog]]) -> bool:
+def _are_driven_alike(logs: Mapping[str, Sequence[Recording]]) -> bool:
     """Tell whether all channels have the same drive, so that their displacements have a mean."""
     first, *rest = logs.values()
     return all(
-        np.array_equal(log.recording.voltage, same.recording.voltage)
+        np.array_equal(log.voltage, same.voltage)
         for logs_of_channel in rest
         for log, same in zip(first, logs_of_channel, strict=True)
     )
 
 
 def _of_one_gain(
-    logs: Mapping[str, Sequence[RecordedLog]], options: IdentificationOptions
-) -> list[RecordedLog]:
+    logs: Mapping[str, Sequence[Recording]], options: IdentificationOptions
+) -> list[Recording]:
     """Return the logs of channels that are driven differently, as of one actuator, their gains made equal.
 
     A gain is the slope over the drive at first, then over what a model of all of them
@@ -449,7 +447,7 @@ def _of_one_gain(
     """
     explained = {}
     for channel, logs_of_channel in logs.items():
-        explained[channel] = [log.recording.voltage for log in logs_of_channel]
+        explained[channel] = [log.voltage for log in logs_of_channel]
     for last in (False, True):
         slopes = {
             channel: _slope(explained[channel], logs_of_channel)
@@ -462,11 +460,12 @@ def _of_one_gain(
             if slopes[channel] / middle > LEAST_GAIN
         }
         scaled = [
-            dataclasses.replace(log, recording=dataclasses.replace(
-                log.recording, displacement=log.recording.displacement * (middle / slopes[channel])
-            ))
-            for channel, logs_of_channel in logs.items() for log in logs_of_channel
-        ]  # fmt: skip
+            dataclasses.replace(
+                log, displacement=log.displacement * (middle / slopes[channel])
+            )
+            for channel, logs_of_channel in logs.items()
+            for log in logs_of_channel
+        ]
         if not last:
             model = identifying.identify_recordings(scaled, options).model
             explained = {}
@@ -475,9 +474,9 @@ def _of_one_gain(
     return scaled
 
 
-def _slope(explained: Sequence[FloatArray], logs: Sequence[RecordedLog]) -> float:
+def _slope(explained: Sequence[FloatArray], logs: Sequence[Recording]) -> float:
     """Return the slope of a channel's displacements over something, each log with its own offset."""
-    pairs = zip(explained, (log.recording.displacement for log in logs), strict=True)
+    pairs = zip(explained, (log.displacement for log in logs), strict=True)
     x, y = (
         np.concatenate(parts)
         for parts in zip(*((a - a.mean(), b - b.mean()) for a, b in pairs), strict=True)
@@ -485,8 +484,8 @@ def _slope(explained: Sequence[FloatArray], logs: Sequence[RecordedLog]) -> floa
     return float(x @ y) / float(x @ x)
 
 
-def _predicted(model: ActuatorModel, log: RecordedLog) -> FloatArray:
-    drive, seconds = log.recording.voltage, log.recording.seconds()
+def _predicted(model: ActuatorModel, log: Recording) -> FloatArray:
+    drive, seconds = log.voltage, log.seconds()
     steps = (
         None
         if seconds is None
@@ -497,7 +496,7 @@ def _predicted(model: ActuatorModel, log: RecordedLog) -> FloatArray:
     ).y
 
 
-def _mean_of(logs: Mapping[str, Sequence[RecordedLog]]) -> list[RecordedLog]:
+def _mean_of(logs: Mapping[str, Sequence[Recording]]) -> list[Recording]:
     """Return the mean of channels that are driven alike, each brought to the mean gain and offset.
 
     Twice: the first channel is what the others are compared with, then the mean of the
@@ -507,7 +506,7 @@ def _mean_of(logs: Mapping[str, Sequence[RecordedLog]]) -> list[RecordedLog]:
     means = []
     for place, first in enumerate(logs[names[0]]):
         table = np.column_stack(
-            [logs[channel][place].recording.displacement for channel in names]
+            [logs[channel][place].displacement for channel in names]
         )
         table = table - table.mean(axis=0)
         mean = table[:, 0]
@@ -517,8 +516,6 @@ def _mean_of(logs: Mapping[str, Sequence[RecordedLog]]) -> list[RecordedLog]:
             mean = (table[:, moving] / gains[moving]).mean(axis=1) * float(
                 np.median(gains[moving])
             )
-        recording = dataclasses.replace(
-            first.recording, displacement=np.ascontiguousarray(mean)
-        )
-        means.append(dataclasses.replace(first, recording=recording))
+        displacement = np.ascontiguousarray(mean)
+        means.append(dataclasses.replace(first, displacement=displacement))
     return means

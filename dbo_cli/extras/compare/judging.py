@@ -16,7 +16,7 @@ from dbo_cli.extras.compare.fitting import RELATIVES, fit
 from dbo_cli.extras.compare.play_model import RelativeModel, with_plays
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, identify
-from dbo_cli.hysteresis.identification.cleaning import cleaned, drive_range, within
+from dbo_cli.hysteresis.identification.cleaning import Sensor, clean
 from dbo_cli.hysteresis.identification.evaluation import (
     Residual,
     residual_of,
@@ -27,7 +27,6 @@ from dbo_cli.hysteresis.identification.recordings import (
     check_recordings,
     median_cycle_seconds,
     widest_first,
-    without_voltage_glitches,
 )
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.move_error import played, rms
@@ -135,11 +134,9 @@ def compare(
             raise UsageError(f"`models` {name}: there are {', '.join(NAMES)}")
     check_recordings(recordings)
     recordings = widest_first(recordings)
-    clean, _ = without_voltage_glitches(recordings)
-    logs = [cleaned(log) for log in clean]
-    ends = drive_range(clean)
-    mended = within([log.recording for log in logs], ends)
-    ready = prepare(mended, skip_seconds, [log.bad for log in logs], ends)
+    notes: list[str] = []
+    mended, ends = clean(recordings, Sensor(), notes)
+    ready = prepare(mended, skip_seconds, ends)
     clocked = all(log.seconds() is not None for log in recordings)
     cycle = median_cycle_seconds(recordings) if clocked else None
     judged = skip_seconds if judged_from is None else judged_from

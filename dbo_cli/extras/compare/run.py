@@ -48,18 +48,13 @@ def compare_logs(
         if folder is not None:
             check_folder(folder)
     fitted, checks = run.read(listener)
-    recordings, tests = (
-        [log.recording for log in fitted],
-        [log.recording for log in checks],
-    )
     rows = compare(
-        recordings, tests, options.names or NAMES, options.skip_seconds, options.timed
+        fitted, checks, options.names or NAMES, options.skip_seconds, options.timed
     )
-    unit = recordings[0].displacement_unit
-    names = [
-        tuple(recording.name for recording in logs) for logs in (recordings, tests)
-    ]
-    shown = ModelTable(tuple(rows), unit, names[0], names[1])
+    unit = fitted[0].displacement_unit
+    fitted_names = tuple(log.name for log in fitted)
+    judged_names = tuple(log.name for log in checks)
+    shown = ModelTable(tuple(rows), unit, fitted_names, judged_names)
     if options.figures is not None:
         save(shown.plots(), Path(options.figures), "models")
     program = program_version_string()

@@ -13,7 +13,7 @@ import numpy as np
 from dbo_cli.drives.gate import Floats
 from dbo_cli.drives.model_run import FAST_PART, FASTER
 from dbo_cli.drives.options import DriveOptions, Figure
-from dbo_cli.errors import Remarks, UsageError
+from dbo_cli.errors import Remarks, UsageError, suffix_of
 from dbo_cli.extras.moves.shapes import TrajectoryOptions, move
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import read_model
@@ -96,19 +96,19 @@ def make_trajectory(
         raise UsageError(
             f"`model`: {len(models)} of them, and a {options.shape} has {len(axes)} (one an axis)"
         )
-    for number, (axis, values) in enumerate(axes.items() if models else ()):
-        name, model = models[min(number, len(models) - 1)]
-        _require_reach(axis, values, name, model, drive.limits(model))
-        notes += _speed(axis, values * options.rate, name, model)
+    if models:
+        for number, (axis, values) in enumerate(axes.items()):
+            name, model = models[min(number, len(models) - 1)]
+            _require_reach(axis, values, name, model, drive.limits(model))
+            notes += _speed(axis, values * options.rate, name, model)
     rows = made.axes[0].size
     size = f"{rows:,} rows, {rows / options.rate:.6g} s"
-    suffix = f" {unit}" if unit else ""
-    reach = ", ".join(
-        f"{axis} {v.min():.6g} to {v.max():.6g}{suffix}" for axis, v in axes.items()
-    )
-    remarks = [
-        f"{options.shape}: {note}" for note in [f"{reach}; {size}", *made.notes, *notes]
-    ]
+    ranges = []
+    for axis, values in axes.items():
+        ends = f"{values.min():.6g} to {values.max():.6g}"
+        ranges.append(f"{axis} {ends}{suffix_of(unit)}")
+    first_note = f"{', '.join(ranges)}; {size}"
+    remarks = [f"{options.shape}: {note}" for note in [first_note, *made.notes, *notes]]
     return Trajectory(np.arange(rows) / options.rate, axes, unit, remarks)
 
 

@@ -20,24 +20,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.identification.recordings import (
     BLOCK_ROWS,
     EVEN,
     FEWEST_ROWS,
+    HIDDEN_STEPS,
     MOST,
     NOTICEABLE,
+    Booleans,
     Floats,
     IdentificationOptions,
     Integers,
     Recording,
     drive_shape,
 )
-from dbo_cli.hysteresis.move_error import turning_points
-
-Booleans = NDArray[np.bool_]
+from dbo_cli.hysteresis.move_error import SMALLEST_TURN, turning_points
 
 SPECTRUM_ROWS = 200
 """For a spectrum in which noise and drive can be told apart."""
@@ -70,18 +69,46 @@ STUCK_PATH = 0.08
 """Of the drive's range: how far it may travel while a working sensor, even one of 5 bits, repeats itself."""
 
 
-@dataclass(frozen=True)
-class Cleaned:
-    """A recording with faults mended, the rows to leave out (bool, shape (samples,)), and what to say."""
+def clean(
+    recordings: Sequence[Recording], sensor: Sensor, notes: list[str]
+) -> tuple[list[Recording], tuple[float, float]]:
+    """Return the logs without what sensors and loggers did to them, and both ends of the drive.
 
-    recording: Recording
-    bad: Booleans
-    notes: list[str]
+    What was done is added to ``notes``.
+    """
+    recordings = [sensor.taken_off(log) for log in recordings]
+    recordings = [without_voltage_glitches(log, notes) for log in recordings]
+    ends = drive_range(recordings)
+    mended_logs = [mended(log, notes) for log in recordings]
+    return within(mended_logs, ends), ends
 
 
-def cleaned(recording: Recording) -> Cleaned:
-    """Mend or mark what sensor and logger did to one recording."""
-    notes: list[str] = []
+def without_voltage_glitches(recording: Recording, notes: list[str]) -> Recording:
+    """Replace single samples of the voltage that jump away and back by the mean of their neighbours.
+
+    The drive was not there, but one such sample would stretch the gears over a range
+    that was never driven. A jump counts where it is three times the most that the
+    drive, such samples aside, does between samples.
+    """
+    v = recording.voltage
+    middle = np.median((v[:-2], v[1:-1], v[2:]), axis=0)
+    jump = np.abs(v[1:-1] - middle)
+    usual = float(np.abs(np.diff(middle)).max())
+    least = max(HIDDEN_STEPS * usual, SMALLEST_TURN * float(np.ptp(middle)))
+    rows = np.flatnonzero(jump > least) + 1
+    if not len(rows) or usual == 0.0:
+        return recording
+    repaired = v.copy()
+    repaired[rows] = (v[rows - 1] + v[rows + 1]) / 2.0
+    notes.append(
+        f"{recording.name}: {len(rows)} single voltages that jump away and back replaced by the mean of "
+        f"their neighbours (first at row {recording.row(rows[0])}: {v[rows[0]]:g})"
+    )
+    return replace(recording, voltage=repaired)
+
+
+def mended(recording: Recording, notes: list[str]) -> Recording:
+    """Mend what sensor and logger did to one recording, or mark its rows as faulty, and say so."""
     spikes = spiked_rows(recording.displacement)
     if spikes.any():
         notes.append(
@@ -94,12 +121,12 @@ def cleaned(recording: Recording) -> Cleaned:
             f"{recording.name}: {int(stuck.sum())} rows left out: the displacement stands still while the "
             f"drive moves (first at row {recording.row(int(np.argmax(stuck)))}): check the sensor"
         )
-    bad = spikes | stuck
+    faulty = spikes | stuck
     step = regular_step(recording)
     if step is not None and len(recording.voltage) >= SPECTRUM_ROWS:
-        recording = _without_hum(recording, bad, step, notes)
-        recording = _without_read_back_noise(recording, bad, step, notes)
-    return Cleaned(recording, bad, notes)
+        recording = _without_hum(recording, faulty, step, notes)
+        recording = _without_read_back_noise(recording, faulty, step, notes)
+    return replace(recording, faulty=faulty)
 
 
 def regular_step(recording: Recording) -> float | None:
@@ -353,21 +380,11 @@ class Sensor:
         ordered = np.maximum.accumulate(seconds)
         displacement = recording.displacement
         if self.lag > 0.0:
-            displacement = displacement + self.lag * slope(
-                displacement, ordered, self.lag
-            )
+            rate = slope(displacement, ordered, self.lag)
+            displacement = displacement + self.lag * rate
         if self.delay > 0.0:
             displacement = np.interp(ordered + self.delay, ordered, displacement)
-        return replace(
-            recording,
-            voltage=recording.voltage[:known],
-            displacement=displacement[:known],
-            time=None if recording.time is None else recording.time[:known],
-            uncertainty=None
-            if recording.uncertainty is None
-            else recording.uncertainty[:known],
-            rows=None if recording.rows is None else recording.rows[:known],
-        )
+        return replace(recording, displacement=displacement).part(slice(known))
 
 
 def slope(values: Floats, seconds: Floats, width: float) -> Floats:

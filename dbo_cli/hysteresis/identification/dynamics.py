@@ -35,7 +35,7 @@ from dbo_cli.hysteresis.identification.dynamics_fit import (
     MOST_RESONANCES,
     TRUSTED,
     Band,
-    Candidate,
+    FittedDynamics,
     Signals,
     chosen_dynamics,
     fitted,
@@ -144,7 +144,7 @@ def with_dynamics(
 
 
 def _unexplained(
-    signals: Sequence[Signals], chosen: Candidate, fast: Sequence[FastPart]
+    signals: Sequence[Signals], chosen: FittedDynamics, fast: Sequence[FastPart]
 ) -> list[str]:
     """Return a warning for each fast part of which the slow model and a lag leave much over."""
     warnings = []
@@ -192,12 +192,12 @@ class _Reading:
 
 def _read_again(
     reading: _Reading,
-    chosen: Candidate,
+    chosen: FittedDynamics,
     slow: Sequence[Recording],
     fast: Sequence[FastPart],
     band: Band,
     options: IdentificationOptions,
-) -> tuple[_Reading, Candidate]:
+) -> tuple[_Reading, FittedDynamics]:
     """Return the last reading of the slow rows that the fast ones do not speak against, and the dynamics."""
     best = chosen
     for again, creep in _again(
@@ -219,7 +219,9 @@ def _read_again(
     return reading, best
 
 
-def _sharpened(signals: Sequence[Signals], chosen: Candidate, band: Band) -> Candidate:
+def _sharpened(
+    signals: Sequence[Signals], chosen: FittedDynamics, band: Band
+) -> FittedDynamics:
     """Return the dynamics refined, with an exact lag where that of the stage does not earn its place."""
     forms = [
         dataclasses.replace(chosen.structure, sampled_lag=sampled)
@@ -231,7 +233,7 @@ def _sharpened(signals: Sequence[Signals], chosen: Candidate, band: Band) -> Can
     return sampled if sampled.left_out <= EARNED * exact.left_out else exact
 
 
-def _left_over(signals: Sequence[Signals], chosen: Candidate) -> float:
+def _left_over(signals: Sequence[Signals], chosen: FittedDynamics) -> float:
     """Return the error (RMS) on the fast rows."""
     left = np.concatenate(residuals(signals, chosen.parameters, chosen.structure))
     return float(np.sqrt(np.mean(left * left)))
@@ -246,7 +248,7 @@ def _without_sensor(part: FastPart, options: IdentificationOptions) -> FastPart:
 
 def _again(
     slow: Sequence[Recording],
-    chosen: Candidate,
+    chosen: FittedDynamics,
     options: IdentificationOptions,
     base: Identification,
     shortest: float,
@@ -297,7 +299,7 @@ def _again(
     return found
 
 
-def _late(chosen: Candidate) -> float:
+def _late(chosen: FittedDynamics) -> float:
     """Return the lag (s) of what is behind the gears, for slow moves."""
     late = sum(one.damping / (math.pi * one.frequency) for one in chosen.resonances)
     return late + chosen.lag - chosen.lag_before + chosen.structure.delay
@@ -319,7 +321,9 @@ def _led(log: Recording, lag: float) -> Recording:
     return dataclasses.replace(log, voltage=passed)
 
 
-def _placed(signals: Sequence[Signals], behind: Candidate, band: Band) -> Candidate:
+def _placed(
+    signals: Sequence[Signals], behind: FittedDynamics, band: Band
+) -> FittedDynamics:
     """Return the dynamics with the lag before the gears, where the fast rows do not speak against it."""
     if behind.lag == 0.0:
         return behind
@@ -358,7 +362,7 @@ def _without_fast_lags(model: ActuatorModel, shortest: float) -> ActuatorModel:
 
 def _assembled(
     reading: _Reading,
-    chosen: Candidate,
+    chosen: FittedDynamics,
     fast: Sequence[FastPart],
     validation: Sequence[Recording],
     options: IdentificationOptions,

@@ -58,7 +58,7 @@ NO_LAG = 2e-3  # of a time step: a lag at the lower end of its range is none
 
 
 @dataclass(frozen=True)
-class Structure:
+class DynamicsStructure:
     """What is fitted.
 
     Attributes
@@ -83,12 +83,12 @@ class Structure:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class FittedDynamics:
     """Dynamics fitted.
 
     Attributes
     ----------
-    structure : Structure
+    structure : DynamicsStructure
         What was fitted.
     parameters : array
         Logarithms: of frequency (Hz) and damping of each resonance, of the
@@ -101,7 +101,7 @@ class Candidate:
         Standard errors of the parameters.
     """
 
-    structure: Structure
+    structure: DynamicsStructure
     parameters: Floats
     lag: float
     rmse: float
@@ -184,7 +184,7 @@ class Signals:
         )
         return left
 
-    def moved(self, parameters: Floats, structure: Structure) -> Floats:
+    def moved(self, parameters: Floats, structure: DynamicsStructure) -> Floats:
         """Return the prediction through the lag, the gears and the resonances."""
         lag, *resonances = sections_of(parameters, structure)
         assert isinstance(lag, Lag)
@@ -230,13 +230,15 @@ def lagged(
 
 
 def residuals(
-    signals: Sequence[Signals], parameters: Floats, structure: Structure
+    signals: Sequence[Signals], parameters: Floats, structure: DynamicsStructure
 ) -> list[Floats]:
     """Return measured minus predicted through the dynamics, gain, offset and drift of each part fitted."""
     return [one.left(one.moved(parameters, structure)) for one in signals]
 
 
-def sections_of(parameters: Floats, structure: Structure) -> tuple[Section, ...]:
+def sections_of(
+    parameters: Floats, structure: DynamicsStructure
+) -> tuple[Section, ...]:
     """Return the lag and the resonances of logarithms, lowest first, wherever the lag stands."""
     count = structure.resonances
     values = np.exp(parameters)
@@ -257,7 +259,7 @@ def sections_of(parameters: Floats, structure: Structure) -> tuple[Section, ...]
 def _refined(
     signals: Sequence[Signals],
     start: Floats,
-    structure: Structure,
+    structure: DynamicsStructure,
     bounds: tuple[Floats, Floats],
     keep: Booleans,
     known: dict[bytes, list[Floats]],
@@ -299,9 +301,9 @@ def _refined(
 def fitted(
     signals: Sequence[Signals],
     starts: Sequence[Floats],
-    structure: Structure,
+    structure: DynamicsStructure,
     band: Band,
-) -> Candidate:
+) -> FittedDynamics:
     """Return the best of several refinements, and its error on blocks left out.
 
     Parameters
@@ -309,7 +311,7 @@ def fitted(
     signals
         The fast parts.
     starts
-        Parameters to begin from (see ``Candidate``).
+        Parameters to begin from (see ``FittedDynamics``).
     structure
         What is fitted.
     band
@@ -352,7 +354,7 @@ def fitted(
     places += list(range(2 * structure.resonances, best.size))
     lag = float(np.exp(best[-1]))
     lag = lag if lag > NO_LAG * step else 0.0
-    return Candidate(
+    return FittedDynamics(
         structure,
         best[places],
         lag,
@@ -362,7 +364,9 @@ def fitted(
     )
 
 
-def _spread(signals: Sequence[Signals], best: Floats, structure: Structure) -> Floats:
+def _spread(
+    signals: Sequence[Signals], best: Floats, structure: DynamicsStructure
+) -> Floats:
     """Return the standard errors of parameters fitted, which hold where what is left over is no noise, too.
 
     (J'J)^-1 (sum of g g') (J'J)^-1 with g = J'r of each block: what the gears leave
@@ -411,7 +415,7 @@ DAMPINGS = (0.002, 0.02, 0.1, 0.4)
 
 def chosen_dynamics(
     signals: Sequence[Signals], band: Band, asked: int | None, delay: float = 0.0
-) -> tuple[Candidate, list[str]]:
+) -> tuple[FittedDynamics, list[str]]:
     """Return the dynamics that earn their place, or as many resonances as are asked for, and doubts of these.
 
     Parameters
@@ -420,7 +424,7 @@ def chosen_dynamics(
         A pure delay behind them (s).
     """
     lag_starts = [np.log([value]) for value in (0.02 / band[1], 0.3 / band[1])]
-    best = fitted(signals, lag_starts, Structure(0, delay=delay), band)
+    best = fitted(signals, lag_starts, DynamicsStructure(0, delay=delay), band)
     doubts = []
     for _ in range(MOST_RESONANCES if asked is None else asked):
         if asked is None and best.resonances and _white(signals, best):
@@ -442,9 +446,9 @@ def with_delay(
     signals: Sequence[Signals],
     band: Band,
     asked: int | None,
-    without: Candidate,
+    without: FittedDynamics,
     doubts: list[str],
-) -> tuple[Candidate, list[str]]:
+) -> tuple[FittedDynamics, list[str]]:
     """Return dynamics with a pure delay behind them, where the fast rows ask for one, else those without.
 
     A sensor that is late by half a period of a resonance turns its phase around:
@@ -518,8 +522,8 @@ def _phase_delay(signals: Sequence[Signals], band: Band) -> float:
 
 
 def one_more(
-    signals: Sequence[Signals], best: Candidate, band: Band, always: bool = False
-) -> Candidate | None:
+    signals: Sequence[Signals], best: FittedDynamics, band: Band, always: bool = False
+) -> FittedDynamics | None:
     """Return dynamics with a resonance more, or None where it does not earn its place.
 
     It comes with an antiresonance where that earns its own, as two modes that add up
@@ -540,7 +544,7 @@ def one_more(
 
 
 def _earned(
-    signals: Sequence[Signals], more: Candidate, best: Candidate, band: Band
+    signals: Sequence[Signals], more: FittedDynamics, best: FittedDynamics, band: Band
 ) -> bool:
     """Return whether the error on blocks left out asks for more, all of it inside the swept band."""
     found = [one.frequency for one in more.resonances]
@@ -570,12 +574,14 @@ def _earned(
     return gained >= max(SURE * noise, MOST_OF_IT * rows * (best.left_out**2 - noise))
 
 
-def _white(signals: Sequence[Signals], best: Candidate) -> bool:
+def _white(signals: Sequence[Signals], best: FittedDynamics) -> bool:
     """Return whether what is left over is noise alone."""
     return beyond_noise(residuals(signals, best.parameters, best.structure)) == 0.0
 
 
-def _starts(signals: Sequence[Signals], best: Candidate, band: Band) -> list[Floats]:
+def _starts(
+    signals: Sequence[Signals], best: FittedDynamics, band: Band
+) -> list[Floats]:
     """Return where to begin with one resonance more."""
     known = [one.frequency for one in best.resonances]
     before = best.parameters[: 2 * len(known)]
@@ -590,7 +596,7 @@ def _starts(signals: Sequence[Signals], best: Candidate, band: Band) -> list[Flo
 
 
 def _with_notch(
-    signals: Sequence[Signals], best: Candidate, band: Band
+    signals: Sequence[Signals], best: FittedDynamics, band: Band
 ) -> list[Floats]:
     """Return where to begin with an antiresonance beside resonances that are found."""
     places = (_peak(signals, best, band), 0.9 * band[1])
@@ -608,7 +614,7 @@ def _notched(starts: Sequence[Floats]) -> list[Floats]:
             for start in starts for side in (-NEAR, NEAR)]  # fmt: skip
 
 
-def _peak(signals: Sequence[Signals], best: Candidate, band: Band) -> float:
+def _peak(signals: Sequence[Signals], best: FittedDynamics, band: Band) -> float:
     """Return where the measured departs most from the best found (Hz), away from its resonances."""
     one = _longest(signals)
     (left,) = residuals([one], best.parameters, best.structure)
@@ -679,7 +685,7 @@ def interval(value: float, spread: float) -> list[float]:
 
 
 def trusted(
-    signals: Sequence[Signals], chosen: Candidate, highest: float
+    signals: Sequence[Signals], chosen: FittedDynamics, highest: float
 ) -> tuple[float, str]:
     """Return the frequency (Hz) up to which the model is good, and what ends it."""
     one = _longest(signals)
@@ -714,7 +720,11 @@ def trusted(
 
 
 def said(
-    figures: dict[str, object], chosen: Candidate, trusted: float, why: str, unit: str
+    figures: dict[str, object],
+    chosen: FittedDynamics,
+    trusted: float,
+    why: str,
+    unit: str,
 ) -> list[str]:
     """Return the lines about the dynamics."""
     parts = []

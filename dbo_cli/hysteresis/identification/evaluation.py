@@ -147,6 +147,51 @@ def pooled(values: Sequence[float], residuals: Sequence[Residual]) -> float:
     return float(np.sqrt(weights @ np.square(values) / weights.sum()))
 
 
+@dataclass(frozen=True)
+class Judged:
+    """What a model, and a straight line, leave over on the logs that they were fitted to.
+
+    ``rmse`` and ``line`` are the RMS errors over all logs, in the displacement's unit;
+    ``noise`` is the share of the model's mean square that is white;
+    ``zero_drift`` and ``zero_drift_rate`` are by how much the zero moved along the log
+    on which it moved most, and how fast, a second.
+    """
+
+    residuals: Sequence[Residual]
+    rmse: float
+    line: float
+    noise: float
+    zero_drift: float
+    zero_drift_rate: float
+
+
+def judge(
+    model: ActuatorModel, recordings: Sequence[Recording], logs: Sequence[PreparedLog]
+) -> Judged:
+    """Run a model over the logs that it was fitted to, beside a straight line."""
+    pairs = list(zip(recordings, logs, strict=True))
+    residuals = [residual_of(model, recording, log) for recording, log in pairs]
+    lines = [straight_line(recording, log) for recording, log in pairs]
+    rmse = pooled([residual.rmse for residual in residuals], residuals)
+    white = white_noise([residual.weighted for residual in residuals])
+    noise = white / max(rmse, TINY) ** 2
+    drift, drift_rate = _zero_drift(residuals, recordings)
+    line = pooled(lines, residuals)
+    return Judged(residuals, rmse, line, noise, drift, drift_rate)
+
+
+def _zero_drift(
+    residuals: Sequence[Residual], recordings: Sequence[Recording]
+) -> tuple[float, float]:
+    """Return how far the zero moved along the log on which it moved most, and how fast, a second."""
+    spans = [residual.drift_span for residual in residuals]
+    most = spans.index(max(spans))
+    seconds = recordings[most].seconds()
+    if seconds is None or seconds[-1] <= seconds[0]:
+        return spans[most], 0.0
+    return spans[most], spans[most] / float(seconds[-1] - seconds[0])
+
+
 def validated(
     checks: Sequence[Residual], span: float, unit: str
 ) -> tuple[dict[str, object], list[str]]:

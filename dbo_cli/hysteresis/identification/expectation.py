@@ -22,6 +22,7 @@ from dbo_cli.hysteresis.excitation import AT_AN_END
 from dbo_cli.hysteresis.identification.evaluation import (
     FEWEST_SWINGS,
     TINY,
+    Judged,
     most_noise,
     pooled,
     residual_of,
@@ -159,75 +160,63 @@ class Expectation:
 
 
 def expect(
-    prepared: Prepared,
-    choice: Choice,
-    model: ActuatorModel,
-    delivered: float,
-    noise: float,
-    zero_drift: float = 0.0,
-    zero_drift_rate: float = 0.0,
+    prepared: Prepared, choice: Choice, model: ActuatorModel, judged: Judged
 ) -> Expectation:
     """Estimate the error on new moves.
+
+    The equation error, which counts on the wrong side of the asymmetry, is brought over
+    to the output's by the ratio of the two.
 
     Parameters
     ----------
     prepared : the logs as they were fitted
     choice : what the search settled on
     model : what was made of it
-    delivered : RMSE of the model's output on its own logs; the equation error, which
-        counts on the wrong side
-        of the asymmetry, is brought over by the ratio of the two
-    noise : the share of its mean square that is white
-    zero_drift, zero_drift_rate : by how much the zero moved along a log, and how fast, a
-        second
+    judged : what the model leaves of its own logs
     """
-    some = fewer_rows(prepared.logs)
-    own, square = gather(some, choice.basis, choice.structure.segments).solved(
-        choice.structure
-    )
+    logs = fewer_rows(prepared.logs)
+    basis, structure = choice.basis, choice.structure
+    own, square = gather(logs, basis, structure.segments).solved(structure)
     fitted = max(float(np.sqrt(square)), 1e-12)
+    floor = judged.noise * fitted**2
     cycles = max(choice.score.rmse, fitted)
-    held_out, left_out = groups_left_out(some, choice.basis, choice.structure, cycles)
-    known = delivered * held_out / fitted
-    trend = _gain_trend(some, choice, own, noise * fitted**2)
+    held_out, left_out = groups_left_out(logs, basis, structure, cycles)
+    known = judged.rmse * held_out / fitted
+    trend = _gain_trend(logs, choice, own, floor)
     swings = np.vstack(
-        [swings_between_turns(log.voltage, choice.basis.span)[1] for log in some]
+        [swings_between_turns(log.voltage, basis.span)[1] for log in logs]
     )
-    seen = thinned(swings, choice.basis.span)
-    moves = _invented_moves(some, choice.basis)
-    own_moves, kept, apart = _alternatives(
-        prepared, some, choice, model, moves, fitted, noise * fitted**2
+    seen = thinned(swings, basis.span)
+    moves = _invented_moves(logs, basis)
+    own_moves, others, apart = _alternatives(
+        prepared, logs, choice, model, moves, fitted, floor
     )
-    distance = unlike(moves[0], seen, choice.basis.span, len(moves[0]) - len(own_moves))
+    distance = unlike(moves[0], seen, basis.span, len(moves[0]) - len(own_moves))
     drifted = changed_gain(own_moves, trend)
-    line = abs(prepared.scale) * line_left_out(some, choice.basis)
-    lasted = 0.0 if some[0].seconds is None else float(moves[1][-1] - moves[1][0])
-    shapes = zip(prepared.shapes, prepared.logs, strict=True)
-    one_level = not any(level_moves(shape, log.voltage) for shape, log in shapes)
-    figure = capped(
-        stated(
-            known,
-            distance,
-            apart,
-            drifted,
-            moving_zero(zero_drift, zero_drift_rate, lasted),
-        ),
-        line,
-    )
+    line = abs(prepared.scale) * line_left_out(logs, basis)
+    lasted = 0.0 if logs[0].seconds is None else float(moves[1][-1] - moves[1][0])
+    zero = moving_zero(judged.zero_drift, judged.zero_drift_rate, lasted)
+    figure = stated(known, distance, apart, drifted, zero)
     return Expectation(
-        known,
-        fitted,
-        figure,
-        kept,
-        seen,
-        left_out,
-        len(swings),
-        trend,
-        line,
-        zero_drift,
-        zero_drift_rate,
-        one_level,
+        known=known,
+        fitted=fitted,
+        figure=capped(figure, line),
+        alternatives=others,
+        seen=seen,
+        left_out=left_out,
+        swings=len(swings),
+        gain_trend=trend,
+        line=line,
+        zero_drift=judged.zero_drift,
+        zero_drift_rate=judged.zero_drift_rate,
+        one_level=_one_level(prepared),
     )
+
+
+def _one_level(prepared: Prepared) -> bool:
+    """Return whether the mean of the drive stays where it is, from cycle to cycle."""
+    shapes = zip(prepared.shapes, prepared.logs, strict=True)
+    return not any(level_moves(shape, log.voltage) for shape, log in shapes)
 
 
 def line_left_out(logs: Sequence[PreparedLog], basis: Basis) -> float:

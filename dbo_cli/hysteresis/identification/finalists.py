@@ -367,8 +367,8 @@ def fit(logs: Sequence[PreparedLog], finalist: Candidate) -> Candidate:
     best = problem.refined(structure, finalist.vector)
     convex = _convex(some, problem, structure)
     if convex is not None and convex.penalised * (1.0 - INDIFFERENCE) <= best.penalised:
-        return convex
-    return best
+        best = convex
+    return replace(best, beaten=finalist.beaten)
 
 
 def _without_idle_memories(candidate: Candidate) -> Candidate:

@@ -1,37 +1,34 @@
-"""Identification of gears, memories, asymmetry and delay: all but dynamics, from recordings to a model."""
+"""Identification of gears, memories, asymmetry and delay: all but dynamics, from recordings to a model.
+
+``identify_static`` is the whole story, a step a line: the logs are cleaned and
+prepared, structures are searched and the last candidates compared, what is chosen is
+refined, becomes a model, and is judged on its logs; then comes what to expect of it on
+new moves. What stands below it puts that into figures, warnings and plain words.
+"""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from dbo_cli.errors import FitError
-from dbo_cli.hysteresis.identification.cleaning import (
-    Sensor,
-    cleaned,
-    drive_range,
-    within,
-)
+from dbo_cli.hysteresis.identification.cleaning import Sensor, clean
 from dbo_cli.hysteresis.identification.evaluation import (
-    TINY,
     WHOSE_LAG,
+    Judged,
     Residual,
     fit_notes,
     fit_warnings,
+    judge,
     log_warnings,
     loop_width_percent,
-    pooled,
     rated_warnings,
-    residual_of,
-    straight_line,
     swapped_warnings,
     validated,
     validation_of,
-    white_noise,
 )
 from dbo_cli.hysteresis.identification.expectation import Expectation, expect
 from dbo_cli.hysteresis.identification.finalists import best_of, fit, model_of
@@ -42,7 +39,6 @@ from dbo_cli.hysteresis.identification.recordings import (
     IdentificationOptions,
     Recording,
     median_cycle_seconds,
-    without_voltage_glitches,
 )
 from dbo_cli.hysteresis.identification.search import (
     Choice,
@@ -68,6 +64,9 @@ docs/choices.md.
 
 # of the range: a sensor that drifts more is broken, or it is no sensor's drift
 LARGE_DRIFT = 0.05
+
+# of the range: a drift of the sensor below it is not worth a word
+WORTH_A_WORD = 0.002
 
 FASTEST = 98.0  # percentile of a log's rates: its few fastest steps are jumps and noise
 
@@ -99,7 +98,7 @@ def identify_static(
     validation: Sequence[Recording] = (),
     warned: Sequence[str] = (),
 ) -> Identification:
-    """Identify a model without dynamics from recordings that were checked (see ``identify``).
+    """Identify a model without dynamics from recordings that were checked (see ``methods``).
 
     Parameters
     ----------
@@ -110,123 +109,145 @@ def identify_static(
     FitError
         Nothing trustworthy can be identified.
     """
-    clocked = all(log.seconds() is not None for log in recordings)
-    cycle = median_cycle_seconds(recordings) if clocked else None
-    sensor, given = Sensor.of(options), recordings
+    notes: list[str] = []
+    cycle = _cycle_seconds(recordings)
+    sensor = Sensor.of(options)
     sensor.check(cycle)
-    recordings, said = without_voltage_glitches(
-        [sensor.taken_off(log) for log in recordings]
-    )
-    ends = drive_range(recordings)
-    logs = [cleaned(log) for log in recordings]
-    recordings = within([one.recording for one in logs], ends)
-    said += [note for one in logs for note in one.notes]
     # Where dynamics are looked for, or left out, what swings at the beginning is no
     # history.
     at_rest = options.dynamics is None
-    prepared = prepare(
-        recordings, options.skip_seconds, [one.bad for one in logs], ends, at_rest
-    )
+
+    logs, ends = clean(recordings, sensor, notes)
+    prepared = prepare(logs, options.skip_seconds, ends, at_rest)
     choice = choose(prepared, options, cycle)
     finalist = best_of(prepared, choice, options)
-    choice = dataclasses.replace(
-        choice, basis=finalist.basis, structure=finalist.structure
+    _refuse_beaten(finalist, prepared, options)
+    candidate = fit(prepared.logs, finalist)
+    model = model_of(candidate, prepared, logs[0], options.zero, options.gears)
+    judged = judge(model, logs, prepared.logs)
+    _refuse_straight_line(judged, logs, prepared, options)
+    checks = _validated(model, validation, sensor, options)
+    choice = replace(choice, basis=finalist.basis, structure=finalist.structure)
+    expected = expect(prepared, choice, model, judged)
+
+    return _stated(
+        _Result(
+            options=options,
+            sensor=sensor,
+            given=recordings,
+            logs=logs,
+            cycle=cycle,
+            prepared=prepared,
+            choice=choice,
+            candidate=candidate,
+            model=model,
+            judged=judged,
+            checks=checks,
+            expected=expected,
+        ),
+        notes,
+        warned,
     )
+
+
+@dataclass(frozen=True)
+class _Result:
+    """What the steps of an identification led to: figures, warnings and lines are made of it.
+
+    ``given`` are the logs as they came, ``logs`` the same after cleaning; ``cycle`` is
+    the median duration of a cycle in seconds, None without a clock.
+    """
+
+    options: IdentificationOptions
+    sensor: Sensor
+    given: Sequence[Recording]
+    logs: Sequence[Recording]
+    cycle: float | None
+    prepared: Prepared
+    choice: Choice
+    candidate: Candidate
+    model: ActuatorModel
+    judged: Judged
+    checks: Sequence[Residual]
+    expected: Expectation
+
+    @property
+    def span(self) -> float:
+        """Range of the displacement, in its unit."""
+        return abs(self.prepared.scale)
+
+    @property
+    def unit(self) -> str:
+        """The displacement's unit as it follows a number."""
+        return f" {self.model.output.unit}" if self.model.output.unit else ""
+
+
+def _stated(
+    result: _Result, notes: Sequence[str], warned: Sequence[str]
+) -> Identification:
+    """Return the model with all that must be said of it; ``notes`` are of the cleaning."""
+    warnings = [*warned, *_warnings(result)]
+    remarks = _notes(result)
+    figures = _figures(result)
+    summary = [*notes, *result.prepared.notes, *_summary(figures, result), *remarks]
+    figures |= {"notes": remarks} | _for_use(result) | {"warnings": list(warnings)}
+    others = result.expected.alternatives
+    figures["alternatives"] = [other.values() for other in others]
+    model = replace(result.model, fit=figures)
+    return Identification(model, figures, summary, warnings)
+
+
+def _cycle_seconds(recordings: Sequence[Recording]) -> float | None:
+    """Return the median duration of a cycle, None where a log has no clock."""
+    if any(log.seconds() is None for log in recordings):
+        return None
+    return median_cycle_seconds(recordings)
+
+
+def _refuse_beaten(
+    finalist: Candidate, prepared: Prepared, options: IdentificationOptions
+) -> None:
+    """Refuse (FitError) what predicts parts left out worse than something simpler does."""
     if finalist.beaten and not options.force:
         raise FitError(
             f"{finalist.beaten}; {_lacking(prepared)} (`force` keeps the model)"
         )
-    fitted = fit(prepared.logs, finalist)
-    model = model_of(fitted, prepared, recordings[0], options.zero, options.gears)
-    pairs = list(zip(recordings, prepared.logs, strict=True))
-    residuals = [residual_of(model, log, ready) for log, ready in pairs]
-    line = pooled([straight_line(log, ready) for log, ready in pairs], residuals)
-    rmse = pooled([one.rmse for one in residuals], residuals)
-    if not any(tau > slowest_lag(cycle) for tau in fitted.basis.time_constants):
-        # no creep was taken in its place
-        prepared = dataclasses.replace(prepared, doubtful_drift=0.0)
-    warnings = [
-        *warned,
-        *log_warnings(recordings, prepared.shapes),
-        *rated_warnings(prepared.low, prepared.high, options.rated),
-        *fit_warnings(recordings, prepared, choice, residuals),
-        *swapped_warnings(given, choice.clockwise),
-        *([] if clocked else [NO_CLOCK]),
-    ]
-    if finalist.beaten:
-        warnings.append(finalist.beaten)
-    if rmse > NO_BETTER * line:
-        warnings.append(_no_loop(recordings, prepared, rmse, line, options.force))
-    checks = [
+
+
+def _refuse_straight_line(
+    judged: Judged,
+    logs: Sequence[Recording],
+    prepared: Prepared,
+    options: IdentificationOptions,
+) -> None:
+    """Refuse (FitError) a model that is no better than a straight line."""
+    if judged.rmse > NO_BETTER * judged.line and not options.force:
+        why = _no_loop(judged, logs, prepared)
+        raise FitError(f"{why} (`force` keeps the model)")
+
+
+def _validated(
+    model: ActuatorModel,
+    validation: Sequence[Recording],
+    sensor: Sensor,
+    options: IdentificationOptions,
+) -> list[Residual]:
+    """Return what the model leaves of logs that took no part in the fit."""
+    return [
         validation_of(model, sensor.taken_off(log), options.skip_seconds)
         for log in validation
     ]
-    noise = white_noise([one.weighted for one in residuals]) / max(rmse, TINY) ** 2
-    expected = expect(
-        prepared, choice, model, rmse, noise, *_zero_drift(residuals, recordings)
-    )
-    figures = _figures(
-        prepared,
-        choice,
-        fitted,
-        model,
-        residuals,
-        checks,
-        rmse,
-        line,
-        cycle,
-        expected,
-        given,
-    )
-    warnings += _drift_warnings(residuals, abs(prepared.scale), model.output.unit)
-    if expected.shape is not None and expected.shape >= line:
-        remedy = _scales_apart(recordings) or RECORD_MORE
-        warnings.append(NO_BETTER_THAN_LINE.format(expected.shape, line, remedy))
-    if not sensor and options.delay is None:
-        warnings += _late_warnings(choice, prepared, expected)
-    notes = fit_notes(
-        model.output.unit,
-        prepared,
-        choice.clockwise,
-        expected.gain_trend,
-        expected.forgets,
-    )
-    summary = (
-        said
-        + prepared.notes
-        + _summary(figures, model, prepared, residuals, checks, sensor)
-        + notes
-    )
-    figures |= (
-        {"notes": notes} | _for_use(expected, sensor) | {"warnings": list(warnings)}
-    )
-    figures["alternatives"] = [one.values() for one in expected.alternatives]
-    return Identification(
-        dataclasses.replace(model, fit=figures), figures, summary, warnings
-    )
 
 
-def _zero_drift(
-    residuals: Sequence[Residual], recordings: Sequence[Recording]
-) -> tuple[float, float]:
-    """Return how far the zero moved along the log on which it moved most, and how fast, a second."""
-    most = max(range(len(residuals)), key=lambda place: residuals[place].drift_span)
-    seconds = recordings[most].seconds()
-    lasted = 0.0 if seconds is None else float(seconds[-1] - seconds[0])
-    span = residuals[most].drift_span
-    rate = span / lasted if lasted > 0.0 else 0.0
-    return span, rate
-
-
-def _for_use(expected: Expectation, sensor: Sensor) -> dict[str, object]:
+def _for_use(result: _Result) -> dict[str, object]:
     """Return what is known of the sensor, of the gain, and of the logs' swings, for the model file."""
-    taken_off = {"delay": sensor.delay, "lag": sensor.lag} if sensor else None
-    found = {
-        "sensor": taken_off,
-        "gain_trend": expected.gain_trend,
-        "swings": expected.swing_values(),
-    }
-    return {key: value for key, value in found.items() if value is not None}
+    figures: dict[str, object] = {}
+    if result.sensor:
+        figures["sensor"] = {"delay": result.sensor.delay, "lag": result.sensor.lag}
+    if result.expected.gain_trend is not None:
+        figures["gain_trend"] = result.expected.gain_trend
+    figures["swings"] = result.expected.swing_values()
+    return figures
 
 
 # between the gains of logs; a piezo's own at small and at full swings differs by less
@@ -263,101 +284,123 @@ def _lacking(prepared: Prepared) -> str:
     return "cycles, amplitudes and a clock are there: check the columns and the sensor"
 
 
-def _no_loop(
-    recordings: Sequence[Recording],
-    prepared: Prepared,
-    rmse: float,
-    line: float,
-    force: bool,
-) -> str:
-    """Refuse a model that is no better than a straight line (FitError), or say so where it is kept."""
-    cause = _scales_apart(recordings) or (
-        "the log shows no loop that this class of models can follow, nor do gears alone; "
-        + _lacking(prepared)
+def _no_loop(judged: Judged, logs: Sequence[Recording], prepared: Prepared) -> str:
+    """Return in words that a model is no better than a straight line, and why."""
+    cause = _scales_apart(logs)
+    if cause is None:
+        cause = (
+            "the log shows no loop that this class of models can follow, nor do gears alone; "
+            + _lacking(prepared)
+        )
+    return (
+        f"the model (RMSE {judged.rmse:.4g}) is no better than a straight line "
+        f"(RMSE {judged.line:.4g}): {cause}"
     )
-    message = f"the model (RMSE {rmse:.4g}) is no better than a straight line (RMSE {line:.4g}): {cause}"
-    if not force:
-        raise FitError(f"{message} (`force` keeps the model)")
-    return message
 
 
-def _drift_warnings(
-    residuals: Sequence[Residual], span: float, unit: str | None
-) -> list[str]:
+def _warnings(result: _Result) -> list[str]:
+    """Return what to be careful about: of the logs, of the fit, of what to expect."""
+    prepared, choice, judged = result.prepared, result.choice, result.judged
+    warnings = log_warnings(result.logs, prepared.shapes)
+    warnings += rated_warnings(prepared.low, prepared.high, result.options.rated)
+    warnings += fit_warnings(result.logs, prepared, choice, judged.residuals)
+    warnings += swapped_warnings(result.given, choice.clockwise)
+    if any(log.seconds() is None for log in result.given):
+        warnings.append(NO_CLOCK)
+    if result.candidate.beaten:
+        warnings.append(result.candidate.beaten)
+    if judged.rmse > NO_BETTER * judged.line:
+        warnings.append(_no_loop(judged, result.logs, prepared))
+    warnings += _drift_warnings(judged.residuals, result.span, result.unit)
+    shape = result.expected.shape
+    if shape is not None and shape >= judged.line:
+        remedy = _scales_apart(result.logs) or RECORD_MORE
+        warnings.append(NO_BETTER_THAN_LINE.format(shape, judged.line, remedy))
+    if not result.sensor and result.options.delay is None:
+        warnings += _late_warnings(result)
+    return warnings
+
+
+def _drift_warnings(residuals: Sequence[Residual], span: float, unit: str) -> list[str]:
     """Warn of a drift so large that it is more likely the actuator's than the sensor's."""
-    of_what = f" {unit}" if unit else ""
     warnings = []
-    for one in residuals:
-        share = one.drift_span / span
+    for residual in residuals:
+        share = residual.drift_span / span
         if share > LARGE_DRIFT:
             warnings.append(
-                f"{one.name}: {one.drift_span:.3g}{of_what} of the displacement ({100.0 * share:.0f} % of "
-                "the range) was taken for a drift of the sensor and is not in the model: if the actuator "
-                "itself moved so, its loops do not close and no model of this class follows it"
+                f"{residual.name}: {residual.drift_span:.3g}{unit} of the displacement "
+                f"({100.0 * share:.0f} % of the range) was taken for a drift of the sensor and is not in "
+                "the model: if the actuator itself moved so, its loops do not close and no model of this "
+                "class follows it"
             )
     return warnings
 
 
-def _figures(
-    prepared: Prepared,
-    choice: Choice,
-    fitted: Candidate,
-    model: ActuatorModel,
-    residuals: Sequence[Residual],
-    checks: Sequence[Residual],
-    rmse: float,
-    line: float,
-    cycle: float | None,
-    expected: Expectation,
-    given: Sequence[Recording],
-) -> dict[str, object]:
+def _notes(result: _Result) -> list[str]:
+    """Return what is good to know of the logs."""
+    prepared, expected = result.prepared, result.expected
+    slowest = slowest_lag(result.cycle)
+    creep = any(tau > slowest for tau in result.candidate.basis.time_constants)
+    if not creep:  # none was taken in the place of a drift
+        prepared = replace(prepared, doubtful_drift=0.0)
+    return fit_notes(
+        result.model.output.unit,
+        prepared,
+        result.choice.clockwise,
+        expected.gain_trend,
+        expected.forgets,
+    )
+
+
+def _figures(result: _Result) -> dict[str, object]:
     """Everything the model file says of its fit; errors in the displacement's unit, times in seconds."""
-    span = abs(prepared.scale)
+    span, expected, choice = result.span, result.expected, result.choice
+    rmse, candidate = result.judged.rmse, result.candidate
     cross = rmse * choice.score.rmse / expected.fitted
-    gears = fitted.basis
-    taus = zip(gears.time_constants, fitted.gains, strict=True)
+    basis, segments = candidate.basis, candidate.structure.segments
+    taus = zip(basis.time_constants, candidate.gains, strict=True)
+    interval = choice.delay_interval
     return {
         "method": "least-squares",
         "rmse": rmse,
         "rmse_percent": 100.0 * rmse / span,
         "cross_validated_rmse": cross,
         "cross_validated_percent": 100.0 * cross / span,
-        **_expected_figures(expected, span, model.output.suffix),
-        "straight_line_rmse": line,
-        "fastest_drive": fastest_drive(prepared.logs),
-        **validated(checks, span, "")[0],
-        "samples": sum(len(one.values) for one in residuals),
-        "gears": model.backlash.n,
-        "different_slopes": gears.gears,
-        "points": len(fitted.knots) - 1 if len(fitted.knots) > 2 else 0,
-        "drive_bend": gears.bend,
+        **_expected_figures(expected, span, result.model.output.suffix),
+        "straight_line_rmse": result.judged.line,
+        "fastest_drive": fastest_drive(result.prepared.logs),
+        **validated(result.checks, span, "")[0],
+        "samples": sum(len(residual.values) for residual in result.judged.residuals),
+        "gears": result.model.backlash.n,
+        "different_slopes": basis.gears,
+        "points": segments if segments > 1 else 0,
+        "drive_bend": basis.bend,
         "slopes": choice.structure.slopes,
         "smoothness": choice.structure.smoothness,
-        "loop_width_percent": loop_width_percent(model),
+        "loop_width_percent": loop_width_percent(result.model),
         "relaxation_seconds": [float(tau) for tau, gain in taus if gain > 0.0],
-        "delay_seconds": gears.delay,
-        "delay_interval_seconds": list(choice.delay_interval)
-        if choice.delay_interval
-        else None,
-        "lag_seconds": lag_seconds(fitted, cycle),
-        "logs": [
-            {
-                "name": residual.name,
-                "samples": len(residual.values),
-                "rmse": residual.rmse,
-                "drift": residual.drift_span,
-                "begins_at": float(given[k].voltage[0]),
-                "start": None
-                if prepared.transient_rows[k] or log.stretches
-                else log.start,
-                "transient_rows": prepared.transient_rows[k],
-                "outlier_rows": prepared.outlier_rows[k],
-                "clipped_rows": prepared.clipped_rows[k],
-            }
-            for k, (residual, log) in enumerate(
-                zip(residuals, prepared.logs, strict=True)
-            )
-        ],
+        "delay_seconds": basis.delay,
+        "delay_interval_seconds": None if interval is None else list(interval),
+        "lag_seconds": lag_seconds(candidate, result.cycle),
+        "logs": [_log_figures(result, place) for place in range(len(result.given))],
+    }
+
+
+def _log_figures(result: _Result, place: int) -> dict[str, object]:
+    """Return what the model file says of one log."""
+    prepared, residual = result.prepared, result.judged.residuals[place]
+    log, transient = prepared.logs[place], prepared.transient_rows[place]
+    start = None if transient or log.stretches else log.start
+    return {
+        "name": residual.name,
+        "samples": len(residual.values),
+        "rmse": residual.rmse,
+        "drift": residual.drift_span,
+        "begins_at": float(result.given[place].voltage[0]),
+        "start": start,
+        "transient_rows": transient,
+        "outlier_rows": prepared.outlier_rows[place],
+        "clipped_rows": prepared.clipped_rows[place],
     }
 
 
@@ -395,32 +438,30 @@ def parts_words(figures: Mapping[str, Any], unit: str) -> str:
     )
 
 
-def _late_warnings(
-    choice: Choice, prepared: Prepared, expected: Expectation
-) -> list[str]:
+def _late_warnings(result: _Result) -> list[str]:
     """Warn of a pure delay that would break the expected error if it were the sensor's or the logger's.
 
     A stage and its amplifier lag; what comes late as a whole has mostly been delayed by
     a filter or a bus. Where a first-order lag explains the logs about as well, it need
     not be one.
     """
-    delay = choice.basis.delay
+    delay, expected = result.choice.basis.delay, result.expected
     lags_as_well = any(
-        one.kind == "lag" and one.weight > np.exp(-1.0) for one in expected.alternatives
+        other.kind == "lag" and other.weight > np.exp(-1.0)
+        for other in expected.alternatives
     )
     if not delay or expected.rmse is None or lags_as_well:
         return []
-    rate = max(rms(_rates(log)) for log in prepared.logs)
-    cost = delay * abs(prepared.scale) / prepared.span * rate
-    if (
-        delay < LATE * (sample_period(prepared.logs) or 0.0)
-        or cost <= BROKEN * expected.rmse
-    ):
+    logs = result.prepared.logs
+    rate = max(rms(_rates(log)) for log in logs)
+    cost = delay * result.span / result.prepared.span * rate
+    period = sample_period(logs) or 0.0
+    if delay < LATE * period or cost <= BROKEN * expected.rmse:
         return []
     return [
         f"the displacement is late by a pure delay of {1e3 * delay:.3g} ms, more often a sensor's or a "
         "logger's than an actuator's: if so, compensating it costs "
-        f"{100.0 * cost / abs(prepared.scale):.2g} % of a move at the logs' speed (`sensor_delay` takes it "
+        f"{100.0 * cost / result.span:.2g} % of a move at the logs' speed (`sensor_delay` takes it "
         "off)"
     ]
 
@@ -439,11 +480,15 @@ def fastest_drive(logs: Sequence[PreparedLog]) -> float | None:
     """Rate of the voltage a second that one of the logs exceeds in 2 % of its steps; None without a clock."""
     if any(log.seconds is None for log in logs):
         return None
-    rates = [_rates(log) for log in logs]
-    return max(float(np.percentile(one, FASTEST)) if one.size else 0.0 for one in rates)
+    fastest = 0.0
+    for log in logs:
+        rates = _rates(log)
+        if rates.size:
+            fastest = max(fastest, float(np.percentile(rates, FASTEST)))
+    return fastest
 
 
-def lag_seconds(fitted: Candidate, cycle: float | None) -> float:
+def lag_seconds(candidate: Candidate, cycle: float | None) -> float:
     """Lag of the displacement in seconds at the logs' own frequency, the loop's own lag left out.
 
     To a slow sine of angular frequency w the gears answer with their mean slope s, a
@@ -452,64 +497,63 @@ def lag_seconds(fitted: Candidate, cycle: float | None) -> float:
 
     Parameters
     ----------
-    fitted : the model in normalised terms
+    candidate : the model in normalised terms
     cycle : duration of a cycle in seconds, None without a clock
     """
-    if cycle is None or not len(fitted.gains):
-        return fitted.basis.delay
+    delay = candidate.basis.delay
+    if cycle is None or not len(candidate.gains):
+        return delay
     w = 2.0 * np.pi / cycle
-    gain = (
-        fitted.heights.sum()
-        + (
-            fitted.gains / (1.0 + 1j * w * np.asarray(fitted.basis.time_constants))
-        ).sum()
-    )
-    return fitted.basis.delay - float(np.angle(gain)) / w
+    taus = np.asarray(candidate.basis.time_constants)
+    memories = (candidate.gains / (1.0 + 1j * w * taus)).sum()
+    gain = candidate.heights.sum() + memories
+    return delay - float(np.angle(gain)) / w
 
 
-def _summary(
-    figures: dict[str, object],
-    model: ActuatorModel,
-    prepared: Prepared,
-    residuals: Sequence[Residual],
-    checks: Sequence[Residual],
-    sensor: Sensor,
-) -> list[str]:
+def _summary(figures: Mapping[str, Any], result: _Result) -> list[str]:
     """Lines for the person at the terminal; ``show`` says how well the lag is determined."""
-    unit = f" {model.output.unit}" if model.output.unit else ""
-    volt = f" {model.input.unit}" if model.input.unit else ""
+    unit, prepared = result.unit, result.prepared
+    volt = f" {result.model.input.unit}" if result.model.input.unit else ""
+    lines = _expected_lines(figures, unit)
+    lines += validated(result.checks, result.span, unit)[1]
+    lines.append(
+        f"loop {figures['loop_width_percent']:.1f} % of the model's range, drive {prepared.low:g} to "
+        f"{prepared.high:g}{volt}; {figures['gears']} gears, {asymmetry_words(figures['points'])}"
+    )
+    lines.append(_lag_line(figures["lag_seconds"], result.sensor))
+    for residual in result.judged.residuals:
+        if residual.drift_span > WORTH_A_WORD * result.span:
+            lines.append(
+                f"{residual.name}: sensor drift of {residual.drift_span:.3g}{unit} fitted "
+                "beside the model and left out of it"
+            )
+    return lines
+
+
+def _expected_lines(figures: Mapping[str, Any], unit: str) -> list[str]:
+    """Return what error to expect on new moves, and what the fit left, in words."""
     fitted = (
         f"fit RMSE {figures['rmse']:.4g}{unit} ({figures['rmse_percent']:.2f} %), a straight line's "
         f"{figures['straight_line_rmse']:.4g}{unit}"
     )
     if figures["expected_rmse"] is None:
-        lines = [
+        return [
             f"what error to expect on new moves cannot be told: {figures['expected_from']}",
             fitted,
         ]
-    else:
-        lines = [
-            f"expected on new moves inside the range: {figures['expected_rmse']:.4g}{unit} "
-            f"({figures['expected_percent']:.2f} % of the model's range); {fitted}",
-            f"in parts: {parts_words(figures, unit)}",
-        ]
-    lines.extend(validated(checks, abs(prepared.scale), unit)[1])
-    lines.append(
-        f"loop {figures['loop_width_percent']:.1f} % of the model's range, drive {prepared.low:g} to "
-        f"{prepared.high:g}{volt}; {figures['gears']} gears, {asymmetry_words(figures['points'])}"
-    )
-    lag = figures["lag_seconds"]
-    assert isinstance(lag, float)
-    whose = f", {WHOSE_LAG}" if lag > 0.0 else ""
+    return [
+        f"expected on new moves inside the range: {figures['expected_rmse']:.4g}{unit} "
+        f"({figures['expected_percent']:.2f} % of the model's range); {fitted}",
+        f"in parts: {parts_words(figures, unit)}",
+    ]
+
+
+def _lag_line(lag: float, sensor: Sensor) -> str:
+    """Return the lag in words, and what becomes of it."""
+    line = f"lag {1e3 * lag:.3g} ms"
     if sensor:
-        whose = (
-            f"; the sensor's delay of {1e3 * sensor.delay:.3g} ms and lag of {1e3 * sensor.lag:.3g} ms "
+        return (
+            f"{line}; the sensor's delay of {1e3 * sensor.delay:.3g} ms and lag of {1e3 * sensor.lag:.3g} ms "
             "were taken off before and are not compensated"
         )
-    lines.append(f"lag {1e3 * lag:.3g} ms{whose}")
-    lines.extend(
-        f"{one.name}: sensor drift of {one.drift_span:.3g}{unit} fitted beside the model and left out of it"
-        for one in residuals
-        if one.drift_span > 0.002 * abs(prepared.scale)
-    )
-    return lines
+    return f"{line}, {WHOSE_LAG}" if lag > 0.0 else line

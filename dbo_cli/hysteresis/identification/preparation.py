@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.identification.cleaning import (
@@ -31,6 +30,7 @@ from dbo_cli.hysteresis.identification.recordings import (
     FEWEST_ROWS,
     KNOWN_PAST,
     MOST,
+    Booleans,
     DriveShape,
     Floats,
     Integers,
@@ -60,8 +60,6 @@ from dbo_cli.hysteresis.identification.statistics import (
 )
 from dbo_cli.hysteresis.model_state import StartName
 from dbo_cli.hysteresis.move_error import SMALLEST_TURN
-
-Booleans = NDArray[np.bool_]
 
 WARM_UPS = (1 / 16, 1 / 8, 1 / 4, 1 / 2)
 """Of the log's length: time constants of a sensor that warms up. Measured: docs/choices.md."""
@@ -502,7 +500,6 @@ def folds_of(
 def prepare(
     recordings: Sequence[Recording],
     skip_seconds: float,
-    bad: Sequence[Booleans] | None = None,
     ends: tuple[float, float] | None = None,
     at_rest: bool = True,
 ) -> Prepared:
@@ -521,11 +518,7 @@ def prepare(
     shapes = tuple(drive_shape(log.voltage) for log in recordings)
     scale = signed_range(recordings)
     notes: list[str] = []
-    faults = bad or [np.zeros(len(log.voltage), bool) for log in recordings]
-    counted = [
-        _usable_rows(log, skip_seconds, faulty, at_rest, notes)
-        for log, faulty in zip(recordings, faults, strict=True)
-    ]
+    counted = [_usable_rows(log, skip_seconds, at_rest, notes) for log in recordings]
     usable, transients, outlying, clipped = zip(*counted, strict=True)
     weights = row_weights([log.uncertainty for log in recordings], usable)
     _check_weights(weights, usable, notes)
@@ -616,13 +609,13 @@ def _check_weights(
 def _usable_rows(
     log: Recording,
     skip_seconds: float,
-    faulty: Booleans,
     at_rest: bool,
     notes: list[str],
 ) -> tuple[Booleans, int, int, int]:
     """Rows of one log that can take part, and how many do not: history unknown, faulty, sensor clipped."""
     samples = len(log.voltage)
     usable = np.ones(samples, bool)
+    faulty = np.zeros(samples, bool) if log.faulty is None else log.faulty
     seconds = log.seconds()
     if skip_seconds > 0.0:
         if seconds is None:

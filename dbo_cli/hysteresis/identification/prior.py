@@ -17,7 +17,12 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.errors import FitError, UsageError
-from dbo_cli.hysteresis.identification.cleaning import LONGEST_DELAY, Sensor, cleaned
+from dbo_cli.hysteresis.identification.cleaning import (
+    LONGEST_DELAY,
+    Sensor,
+    mended,
+    without_voltage_glitches,
+)
 from dbo_cli.hysteresis.identification.evaluation import (
     FOLDS,
     STUDENT,
@@ -34,13 +39,13 @@ from dbo_cli.hysteresis.identification.preparation import STARTS, drift_order
 from dbo_cli.hysteresis.identification.recordings import (
     FEWEST_ROWS,
     MOST,
+    Booleans,
     Floats,
     IdentificationOptions,
     Recording,
     drive_shape,
     first_wiped_row,
     median_cycle_seconds,
-    without_voltage_glitches,
 )
 from dbo_cli.hysteresis.identification.statistics import (
     drift_columns,
@@ -49,8 +54,6 @@ from dbo_cli.hysteresis.identification.statistics import (
 )
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage, ScaleStage
 from dbo_cli.hysteresis.move_error import ZERO_STAYS, Alternative, alternatives_of
-
-Booleans = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 
 WITHIN_STATED = 1.4
 """Times the stated error: 1.96 standard deviations of an error that comes at 0.72 of it, in the middle of
@@ -163,19 +166,16 @@ def refresh(
     cycle = median_cycle_seconds(recordings) if clocked else None
     sensor = Sensor.of(options) or _sensor_of(prior.fit)
     sensor.check(cycle)
-    recordings, notes = without_voltage_glitches(
-        [sensor.taken_off(log) for log in recordings]
-    )
-    mended = [cleaned(log) for log in recordings]
-    notes += [note for one in mended for note in one.notes]
+    notes: list[str] = []
+    recordings = [sensor.taken_off(log) for log in recordings]
+    recordings = [without_voltage_glitches(log, notes) for log in recordings]
+    mended_logs = [mended(log, notes) for log in recordings]
     bare = _with_delay(prior, 0.0)
-    rows = [
-        _rows_that_count(one.recording, one.bad, options.skip_seconds) for one in mended
-    ]
-    weights = row_weights([one.recording.uncertainty for one in mended], rows)
+    rows = [_rows_that_count(log, options.skip_seconds) for log in mended_logs]
+    weights = row_weights([log.uncertainty for log in mended_logs], rows)
     logs = [
-        _beside(bare, one.recording, keep, roots)
-        for one, keep, roots in zip(mended, rows, weights, strict=True)
+        _beside(bare, log, keep, roots)
+        for log, keep, roots in zip(mended_logs, rows, weights, strict=True)
     ]
     of_shape = _gain_of_shape(prior, logs, recordings)
     may_hold = not prior.fit.get(OF_OTHERS, False)
@@ -227,9 +227,11 @@ def _sensor_of(fit: Mapping[str, object]) -> Sensor:
     )
 
 
-def _rows_that_count(log: Recording, bad: Booleans, skip_seconds: float) -> Booleans:
+def _rows_that_count(log: Recording, skip_seconds: float) -> Booleans:
     """Return the rows of a log that tell what moved (FitError where they are too few)."""
-    keep = known_rows(log, skip_seconds) & ~bad
+    keep = known_rows(log, skip_seconds)
+    if log.faulty is not None:
+        keep &= ~log.faulty
     wiped = first_wiped_row(log.voltage)
     if wiped <= MOST * len(keep):
         keep[:wiped] = False  # on a way up from rest no start may follow the actuator

@@ -5,17 +5,18 @@ from __future__ import annotations
 import itertools
 import math
 import numbers
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.errors import FitError, UsageError
+from dbo_cli.errors import FitError, Remarks, UsageError
 from dbo_cli.hysteresis.move_error import SMALLEST_TURN, turning_points
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
 
 FEWEST_ROWS = 40  # chosen: no log worth a fit has fewer
 LARGEST = 1e30  # in any unit: beyond this the squares of the fit would overflow
@@ -56,7 +57,9 @@ class Recording:
     quantity than a voltage, and what comes out another than a displacement.
     ``uncertainty`` is the displacement's standard deviation row by row, in its unit;
     None: all rows alike. ``rows`` are the numbers of the samples in the file; None:
-    from 1 on, without gaps.
+    from 1 on, without gaps. ``faulty`` are the rows in which sensor or logger failed,
+    shape (samples,); None: not looked for. ``record`` is what a model keeps of where
+    the log came from, and ``remarks`` what was said as it was read.
     """
 
     name: str
@@ -70,6 +73,9 @@ class Recording:
     displacement_quantity: str = "displacement"
     uncertainty: Floats | None = None
     rows: Integers | None = None
+    faulty: Booleans | None = None
+    record: Mapping[str, object] = field(default_factory=dict)
+    remarks: Remarks = field(default_factory=Remarks)
 
     def row(self, index: int) -> int:
         """Return the number in the file, from 1, of a sample, from 0."""
@@ -86,6 +92,18 @@ class Recording:
             )
             return even
         return None
+
+    def part(self, rows: slice) -> Recording:
+        """Return some neighbouring rows as a log."""
+        return replace(
+            self,
+            voltage=self.voltage[rows],
+            displacement=self.displacement[rows],
+            time=None if self.time is None else self.time[rows],
+            uncertainty=None if self.uncertainty is None else self.uncertainty[rows],
+            rows=None if self.rows is None else self.rows[rows],
+            faulty=None if self.faulty is None else self.faulty[rows],
+        )
 
 
 METHODS = ("least-squares", "paper")
@@ -317,7 +335,7 @@ class DriveShape:
         return max(len(self.cycles) - 1, 0)
 
 
-def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def runs(mask: Booleans) -> list[tuple[int, int]]:
     """Return first row and end of each run of rows that are true."""
     edges = np.flatnonzero(
         np.diff(np.concatenate(([0], mask.astype(np.int8), [0])))
@@ -438,39 +456,6 @@ def _check_sizes(log: Recording) -> None:
             )
 
 
-def without_voltage_glitches(
-    recordings: Sequence[Recording],
-) -> tuple[list[Recording], list[str]]:
-    """Replace single samples of the voltage that jump away and back by the mean of their neighbours.
-
-    The drive was not there, but one such sample would stretch the gears over a range
-    that was never driven. A jump counts where it is three times the most that the
-    drive, such samples aside, does between samples.
-    """
-    cleaned, notes = [], []
-    for log in recordings:
-        v = log.voltage
-        middle = np.median((v[:-2], v[1:-1], v[2:]), axis=0)
-        jump = np.abs(v[1:-1] - middle)
-        usual = float(np.abs(np.diff(middle)).max())
-        rows = (
-            np.flatnonzero(
-                jump > max(HIDDEN_STEPS * usual, SMALLEST_TURN * float(np.ptp(middle)))
-            )
-            + 1
-        )
-        if len(rows) and usual > 0.0:
-            repaired = v.copy()
-            repaired[rows] = (v[rows - 1] + v[rows + 1]) / 2.0
-            notes.append(
-                f"{log.name}: {len(rows)} single voltages that jump away and back replaced by the mean of "
-                f"their neighbours (first at row {log.row(rows[0])}: {v[rows[0]]:g})"
-            )
-            log = replace(log, voltage=repaired)
-        cleaned.append(log)
-    return cleaned, notes
-
-
 def first_wiped_row(voltage: Floats) -> int:
     """First row from which the operator's state no longer depends on the history before the log.
 
@@ -528,7 +513,7 @@ def _long_steps(log: Recording) -> Integers:
     return np.flatnonzero(steps > GAP_STEPS * usual)
 
 
-def known_behind_gaps(log: Recording, usable: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def known_behind_gaps(log: Recording, usable: Booleans) -> Booleans:
     """Return the usable rows without those before whose gap the drive may have turned, if enough are left."""
     known = usable.copy()
     for begin, wiped, _ in pieces_behind_gaps(log):
@@ -663,7 +648,7 @@ def _longest_sweep(log: Recording, span: float) -> FastPart | None:
     for begin, end in itertools.pairwise(edges):
         if end - begin < FEWEST_SWINGS * FEWEST_A_PERIOD // 2:
             continue
-        piece = _rows_of(log, slice(begin, end))
+        piece = log.part(slice(begin, end))
         step = grid_step(piece)
         sweep = None if step is None else _sweep(piece, span, step)
         if sweep is not None:
@@ -730,15 +715,6 @@ def _sweep(log: Recording, span: float, step: float) -> FastPart | None:
 def _without(log: Recording, rows: slice) -> Recording:
     """Return a log up to its fast rows, or from behind them where that is the longer part."""
     before = rows.start >= log.voltage.size - rows.stop
-    return _rows_of(log, slice(0, rows.start) if before else slice(rows.stop, None))
-
-
-def _rows_of(log: Recording, rows: slice) -> Recording:
-    return replace(
-        log,
-        voltage=log.voltage[rows],
-        displacement=log.displacement[rows],
-        time=None if log.time is None else log.time[rows],
-        uncertainty=None if log.uncertainty is None else log.uncertainty[rows],
-        rows=None if log.rows is None else log.rows[rows],
-    )
+    if before:
+        return log.part(slice(0, rows.start))
+    return log.part(slice(rows.stop, None))
