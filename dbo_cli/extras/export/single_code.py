@@ -137,11 +137,11 @@ def fold(stages: MemoryFree, low: float, high: float) -> Folded:
         back = tuple(stage.inverse() for stage in reversed(stages[:place]))
         nodes += through(back, np.ascontiguousarray(inner)).tolist()
     span = high - low
-    found: list[float] = []
+    begins: list[float] = []
     for node in sorted(nodes):
-        if not found or node - found[-1] > 1e-9 * span:
-            found.append(node)
-    x = np.array([*found, max(found[-1] + span, high)])
+        if not begins or node - begins[-1] > 1e-9 * span:
+            begins.append(node)
+    x = np.array([*begins, max(begins[-1] + span, high)])
     y = through(stages, x.copy())
     return Folded(x[:-1], y[:-1], np.diff(y) / np.diff(x))
 
@@ -529,7 +529,7 @@ def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> dict[str, float]:
     steepest = float(slopes.max())
     span = float(axes.wide.sum())
     height = float(axes.high.sum())
-    own, gain, growth = _loop(plan, axes, steepest)
+    remembered, gain, growth = _loop(plan, axes, steepest)
     base = _begin_of_axis(plan, axes)
     _, x_in = counts_of_range(source)
     _, y_out = counts_of_range(result)
@@ -549,10 +549,10 @@ def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> dict[str, float]:
         across += EPS * 2.0 * span + axes.x_count
         rising += EPS * 4.0 * float(axes.high.max()) + axes.y_unit
     if on_output:
-        inner = (steepest * (across + own) + rising) * growth
-        place = across + own + gain * inner
+        inner = (steepest * (across + remembered) + rising) * growth
+        place = across + remembered + gain * inner
     else:
-        inner = steepest * across + gain * entering + own + rising + axes.y_count
+        inner = steepest * across + gain * entering + remembered + rising + axes.y_count
         place = across
     tolerance = _tolerance(
         place, float(axes.wide.min()), rising, float(axes.high.min()), plan
