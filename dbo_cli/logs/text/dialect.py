@@ -16,8 +16,9 @@ from typing import NoReturn
 
 from dbo_cli.errors import InputError, counted, decoded
 from dbo_cli.logs.clock import Statement
-from dbo_cli.logs.columns import split_header
+from dbo_cli.logs.columns import parse_column, split_header
 from dbo_cli.logs.request import BLANKS, FILL_GAPS, ReadingOptions
+from dbo_cli.logs.sample_block import Column
 from dbo_cli.logs.text.lines import (
     RepeatedHeader,
     find_repeated_header,
@@ -98,6 +99,25 @@ class Dialect:
     passed: tuple[tuple[int, str], ...] = ()
     score: float = 0.0
     fits: int = 0
+
+    def columns(self) -> list[Column]:
+        """Return the columns; one without a name that holds no numbers is called text."""
+        columns = []
+        for index in range(self.width):
+            written = self.written(index)
+            name = ""
+            if self.headers:
+                name = self.headers[index]
+            elif written == "numbers" and index not in self.numeric:
+                name = "(text)"
+            unit = self.units[index] if self.units else ""
+            column = parse_column(name, index + 1, unit)
+            columns.append(replace(column, written=written))
+        return columns
+
+    def written(self, index: int) -> str:
+        """Return how a column (from 0) is written (``Column.written``)."""
+        return self.writings[index] if self.writings else "numbers"
 
     def is_comment(self, line: str) -> bool:
         """Return whether a line is empty or a comment."""
