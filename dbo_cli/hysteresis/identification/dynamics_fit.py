@@ -26,6 +26,7 @@ from dbo_cli.hysteresis.dynamics import (
     Lag,
     Resonance,
     Section,
+    latency_text,
 )
 from dbo_cli.hysteresis.identification.evaluation import (
     FOLDS,
@@ -740,7 +741,9 @@ def said(
             )
     place = "before" if chosen.structure.lag_before else "behind"
     lag = (
-        f", lag {1e3 * chosen.lag:.3g} ms {place} the gears" if chosen.lag > 0.0 else ""
+        f", lag {latency_text(chosen.lag)} {place} the gears"
+        if chosen.lag > 0.0
+        else ""
     )
     if chosen.structure.delay:
         lag += f", delay {1e3 * chosen.structure.delay:.4g} ms behind all"

@@ -100,20 +100,16 @@ class Dialect:
     score: float = 0.0
     fits: int = 0
 
-    def columns(self) -> list[Column]:
-        """Return the columns; one without a name that holds no numbers is called text."""
-        columns = []
-        for index in range(self.width):
-            written = self.written(index)
-            name = ""
-            if self.headers:
-                name = self.headers[index]
-            elif written == "numbers" and index not in self.numeric:
-                name = "(text)"
-            unit = self.units[index] if self.units else ""
-            column = parse_column(name, index + 1, unit)
-            columns.append(replace(column, written=written))
-        return columns
+    def column(self, index: int) -> Column:
+        """Return a column (from 0); one without a name that holds no numbers is called text."""
+        written = self.written(index)
+        name = ""
+        if self.headers:
+            name = self.headers[index]
+        elif written == "numbers" and index not in self.numeric:
+            name = "(text)"
+        unit = self.units[index] if self.units else ""
+        return replace(parse_column(name, index + 1, unit), written=written)
 
     def written(self, index: int) -> str:
         """Return how a column (from 0) is written (``Column.written``)."""

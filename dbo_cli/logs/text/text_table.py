@@ -98,7 +98,7 @@ class TextTable(Table):
             self.doubtful.append(
                 f"line {number}: {shortened(text)!r} is neither a row nor a header"
             )
-        self.columns = self.dialect.columns()
+        self.columns = [self.dialect.column(n) for n in range(self.dialect.width)]
         self._small = live or (self._lines.ended and len(head) < PLAIN_BYTES)
         self._bytes_per_row = max(8, len(head) // max(1, head.count(b"\n")))
         self._ahead = self.source.is_regular and not (live or self._lines.ended)
@@ -464,7 +464,7 @@ class BlockParser:
             if column < len(cells) and _is_text_in(
                 cells[column], numeric, self.dialect
             ):
-                label = column_label(self.dialect.columns()[column])
+                label = column_label(self.dialect.column(column))
                 written = self.dialect.written(column)
                 wrong = complain(cells[column], self.dialect.decimal, written)
                 return f"{label} {wrong}"
@@ -473,13 +473,10 @@ class BlockParser:
     @cached_property
     def _unpicked(self) -> list[int]:
         """The columns of numbers or time stamps (from 0) that are not read."""
+        writings = enumerate(self.dialect.writings)
+        stamps = {index for index, written in writings if written != "numbers"}
         picked = {pick.number - 1 for pick in self.picks.values()}
-        unpicked = []
-        for index in range(self.dialect.width):
-            stamps = self.dialect.written(index) != "numbers"
-            if index not in picked and (stamps or index in self.dialect.numeric):
-                unpicked.append(index)
-        return unpicked
+        return sorted((self.dialect.numeric | stamps) - picked)
 
 
 def _without_empty_lines(block: bytes) -> tuple[bytes, NDArray[np.int64]]:
