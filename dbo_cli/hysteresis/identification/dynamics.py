@@ -370,72 +370,86 @@ def _assembled(
     doubts: Sequence[str],
 ) -> Identification:
     """Return the whole model with what is to be said of it."""
-    base, model, signals, creep = (
-        reading.base,
-        reading.model,
-        reading.signals,
-        reading.creep,
-    )
-    first = (
-        (DynamicsStage((Lag(chosen.lag_before),)),) if chosen.lag_before > 0.0 else ()
-    )
-    slow = [stage for stage in model.stages if not isinstance(stage, DynamicsStage)]
-    stages: tuple[Stage, ...] = (*first, *slow, DynamicsStage((*creep, *chosen.behind)))
+    base = reading.base
+    model = _with_stages(reading, chosen)
+    figures = _figures(reading, chosen, fast, highest)
+    trusted_hz, why = trusted(reading.signals, chosen, highest)
+    figures["trusted_hz"] = trusted_hz
+    terms = reading.model.backlash.relaxation
+    figures["relaxation_seconds"] = list(terms.tau) if terms else []
+    figures["delay_seconds"] = chosen.structure.delay
+    figures["delay_interval_seconds"] = None
+    figures["lag_seconds"] = _late(chosen) + chosen.lag_before
+    warnings = [*base.warnings, *doubts]
+    if warnings:
+        figures["warnings"] = warnings
+    sensor = Sensor.of(options)
+    checks = [
+        validation_of(model, sensor.taken_off(log), options.skip_seconds)
+        for log in validation
+    ]
+    unit = f" {model.output.unit}" if model.output.unit else ""
+    # Of lag and memories the slow rows tell what the dynamics say better.
+    summary = [line for line in base.summary if not line.startswith("lag ")]
+    summary += said(figures, chosen, trusted_hz, why, unit)
+    validation_figures, lines = validated(checks, model.output.span, unit)
+    figures |= validation_figures
+    summary += lines
+    model = dataclasses.replace(model, fit=figures)
+    return Identification(model, figures, summary, warnings)
+
+
+def _with_stages(reading: _Reading, chosen: FittedDynamics) -> ActuatorModel:
+    """Return the slow rows' model with the lag before, creep and dynamics behind its gears."""
+    model = reading.model
+    stages: list[Stage] = []
+    if chosen.lag_before > 0.0:
+        stages.append(DynamicsStage((Lag(chosen.lag_before),)))
+    stages += [stage for stage in model.stages if not isinstance(stage, DynamicsStage)]
+    stages.append(DynamicsStage((*reading.creep, *chosen.behind)))
     if chosen.structure.delay:
-        stages = (*stages, DelayStage(chosen.structure.delay))
+        stages.append(DelayStage(chosen.structure.delay))
     low, high = slow_output_range(stages, model.input.minimum, model.input.maximum)
     output = dataclasses.replace(model.output, minimum=low, maximum=high)
-    trusted_hz, why = trusted(signals, chosen, highest)
-    figures: dict[str, object] = dict(base.fit)
-    figures["dynamics"] = {
-        "resonances": [
+    return dataclasses.replace(model, stages=tuple(stages), output=output, fit={})
+
+
+def _figures(
+    reading: _Reading,
+    chosen: FittedDynamics,
+    fast: Sequence[FastPart],
+    highest: float,
+) -> dict[str, object]:
+    """Return what the slow rows' file says of its fit, with dynamics and creep."""
+    lowest = min(part.lowest for part in fast)
+    resonances = []
+    for k, resonance in enumerate(chosen.resonances):
+        frequency, damping = resonance.frequency, resonance.damping
+        resonances.append(
             {
-                "frequency": one.frequency,
-                "damping": one.damping,
-                "frequency_interval": interval(one.frequency, chosen.spread[2 * k]),
-                "damping_interval": interval(one.damping, chosen.spread[2 * k + 1]),
+                "frequency": frequency,
+                "damping": damping,
+                "frequency_interval": interval(frequency, chosen.spread[2 * k]),
+                "damping_interval": interval(damping, chosen.spread[2 * k + 1]),
             }
-            for k, one in enumerate(chosen.resonances)
-        ],
+        )
+    figures: dict[str, object] = dict(reading.base.fit)
+    figures["dynamics"] = {
+        "resonances": resonances,
         "lag_seconds": chosen.lag,
         "lag_place": "before" if chosen.structure.lag_before else "behind",
         "rmse": chosen.rmse,
         "cross_validated_rmse": chosen.left_out,
         "logs": [part.recording.name for part in fast],
-        "swept": [min(part.lowest for part in fast), highest],
-        "response": response(signals, min(part.lowest for part in fast), highest),
+        "swept": [lowest, highest],
+        "response": response(reading.signals, lowest, highest),
     }
-    if creep:
+    if reading.creep:
         figures["creep"] = [
-            {"seconds": one.seconds, "share": 1.0 - one.lead / one.seconds}
-            for one in creep
+            {"seconds": lag.seconds, "share": 1.0 - lag.lead / lag.seconds}
+            for lag in reading.creep
         ]
-    figures["trusted_hz"] = trusted_hz
-    terms = model.backlash.relaxation
-    figures["relaxation_seconds"] = list(terms.tau) if terms else []
-    figures["delay_seconds"], figures["delay_interval_seconds"] = (
-        chosen.structure.delay,
-        None,
-    )
-    figures["lag_seconds"] = _late(chosen) + chosen.lag_before
-    warnings = [*base.warnings, *doubts]
-    if warnings:
-        figures["warnings"] = warnings
-    whole = dataclasses.replace(model, stages=stages, output=output, fit={})
-    checks = [
-        validation_of(whole, Sensor.of(options).taken_off(log), options.skip_seconds)
-        for log in validation
-    ]
-    unit = f" {model.output.unit}" if model.output.unit else ""
-    # Of lag and memories the slow rows tell what the dynamics say better.
-    told = [line for line in base.summary if not line.startswith("lag ")]
-    summary = [*told, *said(figures, chosen, trusted_hz, why, unit)]
-    found, lines = validated(checks, output.span, unit)
-    figures |= found
-    summary += lines
-    return Identification(
-        dataclasses.replace(whole, fit=figures), figures, summary, warnings
-    )
+    return figures
 
 
 def creep_behind(

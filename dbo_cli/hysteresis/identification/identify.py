@@ -110,7 +110,7 @@ def identify_static(
         Nothing trustworthy can be identified.
     """
     notes: list[str] = []
-    cycle = _cycle_seconds(recordings)
+    cycle = median_cycle_seconds(recordings)
     sensor = Sensor.of(options)
     sensor.check(cycle)
     # Where dynamics are looked for, or left out, what swings at the beginning is no
@@ -195,13 +195,6 @@ def _stated(
     figures["alternatives"] = [other.values() for other in others]
     model = replace(result.model, fit=figures)
     return Identification(model, figures, summary, warnings)
-
-
-def _cycle_seconds(recordings: Sequence[Recording]) -> float | None:
-    """Return the median duration of a cycle, None where a log has no clock."""
-    if any(log.seconds() is None for log in recordings):
-        return None
-    return median_cycle_seconds(recordings)
 
 
 def _refuse_beaten(
@@ -389,8 +382,8 @@ def _figures(result: _Result) -> dict[str, object]:
 def _log_figures(result: _Result, place: int) -> dict[str, object]:
     """Return what the model file says of one log."""
     prepared, residual = result.prepared, result.judged.residuals[place]
-    log, transient = prepared.logs[place], prepared.transient_rows[place]
-    start = None if transient or log.stretches else log.start
+    log = prepared.logs[place]
+    start = None if log.transient_rows or log.stretches else log.start
     return {
         "name": residual.name,
         "samples": len(residual.values),
@@ -398,9 +391,9 @@ def _log_figures(result: _Result, place: int) -> dict[str, object]:
         "drift": residual.drift_span,
         "begins_at": float(result.given[place].voltage[0]),
         "start": start,
-        "transient_rows": transient,
-        "outlier_rows": prepared.outlier_rows[place],
-        "clipped_rows": prepared.clipped_rows[place],
+        "transient_rows": log.transient_rows,
+        "outlier_rows": log.outlier_rows,
+        "clipped_rows": log.clipped_rows,
     }
 
 

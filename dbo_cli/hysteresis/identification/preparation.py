@@ -391,9 +391,6 @@ class Prepared:
     high: float
     scale: float
     offset: float
-    transient_rows: tuple[int, ...]
-    outlier_rows: tuple[int, ...]
-    clipped_rows: tuple[int, ...]
     doubtful_drift: float = 0.0
     notes: list[str] = field(default_factory=list)
 
@@ -515,54 +512,27 @@ def prepare(
         Where too few rows are left.
     """
     low, high = drive_range(recordings) if ends is None else ends
-    shapes = tuple(drive_shape(log.voltage) for log in recordings)
     scale = signed_range(recordings)
     notes: list[str] = []
-    counted = [_usable_rows(log, skip_seconds, at_rest, notes) for log in recordings]
-    usable, transients, outlying, clipped = zip(*counted, strict=True)
-    weights = row_weights([log.uncertainty for log in recordings], usable)
-    _check_weights(weights, usable, notes)
-    logs: list[PreparedLog] = []
-    fold = 0
-    for log, shape, rows, roots in zip(
-        recordings, shapes, usable, weights, strict=True
-    ):
-        seconds = log.seconds()
-        clock = np.arange(len(log.voltage), dtype=float) if seconds is None else seconds
-        order = drift_order(shape, seconds is not None, level_moves(shape, log.voltage))
-        share = max(
-            2,
-            round(
-                FOLDS * len(log.voltage) / sum(len(one.voltage) for one in recordings)
-            ),
-        )
-        folds = folds_of(shape, rows, fold, min(share, FOLDS))
-        fold = int(folds.max()) + 1
-        drift, output = drift_columns(clock, order), log.displacement / scale
-        unopened = PreparedLog(
-            log.name,
-            log.voltage,
-            output,
-            seconds,
-            folds,
-            drift,
-            "settled",
-            weights=roots,
-            rows=log.rows,
-        )
-        logs.append(_with_offsets_behind_gaps(log, unopened, low, high))
+    opened = [_opened(log, scale, skip_seconds, at_rest, notes) for log in recordings]
+    shapes = tuple(drive_shape(log.voltage) for log in recordings)
+    dealt = _dealt(_weighted(opened, recordings, notes), shapes)
+    parts = [
+        _with_offsets_behind_gaps(recording, log, low, high)
+        for recording, log in zip(recordings, dealt, strict=True)
+    ]
     # Where the rows under the unknown history are left out anyway, the start state
     # makes no difference.
-    chosen = [
-        log if cut else _with_history(log, low, high, notes)
-        for log, cut in zip(logs, transients, strict=True)
+    begun = [
+        log if log.transient_rows else _with_history(log, low, high, notes)
+        for log in parts
     ]
-    moves = (
+    moves = [
         level_moves(shape, log.voltage)
-        for shape, log in zip(shapes, recordings, strict=True)
-    )
-    logs, doubtful = with_drift_needed(chosen, low, high, not any(moves))
-    flat, outliers = _without_drift_and_spikes(logs, low, high, notes)
+        for shape, log in zip(shapes, begun, strict=True)
+    ]
+    drifting, doubtful = with_drift_needed(begun, low, high, not any(moves))
+    flat = _without_drift_and_spikes(drifting, low, high, notes)
     bottom = min(float(log.output[log.used].min()) for log in flat)
     top = max(float(log.output[log.used].max()) for log in flat)
     ready = tuple(
@@ -575,12 +545,65 @@ def prepare(
         high,
         scale=scale * (top - bottom),
         offset=scale * bottom,
-        transient_rows=transients,
-        outlier_rows=tuple(a + b for a, b in zip(outlying, outliers, strict=True)),
-        clipped_rows=clipped,
         doubtful_drift=doubtful,
         notes=notes,
     )
+
+
+def _opened(
+    recording: Recording,
+    scale: float,
+    skip_seconds: float,
+    at_rest: bool,
+    notes: list[str],
+) -> PreparedLog:
+    """Return a log in units of ``scale`` with the rows that can take part, all in one fold."""
+    voltage, seconds = recording.voltage, recording.seconds()
+    usable, transient = _known_rows(recording, skip_seconds, at_rest, notes)
+    usable, faulty, clipped = _sound_rows(recording, usable, notes)
+    shape = drive_shape(voltage)
+    order = drift_order(shape, seconds is not None, level_moves(shape, voltage))
+    clock = np.arange(len(voltage), dtype=float) if seconds is None else seconds
+    return PreparedLog(
+        recording.name,
+        voltage,
+        recording.displacement / scale,
+        seconds,
+        np.where(usable, 0, -1),
+        drift_columns(clock, order),
+        "settled",
+        rows=recording.rows,
+        transient_rows=transient,
+        outlier_rows=faulty,
+        clipped_rows=clipped,
+    )
+
+
+def _weighted(
+    logs: Sequence[PreparedLog], recordings: Sequence[Recording], notes: list[str]
+) -> list[PreparedLog]:
+    """Return the logs with the weights of their rows, by the recordings' uncertainty."""
+    used = [log.used for log in logs]
+    weights = row_weights([recording.uncertainty for recording in recordings], used)
+    _check_weights(weights, used, notes)
+    return [
+        replace(log, weights=roots) for log, roots in zip(logs, weights, strict=True)
+    ]
+
+
+def _dealt(
+    logs: Sequence[PreparedLog], shapes: Sequence[DriveShape]
+) -> list[PreparedLog]:
+    """Return the logs with their cycles dealt into folds, each log in proportion to its rows."""
+    total = sum(len(log.voltage) for log in logs)
+    dealt = []
+    first = 0
+    for log, shape in zip(logs, shapes, strict=True):
+        share = max(2, round(FOLDS * len(log.voltage) / total))
+        folds = folds_of(shape, log.used, first, min(share, FOLDS))
+        first = int(folds.max()) + 1
+        dealt.append(replace(log, fold=folds))
+    return dealt
 
 
 def _check_weights(
@@ -606,56 +629,74 @@ def _check_weights(
     )
 
 
-def _usable_rows(
-    log: Recording,
-    skip_seconds: float,
-    at_rest: bool,
-    notes: list[str],
-) -> tuple[Booleans, int, int, int]:
-    """Rows of one log that can take part, and how many do not: history unknown, faulty, sensor clipped."""
+def _known_rows(
+    log: Recording, skip_seconds: float, at_rest: bool, notes: list[str]
+) -> tuple[Booleans, int]:
+    """Return the rows whose history is known, and how many at the beginning were left out because it is not.
+
+    Rows that the user skips do not count.
+    """
     samples = len(log.voltage)
-    usable = np.ones(samples, bool)
-    faulty = np.zeros(samples, bool) if log.faulty is None else log.faulty
-    seconds = log.seconds()
-    if skip_seconds > 0.0:
-        if seconds is None:
-            raise FitError(
-                f"{log.name}: `skip` needs a clock: name the time column (`time`) or give `sample_rate`"
-            )
-        usable &= seconds >= skip_seconds
+    usable = _not_skipped(log, skip_seconds)
     skipped = samples - int(usable.sum())
     wiped = first_wiped_row(log.voltage)
-    transient = 0
-    moving = samples - int(np.argmax(log.voltage != log.voltage[0]))
     early = np.arange(samples) < wiped
+    moving = samples - int(np.argmax(log.voltage != log.voltage[0]))
     mostly_known = samples - wiped >= (1.0 - KNOWN_PAST) * moving
     unknown = wiped > skipped and mostly_known
     if unknown and at_rest:
-        unknown = not _predicts_later_rows(log, usable & ~faulty, early)
+        sound = usable if log.faulty is None else usable & ~log.faulty
+        unknown = not _predicts_later_rows(log, sound, early)
+    transient = 0
     if unknown:
         usable &= ~early
         transient = wiped - skipped
-        left_rows = f"rows {log.row(skipped)} to {log.row(wiped - 1)} left out"
         notes.append(
-            f"{log.name}: {left_rows}: before the drive had been at both ends of its range, the actuator's "
-            "history is unknown"
+            f"{log.name}: rows {log.row(skipped)} to {log.row(wiped - 1)} left out: before the drive had "
+            "been at both ends of its range, the actuator's history is unknown"
         )
-    usable = _left_behind_gaps(log, usable, notes)
-    left_out = int((usable & faulty).sum())
-    usable &= ~faulty
-    stuck = clipped_sensor(log.displacement, log.voltage) & usable
-    if stuck.any():
-        usable &= ~stuck
+    return _left_behind_gaps(log, usable, notes), transient
+
+
+def _not_skipped(log: Recording, skip_seconds: float) -> Booleans:
+    """Return the rows from ``skip_seconds`` on."""
+    if skip_seconds <= 0.0:
+        return np.ones(len(log.voltage), bool)
+    seconds = log.seconds()
+    if seconds is None:
+        raise FitError(
+            f"{log.name}: `skip` needs a clock: name the time column (`time`) or give `sample_rate`"
+        )
+    return seconds >= skip_seconds
+
+
+def _sound_rows(
+    log: Recording, usable: Booleans, notes: list[str]
+) -> tuple[Booleans, int, int]:
+    """Return the usable rows that are neither faulty nor clipped, and how many are either.
+
+    Raises
+    ------
+    FitError
+        Too few are left.
+    """
+    faulty = 0
+    if log.faulty is not None:
+        faulty = int((usable & log.faulty).sum())
+        usable = usable & ~log.faulty
+    clipped = clipped_sensor(log.displacement, log.voltage) & usable
+    if clipped.any():
+        usable = usable & ~clipped
         notes.append(
-            f"{log.name}: {int(stuck.sum())} rows left out: the sensor stands at the end of its range while "
-            "the drive moves (clipped); move the sensor or lower its gain and record again"
+            f"{log.name}: {int(clipped.sum())} rows left out: the sensor stands at the end of its range "
+            "while the drive moves (clipped); move the sensor or lower its gain and record again"
         )
     if int(usable.sum()) < FEWEST_ROWS:
         raise FitError(
             f"{log.name}: {int(usable.sum())} usable rows are too few to identify from: record longer, or "
             "skip less"
         )
-    return usable, transient, left_out, int(stuck.sum())
+    return usable, faulty, int(clipped.sum())
 
 
 def _predicts_later_rows(log: Recording, usable: Booleans, early: Booleans) -> bool:
@@ -816,70 +857,69 @@ def _probe(log: PreparedLog, low: float, high: float) -> tuple[Statistics, Struc
 
 def _without_drift_and_spikes(
     logs: Sequence[PreparedLog], low: float, high: float, notes: list[str]
-) -> tuple[list[PreparedLog], tuple[int, ...]]:
+) -> list[PreparedLog]:
     """Fit gears and drift once, take the drift out of the outputs, and leave out rows far from the fit."""
-    basis, structure = (
-        _trial_basis(low, high),
-        Structure("free", (), 1, PROBE_SMOOTHNESS),
-    )
-    outliers = np.zeros(len(logs), np.int64)
-    residuals: list[Floats] = []
-    for attempt in range(2):
-        solution, _ = gather(fewer_rows(logs), basis, 1).solved(structure)
-        begin = 0
-        residuals = []
-        drifts = []
-        for log in logs:
-            terms = solution.drift[begin : begin + log.drift.shape[1]]
-            begin += log.drift.shape[1]
-            fitted = log.drift @ terms
-            residual = np.full(len(log.output), np.nan)
-            for first, last, drive in drive_rows(
-                basis, log.voltage, log.seconds, log.start, log.used
-            ):
-                residual[first:last] = (
-                    log.output[first:last]
-                    - drive @ solution.heights
-                    - fitted[first:last]
-                )
-            residuals.append(residual)
-            # the first log keeps its level: the model has it
-            drifts.append(fitted - solution.drift[0])
-        if attempt == 1:
-            break
-        logs, found = _leave_out_spikes(logs, residuals, notes)
-        outliers += found
-        if not found.any():
-            break
+    drifts, residuals = _drift_and_rest(logs, low, high)
+    kept = [
+        _without_spikes(log, residual, notes)
+        for log, residual in zip(logs, residuals, strict=True)
+    ]
+    if any(after is not before for after, before in zip(kept, logs, strict=True)):
+        drifts, _ = _drift_and_rest(kept, low, high)
     flat = [
         replace(log, output=log.output - drift)
-        for log, drift in zip(logs, drifts, strict=True)
+        for log, drift in zip(kept, drifts, strict=True)
     ]
-    return with_folds(flat, [log.fold for log in flat]), tuple(int(n) for n in outliers)
+    return with_folds(flat, [log.fold for log in flat])
 
 
-def _leave_out_spikes(
-    logs: Sequence[PreparedLog], residuals: Sequence[Floats], notes: list[str]
-) -> tuple[list[PreparedLog], Integers]:
-    """Leave out rows that stand far from the fit and from their own neighbours."""
-    kept: list[PreparedLog] = []
-    found = np.zeros(len(logs), np.int64)
-    for place, (log, residual) in enumerate(zip(logs, residuals, strict=True)):
-        used = log.used
-        residual = weighted(residual, log.weights)
-        values = residual[used]
-        centre = float(np.median(values))
-        sigma = OF_NORMAL * float(np.median(np.abs(values - centre)))
-        far = used & (np.abs(residual - centre) > SPIKE_SIGMAS * max(sigma, 1e-12))
-        # No drive turns in a residual: more of them are seen together than in the
-        # displacement itself (three spikes among four rows left 0.6 % of the range).
-        far &= spiked_rows(np.where(used, residual, centre), 3 * SPIKE_WINDOW)
-        if 0 < int(far.sum()) <= MOST_OUTLIERS * int(used.sum()):
-            found[place] = int(far.sum())
-            notes.append(
-                f"{log.name}: {found[place]} outlying rows left out (more than {SPIKE_SIGMAS:g} standard "
-                f"deviations from the fit; first at row {log.row(int(np.argmax(far)))})"
-            )
-            log = replace(log, fold=np.where(far, -1, log.fold))
-        kept.append(log)
-    return kept, found
+def _drift_and_rest(
+    logs: Sequence[PreparedLog], low: float, high: float
+) -> tuple[list[Floats], list[Floats]]:
+    """Fit gears and drift; return the drift of each log, and what both leave (no number where none was made).
+
+    The first log keeps its level: the model has it.
+    """
+    basis = _trial_basis(low, high)
+    structure = Structure("free", (), 1, PROBE_SMOOTHNESS)
+    solution, _ = gather(fewer_rows(logs), basis, 1).solved(structure)
+    drifts = []
+    residuals: list[Floats] = []
+    begin = 0
+    for log in logs:
+        terms = solution.drift[begin : begin + log.drift.shape[1]]
+        begin += log.drift.shape[1]
+        fitted = log.drift @ terms
+        residual = np.full(len(log.output), np.nan)
+        for first, last, drive in drive_rows(
+            basis, log.voltage, log.seconds, log.start, log.used
+        ):
+            without_gears = log.output[first:last] - drive @ solution.heights
+            residual[first:last] = without_gears - fitted[first:last]
+        residuals.append(residual)
+        drifts.append(fitted - solution.drift[0])
+    return drifts, residuals
+
+
+def _without_spikes(
+    log: PreparedLog, residual: Floats, notes: list[str]
+) -> PreparedLog:
+    """Return a log without the rows that stand far from the fit and from their own neighbours."""
+    used = log.used
+    residual = weighted(residual, log.weights)
+    values = residual[used]
+    centre = float(np.median(values))
+    sigma = OF_NORMAL * float(np.median(np.abs(values - centre)))
+    far = used & (np.abs(residual - centre) > SPIKE_SIGMAS * max(sigma, 1e-12))
+    # No drive turns in a residual: more of them are seen together than in the
+    # displacement itself (three spikes among four rows left 0.6 % of the range).
+    far &= spiked_rows(np.where(used, residual, centre), 3 * SPIKE_WINDOW)
+    count = int(far.sum())
+    if not 0 < count <= MOST_OUTLIERS * int(used.sum()):
+        return log
+    notes.append(
+        f"{log.name}: {count} outlying rows left out (more than {SPIKE_SIGMAS:g} standard "
+        f"deviations from the fit; first at row {log.row(int(np.argmax(far)))})"
+    )
+    fold = np.where(far, -1, log.fold)
+    return replace(log, fold=fold, outlier_rows=log.outlier_rows + count)

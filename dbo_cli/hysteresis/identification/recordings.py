@@ -529,7 +529,9 @@ def _usual_change(values: Floats, long: Integers) -> float:
 
 
 def median_cycle_seconds(recordings: Sequence[Recording]) -> float | None:
-    """Duration in seconds of the cycle in which the logs' middle second lies, None without clock or cycle.
+    """Duration in seconds of the cycle in which the logs' middle second lies.
+
+    None where a log has no clock, or none has a cycle.
 
     Cycles count by their duration: of a drive with many small quick turns, the full
     sweeps say how late an actuator may be.
@@ -537,10 +539,12 @@ def median_cycle_seconds(recordings: Sequence[Recording]) -> float | None:
     durations: list[Floats] = []
     for log in recordings:
         seconds = log.seconds()
+        if seconds is None:
+            return None
         turns = drive_shape(log.voltage).turns
-        if seconds is not None and len(turns) >= 2:
+        if len(turns) >= 2:
             durations.append(2.0 * np.diff(seconds[turns]))
-        elif seconds is not None and len(turns) == 1:
+        elif len(turns) == 1:
             durations.append(np.array([seconds[-1]]))
     if not durations:
         return None

@@ -357,7 +357,8 @@ class PreparedLog:
     the numbers of the samples in the file, None from 1 on. The last ``stretches`` of
     the drift's columns are offsets of stretches of a history left open, not drift.
     ``weights`` are the roots of the rows' weights, None where all rows count alike. All
-    arrays have shape (samples, ...).
+    arrays have shape (samples, ...). The last three numbers are of rows left out: before
+    their history was known, faulty or far from a fit, and of a clipped sensor.
     """
 
     name: str
@@ -370,6 +371,9 @@ class PreparedLog:
     stretches: int = 0
     weights: Floats | None = None
     rows: Integers | None = None
+    transient_rows: int = 0
+    outlier_rows: int = 0
+    clipped_rows: int = 0
     _lags: dict[object, Floats] = field(default_factory=dict, repr=False, compare=False)
 
     def row(self, index: int) -> int:
