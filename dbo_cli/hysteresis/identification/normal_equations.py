@@ -15,6 +15,7 @@ wherever it is identified.
 from __future__ import annotations
 
 import contextlib
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -104,21 +105,14 @@ def minimise(
     return 0
 
 
-class PythonFit:
-    """The functions of this module under the names that the extension gives its own."""
-
-    add_products = staticmethod(add_products)
-    minimise = staticmethod(minimise)
-
-
 def _choose() -> Any:
-    """Return the extension where the compiled kernel is chosen and it was built, else the functions here."""
+    """Return the extension where the compiled kernel is chosen and it was built, else this module."""
     if kernel.KIND == "compiled":
         with contextlib.suppress(ImportError):
             from dbo_cli.hysteresis import _fit  # type: ignore[attr-defined,unused-ignore]
 
             return _fit
-    return PythonFit
+    return sys.modules[__name__]
 
 
 CHOSEN = _choose()

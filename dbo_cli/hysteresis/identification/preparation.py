@@ -104,6 +104,9 @@ docs/choices.md.
 PROBE_SMOOTHNESS = 1e-9
 """Of free slopes, from which outliers and drift are told. Measured: docs/choices.md."""
 
+# of the longest memory: longer ones are slow, and can stand in for the shortest warm-up
+SLOW = WARM_UPS[0] / LONGEST_MEMORY
+
 LEVEL_MOVES = 0.02
 """Scatter of the cycles' mean levels, of the drive or of a slow memory, over the drive's range, from which
 creep can be told from drift. Measured: docs/choices.md.
@@ -123,7 +126,11 @@ def drift_order(shape: DriveShape, has_clock: bool, moving_level: bool) -> int:
     """Highest order of the drift polynomial that a log of so many cycles can tell from anything else."""
     if not has_clock or shape.cycle_count < CYCLES_PER_ORDER:
         return 0
-    highest = HIGHEST_ORDER if moving_level else 2 if one_amplitude([shape]) else 1
+    highest = 1
+    if moving_level:
+        highest = HIGHEST_ORDER
+    elif one_amplitude([shape]):
+        highest = 2
     return min(highest, shape.cycle_count // CYCLES_PER_ORDER)
 
 
@@ -144,74 +151,76 @@ def with_drift_needed(
     offered = [_Drift(order) for order in range(highest + 1)]
     if highest >= WARMING:
         offered += [_Drift(0, part) for part in WARM_UPS]
-    wanted, doubtful = _wanted(
-        _trials(logs, low, high, offered), _trials(logs, low, high, offered, True)
-    )
-    return [
+    drifts = _tried(logs, low, high, offered)
+    beside_creep = _tried(logs, low, high, offered, creeping=True)
+    wanted, doubtful = _wanted(drifts, beside_creep)
+    with_drift = [
         replace(log, drift=_columns(log)[:, _places(log, wanted)]) for log in logs
-    ], doubtful
+    ]
+    return with_drift, doubtful
 
 
 @dataclass(frozen=True)
 class _Drift:
-    """A polynomial of this order in time, and a warm-up with this time constant (of the log's length)."""
+    """A polynomial of this order in time, and a warm-up with this time constant (of the log's length).
+
+    Once it was tried: the RMS error, the gains of the slow memories together beside it,
+    and the drift's size, the largest of the logs', peak to peak; both in units of the
+    range.
+    """
 
     order: int
     warm_up: float | None = None
+    error: float = 0.0
+    creep: float = 0.0
+    size: float = 0.0
+
+    @property
+    def simple(self) -> bool:
+        """Whether it cannot bend to whatever the model leaves over, as many orders do."""
+        return self.warm_up is not None or self.order == 1
 
 
-@dataclass(frozen=True)
-class _Trial:
-    """A fit with a drift: its RMS error, the gains of the slow memories together, the drift's size.
-
-    The size is the largest of the logs', peak to peak; both in units of the range.
-    """
-
-    error: float
-    creep: float
-    size: float
-
-
-def _evident(trials: dict[_Drift, _Trial]) -> _Drift:
+def _evident(drifts: Sequence[_Drift]) -> _Drift:
     """Return the simplest drift without which the error is evidently larger."""
-    least = min(trial.error for trial in trials.values())
-    return next(
-        one for one, trial in trials.items() if trial.error <= DRIFT_GAIN * least
-    )
+    least = min(drift.error for drift in drifts)
+    return next(drift for drift in drifts if drift.error <= DRIFT_GAIN * least)
 
 
 def _wanted(
-    trials: dict[_Drift, _Trial], creeping: dict[_Drift, _Trial]
+    drifts: Sequence[_Drift], beside_creep: Sequence[_Drift]
 ) -> tuple[_Drift, float]:
     """Return the drift that the logs ask for, and the size of one that could be in the place of creep.
 
-    ``creeping`` has the same fits beside creep that follows the displacement, not the
-    drive. Where the sensor is so good that the two differ by more than its noise, a
-    drift stood in for the difference (0.3 % of the range on a stage that only creeps,
-    in noise of 0.006 %). The highest order bends to whatever the gears leave over, and
-    is no evidence there.
+    The first of ``drifts`` is none. ``beside_creep`` has the same fits beside creep that
+    follows the displacement, not the drive. Where the sensor is so good that the two
+    differ by more than its noise, a drift stood in for the difference (0.3 % of the
+    range on a stage that only creeps, in noise of 0.006 %). The highest order bends to
+    whatever the gears leave over, and is no evidence there.
     """
-    none = _Drift(0)
-    few = {one: trial for one, trial in creeping.items() if one.order < HIGHEST_ORDER}
-    wanted = none if _evident(few) == none else _evident(trials)
-    # A polynomial of many orders bends to whatever the model leaves over.
-    simple = [one for one in trials if one.warm_up is not None or one.order == 1]
-    if wanted == none:
-        simple = [
-            one
-            for one in simple
-            if trials[one].creep <= CREEP_LEFT * trials[none].creep
-        ]
-    best = min(simple, key=lambda one: trials[one].error, default=none)
-    as_good = [
-        one for one in simple if trials[one].error <= AS_GOOD * trials[best].error
-    ]
-    best = min(as_good, key=lambda one: trials[one].creep, default=none)
-    if wanted != none:
-        return (best if trials[best].error < trials[wanted].error else wanted), 0.0
-    if trials[none].error >= INSTEAD_GAIN * trials[best].error:
+    none = wanted = drifts[0]
+    few = [drift for drift in beside_creep if drift.order < HIGHEST_ORDER]
+    if _evident(few) is not few[0]:
+        wanted = _evident(drifts)
+    simple = [drift for drift in drifts if drift.simple]
+    if wanted is none:
+        most = CREEP_LEFT * none.creep
+        simple = [drift for drift in simple if drift.creep <= most]
+    best = _least_creep(simple, none)
+    if wanted is not none:
+        return (best if best.error < wanted.error else wanted), 0.0
+    if none.error >= INSTEAD_GAIN * best.error:
         return best, 0.0
-    return none, trials[best].size if trials[best].size >= DOUBTFUL else 0.0
+    return none, best.size if best.size >= DOUBTFUL else 0.0
+
+
+def _least_creep(drifts: Sequence[_Drift], none: _Drift) -> _Drift:
+    """Return the drift that leaves least creep, of those as good as the best; ``none`` of none."""
+    if not drifts:
+        return none
+    most = AS_GOOD * min(drift.error for drift in drifts)
+    as_good = [drift for drift in drifts if drift.error <= most]
+    return min(as_good, key=lambda drift: drift.creep)
 
 
 def _order(log: PreparedLog) -> int:
@@ -219,19 +228,24 @@ def _order(log: PreparedLog) -> int:
     return int(log.drift.shape[1]) - log.stretches - 1
 
 
+def _warm_ups(log: PreparedLog) -> tuple[float, ...]:
+    """Return the time constants of the warm-ups that a log can tell, as parts of its length."""
+    return WARM_UPS if _order(log) >= WARMING else ()
+
+
 def _columns(log: PreparedLog) -> Floats:
     """Columns of all drifts: the log's own polynomial, warm-ups, offsets of stretches; (samples, columns)."""
     own = _order(log) + 1
     assert log.seconds is not None
-    parts = np.asarray(WARM_UPS if own > WARMING else ()) * float(log.seconds.max())
-    left = np.exp(-log.seconds[:, None] / parts)
+    taus = np.asarray(_warm_ups(log)) * float(log.seconds.max())
+    left = np.exp(-log.seconds[:, None] / taus)
     return np.hstack((log.drift[:, :own], left - left.mean(axis=0), log.drift[:, own:]))
 
 
 def _places(log: PreparedLog, drift: _Drift) -> list[int]:
     """Which of a log's columns make up the drift, of no higher order than the log's own."""
     own = _order(log) + 1
-    warm_ups = WARM_UPS if own > WARMING else ()
+    warm_ups = _warm_ups(log)
     places = list(range(min(drift.order + 1, own)))
     if drift.warm_up in warm_ups:
         places.append(own + warm_ups.index(drift.warm_up))
@@ -259,39 +273,41 @@ def _scaled(logs: Sequence[PreparedLog]) -> list[PreparedLog]:
     return [replace(log, output=(log.output - bottom) / height) for log in logs]
 
 
-def _trials(
+def _tried(
     logs: Sequence[PreparedLog],
     low: float,
     high: float,
     offered: Sequence[_Drift],
     creeping: bool = False,
-) -> dict[_Drift, _Trial]:
+) -> list[_Drift]:
     """Fit each drift beside all memories, from statistics gathered once.
 
     ``creeping``: also beside memories of the displacement, by the measured one, as
     regressors of each log.
     """
     basis = _trial_basis(low, high, _time_constants(logs))
-    # Of a log much shorter than a memory the memory is its own negative, and explains
-    # whatever is in it.
-    shortest = min(float(log.seconds[-1]) for log in logs if log.seconds is not None)
-    possible = [
-        tau
-        for tau in basis.time_constants
-        if creeping and tau <= LONGEST_MEMORY * shortest
-    ]
-    slow = tuple(
-        tau for tau in possible if tau > WARM_UPS[0] / LONGEST_MEMORY * possible[-1]
-    )
+    slow = _slow_memories(logs, basis) if creeping else ()
     some = _scaled(fewer_rows(logs))
-    together = [
-        replace(log, drift=np.hstack((_columns(log), _crept(log, slow))))
-        for log in some
-    ]
+    together = []
+    for log in some:
+        drift = np.hstack((_columns(log), _crept(log, slow)))
+        together.append(replace(log, drift=drift))
     statistics = gather(together, basis, TRIAL_SEGMENTS)
-    return {
-        drift: _trial(statistics, basis, some, drift, len(slow)) for drift in offered
-    }
+    return [_trial(statistics, basis, some, drift, len(slow)) for drift in offered]
+
+
+def _slow_memories(logs: Sequence[PreparedLog], basis: Basis) -> tuple[float, ...]:
+    """Return the slow time constants that are short enough for each log.
+
+    Of a log much shorter than a memory the memory is its own negative, and explains
+    whatever is in it.
+    """
+    lengths = [float(log.seconds[-1]) for log in logs if log.seconds is not None]
+    longest = LONGEST_MEMORY * min(lengths)
+    possible = [tau for tau in basis.time_constants if tau <= longest]
+    if not possible:
+        return ()
+    return tuple(tau for tau in possible if tau > SLOW * possible[-1])
 
 
 def _trial_basis(
@@ -313,42 +329,38 @@ def _trial(
     logs: Sequence[PreparedLog],
     drift: _Drift,
     crept: int,
-) -> _Trial:
+) -> _Drift:
     """Fit one drift with all memories, the better of growing and falling slopes."""
     gram, rows = statistics.total()
     begin = statistics.columns.total - statistics.columns.drift
-    kept = [np.arange(begin)]
+    parts = [np.arange(begin)]
     tables = []
     for log in logs:
         table, places = _columns(log), _places(log, drift)
         memories = range(table.shape[1], table.shape[1] + crept)
-        kept.append(begin + np.asarray([*places, *memories]))
+        parts.append(begin + np.asarray([*places, *memories]))
         tables.append(table[:, places[1 : len(places) - log.stretches]])
         begin += table.shape[1] + crept
-    chosen = np.concatenate([*kept, [begin]])
+    chosen = np.concatenate([*parts, [begin]])
     gram = gram[np.ix_(chosen, chosen)]
-    columns = replace(statistics.columns, drift=len(chosen) - len(kept[0]) - 1)
+    columns = replace(statistics.columns, drift=len(chosen) - len(parts[0]) - 1)
     everything = tuple(range(len(basis.time_constants)))
-    structures = [
-        Structure(s, everything, TRIAL_SEGMENTS, TRIAL_SMOOTHNESS)
-        for s in ("growing", "falling")
-    ]
-    solutions = [solve(gram, columns, structure, rows) for structure in structures]
-    errors = [squared_error(gram, solution.vector) for solution in solutions]
+    solutions, errors = [], []
+    for slopes in ("growing", "falling"):
+        structure = Structure(slopes, everything, TRIAL_SEGMENTS, TRIAL_SMOOTHNESS)
+        solution = solve(gram, columns, structure, rows)
+        solutions.append(solution)
+        errors.append(squared_error(gram, solution.vector))
     best = solutions[int(np.argmin(errors))]
-    slow = (
-        np.asarray(basis.time_constants)
-        > WARM_UPS[0] / LONGEST_MEMORY * basis.time_constants[-1]
-    )
-    sizes, first = [0.0], 0
-    for place, table in zip(kept[1:], tables, strict=True):
-        sizes.append(
-            float(np.ptp(table @ best.drift[first + 1 : first + 1 + table.shape[1]]))
-        )
-        first += len(place)
-    return _Trial(
-        float(np.sqrt(min(errors) / rows)), float(best.gains[slow].sum()), max(sizes)
-    )
+    taus = np.asarray(basis.time_constants)
+    slow = taus > SLOW * taus[-1]
+    size, first = 0.0, 0
+    for part, table in zip(parts[1:], tables, strict=True):
+        terms = best.drift[first + 1 : first + 1 + table.shape[1]]
+        size = max(size, float(np.ptp(table @ terms)))
+        first += len(part)
+    error = float(np.sqrt(min(errors) / rows))
+    return replace(drift, error=error, creep=float(best.gains[slow].sum()), size=size)
 
 
 PROBE_FOLLOWS = 0.005
@@ -435,7 +447,9 @@ def clipped_sensor(displacement: Floats, voltage: Floats) -> Booleans:
 def _steepness(displacement: Floats, voltage: Floats) -> float:
     """Displacement travelled for each volt travelled."""
     path = float(np.abs(np.diff(voltage)).sum())
-    return float(np.abs(np.diff(displacement)).sum()) / path if path > 0.0 else 0.0
+    if path == 0.0:
+        return 0.0
+    return float(np.abs(np.diff(displacement)).sum()) / path
 
 
 def without_outliers(values: Floats) -> Floats:
