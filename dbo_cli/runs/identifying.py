@@ -250,7 +250,9 @@ def sign_line(models: Mapping[str, ActuatorModel], noun: str = "channel") -> str
 
 def with_sign(read: Sequence[str], line: str) -> list[str]:
     """Return the lines that say what was read, with the sign in the first."""
-    return [f"{read[0]}; {line}", *read[1:]] if read else [line]
+    if not read:
+        return [line]
+    return [f"{read[0]}; {line}", *read[1:]]
 
 
 def sign_warning(models: Mapping[str, ActuatorModel], noun: str) -> str | None:
@@ -324,7 +326,8 @@ def _option_words(name: str, value: object) -> list[str]:
 
 def _word(value: object) -> str:
     if isinstance(value, float):
-        return f"{value:g}" if float(f"{value:g}") == value else repr(value)
+        short = f"{value:g}"
+        return short if float(short) == value else repr(value)
     if isinstance(value, tuple):
         return ",".join(map(_word, value)) or "0"
     return str(value)

@@ -118,10 +118,9 @@ def with_dynamics(
             raise
         return []
     fast = [_without_sensor(part, options) for part in fast]
-    band = lowest, highest = (
-        min(part.lowest for part in fast),
-        max(part.highest for part in fast),
-    )
+    lowest = min(part.lowest for part in fast)
+    highest = max(part.highest for part in fast)
+    band = lowest, highest
     model = _without_fast_lags(base.model.without(base.model.delay), FAST_LAGS / lowest)
     reading = _Reading(base, model, [Signals(model, part) for part in fast], ())
     chosen, doubts = chosen_dynamics(reading.signals, band, asked)
@@ -349,15 +348,13 @@ def _without_fast_lags(model: ActuatorModel, shortest: float) -> ActuatorModel:
     # then lies.
     heights = gears.dy + added * gears.dx
     y0 = gears.y0 + added * (gears.x0 - terms.reference)
-    rest = (
-        Relaxation(terms.reference, *map(tuple, zip(*kept, strict=True)))
-        if kept
-        else None
-    )
-    prompt = BacklashStage(gears.dx, heights, gears.x0, y0, rest)
-    return dataclasses.replace(
-        model, stages=tuple(prompt if one is gears else one for one in model.stages)
-    )
+    rest = None
+    if kept:
+        taus, gains = zip(*kept, strict=True)
+        rest = Relaxation(terms.reference, taus, gains)
+    stages = list(model.stages)
+    stages[stages.index(gears)] = BacklashStage(gears.dx, heights, gears.x0, y0, rest)
+    return dataclasses.replace(model, stages=tuple(stages))
 
 
 def _assembled(
@@ -511,7 +508,7 @@ def _sections(taus: Floats, shares: Floats) -> tuple[Lag, ...]:
         return ()
     numerator = (1.0 - shares.sum()) * np.poly(-1.0 / taus)
     for k, share in enumerate(shares):
-        others = np.poly(-1.0 / np.delete(taus, k)) if taus.size > 1 else np.ones(1)
+        others = np.poly(-1.0 / np.delete(taus, k))  # 1 where there are none
         numerator[1:] += share / taus[k] * others
     leads = np.sort(-1.0 / np.roots(numerator).real)
     return tuple(

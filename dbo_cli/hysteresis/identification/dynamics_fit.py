@@ -473,11 +473,9 @@ def with_delay(
         nearest = min(tried.values(), key=lambda one: one.left_out)
         step = step if nearest.left_out < best.left_out else 0.5 * step
         best = nearest
-    return (
-        (best, more_doubts)
-        if best.left_out <= EARNED * without.left_out
-        else (without, doubts)
-    )
+    if best.left_out <= EARNED * without.left_out:
+        return best, more_doubts
+    return without, doubts
 
 
 class Spectra(NamedTuple):
@@ -588,20 +586,23 @@ def _starts(
     lag = np.log(max(best.lag, 0.02 / band[1]))
     peak = _peak(signals, best, band)
     places = (peak, 0.8 * band[1]) if known else (peak,)  # chosen
-    return [
-        np.array([*before, np.log(at), np.log(z), lag])
-        for z in DAMPINGS
-        for at in places
-    ]
+    starts = []
+    for damping in DAMPINGS:
+        for frequency in places:
+            starts.append(np.array([*before, np.log(frequency), np.log(damping), lag]))
+    return starts
 
 
 def _with_notch(
     signals: Sequence[Signals], best: FittedDynamics, band: Band
 ) -> list[Floats]:
     """Return where to begin with an antiresonance beside resonances that are found."""
-    places = (_peak(signals, best, band), 0.9 * band[1])
-    return [np.array([*best.parameters[:-1], np.log(at), np.log(z), best.parameters[-1]])
-            for at in places for z in DAMPINGS[1:3]]  # fmt: skip
+    *before, lag = best.parameters
+    starts = []
+    for frequency in (_peak(signals, best, band), 0.9 * band[1]):
+        for damping in DAMPINGS[1:3]:
+            starts.append(np.array([*before, np.log(frequency), np.log(damping), lag]))
+    return starts
 
 
 def _notched(starts: Sequence[Floats]) -> list[Floats]:
@@ -610,8 +611,12 @@ def _notched(starts: Sequence[Floats]) -> list[Floats]:
     So near to it and so like it that the two undo each other: the fit begins where it
     was without them.
     """
-    return [np.array([*start[:-1], start[-3] + side, start[-2], start[-1]])
-            for start in starts for side in (-NEAR, NEAR)]  # fmt: skip
+    notched = []
+    for *before, lag in starts:
+        frequency, damping = before[-2:]
+        for side in (-NEAR, NEAR):
+            notched.append(np.array([*before, frequency + side, damping, lag]))
+    return notched
 
 
 def _peak(signals: Sequence[Signals], best: FittedDynamics, band: Band) -> float:
@@ -621,14 +626,11 @@ def _peak(signals: Sequence[Signals], best: FittedDynamics, band: Band) -> float
     seen = _spectra(
         one.moved(best.parameters, best.structure), left, one.time_step, band
     )
-    ratio, inside = (
-        np.abs(seen.both) / np.maximum(seen.power, 1e-12 * seen.power.max()),
-        seen.driven,
-    )
+    ratio = np.abs(seen.both) / np.maximum(seen.power, 1e-12 * seen.power.max())
+    inside = seen.driven
+    frequencies = np.maximum(seen.frequency, 1e-9)
     for known in best.resonances:
-        inside &= (
-            np.abs(np.log(np.maximum(seen.frequency, 1e-9) / known.frequency)) > APART
-        )
+        inside &= np.abs(np.log(frequencies / known.frequency)) > APART
     if not inside.any():
         return 0.7 * band[1]  # chosen
     return float(seen.frequency[inside][np.argmax(ratio[inside])])
@@ -705,16 +707,15 @@ def trusted(
     for top, has, wrong in zip(
         tops.tolist(), energy.tolist(), error.tolist(), strict=True
     ):
+        why = ""
         if has <= ENERGY * float(energy.max()):
             if top < highest / 50.0:
                 continue
-            return min(
-                trusted, ceiling
-            ), "beyond, the sweep was too small" if trusted < ceiling else ""
-        if wrong > TRUSTED * has and top > 0.02 * highest:
-            return min(
-                trusted, ceiling
-            ), "beyond, the error grows" if trusted < ceiling else ""
+            why = "beyond, the sweep was too small"
+        elif wrong > TRUSTED * has and top > 0.02 * highest:
+            why = "beyond, the error grows"
+        if why:
+            return (trusted, why) if trusted < ceiling else (ceiling, "")
         trusted = top
     return min(trusted, ceiling, highest), ""
 
@@ -738,25 +739,29 @@ def said(
             parts[-1] += (
                 f" with an antiresonance at {one.antiresonance.frequency:.5g} Hz"
             )
-    place = "before" if chosen.structure.lag_before else "behind"
-    lag = (
-        f", lag {1e3 * chosen.lag:.3g} ms {place} the gears" if chosen.lag > 0.0 else ""
-    )
-    if chosen.structure.delay:
-        lag += f", delay {1e3 * chosen.structure.delay:.4g} ms behind all"
-    crept = figures.get("creep", [])
-    assert isinstance(crept, list)
-    told = ", ".join(
-        f"{100.0 * one['share']:.2g} % with {one['seconds']:.3g} s" for one in crept
-    )
-    return [
-        *([f"creep of the displacement, behind the gears: {told}"] if told else []),
-        f"dynamics: {'; '.join(parts)}{lag}; fast rows RMSE {chosen.rmse:.3g}{unit}, on blocks left out "
+    lines = []
+    creep = figures.get("creep", [])
+    assert isinstance(creep, list)
+    if creep:
+        terms = [
+            f"{100.0 * term['share']:.2g} % with {term['seconds']:.3g} s"
+            for term in creep
+        ]
+        lines.append(f"creep of the displacement, behind the gears: {', '.join(terms)}")
+    delay = chosen.structure.delay
+    late = ""
+    if chosen.lag > 0.0:
+        place = "before" if chosen.structure.lag_before else "behind"
+        late += f", lag {1e3 * chosen.lag:.3g} ms {place} the gears"
+    if delay:
+        late += f", delay {1e3 * delay:.4g} ms behind all"
+    line = (
+        f"dynamics: {'; '.join(parts)}{late}; fast rows RMSE {chosen.rmse:.3g}{unit}, on blocks left out "
         f"{chosen.left_out:.3g}{unit}"
-        + (
-            f"; its lateness is {WHOSE_LAG}"
-            if max(chosen.lag, chosen.structure.delay) > 0.0 and "sensor" not in figures
-            else ""
-        ),
-        f"trust the model to {trusted:.3g} Hz{': ' + why if why else ''}",
-    ]
+    )
+    if max(chosen.lag, delay) > 0.0 and "sensor" not in figures:
+        line += f"; its lateness is {WHOSE_LAG}"
+    lines.append(line)
+    line = f"trust the model to {trusted:.3g} Hz"
+    lines.append(f"{line}: {why}" if why else line)
+    return lines

@@ -70,11 +70,9 @@ def predict(
     seconds = recording.seconds()
     voltage = recording.voltage
     state = model.start(float(voltage[0]), start)
-    steps = (
-        None
-        if seconds is None
-        else np.maximum(np.diff(seconds, prepend=seconds[0]), 0.0)
-    )
+    steps = None
+    if seconds is not None:
+        steps = np.maximum(np.diff(seconds, prepend=seconds[0]), 0.0)
     predicted = np.empty(len(voltage))
     for first in range(0, len(voltage), BLOCK_ROWS):
         part = slice(first, min(first + BLOCK_ROWS, len(voltage)))
@@ -110,11 +108,9 @@ def known_rows(recording: Recording, skip_seconds: float) -> NDArray[np.bool_]:
     first sample is not known. So is that behind gaps (``known_behind_gaps``).
     """
     seconds = recording.seconds()
-    keep = (
-        np.ones(len(recording.voltage), bool)
-        if seconds is None
-        else seconds >= skip_seconds
-    )
+    keep = np.ones(len(recording.voltage), bool)
+    if seconds is not None:
+        keep = seconds >= skip_seconds
     wiped = first_wiped_row(recording.voltage)
     if wiped <= KNOWN_PAST * len(keep):
         keep[:wiped] = False
@@ -265,11 +261,8 @@ def _rounded_down(value: float, digits: int) -> float:
 def white_noise(left: Sequence[Floats]) -> float:
     """Return the mean square of what is white in what is left over, by its second differences."""
     noise = [np.diff(part, 2) for part in left]
-    return (
-        sum(float(part @ part) for part in noise)
-        / sum(part.size for part in noise)
-        / 6.0
-    )
+    squares = sum(float(part @ part) for part in noise)
+    return squares / sum(part.size for part in noise) / 6.0
 
 
 def most_noise(noise: float, rows: int) -> float:
@@ -308,11 +301,8 @@ def loop_width_percent(model: ActuatorModel) -> float:
     up = np.linspace(model.input.minimum, model.input.maximum, 1001)
     walk = np.concatenate((up, up[::-1]))
     still = model.without(model.delay)
-    slow = still.simulate(
-        walk,
-        still.start(float(up[0]), "empty"),
-        time_step=1e9 if still.needs_time else None,
-    )
+    time_step = 1e9 if still.needs_time else None
+    slow = still.simulate(walk, still.start(float(up[0]), "empty"), time_step=time_step)
     rising, falling = slow.y[: len(up)], slow.y[: len(up) - 1 : -1]
     return 100.0 * float(np.abs(falling - rising).max()) / float(np.ptp(slow.y))
 
@@ -374,10 +364,8 @@ def log_warnings(
             "less than two whole cycles: nothing could be left out to test the model on; record at least "
             "three"
         )
-    low, span = (
-        min(log.voltage.min() for log in recordings),
-        max(np.ptp(log.voltage) for log in recordings),
-    )
+    low = min(log.voltage.min() for log in recordings)
+    span = max(np.ptp(log.voltage) for log in recordings)
     places = [
         np.bincount((100.0 * (log.voltage - low) / span + 0.5).astype(np.int64))
         for log in recordings
@@ -593,11 +581,9 @@ chosen (butterflies leave 0.02, amplifiers that slew 0.3, a log of another drive
 
 def _near_greatest(steps: Floats) -> float:
     """Return the share of steps within a tenth of the greatest, the largest 0.5 % aside."""
-    return (
-        float(np.mean(steps > 0.9 * np.percentile(steps, 99.5)))
-        if len(steps) >= FEWEST_ROWS
-        else 0.0
-    )
+    if len(steps) < FEWEST_ROWS:
+        return 0.0
+    return float(np.mean(steps > 0.9 * np.percentile(steps, 99.5)))
 
 
 def _shape_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list[str]:
@@ -655,11 +641,10 @@ def _speed_correlation(
     left, speed = [], []
     for log, residual in zip(recordings, residuals, strict=True):
         seconds = log.seconds()
-        steps = (
-            np.gradient(log.voltage)
-            if seconds is None
-            else _speed(log.voltage, seconds)
-        )
+        if seconds is None:
+            steps = np.gradient(log.voltage)
+        else:
+            steps = _speed(log.voltage, seconds)
         left.append(residual.values - residual.values.mean())
         speed.append(steps[residual.rows] - steps[residual.rows].mean())
     a, b = np.concatenate(left), np.concatenate(speed)

@@ -134,9 +134,10 @@ class Expectation:
 
     def swing_values(self) -> list[list[float]]:
         """Return the logs' swings for the model file: from which voltage to which."""
-        return [
-            [float(f"{volt:.4g}") for volt in swing] for swing in self.seen.tolist()
-        ]
+        values = []
+        for start, end in self.seen.tolist():
+            values.append([float(f"{start:.4g}"), float(f"{end:.4g}")])
+        return values
 
     def zero_words(self, unit: str) -> str:
         """Say under which condition the zero is as stated; ``unit`` follows a number."""
@@ -194,7 +195,9 @@ def expect(
     distance = unlike(moves[0], seen, basis.span, len(moves[0]) - len(own_moves))
     drifted = changed_gain(own_moves, trend)
     line = abs(prepared.scale) * line_left_out(logs, basis)
-    lasted = 0.0 if logs[0].seconds is None else float(moves[1][-1] - moves[1][0])
+    lasted = 0.0
+    if logs[0].seconds is not None:
+        lasted = float(moves[1][-1] - moves[1][0])
     zero = moving_zero(judged.zero_drift, judged.zero_drift_rate, lasted)
     figure = stated(known, distance, apart, drifted, zero)
     return Expectation(
@@ -257,9 +260,8 @@ def _line_error(
         _free_of_drift(log, x, rows)
         for log, x, rows in zip(logs, voltage, fitted, strict=True)
     ]
-    slope = sum(float(x @ y) for x, y in free) / max(
-        sum(float(x @ x) for x, _ in free), TINY
-    )
+    together = sum(float(x @ y) for x, y in free)
+    slope = together / max(sum(float(x @ x) for x, _ in free), TINY)
     squares, count = 0.0, 0
     for log, x, rows in zip(logs, voltage, judged, strict=True):
         if rows.any():
@@ -419,9 +421,9 @@ def _forgetting(
         "forgetting", 1.0, _other(solution, basis, structure, prepared, model), memory
     )
     log = logs[0]
-    steps = (
-        None if log.seconds is None else np.diff(log.seconds, prepend=log.seconds[0])
-    )
+    steps = None
+    if log.seconds is not None:
+        steps = np.diff(log.seconds, prepend=log.seconds[0])
     apart = played(model, log.voltage, steps) - one.played(log.voltage, steps)
     return (replace(one, model=_shifted(one.model, float(apart[log.used].mean()))),)
 
@@ -482,13 +484,11 @@ def _on_logs(
 
 def _shifted(model: ActuatorModel, by: float) -> ActuatorModel:
     """Return a model whose displacement is ``by`` larger."""
-    stages = tuple(
-        replace(stage, offset=stage.offset + by)
-        if isinstance(stage, ScaleStage)
-        else stage
-        for stage in model.stages
-    )
-    return replace(model, stages=stages)
+    stages = list(model.stages)
+    for place, stage in enumerate(stages):
+        if isinstance(stage, ScaleStage):
+            stages[place] = replace(stage, offset=stage.offset + by)
+    return replace(model, stages=tuple(stages))
 
 
 def _invented_moves(logs: Sequence[PreparedLog], basis: Basis) -> tuple[Floats, Floats]:
@@ -497,10 +497,11 @@ def _invented_moves(logs: Sequence[PreparedLog], basis: Basis) -> tuple[Floats, 
     speeds = np.concatenate([swings_of(log, basis).speed for log in logs])
     slow, fast = np.percentile(speeds, [10.0, 90.0])
     turns = [0.0, 1.0, 0.0]
-    turns += [
-        float(rng.choice((0.0, 1.0))) if rng.random() < AT_AN_END else rng.random()
-        for _ in range(MOVES - 2)
-    ]
+    for _ in range(MOVES - 2):
+        if rng.random() < AT_AN_END:
+            turns.append(float(rng.choice((0.0, 1.0))))
+        else:
+            turns.append(rng.random())
     total = float(np.abs(np.diff(turns)).sum())
     voltage, seconds = [np.zeros(1)], [np.zeros(1)]
     for begin, end in itertools.pairwise(turns):

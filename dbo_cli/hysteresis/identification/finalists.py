@@ -288,11 +288,9 @@ class _Finalists:
     def _starts(self, basis: Basis, least: dict[int, float]) -> Iterator[Structure]:
         """Yield gears alone of every chain of candidates that is within reach of the first one's."""
         every = tuple(range(len(basis.time_constants)))
-        memories = (
-            [every]
-            if self._options.relaxation is not None or not every
-            else [every, ()]
-        )
+        memories = [every]
+        if self._options.relaxation is None and every:
+            memories.append(())
         rules: tuple[str, ...] = ("growing", "falling")
         if swings_of_two_kinds(self._logs, basis):
             rules = (*rules, "free")
@@ -316,15 +314,15 @@ class _Finalists:
     ) -> Iterator[Candidate]:
         """Yield the refined candidates of more and more segments, each begun where the last one ended."""
         problem = self._problem(basis)
-        segments: tuple[tuple[int, float], ...] = SEGMENTS
+        segments = list(SEGMENTS)
         if upto is not None:
-            segments = (*(one for one in SEGMENTS if upto.segments % one[0] == 0 and one[0] < upto.segments),
-                        (upto.segments, upto.knot_smoothness))  # fmt: skip
+            last = upto.segments
+            coarser = [step for step in SEGMENTS if step[0] < last]
+            segments = [step for step in coarser if last % step[0] == 0]
+            segments.append((last, upto.knot_smoothness))
         elif self._options.points is not None:
-            segments = (
-                (1, KNOT_SMOOTHNESS),
-                (max(self._options.points, 1), KNOT_SMOOTHNESS),
-            )
+            last = max(self._options.points, 1)
+            segments = [(1, KNOT_SMOOTHNESS), (last, KNOT_SMOOTHNESS)]
         vector = np.zeros(problem.columns(1).total)
         before = 1
         for count, kinks in segments:

@@ -78,15 +78,15 @@ def _stated_gain(
     span = model.output.span
     gain = span / model.input.span
     shape = model.fit.get("expected_shape_rmse")
-    of_ends = math.sqrt(2.0) * shape / span if isinstance(shape, float) else 0.0
+    of_ends = 0.0
+    if isinstance(shape, float):
+        of_ends = math.sqrt(2.0) * shape / span
     uncertainty = gain * math.hypot(of_ends, percent / 100.0)
     if model.sign == "falling":
         gain = -gain
-    unit = (
-        f" {model.output.unit}/{model.input.unit}"
-        if model.output.unit and model.input.unit
-        else ""
-    )
+    unit = ""
+    if model.output.unit and model.input.unit:
+        unit = f" {model.output.unit}/{model.input.unit}"
     figures: dict[str, object] = {
         "gain": gain,
         "gain_uncertainty": uncertainty,

@@ -124,23 +124,17 @@ class _Log:
 
     def free_of_drift(self, values: Floats) -> Floats:
         """Return values of the rows that count without offset and drift, weighted."""
-        columns, values = (
-            weighted(self.drift[self.keep], self.weights),
-            weighted(values, self.weights),
-        )
-        free: Floats = (
-            values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
-        )
+        columns = weighted(self.drift[self.keep], self.weights)
+        values = weighted(values, self.weights)
+        terms = np.linalg.lstsq(columns, values, rcond=None)[0]
+        free: Floats = values - columns @ terms
         return free
 
     def products(self, delay: float) -> Floats:
         """Return the products of prediction and measurement, both free of drift; shape (FOLDS, 2, 2)."""
-        table = np.column_stack(
-            [
-                self.free_of_drift(one)
-                for one in (self.late(delay), self.measured[self.keep])
-            ]
-        )
+        predicted = self.free_of_drift(self.late(delay))
+        measured = self.free_of_drift(self.measured[self.keep])
+        table = np.column_stack((predicted, measured))
         return np.array([part.T @ part for part in np.array_split(table, FOLDS)])
 
 
@@ -391,17 +385,17 @@ def _lag(logs: Sequence[_Log], held: float, longest: float) -> tuple[float, floa
         around = np.array(
             [_products(logs, held + middle + at) for at in (-step, 0.0, step)]
         )
-        parts = [
-            step
-            * _vertex([_gain_and_error(one.sum(axis=0) - one[k])[1] for one in around])
-            for k in range(FOLDS)
-        ]
-        middle += step * _vertex(
-            [_gain_and_error(one.sum(axis=0))[1] for one in around]
-        )
+        totals = np.array([each.sum(axis=0) for each in around])
+        parts = [step * _least_at(totals - around[:, k]) for k in range(FOLDS)]
+        middle += step * _least_at(totals)
         step /= 4.0
     error = _interval(parts)
     return (middle if abs(middle) > error else 0.0), error
+
+
+def _least_at(products: Floats) -> float:
+    """Return where, of three delays with these products, the error is least."""
+    return _vertex([_gain_and_error(each)[1] for each in products])
 
 
 def _vertex(errors: Sequence[float]) -> float:

@@ -483,10 +483,8 @@ def pieces_behind_gaps(log: Recording) -> list[tuple[int, int, int]]:
         return []
     steps, moves = np.diff(seconds), np.diff(v)
     most, seen = (_usual_change(values, at) for values in (v, log.displacement))
-    before, after = (
-        np.maximum(at - SPEED_ROWS, 0),
-        np.minimum(at + 1 + SPEED_ROWS, len(v) - 1),
-    )
+    before = np.maximum(at - SPEED_ROWS, 0)
+    after = np.minimum(at + 1 + SPEED_ROWS, len(v) - 1)
     # how far the drive would have gone on, by its speed before and after
     ways = np.zeros((2, len(at)))
     for way, first, last in zip(ways, (before, at + 1), (at, after), strict=True):
@@ -589,45 +587,39 @@ class FastPart:
 
 def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[FastPart]]:
     """Return the logs without their fast parts, and these; no fast parts where none are to be told."""
+    span = max(float(np.ptp(log.voltage)) for log in recordings)
+    sweeps = [_sweep_beside_more(log, span) for log in recordings]
+    rests, halves = [], []
+    for log, sweep in zip(recordings, sweeps, strict=True):
+        # Beside loops, a sweep's many swings do not make a log a fast one.
+        rest = log if sweep is None else _without(log, sweep.rows)
+        half = _median_half_period(rest, span)
+        if half is None:
+            half = _median_half_period(log, span)
+        rests.append(rest)
+        halves.append(half)
+    slowest = max((half for half in halves if half is not None), default=0.0)
     slow: list[Recording] = []
     fast: list[FastPart] = []
-    span = max(float(np.ptp(log.voltage)) for log in recordings)
-    steps = [grid_step(log) for log in recordings]
-    sweeps = [_longest_sweep(log, span) for log in recordings]
-    # A log that is a sweep from end to end has nothing else to tell the gears from.
-    sweeps = [
-        found
-        if found is None or _without(log, found.rows).voltage.size >= FEWEST_ROWS
-        else None
-        for log, found in zip(recordings, sweeps, strict=True)
-    ]
-    # Beside loops, a sweep's many swings do not make a log a fast one.
-    loops = [
-        log if found is None else _without(log, found.rows)
-        for log, found in zip(recordings, sweeps, strict=True)
-    ]
-    halves = [_median_half_period(rest, span) for rest in loops]
-    halves = [_median_half_period(log, span) if half is None else half
-              for log, half in zip(recordings, halves, strict=True)]  # fmt: skip
-    slowest = max((half for half in halves if half is not None), default=None)
-    for log, step, found, rest, half in zip(
-        recordings, steps, sweeps, loops, halves, strict=True
-    ):
-        if (
-            step is not None
-            and half is not None
-            and slowest is not None
-            and FASTER * half <= slowest
-        ):
-            fast.append(
-                FastPart(log, slice(0, log.voltage.size), step, *_band(log, span, step))
-            )
-        elif found is not None:
-            fast.append(found)
-            slow.append(rest)
-        else:
-            slow.append(log)
+    for log, sweep, rest, half in zip(recordings, sweeps, rests, halves, strict=True):
+        step = grid_step(log)
+        if step is not None and half is not None and FASTER * half <= slowest:
+            lowest, highest = _band(log, span, step)
+            rows = slice(0, log.voltage.size)
+            fast.append(FastPart(log, rows, step, lowest, highest))
+            continue
+        if sweep is not None:
+            fast.append(sweep)
+        slow.append(rest)
     return slow, fast
+
+
+def _sweep_beside_more(log: Recording, span: float) -> FastPart | None:
+    """Return the longest sweep of a log; None where nothing else is left to tell the gears from."""
+    sweep = _longest_sweep(log, span)
+    if sweep is None or _without(log, sweep.rows).voltage.size < FEWEST_ROWS:
+        return None
+    return sweep
 
 
 def grid_step(log: Recording) -> float | None:
@@ -682,9 +674,9 @@ def _band(log: Recording, span: float, step: float) -> tuple[float, float]:
     rows, _ = _swings(log.voltage, span)
     halves = np.diff(rows)[1:-1] * step
     halves = halves[halves > 0.0]
-    return 0.5 / float(np.quantile(halves, 0.98)), 0.5 / max(
-        float(np.quantile(halves, 0.02)), step
-    )
+    longest = float(np.quantile(halves, 0.98))
+    shortest = max(float(np.quantile(halves, 0.02)), step)
+    return 0.5 / longest, 0.5 / shortest
 
 
 def _sweep(log: Recording, span: float, step: float) -> FastPart | None:
@@ -692,20 +684,15 @@ def _sweep(log: Recording, span: float, step: float) -> FastPart | None:
     rows, levels = _swings(log.voltage, span)
     halves, heights = np.diff(rows), np.abs(np.diff(levels))
     near = np.abs(np.diff(np.log(np.maximum(halves, 1.0)))) <= SMOOTH
+    quick = np.minimum(halves[1:], halves[:-1]) <= FEWEST_A_PERIOD
     small = heights <= SMALL_SWING * span
-    good = (
-        small[1:]
-        & small[:-1]
-        & (near | (np.minimum(halves[1:], halves[:-1]) <= FEWEST_A_PERIOD))
-    )
+    good = small[1:] & small[:-1] & (near | quick)
     first, last = max(runs(good), key=lambda run: run[1] - run[0], default=(0, 0))
     if last - first < FEWEST_SWINGS:
         return None
     periods = 2.0 * step * halves[first : last + 1]
-    fastest, slowest = (
-        float(np.quantile(periods, 0.05)),
-        float(np.quantile(periods, 0.98)),
-    )
+    fastest = float(np.quantile(periods, 0.05))
+    slowest = float(np.quantile(periods, 0.98))
     if slowest < SWEPT * fastest or fastest < FEWEST_A_PERIOD * step * 0.5:
         return None
     wider = round(WIDER * slowest / step)

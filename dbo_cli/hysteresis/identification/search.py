@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
@@ -120,10 +121,10 @@ def time_constant_grid(
     memories are therefore offered only where they move by a stated share of the range
     once drift is taken off.
     """
-    longest = (
-        max(float(log.seconds[-1]) for log in prepared.logs if log.seconds is not None)
-        * LONGEST_MEMORY
-    )
+    lengths = [
+        float(log.seconds[-1]) for log in prepared.logs if log.seconds is not None
+    ]
+    longest = max(lengths) * LONGEST_MEMORY
     count = max(int(np.log(longest / period) / np.log(TIME_CONSTANT_RATIO)), 0)
     grid = [*(period * TIME_CONSTANT_RATIO**k for k in range(count)), longest]
     fast = [tau for tau in grid if tau <= slowest_lag(cycle)]
@@ -178,24 +179,20 @@ def choose(
     period = sample_period(logs)
     grid: tuple[float, ...] = ()
     if period is not None and cycle is not None:
-        given = options.relaxation
-        grid = (
-            time_constant_grid(prepared, period, cycle)
-            if given is None
-            else tuple(given)
-        )
+        if options.relaxation is None:
+            grid = time_constant_grid(prepared, period, cycle)
+        else:
+            grid = tuple(options.relaxation)
     search = _Search(logs, options, prepared.one_amplitude, len(grid), period, cycle)
     basis = replace(
         usual_basis(prepared.low, prepared.high, grid), delay=options.delay or 0.0
     )
     if options.gears is not None:
-        few = options.gears <= 2 * basis.gears
-        slopes, split = (
-            (options.gears, 1)
-            if few
-            else (basis.gears, -(-options.gears // basis.gears))
-        )
-        basis = replace(basis, gears=slopes, split=split)
+        if options.gears <= 2 * basis.gears:
+            basis = replace(basis, gears=options.gears, split=1)
+        else:
+            split = math.ceil(options.gears / basis.gears)
+            basis = replace(basis, split=split)
     if options.delay is None and period is not None:
         basis = replace(basis, delay=search.evident_delay(basis))
     rule, clockwise = search.direction(basis)
@@ -266,11 +263,9 @@ class _Search:
 
     def _memories(self) -> list[tuple[int, ...]]:
         """Return the choices of memories, simplest first; those that the user gave are not a choice."""
-        return (
-            [self._all]
-            if self._options.relaxation is not None or not self._all
-            else [(), self._all]
-        )
+        if self._options.relaxation is not None or not self._all:
+            return [self._all]
+        return [(), self._all]
 
     def _listed(
         self,
@@ -394,41 +389,55 @@ class _Search:
         rising and falling drive twice a cycle it cannot follow, and lag and loop width
         are found wrong in its place.
         """
-        listed = self._listed(slopes, [self._memories()[0] if self._one else self._all])
-        found = [(basis, *self._best(basis, listed))]
+        memories = self._memories()[0] if self._one else self._all
+        listed = self._listed(slopes, [memories])
+        structure, score = self._best(basis, listed)
         if self._options.points is not None:
-            return found[0][:2]
-        needed = EARNED * found[0][2].rmse
-        trials = found[0][1], listed[-1]
+            return basis, structure
+        bent, bent_structure, least = self._bent(basis, structure, score, listed)
+        if least.rmse > EARNED * score.rmse or no_worse(score, least):
+            return basis, structure
+        return bent, bent_structure
 
-        def error(bent: Basis) -> float:
-            return min(fitted_rmse(self._statistics(bent), one) for one in trials)
+    def _bent(
+        self,
+        basis: Basis,
+        structure: Structure,
+        score: Score,
+        listed: Sequence[Structure],
+    ) -> tuple[Basis, Structure, Score]:
+        """Return the bend that does best on data left out, of those whose fit is clearly better than without.
+
+        Steps lead to either side while the fit gets better, then half a step from the
+        best; no bend where none of them fits so well. ``structure`` and ``score`` are
+        those without a bend.
+        """
+        trials = structure, listed[-1]
+        tried = [(basis, structure, score)]
+        needed = EARNED * score.rmse
+
+        def fit_error(bent: Basis) -> float:
+            return min(fitted_rmse(self._statistics(bent), trial) for trial in trials)
 
         def attempt(bend: float) -> float:
             bent = replace(basis, bend=bend)
-            left = error(bent)
-            if left <= needed:
-                found.append((bent, *self._best(bent, listed)))
-            return left
+            error = fit_error(bent)
+            if error <= needed:
+                tried.append((bent, *self._best(bent, listed)))
+            return error
 
         for side in (-BEND_STEP, BEND_STEP):
-            errors = [error(basis)]
+            errors = [fit_error(basis)]
             while len(errors) <= BEND_TRIALS and errors[-1] <= min(errors):
                 errors.append(attempt(side * len(errors)))
-        best = min(found, key=lambda item: item[2].rmse)
-        if best[0].bend:
-            for bend in (
-                best[0].bend - BEND_STEP / 2.0,
-                best[0].bend + BEND_STEP / 2.0,
-            ):
-                if abs(bend) < BEND_TRIALS * BEND_STEP:
-                    attempt(bend)
-            best = min(found, key=lambda item: item[2].rmse)
-        return (
-            found[0][:2]
-            if best[2].rmse > needed or no_worse(found[0][2], best[2])
-            else best[:2]
-        )
+        best = min(tried, key=lambda item: item[2].rmse)
+        if not best[0].bend:
+            return best
+        for side in (-BEND_STEP, BEND_STEP):
+            bend = best[0].bend + side / 2.0
+            if abs(bend) < BEND_TRIALS * BEND_STEP:
+                attempt(bend)
+        return min(tried, key=lambda item: item[2].rmse)
 
     def bend_again(self, basis: Basis, structure: Structure) -> Basis:
         """Return the bend, or one of its neighbours, that does best beside the lag."""
@@ -500,11 +509,10 @@ class _Search:
             best = min(tried, key=lambda step: tried[step].rmse)
             below = max((step for step in tried if step < best), default=best)
             above = min((step for step in tried if step > best), default=best)
-            between = [
-                (best + step) / 2.0
-                for step in (below, above)
-                if abs(step - best) > FINEST_DELAY_STEP
-            ]
+            between = []
+            for step in (below, above):
+                if abs(step - best) > FINEST_DELAY_STEP:
+                    between.append((best + step) / 2.0)
             if not between:
                 return {step * self._period: score for step, score in tried.items()}
             for step in between:

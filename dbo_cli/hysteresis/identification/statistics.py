@@ -419,9 +419,8 @@ class FoldProducts:
     def total(self, leave_out: int | None = None) -> tuple[Floats, int]:
         """Sum over the folds, all or all but one: the products and the number of rows."""
         keep = [k for k in range(len(self.grams)) if k != leave_out]
-        return np.sum([self.grams[k] for k in keep], axis=0), sum(
-            self.rows[k] for k in keep
-        )
+        gram = np.sum([self.grams[k] for k in keep], axis=0)
+        return gram, sum(self.rows[k] for k in keep)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -606,7 +605,9 @@ def gather(logs: Sequence[PreparedLog], basis: Basis, segments: int) -> Statisti
         picked = np.ix_(*2 * [np.r_[0:shared, begin:end, size - 1]])
         for k, gram in mine.items():
             grams[k][picked] += np.triu(gram) + np.triu(gram, 1).T
-            nuisance[k] = slice(begin if len(mine) < 2 else end - log.stretches, end)
+            # what the folds of one log have in common is not a fold's own
+            common = len(mine) > 1
+            nuisance[k] = slice(end - log.stretches if common else begin, end)
         begin = end
     return Statistics(
         columns=columns, grams=tuple(grams), rows=tuple(rows), nuisance=tuple(nuisance)
@@ -750,20 +751,13 @@ def groups_left_out(
                 vector = solve(rest, statistics.columns, structure, rows).vector
             except FitError:
                 continue
-            left = (
-                squared_error_free_of(
-                    statistics.grams[group], vector, statistics.nuisance[group]
-                )
-                / mine
-            )
+            gram, nuisance = statistics.grams[group], statistics.nuisance[group]
+            left = squared_error_free_of(gram, vector, nuisance) / mine
             found.append((min(left, (MAX_RATIO * cycles) ** 2), mine))
         if found:
             names.append(name)
-            worst = max(
-                worst,
-                sum(error * mine for error, mine in found)
-                / sum(mine for _, mine in found),
-            )
+            squares = sum(error * mine for error, mine in found)
+            worst = max(worst, squares / sum(mine for _, mine in found))
     return float(np.sqrt(worst)), tuple(names)
 
 
