@@ -219,22 +219,22 @@ def _without_hum(
 ) -> Recording:
     """Take lines that the drive does not have off the displacement, each with a slowly changing size."""
     base = _drive_frequency(recording, step)
-    held = float(np.mean(np.diff(recording.displacement) == 0.0))
-    if base is None or held > MOST:
+    repeated = float(np.mean(np.diff(recording.displacement) == 0.0))
+    if base is None or repeated > MOST:
         return recording
     displacement = _filled(recording.displacement, bad)
-    found = _hum_lines(displacement, recording.voltage, step, base)
-    if not found:
+    lines = _hum_lines(displacement, recording.voltage, step, base)
+    if not lines:
         return recording
     from scipy.signal import filtfilt, iirnotch
 
     clean = displacement
-    for frequency in found:
+    for frequency in lines:
         width = max(1.0 / (step * len(displacement)) * 8.0, frequency / 30.0)
         taps = iirnotch(frequency, frequency / width, 1.0 / step)
         clean = filtfilt(*taps, clean)
     size = np.sqrt(2.0) * float(np.std(displacement - clean))
-    shown = ", ".join(f"{frequency:.4g}" for frequency in found)
+    shown = ", ".join(f"{frequency:.4g}" for frequency in lines)
     unit = f" {recording.displacement_unit}" if recording.displacement_unit else ""
     notes.append(
         f"{recording.name}: hum of {size:.3g}{unit} at {shown} Hz, which the drive does not have, taken off "
@@ -251,17 +251,20 @@ def _hum_lines(
     _, driven = _spectrum(voltage * (np.ptp(displacement) / np.ptp(voltage)), step)
     least = (NOTICEABLE * float(np.ptp(displacement))) ** 2 * len(displacement) / 4.0
     candidates = np.flatnonzero((frequency > HARMONICS * base) & (power > least))
-    found: list[float] = []
+    lines: list[float] = []
     for line in candidates[np.argsort(-power[candidates])]:
-        near = any(abs(frequency[line] - one) < 6.0 * frequency[1] for one in found)
+        near = any(
+            abs(frequency[line] - other_line) < 6.0 * frequency[1]
+            for other_line in lines
+        )
         foreign = HUM_LINE * float(driven[line]) < float(power[line])
         if (
             not near
             and foreign
             and _stands_out(power, int(line), base / float(frequency[1]))
         ):
-            found.append(float(frequency[line]))
-    return sorted(found)
+            lines.append(float(frequency[line]))
+    return sorted(lines)
 
 
 def _stands_out(power: Floats, line: int, base: float) -> bool:
@@ -403,10 +406,10 @@ def slope(values: Floats, seconds: Floats, width: float) -> Floats:
         spread: Floats = np.interp(seconds, even, filled)
         return spread
     half = min(max(round(width / step), 2), (len(values) - 1) // 2)
-    found: Floats = savgol_filter(
+    rate: Floats = savgol_filter(
         values, 2 * half + 1, min(3, 2 * half), deriv=1, delta=step
     )
-    return found
+    return rate
 
 
 # --- the range of a drive ---

@@ -103,18 +103,18 @@ def with_dynamics(
         Resonances are asked for, and no log has a part in which they would show.
     """
     slow, fast = split(recordings)
-    asked = options.dynamics
+    wanted = options.dynamics
     if not fast or not slow:
-        if asked:
+        if wanted:
             raise FitError(
-                f"`dynamics` {asked}: no log has a small sweep, nor is one ten times as fast as another "
+                f"`dynamics` {wanted}: no log has a small sweep, nor is one ten times as fast as another "
                 "(record a drive of excite with `sweep_to`)"
             )
         return []
     try:
         base = identify_static(slow, dataclasses.replace(options, dynamics=0))
     except FitError:
-        if asked:
+        if wanted:
             raise
         return []
     fast = [_without_sensor(part, options) for part in fast]
@@ -123,19 +123,19 @@ def with_dynamics(
     band = lowest, highest
     model = _without_fast_lags(base.model.without(base.model.delay), FAST_LAGS / lowest)
     reading = _Reading(base, model, [Signals(model, part) for part in fast], ())
-    chosen, doubts = chosen_dynamics(reading.signals, band, asked)
-    chosen, doubts = with_delay(reading.signals, band, asked, chosen, doubts)
+    chosen, doubts = chosen_dynamics(reading.signals, band, wanted)
+    chosen, doubts = with_delay(reading.signals, band, wanted, chosen, doubts)
     if not chosen.resonances:
         return _unexplained(reading.signals, chosen, fast)
     chosen = _sharpened(reading.signals, _placed(reading.signals, chosen, band), band)
     for _ in range(MOST_RESONANCES):
         reading, chosen = _read_again(reading, chosen, slow, fast, band, options)
-        if asked is not None or len(chosen.resonances) == MOST_RESONANCES:
+        if wanted is not None or len(chosen.resonances) == MOST_RESONANCES:
             break
         # What hides a weak resonance from the first reading of the slow rows is gone
         # with the second.
-        here = fitted(reading.signals, [chosen.parameters], chosen.structure, band)
-        more = one_more(reading.signals, here, band)
+        best = fitted(reading.signals, [chosen.parameters], chosen.structure, band)
+        more = one_more(reading.signals, best, band)
         if more is None:
             break
         chosen = _sharpened(reading.signals, more, band)
@@ -300,7 +300,9 @@ def _again(
 
 def _late(chosen: FittedDynamics) -> float:
     """Return the lag (s) of what is behind the gears, for slow moves."""
-    late = sum(one.damping / (math.pi * one.frequency) for one in chosen.resonances)
+    late = sum(
+        section.damping / (math.pi * section.frequency) for section in chosen.resonances
+    )
     return late + chosen.lag - chosen.lag_before + chosen.structure.delay
 
 
@@ -342,15 +344,15 @@ def _without_fast_lags(model: ActuatorModel, shortest: float) -> ActuatorModel:
     if terms is None:
         return model
     pairs = list(zip(terms.tau, terms.gain, strict=True))
-    kept = [(tau, gain) for tau, gain in pairs if tau >= shortest]
+    slow = [(tau, gain) for tau, gain in pairs if tau >= shortest]
     added = sum(gain for tau, gain in pairs if tau < shortest)
     # gain·(v − reference), at once: every gear steeper by it, and the corner where it
     # then lies.
     heights = gears.dy + added * gears.dx
     y0 = gears.y0 + added * (gears.x0 - terms.reference)
     rest = None
-    if kept:
-        taus, gains = zip(*kept, strict=True)
+    if slow:
+        taus, gains = zip(*slow, strict=True)
         rest = Relaxation(terms.reference, taus, gains)
     stages = list(model.stages)
     stages[stages.index(gears)] = BacklashStage(gears.dx, heights, gears.x0, y0, rest)
@@ -502,8 +504,8 @@ def _memories(gears: BacklashStage) -> tuple[Floats, Floats]:
 
 def _sections(taus: Floats, shares: Floats) -> tuple[Lag, ...]:
     """Return 1 - Σ c + Σ c/(1 + τs) as a product of sections (1 + λs)/(1 + τs), λ < τ."""
-    kept = shares > LEAST_SHARE
-    taus, shares = taus[kept], shares[kept]
+    large = shares > LEAST_SHARE
+    taus, shares = taus[large], shares[large]
     if not taus.size or float(shares.sum()) >= 0.5:
         return ()
     numerator = (1.0 - shares.sum()) * np.poly(-1.0 / taus)

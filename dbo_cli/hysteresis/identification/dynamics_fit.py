@@ -581,7 +581,7 @@ def _starts(
     signals: Sequence[Signals], best: FittedDynamics, band: Band
 ) -> list[Floats]:
     """Return where to begin with one resonance more."""
-    known = [one.frequency for one in best.resonances]
+    known = [resonance.frequency for resonance in best.resonances]
     before = best.parameters[: 2 * len(known)]
     lag = np.log(max(best.lag, 0.02 / band[1]))
     peak = _peak(signals, best, band)
@@ -729,15 +729,16 @@ def said(
 ) -> list[str]:
     """Return the lines about the dynamics."""
     parts = []
-    for k, one in enumerate(chosen.resonances):
-        frequency = outward(interval(one.frequency, chosen.spread[2 * k]), 5)
-        damping = outward(interval(one.damping, chosen.spread[2 * k + 1]), 3)
+    for k, resonance in enumerate(chosen.resonances):
+        frequency = outward(interval(resonance.frequency, chosen.spread[2 * k]), 5)
+        damping = outward(interval(resonance.damping, chosen.spread[2 * k + 1]), 3)
         parts.append(
-            f"resonance at {one.frequency:.5g} Hz ({frequency}), damping {one.damping:.3g} ({damping})"
+            f"resonance at {resonance.frequency:.5g} Hz ({frequency}), "
+            f"damping {resonance.damping:.3g} ({damping})"
         )
-        if one.antiresonance:
+        if resonance.antiresonance:
             parts[-1] += (
-                f" with an antiresonance at {one.antiresonance.frequency:.5g} Hz"
+                f" with an antiresonance at {resonance.antiresonance.frequency:.5g} Hz"
             )
     lines = []
     creep = figures.get("creep", [])

@@ -139,7 +139,7 @@ def validation_of(
 
 def pooled(values: Sequence[float], residuals: Sequence[Residual]) -> float:
     """Root of the mean square over all logs, weighted by their rows."""
-    weights = np.array([len(one.values) for one in residuals], dtype=float)
+    weights = np.array([len(residual.values) for residual in residuals], dtype=float)
     return float(np.sqrt(weights @ np.square(values) / weights.sum()))
 
 
@@ -194,19 +194,19 @@ def validated(
     """Return what the model file says of logs that took no part in the fit, and lines for the terminal."""
     if not checks:
         return {}, []
-    rmse = pooled([one.rmse for one in checks], checks)
+    rmse = pooled([check.rmse for check in checks], checks)
     figures: dict[str, object] = {
         "validation_rmse": rmse,
         "validation_percent": 100.0 * rmse / span,
         "validation": [
-            {"name": one.name, "samples": len(one.values), "rmse": one.rmse}
-            for one in checks
+            {"name": check.name, "samples": len(check.values), "rmse": check.rmse}
+            for check in checks
         ],
     }
     return figures, [
-        f"{one.name}: predicts it to {one.rmse:.4g}{unit} RMSE ({100.0 * one.rmse / span:.2f} % of the "
+        f"{check.name}: predicts it to {check.rmse:.4g}{unit} RMSE ({100.0 * check.rmse / span:.2f} % of the "
         "model's range), offset removed"
-        for one in checks
+        for check in checks
     ]
 
 
@@ -333,16 +333,16 @@ def log_warnings(
     warnings = []
     for log in recordings:
         moving = np.abs(np.diff(log.voltage)) > 0.0
-        held = (np.diff(log.displacement) == 0.0) & moving
+        repeats = (np.diff(log.displacement) == 0.0) & moving
         if (
             moving.any()
-            and held.sum() > MOST * moving.sum()
+            and repeats.sum() > MOST * moving.sum()
             and not _stepped(log.displacement)
         ):
             warnings.append(
-                f"{log.name}: {100.0 * held.sum() / moving.sum():.0f} % of the displacements repeat the one "
-                "before while the drive moves: the sensor is slower than the log (sample-and-hold); log at "
-                "the sensor's rate, or the fit sees a lag that is not the actuator's"
+                f"{log.name}: {100.0 * repeats.sum() / moving.sum():.0f} % of the displacements repeat the "
+                "one before while the drive moves: the sensor is slower than the log (sample-and-hold); log "
+                "at the sensor's rate, or the fit sees a lag that is not the actuator's"
             )
         seconds = log.seconds()
         if seconds is not None and log.time is not None:
@@ -493,10 +493,11 @@ def fit_warnings(
     """Warnings about the fitted model and what it leaves over."""
     warnings = []
     span = abs(prepared.scale)
-    rows = sum(len(one.values) for one in residuals)
-    rmse = float(
-        np.sqrt(sum(float(one.weighted @ one.weighted) for one in residuals) / rows)
-    )
+    rows = sum(len(residual.values) for residual in residuals)
+    squares = 0.0
+    for residual in residuals:
+        squares += float(residual.weighted @ residual.weighted)
+    rmse = float(np.sqrt(squares / rows))
     if rows < ROWS_PER_SLOPE * choice.basis.gears:
         warnings.append(
             f"{rows} rows for {choice.basis.gears} unknown slopes are fewer than the {ROWS_PER_SLOPE} for "
@@ -530,7 +531,7 @@ def _gain_warnings(
     after the sixth, creep over five decades 0.4 twice (0.3 % of gain), everything else
     0.8 and more.
     """
-    gains, before, own = [], 0.0, 0.0
+    gains, before, after = [], 0.0, 0.0
     for log, residual in zip(recordings, residuals, strict=True):
         left = residual.values - residual.values.mean()
         predicted = log.displacement[residual.rows] - residual.values
@@ -538,8 +539,8 @@ def _gain_warnings(
         more = float(np.sum(left * predicted)) / max(float(np.sum(predicted**2)), TINY)
         gains.append(1.0 + more)
         before += float(np.sum(left**2))
-        own += float(np.sum((left - more * predicted) ** 2))
-    if max(gains) < GAINS_APART * min(gains) or own > MOST * before:
+        after += float(np.sum((left - more * predicted) ** 2))
+    if max(gains) < GAINS_APART * min(gains) or after > MOST * before:
         return []
     each = ", ".join(
         f"{log.name} {gain:.3f}" for log, gain in zip(recordings, gains, strict=True)
@@ -559,10 +560,11 @@ def _slew_warnings(
         measured = log.displacement[residual.rows]
         predicted = measured - residual.values
         apart = 5  # rows: over one step noise is as large as the motion
-        steps = [one[apart:] - one[:-apart] for one in (measured, predicted)]
-        for way, word in ((1.0, "rises"), (-1.0, "falls")):
-            there = way * steps[1] > 0.0
-            near, usual = (_near_greatest(way * one[there]) for one in steps)
+        steps = [signal[apart:] - signal[:-apart] for signal in (measured, predicted)]
+        for direction, word in ((1.0, "rises"), (-1.0, "falls")):
+            along = direction * steps[1] > 0.0
+            near = _near_greatest(direction * steps[0][along])
+            usual = _near_greatest(direction * steps[1][along])
             if near > SLEWED * usual > 0.0:
                 warnings.append(
                     f"{log.name}: the displacement {word} at one greatest speed ({100.0 * near:.0f} % of the "

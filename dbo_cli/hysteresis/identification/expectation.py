@@ -130,7 +130,7 @@ class Expectation:
     @property
     def forgets(self) -> bool:
         """Whether the displacement forgets with the way gone, which no gears do."""
-        return any(one.forgetting is not None for one in self.alternatives)
+        return any(model.forgetting is not None for model in self.alternatives)
 
     def swing_values(self) -> list[list[float]]:
         """Return the logs' swings for the model file: from which voltage to which."""
@@ -286,7 +286,7 @@ def _free_of_drift(
 
 
 def _gain_trend(
-    logs: Sequence[PreparedLog], choice: Choice, own: Solution, floor: float
+    logs: Sequence[PreparedLog], choice: Choice, solution_before: Solution, floor: float
 ) -> float | None:
     """Return by how much the gain changes along a log, where that explains most of the error beyond noise.
 
@@ -296,7 +296,7 @@ def _gain_trend(
     square that is noise.
     """
     steepness = (
-        np.diff(corners(own.knots, choice.structure.segments))
+        np.diff(corners(solution_before.knots, choice.structure.segments))
         * choice.structure.segments
     )
     moving, changing = [], []
@@ -417,15 +417,16 @@ def _forgetting(
     memory = Relaxation(
         basis.low, tuple(length * basis.span for length in LENGTHS), per_volt
     )
-    one = Alternative(
+    forgetful = Alternative(
         "forgetting", 1.0, _other(solution, basis, structure, prepared, model), memory
     )
     log = logs[0]
     steps = None
     if log.seconds is not None:
         steps = np.diff(log.seconds, prepend=log.seconds[0])
-    apart = played(model, log.voltage, steps) - one.played(log.voltage, steps)
-    return (replace(one, model=_shifted(one.model, float(apart[log.used].mean()))),)
+    apart = played(model, log.voltage, steps) - forgetful.played(log.voltage, steps)
+    shifted = _shifted(forgetful.model, float(apart[log.used].mean()))
+    return (replace(forgetful, model=shifted),)
 
 
 def _changes(
@@ -474,12 +475,12 @@ def _on_logs(
     left, means = [], []
     for log in logs:
         moved = prepared.offset + prepared.scale * log.output
-        one = residual_of(
+        residual = residual_of(
             model, Recording(log.name, log.voltage, moved, log.seconds), log
         )
-        left.append(one)
-        means.append(one.mean_predicted)
-    return pooled([one.rmse for one in left], left), means[0]
+        left.append(residual)
+        means.append(residual.mean_predicted)
+    return pooled([residual.rmse for residual in left], left), means[0]
 
 
 def _shifted(model: ActuatorModel, by: float) -> ActuatorModel:

@@ -259,11 +259,14 @@ class _Finalists:
         larger model always wins, so there another one has to earn its place.
         """
         chosen = judged[0]
-        best = min(judged, key=lambda one: one.score)
+        best = min(judged, key=lambda candidate: candidate.score)
         if not chosen.beaten_by(best, self._needed()):
             return chosen
-        as_good = [one for one in judged if not one.beaten_by(best, 0.0)]
-        return min(as_good, key=lambda one: (_complexity(one), one.score))
+        as_good = []
+        for candidate in judged:
+            if not candidate.beaten_by(best, 0.0):
+                as_good.append(candidate)
+        return min(as_good, key=lambda each: (_complexity(each), each.score))
 
     def _judged_choice(self) -> Candidate:
         """Return what the search chose, refined and judged; without its delay where that is as good."""
@@ -334,17 +337,24 @@ class _Finalists:
                 yield refined
 
 
-def _percent(one: Candidate) -> str:
+def _percent(candidate: Candidate) -> str:
     """Return the error left out, mean over the kinds, as a share of the range."""
-    return f"{100.0 * math.exp(one.score):.3g} % of the range"
+    return f"{100.0 * math.exp(candidate.score):.3g} % of the range"
 
 
-def _complexity(one: Candidate) -> float:
+def _complexity(candidate: Candidate) -> float:
     """Return how much a candidate has: halvings of its segments, memories, delay, bend, free slopes."""
-    structure = one.structure
-    parts = [bool(structure.memories), bool(one.basis.delay), bool(one.basis.bend)]
-    free = structure.slopes == "free"
-    return math.log2(structure.segments) + sum(parts) + 2.0 * free
+    basis, structure = candidate.basis, candidate.structure
+    complexity = math.log2(structure.segments)
+    if structure.memories:
+        complexity += 1.0
+    if basis.delay:
+        complexity += 1.0
+    if basis.bend:
+        complexity += 1.0
+    if structure.slopes == "free":
+        complexity += 2.0
+    return complexity
 
 
 # --- the numbers of what was chosen, and its stages ---
@@ -600,10 +610,10 @@ def _response_left_out(logs: Sequence[PreparedLog], taps: int) -> Score:
         gram[np.arange(taps), np.arange(taps)] += (
             DAMPING * np.trace(gram[:taps, :taps]) / taps
         )
-        found = least_squares(gram, rest[:-1, -1])
+        response = least_squares(gram, rest[:-1, -1])
         for table, columns, quarter in tables:
             some = table[quarter == k]
-            left = some[:, -1] - some[:, :-1] @ found[columns]
+            left = some[:, -1] - some[:, :-1] @ response[columns]
             squares[k] += float(left @ left)
             rows[k] += len(left)
     return Score(squares, rows)

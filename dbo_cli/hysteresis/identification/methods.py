@@ -52,18 +52,20 @@ def identify(
     check_recordings(recordings)
     if options.sign is not None:
         _refuse_other_sign(recordings, options.sign)
-    found = _identify_by_method(widest_first(recordings), options, validation, prior)
-    sign: dict[str, object] = {"sign": found.model.sign}
+    result = _identify_by_method(widest_first(recordings), options, validation, prior)
+    sign: dict[str, object] = {"sign": result.model.sign}
     stated: dict[str, object] = {}
     lines: list[str] = []
     if options.scale_uncertainty > 0.0:
-        stated, lines = _stated_gain(found.model, options.scale_uncertainty)
-    model = dataclasses.replace(found.model, fit=sign | dict(found.model.fit) | stated)
+        stated, lines = _stated_gain(result.model, options.scale_uncertainty)
+    model = dataclasses.replace(
+        result.model, fit=sign | dict(result.model.fit) | stated
+    )
     return dataclasses.replace(
-        found,
+        result,
         model=model,
-        fit=sign | found.fit | stated,
-        summary=[*found.summary, *lines],
+        fit=sign | result.fit | stated,
+        summary=[*result.summary, *lines],
     )
 
 

@@ -235,21 +235,23 @@ def _warm_ups(log: PreparedLog) -> tuple[float, ...]:
 
 def _columns(log: PreparedLog) -> Floats:
     """Columns of all drifts: the log's own polynomial, warm-ups, offsets of stretches; (samples, columns)."""
-    own = _order(log) + 1
+    terms = _order(log) + 1
     assert log.seconds is not None
     taus = np.asarray(_warm_ups(log)) * float(log.seconds.max())
     left = np.exp(-log.seconds[:, None] / taus)
-    return np.hstack((log.drift[:, :own], left - left.mean(axis=0), log.drift[:, own:]))
+    return np.hstack(
+        (log.drift[:, :terms], left - left.mean(axis=0), log.drift[:, terms:])
+    )
 
 
 def _places(log: PreparedLog, drift: _Drift) -> list[int]:
     """Which of a log's columns make up the drift, of no higher order than the log's own."""
-    own = _order(log) + 1
+    terms = _order(log) + 1
     warm_ups = _warm_ups(log)
-    places = list(range(min(drift.order + 1, own)))
+    places = list(range(min(drift.order + 1, terms)))
     if drift.warm_up in warm_ups:
-        places.append(own + warm_ups.index(drift.warm_up))
-    first = own + len(warm_ups)
+        places.append(terms + warm_ups.index(drift.warm_up))
+    first = terms + len(warm_ups)
     return [*places, *range(first, first + log.stretches)]
 
 
@@ -259,11 +261,11 @@ def _time_constants(logs: Sequence[PreparedLog]) -> tuple[float, ...]:
     steps = np.concatenate([np.diff(clock) for clock in clocks])
     least = 2.0 * float(np.median(steps[steps > 0.0]))
     tau = LONGEST_MEMORY * max(float(clock.max()) for clock in clocks)
-    found = []
+    taus = []
     while tau >= least:
-        found.append(tau)
+        taus.append(tau)
         tau /= TIME_CONSTANT_RATIO
-    return tuple(found[::-1])
+    return tuple(taus[::-1])
 
 
 def _scaled(logs: Sequence[PreparedLog]) -> list[PreparedLog]:
@@ -427,19 +429,19 @@ def clipped_sensor(displacement: Floats, voltage: Floats) -> Booleans:
     moving = np.abs(np.diff(voltage, prepend=voltage[0])) > 0.0
     usual = _steepness(displacement, voltage)
     for extreme in (displacement.min(), displacement.max()):
-        found: list[tuple[int, int]] = []
+        runs_at_extreme: list[tuple[int, int]] = []
         before: list[float] = []
         for begin, end in runs((displacement == extreme) & moving):
             swing = float(np.ptp(voltage[begin:end]))
             if end - begin >= 5 and swing > 0.01 * float(np.ptp(voltage)):
-                found.append((begin, end))
+                runs_at_extreme.append((begin, end))
                 near = slice(max(begin - max((end - begin) // 5, 3), 0), begin + 1)
                 if begin - near.start >= 3:
                     before.append(_steepness(displacement[near], voltage[near]))
-        if found and (
+        if runs_at_extreme and (
             not before or float(np.median(before)) > CLIPPED_STEEPNESS * usual
         ):
-            for begin, end in found:
+            for begin, end in runs_at_extreme:
                 stuck[begin:end] = True
     return stuck
 
@@ -494,13 +496,15 @@ def folds_of(
     samples = len(usable)
     cycle = np.searchsorted(shape.cycles, np.arange(samples), side="right") - 1
     cycle = np.clip(cycle, 0, max(shape.cycle_count - 1, 0))
-    held = np.bincount(cycle[usable], minlength=1)
-    if np.count_nonzero(held) < 3:
+    counts = np.bincount(cycle[usable], minlength=1)
+    if np.count_nonzero(counts) < 3:
         fold = _stretches(usable, min(wanted, 4))
     else:
-        long = cycle == int(held.argmax())
+        long = cycle == int(counts.argmax())
         cut = np.where(
-            long & (held.max() > MOST * held.sum()), _stretches(usable & long, PARTS), 0
+            long & (counts.max() > MOST * counts.sum()),
+            _stretches(usable & long, PARTS),
+            0,
         )
         piece = PARTS * cycle + cut
         present = np.unique(piece[usable])
@@ -624,9 +628,10 @@ def _check_weights(
     weights: Sequence[Floats | None], used: Sequence[Booleans], notes: list[str]
 ) -> None:
     """Say what the rows' weights come to, or refuse (FitError) where a few rows outweigh all others."""
-    roots = [
-        one[rows] for one, rows in zip(weights, used, strict=True) if one is not None
-    ]
+    roots = []
+    for weights_of_log, rows in zip(weights, used, strict=True):
+        if weights_of_log is not None:
+            roots.append(weights_of_log[rows])
     if not roots:
         return
     together = np.concatenate(roots)
@@ -740,9 +745,9 @@ def _predicts_later_rows(log: Recording, usable: Booleans, early: Booleans) -> b
     errors = np.zeros(2)
     for quarter in range(1, QUARTERS + 1):
         for place, left_out in enumerate(([quarter], [quarter, 0])):
-            kept = [k for k in range(QUARTERS + 1) if k not in left_out]
-            gram = np.sum([statistics.grams[k] for k in kept], axis=0)
-            rows = sum(statistics.rows[k] for k in kept)
+            fitted_folds = [k for k in range(QUARTERS + 1) if k not in left_out]
+            gram = np.sum([statistics.grams[k] for k in fitted_folds], axis=0)
+            rows = sum(statistics.rows[k] for k in fitted_folds)
             try:
                 vector = solve(gram, statistics.columns, structure, rows).vector
             except FitError:
@@ -784,18 +789,20 @@ def _with_offsets_behind_gaps(
     Where a piece does not reach both ends of the log's range, what was in the gap can
     leave an offset in it.
     """
-    own = []
+    offsets = []
     for begin, known, end in pieces_behind_gaps(recording):
         reaches = np.ptp(log.voltage[begin:end]) >= (1.0 - SMALLEST_TURN) * np.ptp(
             log.voltage
         )
         if not reaches and log.used[known:end].any():
-            own.append(
+            offsets.append(
                 (np.arange(len(log.fold)) >= begin) & (np.arange(len(log.fold)) < end)
             )
-    if not own:
+    if not offsets:
         return log
-    opened = replace(log, drift=np.column_stack((log.drift, *own)), stretches=len(own))
+    opened = replace(
+        log, drift=np.column_stack((log.drift, *offsets)), stretches=len(offsets)
+    )
     better = _probe_error(opened, low, high) < MOST * _probe_error(log, low, high)
     return opened if better else log
 
@@ -811,7 +818,7 @@ def _with_history(
     them has an offset of its own.
     """
     starts = [replace(log, start=start) for start in STARTS]
-    errors = [_probe_error(one, low, high) for one in starts]
+    errors = [_probe_error(begun, low, high) for begun in starts]
     best = int(np.argmin(errors))
     if errors[best] >= 0.99 * errors[0]:  # chosen: no evident gain
         best = 0
@@ -841,9 +848,12 @@ def _left_open(log: PreparedLog) -> PreparedLog | None:
     ):
         return None
     # the last stretch's offset is the model's
-    own = (stretch[:, None] == present[:-1]).astype(float)
+    offsets = (stretch[:, None] == present[:-1]).astype(float)
     return replace(
-        log, fold=fold, drift=np.hstack((log.drift, own)), stretches=own.shape[1]
+        log,
+        fold=fold,
+        drift=np.hstack((log.drift, offsets)),
+        stretches=offsets.shape[1],
     )
 
 

@@ -371,11 +371,11 @@ def _gain_of_shape(
     return WITHIN_STATED * error / math.sqrt(sum(squares) / rows * swings)
 
 
-def _lag(logs: Sequence[_Log], held: float, longest: float) -> tuple[float, float]:
+def _lag(logs: Sequence[_Log], delay: float, longest: float) -> tuple[float, float]:
     """Return the change of the delay (s) that fits best, 0 where it scatters by as much, and its interval."""
     trials = np.linspace(-longest, longest, TRIALS)
     errors = [
-        _gain_and_error(_products(logs, held + at).sum(axis=0))[1] for at in trials
+        _gain_and_error(_products(logs, delay + at).sum(axis=0))[1] for at in trials
     ]
     middle = float(trials[np.clip(int(np.argmin(errors)), 1, TRIALS - 2)])
     step = 2.0 * longest / (TRIALS - 1)
@@ -383,7 +383,7 @@ def _lag(logs: Sequence[_Log], held: float, longest: float) -> tuple[float, floa
     # parabolas over the neighbours, over a quarter of that and a sixteenth
     for _ in range(3):
         around = np.array(
-            [_products(logs, held + middle + at) for at in (-step, 0.0, step)]
+            [_products(logs, delay + middle + at) for at in (-step, 0.0, step)]
         )
         totals = np.array([each.sum(axis=0) for each in around])
         parts = [step * _least_at(totals - around[:, k]) for k in range(FOLDS)]

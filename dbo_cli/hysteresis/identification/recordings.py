@@ -256,7 +256,7 @@ class IdentificationOptions:
 
     def check_prior(self) -> None:
         """Refuse what a prior already has (UsageError)."""
-        usual = {one.name: one.default for one in fields(self)}
+        usual = {option.name: option.default for option in fields(self)}
         for name in NOT_WITH_PRIOR:
             if getattr(self, name) != usual[name]:
                 raise UsageError(
@@ -265,7 +265,7 @@ class IdentificationOptions:
 
     def _check_paper(self) -> None:
         """Refuse what the paper's method would have to ignore."""
-        usual = {one.name: one.default for one in fields(self)}
+        usual = {option.name: option.default for option in fields(self)}
         for name in NOT_FOR_PAPER:
             value = getattr(self, name)
             nothing = name in ("relaxation", "delay", "dynamics") and not value
@@ -309,7 +309,8 @@ def _choice(
     name: str, value: object, choices: Sequence[object], other: str = ""
 ) -> None:
     if not any(
-        value is one or (isinstance(value, str) and value == one) for one in choices
+        value is choice or (isinstance(value, str) and value == choice)
+        for choice in choices
     ):
         raise UsageError(
             f"`{name}` {value!r}: is one of {', '.join(map(str, choices))}{other}"
@@ -482,17 +483,20 @@ def pieces_behind_gaps(log: Recording) -> list[tuple[int, int, int]]:
     if seconds is None or not at.size:
         return []
     steps, moves = np.diff(seconds), np.diff(v)
-    most, seen = (_usual_change(values, at) for values in (v, log.displacement))
+    most = _usual_change(v, at)
+    most_measured = _usual_change(log.displacement, at)
     before = np.maximum(at - SPEED_ROWS, 0)
     after = np.minimum(at + 1 + SPEED_ROWS, len(v) - 1)
     # how far the drive would have gone on, by its speed before and after
     ways = np.zeros((2, len(at)))
-    for way, first, last in zip(ways, (before, at + 1), (at, after), strict=True):
+    for expected, first, last in zip(ways, (before, at + 1), (at, after), strict=True):
         past = seconds[last] - seconds[first]
-        np.divide((v[last] - v[first]) * steps[at], past, out=way, where=past > 0.0)
+        np.divide(
+            (v[last] - v[first]) * steps[at], past, out=expected, where=past > 0.0
+        )
     turned = np.abs(ways - moves[at]).max(axis=0) > HIDDEN_STEPS * most
     still = np.abs(moves[at]) <= most  # if the displacement was, too
-    turned[still] = np.abs(np.diff(log.displacement)[at[still]]) > seen
+    turned[still] = np.abs(np.diff(log.displacement)[at[still]]) > most_measured
     gaps = (at[turned] + 1).tolist()
     ends = [*gaps, len(v)][1:]
     return [
@@ -640,7 +644,7 @@ def _longest_sweep(log: Recording, span: float) -> FastPart | None:
     edges = [0, log.voltage.size]
     if grid_step(log) is None:
         edges[1:1] = (_long_steps(log) + 1).tolist()
-    found = []
+    sweeps = []
     for begin, end in itertools.pairwise(edges):
         if end - begin < FEWEST_SWINGS * FEWEST_A_PERIOD // 2:
             continue
@@ -649,8 +653,8 @@ def _longest_sweep(log: Recording, span: float) -> FastPart | None:
         sweep = None if step is None else _sweep(piece, span, step)
         if sweep is not None:
             rows = slice(begin + sweep.rows.start, begin + sweep.rows.stop)
-            found.append(replace(sweep, recording=log, rows=rows))
-    return max(found, key=lambda part: part.rows.stop - part.rows.start, default=None)
+            sweeps.append(replace(sweep, recording=log, rows=rows))
+    return max(sweeps, key=lambda part: part.rows.stop - part.rows.start, default=None)
 
 
 def _swings(voltage: Floats, span: float) -> tuple[Floats, Floats]:

@@ -249,7 +249,9 @@ class _Search:
         self._all = tuple(range(memories))
         self._segments = SEGMENTS
         if one_amplitude:
-            self._segments = tuple(one for one in SEGMENTS if one[1] == KNOT_SMOOTHNESS)
+            self._segments = tuple(
+                step for step in SEGMENTS if step[1] == KNOT_SMOOTHNESS
+            )
         if options.points is not None:
             self._segments = ((max(options.points, 1), KNOT_SMOOTHNESS),)
         self._finest = self._segments[-1][0]
@@ -285,21 +287,21 @@ class _Search:
     ) -> tuple[Structure, Score]:
         """Return the simplest candidate that is no worse than the best, and its error on data left out."""
         statistics = self._statistics(basis)
-        found: list[tuple[Structure, Score]] = []
+        judged: list[tuple[Structure, Score]] = []
         least = np.inf
         for structure in reversed(candidates):
             # What is left out is predicted no better than what is fitted: most need not
             # be left out at all.
             try:
                 if fitted_rmse(statistics, structure) <= least * (1.0 + INDIFFERENCE):
-                    found.insert(0, (structure, cross_validate(statistics, structure)))
-                    least = min(least, found[0][1].rmse)
+                    judged.insert(0, (structure, cross_validate(statistics, structure)))
+                    least = min(least, judged[0][1].rmse)
             except (
                 FitError
             ):  # one candidate that cannot be solved is no reason to refuse the log
-                if structure == candidates[0] and not found:
+                if structure == candidates[0] and not judged:
                     raise
-        return found[simplest_of([score for _, score in found], self._indifference)]
+        return judged[simplest_of([score for _, score in judged], self._indifference)]
 
     def _least(self, basis: Basis, candidates: Sequence[Structure]) -> float:
         """Return the least error on data left out among candidates; infinite where none can be solved."""
@@ -340,12 +342,14 @@ class _Search:
         ruled, score = self._best(
             basis, self._listed(structure.slopes, [structure.memories])
         )
-        free, other = self._best(basis, self._listed("free", [structure.memories]))
-        if other.rmse >= EARNED * score.rmse or no_worse(score, other):
+        free, free_score = self._best(basis, self._listed("free", [structure.memories]))
+        if free_score.rmse >= EARNED * score.rmse or no_worse(score, free_score):
             return structure.slopes
-        mine, groups = groups_left_out(self._logs, basis, ruled, score.rmse)
-        its, _ = groups_left_out(self._logs, basis, free, other.rmse)
-        return "free" if groups and its < EARNED * mine else structure.slopes
+        groups_error, groups = groups_left_out(self._logs, basis, ruled, score.rmse)
+        free_groups_error, _ = groups_left_out(self._logs, basis, free, free_score.rmse)
+        if groups and free_groups_error < EARNED * groups_error:
+            return "free"
+        return structure.slopes
 
     def evident_delay(self, basis: Basis) -> float:
         """Delay in seconds that is seen at first sight, else 0: with it in the way, all is chosen wrong.
@@ -359,17 +363,19 @@ class _Search:
         """
         rules = ("growing",) if self._one else ("growing", "falling")
         either = [
-            Structure(one, self._all, self._finest, TRIAL_SMOOTHNESS) for one in rules
+            Structure(slopes, self._all, self._finest, TRIAL_SMOOTHNESS)
+            for slopes in rules
         ]
         errors: dict[float, float] = {}
         for step in self._steps_within(DELAY_TRIALS):
-            errors[step] = min(
-                fitted_rmse(self._late(basis, step), one) for one in either
-            )
+            late = self._late(basis, step)
+            errors[step] = min(fitted_rmse(late, structure) for structure in either)
             if _far_beyond(errors[step], errors.values()):
                 break
         best = min(errors, key=lambda step: errors[step])
-        return best * self._period if errors[best] < EARNED * errors[0.0] else 0.0
+        if errors[best] >= EARNED * errors[0.0]:
+            return 0.0
+        return best * self._period
 
     def _steps_within(self, samples: Sequence[float]) -> list[float]:
         """Return the delays, in samples, that are within a quarter of a cycle."""
@@ -447,7 +453,7 @@ class _Search:
             replace(basis, bend=basis.bend + side * BEND_STEP / 2.0)
             for side in (0, -1, 1)
         ]
-        scores = [self._score(one, structure).rmse for one in near]
+        scores = [self._score(bent, structure).rmse for bent in near]
         return near[int(np.argmin(scores))]
 
     def lag(
@@ -538,7 +544,7 @@ class _Search:
         for count in SLOPE_CHOICES[1:]:
             if count * ROWS_PER_SLOPE <= usable:
                 candidates.append(replace(basis, gears=count, split=ALL_GEARS // count))
-        scores = [self._score(one, structure) for one in candidates]
+        scores = [self._score(candidate, structure) for candidate in candidates]
         best = simplest_of(scores, FINE_INDIFFERENCE)
         basis, score = candidates[best], scores[best]
         finer = replace(basis, split=FINER_GEARS * basis.split)
@@ -555,9 +561,11 @@ class _Search:
         if fast - slow < np.log(SPEEDS_APART):
             return False
         count = len(basis.time_constants)
-        other = replace(structure, memories=tuple(range(count, count + len(LENGTHS))))
-        way = self._score(replace(basis, lengths=LENGTHS), other)
-        return _earned(way, score)
+        forgetful = replace(
+            structure, memories=tuple(range(count, count + len(LENGTHS)))
+        )
+        by_way = self._score(replace(basis, lengths=LENGTHS), forgetful)
+        return _earned(by_way, score)
 
     def _score(self, basis: Basis, structure: Structure) -> Score:
         """Return the error on data left out; without bound where the candidate cannot be solved."""
@@ -598,5 +606,5 @@ def _interval(tried: dict[float, Score]) -> tuple[float, float]:
     """Delays whose error is within one standard error (over folds) of the best one's."""
     none = next(iter(tried.values()))
     best = min(tried.values(), key=lambda score: float(score.excess_over(none).mean()))
-    held = [delay for delay, score in tried.items() if no_worse(score, best)]
-    return min(held), max(held)
+    as_good = [delay for delay, score in tried.items() if no_worse(score, best)]
+    return min(as_good), max(as_good)
