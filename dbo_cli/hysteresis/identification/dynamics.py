@@ -387,7 +387,7 @@ def _assembled(
         validation_of(model, sensor.taken_off(log), options.skip_seconds)
         for log in validation
     ]
-    unit = f" {model.output.unit}" if model.output.unit else ""
+    unit = model.output.suffix
     # Of lag and memories the slow rows tell what the dynamics say better.
     summary = [line for line in base.summary if not line.startswith("lag ")]
     summary += said(figures, chosen, trusted_hz, why, unit)

@@ -179,7 +179,7 @@ class _Result:
     @property
     def unit(self) -> str:
         """The displacement's unit as it follows a number."""
-        return f" {self.model.output.unit}" if self.model.output.unit else ""
+        return self.model.output.suffix
 
 
 def _stated(
@@ -506,7 +506,7 @@ def lag_seconds(candidate: Candidate, cycle: float | None) -> float:
 def _summary(figures: Mapping[str, Any], result: _Result) -> list[str]:
     """Lines for the person at the terminal; ``show`` says how well the lag is determined."""
     unit, prepared = result.unit, result.prepared
-    volt = f" {result.model.input.unit}" if result.model.input.unit else ""
+    volt = result.model.input.suffix
     lines = _expected_lines(figures, unit)
     lines += validated(result.checks, result.span, unit)[1]
     lines.append(

@@ -103,7 +103,7 @@ def identify_by_paper(
         "gears": len(model.backlash.dx),
         "loop_width_percent": loop_width_percent(model),
     }
-    unit = f" {model.output.unit}" if model.output.unit else ""
+    unit = model.output.suffix
     percent = f"{figures['rmse_percent']:.2f} % of the model's range"
     summary = [f"fit RMSE {residual.rmse:.4g}{unit} ({percent}) on one cycle"]
     of_checks, lines = validated(checks, span, unit)

@@ -541,10 +541,11 @@ def prepare(
     ]
     # Where the rows under the unknown history are left out anyway, the start state
     # makes no difference.
-    begun = [
-        log if log.transient_rows else _with_history(log, low, high, notes)
-        for log in parts
-    ]
+    begun = []
+    for log in parts:
+        if not log.transient_rows:
+            log = _with_history(log, low, high, notes)
+        begun.append(log)
     moves = [
         level_moves(shape, log.voltage)
         for shape, log in zip(shapes, begun, strict=True)
@@ -581,7 +582,9 @@ def _opened(
     usable, faulty, clipped = _sound_rows(recording, usable, notes)
     shape = drive_shape(voltage)
     order = drift_order(shape, seconds is not None, level_moves(shape, voltage))
-    clock = np.arange(len(voltage), dtype=float) if seconds is None else seconds
+    clock = seconds
+    if clock is None:
+        clock = np.arange(len(voltage), dtype=float)
     return PreparedLog(
         recording.name,
         voltage,

@@ -172,7 +172,7 @@ def refresh(
     moved = _moved(prior, logs, recordings, cycle)
     model = _refreshed(prior, moved)
 
-    unit = f" {prior.output.unit}" if prior.output.unit else ""
+    unit = prior.output.suffix
     covered = _covered(recordings)
     warnings = _check_shape(prior, logs, moved, unit, options.force)
     warnings += _warnings(prior, logs, moved, unit)
@@ -255,8 +255,10 @@ def _from_best_start(
     """Return a log beside the prediction from the start that explains it best."""
     seconds = log.seconds()
     roots = None if weights is None else weights[keep]
-    known = None if seconds is None else np.maximum.accumulate(seconds)
-    clock = np.arange(len(keep), dtype=float) if known is None else known
+    known: Floats | None = None
+    clock = np.arange(len(keep), dtype=float)
+    if seconds is not None:
+        known = clock = np.maximum.accumulate(seconds)
     order = min(drift_order(drive_shape(log.voltage), seconds is not None, False), 1)
     drift = drift_columns(clock, order)
     logs, errors = [], []
@@ -590,7 +592,7 @@ def _summary(
     covered: tuple[float, float],
 ) -> list[str]:
     """Return lines for the person at the terminal."""
-    unit = f" {prior.output.unit}" if prior.output.unit else ""
+    unit = prior.output.suffix
     lag = "no clock, so the lag is the prior's"
     if clocked:
         change = 1e3 * figures["prior"]["delay_seconds"]
@@ -598,7 +600,7 @@ def _summary(
         lag = f"lag {late} ms (within {within_late})"
         if not change:
             lag = f"lag as it was (within {within_late} ms)"
-    drive = f" {prior.input.unit}" if prior.input.unit else ""
+    drive = prior.input.suffix
     ends = prior.input.minimum, prior.input.maximum
     gain, within_gain = with_its_error(moved.gain, moved.gain_error)
     lines = [

@@ -7,6 +7,7 @@ import math
 import numbers
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,11 +100,19 @@ class Recording:
             self,
             voltage=self.voltage[rows],
             displacement=self.displacement[rows],
-            time=None if self.time is None else self.time[rows],
-            uncertainty=None if self.uncertainty is None else self.uncertainty[rows],
-            rows=None if self.rows is None else self.rows[rows],
-            faulty=None if self.faulty is None else self.faulty[rows],
+            time=_rows_of(self.time, rows),
+            uncertainty=_rows_of(self.uncertainty, rows),
+            rows=_rows_of(self.rows, rows),
+            faulty=_rows_of(self.faulty, rows),
         )
+
+
+Numbers = TypeVar("Numbers", Floats, Integers, Booleans)
+
+
+def _rows_of(values: Numbers | None, rows: slice) -> Numbers | None:
+    """Return the values of some rows, None where the log has none."""
+    return None if values is None else values[rows]
 
 
 METHODS = ("least-squares", "paper")

@@ -80,6 +80,7 @@ FINEST_DELAY_STEP = 0.25  # of a sample: what a fit to noisy cycles can tell
 # sample periods
 DELAY_TRIALS = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
 FEWEST_DELAYS = 4  # tried before the trials may end
+FEWEST_WINDOWS = 4  # of a cycle each: fewer means tell nothing of how a level moves
 FAR_BEYOND = 1.5  # times the least squared error; chosen
 
 
@@ -141,7 +142,9 @@ def _moving_slowly(
 ) -> list[float]:
     """Return the memories (by seconds) that, averaged over cycles and freed of drift, move noticeably."""
     moving = np.zeros(len(taus), bool)
-    for log in prepared.logs if taus else ():
+    if not taus:
+        return []
+    for log in prepared.logs:
         if log.seconds is None:
             continue
         used = log.used
@@ -152,7 +155,9 @@ def _moving_slowly(
         _, window, rows = np.unique(
             np.floor(log.seconds[used] / cycle), return_inverse=True, return_counts=True
         )
-        for place in np.flatnonzero(~moving) if len(rows) >= 4 else ():
+        if len(rows) < FEWEST_WINDOWS:
+            continue
+        for place in np.flatnonzero(~moving):
             memory = memories[used, place]
             means = np.bincount(window, memory - drift @ (drift.T @ memory)) / rows
             moving[place] = float(means.std()) > LEVEL_MOVES
