@@ -50,7 +50,7 @@ from dbo_cli.hysteresis.identification.dynamics_fit import (
 from dbo_cli.hysteresis.identification.evaluation import (
     predict,
     validated,
-    validation_of,
+    validations_of,
 )
 from dbo_cli.hysteresis.identification.identify import Identification, identify_static
 from dbo_cli.hysteresis.identification.recordings import (
@@ -383,10 +383,7 @@ def _assembled(
     if warnings:
         figures["warnings"] = warnings
     sensor = Sensor.of(options)
-    checks = [
-        validation_of(model, sensor.taken_off(log), options.skip_seconds)
-        for log in validation
-    ]
+    checks = validations_of(model, validation, sensor, options.skip_seconds)
     unit = model.output.suffix
     # Of lag and memories the slow rows tell what the dynamics say better.
     summary = [line for line in base.summary if not line.startswith("lag ")]
@@ -512,11 +509,8 @@ def _sections(taus: Floats, shares: Floats) -> tuple[Lag, ...]:
     for k, share in enumerate(shares):
         others = np.poly(-1.0 / np.delete(taus, k))  # 1 where there are none
         numerator[1:] += share / taus[k] * others
-    leads = np.sort(-1.0 / np.roots(numerator).real)
-    return tuple(
-        Lag(float(tau), float(lead))
-        for tau, lead in zip(np.sort(taus), leads, strict=True)
-    )
+    leads = np.sort(-1.0 / np.roots(numerator).real).tolist()
+    return tuple(map(Lag, np.sort(taus).tolist(), leads))
 
 
 def _freed(log: Recording, sections: tuple[Lag, ...], step: float) -> Recording:

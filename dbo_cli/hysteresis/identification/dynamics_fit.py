@@ -242,17 +242,17 @@ def sections_of(
     """Return the lag and the resonances of logarithms, lowest first, wherever the lag stands."""
     count = structure.resonances
     values = np.exp(parameters)
-    pairs = sorted(
-        (float(values[2 * k]), float(min(values[2 * k + 1], MOST_DAMPING)))
-        for k in range(count)
-    )
+    pairs = []
+    for k in range(count):
+        damping = float(min(values[2 * k + 1], MOST_DAMPING))
+        pairs.append((float(values[2 * k]), damping))
+    pairs.sort()
     resonances = [Resonance(frequency, damping) for frequency, damping in pairs]
     if structure.antiresonance:
-        at, damping = (
-            float(values[2 * count]),
-            float(min(values[2 * count + 1], MOST_DAMPING)),
-        )
-        resonances[-1] = Resonance(*pairs[-1], Antiresonance(at, damping))
+        frequency = float(values[2 * count])
+        damping = float(min(values[2 * count + 1], MOST_DAMPING))
+        beside = Antiresonance(frequency, damping)
+        resonances[-1] = Resonance(*pairs[-1], beside)
     return (Lag(float(values[-1])), *resonances)
 
 
@@ -374,14 +374,14 @@ def _spread(
     73, 13, 1986).
     """
     left = residuals(signals, best, structure)
-    changed = [
-        residuals(signals, best + SMALL * one, structure) for one in np.eye(best.size)
-    ]
+    changed = []
+    for direction in np.eye(best.size):
+        changed.append(residuals(signals, best + SMALL * direction, structure))
     slopes, scatter = np.zeros((2, best.size, best.size))
-    for k, one in enumerate(signals):
-        along = np.array([(other[k] - left[k]) / SMALL for other in changed])
+    for k, part in enumerate(signals):
+        along = np.array([(moved[k] - left[k]) / SMALL for moved in changed])
         slopes += np.einsum("ir,jr->ij", along, along)
-        begins = np.flatnonzero(np.diff(one.block, prepend=-1))
+        begins = np.flatnonzero(np.diff(part.block, prepend=-1))
         pulls = np.add.reduceat(along * left[k], begins, axis=1)
         scatter += np.einsum("ib,jb->ij", pulls, pulls)
     inverse = np.linalg.pinv(slopes, hermitian=True)
@@ -545,31 +545,32 @@ def _earned(
     signals: Sequence[Signals], more: FittedDynamics, best: FittedDynamics, band: Band
 ) -> bool:
     """Return whether the error on blocks left out asks for more, all of it inside the swept band."""
-    found = [one.frequency for one in more.resonances]
-    found += [
-        one.antiresonance.frequency for one in more.resonances if one.antiresonance
-    ]
-    if not all(INSIDE * band[0] < one < band[1] for one in found):
-        return False
-    if any(one.damping < INSIDE * LEAST_DAMPING for one in more.resonances):
-        return False
-    pairs = [
-        (one.damping, one.antiresonance.damping)
-        for one in more.resonances
-        if one.antiresonance
-    ]
-    if any(max(pair) > MOST_BESIDE / INSIDE for pair in pairs):
-        return False
+    for resonance in more.resonances:
+        if not _is_inside(resonance, band):
+            return False
     if more.left_out <= EARNED * best.left_out:
         return True
     if not best.resonances:
         return False
-    rows, noise = (
-        sum(one.measured.size for one in signals),
-        white_noise(residuals(signals, best.parameters, best.structure)),
-    )
+    rows = sum(part.measured.size for part in signals)
+    noise = white_noise(residuals(signals, best.parameters, best.structure))
     gained = rows * (best.left_out**2 - more.left_out**2)
     return gained >= max(SURE * noise, MOST_OF_IT * rows * (best.left_out**2 - noise))
+
+
+def _is_inside(resonance: Resonance, band: Band) -> bool:
+    """Return whether a resonance, and its antiresonance, lie inside the swept band and the bounds."""
+    lowest, highest = INSIDE * band[0], band[1]
+    if not lowest < resonance.frequency < highest:
+        return False
+    if resonance.damping < INSIDE * LEAST_DAMPING:
+        return False
+    beside = resonance.antiresonance
+    if not beside:
+        return True
+    if max(resonance.damping, beside.damping) > MOST_BESIDE / INSIDE:
+        return False
+    return lowest < beside.frequency < highest
 
 
 def _white(signals: Sequence[Signals], best: FittedDynamics) -> bool:

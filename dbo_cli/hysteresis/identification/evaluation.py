@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError
+from dbo_cli.hysteresis.identification.cleaning import Sensor
 from dbo_cli.hysteresis.identification.preparation import Prepared
 from dbo_cli.hysteresis.identification.recordings import (
     BLOCK_ROWS,
@@ -135,6 +136,19 @@ def validation_of(
         )
     left = (recording.displacement - predict(model, recording))[keep]
     return Residual(recording.name, left - left.mean(), np.flatnonzero(keep), 0.0)
+
+
+def validations_of(
+    model: ActuatorModel,
+    recordings: Sequence[Recording],
+    sensor: Sensor,
+    skip_seconds: float,
+) -> list[Residual]:
+    """Residuals on recordings that took no part in the fit, their sensor taken off."""
+    return [
+        validation_of(model, sensor.taken_off(recording), skip_seconds)
+        for recording in recordings
+    ]
 
 
 def pooled(values: Sequence[float], residuals: Sequence[Residual]) -> float:
@@ -282,10 +296,8 @@ def straight_line(recording: Recording, log: PreparedLog) -> float:
     rows = log.used
     # About their means: an offset of a million ranges would leave the voltage no digits
     # beside the constant.
-    voltage, target = (
-        signal[rows] - signal[rows].mean()
-        for signal in (recording.voltage, recording.displacement)
-    )
+    voltage = recording.voltage[rows] - recording.voltage[rows].mean()
+    target = recording.displacement[rows] - recording.displacement[rows].mean()
     weights = log.weights_at(rows)
     columns = weighted(np.column_stack((voltage, log.drift[rows])), weights)
     target = weighted(target, weights)
@@ -594,17 +606,14 @@ def _shape_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list
     for log, ready in zip(recordings, prepared.logs, strict=True):
         voltage = (log.voltage - prepared.low) / prepared.span
         moved = np.diff(voltage, prepend=voltage[0])
-        down = (
-            moved[
-                np.maximum.accumulate(np.where(moved != 0.0, np.arange(len(moved)), 0))
-            ]
-            < 0.0
+        last_move = np.maximum.accumulate(
+            np.where(moved != 0.0, np.arange(len(moved)), 0)
         )
+        down = moved[last_move] < 0.0
         place = np.clip((voltage * 20).astype(np.int64), 0, 19) + 20 * down
-        counts, sums = (
-            np.bincount(place[ready.used], weights, minlength=40).reshape(2, 20)
-            for weights in (None, log.displacement[ready.used])
-        )
+        place, displacement = place[ready.used], log.displacement[ready.used]
+        counts = np.bincount(place, minlength=40).reshape(2, 20)
+        sums = np.bincount(place, displacement, minlength=40).reshape(2, 20)
         # a level driven to one way alone would be half a loop
         full = (counts > 0).all(axis=0)
         mean = (sums[:, full] / counts[:, full]).mean(axis=0)
@@ -613,15 +622,14 @@ def _shape_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list
             continue
         falls = -float(climbs[climbs < 0.0].sum())
         turns = falls > 0.25 * float(climbs[climbs > 0.0].sum())
-        if turns and _follows(log.displacement[ready.used], place[ready.used]):
+        at_ends = min(float(climbs[1:3].mean()), float(climbs[-3:-1].mean()))
+        if turns and _follows(displacement, place):
             warnings.append(
                 f"{log.name}: the displacement rises and falls again as the voltage rises (a butterfly, or a "
                 "turning direction of motion): no invertible model follows that; stay on one side of the "
                 "turn"
             )
-        elif not turns and min(
-            float(climbs[1:3].mean()), float(climbs[-3:-1].mean())
-        ) < SATURATION * float(np.median(climbs)):
+        elif not turns and at_ends < SATURATION * float(np.median(climbs)):
             warnings.append(
                 f"{log.name}: the displacement hardly moves at an end of the drive's range (saturation, or "
                 "an end stop): the inverse asks for large voltages there; keep trajectories away from it"

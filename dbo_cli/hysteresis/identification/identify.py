@@ -28,7 +28,7 @@ from dbo_cli.hysteresis.identification.evaluation import (
     rated_warnings,
     swapped_warnings,
     validated,
-    validation_of,
+    validations_of,
 )
 from dbo_cli.hysteresis.identification.expectation import Expectation, expect
 from dbo_cli.hysteresis.identification.finalists import best_of, fit, model_of
@@ -126,7 +126,7 @@ def identify_static(
     model = model_of(candidate, prepared, logs[0], options.zero, options.gears)
     judged = judge(model, logs, prepared.logs)
     _refuse_straight_line(judged, logs, prepared, options)
-    checks = _validated(model, validation, sensor, options)
+    checks = validations_of(model, validation, sensor, options.skip_seconds)
     choice = replace(choice, basis=finalist.basis, structure=finalist.structure)
     expected = expect(prepared, choice, model, judged)
 
@@ -217,19 +217,6 @@ def _refuse_straight_line(
     if judged.rmse > NO_BETTER * judged.line and not options.force:
         why = _no_loop(judged, logs, prepared)
         raise FitError(f"{why} (`force` keeps the model)")
-
-
-def _validated(
-    model: ActuatorModel,
-    validation: Sequence[Recording],
-    sensor: Sensor,
-    options: IdentificationOptions,
-) -> list[Residual]:
-    """Return what the model leaves of logs that took no part in the fit."""
-    return [
-        validation_of(model, sensor.taken_off(log), options.skip_seconds)
-        for log in validation
-    ]
 
 
 def _for_use(result: _Result) -> dict[str, object]:

@@ -31,7 +31,7 @@ from dbo_cli.hysteresis.identification.evaluation import (
     predict,
     rated_warnings,
     validated,
-    validation_of,
+    validations_of,
     with_its_error,
 )
 from dbo_cli.hysteresis.identification.identify import BROKEN, Identification
@@ -177,10 +177,7 @@ def refresh(
     warnings = _check_shape(prior, logs, moved, unit, options.force)
     warnings += _warnings(prior, logs, moved, unit)
     warnings += rated_warnings(*covered, options.rated)
-    checks = [
-        validation_of(model, sensor.taken_off(log), options.skip_seconds)
-        for log in validation
-    ]
+    checks = validations_of(model, validation, sensor, options.skip_seconds)
     validation_figures, lines = validated(checks, model.output.span, unit)
     figures = _figures(prior, moved, logs) | validation_figures
     summary = [*notes, *_summary(figures, moved, prior, clocked, covered), *lines]

@@ -508,10 +508,11 @@ def pieces_behind_gaps(log: Recording) -> list[tuple[int, int, int]]:
     turned[still] = np.abs(np.diff(log.displacement)[at[still]]) > most_measured
     gaps = (at[turned] + 1).tolist()
     ends = [*gaps, len(v)][1:]
-    return [
-        (begin, begin + first_wiped_row(v[begin:end]), end)
-        for begin, end in zip(gaps, ends, strict=True)
-    ]
+    pieces = []
+    for begin, end in zip(gaps, ends, strict=True):
+        known = begin + first_wiped_row(v[begin:end])
+        pieces.append((begin, known, end))
+    return pieces
 
 
 def _long_steps(log: Recording) -> Integers:

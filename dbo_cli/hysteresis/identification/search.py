@@ -102,11 +102,10 @@ class Choice:
 
 def sample_period(logs: Sequence[PreparedLog]) -> float | None:
     """Median time between samples in seconds, None where a log has no clock."""
-    if any(log.seconds is None for log in logs):
+    clocks = [log.seconds for log in logs if log.seconds is not None]
+    if len(clocks) < len(logs):
         return None
-    steps = np.concatenate(
-        [np.diff(log.seconds) for log in logs if log.seconds is not None]
-    )
+    steps = np.concatenate([np.diff(clock) for clock in clocks])
     moving = steps[steps > 0.0]
     return float(np.median(moving)) if len(moving) else None
 
@@ -281,11 +280,12 @@ class _Search:
         smoothness: float = TRIAL_SMOOTHNESS,
     ) -> list[Structure]:
         """Return the list of candidates, simplest first."""
-        return [
-            Structure(slopes, some, segments, smoothness, kinks)
-            for segments, kinks in self._segments
-            for some in memories
-        ]
+        structures = []
+        for segments, kinks in self._segments:
+            for some in memories:
+                structure = Structure(slopes, some, segments, smoothness, kinks)
+                structures.append(structure)
+        return structures
 
     def _best(
         self, basis: Basis, candidates: Sequence[Structure]
@@ -454,10 +454,10 @@ class _Search:
         """Return the bend, or one of its neighbours, that does best beside the lag."""
         if not basis.bend:
             return basis
-        near = [
-            replace(basis, bend=basis.bend + side * BEND_STEP / 2.0)
-            for side in (0, -1, 1)
-        ]
+        near = []
+        for side in (0, -1, 1):
+            bend = basis.bend + side * BEND_STEP / 2.0
+            near.append(replace(basis, bend=bend))
         scores = [self._score(bent, structure).rmse for bent in near]
         return near[int(np.argmin(scores))]
 
@@ -473,22 +473,22 @@ class _Search:
         choices = [replace(structure, memories=some) for some in self._memories()]
         if self._cycle is None:
             return basis, choices[0], None
-        found: list[tuple[Basis, Structure, tuple[float, float] | None]] = []
+        tried: list[tuple[Basis, Structure, tuple[float, float] | None]] = []
         # else the fit without any delay was far worse
         if self._options.delay is not None or not basis.delay:
-            found.append((basis, choices[0], None))
-        for one in choices:
-            late, interval = self.delayed(basis, one)
-            found.append((late, one, interval))
-        scores = [self._score(one, other) for one, other, _ in found]
+            tried.append((basis, choices[0], None))
+        for choice in choices:
+            late, interval = self.delayed(basis, choice)
+            tried.append((late, choice, interval))
+        scores = [self._score(late, choice) for late, choice, _ in tried]
         best = simplest_of(scores)
-        if self._one and len(choices) > 1 and best == len(found) - 1:
+        if self._one and len(choices) > 1 and best == len(tried) - 1:
             # Memories make loops, too, at the logs' one frequency.
             short = simplest_of(scores[:-1])
             if not _earned(scores[best], scores[short]):
                 best = short
-        basis, structure, interval = found[best]
-        return basis, structure, interval or found[-len(choices)][2]
+        basis, structure, interval = tried[best]
+        return basis, structure, interval or tried[-len(choices)][2]
 
     def delayed(
         self, basis: Basis, structure: Structure

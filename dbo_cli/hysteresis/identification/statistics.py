@@ -780,37 +780,26 @@ def groupings(
 ) -> Iterator[tuple[str, list[PreparedLog]]]:
     """Yield each way to group swings: its name, and the logs with the groups as folds, 0 for none."""
     swings = [swings_of(log, basis) for log in logs]
-    counts = np.concatenate([log_swings.rows for log_swings in swings])
-    speeds = np.repeat(
-        np.concatenate([log_swings.speed for log_swings in swings]), counts
-    )
+    speeds = np.concatenate([np.repeat(of_log.speed, of_log.rows) for of_log in swings])
     slow, fast = np.quantile(speeds, [1 / 3, 2 / 3])
     for name in ("amplitudes", "levels", "speeds"):
-        labels = []
-        for log_swings in swings:
-            small = log_swings.amplitude < LARGE
+        grouped = []
+        any_group = False
+        for log, of_log in zip(logs, swings, strict=True):
             if name == "amplitudes":
-                label = np.where(log_swings.amplitude < SMALL_SWING, 1, 2)
+                groups = np.where(of_log.amplitude < SMALL_SWING, 1, 2)
             elif name == "levels":
                 # thirds of the range
-                label = 1 + np.clip(3.0 * log_swings.level, 0.0, 2.0).astype(np.int64)
+                groups = 1 + np.clip(3.0 * of_log.level, 0.0, 2.0).astype(np.int64)
             else:
-                label = np.where(
-                    log_swings.speed < slow, 1, np.where(log_swings.speed > fast, 2, 0)
-                )
-            labels.append(np.repeat(np.where(small, label, 0), log_swings.rows))
-        if any(label.any() for label in labels):
-            folds = [
-                np.where(log.used, label, -1)
-                for log, label in zip(logs, labels, strict=True)
-            ]
-            yield (
-                name,
-                [
-                    replace(log, fold=fold)
-                    for log, fold in zip(logs, folds, strict=True)
-                ],
-            )
+                groups = np.where(of_log.speed > fast, 2, 0)
+                groups[of_log.speed < slow] = 1
+            groups[of_log.amplitude >= LARGE] = 0
+            label = np.repeat(groups, of_log.rows)
+            any_group = any_group or bool(label.any())
+            grouped.append(replace(log, fold=np.where(log.used, label, -1)))
+        if any_group:
+            yield name, grouped
 
 
 @dataclass(frozen=True)
