@@ -528,7 +528,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "extras/live/controller.py",
         ("runs_controller",),
-        ("best if seconds ==", "best + 1 if seconds ==",
+        ("self.samples = self._ahead\n", "self.samples = self._ahead + 1\n",
          "the stated latency is the one that the drive has"),
         ("if self.samples < needed:", "if self.samples < needed - 1:", "a window too short is refused"),
     ),

@@ -72,6 +72,11 @@ class Listener:
 SILENT = Listener()
 
 
+def suffix_of(unit: str | None) -> str:
+    """Return a unit behind a blank, as messages write it; nothing where there is none."""
+    return f" {unit}" if unit else ""
+
+
 def plain(text: str) -> str:
     """Return a message for readers outside the program: parameters without their backticks."""
     return text.replace("`", "")

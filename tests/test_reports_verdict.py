@@ -14,7 +14,7 @@ import pytest
 import dbo_cli
 from dbo_cli.errors import UsageError
 from dbo_cli.logs.sample_block import SampleBlock
-from dbo_cli.reports import windows
+from dbo_cli.reports import drawing
 from dbo_cli.reports.accumulators import Curve, FigureData
 from dbo_cli.reports.renderers import to_json
 from dbo_cli.reports.report import Expected, Report, ReportOptions, evaluate
@@ -363,7 +363,7 @@ def test_the_remedy_for_an_unknown_start_is_an_option_of_the_command(
 def test_no_window_without_a_display(dbo: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(windows.sys, "platform", "linux")
+    monkeypatch.setattr(drawing.sys, "platform", "linux")
     write("run.csv", WANTED + 0.04)
     done = dbo("report", "run.csv", "--show", "-o", "report.txt")
     assert (done.code, done.out) == (2, "")
@@ -377,8 +377,8 @@ def test_windows_are_refused_where_no_toolkit_is_installed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("DISPLAY", ":0")
-    monkeypatch.setattr(windows, "TOOLKITS", ("NoSuchAgg",))
-    monkeypatch.setattr(windows.sys, "platform", "linux")
+    monkeypatch.setattr(drawing, "TOOLKITS", ("NoSuchAgg",))
+    monkeypatch.setattr(drawing.sys, "platform", "linux")
     from matplotlib import pyplot
 
     def missing(name: str) -> None:
@@ -388,7 +388,7 @@ def test_windows_are_refused_where_no_toolkit_is_installed(
     with pytest.raises(
         UsageError, match="nothing that opens windows is installed for matplotlib"
     ):
-        windows.show_in_windows([])
+        drawing.show_in_windows([])
 
 
 def noisy(size: float) -> Any:

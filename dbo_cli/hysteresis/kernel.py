@@ -117,7 +117,9 @@ def state_words(n: int) -> int:
 
 def find_first_one(bits: int, n: int) -> int:
     """Return S, the index of the least significant one bit (4), or n where all bits are zero."""
-    return (bits & -bits).bit_length() - 1 if bits else n
+    if not bits:
+        return n
+    return (bits & -bits).bit_length() - 1
 
 
 def find_first_zero(bits: int) -> int:
@@ -155,13 +157,17 @@ class _Walk:
         """Return where a gear begins with all gears below it crossed and no others."""
         row, before = divmod(gear, self.run)
         dx, dy, _, _, x, y = self.rows[row]
-        return (x + before * dx, y + before * dy) if before else (x, y)
+        if not before:
+            return x, y
+        return x + before * dx, y + before * dy
 
     def open(self, rising: bool) -> tuple[int, int]:
         """Return the next gear to be crossed, Z or S, n where there is none, and the end of its run."""
         if self.ones != rising:
             return 0, self.ends[-1]
-        return self.ends[-1], self.ends[-2] if len(self.ends) > 1 else self.n
+        if len(self.ends) == 1:
+            return self.ends[-1], self.n
+        return self.ends[-1], self.ends[-2]
 
     def cross(self, rising: bool, gear: int) -> None:
         """Go on from the next gear to another one of its run, or the run's end: (6)-(7), or (8)-(9)."""
@@ -185,7 +191,9 @@ class _Walk:
         bits = 0
         for end in self.ends:
             bits ^= (1 << end) - 1
-        return bits if self.ones == bool(bits & 1) else bits ^ ((1 << self.n) - 1)
+        if self.ones != bool(bits & 1):
+            bits ^= (1 << self.n) - 1
+        return bits
 
     def finish(self) -> None:
         """Write the bits back into the caller's words."""
@@ -211,7 +219,8 @@ def _travel(
     crossed, from one up to another, and 1 or -1.
     """
     rising = u - (walk.x + kappa * walk.y) >= 0.0
-    sign, last = 1.0 if rising else -1.0, walk.n
+    sign = 1.0 if rising else -1.0
+    last = walk.n
 
     def crossed(gear: int) -> bool:
         """Whether a gear of the run is crossed, all those before it being crossed."""
@@ -219,17 +228,17 @@ def _travel(
         x = walk.x + sign * (begin[0] - first[0])
         y = walk.y + sign * (begin[1] - first[1])
         d = u - (x + kappa * y)
-        travelled, room = (d, high - y) if rising else (-d, y - low)
+        travelled, room = -d, y - low
+        if rising:
+            travelled, room = d, high - y
         dx, dy, _, fraction, _, _ = walk.gear(gear)
         return travelled >= (dx + kappa * dy) * fraction and room >= dy * fraction
 
     while True:
         gear, end = walk.open(rising)
         first = walk.begin(gear)
-        reached = (
-            bisect.bisect_left(range(gear, end), True, key=lambda i: not crossed(i))
-            + gear
-        )
+        run = range(gear, end)
+        reached = gear + bisect.bisect_left(run, True, key=lambda i: not crossed(i))
         if reached == gear:
             break
         if tell is not None:
@@ -237,11 +246,10 @@ def _travel(
         walk.cross(rising, reached)
         last = reached - 1
     d = u - (walk.x + kappa * walk.y)
-    return (
-        (last if last < walk.n and (d < 0.0 if rising else d > 0.0) else gear),
-        d,
-        rising,
-    )
+    falls_short = d < 0.0 if rising else d > 0.0
+    if last < walk.n and falls_short:
+        gear = last
+    return gear, d, rising
 
 
 def _solve(
@@ -253,13 +261,17 @@ def _solve(
     width = dx + kappa * dy
     if gear < walk.n:
         return walk.y + d * (dy / width), False
-    outside = (d if rising else -d) >= width * (1.0 - fraction)
-    return walk.y + d * (dy / width) if extend else walk.y, outside
+    beyond = d if rising else -d
+    outside = beyond >= width * (1.0 - fraction)
+    if not extend:
+        return walk.y, outside
+    return walk.y + d * (dy / width), outside
 
 
 def _follow_output(walk: _Walk, y: float, rising: bool) -> None:
     """Drive the operator with exchanged axes one way, to the relative output y."""
-    _travel(walk, math.inf if rising else -math.inf, 0.0, y, y)
+    end = math.inf if rising else -math.inf
+    _travel(walk, end, 0.0, y, y)
 
 
 def _solve_within(
@@ -278,10 +290,13 @@ def _solve_within(
     """
     low_part, high_part = low - y0, high - y0
     rising = u - (walk.x + kappa * walk.y) >= 0.0
-    already_beyond = high_part < walk.y if rising else low_part > walk.y
-    if already_beyond:  # the output stands beyond the limit that it moves towards
-        _follow_output(walk, high_part if rising else low_part, not rising)
-        return high if rising else low, math.inf, False
+    # the output may stand beyond the limit that it moves towards
+    if rising and high_part < walk.y:
+        _follow_output(walk, high_part, False)
+        return high, math.inf, False
+    if not rising and low_part > walk.y:
+        _follow_output(walk, low_part, True)
+        return low, math.inf, False
     rest, outside = _solve(walk, u, kappa, low_part, high_part, extend)
     y = y0 + rest
     if y > high:
@@ -333,9 +348,9 @@ def window(
     """Return the output limits of one sample; the range wins over the slew limit."""
     if step is None or last is None or math.isnan(last):
         return low, high
-    return min(max(towards(last, -step), low), high), max(
-        min(towards(last, step), high), low
-    )
+    least = min(max(towards(last, -step), low), high)
+    most = max(min(towards(last, step), high), low)
+    return least, most
 
 
 def towards(last: float, step: float) -> float:
@@ -348,14 +363,18 @@ def towards(last: float, step: float) -> float:
     part = total - last
     lost = (last - (total - part)) + (step - part)
     digit = abs(total) * 2.220446049250313e-16
-    if step > 0.0:
-        return total - digit if lost < 0.0 else total
-    return total + digit if lost > 0.0 else total
+    if step > 0.0 and lost < 0.0:
+        return total - digit
+    if not step > 0.0 and lost > 0.0:
+        return total + digit
+    return total
 
 
 def _counted(flags: list[bool]) -> tuple[int, int]:
     """Return how many flags are set, and the first of them; 0 where there is none."""
-    return sum(flags), flags.index(True) if any(flags) else 0
+    if not any(flags):
+        return 0, 0
+    return sum(flags), flags.index(True)
 
 
 def backlash_run(
@@ -390,8 +409,8 @@ def backlash_run(
     and the rest is known. Returns the counts of ``dbo_counts``.
     """
     walk = _Walk(gears, n, run, words)
-    # of each sample: whether it lies outside, and was clipped
-    flags: list[tuple[bool, bool]] = []
+    outsides: list[bool] = []  # of each sample: whether it lies outside the range
+    clips: list[bool] = []  # and whether it was clipped
     weights: list[float] = gain.tolist()
     memories: list[float] = memory.tolist()
     steps: list[float | None] = [None] if not step.size else step.tolist()
@@ -414,17 +433,17 @@ def backlash_run(
             )
         else:
             rest, outside = _solve(walk, u, kappa, -math.inf, math.inf, extend)
-            last = y0 + (rest + remembered) if after else y0 + rest
+            if after:
+                rest = rest + remembered
+            last = y0 + rest
         y[k] = last
-        flags.append((outside, excess > slack))
+        outsides.append(outside)
+        clips.append(excess > slack)
         if weights and not after:
             _remember(memories, a, last - reference)
     walk.finish()
     memory[:] = memories
-    return (
-        *_counted([flag[0] for flag in flags]),
-        *_counted([flag[1] for flag in flags]),
-    )
+    return *_counted(outsides), *_counted(clips)
 
 
 def backlash_decay(
@@ -447,12 +466,15 @@ def backlash_decay(
     ``DiscreteBacklashOperator.settled``.
     """
     walk = _Walk(gears, n, run, np.zeros_like(words))
-    axis = 1 if memory_on_output else 0
-    target = drive - (y0 if memory_on_output else x0)
-    low, high = 0.0, walk.begin(n)[axis]
+    axis, target = 0, drive - x0
+    if memory_on_output:
+        axis, target = 1, drive - y0
+    low = 0.0
+    high = walk.begin(n)[axis]
     slack = 1e-9 * high
     digits = bytearray(b"0") * n  # of B, the highest gear first
-    for place in range(n if target > 0.0 else 0):
+    places = range(n) if target > 0.0 else range(0)
+    for place in places:
         width = walk.gear(n - 1 - place)[axis]
         if target - low >= (high - target) - slack:
             digits[place] = ord("1")

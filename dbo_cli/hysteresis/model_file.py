@@ -73,16 +73,23 @@ _BEGIN_OF_SET = re.compile(
     rb'(\xef\xbb\xbf)?\s*\{\s*"format":\s*"' + SET_FORMAT.encode() + rb'"'
 )
 AMOUNTS_OF_FIT = (
-    *("rmse", "rmse_percent", "cross_validated_rmse", "straight_line_rmse"),
-    *("expected_rmse", "expected_percent", "expected_shape_rmse", "expected_zero"),
-    *(
-        "left_out_rmse",
-        "left_out_ratio",
-        "line_left_out_rmse",
-        "zero_drift",
-        "zero_drift_rate",
-    ),
-    *("fastest_drive", "trusted_hz", "gain_uncertainty", "scale_uncertainty_percent"),
+    "rmse",
+    "rmse_percent",
+    "cross_validated_rmse",
+    "straight_line_rmse",
+    "expected_rmse",
+    "expected_percent",
+    "expected_shape_rmse",
+    "expected_zero",
+    "left_out_rmse",
+    "left_out_ratio",
+    "line_left_out_rmse",
+    "zero_drift",
+    "zero_drift_rate",
+    "fastest_drive",
+    "trusted_hz",
+    "gain_uncertainty",
+    "scale_uncertainty_percent",
 )
 """Keys of ``fit`` that commands print or compute with: null or numbers of at least 0."""
 # null or numbers
@@ -102,17 +109,18 @@ class Node(NamedTuple):
 
     def at(self, key: str) -> str:
         """Return the path of a key."""
-        return (
-            f"{self.path}{'' if key.startswith('[') else '.'}{key}"
-            if self.path
-            else key
-        )
+        if not self.path:
+            return key
+        if key.startswith("["):
+            return f"{self.path}{key}"
+        return f"{self.path}.{key}"
 
     def refuse(self, key: str, what: str) -> ModelError:
         """Return the error for a key; an empty key is the object itself."""
-        return ModelError(
-            f"{self.file}: {self.at(key) if key else self.path or 'the file'}: {what}"
-        )
+        place = self.path or "the file"
+        if key:
+            place = self.at(key)
+        return ModelError(f"{self.file}: {place}: {what}")
 
     def only(self, required: tuple[str, ...], optional: tuple[str, ...] = ()) -> None:
         """Refuse missing and unknown keys."""
@@ -138,24 +146,27 @@ class Node(NamedTuple):
         """Return a list of finite numbers in which (from version 2 on) a run of equal ones may stand once."""
         numbers: list[float] = []
         for place, item in enumerate(self.listed(key, "numbers")):
-            count, at = 1, self
+            repeated = None
+            count = 1
             if isinstance(item, dict):
-                at = self.below(f"{key}[{place}]", item)
-                at.only(("repeat", "value"))
-                count = item["repeat"]
-                if isinstance(count, bool) or not isinstance(count, int) or count < 1:
-                    raise at.refuse(
-                        "repeat", f"{json.dumps(count)} is not a number of times"
-                    )
+                repeated = self.below(f"{key}[{place}]", item)
+                repeated.only(("repeat", "value"))
+                count = repeated.times_repeated()
             if len(numbers) + count > MOST_GEARS:
                 raise self.refuse(key, f"has more than {MOST_GEARS:,} entries")
-            value = (
-                self.finite(f"{key}[{place}]", item)
-                if at is self
-                else at.number("value")
-            )
+            if repeated is not None:
+                value = repeated.number("value")
+            else:
+                value = self.finite(f"{key}[{place}]", item)
             numbers.extend([value] * count)
         return numbers
+
+    def times_repeated(self) -> int:
+        """Return how often a width of a run stands there."""
+        value = self.values["repeat"]
+        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+            raise self.refuse("repeat", f"{json.dumps(value)} is not a number of times")
+        return value
 
     def listed(self, key: str, what: str) -> list[Any]:
         """Return a list of ``what``."""
@@ -183,21 +194,21 @@ class Node(NamedTuple):
     def lengths(self, key: str) -> list[float]:
         """Return widths (``widths``) of which none is too small to be divided by."""
         numbers = self.widths(key)
-        if small := [number for number in numbers if 0.0 < abs(number) < SMALLEST]:
-            raise self.refuse(
-                f"{key}[{numbers.index(small[0])}]", self._too_small(small[0])
-            )
+        for place, number in enumerate(numbers):
+            self._refuse_tiny(f"{key}[{place}]", number)
         return numbers
 
     def length(self, key: str) -> float:
         """Return a number that is not too small to be divided by."""
         number = self.number(key)
-        if 0.0 < abs(number) < SMALLEST:
-            raise self.refuse(key, self._too_small(number))
+        self._refuse_tiny(key, number)
         return number
 
-    def _too_small(self, number: float) -> str:
-        return f"{number!r} is below {SMALLEST:g}, which is nothing"
+    def _refuse_tiny(self, key: str, number: float) -> None:
+        if 0.0 < abs(number) < SMALLEST:
+            raise self.refuse(
+                key, f"{number!r} is below {SMALLEST:g}, which is nothing"
+            )
 
     def time(self, key: str) -> float:
         """Return a time in seconds, or a frequency in Hz, 0 included."""
@@ -244,15 +255,12 @@ class Node(NamedTuple):
         for key, value in self.values.items():
             if isinstance(value, float) and not math.isfinite(value):
                 raise self.refuse(key, f"{value!r} is not a finite number")
-            if isinstance(value, dict | list):
+            if isinstance(value, list):
+                value = {f"[{i}]": entry for i, entry in enumerate(value)}
+            if isinstance(value, dict):
                 if depth == 0:
                     raise self.refuse(key, "is nested too deeply")
-                entries = (
-                    value
-                    if isinstance(value, dict)
-                    else {f"[{i}]": x for i, x in enumerate(value)}
-                )
-                Node(self.file, self.at(key), entries).check_notes(depth - 1)
+                Node(self.file, self.at(key), value).check_notes(depth - 1)
 
     def build(self, make: Callable[[], Any]) -> Any:
         """Return what ``make`` builds; put file and path before the key it complains about."""
@@ -269,14 +277,11 @@ def read_relaxation(node: Node, key: str) -> tuple[Relaxation, Axis]:
     axis = terms.text("on")
     if axis not in {"input", "output"}:
         raise terms.refuse("on", f"{axis!r} is neither 'input' nor 'output'")
-    reference, tau, gain = (
-        terms.number("reference"),
-        terms.times("tau"),
-        terms.numbers("gain"),
-    )
-    return node.build(lambda: Relaxation(reference, tuple(tau), tuple(gain))), cast(
-        Axis, axis
-    )
+    reference = terms.number("reference")
+    tau = tuple(terms.times("tau"))
+    gain = tuple(terms.numbers("gain"))
+    relaxation: Relaxation = node.build(lambda: Relaxation(reference, tau, gain))
+    return relaxation, cast(Axis, axis)
 
 
 def _read_quantity(node: Node) -> Quantity:
@@ -552,11 +557,9 @@ def _with_linear_delay(stage: Stage) -> Stage:
 
 def _version(model: ActuatorModel) -> int:
     """Return the oldest version of the model file that says what a model is."""
-    smooth = any(
-        isinstance(stage, DelayStage) and stage.between == "smooth"
-        for stage in model.stages
-    )
-    return VERSION if smooth else 2
+    if model.delay is not None and model.delay.between == "smooth":
+        return VERSION
+    return 2
 
 
 def load_document(path: str, wanted: str, noun: str, newest: int = VERSION) -> Node:
@@ -571,9 +574,7 @@ def load_document(path: str, wanted: str, noun: str, newest: int = VERSION) -> N
     """
     name = "standard input" if path == "-" else path
     try:
-        text = (
-            sys.stdin.buffer.read() if path == "-" else Path(path).read_bytes()
-        ).decode("utf-8-sig")
+        text = _content_of(path).decode("utf-8-sig")
     except OSError as problem:
         raise InputError(
             f"{name}: cannot be read: {problem.strerror or problem}"
@@ -587,11 +588,11 @@ def load_document(path: str, wanted: str, noun: str, newest: int = VERSION) -> N
     try:
         values = parsed(name, text)
     except json.JSONDecodeError as problem:
-        log = (
-            "" if text.lstrip()[:1] in "{[" else " (identify makes a model from a log)"
-        )
+        remedy = ""
+        if text.lstrip()[0] not in "{[":  # a log
+            remedy = " (identify makes a model from a log)"
         raise ModelError(
-            f"{name}:{problem.lineno}: is not JSON: {problem.msg}{log}"
+            f"{name}:{problem.lineno}: is not JSON: {problem.msg}{remedy}"
         ) from None
     except (ValueError, RecursionError):
         raise ModelError(f"{name}: is not readable JSON") from None
@@ -603,6 +604,13 @@ def load_document(path: str, wanted: str, noun: str, newest: int = VERSION) -> N
     if not isinstance(values, dict) or values.get("format") != wanted:
         raise ModelError(f'{name}: is not a {noun} file ("format" must be "{wanted}")')
     return checked_version(Node(name, "", values), newest)
+
+
+def _content_of(path: str) -> bytes:
+    """Return the bytes of a file, or of standard input (``-``)."""
+    if path == "-":
+        return sys.stdin.buffer.read()
+    return Path(path).read_bytes()
 
 
 def parsed(name: str, text: str) -> Any:
@@ -796,29 +804,24 @@ def _layout(value: Any, indent: str) -> str:
     ):
         return flat
     inner = indent + "  "
-    if isinstance(value, list) and all(
-        isinstance(item, int | float)
-        or (isinstance(item, dict) and item.keys() == {"repeat", "value"})
-        for item in value
-    ):  # numbers, or numbers that are repeated: lines of as many as fit
-        items = [json.dumps(item, ensure_ascii=False) for item in value]
-        return f"[\n{filled(items, LINE, inner)}\n{indent}]"
     if isinstance(value, dict):
-        parts = [
-            f"{json.dumps(key, ensure_ascii=False)}: {_layout(item, inner)}"
+        lines = [
+            f"{inner}{json.dumps(key, ensure_ascii=False)}: {_layout(item, inner)}"
             for key, item in value.items()
         ]
-    else:
-        parts = [_layout(item, inner) for item in value]
-    opening, closing = ("{", "}") if isinstance(value, dict) else ("[", "]")
-    return (
-        opening
-        + "\n"
-        + ",\n".join(inner + part for part in parts)
-        + "\n"
-        + indent
-        + closing
-    )
+        return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
+    if all(_is_number_or_run(item) for item in value):  # lines of as many as fit
+        items = [json.dumps(item, ensure_ascii=False) for item in value]
+        return f"[\n{filled(items, LINE, inner)}\n{indent}]"
+    lines = [inner + _layout(item, inner) for item in value]
+    return "[\n" + ",\n".join(lines) + f"\n{indent}]"
+
+
+def _is_number_or_run(item: Any) -> bool:
+    """Whether an entry of a list is a number, or a number that is repeated."""
+    if isinstance(item, dict):
+        return item.keys() == {"repeat", "value"}
+    return isinstance(item, int | float)
 
 
 def filled(items: Sequence[str], width: int, indent: str) -> str:
@@ -843,15 +846,17 @@ def state_to_bytes(state: ModelState, model: ActuatorModel) -> bytes:
         **model.state_values(state.backlash),
         "time": state.time,
         "drive": state.drive,
-        "delay": state.history
-        and {name: list(samples) for name, samples in vars(state.history).items()},
+        "delay": None,
     }
+    if state.history is not None:
+        values["delay"] = {
+            "times": list(state.history.times),
+            "values": list(state.history.values),
+        }
     if state.dynamics is not None or state.undoing is not None:
         values["dynamics"] = _dynamics_values(state)
     if state.drive_lag is not None:
-        values["drive_lag"] = {
-            "sections": [list(section) for section in state.drive_lag]
-        }
+        values["drive_lag"] = {"sections": _lists(state.drive_lag)}
     return document_bytes(values)
 
 
@@ -880,21 +885,29 @@ def read_state(path: str, model: ActuatorModel) -> ModelState:
         )
     hysteresis = _hysteresis_in_files(model.stages)
     backlash = hysteresis.read_state(root.node(key), model)
-    drive = None if root.values["drive"] is None else root.number("drive")
-    time = None if not timed or root.values["time"] is None else root.number("time")
+    drive = time = None
+    if root.values["drive"] is not None:
+        drive = root.number("drive")
+    if timed and root.values["time"] is not None:
+        time = root.number("time")
     begun = ModelState(backlash, drive, _history(root), time=time)
     return _with_dynamics(begun, root, model)
 
 
 def _dynamics_values(state: ModelState) -> Json:
-    values: Json = {
-        "sections": state.dynamics and [list(section) for section in state.dynamics],
-        "inverse": None,
-    }
+    values: Json = {"sections": None, "inverse": None}
+    if state.dynamics is not None:
+        values["sections"] = _lists(state.dynamics)
     if state.undoing is not None:
-        sections = [list(section) for section in state.undoing.states]
-        values["inverse"] = {"time_step": state.undoing.time_step, "sections": sections}
+        values["inverse"] = {
+            "time_step": state.undoing.time_step,
+            "sections": _lists(state.undoing.states),
+        }
     return values
+
+
+def _lists(states: SectionStates) -> list[list[float]]:
+    return [list(section) for section in states]
 
 
 def _with_dynamics(state: ModelState, root: Node, model: ActuatorModel) -> ModelState:
@@ -912,8 +925,9 @@ def _with_dynamics(state: ModelState, root: Node, model: ActuatorModel) -> Model
     if model.dynamics is None:
         raise root.refuse("dynamics", "the model has none")
     count = len(model.dynamics.sections)
-    forward = None if node.values["sections"] is None else _section_states(node, count)
-    undoing = None
+    forward = undoing = None
+    if node.values["sections"] is not None:
+        forward = _section_states(node, count)
     if node.values["inverse"] is not None:
         inverse = node.node("inverse")
         inverse.only(("time_step", "sections"))
@@ -935,10 +949,10 @@ def _section_states(node: Node, count: int) -> SectionStates:
         place = f"sections[{k}]"
         if not isinstance(item, list) or len(item) != 3:
             raise node.refuse(place, "is not a list of three numbers")
-        first, second, third = (
-            node.finite(f"{place}[{i}]", value) for i, value in enumerate(item)
-        )
-        states.append((first, second, third))
+        p = node.finite(f"{place}[0]", item[0])
+        q = node.finite(f"{place}[1]", item[1])
+        u = node.finite(f"{place}[2]", item[2])
+        states.append((p, q, u))
     return tuple(states)
 
 

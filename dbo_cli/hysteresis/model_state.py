@@ -14,7 +14,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from dbo_cli.errors import InputError, ModelError
+from dbo_cli.errors import InputError, ModelError, suffix_of
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.cascade import DelayHistory
 from dbo_cli.hysteresis.dynamics import DynamicsInverter, InverseMemory, SectionStates
@@ -176,7 +176,7 @@ class Quantity:
     @property
     def suffix(self) -> str:
         """The unit behind a blank, as messages write it; nothing where there is none."""
-        return f" {self.unit}" if self.unit else ""
+        return suffix_of(self.unit)
 
 
 _INWARDS = 1.0 - 2.0**-51

@@ -81,17 +81,17 @@ def limited_slope(times: Sequence[float], table: list[list[float]], at: int) -> 
     """Return the slope at one of six samples, limited; ``table`` has their divided differences."""
     last = WINDOW - 1
     secant = table[1]
-    curve = [0.0, *table[2]]  # curve[i] is that around sample i
-    slope = slope_of_five(times, table, 0 if at < 3 else 1, at)
+    # curve[i] is that around sample i; at the ends that of the neighbour
+    curve = [table[2][0], *table[2], table[2][-1]]
+    start = 0 if at < 3 else 1
+    slope = slope_of_five(times, table, start, at)
     left = right = 0.0
     if at > 0:
-        before = curve[at - 1] if at > 1 else curve[at]
-        here = curve[at] if at < last else before
-        left = secant[at - 1] + nearer(before, here) * (times[at] - times[at - 1])
+        bend = nearer(curve[at - 1], curve[at])
+        left = secant[at - 1] + bend * (times[at] - times[at - 1])
     if at < last:
-        after = curve[at + 1] if at < last - 1 else curve[at]
-        here = curve[at] if at > 0 else after
-        right = secant[at] - nearer(here, after) * (times[at + 1] - times[at])
+        bend = nearer(curve[at], curve[at + 1])
+        right = secant[at] - bend * (times[at + 1] - times[at])
     if at == 0:
         chord, parabola = secant[0], right
     elif at == last:
@@ -144,9 +144,8 @@ def smooth(
                 window[i] < window[i + 1] for i in range(WINDOW - 1)
             )
             if rises:
-                found[k] = between(
-                    window, v[begin : begin + WINDOW], before - begin, part
-                )
+                samples = v[begin : begin + WINDOW]
+                found[k] = between(window, samples, before - begin, part)
             else:
                 found[k] = v[before] + part * (v[after] - v[before])
     return before

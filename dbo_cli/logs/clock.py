@@ -18,7 +18,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 
@@ -123,49 +123,59 @@ def _with_stated_unit(clock: Clock, column: Column) -> Clock:
     InputError
         The header states a unit that is no known unit of time.
     """
-    place = clock.place
-    words = re.findall(
-        r"[^\W_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", column.quantity).lower()
-    )
-    behind = _behind(column.quantity)
-    units = _named_units(words) | {unit for word in behind if (unit := time_unit(word))}
-    unknown = ""
     if HHMMSS in column.name.lower():
         return replace(clock, unit=HHMMSS)
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", column.quantity)
+    words = re.findall(r"[^\W_]+", spaced.lower())
+    behind = _behind(column.quantity)
+    units = _named_units(words)
+    units.update(filter(None, map(time_unit, behind)))
     if column.unit is not None and column.unit.lower() not in _NO_UNIT:
-        since = _SINCE.fullmatch(column.unit)
-        unit = time_unit(since["unit"] if since else column.unit)
-        if unit is not None:
-            own = contradicted_unit(column)
-            units = (units | ({UNIT_OF[own]} if own in UNIT_OF else set())) - {unit}
-            if units and not since:
-                raise InputError(
-                    f"{place}: the time column '{column.name}' is in {units.pop()} by its name and in {unit} "
-                    "by its unit (`time_unit` says which is right)"
-                )
-            origin = since["origin"].strip() if since else ""
-            return replace(clock, unit=unit, factor=FACTORS[unit], origin=origin)
-        unknown = column.unit
-    elif column.unit is None and is_torn(column.quantity):
-        unknown = column.quantity
-    elif len(units) == 1:
+        return _with_unit_of_column(clock, column, column.unit, units)
+    if column.unit is None and is_torn(column.quantity):
+        _refuse_unit(clock, column.quantity)
+    if len(units) == 1:
         unit = units.pop()
         return replace(clock, unit=unit, factor=FACTORS[unit])
-    else:
-        unknown = next(
-            iter(
-                [word for word in words[1:] if word in _COUNTED]
-                or sorted(units)
-                or behind
-            ),
-            "",
-        )
-    if unknown:
-        raise InputError(
-            f"{place}: the time column '{column.name}' counts '{unknown}', which is no known unit of time "
-            f"(`time_unit` {', '.join(FACTORS)} or a number of them such as 10us, or `sample_rate` HZ)"
-        )
+    counted = [word for word in words[1:] if word in _COUNTED]
+    unclear = counted or sorted(units) or behind
+    if unclear:
+        _refuse_unit(clock, unclear[0])
     return clock
+
+
+def _with_unit_of_column(
+    clock: Clock, column: Column, stated: str, named: set[str]
+) -> Clock:
+    """Return a clock in the unit that a column has; ``named`` are those that its name holds."""
+    since = _SINCE.fullmatch(stated)
+    if since is not None:
+        unit = time_unit(since["unit"])
+        if unit is None:
+            _refuse_unit(clock, stated)
+        origin = since["origin"].strip()
+        return replace(clock, unit=unit, factor=FACTORS[unit], origin=origin)
+    unit = time_unit(stated)
+    if unit is None:
+        _refuse_unit(clock, stated)
+    contrary = named - {unit}
+    in_name = contradicted_unit(column)
+    if in_name in UNIT_OF and UNIT_OF[in_name] != unit:
+        contrary.add(UNIT_OF[in_name])
+    if contrary:
+        raise InputError(
+            f"{clock._called} is in {contrary.pop()} by its name and in {unit} "
+            "by its unit (`time_unit` says which is right)"
+        )
+    return replace(clock, unit=unit, factor=FACTORS[unit])
+
+
+def _refuse_unit(clock: Clock, unit: str) -> NoReturn:
+    """Refuse a unit that is no known one of time (InputError)."""
+    raise InputError(
+        f"{clock._called} counts '{unit}', which is no known unit of time "
+        f"(`time_unit` {', '.join(FACTORS)} or a number of them such as 10us, or `sample_rate` HZ)"
+    )
 
 
 def _named_units(words: list[str]) -> set[str]:
@@ -179,10 +189,10 @@ def _named_units(words: list[str]) -> set[str]:
 
 def _behind(quantity: str) -> list[str]:
     """Find what a name states behind ``in`` or a slash, where units stand (Date/Time states none)."""
-    found = _STATED.fullmatch(quantity.strip())
-    if found is None or found["right"].lower() in _NO_UNIT | _OTHER_HALVES:
+    match = _STATED.fullmatch(quantity.strip())
+    if match is None or match["right"].lower() in _NO_UNIT | _OTHER_HALVES:
         return []
-    return [found["right"]]
+    return [match["right"]]
 
 
 def is_other_kind(unit: str | None) -> bool:
@@ -219,12 +229,13 @@ def _kind_of(name: str) -> tuple[str, str, str | None]:
     quantity, unit = split_header(name)
     key = re.sub(r"[\s_\-.]+", "", quantity).lower()
     if key.endswith("hz") and key.removesuffix("hz") in _RATES:
-        key, unit = key.removesuffix("hz"), unit or "Hz"
-    return (
-        ("rate" if key in _RATES else "step" if key in _STEPS else _BARE.get(key, "")),
-        key,
-        unit,
-    )
+        key = key.removesuffix("hz")
+        unit = unit or "Hz"
+    if key in _RATES:
+        return "rate", key, unit
+    if key in _STEPS:
+        return "step", key, unit
+    return _BARE.get(key, ""), key, unit
 
 
 def read_statements(
@@ -244,41 +255,38 @@ def read_statements(
         The format itself defines the unit (seconds or hertz), so that nothing is
         assumed without one.
     """
-    kind, key, own = _kind_of(name)
+    kind, key, unit_in_name = _kind_of(name)
     if not kind:
         return []
-    count, amount, written, shown = _taken_apart(value)
-    stated = clean_text(unit).strip() if unit is not None else ""
-    stated = stated or written or own or ""
+    count, amount, unit_in_value, shown = _taken_apart(value)
+    stated = "" if unit is None else clean_text(unit).strip()
+    stated = stated or unit_in_value or unit_in_name or ""
     if key in _BARE and (not stated or _factor(kind, stated) is None):
         return []
-    text = f"'{name}' {shown}" + (
-        f" {stated}" if stated and stated not in shown else ""
-    )
+    text = f"'{name}' {shown}"
+    if stated and stated not in shown:
+        text = f"{text} {stated}"
     if amount is None:
         # Text and lists under the name of a step are time stamps (``ts``) more often
         # than steps.
-        return (
-            [Statement(text, None, f"{text} is no single number")]
-            if kind == "rate" and count > 1
-            else []
-        )
+        if kind != "rate" or count <= 1:
+            return []
+        return [Statement(text, None, f"{text} is no single number")]
     if not amount > 0.0 or not math.isfinite(amount):
         return []  # what an instrument writes when it does not know
     factor = _factor(kind, stated)
+    if kind == "rate":
+        proper = "a rate (Hz, kHz, S/s)"
+        assumed = "Hz"
+    else:
+        proper = "a time step (s, ms, us)"
+        assumed = "s"
     if factor is None:
-        proper = (
-            "a rate (Hz, kHz, S/s)" if kind == "rate" else "a time step (s, ms, us)"
-        )
         return [Statement(text, None, f"{text} is not in a unit of {proper}")]
     rate = amount * factor if kind == "rate" else factor / amount
-    return [
-        Statement(
-            text,
-            rate,
-            assumed="" if stated or sure else "Hz" if kind == "rate" else "s",
-        )
-    ]
+    if stated or sure:
+        assumed = ""
+    return [Statement(text, rate, assumed=assumed)]
 
 
 def agreed_rate(
@@ -291,22 +299,23 @@ def agreed_rate(
     InputError
         A statement cannot be read, or two disagree; ``sample_rate`` is the remedy.
     """
-    found = list(dict.fromkeys(statements))
-    # what cannot be read goes first
-    for one in sorted(found, key=lambda one: one.rate is not None):
-        if one.rate is None:
+    unlike = list(dict.fromkeys(statements))
+    for statement in unlike:
+        if statement.rate is None:
             raise InputError(
-                f"{place}: {one.problem} (`sample_rate` HZ gives the rate instead)"
+                f"{place}: {statement.problem} (`sample_rate` HZ gives the rate instead)"
             )
-        rate = found[0].rate or 0.0
-        if abs(one.rate - rate) > _SAME * rate:
+    for statement in unlike:
+        first = unlike[0].rate or 0.0
+        if abs((statement.rate or 0.0) - first) > _SAME * first:
             raise InputError(
-                f"{place}: two sample rates are stated, {found[0].text} and {one.text}: which one holds? "
-                "(`sample_rate` HZ decides)"
+                f"{place}: two sample rates are stated, {unlike[0].text} and {statement.text}: "
+                "which one holds? (`sample_rate` HZ decides)"
             )
-    if not found:
+    if not unlike:
         return None
-    chosen = next((one for one in found if not one.assumed), found[0])
+    with_unit = [statement for statement in unlike if not statement.assumed]
+    chosen = (with_unit or unlike)[0]
     if chosen.assumed:
         notes.append(f"{place}: {chosen.text} has no unit: {chosen.assumed} is assumed")
     return chosen.rate
@@ -321,13 +330,10 @@ def _taken_apart(value: object) -> tuple[int, float | None, str, str]:
     """Count a value, and return its one number (or None), the unit behind it, and how it is shown."""
     if isinstance(value, str | bytes):
         text = clean_text(value).strip()
-        found = _AMOUNT.fullmatch(text) if len(text) <= _LONGEST else None
-        return (
-            1,
-            float(found[1]) if found else None,
-            found[2] if found else "",
-            shortened(text),
-        )
+        match = _AMOUNT.fullmatch(text) if len(text) <= _LONGEST else None
+        if match is None:
+            return 1, None, "", shortened(text)
+        return 1, float(match[1]), match[2], shortened(text)
     try:
         array = np.asarray(value).ravel()
     except ValueError:  # a list of lists of unlike lengths
@@ -335,15 +341,14 @@ def _taken_apart(value: object) -> tuple[int, float | None, str, str]:
     if array.size == 1 and isinstance(array[0], str | bytes):
         return _taken_apart(array[0])
     numbers = array.size > 0 and array.dtype.kind in "fiub"
-    amount = float(array[0]) if numbers and not np.any(array != array[0]) else None
+    amount = None
+    if numbers and not np.any(array != array[0]):
+        amount = float(array[0])
     if array.size != 1:
         return array.size, amount, "", f"({array.size} values)"
-    return (
-        1,
-        amount,
-        "",
-        f"{array[0]:g}" if numbers else shortened(clean_text(array[0])),
-    )
+    if numbers:
+        return 1, amount, "", f"{array[0]:g}"
+    return 1, amount, "", shortened(clean_text(array[0]))
 
 
 def _factor(kind: str, unit: str) -> float | None:
@@ -358,7 +363,9 @@ def _factor(kind: str, unit: str) -> float | None:
         plain = plain.removesuffix(suffix)
     # dividing keeps 0.1 ms at exactly 10,000 samples a second
     size = FACTORS.get(time_unit(plain) or "")
-    return None if size is None else size.denominator / size.numerator
+    if size is None:
+        return None
+    return size.denominator / size.numerator
 
 
 # --- the time column
@@ -558,13 +565,17 @@ class Clock:
             return self.described
         if self.unit is None:
             return "no unit, read as s"
-        return f"{self.unit} since {self.origin}" if self.origin else self.unit
+        if self.origin:
+            return f"{self.unit} since {self.origin}"
+        return self.unit
 
     def held_back(self, blocks: Iterator[SampleBlock]) -> Iterator[SampleBlock]:
         """Keep blocks until it is known what the figures count: at most until the second time stamp."""
+        if not self.bare:
+            return blocks
         waiting: list[SampleBlock] = []
         figures = np.empty(0)
-        for block in blocks if self.bare else ():
+        for block in blocks:
             waiting.append(block)
             figures = np.concatenate([figures, block.values[TIME]])
             if self._decide(figures, last=False):
@@ -586,7 +597,8 @@ class Clock:
 
     def seconds(self, values: dict[str, FloatArray]) -> FloatArray:
         """Take the stamps out of a block's columns and return them in seconds."""
-        raw, dates = values.pop(TIME), values.pop(DATE, None)
+        raw = values.pop(TIME)
+        dates = values.pop(DATE, None)
         if dates is not None:
             return raw + self._dates(dates)
         if self.written in _PERIODS:
@@ -669,7 +681,8 @@ class Clock:
         """Let a clock go on where it passes midnight (or, of minutes alone, the full hour)."""
         if not len(raw):
             return raw
-        steps = np.diff(raw, prepend=raw[0] if self._last is None else self._last)
+        before = raw[0] if self._last is None else self._last
+        steps = np.diff(raw, prepend=before)
         self._last = float(raw[-1])
         passed = steps < -period / 2.0
         if not passed.any() and not self._carried:
@@ -682,7 +695,8 @@ class Clock:
 
     def warnings(self, check: TimeCheck) -> list[str]:
         """Return what is doubtful about the figures, with the remedy, once all of them have gone by."""
-        doubts, rows = [], check.rows
+        doubts = []
+        rows = check.rows
         if self.bare and not self.given and rows > 1:
             doubts.append(self._of_figures(check))
         if check.backward.count > BACKWARD_SHARE * rows:
@@ -697,11 +711,13 @@ class Clock:
             )
         if self.written == "numbers" and not self.bare and not self.given:
             doubts.append(self._of_stated(check))
-        return [f"{self._called} {text}" for text in doubts if text]
+        return [f"{self._called} {doubt}" for doubt in filter(None, doubts)]
 
     def _of_stated(self, check: TimeCheck) -> str:
         """Return why figures can hardly be in the unit that is stated."""
-        first, last, step = check.first, check.last or 0.0, check.step
+        first = check.first
+        last = check.last or 0.0
+        step = check.step
         if abs(last) > _CALENDARS[0].high:
             odd = f"its stamps would be {last:.3g} s"
         elif check.rows > 1 and 0.0 < abs(last - first) < SHORTEST_LOG:
@@ -714,7 +730,9 @@ class Clock:
 
     def _of_figures(self, check: TimeCheck) -> str:
         """Return why figures without a unit can hardly be seconds."""
-        first, last, step = check.first, check.last or 0.0, check.step
+        first = check.first
+        last = check.last or 0.0
+        step = check.step
         remedy = (
             "(`time_unit` ms, us, … or s says what they count, or `sample_rate` HZ)"
         )
@@ -728,24 +746,19 @@ class Clock:
                 return (
                     f"has {self.described}, and a usual step of {step:.4g} s {remedy}"
                 )
-            days = self._calendar in _DAY_CALENDARS
-            return (
-                f"has {self.described} (`time_unit` s if they are seconds of a day)"
-                if days
-                else ""
-            )
+            if self._calendar in _DAY_CALENDARS:
+                return (
+                    f"has {self.described} (`time_unit` s if they are seconds of a day)"
+                )
+            return ""
         if self._whole and step == 1.0:
             return (
                 "has no unit and counts whole numbers one by one: read as seconds, though it may count rows "
                 f"or milliseconds {remedy}"
             )
-        before, after = check.gap.before, check.gap.after
-        if (
-            before % 100.0 >= 59.0
-            and after % 100.0 < 1.0
-            and after - before < 4041.0
-            and check.gap.count
-        ):
+        before = check.gap.before
+        after = check.gap.after
+        if check.gap.count and _turns_a_minute(before, after):
             asked = "are these hours, minutes and seconds?"
             return (
                 f"goes from {before:.7g} to {after:.7g}: {asked} (`time_unit` {HHMMSS})"
@@ -759,6 +772,12 @@ class Clock:
         else:
             return ""
         return f"has no unit: read as seconds, {odd} {remedy}"
+
+
+def _turns_a_minute(before: float, after: float) -> bool:
+    """Return whether a jump is one from 142559 to 142600 or from 145959 to 150000."""
+    ends = before % 100.0 >= 59.0 and after % 100.0 < 1.0
+    return ends and after - before < 4041.0
 
 
 def clock_of(
@@ -909,55 +928,66 @@ def _part_beside(
     column: Column, columns: Sequence[Column]
 ) -> tuple[Column, str] | None:
     """Find the parts of a second beside a column of seconds (``sec``, ``nanosec``), and their unit."""
-    first, last = _last_word(column.name)
-    if last not in _SECONDS:
+    start, word = _last_word(column.name)
+    if word not in _SECONDS:
         return None
-    counted = [
-        (one, *_last_word(one.name)) for one in columns if one.written == "numbers"
-    ]
-    beside = [
-        (one, time_unit(word) or "") for one, start, word in counted if start == first
-    ]
-    found = [(one, unit) for one, unit in beside if unit in ("ms", "us", "ns")]
-    return found[0] if len(found) == 1 else None
+    parts = []
+    for beside in columns:
+        start_beside, word_beside = _last_word(beside.name)
+        unit = time_unit(word_beside)
+        if beside.written != "numbers" or start_beside != start:
+            continue
+        if unit in ("ms", "us", "ns"):
+            parts.append((beside, unit))
+    return parts[0] if len(parts) == 1 else None
 
 
 def _last_word(name: str) -> tuple[str, str]:
-    found = re.fullmatch(r"(.*?)[._/ ]?([a-z]+)", name.strip().lower(), re.DOTALL)
-    return (found[1], found[2]) if found is not None else (name, "")
+    match = re.fullmatch(r"(.*?)[._/ ]?([a-z]+)", name.strip().lower(), re.DOTALL)
+    if match is None:
+        return name, ""
+    return match[1], match[2]
+
+
+def _pairs_of_seconds(columns: Sequence[Column]) -> list[tuple[Column, Column]]:
+    """Find columns of seconds, each with the one of its parts of a second."""
+    pairs = []
+    for column in columns:
+        beside = _part_beside(column, columns)
+        if beside is not None:
+            pairs.append((column, beside[0]))
+    return pairs
+
+
+def _stamps_in(called: Sequence[Column], columns: Sequence[Column]) -> list[Column]:
+    """Find columns of dates with clock times, or else of clock times: by their names, or else any."""
+    for writings in (("stamp",), ("clock", "minutes")):
+        for group in (called, columns):
+            stamps = [column for column in group if column.written in writings]
+            if stamps:
+                return stamps
+    return []
 
 
 def _time_candidates(columns: list[Column]) -> list[Column]:
     """Find the columns that may hold the time: figures by name, then stamps by name, then stamps."""
-    fitting = [
-        one
-        for one in columns
-        if not is_other_kind(one.unit) or one.quantity.lower() in _PLAIN_NAMES
-    ]
-    found = guess_columns(fitting, TIME_NAMES) or guess_columns(
+    fitting = []
+    for column in columns:
+        plain = column.quantity.lower() in _PLAIN_NAMES
+        if plain or not is_other_kind(column.unit):
+            fitting.append(column)
+    called = guess_columns(fitting, TIME_NAMES) or guess_columns(
         fitting, MORE_TIME_NAMES
     )
-    figures = [column for column in found if column.written == "numbers"]
-    pairs = [
-        (one, part[0])
-        for one in fitting
-        if (part := _part_beside(one, fitting)) is not None
-    ]
+    figures = [column for column in called if column.written == "numbers"]
+    pairs = _pairs_of_seconds(fitting)
     if len(pairs) == 1 and set(figures) <= set(pairs[0]):
         return [pairs[0][0]]
-    if figures:
-        return figures
-    for writings in (("stamp",), ("clock", "minutes")):
-        for some in (found, columns):
-            stamps = [column for column in some if column.written in writings]
-            if stamps:
-                return stamps
-    if (
-        not found
-        and columns
-        and columns[0].written == "numbers"
-        and time_unit(columns[0].unit or "")
-    ):
+    stamps = figures or _stamps_in(called, columns)
+    if stamps or called or not columns:
+        return stamps or called
+    first = columns[0]
+    if first.written == "numbers" and time_unit(first.unit or ""):
         # an oscilloscope's "Source" in Second
-        return [one for one in columns if time_unit(one.unit or "")]
-    return found
+        return [column for column in columns if time_unit(column.unit or "")]
+    return called

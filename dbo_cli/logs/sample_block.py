@@ -105,41 +105,46 @@ class SampleBlock:
         """Return samples ``start`` to ``stop`` (from 0, ``stop`` not included) as a block of views."""
         if start <= 0 and stop >= len(self):
             return self
-        return SampleBlock(
-            self.rows[start:stop],
-            None if self.lines is None else self.lines[start:stop],
-            None if self.time is None else self.time[start:stop],
-            {role: values[start:stop] for role, values in self.values.items()},
-        )
+        lines = self.lines
+        time = self.time
+        if lines is not None:
+            lines = lines[start:stop]
+        if time is not None:
+            time = time[start:stop]
+        values = {role: array[start:stop] for role, array in self.values.items()}
+        return SampleBlock(self.rows[start:stop], lines, time, values)
 
     def chosen(self, mask: NDArray[np.bool_]) -> SampleBlock:
         """Return the samples that are marked."""
-        lines = None if self.lines is None else np.asarray(self.lines)[mask]
-        time = None if self.time is None else self.time[mask]
-        values = {role: values[mask] for role, values in self.values.items()}
+        lines = self.lines
+        time = self.time
+        if lines is not None:
+            lines = np.asarray(lines)[mask]
+        if time is not None:
+            time = time[mask]
+        values = {role: array[mask] for role, array in self.values.items()}
         return SampleBlock(np.asarray(self.rows)[mask], lines, time, values)
 
     def within(self, rows: tuple[int, int | None]) -> SampleBlock:
         """Return the samples whose row numbers lie from the first to the last of ``rows``, both included."""
-        stop = len(self) if rows[1] is None else bisect_right(self.rows, rows[1])
-        start = bisect_left(self.rows, rows[0])
+        first, last = rows
+        start = bisect_left(self.rows, first)
+        stop = len(self)
+        if last is not None:
+            stop = bisect_right(self.rows, last)
         return self.part(start, max(start, stop))
 
     def place(self, name: str, index: int) -> str:
         """Return where a sample stands: file and line, or row where there are no lines."""
-        return (
-            f"{name}: {self.where(index)}"
-            if self.lines is None
-            else f"{name}:{int(self.lines[index])}"
-        )
+        if self.lines is None:
+            return f"{name}: {self.where(index)}"
+        return f"{name}:{int(self.lines[index])}"
 
     def where(self, index: int) -> str:
         """Return where in its file a sample stands: ``line 5``, or ``row 4`` where there are no lines."""
-        return (
-            f"row {int(self.rows[index])}"
-            if self.lines is None
-            else f"line {int(self.lines[index])}"
-        )
+        if self.lines is None:
+            return f"row {int(self.rows[index])}"
+        return f"line {int(self.lines[index])}"
 
 
 def joined(parts: Sequence[SampleBlock]) -> SampleBlock:
@@ -148,14 +153,14 @@ def joined(parts: Sequence[SampleBlock]) -> SampleBlock:
         return parts[0]
     lines = [part.lines for part in parts if part.lines is not None]
     times = [part.time for part in parts if part.time is not None]
+    values = {}
+    for role in parts[0].values:
+        values[role] = np.concatenate([part.values[role] for part in parts])
     return SampleBlock(
         join_places([part.rows for part in parts]),
         join_places(lines) if lines else None,
         np.concatenate(times) if times else None,
-        {
-            role: np.concatenate([part.values[role] for part in parts])
-            for role in parts[0].values
-        },
+        values,
     )
 
 
@@ -211,8 +216,9 @@ class DroppedRows:
 
     def note(self) -> str:
         """Return in one line what was left out."""
-        more = f" and {self.count - 1} more" if self.count > 1 else ""
-        return f"{self.named[0]}{more}: {self.count} row{'s' if self.count > 1 else ''} dropped"
+        if self.count == 1:
+            return f"{self.named[0]}: 1 row dropped"
+        return f"{self.named[0]} and {self.count - 1} more: {self.count} rows dropped"
 
 
 class Table:
@@ -283,7 +289,8 @@ class Finding:
         if len(at) and not self.count:
             index = int(at[0])
             self.where = block.where(index)
-            self.before, self.after = float(before[index]), float(after[index])
+            self.before = float(before[index])
+            self.after = float(after[index])
         self.count += len(at)
 
 
@@ -291,9 +298,9 @@ def median_step(steps: FloatArray) -> float:
     """Return the median of time steps; ``np.median`` would load ``numpy.ma``, 8 ms of every start."""
     ordered = np.sort(steps)
     half = len(ordered) // 2
-    return float(
-        ordered[half] if len(ordered) % 2 else 0.5 * (ordered[half - 1] + ordered[half])
-    )
+    if len(ordered) % 2:
+        return float(ordered[half])
+    return float(0.5 * (ordered[half - 1] + ordered[half]))
 
 
 @dataclass
@@ -362,11 +369,14 @@ class TimeCheck:
             (self.gap, "a gap at {place} ({jump}, usual step {step:.4g} s)"),
         ):
             if finding.count:
-                after, place = _stamp(finding.after), finding.where
+                after = _stamp(finding.after)
                 jump = f"from {_stamp(finding.before)} s to {after} s"
-                again = f", and {finding.count - 1} more" if finding.count > 1 else ""
-                text = text.format(place=place, jump=jump, after=after, step=self.step)
-                notes.append(f"{self.place}: {text}{again}")
+                text = text.format(
+                    place=finding.where, jump=jump, after=after, step=self.step
+                )
+                if finding.count > 1:
+                    text = f"{text}, and {finding.count - 1} more"
+                notes.append(f"{self.place}: {text}")
         if not self.is_even and self.step > 0.0 and self.widest > 0.0:
             notes.append(
                 f"{self.place}: time steps vary from {self.narrowest:.4g} s to {self.widest:.4g} s "
@@ -377,17 +387,21 @@ class TimeCheck:
     def _learn(self) -> None:
         if not self._kept:
             return
-        kept, self._kept = self._kept, []
+        kept = self._kept
+        self._kept = []
         steps = np.diff(np.concatenate([time for _, time in kept])[:_LEARNING])
         forward = steps[steps > 0.0]
-        self.step = median_step(forward) if len(forward) else np.inf
+        self.step = np.inf
+        if len(forward):
+            self.step = median_step(forward)
         for block, time in kept:
             self._judge(block, time)
 
     def _judge(self, block: SampleBlock, time: FloatArray) -> None:
         if self.last is None:
             self.first = self.last = float(time[0])
-            block, time = block.part(1, len(time)), time[1:]
+            block = block.part(1, len(time))
+            time = time[1:]
             if not len(time):
                 return
         before = np.concatenate([[self.last], time[:-1]])
@@ -432,7 +446,9 @@ class TimeCheck:
 
 def _stamp(time: float) -> str:
     """Write a time stamp (s); those that count from 1970 need more digits to differ."""
-    return f"{time:.3f}" if 1e6 <= abs(time) < 1e15 else f"{time:.6g}"
+    if 1e6 <= abs(time) < 1e15:
+        return f"{time:.3f}"
+    return f"{time:.6g}"
 
 
 def even_step(time: FloatArray) -> float | None:
@@ -450,15 +466,14 @@ def even_step(time: FloatArray) -> float | None:
     away = float(np.abs(time - (time[0] + step * np.arange(len(time)))).max())
     if away <= JITTER * step:
         return step
+    rounding = 1e-9 * max(1.0, float(np.abs(time).max()))
     for digits in range(0, 10):
-        if np.abs(time - np.round(time, digits)).max() <= 1e-9 * max(
-            1.0, float(np.abs(time).max())
-        ):
-            return (
-                step
-                if away <= 1.01 * 10.0**-digits and 10.0**-digits <= step / 2.0
-                else None
-            )
+        if np.abs(time - np.round(time, digits)).max() > rounding:
+            continue
+        last_digit = 10.0**-digits
+        if away <= 1.01 * last_digit and last_digit <= step / 2.0:
+            return step
+        return None
     return None
 
 
@@ -499,39 +514,46 @@ def resampled(
     start = None
     carried: list[SampleBlock] = []
     done = read = 0
-    filled = (block for block in blocks if len(block))
+    filled: Iterator[SampleBlock] = filter(len, blocks)
     for block in itertools.chain(filled, [None]):
-        if block is None and not carried:
+        parts = carried
+        if block is not None:
+            parts = [*carried, block]
+            read += len(block)
+        if not parts:
             return
-        piece = joined(carried if block is None else [*carried, block])
+        piece = joined(parts)
         if piece.time is None:
             remedy = "`time` COLUMN or `sample_rate` HZ"
             raise InputError(f"{place}: there is no time to resample along ({remedy})")
         _require_advance(place, piece, piece.time)
-        start = float(piece.time[0]) if start is None else start
+        if start is None:
+            start = float(piece.time[0])
         carried = [piece.part(max(len(piece) - _KNOWN_BEFORE, 0), len(piece))]
-        read += 0 if block is None else len(block)
-        # samples with enough behind them
-        known = len(piece) if block is None else len(piece) - AFTER
-        if block is not None and len(piece) < _KNOWN_BEFORE:
-            continue
-        reached = (
-            int(np.floor((float(piece.time[known - 1]) - start) * rate * (1.0 + 1e-12)))
-            + 1
-        )
+        known = len(piece)  # samples with enough behind them
+        if block is not None:
+            known -= AFTER
+            if len(piece) < _KNOWN_BEFORE:
+                continue
+        seconds = float(piece.time[known - 1]) - start
+        reached = int(np.floor(seconds * rate * (1.0 + 1e-12))) + 1
         if reached > _MOST_NEW_ROWS + _MOST_FACTOR * read:
             raise InputError(
                 f"{place}: `resample` {rate:g} makes {reached:,} rows of {read:,}: give a lower rate"
             )
         for first in range(done, reached, _NEW_ROWS):
-            time = start + np.arange(first, min(reached, first + _NEW_ROWS)) / rate
-            values = {}
-            for role, signal in piece.values.items():
-                values[role], _ = interpolated(piece.time, signal, time)
-            yield SampleBlock(
-                range(first + 1, first + len(time) + 1), None, time, values
-            )
+            rows = range(first, min(reached, first + _NEW_ROWS))
+            yield _interpolated_at(piece, rows, start + np.array(rows) / rate)
         done = max(done, reached)
+
+
+def _interpolated_at(piece: SampleBlock, rows: range, time: FloatArray) -> SampleBlock:
+    """Return new rows (counted from 0) of a piece, interpolated to their times (s)."""
+    assert piece.time is not None
+    values = {}
+    for role, signal in piece.values.items():
+        values[role], _ = interpolated(piece.time, signal, time)
+    return SampleBlock(range(rows.start + 1, rows.stop + 1), None, time, values)
 
 
 _KNOWN_BEFORE = 2 * WINDOW

@@ -79,9 +79,11 @@ def open_table(request: Request) -> Table:
         return held
     read = _reader_by_content(address)
     if read is None:
-        table = TextTable(request)
+        table: Table = TextTable(request)
         by_names = extensions.find_installed("reader", "rows of values")
-        return table if by_names is None else by_names(request, table)
+        if by_names is not None:
+            table = by_names(request, table)
+        return table
     return read(request)
 
 
@@ -93,33 +95,37 @@ def _reader_by_content(address: Address) -> Callable[[Request], Table] | None:
     InputError
         It is what this program wrote and no log.
     """
-    if address.is_stream or not (
-        os.path.isfile(address.path) and os.access(address.path, os.R_OK)
-    ):
-        return _open_hdf5 if address.kind == "hdf5" else None
+    by_name = _open_hdf5 if address.kind == "hdf5" else None
+    readable = os.path.isfile(address.path) and os.access(address.path, os.R_OK)
+    if address.is_stream or not readable:
+        return by_name
     with open(address.path, "rb") as file:
         head = file.read(2056)
-    own = re.match(rb'\{\s*"format":\s*"dbo-(model|model-set|state|report)"', head)
-    if own is not None:
-        remedy = "; a report takes a model as `model`" if own[1] == b"model" else ""
-        kind = own[1].decode()
-        raise InputError(
-            f"{address.text}: this is a {kind}, not a log (give a recording{remedy})"
-        )
+    _refuse_own_documents(address.text, head)
     if any(head[at : at + len(HDF5)] == HDF5 for at in _USER_BLOCKS):
         return _open_hdf5
+    reader: Callable[[Request], Table]
     kind_of = extensions.find_installed("reader", "by content")
-    known = None if kind_of is None else kind_of(head, address.path)
-    if known is not None:
-        opens: Callable[[Request], Table] = known.open
-        return opens
-    if address.kind == "hdf5":
-        return _open_hdf5
+    if kind_of is not None:
+        kind = kind_of(head, address.path)
+        if kind is not None:
+            reader = kind.open
+            return reader
     ending = os.path.splitext(address.path.lower())[1]
-    brought: Callable[[Request], Table] | None = None
-    if ending not in _TEXT:
-        brought = extensions.find("reader", ending)
-    return brought
+    if by_name is None and ending not in _TEXT:
+        reader = extensions.find("reader", ending)
+        return reader
+    return by_name
+
+
+def _refuse_own_documents(place: str, head: bytes) -> None:
+    """Refuse what this program wrote and no log (InputError)."""
+    match = re.match(rb'\{\s*"format":\s*"dbo-(model|model-set|state|report)"', head)
+    if match is None:
+        return
+    kind = match[1].decode()
+    remedy = "; a report takes a model as `model`" if kind == "model" else ""
+    raise InputError(f"{place}: this is a {kind}, not a log (give a recording{remedy})")
 
 
 def _open_hdf5(request: Request) -> Table:
@@ -193,14 +199,18 @@ class Source:
         if unit == wanted:
             return
         if unit is None or wanted is None:
-            unlike = (
-                f"has no unit, but {taker} in {wanted}: its figures are taken as {wanted} "
-                "(name the unit in the header, or convert with `scale`)"
-                if unit is None
-                else f"is in {unit}, but {taker} without a unit: the figures are used as they are "
-                "(convert with `scale` if they are not alike)"
-            )
-            self.warnings.extend([f"{called} {unlike}"] if self.warns_of_units else [])
+            if unit is None:
+                unlike = (
+                    f"has no unit, but {taker} in {wanted}: its figures are taken as {wanted} "
+                    "(name the unit in the header, or convert with `scale`)"
+                )
+            else:
+                unlike = (
+                    f"is in {unit}, but {taker} without a unit: the figures are used as they are "
+                    "(convert with `scale` if they are not alike)"
+                )
+            if self.warns_of_units:
+                self.warnings.append(f"{called} {unlike}")
             return
         if factor is None:
             remedy = f"`scale` ROLE=FACTOR{wanted}/{unit} converts it"
@@ -216,10 +226,10 @@ class Source:
         """Return samples by role in the units that they are to be handed out in."""
         if not self._factors:
             return dict(values)
-        return {
-            role: self._factors.get(role, ONE).apply(array)
-            for role, array in values.items()
-        }
+        converted = {}
+        for role, array in values.items():
+            converted[role] = self._factors.get(role, ONE).apply(array)
+        return converted
 
     def reading_line(self) -> str | None:
         """Describe what was read, once it was; None where nothing was."""
@@ -235,8 +245,11 @@ class Source:
 
 def remarks_of(source: Source) -> Remarks:
     """Return notes, warnings and reading line of a source that was read."""
+    remarks = Remarks(source.notes, source.warnings)
     line = source.reading_line()
-    return Remarks(source.notes, source.warnings, [] if line is None else [line])
+    if line is not None:
+        remarks.read.append(line)
+    return remarks
 
 
 # --- the log
@@ -287,10 +300,9 @@ class SignalLog(Source):
         if not clock.is_known:
             clock.rate, clock.start = table.even_clock(picks.values())
         rate = clock.rate
-        may_have_gaps = options.skip_bad or any(
-            column.may_be_blank for column in picks.values()
-        )
-        even_rate = None if may_have_gaps else rate
+        even_rate = rate
+        if options.skip_bad or any(column.may_be_blank for column in picks.values()):
+            even_rate = None  # rows may be missing
         super().__init__(
             place,
             dict(picks),
@@ -307,7 +319,7 @@ class SignalLog(Source):
         clock.notes = []  # later ones are added when all rows were read
         self.notes = table.notes
         doubts = [_doubtful_unit(self.name, column) for column in picks.values()]
-        self.warnings = [text for text in doubts if text]
+        self.warnings = list(filter(None, doubts))
         self._address = address
         self._options = options
         self._table = table
@@ -339,45 +351,50 @@ class SignalLog(Source):
 
     def opening_line(self) -> str:
         """Describe what is being read, as far as it is known before the first block (for streams)."""
-        return self._line([] if self.has_time else ["no time"], self.sample_rate)
+        known = [] if self.has_time else ["no time"]
+        return self._line(known, self.sample_rate)
 
     def reading_line(self) -> str:
         """Describe what was read, once all blocks were: rows, duration, rate, and the column of each role."""
         rate, seconds = self._rate_and_seconds()
-        known = [f"{self.rows_read:,} row{'s' if self.rows_read != 1 else ''}"]
-        return self._line(
-            known if self.has_time else [*known, "no time"], rate, seconds
-        )
+        known = [f"{self.rows_read:,} {'row' if self.rows_read == 1 else 'rows'}"]
+        if not self.has_time:
+            known.append("no time")
+        return self._line(known, rate, seconds)
 
     def _line(
         self, known: list[str], rate: float | None, seconds: float | None = None
     ) -> str:
         if rate is not None:
-            source = ""
-            if self.sample_rate is not None:
-                source = (
-                    " (given)"
-                    if self._options.sample_rate is not None
-                    else " (from the file)"
-                )
-            about = (
-                "about " if self._check is not None and not self._check.is_even else ""
-            )
-            plural = "" if _plain(rate) == "1" else "s"
-            text = f"{about}{_plain(rate)} sample{plural}/s{source}"
-            known = [
-                *known,
-                text if seconds is None else f"{_plain(seconds, 3)} s at {text}",
-            ]
+            text = self._rate_text(rate)
+            if seconds is not None:
+                text = f"{_plain(seconds, 3)} s at {text}"
+            known = [*known, text]
         read = []
         for role, column, unit in self._used():  # voltage 'CH1' (V)
-            called = (
-                f"'{column.name}'" if column.quantity else f"column {column.number}"
-            )
-            scale = f", {self._scale_text(role)}" if role in self._scales else ""
+            called = f"column {column.number}"
+            if column.quantity:
+                called = f"'{column.name}'"
+            scale = ""
+            if role in self._scales:
+                scale = f", {self._scale_text(role)}"
             quantity = quantity_name(role, unit)
             read.append(f"{quantity} {called} ({unit or 'no unit'}{scale})")
-        return f"{self.name}: {'; '.join(filter(None, [', '.join(known), ', '.join(read)]))}"
+        parts = [", ".join(known), ", ".join(read)]
+        return f"{self.name}: {'; '.join(filter(None, parts))}"
+
+    def _rate_text(self, rate: float) -> str:
+        """Write a rate (Hz), where it comes from, and whether the steps are even: ``500 samples/s``."""
+        text = "1 sample/s"
+        if _plain(rate) != "1":
+            text = f"{_plain(rate)} samples/s"
+        if self._check is not None and not self._check.is_even:
+            text = f"about {text}"
+        if self.sample_rate is None:
+            return text
+        if self._options.sample_rate is None:
+            return f"{text} (from the file)"
+        return f"{text} (given)"
 
     def _used(self) -> list[tuple[str, Column, str | None]]:
         """List role, column and unit of what is read, the time first."""
@@ -391,41 +408,46 @@ class SignalLog(Source):
     def reading_record(self) -> dict[str, Any]:
         """Return what ``reading_line`` states as plain values, for a model's provenance."""
         rate, seconds = self._rate_and_seconds()
-        columns = []
-        for role, column, unit in self._used():
-            name = without_folder(column.name) if self._table.others else column.name
-            found = {"column": name, "unit": unit, "scale": self._scale_text(role)}
-            columns.append(
-                (
-                    role,
-                    {key: value for key, value in found.items() if value is not None},
-                )
-            )
-        time = None if self.time is None else columns.pop(0)[1]
-        record: dict[str, Any] = {
-            "rows": self.rows_read,
-            "seconds": seconds,
-            "sample_rate": rate,
-        }
-        record |= {"time": time, "columns": dict(columns)}
-        return {key: value for key, value in record.items() if value is not None}
+        columns = {}
+        time = None
+        for number, (role, column, unit) in enumerate(self._used()):
+            name = column.name
+            if self._table.others:
+                name = without_folder(name)
+            scale = self._scale_text(role)
+            record = _without_none({"column": name, "unit": unit, "scale": scale})
+            if number == 0 and self.time is not None:
+                time = record
+            else:
+                columns[role] = record
+        return _without_none(
+            {
+                "rows": self.rows_read,
+                "seconds": seconds,
+                "sample_rate": rate,
+                "time": time,
+                "columns": columns,
+            }
+        )
 
     def _rate_and_seconds(self) -> tuple[float | None, float | None]:
         """Return samples a second and the time (s) from the first sample to the last, as far as known."""
-        rate, seconds = self.sample_rate, None
+        rate = self.sample_rate
+        seconds = None
         if self._times is not None:
-            seconds = self._times[1] - self._times[0]
-        if (
-            self.rows_read
-            and self._check is not None
-            and 0.0 < self._check.step < np.inf
-        ):
-            rate = 1.0 / self._check.step
+            first, last = self._times
+            seconds = last - first
+        step = 0.0 if self._check is None else self._check.step
+        if self.rows_read and 0.0 < step < np.inf:
+            rate = 1.0 / step
         return rate, seconds
 
     def _scale_text(self, role: str) -> str | None:
         scale = self._scales.get(role)
-        return None if scale is None else f"times {str(scale).partition('=')[2]}"
+        if scale is None:
+            return None
+        factor = str(scale).partition("=")[2]
+        return f"times {factor}"
 
     def blocks(self) -> Iterator[SampleBlock]:
         """Read the samples in blocks; the blocks may be of any length, their samples always the same.
@@ -437,7 +459,9 @@ class SignalLog(Source):
         """
         blocks = self._as_recorded()
         rate = self._options.resample
-        return blocks if rate is None else resampled(self.name, blocks, rate)
+        if rate is None:
+            return blocks
+        return resampled(self.name, blocks, rate)
 
     def read(self) -> SampleBlock:
         """Read all samples as one block."""
@@ -489,10 +513,10 @@ class SignalLog(Source):
                 time = clock.times(part.rows, values)
                 block = replace(part, time=time, values=self.in_units(values))
                 if time is not None and len(time):
-                    self._times = (
-                        self._times[0] if self._times else float(time[0]),
-                        float(time[-1]),
-                    )
+                    first = float(time[0])
+                    if self._times is not None:
+                        first, _ = self._times
+                    self._times = first, float(time[-1])
                     if check is not None:
                         check.feed(block)
                 self.rows_read += len(block.rows)
@@ -513,18 +537,25 @@ class SignalLog(Source):
         return "no good data row" if self._options.skip_bad else "no data rows"
 
 
+def _without_none(record: dict[str, Any]) -> dict[str, Any]:
+    """Return what is known of a record."""
+    return {key: value for key, value in record.items() if value is not None}
+
+
 def _plain(value: float, digits: int = 4) -> str:
     """Write a number without an exponent where people would: 48,000 and not 4.8e+04."""
-    return f"{value:,.0f}" if 999.5 <= abs(value) < 1e9 else f"{value:.{digits}g}"
+    if 999.5 <= abs(value) < 1e9:
+        return f"{value:,.0f}"
+    return f"{value:.{digits}g}"
 
 
 def _doubtful_unit(place: str, column: Column) -> str:
     """Return what is odd about the unit of a column, if anything is."""
-    own = contradicted_unit(column)
-    if own is not None:
+    unit_in_name = contradicted_unit(column)
+    if unit_in_name is not None:
         return (
-            f"{place}: column '{column.name}' is in {own} by its name and in {column.unit} by its unit: "
-            f"{column.unit} is taken (`scale` converts)"
+            f"{place}: column '{column.name}' is in {unit_in_name} by its name and in {column.unit} "
+            f"by its unit: {column.unit} is taken (`scale` converts)"
         )
     if column.unit is not None and kind_of_unit(column.unit) is None:
         return (
@@ -567,14 +598,13 @@ def open_log(
         The address or a column's number is none.
     """
     options = options or ReadingOptions()
-    selectors = [
-        one
-        for one in (*(wish.selector for wish in wishes.values()), options.time)
-        if one
-    ]
-    named = [
-        one for one in selectors if other_file(one) is None and not os.path.isfile(one)
-    ]
+    selectors = [wish.selector for wish in wishes.values() if wish.selector]
+    if options.time:
+        selectors.append(options.time)
+    named = []  # columns of this log
+    for selector in selectors:
+        if other_file(selector) is None and not os.path.isfile(selector):
+            named.append(selector)
     if options.clock_offset is not None and len(named) == len(selectors):
         raise UsageError(
             "`clock_offset` joins two files: name the other one's column, FILE::COLUMN"
@@ -584,21 +614,36 @@ def open_log(
     else:
         target = parse_address(address, options.format)
     table = open_table(Request(target, options, named, live, digest))
+    for selector in selectors:
+        if "::" in selector or names_file(selector, table.columns):
+            return _open_joined(target, table, wishes, options)
     try:
-        if any("::" in one or names_file(one, table.columns) for one in selectors):
-            first, table = table, (joint := JoinedTable(table, options, open_table))
-            wishes = {
-                role: replace(wish, selector=joint.number_of(wish, role))
-                for role, wish in wishes.items()
-            }
-            if options.time is not None:
-                options = replace(
-                    options,
-                    time=joint.number_of(ColumnWish(options.time, option="time")),
-                )
-            joint.find_clocks(options)
-            table = joint if joint.others else first
         return SignalLog(target, table, wishes, options)
+    except BaseException:
+        table.close()
+        raise
+
+
+def _open_joined(
+    address: Address,
+    first: Table,
+    wishes: Mapping[str, ColumnWish],
+    options: ReadingOptions,
+) -> SignalLog:
+    """Open a log some of whose columns are in other files; the first one is open already."""
+    table = JoinedTable(first, options, open_table)
+    try:
+        by_number = {}
+        for role, wish in wishes.items():
+            number = table.number_of(wish, role)
+            by_number[role] = replace(wish, selector=number)
+        if options.time is not None:
+            number = table.number_of(ColumnWish(options.time, option="time"))
+            options = replace(options, time=number)
+        table.find_clocks(options)
+        if table.others:
+            return SignalLog(address, table, by_number, options)
+        return SignalLog(address, first, by_number, options)
     except BaseException:
         table.close()
         raise
@@ -616,26 +661,25 @@ def _scales_by_role(
     UsageError
         There is no such role here, or one is scaled twice.
     """
-    names = {
-        name: role
-        for role, wish in wishes.items()
-        for name in (wish.option.lower(), role.lower())
-    }
+    names = {}
+    for role, wish in wishes.items():
+        names[wish.option.lower()] = role
+        names[role.lower()] = role
     if "measured" in wishes:
         names.setdefault("displacement", "measured")
-    found: dict[str, Scale] = {}
+    scales: dict[str, Scale] = {}
     for scale in options.scales:
-        role = names.get(scale.role)
-        if role is None:
-            there = ", ".join(dict.fromkeys(names.values()))
+        scaled = names.get(scale.role)
+        if scaled is None:
+            known = ", ".join(dict.fromkeys(names.values()))
             raise UsageError(
-                f"`scale` {scale}: there is no {scale.role} here, but {there}"
+                f"`scale` {scale}: there is no {scale.role} here, but {known}"
             )
-        if role in found:
-            raise UsageError(f"`scale` {scale}: {role} is scaled twice")
-        if role in columns:
-            found[role] = scale
-    return found
+        if scaled in scales:
+            raise UsageError(f"`scale` {scale}: {scaled} is scaled twice")
+        if scaled in columns:
+            scales[scaled] = scale
+    return scales
 
 
 # --- where a model comes from
@@ -671,14 +715,14 @@ def input_record(
     log, whose records are ``joined``.
     """
     parsed = parse_address(address)
-    name = os.path.basename(parsed.path) + (f"::{parsed.group}" if parsed.group else "")
-    record = {
+    name = os.path.basename(parsed.path)
+    if parsed.group:
+        name = f"{name}::{parsed.group}"
+    record: dict[str, Any] = {
         "name": cleaned(name),
         "sha256": sha256 or file_sha256(parsed.path),
         "rows": rows,
     }
-    return record | (
-        {"joined": [input_record(address, rows) for address in joined]}
-        if joined
-        else {}
-    )
+    if joined:
+        record["joined"] = [input_record(address, rows) for address in joined]
+    return record

@@ -132,14 +132,12 @@ def draw(plot: Plot, kind: Kind, note: str = "", scope: str = "") -> bytes:
     text, no background, the colours of ``SCHEME`` as variables, and ids that begin with
     ``scope`` and the figure's key (they must differ within a page).
     """
-    inline = kind == "inline"
-    with styled({"svg.fonttype": "none"} if inline else {}):
-        content = _saved(_painted(plot, note, as_outlines=not inline), kind)
-    return (
-        _for_page(content.decode(), plot, f"{scope}-{plot.key}-").encode()
-        if inline
-        else content
-    )
+    if kind != "inline":
+        with styled():
+            return _saved(_painted(plot, note, as_outlines=True), kind)
+    with styled({"svg.fonttype": "none"}):
+        content = _saved(_painted(plot, note, as_outlines=False), kind)
+    return _for_page(content.decode(), plot, f"{scope}-{plot.key}-").encode()
 
 
 def save(plots: Sequence[Plot], folder: Path, stem: str, note: str = "") -> list[Path]:
@@ -167,8 +165,10 @@ def _painted(plot: Plot, note: str, *, as_outlines: bool) -> Figure:
     FigureCanvasAgg(figure)
     axes = figure.add_axes((0.1, 0.1, 0.8, 0.8))
     plot.paint(axes)
-    top = (0.32 if note or axes.get_legend() is not None else 0.2) + plot.head
-    left, right, bottom = 0.66, 0.12, 0.48  # margins in inches
+    # margins in inches
+    left, right, bottom, top = 0.66, 0.12, 0.48, 0.2 + plot.head
+    if note or axes.get_legend() is not None:
+        top = 0.32 + plot.head
     frame = (
         left / width,
         bottom / height,
@@ -183,12 +183,9 @@ def _painted(plot: Plot, note: str, *, as_outlines: bool) -> Figure:
         )
         _show_plainly([title], as_outlines=as_outlines)
     legend = axes.get_legend()
-    named = [
-        axes.xaxis.label,
-        axes.yaxis.label,
-        *axes.texts,
-        *(legend.get_texts() if legend else ()),
-    ]
+    named = [axes.xaxis.label, axes.yaxis.label, *axes.texts]
+    if legend is not None:
+        named += legend.get_texts()
     _show_plainly(named, as_outlines=as_outlines)  # what is on the ticks are numbers
     _fit_left(figure, axes)
     if note and legend is not None and _meet(figure, title, legend):
@@ -284,7 +281,8 @@ def file_stems(names: Sequence[str]) -> list[str]:
     taken: set[str] = set()
     for name in names:
         stem = "stdin" if name == "-" else _plain_stem(name)
-        count, unique = 2, stem
+        count = 2
+        unique = stem
         while unique.casefold() in taken:
             unique = f"{stem}-{count}"
             count += 1
@@ -298,7 +296,9 @@ def _plain_stem(name: str) -> str:
     base = path.replace("\\", "/").rsplit("/", 1)[-1]
     base = _ENDINGS.sub("", base) or base
     group = group.strip("/")
-    stem = unicodedata.normalize("NFC", f"{base}-{group}" if group else base)
+    if group:
+        base = f"{base}-{group}"
+    stem = unicodedata.normalize("NFC", base)
     stem = re.sub(r"[^\w.-]+", "_", stem).strip(".")
     return stem.encode()[:_LONGEST_STEM].decode(errors="ignore") or "log"
 
@@ -326,11 +326,11 @@ def text_width(text: str) -> int:
 def _fit_left(figure: Figure, axes: Axes) -> None:
     """Give tick labels wider than usual the room they need."""
     renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
-    boxes = [
-        box
-        for axis in (axes.xaxis, axes.yaxis)
-        if (box := axis.get_tightbbox(renderer)) is not None
-    ]
+    boxes = []
+    for axis in (axes.xaxis, axes.yaxis):
+        box = axis.get_tightbbox(renderer)
+        if box is not None:
+            boxes.append(box)
     if not boxes:
         return
     left, right = min(box.x0 for box in boxes), max(box.x1 for box in boxes)
@@ -345,11 +345,14 @@ def _for_page(svg: str, plot: Plot, prefix: str) -> str:
     """Turn a whole SVG file into an element of a page: own ids, colours as variables, no fixed size."""
     svg = svg[svg.index("<svg") :]
     used = set(re.findall(r"(?:url\(#|href=\"#)([^)\"]+)", svg))
-    svg = re.sub(
-        r' id="([^"]+)"',
-        lambda match: f' id="{prefix}{match[1]}"' if match[1] in used else "",
-        svg,
-    )
+
+    def own_id(match: re.Match[str]) -> str:
+        """Return an id with the prefix; nothing for one that nothing refers to."""
+        if match[1] not in used:
+            return ""
+        return f' id="{prefix}{match[1]}"'
+
+    svg = re.sub(r' id="([^"]+)"', own_id, svg)
     svg = re.sub(r"(url\(#|href=\"#)", lambda match: match[1] + prefix, svg)
     for color, name in SCHEME.items():
         svg = svg.replace(color, f"var(--{name})")
@@ -392,9 +395,9 @@ def _load() -> None:
     finally:
         log.setLevel(level)
         os.environ.pop("MPLCONFIGDIR", None)
-        os.environ.update(
-            {name: value for name, value in wanted.items() if value is not None}
-        )
+        for name, value in wanted.items():
+            if value is not None:
+                os.environ[name] = value
     # what the host wants for its own figures, where that exists
     with contextlib.suppress(ValueError):
         if wanted["MPLBACKEND"]:
@@ -408,15 +411,14 @@ def _configuration_folders(named: str | None) -> list[str]:
         return [named]
     if not sys.platform.startswith(("linux", "freebsd")):
         return [os.path.join(home, ".matplotlib")]
-    return [
-        os.path.join(
-            os.environ.get(variable) or os.path.join(home, usual), "matplotlib"
-        )
-        for variable, usual in (
-            ("XDG_CONFIG_HOME", ".config"),
-            ("XDG_CACHE_HOME", ".cache"),
-        )
-    ]
+    folders = []
+    for variable, usual in (
+        ("XDG_CONFIG_HOME", ".config"),
+        ("XDG_CACHE_HOME", ".cache"),
+    ):
+        folder = os.environ.get(variable) or os.path.join(home, usual)
+        folders.append(os.path.join(folder, "matplotlib"))
+    return folders
 
 
 def _is_writable(folder: str) -> bool:
@@ -469,7 +471,8 @@ def _show_plainly(texts: Iterable[Text], *, as_outlines: bool) -> None:
                 text.set_fontfamily([_SHIPPED_FONT, *family])
                 for name in family:
                     missing = {sign for sign in missing if _missing(sign, name)}
-                shown = "".join("□" if sign in missing else sign for sign in shown)
+                for sign in missing:
+                    shown = shown.replace(sign, "□")
         if shown != text.get_text():
             text.set_text(shown)
 
@@ -483,8 +486,10 @@ def _family_for(signs: str) -> list[str]:
     fonts = [
         (len(_missing(signs, name)), name) for name in _MORE_FONTS if name in installed
     ]
-    fewest = min(fonts, default=(len(signs), ""), key=lambda pair: pair[0])
-    return [fewest[1]] if fewest[0] < len(signs) else []
+    missing, best = min(fonts, default=(len(signs), ""), key=lambda pair: pair[0])
+    if missing == len(signs):
+        return []
+    return [best]
 
 
 def _missing(signs: str, font: str) -> set[str]:
@@ -498,3 +503,59 @@ def _shapes(font: str) -> frozenset[int]:
     from matplotlib.font_manager import FontProperties, findfont, get_font
 
     return frozenset(get_font(findfont(FontProperties(family=[font]))).get_charmap())
+
+
+# --- figures in matplotlib's own windows, to zoom in and move about ---
+
+TOOLKITS = ("QtAgg", "TkAgg", "GTK4Agg", "GTK3Agg", "WxAgg")
+"""Matplotlib's ways to a window, in the order in which they are tried; the one of macOS is its own."""
+SCALE = 1.6  # a window is so many times as large as a figure on a page
+
+
+def require_display() -> None:
+    """Refuse where no window can be opened (UsageError): before any long work."""
+    displays = [name for name in ("DISPLAY", "WAYLAND_DISPLAY") if os.environ.get(name)]
+    if sys.platform.startswith(("linux", "freebsd")) and not displays:
+        raise UsageError(
+            "`show`: there is no display to open a window on (`figures` DIR writes files)"
+        )
+
+
+def show_in_windows(plots: Sequence[Plot]) -> None:
+    """Open a window for each figure; return when the last one is closed.
+
+    Raises
+    ------
+    UsageError
+        There is no display, or no toolkit that opens windows is installed.
+    """
+    require_display()
+    with styled():
+        from matplotlib import pyplot
+
+        _switch_to_windows()
+        for plot in plots:
+            width, height = plot.size[0], plot.size[1] + plot.head
+            figure = pyplot.figure(
+                plot.title, figsize=(SCALE * width, SCALE * height), layout="tight"
+            )
+            plot.paint(figure.add_subplot())
+        pyplot.show(block=True)
+        pyplot.close("all")
+
+
+def _switch_to_windows() -> None:
+    """Choose the first toolkit that is installed."""
+    from matplotlib import pyplot
+
+    toolkits = ("macosx",) if sys.platform == "darwin" else TOOLKITS
+    for toolkit in toolkits:
+        try:
+            pyplot.switch_backend(toolkit)
+        except ImportError:
+            continue
+        return
+    raise UsageError(
+        "`show`: nothing that opens windows is installed for matplotlib (pip install PyQt6; `figures` DIR "
+        "writes files)"
+    )

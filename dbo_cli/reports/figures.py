@@ -50,9 +50,15 @@ LETTERS = 52  # of 9 points, in a row below the axes
 DECADES = 30.0
 
 
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+"""The signs of an exponent, set small and high."""
+
+
 def axis_label(quantity: str, unit: str | None) -> str:
     """Return a quantity with its unit in brackets."""
-    return f"{quantity} ({shown_unit(unit)})" if unit else quantity
+    if not unit:
+        return quantity
+    return f"{quantity} ({shown_unit(unit)})"
 
 
 def decade(value: float, _: float = 0.0) -> str:
@@ -63,9 +69,8 @@ def decade(value: float, _: float = 0.0) -> str:
     """
     if 0.005 < value < 5000.0:
         return f"{value:g}"
-    return "10" + f"{math.log10(value):.0f}".translate(
-        str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-    )
+    exponent = f"{math.log10(value):.0f}"
+    return "10" + exponent.translate(RAISED)
 
 
 def label_decades(*axes: Axis) -> None:
@@ -82,11 +87,9 @@ def label_decades(*axes: Axis) -> None:
         lead, exponent = f"{value:.0e}".split("e")
         if high > 100.0 * low or lead not in {"2", "3", "5"}:
             return ""
-        return (
-            f"{value:g}"
-            if 0.0005 < value < 5000.0
-            else f"{lead}·{decade(10.0 ** int(exponent))}"
-        )
+        if 0.0005 < value < 5000.0:
+            return f"{value:g}"
+        return f"{lead}·{decade(10.0 ** int(exponent))}"
 
     for axis in axes:
         axis.set_major_formatter(decade)
@@ -108,16 +111,18 @@ def plots_of_comparison(
     columns = max(1, min(3, len(names), WIDEST // (max(map(len, names)) + 6)))
     head = legend_head(len(names), columns)
     first, second = report.options.labels
-    whole = (
-        "all logs"
-        if len(shown) == len(report.logs)
-        else f"the first {len(shown)} of {len(report.logs)} logs"
-    )
+    whole = "all logs"
+    if len(shown) < len(report.logs):
+        whole = f"the first {len(shown)} of {len(report.logs)} logs"
     words = f"{second.capitalize()} less {first} displacement against time, a line for each log."
 
     def paint(axes: Axes) -> None:
         timed = all(data.has_time for _, data, _ in shown)
-        apart = timed and len({data.start for _, data, _ in shown}) > 1
+        starts = {data.start for _, data, _ in shown}
+        apart = timed and len(starts) > 1
+        x_label = "Time (s)" if timed else "Row"
+        if apart:
+            x_label = "Time since each log began (s)"
         handles = []
         for log, data, look in shown:
             shape = data.against_time("error")
@@ -125,14 +130,7 @@ def plots_of_comparison(
                 shape = replace(shape, x=shape.x - data.start)
             _against_time(axes, shape, look, log.figures.offset)
             handles += axes.plot([], [], **(look | {"linewidth": 1.6}))
-        axes.set(
-            xlabel="Time since each log began (s)"
-            if apart
-            else "Time (s)"
-            if timed
-            else "Row"
-        )
-        axes.set(ylabel=axis_label("Error", report.unit))
+        axes.set(xlabel=x_label, ylabel=axis_label("Error", report.unit))
         legend = mark_curves(axes, handles, ["log"] * len(handles), columns)
         for text, name in zip(legend.get_texts(), names, strict=True):
             # as a label, a name that begins with "_" would be left out
@@ -148,68 +146,66 @@ def plots_of_log(report: Report, log: LogReport, figure_data: FigureData) -> lis
     view = _LogView(report, log, figure_data)
     first, second = report.options.labels
     wide, tall = style.WIDE, style.TALL
-    by_frequency = view.by_frequency is not None
-    both = f"{first.capitalize()} and {second} against time"
-    tracks = f"{both}, the first as a solid line, the second dashed."
-    error = f"{second.capitalize()} less {first} displacement against time, with a band of one RMSE"
-    concentrated = log.concentrated is not None
-    error += (
-        ", and the rows that make half of the squared error." if concentrated else "."
-    )
-    worst = f"{first.capitalize()} and {second} about the largest error, both axes ten times finer."
+    both = f"{first.capitalize()} and {second}"
+    difference = f"{second.capitalize()} less {first} displacement"
     output = f"{second.capitalize()} against {first}"
-    loop = f"Hysteresis loop: {view.quantity.lower()} against {view.drive_name.lower()}"
-    share = "Share of all samples against their error."
-    density = "Amplitude density of the error against frequency, both axes logarithmic."
-    speeds = "RMS error of each segment against the frequency of the desired signal, both logarithmic."
-    has_drive, has_spectrum = (
-        figure_data.has_drive,
-        figure_data.spectrum.density(1.0) is not None,
-    )
+    error_words = f"{difference} against time, with a band of one RMSE"
+    if log.concentrated is not None:
+        error_words += ", and the rows that make half of the squared error"
     plots = [
-        (True, Plot("tracking", both, tracks, wide, view.tracking)),
-        (
-            True,
-            Plot(
-                "worst",
-                "The same about the largest error, ten times finer",
-                worst,
-                wide,
-                view.worst,
-            ),
+        Plot(
+            "tracking",
+            f"{both} against time",
+            f"{both} against time, the first as a solid line, the second dashed.",
+            wide,
+            view.tracking,
         ),
-        (True, Plot("error", "Error against time", error, wide, view.error)),
-        (
-            True,
-            Plot(
-                "output", output, f"{output}, beside the identity.", tall, view.output
-            ),
+        Plot(
+            "worst",
+            "The same about the largest error, ten times finer",
+            f"{both} about the largest error, both axes ten times finer.",
+            wide,
+            view.worst,
         ),
-        (has_drive, Plot("loop", loop, f"{loop}.", tall, view.loop)),
-        (
-            True,
-            Plot("histogram", "Distribution of the error", share, wide, view.histogram),
-        ),
-        (
-            has_spectrum,
-            Plot("spectrum", "Spectrum of the error", density, wide, view.spectrum),
-        ),
-        (
-            has_drive,
-            Plot(
-                "drive",
-                "Drive against time",
-                f"{view.drive_name} against time.",
-                wide,
-                view.drive,
-            ),
-        ),
-        (
-            by_frequency,
-            Plot("frequency", "Error against frequency", speeds, wide, view.frequency),
-        ),
+        Plot("error", "Error against time", f"{error_words}.", wide, view.error),
+        Plot("output", output, f"{output}, beside the identity.", tall, view.output),
     ]
-    return [plot for shown, plot in plots if shown]
+    if figure_data.has_drive:
+        loop = f"Hysteresis loop: {view.quantity.lower()} against {view.drive_name.lower()}"
+        plots.append(Plot("loop", loop, f"{loop}.", tall, view.loop))
+    plots.append(
+        Plot(
+            "histogram",
+            "Distribution of the error",
+            "Share of all samples against their error.",
+            wide,
+            view.histogram,
+        )
+    )
+    if figure_data.spectrum.density(1.0) is not None:
+        plots.append(
+            Plot(
+                "spectrum",
+                "Spectrum of the error",
+                "Amplitude density of the error against frequency, both axes logarithmic.",
+                wide,
+                view.spectrum,
+            )
+        )
+    if figure_data.has_drive:
+        words = f"{view.drive_name} against time."
+        plots.append(Plot("drive", "Drive against time", words, wide, view.drive))
+    if view.by_frequency is not None:
+        plots.append(
+            Plot(
+                "frequency",
+                "Error against frequency",
+                "RMS error of each segment against the frequency of the desired signal, both logarithmic.",
+                wide,
+                view.frequency,
+            )
+        )
+    return plots
 
 
 class _LogView:
@@ -222,11 +218,12 @@ class _LogView:
         self._figure_data = figure_data
         self._offset = log.figures.offset
         self.by_frequency = _errors_by_frequency(log)
-        known = report.unit is None or report.unit in LENGTH_UNITS
         self.drive_name = f"Drive {quantity_name('voltage', figure_data.drive_unit)}"
-        self.quantity = (
-            "Displacement" if known else "Voltage" if report.unit == "V" else "Signal"
-        )
+        self.quantity = "Signal"
+        if report.unit is None or report.unit in LENGTH_UNITS:
+            self.quantity = "Displacement"
+        elif report.unit == "V":
+            self.quantity = "Voltage"
 
     def drive(self, axes: Axes) -> None:
         _against_time(axes, self._figure_data.against_time("drive"), style.SOLID)
@@ -268,16 +265,16 @@ class _LogView:
         Where the error itself is larger than that, it fits in.
         """
         time, low, high = self._figure_data.at_largest(self._offset)
-        ends = axes.get_xlim(), axes.get_ylim()
-        half_width = (ends[0][1] - ends[0][0]) / (2.0 * FINER)
-        half_height = max((ends[1][1] - ends[1][0]) / (2.0 * FINER), 0.7 * (high - low))
+        left, right = axes.get_xlim()
+        bottom, top = axes.get_ylim()
+        half_width = (right - left) / (2.0 * FINER)
+        half_height = max((top - bottom) / (2.0 * FINER), 0.7 * (high - low))
         # the log, and nothing beside
-        time = min(max(time, ends[0][0] + half_width), ends[0][1] - half_width)
+        time = min(max(time, left + half_width), right - half_width)
         middle = 0.5 * (low + high)
-        return (time - half_width, time + half_width), (
-            middle - half_height,
-            middle + half_height,
-        )
+        across = (time - half_width, time + half_width)
+        up = (middle - half_height, middle + half_height)
+        return across, up
 
     def error(self, axes: Axes) -> None:
         rmse = self._figures.rmse
@@ -287,9 +284,13 @@ class _LogView:
         )
         half = self._log.concentrated
         if half is not None:
-            at = 1 if self._figure_data.has_time else 0
             share = "half of the squared error"
-            begin, end = half.first[at], half.last[at]
+            first_row, first_time = half.first
+            last_row, last_time = half.last
+            begin: float | None = first_row
+            end: float | None = last_row
+            if self._figure_data.has_time:
+                begin, end = first_time, last_time
             if begin is not None and end is not None:
                 axes.axvspan(begin, end, color=style.SECOND, alpha=0.25, label=share)
         _against_time(
@@ -309,16 +310,17 @@ class _LogView:
             second,
             self._offset,
         )
-        x, y = (
-            self._length(f"{name.capitalize()} {self.quantity.lower()}")
-            for name in (first, second)
-        )
-        finish(axes, x, y)
+        quantity = self.quantity.lower()
+        x_label = self._length(f"{first.capitalize()} {quantity}")
+        y_label = self._length(f"{second.capitalize()} {quantity}")
+        finish(axes, x_label, y_label)
 
     def loop(self, axes: Axes) -> None:
         first, second = self._report.options.labels
         modelled = first == "model"
-        look = style.DASHED if modelled else style.DASHED | {"linestyle": "-"}
+        look = style.DASHED
+        if not modelled:
+            look = style.DASHED | {"linestyle": "-"}
         self._curve(axes, "drive", "measured", look, second, self._offset)
         if modelled:
             self._curve(
@@ -360,12 +362,18 @@ class _LogView:
         period = self._figures.sample_period
         curve = self._figure_data.spectrum.density(period or 1.0)
         assert curve is not None
-        floor = curve.y.max() * 1e-9 if curve.y.max() > 0.0 else 1e-30
+        floor = 1e-30
+        if curve.y.max() > 0.0:
+            floor = curve.y.max() * 1e-9
         axes.loglog(curve.x, np.maximum(curve.y, floor), **style.ALONE)
         label_decades(axes.xaxis, axes.yaxis)
+        frequency = "Frequency (cycles a sample)"
         unit = shown_unit(self._report.unit)
-        axes.set_xlabel("Frequency (Hz)" if period else "Frequency (cycles a sample)")
-        density = f"{unit}/√Hz" if period else unit
+        density = unit
+        if period:
+            frequency = "Frequency (Hz)"
+            density = f"{unit}/√Hz"
+        axes.set_xlabel(frequency)
         axes.set_ylabel(f"Error density ({density})" if unit else "Error density")
 
     def frequency(self, axes: Axes) -> None:
@@ -401,14 +409,16 @@ class _LogView:
 
 def _errors_by_frequency(log: LogReport) -> tuple[Floats, Floats] | None:
     """Return frequency (Hz) and RMS error of the segments; None where they are all about as fast."""
-    pairs = [(part.figures.frequency, part.figures.rmse) for part in log.segments]
-    known = np.array(
-        [pair for pair in pairs if pair[0] is not None and pair[1] > 0.0],
-        dtype=np.float64,
-    )
-    if not known.size or known[:, 0].max() < WIDE_BAND * known[:, 0].min():
+    frequencies = []
+    errors = []
+    for segment in log.segments:
+        figures = segment.figures
+        if figures.frequency is not None and figures.rmse > 0.0:
+            frequencies.append(figures.frequency)
+            errors.append(figures.rmse)
+    if not errors or max(frequencies) < WIDE_BAND * min(frequencies):
         return None
-    return known[:, 0], known[:, 1]
+    return np.array(frequencies), np.array(errors)
 
 
 def _against_time(
@@ -519,35 +529,29 @@ def plots_of_channels(report: Report) -> list[Plot]:
     Numbered channels stand in the order of their numbers. Without any range the map is
     in the unit.
     """
-    names = [log.name for log in report.logs]
-    numbers = (
-        [int(name) for name in names]
-        if all(n.isascii() and n.isdigit() for n in names)
-        else []
-    )
-    order = (
-        sorted(range(len(names)), key=numbers.__getitem__)
-        if numbers
-        else range(len(names))
-    )
-    names, numbers = [names[k] for k in order], sorted(numbers)
-    figures = [report.logs[k].figures for k in order]
-    rmse = np.array([merits.rmse for merits in figures])
+    logs = list(report.logs)
+    numbers: list[int] = []
+    if all(log.name.isascii() and log.name.isdigit() for log in logs):
+        logs.sort(key=lambda log: int(log.name))
+        numbers = [int(log.name) for log in logs]
+    names = [log.name for log in logs]
+    rmse = np.array([log.figures.rmse for log in logs])
     # None becomes NaN
-    percent = np.array([merits.nrmse_percent for merits in figures], dtype=np.float64)
-    both = {"percent": (percent, "% of the move"), "rmse": (rmse, report.unit or "")}
-    shown = {
-        key: series for key, series in both.items() if np.isfinite(series[0]).any()
-    }
+    percent = np.array([log.figures.nrmse_percent for log in logs], dtype=np.float64)
+    shown = [("rmse", rmse, report.unit or "")]
+    if np.isfinite(percent).any():
+        shown.insert(0, ("percent", percent, "% of the move"))
     words = "Number of channels against their RMSE, {}; median and worst are marked."
     plots = []
-    for key, (values, unit) in shown.items():
-        title = f"RMSE of the channels{f', {shown_unit(unit)}' if unit else ''}"
+    for key, values, unit in shown:
+        title = "RMSE of the channels"
+        if unit:
+            title += f", {shown_unit(unit)}"
         paint = partial(_histogram, names, values, unit)
         plots.append(
             Plot(f"histogram-{key}", title, words.format(unit), style.WIDE, paint)
         )
-    values, unit = next(iter(shown.values()))
+    _, values, unit = shown[0]
     worst = int(np.nanargmax(values))
     head = f"worst: {short_name(names[worst], 20)}, {_amount(values[worst], unit)}"
     if unit != (report.unit or ""):
@@ -571,9 +575,10 @@ def plots_of_channels(report: Report) -> list[Plot]:
 def row_width(count: int) -> int:
     """Return how many numbers stand in a row: about square, up to 2:1 where that fills all rows."""
     least = math.ceil(math.sqrt(count))
-    return next(
-        (width for width in range(least, 2 * least) if count % width == 0), least
-    )
+    for width in range(least, 2 * least):
+        if count % width == 0:
+            return width
+    return least
 
 
 def _amount(value: float, unit: str) -> str:
@@ -587,9 +592,12 @@ def _histogram(names: list[str], values: Floats, unit: str, axes: Axes) -> None:
     low, high = float(known.min()), float(known.max())
     bins = min(max(math.ceil(math.sqrt(known.size)), 5), 40)
     wide = 0.0 < DECADES * low < high
-    margin = 0.0 if high - low > 1e-9 * high else 0.05 * high or 1.0  # one value alone
-    ends = (low - margin, high + margin)
-    edges = np.geomspace(low, high, bins + 1) if wide else np.linspace(*ends, bins + 1)
+    margin = 0.0
+    if high - low <= 1e-9 * high:  # one value alone
+        margin = 0.05 * high or 1.0
+    edges = np.linspace(low - margin, high + margin, bins + 1)
+    if wide:
+        edges = np.geomspace(low, high, bins + 1)
     counts, _ = np.histogram(known.clip(edges[0], edges[-1]), edges)
     axes.bar(edges[:-1], counts, np.diff(edges), align="edge", **BARS)
     if wide:
@@ -606,9 +614,9 @@ def _histogram(names: list[str], values: Floats, unit: str, axes: Axes) -> None:
 def _bars(names: list[str], values: Floats, unit: str, head: str, axes: Axes) -> None:
     """Paint a bar a channel; of the names below, as many as there is room for."""
     places, worst = np.arange(len(names)), int(np.nanargmax(values))
-    for shown, color in (
-        (places != worst, style.FILL),
-        (places == worst, style.SECOND),
+    for shown, color, label in (
+        (places != worst, style.FILL, None),
+        (places == worst, style.SECOND, head),
     ):
         tops = np.column_stack(
             [np.where(shown, np.nan_to_num(values), 0.0), np.zeros(len(names))]
@@ -621,7 +629,7 @@ def _bars(names: list[str], values: Floats, unit: str, head: str, axes: Axes) ->
             edges,
             fill=True,
             color=color,
-            label=None if color == style.FILL else head,
+            label=label,
         )
     labels = [short_name(name, max(LETTERS // len(names) - 1, 8)) for name in names]
     step = math.ceil(len(names) * (max(map(len, labels)) + 1) / LETTERS)

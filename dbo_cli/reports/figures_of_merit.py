@@ -11,7 +11,7 @@ and holding do to its steps.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -105,7 +105,9 @@ class NoiseLevel:
     @property
     def deviation(self) -> float:
         """Standard deviation so far; 0 before the third sample."""
-        return _TO_DEVIATION * self._sum / self._count if self._count else 0.0
+        if not self._count:
+            return 0.0
+        return _TO_DEVIATION * self._sum / self._count
 
 
 @dataclass(frozen=True)
@@ -158,12 +160,12 @@ class DirectionTracker:
             direction = following
         lengths = np.diff([0, *stops, settled, len(values)])
         earlier: int | None = None
-        if turns:
-            # if nothing goes on as before, what was open lies behind the furthest
-            # sample
-            earlier = before if turns[0][0] else 0
-        elif settled:
+        goes_on = turns[0][0] if turns else settled
+        if goes_on:
             earlier = before
+        elif turns:
+            # what was open lies behind the furthest sample
+            earlier = 0
         ways = np.repeat(np.array([*directions, direction, 0], dtype=np.int8), lengths)
         return Directions(ways, settled, earlier)
 
@@ -184,21 +186,23 @@ class DirectionTracker:
                 elif -ahead > least:
                     turned = -direction
             else:
-                low, high = min(low, value), max(high, value)
-                turned = 1 if value - low > least else -1 if high - value > least else 0
-                furthest = low if turned > 0 else high
+                low = min(low, value)
+                high = max(high, value)
+                if value - low > least:
+                    turned = 1
+                    furthest = low
+                elif high - value > least:
+                    turned = -1
+                    furthest = high
             if turned:
                 # the stretch is monotone: its first sample that is further back than
                 # the least turn
                 back = turned * (values[begin : place + 1] - furthest)
-                turns.append(
-                    (
-                        settled,
-                        begin + int(np.searchsorted(back, least, "right")),
-                        turned,
-                    )
-                )
-                direction, furthest, settled = turned, value, place + 1
+                first = begin + int(np.searchsorted(back, least, "right"))
+                turns.append((settled, first, turned))
+                direction = turned
+                furthest = value
+                settled = place + 1
             begin = place + 1
         self._way, self._furthest = direction, furthest
         return turns, settled
@@ -252,19 +256,19 @@ class LoopWidth:
         self._sums = self._bins.fit(self._sums, desired)
         index = np.floor(desired / self._bins.width).astype(np.int64) - self._bins.first
         if directions.earlier is not None:
-            if directions.earlier:
-                self._sums[_UP if directions.earlier > 0 else _DOWN] += self._sums[
-                    _OPEN
-                ]
+            if directions.earlier > 0:
+                self._sums[_UP] += self._sums[_OPEN]
+            elif directions.earlier < 0:
+                self._sums[_DOWN] += self._sums[_OPEN]
             self._sums[_OPEN] = 0.0
         # the ways side by side: up, down, open, neither
         bins = self._sums.shape[1]
         place = _PLACE_OF_WAY[directions.ways + 1] * bins + index
         place[directions.open_from :] = 2 * bins + index[directions.open_from :]
-        self._sums[0::2] += np.bincount(place, minlength=4 * bins).reshape(4, bins)[:3]
-        self._sums[1::2] += np.bincount(
-            place, weights=error, minlength=4 * bins
-        ).reshape(4, bins)[:3]
+        counts = np.bincount(place, minlength=4 * bins)
+        totals = np.bincount(place, weights=error, minlength=4 * bins)
+        self._sums[0::2] += counts.reshape(4, bins)[:3]
+        self._sums[1::2] += totals.reshape(4, bins)[:3]
 
     def loop(self) -> Loop | None:
         """Return width and noise floor, or None where no bin was passed in both directions."""
@@ -394,7 +398,9 @@ def _spacing_of(desired: Floats) -> int | None:
     if white and span < _RANGE_OF_NOISE * noise.deviation:
         return None
     changes = np.flatnonzero(steps)
-    plateau = float(np.median(np.diff(changes))) if len(changes) > 1 else 1.0
+    plateau = 1.0
+    if len(changes) > 1:
+        plateau = float(np.median(np.diff(changes)))
     motion = min(_MOTION_IN_NOISE * noise.deviation, _MOTION_IN_RANGE * span)
     if plateau <= 1.0 and step >= motion:
         return 1
@@ -443,23 +449,24 @@ class TrackingFigures:
     @property
     def frequency(self) -> float | None:
         """The desired signal's frequency in Hz, where it moves back and forth and the clock is known."""
-        cycles, period = self.cycles_a_sample, self.sample_period
-        return None if cycles is None or period is None else cycles / period
+        if self.cycles_a_sample is None or self.sample_period is None:
+            return None
+        return self.cycles_a_sample / self.sample_period
 
     @property
     def lag_left_seconds(self) -> float | None:
         """The lag that is left in seconds, where the clock is known."""
-        lag, period = self.lag_left, self.sample_period
-        return (
-            None
-            if lag is None or period is None or not math.isfinite(lag * period)
-            else lag * period
-        )
+        if self.lag_left is None or self.sample_period is None:
+            return None
+        seconds = self.lag_left * self.sample_period
+        return seconds if math.isfinite(seconds) else None
 
 
 def percent_of(value: float, whole: float) -> float | None:
     """Return a value in percent of a range; None where there is none, or next to none."""
-    percent = 100.0 * value / whole if whole > 0.0 else math.inf
+    if not whole > 0.0:
+        return None
+    percent = 100.0 * value / whole
     return percent if math.isfinite(percent) else None
 
 
@@ -514,10 +521,10 @@ class TrackingMetrics:
         """Take one block."""
         if not len(pairs):
             return
-        self.rows = (
-            int(pairs.rows[0]) if self.rows is None else self.rows[0],
-            int(pairs.rows[-1]),
-        )
+        first = int(pairs.rows[0])
+        if self.rows is not None:
+            first = self.rows[0]
+        self.rows = (first, int(pairs.rows[-1]))
         for batch in self._batches.add(pairs):
             self._take(batch)
 
@@ -534,15 +541,15 @@ class TrackingMetrics:
         shift = self.distribution.centre
         mean_shifted, square = self._sums[0].value / n, self._sums[1].value / n
         mean = shift + mean_shifted
-        offset = mean if self._remove_offset else 0.0
+        offset = 0.0
+        if self._remove_offset:
+            offset = mean
         variance = max(square - mean_shifted * mean_shifted, 0.0)
         rmse = math.sqrt(variance + (mean - offset) ** 2)
         largest = max(self._extremes, key=lambda extreme: abs(extreme[0] - offset))
         low, high = self._range
         span = high - low
-        loop, lag = self._loop.loop(), self._phase.lag()
-        cycles = self._phase.cycles_a_sample
-        return TrackingFigures(
+        figures = TrackingFigures(
             samples=n,
             not_finite=self._not_finite,
             desired_min=low,
@@ -554,16 +561,38 @@ class TrackingMetrics:
             max_abs_row=largest[1],
             max_abs_time=None if math.isnan(largest[2]) else largest[2],
             p95_abs=self.distribution.quantile_abs(0.95, offset),
-            loop_width=loop.width if loop else None,
-            loop_width_percent=percent_of(loop.width, span) if loop else None,
-            lag_left=lag[0] * (self._hold or 1.0) if lag else None,
-            phase_left=lag[1] if lag else None,
+            loop_width=None,
+            loop_width_percent=None,
+            lag_left=None,
+            phase_left=None,
             offset=offset,
             sample_period=self._sample_period(),
-            loop_noise=loop.noise_floor if loop else None,
-            cycles_a_sample=None if cycles is None else cycles / (self._hold or 1.0),
-            half=None if self._parts is None else self._parts.half(offset),
         )
+        if self._parts is not None:
+            figures = replace(figures, half=self._parts.half(offset))
+        return self._with_loop_and_lag(figures, span)
+
+    def _with_loop_and_lag(
+        self, figures: TrackingFigures, span: float
+    ) -> TrackingFigures:
+        """Return figures with the loop and the lag that are left, where there are any."""
+        loop = self._loop.loop()
+        if loop is not None:
+            figures = replace(
+                figures,
+                loop_width=loop.width,
+                loop_width_percent=percent_of(loop.width, span),
+                loop_noise=loop.noise_floor,
+            )
+        hold = self._hold or 1.0  # samples that one of the desired signal lasts
+        lag = self._phase.lag()
+        if lag is not None:
+            samples, degrees = lag
+            figures = replace(figures, lag_left=samples * hold, phase_left=degrees)
+        cycles = self._phase.cycles_a_sample
+        if cycles is not None:
+            figures = replace(figures, cycles_a_sample=cycles / hold)
+        return figures
 
     def _sample_period(self) -> float | None:
         samples = self.distribution.count + self._not_finite
@@ -572,11 +601,15 @@ class TrackingMetrics:
             period = (self._times[1] - self._times[0]) / (samples - 1)
         if math.isfinite(period) and period > 0.0:
             return period
-        return None if self._sample_rate is None else 1.0 / self._sample_rate
+        if self._sample_rate is None:
+            return None
+        return 1.0 / self._sample_rate
 
     def _take(self, pairs: SampleBlock) -> None:
         if pairs.time is not None:
-            first = self._times[0] if self._times else float(pairs.time[0])
+            first = float(pairs.time[0])
+            if self._times is not None:
+                first = self._times[0]
             self._times = (first, float(pairs.time[-1]))
         desired, measured = pairs.values["desired"], pairs.values["measured"]
         finite = comparable(desired, measured)
@@ -602,14 +635,12 @@ class TrackingMetrics:
         shifted = error - self.distribution.centre
         self._sums[0].add(float(np.add.reduce(shifted)))
         self._sums[1].add(float(np.add.reduce(shifted * shifted)))
-        places = int(error.argmin()), int(error.argmax())
-        extremes = [
-            *self._extremes,
-            *((float(error[k]), int(pairs.rows[k]), float(time[k])) for k in places),
-        ]
-        self._extremes = [
-            end(extremes, key=lambda extreme: extreme[0]) for end in (min, max)
-        ]
+        for place in (int(error.argmin()), int(error.argmax())):
+            extreme = (float(error[place]), int(pairs.rows[place]), float(time[place]))
+            self._extremes.append(extreme)
+        least = min(self._extremes, key=lambda extreme: extreme[0])
+        greatest = max(self._extremes, key=lambda extreme: extreme[0])
+        self._extremes = [least, greatest]
         self._take_motion(desired, measured)
 
     def _take_motion(self, desired: Floats, measured: Floats) -> None:
@@ -657,4 +688,6 @@ def hold_length(desired: Floats, measured: Floats) -> float | None:
     noise.add(measured)
     unsure = _DEVIATIONS * noise.deviation * math.sqrt(2.0 * len(starts))
     evenly = unsure < moved.sum() and moved.max() <= _EVENLY * moved.mean() + unsure
-    return float(lengths[alike].mean()) if evenly else 1.0
+    if not evenly:
+        return 1.0
+    return float(lengths[alike].mean())

@@ -80,20 +80,21 @@ def to_csv(report: Report) -> str:
     them: ``segment`` (the number; empty for the whole log), ``first_row`` and
     ``last_row``. No name is a formula to a spreadsheet.
     """
-    unit = {"unit": None if report.unit is None else no_formula(report.unit)}
+    unit = None if report.unit is None else no_formula(report.unit)
     rows = []
     for log in report.logs:
         whole = log.record() | {"name": no_formula(log.name)}
-        rows.append(whole | unit)
-        for part in log.segments:
-            own = part.record()
+        rows.append(whole | {"unit": unit})
+        for segment in log.segments:
+            figures = segment.record()
             place = {
-                "segment": own.pop("number"),
-                **{key: own.pop(key) for key in ("first_row", "last_row")},
+                "segment": figures.pop("number"),
+                "first_row": figures.pop("first_row"),
+                "last_row": figures.pop("last_row"),
             }
-            rows.append(
-                dict.fromkeys(whole) | {"name": whole["name"]} | own | unit | place
-            )
+            row: dict[str, Any] = dict.fromkeys(whole)
+            row |= {"name": whole["name"], **figures, "unit": unit, **place}
+            rows.append(row)
     return csv_text(rows)
 
 
@@ -115,11 +116,10 @@ def csv_text(rows: Sequence[dict[str, Any]]) -> str:
 
 def no_formula(name: str) -> str:
     """Put an apostrophe before a text that a spreadsheet would calculate instead of showing."""
-    return (
-        f"'{name}"
-        if name[:1] in ("=", "+", "@") or (name[:1] == "-" and len(name) > 1)
-        else name
-    )
+    begins_formula = name.startswith(("=", "+", "@"))
+    if begins_formula or (name.startswith("-") and name != "-"):
+        return f"'{name}"
+    return name
 
 
 def to_text(report: Report) -> str:
@@ -136,11 +136,8 @@ def to_text(report: Report) -> str:
             title = "\n".join(wrapped(f"{log.name}, {segment_words(report)}"))
             parts.append(f"{title}\n{_table_of(segment_table(report), log.segments)}")
     if report.notes:
-        parts.append(
-            "\n".join(
-                line for note in report.notes for line in wrapped(f"Note: {note}")
-            )
-        )
+        notes = ["\n".join(wrapped(f"Note: {note}")) for note in report.notes]
+        parts.append("\n".join(notes))
     return "\n\n".join(parts) + "\n"
 
 
@@ -165,15 +162,21 @@ def verdict_lines(report: Report) -> list[str]:
 
 def _judgement_words(report: Report, judgement: Judgement) -> str:
     """Return figure, limit and what comes of it; the log's name where there are several."""
-    name = f"{judgement.name}: " if len(report.logs) > 1 else ""
+    name = _name_among(report, judgement.name)
     if judgement.value is None:
         value = "undefined"
+        relation = "not comparable with"
     else:
         value = f"{digits(judgement.value, 4)}{judgement.unit}"
-    relation = "within" if judgement.passed else "above"
-    if judgement.value is None:
-        relation = "not comparable with"
+        relation = "within" if judgement.passed else "above"
     return f"{name}{judgement.title} {value}, {relation} the limit of {judgement.limit:g}{judgement.unit}"
+
+
+def _name_among(report: Report, name: str) -> str:
+    """Return a log's name as it begins a line; nothing where it is the only log."""
+    if len(report.logs) == 1:
+        return ""
+    return f"{name}: "
 
 
 def expected_lines(report: Report) -> list[str]:
@@ -183,17 +186,16 @@ def expected_lines(report: Report) -> list[str]:
         expected = log.expected_rmse
         if expected is None or log.expected is None:
             continue
-        name = f"{log.name}: " if len(report.logs) > 1 else ""
+        name = _name_among(report, log.name)
         unit = _unit(report)
-        times = (
-            f", {digits(log.figures.rmse / expected, 2)} times as much came"
-            if expected > 0.0
-            else ""
-        )
-        lines.append(
+        line = (
             f"{name}Expected {digits(expected, 2)}{unit} RMSE (by {log.expected.source}), actual "
-            f"{digits(log.figures.rmse, 2)}{unit}{times}"
+            f"{digits(log.figures.rmse, 2)}{unit}"
         )
+        if expected > 0.0:
+            times = digits(log.figures.rmse / expected, 2)
+            line += f", {times} times as much came"
+        lines.append(line)
     return lines
 
 
@@ -202,21 +204,21 @@ def headline(report: Report) -> str:
     first, *others = report.logs
     best = min(others, key=lambda log: log.figures.rmse, default=first)
     figures = best.figures
-    found = f"{best.name}: {digits(figures.rmse, 2)}{_unit(report)} RMSE"
+    line = f"{best.name}: {digits(figures.rmse, 2)}{_unit(report)} RMSE"
+    if best is first and figures.nrmse_percent is None:
+        return line
     if best is first:
-        percent = figures.nrmse_percent
-        return (
-            found if percent is None else f"{found}, {digits(percent, 2)} % of the move"
-        )
+        return f"{line}, {digits(figures.nrmse_percent, 2)} % of the move"
     if not figures.rmse > 0.0 or not first.figures.rmse > 0.0:
-        return f"{found}; {first.name}: {digits(first.figures.rmse, 2)}{_unit(report)} RMSE"
+        return (
+            f"{line}; {first.name}: {digits(first.figures.rmse, 2)}{_unit(report)} RMSE"
+        )
     times = first.figures.rmse / figures.rmse
     factor = digits(max(times, 1.0 / times), 2)
     if factor == "1.0":
-        return f"{found}, as much as {first.name}"
-    return (
-        f"{found}, {factor} times {'less' if times > 1.0 else 'more'} than {first.name}"
-    )
+        return f"{line}, as much as {first.name}"
+    direction = "less" if times > 1.0 else "more"
+    return f"{line}, {factor} times {direction} than {first.name}"
 
 
 class Column(NamedTuple):
@@ -309,7 +311,9 @@ def segment_table(report: Report) -> list[Column]:
 def segment_words(report: Report) -> str:
     """Return how the segments were cut."""
     segment = report.options.segment
-    return "by cycle" if segment == "cycles" else f"by {segment:g} s"
+    if segment == "cycles":
+        return "by cycle"
+    return f"by {segment:g} s"
 
 
 def _errors(report: Report, places: int) -> list[Column]:
@@ -354,14 +358,19 @@ def _table_of(columns: Sequence[Column], parts: Sequence[Any]) -> str:
 def settings_line(report: Report) -> str:
     """Return what was compared, in a phrase."""
     first, second = report.options.labels
-    unit = f" in {report.unit}" if report.unit else " (unit not known)"
-    offset = ", mean error removed" if report.options.remove_offset else ""
+    line = f"Error = {second} - {first}"
+    if report.unit:
+        line += f" in {report.unit}"
+    else:
+        line += " (unit not known)"
+    if report.options.remove_offset:
+        line += ", mean error removed"
     lags = sorted({log.lag for log in report.logs})
-    lag = ""
     if lags != [0]:
-        samples = " or ".join(str(value) for value in lags)
-        lag = f", {second} taken {samples} sample{'' if lags == [1] else 's'} after {first}"
-    return f"Error = {second} - {first}{unit}{offset}{lag}"
+        samples = "sample" if lags == [1] else "samples"
+        count = " or ".join(str(lag) for lag in lags)
+        line += f", {second} taken {count} {samples} after {first}"
+    return line
 
 
 def text_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -437,32 +446,27 @@ def to_html(
         Who made the page (program and version), for the footer, and its heading.
     """
     report = replace(report, unit=shown_unit(report.unit) or None)
-    found = " ".join(map(breakable, headline(report).split()))
+    sentence = " ".join(map(breakable, headline(report).split()))
     errors, left = log_tables(report)
     together = drawn_figures(comparison_plots, "all")
-    parts = [_html_verdict(report), f'<p class="headline">{found}.</p>']
+    parts = [_html_verdict(report), f'<p class="headline">{sentence}.</p>']
     parts += [f"<p>{escape(line)}.</p>" for line in expected_lines(report)]
     for warning in report.warnings:
         parts.append(
             f'<div class="notes"><p><strong>Warning:</strong> {escape(warning)}</p></div>'
         )
-    parts += [
-        f"<p>{escape(settings_line(report).replace(' - ', ' − ', 1))}.</p>",
-        *([] if any(plots) else [together]),
-        _html_table(errors, report.logs),
-    ]
-    parts += [
-        "<h2>What is left of hysteresis and delay</h2>",
-        _html_table(left, report.logs, chief=1),
-    ]
+    settings = settings_line(report).replace(" - ", " − ", 1)
+    parts.append(f"<p>{escape(settings)}.</p>")
+    if not any(plots):
+        parts.append(together)
+    parts.append(_html_table(errors, report.logs))
+    parts.append("<h2>What is left of hysteresis and delay</h2>")
+    parts.append(_html_table(left, report.logs, chief=1))
     first, second = map(escape, report.options.labels)
     parts.append(filled("glossary.html", first=first, second=second))
     if report.notes:
-        parts.append(
-            '<div class="notes">'
-            + "".join(f"<p>{escape(note)}</p>" for note in report.notes)
-            + "</div>"
-        )
+        notes = "".join(f"<p>{escape(note)}</p>" for note in report.notes)
+        parts.append(f'<div class="notes">{notes}</div>')
     if any(plots):
         parts.append(together)
     for number, (log, figures) in enumerate(zip(report.logs, plots, strict=True)):
@@ -509,11 +513,8 @@ def filled(name: str, **values: str) -> str:
 
 def _html_table(columns: Sequence[Column], parts: Sequence[Any], chief: int = 2) -> str:
     shown = [column for column in columns if column.long]
-    return html_table(
-        [column.long for column in shown],
-        [[c.cell(part) for c in shown] for part in parts],
-        chief,
-    )
+    rows = [[column.cell(part) for column in shown] for part in parts]
+    return html_table([column.long for column in shown], rows, chief)
 
 
 def html_table(head: Sequence[str], rows: Sequence[Sequence[str]], chief: int) -> str:
@@ -523,8 +524,12 @@ def html_table(head: Sequence[str], rows: Sequence[Sequence[str]], chief: int) -
     for row in rows:
         line = ""
         for number, (title, cell) in enumerate(zip(head, row, strict=True)):
-            mark = ' class="chief"' if number == chief else ""
-            content = breakable(cell) if number == 0 else escape(cell)
+            mark = ""
+            if number == chief:
+                mark = ' class="chief"'
+            content = escape(cell)
+            if number == 0:
+                content = breakable(cell)
             line += f'<td{mark} data-label="{escape(title)}">{content}</td>'
         lines.append(f"<tr>{line}</tr>")
     body = "\n".join(lines)
@@ -536,13 +541,11 @@ def breakable(name: str) -> str:
     if len(name) <= UNBROKEN:
         return f'<span class="name">{escape(name)}</span>'
     pieces = []
-    for piece in re.split(r"(?<=[/\\_. -])", name):
-        pieces += [
-            piece[start : start + UNBROKEN] for start in range(0, len(piece), UNBROKEN)
-        ]
-    return "<wbr>".join(
-        f'<span class="name">{escape(piece)}</span>' for piece in pieces if piece
-    )
+    for part in re.split(r"(?<=[/\\_. -])", name):
+        for start in range(0, len(part), UNBROKEN):
+            piece = escape(part[start : start + UNBROKEN])
+            pieces.append(f'<span class="name">{piece}</span>')
+    return "<wbr>".join(pieces)
 
 
 def drawn_figures(plots: Sequence[Plot], scope: str) -> str:
@@ -553,4 +556,6 @@ def drawn_figures(plots: Sequence[Plot], scope: str) -> str:
         drawn.append(
             f"<figure><figcaption>{escape(plot.title)}</figcaption>{image}</figure>"
         )
-    return '<div class="figures">' + "\n".join(drawn) + "</div>" if drawn else ""
+    if not drawn:
+        return ""
+    return '<div class="figures">' + "\n".join(drawn) + "</div>"

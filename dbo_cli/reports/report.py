@@ -39,29 +39,6 @@ if TYPE_CHECKING:
     from dbo_cli.reports.accumulators import FigureData
 
 MOST_SEGMENTS = 10_000  # more are no report, and take seconds
-RECORD = (
-    *(
-        "samples",
-        "rmse",
-        "nrmse_percent",
-        "max_abs",
-        "max_abs_row",
-        "max_abs_time",
-        "mean",
-        "p95_abs",
-    ),
-    *("loop_width", "loop_width_percent", "lag_left", "lag_left_seconds", "phase_left"),
-    *("desired_min", "desired_max"),
-)
-"""Figures that the JSON form has of logs and segments, in its order, and those that it calls otherwise."""
-OTHER_KEYS = {
-    **{
-        "max_abs_time": "max_abs_time_s",
-        "lag_left": "lag_left_samples",
-        "lag_left_seconds": "lag_left_s",
-    },
-    "phase_left": "phase_left_degrees",
-}
 # of the rows: fewer that make half of the squared error are said and drawn
 CONCENTRATED = 0.1
 PATIENCE = 1 << 18  # samples that a rest at the lowest place may last within a cycle
@@ -105,13 +82,15 @@ class Segment:
     def record(self) -> dict[str, Any]:
         """Return the segment as plain values under the keys of the JSON form."""
         figures = self.figures
-        place = {
+        return {
             "number": self.number,
             "first_row": self.first_row,
             "last_row": self.last_row,
+            **_record(figures),
+            "offset_removed": figures.offset,
+            "loop_noise": figures.loop_noise,
+            "frequency_hz": figures.frequency,
         }
-        own = {"offset_removed": figures.offset, "loop_noise": figures.loop_noise}
-        return place | _record(figures) | own | {"frequency_hz": figures.frequency}
 
 
 @dataclass(frozen=True)
@@ -163,13 +142,15 @@ class SummaryExpected(Expected):
             move = f"a move of {self.move_span:.4g}{unit}"
             here = f"{high - low:.4g}{unit}"
         else:
-            same, move = False, "a move that it does not describe"
+            same = False
+            move = "a move that it does not describe"
         if same:
             return replace(self, source=f"{self.source} for this move"), None
-        return replace(self, source=f"{self.source} for {move}"), (
+        warning = (
             f"{self.source} states the error of {move}, the one compared has {here}: the expected error may "
             "be another move's (give the summary of this move)"
         )
+        return replace(self, source=f"{self.source} for {move}"), warning
 
 
 @dataclass(frozen=True)
@@ -188,11 +169,9 @@ class LogReport:
     @property
     def percent_of_range(self) -> float | None:
         """The RMSE in percent of the model's range; None where no model is known."""
-        return (
-            None
-            if self.expected is None
-            else percent_of(self.figures.rmse, self.expected.span)
-        )
+        if self.expected is None:
+            return None
+        return percent_of(self.figures.rmse, self.expected.span)
 
     @property
     def expected_rmse(self) -> float | None:
@@ -207,35 +186,39 @@ class LogReport:
     def concentrated(self) -> HalfOfError | None:
         """The piece that makes half of the squared error, where it is a tenth of the rows at most."""
         half = self.figures.half
-        return half if half is not None and half.part_of_rows <= CONCENTRATED else None
+        if half is None or half.part_of_rows > CONCENTRATED:
+            return None
+        return half
 
     def record(self) -> dict[str, Any]:
         """Return the log's figures as plain values under the keys of the JSON form, segments aside."""
         figures = self.figures
         period = figures.sample_period
-        lag = {
+        record = {
+            "name": self.name,
+            **_record(figures),
             "lag_samples": self.lag,
             "lag_s": None if period is None else _finite(self.lag * period),
-        }
-        own = {
             "offset_removed": figures.offset,
             "sample_period_s": period,
             "not_finite": figures.not_finite,
-        }
-        rest = {"ratio_to_first": self.ratio_to_first, "loop_noise": figures.loop_noise}
-        half = figures.half
-        new = {
+            "ratio_to_first": self.ratio_to_first,
+            "loop_noise": figures.loop_noise,
             "rmse_percent_of_move": figures.nrmse_percent,
             "rmse_percent_of_range": self.percent_of_range,
             "expected_rmse": self.expected_rmse,
-            "half_of_error_first_row": None if half is None else half.first[0],
-            "half_of_error_last_row": None if half is None else half.last[0],
-            "half_of_error_percent_of_rows": None
-            if half is None
-            else 100.0 * half.part_of_rows,
-            "rmse_elsewhere": None if half is None else half.rmse_elsewhere,
+            "half_of_error_first_row": None,
+            "half_of_error_last_row": None,
+            "half_of_error_percent_of_rows": None,
+            "rmse_elsewhere": None,
         }
-        return {"name": self.name} | _record(figures) | lag | own | rest | new
+        half = figures.half
+        if half is not None:
+            record["half_of_error_first_row"] = half.first[0]
+            record["half_of_error_last_row"] = half.last[0]
+            record["half_of_error_percent_of_rows"] = 100.0 * half.part_of_rows
+            record["rmse_elsewhere"] = half.rmse_elsewhere
+        return record
 
 
 @dataclass(frozen=True)
@@ -269,14 +252,13 @@ class Judgement:
 
     def record(self) -> dict[str, Any]:
         """Return it as plain values for the JSON form."""
-        figure = self.option.removeprefix("max_")
-        limit = {
+        return {
             "name": self.name,
-            "figure": figure,
+            "figure": self.option.removeprefix("max_"),
             "limit": self.limit,
             "value": self.value,
+            "passed": self.passed,
         }
-        return limit | {"passed": self.passed}
 
 
 @dataclass(frozen=True)
@@ -297,17 +279,14 @@ class Report:
     ) -> Report:
         """Put the logs side by side, each with its RMSE as a ratio to the first."""
         unit = None if unit is None else cleaned(unit)
-        first = logs[0].figures.rmse if logs else 0.0
-        rated = tuple(
-            replace(
-                log,
-                ratio_to_first=_finite(log.figures.rmse / first)
-                if first > 0.0
-                else None,
-            )
-            for log in logs
-        )
-        return cls(unit, options, rated)
+        rated = []
+        for log in logs:
+            first = logs[0].figures.rmse
+            ratio = None
+            if first > 0.0:
+                ratio = _finite(log.figures.rmse / first)
+            rated.append(replace(log, ratio_to_first=ratio))
+        return cls(unit, options, tuple(rated))
 
     def judged(
         self,
@@ -406,25 +385,30 @@ class Report:
         """Return one row a segment; index: the log's name and the segment's number."""
         import pandas as pd
 
-        rows = [
-            {"name": log.name, **part.record()}
-            for log in self.logs
-            for part in log.segments
-        ]
+        rows = []
+        for log in self.logs:
+            for segment in log.segments:
+                rows.append({"name": log.name, **segment.record()})
         keys = ["name", "number"]
-        return pd.DataFrame(rows, columns=None if rows else keys).set_index(keys)
+        frame = pd.DataFrame(rows) if rows else pd.DataFrame(columns=keys)
+        return frame.set_index(keys)
 
 
 def common_unit(units: Sequence[tuple[str, str | None]]) -> str | None:
     """Return the one unit of several logs, given as (name, unit); InputError where they differ."""
-    known = [(name, unit) for name, unit in units if unit is not None]
-    for name, unit in known[1:]:
-        if unit != known[0][1]:
+    first = first_unit = None
+    for name, unit in units:
+        if unit is None:
+            continue
+        if first_unit is None:
+            first = name
+            first_unit = unit
+        if unit != first_unit:
             raise InputError(
-                f"{name}: is in {unit}, but {known[0][0]} in {known[0][1]} (one report speaks one unit:"
+                f"{name}: is in {unit}, but {first} in {first_unit} (one report speaks one unit:"
                 " convert one of them)"
             )
-    return known[0][1] if known else None
+    return first_unit
 
 
 def evaluate(
@@ -493,10 +477,15 @@ def check_limits(report: Report, **limits: Any) -> None:
     by. A log whose figure is undefined misses its limit: a gate that cannot be judged
     is not passed.
     """
-    missed = (report.judged(**limits) if limits else report).missed
-    if missed:
-        more = f"; {len(missed) - 1} more missed" if len(missed) > 1 else ""
-        raise LimitError(missed[0].words() + more)
+    if limits:
+        report = report.judged(**limits)
+    missed = report.missed
+    if not missed:
+        return
+    words = missed[0].words()
+    if len(missed) > 1:
+        words += f"; {len(missed) - 1} more missed"
+    raise LimitError(words)
 
 
 # of the move: what the ends of a summary's move may differ by from those of the log's
@@ -522,18 +511,28 @@ class _Evaluation:
 
     def run(self, blocks: Iterable[SampleBlock]) -> LogReport:
         """Take all blocks and return the figures."""
-        name, options, figure_data = self.name, self.options, self.figure_data
+        name, options = self.name, self.options
         blocks, lag, notes = self._paired(blocks)
-        dwells = (
-            None
-            if options.dwell is None
-            else sample_pairs.Dwells(name, options.dwell, self.sample_rate)
-        )
-        if dwells is not None:
+        dwells = None
+        if options.dwell is not None:
+            dwells = sample_pairs.Dwells(name, options.dwell, self.sample_rate)
             blocks = dwells.of(blocks)
+        figures, segments = self._figures(blocks)
+        if dwells is not None:
+            notes.append(dwells.note())
+        notes += _notes(name, options.labels, figures)
+        log = LogReport(name, figures, lag, segments=segments, notes=tuple(notes))
+        return _with_concentration(log)
+
+    def _figures(
+        self, blocks: Iterable[SampleBlock]
+    ) -> tuple[TrackingFigures, tuple[Segment, ...]]:
+        """Return the figures of all pairs, and of every segment where these are asked for."""
+        options, figure_data = self.options, self.figure_data
         if figure_data is not None:
             figure_data.begin(options.labels)
-        whole, current = self._metrics(by_parts=True), self._metrics()
+        whole = self._metrics(by_parts=True)
+        current = self._metrics()
         segments: list[Segment] = []
         for part in chain(self._segmented(sample_pairs.batched(blocks)), [None]):
             if part is None:
@@ -547,21 +546,10 @@ class _Evaluation:
                 figure_data.add(part)
         figures = whole.result()
         if figures is None:
-            raise InputError(_nothing(name, options.labels, whole.missing))
+            raise InputError(_nothing(self.name, options.labels, whole.missing))
         if figure_data is not None:
             figure_data.finish(whole.distribution)
-        notes += [dwells.note()] if dwells is not None else []
-        notes += _notes(name, options.labels, figures)
-        rest = math.sqrt(max(figures.rmse**2 - figures.mean**2, 0.0))
-        if rest < OFFSET_ALONE * figures.rmse:
-            notes.append(
-                f"{name}: without the mean error {100.0 * rest / figures.rmse:.0f} % of the RMSE is left: "
-                "where the mean is the sensor's zero, `remove_offset` takes it off"
-            )
-        log = LogReport(
-            name, figures, lag, segments=tuple(segments), notes=tuple(notes)
-        )
-        return _with_concentration(log)
+        return figures, tuple(segments)
 
     def _paired(
         self, blocks: Iterable[SampleBlock]
@@ -572,23 +560,24 @@ class _Evaluation:
         if lag == "auto":
             # the lag of the rows that count, from these rows alone
             if rows is not None:
-                blocks, rows = sample_pairs.scored(blocks, rows), None
+                blocks = sample_pairs.scored(blocks, rows)
+                rows = None
             lag, blocks = sample_pairs.find_lag(self.name, blocks)
             notes = [
                 f"{self.name}: measured follows best at a lag of {counted(lag, 'sample')}"
             ]
         pairs = sample_pairs.lagged(self.name, blocks, lag)
-        return (pairs if rows is None else sample_pairs.scored(pairs, rows)), lag, notes
+        if rows is not None:
+            pairs = sample_pairs.scored(pairs, rows)
+        return pairs, lag, notes
 
     def _segmented(self, blocks: Iterator[SampleBlock]) -> Iterator[SampleBlock | None]:
         segment = self.options.segment
         if segment is None:
             return blocks
-        return (
-            cycles(blocks)
-            if segment == "cycles"
-            else spans(blocks, segment, self.sample_rate)
-        )
+        if segment == "cycles":
+            return cycles(blocks)
+        return spans(blocks, segment, self.sample_rate)
 
     def _metrics(self, *, by_parts: bool = False) -> TrackingMetrics:
         remove_offset, sample_rate = self.options.remove_offset, self.sample_rate
@@ -619,20 +608,20 @@ def cycles(
     belongs to the cycle before it.
     """
     turns = _Turns(part)
-    held: list[SampleBlock] = []
-    start = end = 0  # stream positions of what is held
+    waiting: list[SampleBlock] = []
+    start = end = 0  # stream positions of what waits
     for block in blocks:
-        held.append(block)
+        waiting.append(block)
         end += len(block)
         for minimum in turns.minima(block.values["desired"]):
-            yield from sample_pairs.released(held, minimum - start)
+            yield from sample_pairs.released(waiting, minimum - start)
             yield None
             start = max(start, minimum)
         sure = max(turns.candidate, end - patience)
         if sure > start:
-            yield from sample_pairs.released(held, sure - start)
+            yield from sample_pairs.released(waiting, sure - start)
             start = sure
-    yield from held
+    yield from waiting
 
 
 def spans(
@@ -662,9 +651,8 @@ def spans(
             origin = float(time[0])
         # a clock that restarts or steps back must not open a segment twice: only
         # forward steps cut
-        number = np.fmax.accumulate(
-            np.concatenate([[current], np.floor((time - origin) / seconds + 1e-9)])
-        )
+        spans_gone = np.floor((time - origin) / seconds + 1e-9)
+        number = np.fmax.accumulate(np.concatenate([[current], spans_gone]))
         current = float(number[-1])
         done = 0
         for place in np.flatnonzero(np.diff(number)).tolist():
@@ -687,7 +675,7 @@ class _Turns:
 
     def minima(self, desired: Floats) -> list[int]:
         """Return the stream positions of the minima that this block confirms."""
-        found: list[int] = []
+        minima: list[int] = []
         places = monotone_ends(desired)
         places = places[np.isfinite(desired[places])]
         for place, value in zip(places.tolist(), desired[places].tolist(), strict=True):
@@ -696,19 +684,23 @@ class _Turns:
             threshold = self._part * (self._high - self._low)
             if self._falling:
                 if value <= self._extreme:
-                    self._extreme, self.candidate = value, position
+                    self._extreme = value
+                    self.candidate = position
                 elif value - self._extreme > threshold:
                     if self.candidate > 0:
-                        found.append(self.candidate)
-                    self._falling, self._extreme = False, value
+                        minima.append(self.candidate)
+                    self._falling = False
+                    self._extreme = value
             elif value >= self._extreme:
                 self._extreme = value
             elif self._extreme - value > threshold:
-                self._falling, self._extreme, self.candidate = True, value, position
+                self._falling = True
+                self._extreme = value
+                self.candidate = position
         self._seen += len(desired)
         if not self._falling:
             self.candidate = self._seen
-        return found
+        return minima
 
 
 def digits(value: float | None, places: int = 4, factor: float = 1.0) -> str:
@@ -721,7 +713,9 @@ def digits(value: float | None, places: int = 4, factor: float = 1.0) -> str:
     if not 1e-3 <= abs(value) < 1e6:
         return f"{value:.{places - 1}e}"
     text = f"{value:#.{places}g}"
-    return f"{value:.0f}" if "e" in text else text.rstrip(".")
+    if "e" in text:
+        return f"{value:.0f}"
+    return text.rstrip(".")
 
 
 def judged_by_expected(
@@ -773,18 +767,39 @@ def _with_concentration(log: LogReport) -> LogReport:
 
 def _concentrated(name: str, half: HalfOfError, rmse: float) -> str:
     """Say which rows make half of the error, and what the others have."""
-    (first, begin), (last, end) = half.first, half.last
-    seconds = "" if begin is None or end is None else f" ({begin:.4g} to {end:.4g} s)"
-    rows = f"rows {first} to {last}" if last > first else f"row {first}"
+    first, begin = half.first
+    last, end = half.last
+    rows = f"row {first}"
+    if last > first:
+        rows = f"rows {first} to {last}"
+    if begin is not None and end is not None:
+        rows += f" ({begin:.4g} to {end:.4g} s)"
     return (
-        f"{name}: {rows}{seconds}, {100.0 * half.part_of_rows:.2g} % of all, make "
+        f"{name}: {rows}, {100.0 * half.part_of_rows:.2g} % of all, make "
         f"{100.0 * half.part_of_error:.0f} % of the squared error; without them the RMSE is "
         f"{half.rmse_elsewhere / rmse:.2f} of it"
     )
 
 
 def _record(figures: TrackingFigures) -> dict[str, Any]:
-    return {OTHER_KEYS.get(name, name): getattr(figures, name) for name in RECORD}
+    """Return the figures that the JSON form has of logs and of segments, in its order."""
+    return {
+        "samples": figures.samples,
+        "rmse": figures.rmse,
+        "nrmse_percent": figures.nrmse_percent,
+        "max_abs": figures.max_abs,
+        "max_abs_row": figures.max_abs_row,
+        "max_abs_time_s": figures.max_abs_time,
+        "mean": figures.mean,
+        "p95_abs": figures.p95_abs,
+        "loop_width": figures.loop_width,
+        "loop_width_percent": figures.loop_width_percent,
+        "lag_left_samples": figures.lag_left,
+        "lag_left_s": figures.lag_left_seconds,
+        "phase_left_degrees": figures.phase_left,
+        "desired_min": figures.desired_min,
+        "desired_max": figures.desired_max,
+    }
 
 
 def _finite(value: float) -> float | None:
@@ -793,17 +808,14 @@ def _finite(value: float) -> float | None:
 
 
 def _nothing(name: str, labels: tuple[str, str], missing: list[int]) -> str:
+    """Say why nothing can be compared: of which signal, or of which rows, no number is there."""
     total = max(missing)
-    empty = [
-        label for label, count in zip(labels, missing, strict=True) if count == total
-    ]
-    if len(empty) == 1 and min(missing) < total:
-        column = (
-            f"another column with `{empty[0]}`"
-            if empty[0] != "model"
-            else "other columns or `rows`"
-        )
-        return f"{name}: {empty[0]} holds no number in {total} rows (choose {column})"
+    if min(missing) < total:
+        empty = labels[missing.index(total)]
+        choice = f"another column with `{empty}`"
+        if empty == "model":
+            choice = "other columns or `rows`"
+        return f"{name}: {empty} holds no number in {total} rows (choose {choice})"
     return f"{name}: no row has a number in both {labels[0]} and {labels[1]} (choose other columns or `rows`)"
 
 
@@ -817,5 +829,11 @@ def _notes(name: str, labels: tuple[str, str], figures: TrackingFigures) -> list
     if figures.nrmse_percent is None:
         notes.append(
             f"{name}: {labels[0]} never changes, so NRMSE, loop width and lag are undefined"
+        )
+    rest = math.sqrt(max(figures.rmse**2 - figures.mean**2, 0.0))
+    if rest < OFFSET_ALONE * figures.rmse:
+        notes.append(
+            f"{name}: without the mean error {100.0 * rest / figures.rmse:.0f} % of the RMSE is left: "
+            "where the mean is the sensor's zero, `remove_offset` takes it off"
         )
     return notes

@@ -51,9 +51,8 @@ def only(block: SampleBlock, mask: NDArray[np.bool_]) -> SampleBlock:
         return block
     values = {role: column[mask] for role, column in block.values.items()}
     rows = np.asarray(block.rows, dtype=np.int64)[mask]
-    return SampleBlock(
-        rows, None, None if block.time is None else block.time[mask], values
-    )
+    time = None if block.time is None else block.time[mask]
+    return SampleBlock(rows, None, time, values)
 
 
 def with_values(block: SampleBlock, **values: Floats) -> SampleBlock:
@@ -64,7 +63,10 @@ def with_values(block: SampleBlock, **values: Floats) -> SampleBlock:
 def rows_to_read(rows: Rows, lag: int) -> Rows:
     """Return the rows to read so that each desired row of ``rows`` finds its measured one, ``lag`` on."""
     first, last = rows
-    return max(1, first + min(lag, 0)), None if last is None else last + max(lag, 0)
+    first = max(1, first + min(lag, 0))
+    if last is not None:
+        last += max(lag, 0)
+    return first, last
 
 
 def scored(blocks: Iterable[SampleBlock], rows: Rows) -> Iterator[SampleBlock]:
@@ -107,15 +109,16 @@ class BeforeZero:
                 yield from self._blocks
                 return
             reached = np.flatnonzero(block.time >= 0.0)
-            stop = int(reached[0]) if len(reached) else len(block)
+            stop = len(block)
+            if len(reached):
+                stop = int(reached[0])
             self.count += stop
             if stop:
                 yield block.part(0, stop)
             if len(reached):
-                self.found, self._blocks = (
-                    True,
-                    chain([block.part(stop, len(block))], self._blocks),
-                )
+                self.found = True
+                rest = block.part(stop, len(block))
+                self._blocks = chain([rest], self._blocks)
                 return
 
     def after(self) -> Iterator[SampleBlock]:
@@ -173,19 +176,21 @@ class TrajectoryMatch:
         InputError
             The trajectory's time goes backwards, or no sample found a partner.
         """
-        is_beyond = False
-        for pair in self._pairs_by_time() if self.by_time else self._pairs_by_row():
-            is_beyond = True
+        pairs = self._pairs_by_time() if self.by_time else self._pairs_by_row()
+        any_pair = False
+        for pair in pairs:
+            any_pair = True
             yield pair
-        if not is_beyond:
-            if not self.by_time:
-                raise InputError(
-                    f"{self.name}: no row to compare with {self.trajectory_name}"
-                )
+        if any_pair:
+            return
+        if not self.by_time:
             raise InputError(
-                f"{self.name}: no sample lies within the times of {self.trajectory_name}"
-                " (where their clocks differ, `match` them by rows)"
+                f"{self.name}: no row to compare with {self.trajectory_name}"
             )
+        raise InputError(
+            f"{self.name}: no sample lies within the times of {self.trajectory_name}"
+            " (where their clocks differ, `match` them by rows)"
+        )
 
     def notes(self) -> list[str]:
         """Return what was left out, a line each."""
@@ -219,10 +224,10 @@ class TrajectoryMatch:
             if not len(times):
                 self.left_out += len(block)
                 continue
-            last_step = float(times[-1] - times[-2]) if len(times) > 1 else 0.0
-            inside = (block.time >= times[0]) & (
-                block.time <= times[-1] + _AT_THE_END * last_step
-            )
+            end = times[-1]
+            if len(times) > 1:
+                end = end + _AT_THE_END * (times[-1] - times[-2])
+            inside = (block.time >= times[0]) & (block.time <= end)
             inside &= block.time >= onward[:-1]
             self.left_out += int(len(block) - np.count_nonzero(inside))
             if inside.any():
@@ -257,12 +262,13 @@ class TrajectoryMatch:
                         self.left_out += len(block) - done
                         break
                 count = min(len(block) - done, len(wanted))
-                part, partner = block.part(done, done + count), wanted.part(0, count)
-                time = part.time if partner.time is None else partner.time
-                yield with_values(
-                    replace(part, time=time), desired=partner.values["desired"]
-                )
-                done, wanted = done + count, wanted.part(count, len(wanted))
+                part = block.part(done, done + count)
+                partner = wanted.part(0, count)
+                if partner.time is not None:
+                    part = replace(part, time=partner.time)
+                yield with_values(part, desired=partner.values["desired"])
+                done += count
+                wanted = wanted.part(count, len(wanted))
         left = wanted is not None and len(wanted) > 0
         self.goes_on = left or next(self._coming, None) is not None
 
@@ -315,18 +321,21 @@ def find_lag(
             break
     if not samples:
         return 0, iter(window)
-    desired, measured = (
-        joined(window).values[role][:LAG_WINDOW] for role in ("desired", "measured")
-    )
+    values = joined(window).values
+    desired = values["desired"][:LAG_WINDOW]
+    measured = values["measured"][:LAG_WINDOW]
     finite = comparable(desired, measured)
     if not finite.any():
         raise InputError(f"{name}: no sample is a number, so no lag can be found")
-    desired, measured = (
-        np.where(finite, column, 0.0) - np.where(finite, column[finite].mean(), 0.0)
-        for column in (desired, measured)
-    )
+    desired = _about_mean(desired, finite)
+    measured = _about_mean(measured, finite)
     scale = max(float(np.abs(desired).max()), float(np.abs(measured).max()), 1e-290)
     return _best_lag(desired / scale, measured / scale), chain(window, source)
+
+
+def _about_mean(column: Floats, finite: NDArray[np.bool_]) -> Floats:
+    """Return a column less the mean of its numbers, 0 in the place of what is none."""
+    return np.where(finite, column, 0.0) - np.where(finite, column[finite].mean(), 0.0)
 
 
 class Batches:
@@ -382,8 +391,10 @@ def _best_lag(desired: Floats, measured: Floats) -> int:
     auto = np.fft.irfft(np.abs(spectrum) ** 2, size)[:n]
     if auto[0] <= 0.0:
         return 0
+    reach = max(n // 2, 1) - 1
     falling = np.flatnonzero(auto <= 0.0)
-    reach = min(int(falling[0]) if len(falling) else n, max(n // 2, 1)) - 1
+    if len(falling):
+        reach = min(int(falling[0]) - 1, reach)
     if reach < 1:
         return 0
     cross = np.fft.irfft(np.conj(spectrum) * np.fft.rfft(measured, size), size)
@@ -393,13 +404,15 @@ def _best_lag(desired: Floats, measured: Floats) -> int:
     head_d, head_m = _heads(desired), _heads(measured)
     head_dd, head_mm = _heads(desired * desired), _heads(measured * measured)
     late, early = np.maximum(lags, 0), np.maximum(-lags, 0)
-    error = (
+    square = (
         (head_mm[n - early] - head_mm[late])
         + (head_dd[n - late] - head_dd[early])
         - 2.0 * cross[lags]
-    ) / overlap - (
-        (head_m[n - early] - head_m[late] - head_d[n - late] + head_d[early]) / overlap
-    ) ** 2
+    ) / overlap
+    mean = (
+        head_m[n - early] - head_m[late] - head_d[n - late] + head_d[early]
+    ) / overlap
+    error = square - mean**2
     best = np.flatnonzero(error <= error.min() + 1e-12 * auto[0] / n)
     return int(lags[best[np.argmin(np.abs(lags[best]))]])
 

@@ -403,8 +403,12 @@ def record_of(record: type[Record], values: Mapping[str, Any], what: str) -> Rec
 
 def brought_keywords(command: str) -> list[str]:
     """Return the keywords that the options of extras for a command are from Python (``history``)."""
-    keys = (key.partition(" --") for key in extensions.keys("option"))
-    return [option.replace("-", "_") for name, _, option in keys if name == command]
+    keywords = []
+    for key in extensions.keys("option"):
+        name, _, option = key.partition(" --")
+        if name == command:
+            keywords.append(option.replace("-", "_"))
+    return keywords
 
 
 def require_known(
@@ -419,8 +423,15 @@ def require_known(
 
 def _rows_of(rows: str | None, ahead: bool) -> tuple[Rows, int | None]:
     """Return the rows to read and the last one to answer, where those after it are read ahead."""
-    taken = ALL_ROWS if rows is None else request.parse_rows(rows)
-    return ((taken[0], None), taken[1]) if ahead else (taken, None)
+    first, last = _parsed_rows(rows)
+    if ahead:
+        return (first, None), last
+    return (first, last), None
+
+
+def _parsed_rows(rows: str | None) -> Rows:
+    """Return the first and the last row of ``A:B``, of a whole log where there is none."""
+    return ALL_ROWS if rows is None else request.parse_rows(rows)
 
 
 def _finished(run: ModelRun, return_state: bool, details: bool) -> Any:
@@ -448,7 +459,9 @@ def _finished(run: ModelRun, return_state: bool, details: bool) -> Any:
         )
     for text in remarks.warnings:
         warnings.warn(text, DboWarning, stacklevel=3)
-    return (values, run.state) if return_state else values
+    if return_state:
+        return values, run.state
+    return values
 
 
 def _outputs(run: ModelRun, times: list[Floats] | None) -> Iterator[Floats]:
@@ -468,7 +481,9 @@ def _joined(blocks: Iterator[Floats], expected: int) -> Floats:
     first = next(blocks, np.empty(0))
     if first.size >= expected:
         rest = list(blocks)
-        return np.concatenate([first, *rest]) if rest else first
+        if not rest:
+            return first
+        return np.concatenate([first, *rest])
     joined = np.empty(expected)
     joined[: first.size] = first
     filled = first.size
@@ -480,7 +495,9 @@ def _joined(blocks: Iterator[Floats], expected: int) -> Floats:
             )
         joined[filled : filled + block.size] = block
         filled += block.size
-    return joined if filled == joined.size else joined[:filled]
+    if filled == joined.size:
+        return joined
+    return joined[:filled]
 
 
 # --- functions ---
@@ -555,13 +572,16 @@ def _frame(log: SignalLog) -> pandas.DataFrame:
     import pandas as pd
 
     block = log.read()
-    stamps = (
-        {"time": block.time} if block.time is not None and log.even_rate is None else {}
-    )
-    frame = pd.DataFrame(stamps | dict(block.values))
-    units = {role: column.unit for role, column in log.columns.items()}
+    values: dict[str, Floats] = {}
+    units: dict[str, str | None] = {}
+    if block.time is not None and log.even_rate is None:
+        values["time"], units["time"] = block.time, "s"
+    values |= block.values
+    for role, column in log.columns.items():
+        units[role] = column.unit
+    frame = pd.DataFrame(values)
     frame.attrs |= {
-        "units": ({"time": "s"} if stamps else {}) | units,
+        "units": units,
         "notes": list(log.notes),
         "warnings": list(log.warnings),
         "read": [log.reading_line()],
@@ -838,19 +858,15 @@ def report(
     )
     if not logs:
         first = "desired" if predicting is None else "voltage"
-        logs = [
-            _pair(
-                {first: wanted, "measured": measured},
-                voltage,
-                time,
-                reading.sample_rate,
-                unit,
-            )
-        ]
+        signals = {first: wanted, "measured": measured}
+        logs = [_pair(signals, voltage, time, reading.sample_rate, unit)]
     names = files.short_names(logs)
     for number, log in enumerate(logs, 1):
-        called = name if len(logs) < 2 else f"{name} {number}"
-        shown = names.get(log) if isinstance(log, Address) else called
+        shown: str | None = name
+        if isinstance(log, Address):
+            shown = names.get(log)
+        elif len(logs) > 1:
+            shown = f"{name} {number}"
         tracking.add(log, reading, tracked, shown, time=time)
     return tracking.result()
 
@@ -867,10 +883,10 @@ def _pair(
         raise InputError(
             "what was measured is missing: give two arrays, or a table or file with both columns"
         )
-    signals |= {} if drive is None or "voltage" in signals else {"voltage": drive}
-    return ArraySource(
-        signals, time, sample_rate, units={"desired": unit, "measured": unit}
-    )
+    if drive is not None and "voltage" not in signals:
+        signals["voltage"] = drive
+    units = {"desired": unit, "measured": unit}
+    return ArraySource(signals, time, sample_rate, units=units)
 
 
 def _column(time: Any) -> str | None:
@@ -896,7 +912,8 @@ def _tracking_options(
             raise UsageError(
                 f"`{role}`: beside tables and files give the name or number of their column"
             )
-    return TrackingOptions(**values | {"voltage": voltage if logs else None})
+    values["voltage"] = voltage if logs else None
+    return TrackingOptions(**values)
 
 
 def _model(model: Model | str | os.PathLike[str]) -> Model:
@@ -904,11 +921,11 @@ def _model(model: Model | str | os.PathLike[str]) -> Model:
     if isinstance(model, Model):
         return model
     actuator = read_model_file(os.fspath(model))
+    remarks = Remarks()
     warnings = actuator.fit.get("warnings")
-    return Model(
-        actuator,
-        remarks=Remarks(warnings=list(warnings) if isinstance(warnings, list) else []),
-    )
+    if isinstance(warnings, list):
+        remarks.warnings.extend(warnings)
+    return Model(actuator, remarks=remarks)
 
 
 def _reading(
@@ -916,7 +933,7 @@ def _reading(
 ) -> ReadingOptions:
     values = options | {
         "time": time,
-        "rows": ALL_ROWS if rows is None else request.parse_rows(rows),
+        "rows": _parsed_rows(rows),
     }
     return record_of(ReadingOptions, values, "says nothing about reading a log")
 
@@ -924,12 +941,14 @@ def _reading(
 def _logs(logs: Any) -> list[Any]:
     """Return the tables and files that were given, one or a list of them; none of anything else."""
     several = isinstance(logs, list | tuple) and all(map(is_log, logs))
-    return _addressed(logs) if is_log(logs) or several else []
+    if is_log(logs) or several:
+        return _addressed(logs)
+    return []
 
 
 def _addressed(logs: Any) -> list[Any]:
     """Return logs, one or a list of them, the names of files taken apart."""
-    return [
-        request.parse_address(log) if is_file(log) else log
-        for log in ([logs] if is_log(logs) else logs)
-    ]
+    addressed = []
+    for log in [logs] if is_log(logs) else logs:
+        addressed.append(request.parse_address(log) if is_file(log) else log)
+    return addressed

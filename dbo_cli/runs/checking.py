@@ -19,7 +19,15 @@ from dbo_cli.drives.check import (
 )
 from dbo_cli.drives.gate import Floats
 from dbo_cli.drives.options import Figure, check_gain, limits_in, plain_in
-from dbo_cli.errors import LimitError, Remarks, UsageError, cleaned, counted, plain
+from dbo_cli.errors import (
+    LimitError,
+    Remarks,
+    UsageError,
+    cleaned,
+    counted,
+    plain,
+    suffix_of,
+)
 from dbo_cli.hysteresis.model_state import DriveLimits
 from dbo_cli.logs.columns import column_wish
 from dbo_cli.logs.request import (
@@ -109,83 +117,96 @@ def check_file(
     against = options.against
     chosen = form or ("json" if output.text.lower().endswith(".json") else "text")
     check_document(output, "a check", chosen)
-    inputs: list[Given] = [drive, *([] if against is None else [against])]
+    inputs: list[Given] = [drive]
+    if against is not None:
+        inputs.append(against)
     inputs += selected_files(options.voltage, reading.time)
     check_output(output, inputs)
     read = _read(drive, options.voltage, reading)
-    values, rows, unit = read.values, np.asarray(read.block.rows), read.unit
-    limits = options.limits_in(unit)
-    problems = list(read.problems)
     remarks = read.remarks
-    most, slack = None, 0.0
+    limits = options.limits_in(read.unit)
+    meant = None
     if against is not None:
         # The drive was written in the voltages that are meant: a scale belongs to the
         # recording.
         whole = dataclasses.replace(reading, rows=ALL_ROWS, time=None, scale=())
-        meant = _read(against, None, whole, unit)
+        meant = _read(against, None, whole, read.unit)
         remarks.add(meant.remarks)
-        problems = read.dropped + [
-            f"{against.name}: {problem}" for problem in meant.problems
-        ]
-        most = (
-            None
-            if options.tolerance is None
-            else in_unit("tolerance", options.tolerance, unit)
-        )
-        slack = played_tolerance(meant.values, values * options.gain, most) / abs(
-            options.gain
-        )
-        meant_rows = meant.block.rows
-        require_voltages(
-            meant.values, lambda row: f"{against.name}: row {meant_rows[row]:,}"
-        )
-    suffix = f" {unit}" if unit else ""
-    checked = check_drive(
-        values,
-        read.block.time,
-        limits,
-        from_=None if options.from_ is None else in_unit("from_", options.from_, unit),
-        loop=options.loop,
-        tolerance=slack,
-        place=lambda row: f"row {int(rows[row]):,}",
-        suffix=suffix,
-    )
-    checked.problems[:0] = map(cleaned, problems)
-    if against is not None:
-        check_played(
-            checked,
-            meant.values,
-            values,
-            (meant.step, read.step),
-            most,
-            options.gain,
-            suffix,
-        )
+    checked = _checked(read, meant, limits, options)
     name = cleaned(drive.name)
-    if unit is None and options.has_plain_limits:
-        column = cleaned(read.column)
-        remarks.note(
-            [
-                f"{name}: column '{column}' has no unit: limits are taken in what its figures count"
-            ]
-        )
-    elif note := plain_in(unit, *options.figures):
-        remarks.note([f"{name}: {note}"])
+    note = _note_of_unit(read, options)
+    if note:
+        remarks.notes.append(f"{name}: {note}")
     if checked.outside:
         rows_outside = counted(checked.outside, "row")
         remarks.warn(
             f"{name}: the first {rows_outside} outside the limits, on the way inwards from where the "
             "amplifier stands (`from_`)"
         )
-    write_whole(output, _report(name, checked, unit, chosen).encode(), protect=inputs)
-    if checked.problems:
-        more_of = (
-            f" (and {len(checked.problems) - 1} more)"
-            if len(checked.problems) > 1
-            else ""
-        )
-        raise LimitError(f"{name}: {checked.problems[0]}{more_of}")
+    report = _report(name, checked, read.unit, chosen)
+    write_whole(output, report.encode(), protect=inputs)
+    _require_passed(name, checked)
     return remarks
+
+
+def _checked(
+    read: _Drive, meant: _Drive | None, limits: DriveLimits, options: CheckOptions
+) -> CheckedDrive:
+    """Return what is wrong with a drive, or with a recording of the drive that was ``meant``."""
+    values, rows, unit = read.values, np.asarray(read.block.rows), read.unit
+    problems = read.problems
+    tolerance, slack = None, 0.0
+    if meant is not None and options.against is not None:
+        name, meant_rows = options.against.name, meant.block.rows
+        problems = list(read.dropped)
+        for problem in meant.problems:
+            problems.append(f"{name}: {problem}")
+        if options.tolerance is not None:
+            tolerance = in_unit("tolerance", options.tolerance, unit)
+        most = played_tolerance(meant.values, values * options.gain, tolerance)
+        slack = most / abs(options.gain)
+        require_voltages(meant.values, lambda row: f"{name}: row {meant_rows[row]:,}")
+    from_ = None
+    if options.from_ is not None:
+        from_ = in_unit("from_", options.from_, unit)
+    suffix = suffix_of(unit)
+    checked = check_drive(
+        values,
+        read.block.time,
+        limits,
+        from_=from_,
+        loop=options.loop,
+        tolerance=slack,
+        place=lambda row: f"row {int(rows[row]):,}",
+        suffix=suffix,
+    )
+    checked.problems[:0] = map(cleaned, problems)
+    if meant is not None:
+        steps = meant.step, read.step
+        check_played(
+            checked, meant.values, values, steps, tolerance, options.gain, suffix
+        )
+    return checked
+
+
+def _note_of_unit(read: _Drive, options: CheckOptions) -> str:
+    """Say in which unit plain limits are taken, where that is not volts."""
+    if read.unit is None and options.has_plain_limits:
+        column = cleaned(read.column)
+        return (
+            f"column '{column}' has no unit: limits are taken in what its figures count"
+        )
+    return plain_in(read.unit, *options.figures)
+
+
+def _require_passed(name: str, checked: CheckedDrive) -> None:
+    """Refuse a drive with problems, naming the first (LimitError)."""
+    if not checked.problems:
+        return
+    text = f"{name}: {checked.problems[0]}"
+    if len(checked.problems) > 1:
+        text += f" (and {len(checked.problems) - 1} more)"
+    raise LimitError(text)
 
 
 def _report(name: str, checked: CheckedDrive, unit: str | None, form: str) -> str:
@@ -207,10 +228,11 @@ def _report(name: str, checked: CheckedDrive, unit: str | None, form: str) -> st
 
 def _finite(figures: dict[str, Any]) -> dict[str, Any]:
     """Return figures as JSON has them: there is no infinity in it."""
-    return {
-        key: None if value is not None and math.isinf(value) else value
-        for key, value in figures.items()
-    }
+    finite = dict(figures)
+    for key, value in figures.items():
+        if value is not None and math.isinf(value):
+            finite[key] = None
+    return finite
 
 
 class _Drive(NamedTuple):
@@ -259,9 +281,8 @@ def _read(
 ) -> _Drive:
     """Return a drive read whole (in ``wanted``, where both units are known)."""
     options = dataclasses.replace(reading, skip_bad=True)
-    with open_log(
-        address, {"voltage": column_wish("voltage", voltage, option="voltage")}, options
-    ) as log:
+    want = {"voltage": column_wish("voltage", voltage, option="voltage")}
+    with open_log(address, want, options) as log:
         if wanted is not None and log.columns["voltage"].unit is not None:
             log.convert("voltage", wanted, "the recording is")
         block = joined(list(log.blocks()))
@@ -283,25 +304,31 @@ def _read(
 
 def _named(dropped: DroppedRows) -> list[str]:
     """Return a line for each row that was dropped, and one for those beyond the first ones."""
-    lines = [
-        f"row {bad.row:,}: {cleaned(bad.problem)}" for bad in sorted(dropped.named)
-    ]
+    lines = []
+    for bad in sorted(dropped.named):
+        lines.append(f"row {bad.row:,}: {cleaned(bad.problem)}")
     rest = dropped.count - len(lines)
-    return [*lines, f"{rest:,} more rows hold no number"] if rest else lines
+    if rest:
+        lines.append(f"{rest:,} more rows hold no number")
+    return lines
 
 
 def _lines(name: str, checked: CheckedDrive, unit: str | None) -> list[str]:
     """Return the check as lines for a terminal."""
-    figures, u = checked.figures, f" {unit}" if unit else ""
-    speed = f", at most {figures.fastest:.6g}{u}/s" if figures.seconds else ""
+    figures = checked.figures
+    suffix = suffix_of(unit)
+    verdict = "NOT PASSED" if checked.problems else "passed"
+    speed = ""
+    if figures.seconds:
+        speed = f", at most {figures.fastest:.6g}{suffix}/s"
     lines = [
-        f"{name}: {'passed' if not checked.problems else 'NOT PASSED'}",
-        f"  {figures.rows:,} rows, {figures.low:.6g} to {figures.high:.6g}{u}, largest step "
-        f"{figures.largest_step:.6g}{u}{speed}; first row {figures.first:.6g}{u}, last row "
-        f"{figures.last:.6g}{u}",
+        f"{name}: {verdict}",
+        f"  {figures.rows:,} rows, {figures.low:.6g} to {figures.high:.6g}{suffix}, largest step "
+        f"{figures.largest_step:.6g}{suffix}{speed}; first row {figures.first:.6g}{suffix}, last row "
+        f"{figures.last:.6g}{suffix}",
     ]
     if checked.played:
-        lines.append(_played_line(checked.played, u))
+        lines.append(_played_line(checked.played, suffix))
     return lines + [f"  {text}" for text in checked.problems]
 
 

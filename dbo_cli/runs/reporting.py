@@ -46,7 +46,14 @@ from dbo_cli.logs.signal_log import SignalLog, Source, open_log, remarks_of
 from dbo_cli.logs.whole_output import all_or_none, check_output, write_whole
 from dbo_cli.reports import renderers
 from dbo_cli.reports.accumulators import FigureData
-from dbo_cli.reports.drawing import Plot, check_folder, file_stems, save
+from dbo_cli.reports.drawing import (
+    Plot,
+    check_folder,
+    file_stems,
+    require_display,
+    save,
+    show_in_windows,
+)
 from dbo_cli.reports.report import (
     Expected,
     LogReport,
@@ -59,7 +66,6 @@ from dbo_cli.reports.report import (
     judged_by_expected,
 )
 from dbo_cli.reports.sample_pairs import TrajectoryMatch, rows_to_read, with_values
-from dbo_cli.reports.windows import require_display, show_in_windows
 from dbo_cli.runs.files import bring_to, opened, short_names, start_of
 from dbo_cli.runs.jobs import Outcome
 from dbo_cli.version import program_version_string
@@ -144,7 +150,9 @@ class TrackingOptions:
             raise UsageError(
                 "`expected` and `model` exclude each other: the model states what to expect of it"
             )
-        segment = float(self.segment) if isinstance(self.segment, int) else self.segment
+        segment = self.segment
+        if isinstance(segment, int):
+            segment = float(segment)
         if with_model and self.trajectory is not None:
             raise UsageError(
                 "`trajectory` and `model` exclude each other: compare with what was wanted, or with what the "
@@ -270,11 +278,9 @@ class TrackingRun:
                 run = ModelRun(self.model, source, start_of(options.state, self.model))
                 run.remedies = "`rows` leaves rows out, "
             blocks = _counted(source, listener)
-            matched = (
-                None
-                if wished is None
-                else _matched(source, blocks, wished, options.match)
-            )
+            matched = None
+            if wished is not None:
+                matched = _matched(source, blocks, wished, options.match)
             if matched is not None:
                 blocks = matched.pairs()
             elif run is not None:
@@ -327,12 +333,11 @@ class TrackingRun:
                 f"{self.model_name} gives {self.model.output.quantity}",
             )
         else:
-            known = [unit for _, unit in self._units if unit is not None]
-            measured, desired = (
-                source.columns["measured"].unit,
-                wanted.columns["desired"].unit,
-            )
-            unit = known[0] if known else measured or desired
+            unit = source.columns["measured"].unit or wanted.columns["desired"].unit
+            for _, known in self._units:
+                if known is not None:
+                    unit = known
+                    break
             source.convert("measured", unit, "the comparison is")
             wanted.convert("desired", unit, "the comparison is")
         self._units.append((source.name, unit or source.columns["measured"].unit))
@@ -696,9 +701,7 @@ class TrackingReport:
             There is no display, or nothing that opens windows is installed.
         """
         of_logs, together, of_model = self._plots()
-        show_in_windows(
-            [plot for plots in (*of_logs, together, of_model) for plot in plots]
-        )
+        show_in_windows([*itertools.chain.from_iterable(of_logs), *together, *of_model])
 
     def _plots(self) -> tuple[list[list[Plot]], list[Plot], list[Plot]]:
         """Return the figures of each log, of all together, and of the model."""
@@ -743,10 +746,10 @@ class ReportRun:
         options, chosen = self.options, report_form(self.output, self.form)
         request.check_document(self.output, "a report", chosen)
         places = (options.model, options.trajectory, options.expected)
-        inputs: list[Given] = [
-            *self.logs,
-            *(place for place in places if place is not None),
-        ]
+        inputs: list[Given] = list(self.logs)
+        for place in places:
+            if place is not None:
+                inputs.append(place)
         if isinstance(options.state, str) and options.state not in START_NAMES:
             inputs.append(options.state)
         inputs += selected_files(

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import textwrap
-from collections.abc import Mapping
-from functools import partial
+from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Any
 
 from dbo_cli import extensions
-from dbo_cli.errors import UsageError
-from dbo_cli.hysteresis.cascade import OtherHysteresis
+from dbo_cli.errors import UsageError, suffix_of
+from dbo_cli.hysteresis.cascade import OtherHysteresis, Stage
 from dbo_cli.hysteresis.dynamics import Lag
 from dbo_cli.hysteresis.model import (
     SIGN_VERBS,
@@ -64,11 +63,10 @@ def show_model(
         forward = model if model.direction == "forward" else model.inverse()
         for name, value in brought.items():
             content |= extensions.find("run", f"show --{name}")(forward, value)
-        text = (
-            json.dumps(content, indent=2, ensure_ascii=False)
-            if chosen == "json"
-            else as_text(content)
-        )
+        if chosen == "json":
+            text = json.dumps(content, indent=2, ensure_ascii=False)
+        else:
+            text = as_text(content)
     write_whole(output, (text + "\n").encode(), protect=[model_file])
     if figures is None:
         return []
@@ -81,17 +79,10 @@ def show_model(
 def contents(model: ActuatorModel) -> dict[str, Any]:
     """Return what is in a model as plain values; lengths and voltages in the model's units, times in s."""
     fit, provenance = model.fit, model.provenance
-    backlash = next(
-        (stage for stage in model.stages if isinstance(stage, BacklashStage)), None
-    )
+    gears, relaxation_seconds = _gears_and_relaxation(model)
     # between the drive and the gears
     before = model.head if model.direction == "forward" else model.tail
-    drive_lag = model.drive_lag.sections if model.drive_lag else ()
-    loop = next(
-        stage
-        for stage in model.stages
-        if isinstance(stage, BacklashStage | OtherHysteresis)
-    )
+    dynamics = model.dynamics.sections if model.dynamics else ()
     return {
         "format": "dbo-show",
         "version": 1,
@@ -99,24 +90,15 @@ def contents(model: ActuatorModel) -> dict[str, Any]:
         "input": _quantity(model.input),
         "output": _quantity(model.output),
         "sign": model.sign,
-        "gears": backlash.n if backlash else None,
+        "gears": gears,
         "operator": model.size,
-        "segments": [
-            stage.m for stage in model.stages if isinstance(stage, PointStage)
-        ],
-        "segments_at_the_drive": sum(s.m for s in before if isinstance(s, PointStage))
-        if backlash
-        else 0,
-        "relaxation_seconds": list(loop.relaxation.tau) if loop.relaxation else [],
+        "segments": _segments(model.stages),
+        "segments_at_the_drive": 0 if gears is None else sum(_segments(before)),
+        "relaxation_seconds": relaxation_seconds,
         "delay_seconds": model.delay_seconds,
-        "dynamics": [
-            section_values(section)
-            for section in (model.dynamics.sections if model.dynamics else ())
-        ],
-        "drive_lag_seconds": next(
-            (section.seconds for section in drive_lag if isinstance(section, Lag)), None
-        ),
-        "fit": {key: fit[key] for key in fit if key not in APART},
+        "dynamics": [section_values(section) for section in dynamics],
+        "drive_lag_seconds": _drive_lag_seconds(model),
+        "fit": {key: value for key, value in fit.items() if key not in APART},
         "logs": fit.get("logs", []),
         "validation": fit.get("validation", []),
         "notes": fit.get("notes", []),
@@ -125,6 +107,32 @@ def contents(model: ActuatorModel) -> dict[str, Any]:
         "arguments": provenance.get("arguments", []),
         "inputs": provenance.get("inputs", []),
     }
+
+
+def _gears_and_relaxation(model: ActuatorModel) -> tuple[int | None, list[float]]:
+    """Return the number of gears, None of another operator, and the time constants (s) of the relaxation."""
+    gears = None
+    seconds: list[float] = []
+    for stage in model.stages:
+        if isinstance(stage, BacklashStage):
+            gears = stage.n
+        if isinstance(stage, BacklashStage | OtherHysteresis) and stage.relaxation:
+            seconds = list(stage.relaxation.tau)
+    return gears, seconds
+
+
+def _segments(stages: Iterable[Stage]) -> list[int]:
+    """Return the segments of each asymmetry among some stages."""
+    return [stage.m for stage in stages if isinstance(stage, PointStage)]
+
+
+def _drive_lag_seconds(model: ActuatorModel) -> float | None:
+    """Return the time constant (s) of a lag before the gears, where there is one."""
+    if model.drive_lag is not None:
+        for section in model.drive_lag.sections:
+            if isinstance(section, Lag):
+                return section.seconds
+    return None
 
 
 def as_text(content: Mapping[str, Any]) -> str:
@@ -144,15 +152,12 @@ def as_text(content: Mapping[str, Any]) -> str:
         lines.append(f"from {names}, by {content['program']}")
     if content["arguments"]:
         lines.append("dbo " + " ".join(map(str, content["arguments"])))
-    lines += [
-        f"{kind[:-1]}: {text}"
-        for kind in ("notes", "warnings")
-        for text in content[kind]
-    ]
-    wrapped = partial(
-        textwrap.fill, width=WIDTH, subsequent_indent="  ", break_long_words=False
+    lines += [f"note: {text}" for text in content["notes"]]
+    lines += [f"warning: {text}" for text in content["warnings"]]
+    wrapper = textwrap.TextWrapper(
+        width=WIDTH, subsequent_indent="  ", break_long_words=False
     )
-    return "\n".join(map(wrapped, lines))
+    return "\n".join(map(wrapper.fill, lines))
 
 
 def _settling_line(settling: Mapping[str, Any]) -> str:
@@ -174,11 +179,10 @@ def _log_with_rows(log: Mapping[str, Any]) -> str:
 def _moving(content: Mapping[str, Any]) -> list[str]:
     """Return the dynamics, and how fast the model can be trusted."""
     before = content["drive_lag_seconds"]
-    parts = (
-        [f"a lag of {1e3 * before:.3g} ms before the {content['operator'].split()[-1]}"]
-        if before
-        else []
-    )
+    parts = []
+    if before:
+        gears = content["operator"].split()[-1]
+        parts.append(f"a lag of {1e3 * before:.3g} ms before the {gears}")
     for section in content["dynamics"]:
         if section.get("lead"):
             late = 100.0 * (1.0 - section["lead"] / section["lag"])
@@ -194,59 +198,75 @@ def _moving(content: Mapping[str, Any]) -> list[str]:
             parts[-1] += (
                 f", with an antiresonance at {section['antiresonance']['frequency']:.5g} Hz"
             )
-    lines = [f"dynamics: {'; '.join(parts)}"] if parts else []
+    lines = []
+    if parts:
+        lines.append(f"dynamics: {'; '.join(parts)}")
     trusted = content["fit"].get("trusted_hz")
-    return lines + ([f"trust it to {trusted:.3g} Hz"] if trusted is not None else [])
+    if trusted is not None:
+        lines.append(f"trust it to {trusted:.3g} Hz")
+    return lines
 
 
 def _goodness(content: Mapping[str, Any], unit: str | None) -> list[str]:
     """Return how well the model fits and what that is worth."""
     fit: Mapping[str, Any] = content["fit"]
-    suffix = f" {unit}" if unit else ""
+    suffix = suffix_of(unit)
     lines = []
     if fit.get("rmse") is not None:
-        share = fit.get("rmse_percent")
-        percent = "" if share is None else f" ({share:.2f} % of the model's range)"
-        left_out = fit.get("cross_validated_rmse")
-        more = (
-            "" if left_out is None else f", {left_out:.4g}{suffix} on cycles left out"
-        )
-        line = fit.get("straight_line_rmse")
-        more += "" if line is None else f"; a straight line leaves {line:.4g}{suffix}"
-        lines.append(
-            f"fit: RMSE {fit['rmse']:.4g}{suffix}{percent} on the rows it was identified from{more}"
-        )
+        lines.append(_fit_line(fit, suffix))
     lines += _uncertainty(content)
-    why = fit.get("expected_from")
-    if fit.get("expected_rmse") is not None:
-        rests = f", from {why}" if why else ""
+    lines += _expectation(fit, suffix)
+    for log in content["validation"]:
         lines.append(
-            f"expect: RMSE {fit['expected_rmse']:.4g}{suffix} on new moves inside the range{rests}"
+            f"validated: RMSE {log['rmse']:.4g}{suffix} on {log['name']}, which took no part in the fit"
         )
-        if (
-            fit.get("expected_shape_rmse") is not None
-            and fit.get("expected_zero") is not None
-        ):
-            lines.append(
-                f"in parts: {fit['expected_shape_rmse']:.3g}{suffix} shape (RMS of the error less its mean), "
-                f"{fit['expected_zero']:.3g}{suffix} zero (that mean; {fit['zero_from']})"
-            )
-    elif why:
-        lines.append(f"expect: cannot be told: {why}")
-    lines += [
-        f"validated: RMSE {log['rmse']:.4g}{suffix} on {log['name']}, which took no part in the fit"
-        for log in content["validation"]
-    ]
     if fit.get("loop_width_percent") is not None:
-        slopes = f"; {fit['slopes']} slopes" if fit.get("slopes") else ""
-        bend = (
-            f", drive bent by {100.0 * fit['drive_bend']:.0f} %"
-            if fit.get("drive_bend")
-            else ""
-        )
-        width = f"{fit['loop_width_percent']:.1f} % of the model's range"
-        lines.append(f"loop: {width} wide, which the model undoes{slopes}{bend}")
+        lines.append(_loop_line(fit))
     return lines + _lateness(fit)
+
+
+def _fit_line(fit: Mapping[str, Any], suffix: str) -> str:
+    """Return how well the model fits the rows that it was identified from."""
+    line = f"fit: RMSE {fit['rmse']:.4g}{suffix}"
+    if fit.get("rmse_percent") is not None:
+        line += f" ({fit['rmse_percent']:.2f} % of the model's range)"
+    line += " on the rows it was identified from"
+    if fit.get("cross_validated_rmse") is not None:
+        line += f", {fit['cross_validated_rmse']:.4g}{suffix} on cycles left out"
+    if fit.get("straight_line_rmse") is not None:
+        line += f"; a straight line leaves {fit['straight_line_rmse']:.4g}{suffix}"
+    return line
+
+
+def _expectation(fit: Mapping[str, Any], suffix: str) -> list[str]:
+    """Return what error to expect of new moves, and its parts."""
+    why = fit.get("expected_from")
+    if fit.get("expected_rmse") is None:
+        return [f"expect: cannot be told: {why}"] if why else []
+    line = (
+        f"expect: RMSE {fit['expected_rmse']:.4g}{suffix} on new moves inside the range"
+    )
+    if why:
+        line += f", from {why}"
+    shape, zero = fit.get("expected_shape_rmse"), fit.get("expected_zero")
+    if shape is None or zero is None:
+        return [line]
+    parts = (
+        f"in parts: {shape:.3g}{suffix} shape (RMS of the error less its mean), "
+        f"{zero:.3g}{suffix} zero (that mean; {fit['zero_from']})"
+    )
+    return [line, parts]
+
+
+def _loop_line(fit: Mapping[str, Any]) -> str:
+    """Return how wide the loop is, and how its slopes run."""
+    width = f"{fit['loop_width_percent']:.1f} % of the model's range"
+    line = f"loop: {width} wide, which the model undoes"
+    if fit.get("slopes"):
+        line += f"; {fit['slopes']} slopes"
+    if fit.get("drive_bend"):
+        line += f", drive bent by {100.0 * fit['drive_bend']:.0f} %"
+    return line
 
 
 def _uncertainty(content: Mapping[str, Any]) -> list[str]:
@@ -300,18 +320,20 @@ def _asymmetry(content: Mapping[str, Any]) -> str:
     if 0 < before < every:
         behind = every - before
         return f", bent by {before} straight pieces on the drive's side and {behind} on the displacement's"
-    return f", bent by a curve of {every} straight pieces" if every else ""
+    if not every:
+        return ""
+    return f", bent by a curve of {every} straight pieces"
 
 
 def _lag(content: Mapping[str, Any]) -> str:
-    taus = ", ".join(f"{tau:.3g}" for tau in content["relaxation_seconds"])
-    text = (
-        f"; lag and creep with time constants of {taus} s"
-        if taus
-        else "; no lag, no creep"
-    )
+    seconds = ", ".join(f"{tau:.3g}" for tau in content["relaxation_seconds"])
+    text = "; no lag, no creep"
+    if seconds:
+        text = f"; lag and creep with time constants of {seconds} s"
     delay = content["delay_seconds"]
-    return text + (f"; a delay of {1e3 * delay:.3g} ms" if delay else "")
+    if delay:
+        text += f"; a delay of {1e3 * delay:.3g} ms"
+    return text
 
 
 def _quantity(quantity: Quantity) -> dict[str, Any]:
@@ -324,7 +346,5 @@ def _quantity(quantity: Quantity) -> dict[str, Any]:
 
 
 def _range(quantity: Mapping[str, Any]) -> str:
-    unit = f" {quantity['unit']}" if quantity["unit"] else ""
-    return (
-        f"{quantity['quantity']} {quantity['min']:.6g} to {quantity['max']:.6g}{unit}"
-    )
+    low, high = f"{quantity['min']:.6g}", f"{quantity['max']:.6g}"
+    return f"{quantity['quantity']} {low} to {high}{suffix_of(quantity['unit'])}"

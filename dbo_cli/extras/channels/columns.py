@@ -80,35 +80,35 @@ def channels_of(
                 f"`{option}` '{pattern}': put {{}} once where the channel's name stands, as in every pattern"
                 " beside it"
             )
-    matches = {
-        option: _matches(place, columns, option, pattern, taken)
-        for option, pattern in patterns.items()
-    }
-    names = list(
-        dict.fromkeys(
-            channel for by_channel in matches.values() for channel in by_channel
-        )
-    )
+    matches: dict[str, dict[str, Column]] = {}
+    names: dict[str, None] = {}  # in the order of the log, each once
+    for option, pattern in patterns.items():
+        matches[option] = _matches(place, columns, option, pattern, taken)
+        names |= dict.fromkeys(matches[option])
     for option, by_channel in matches.items():
-        first, *rest = [channel for channel in names if channel not in by_channel] or [
-            ""
-        ]
-        if first:
+        missing = [channel for channel in names if channel not in by_channel]
+        if missing:
+            first = missing[0]
             counts = ", ".join(f"`{key}` {len(matches[key]):,}" for key in matches)
-            shown = [*rest[: _LISTED - 1], *(["…"] if len(rest) >= _LISTED else [])]
-            more = (
-                f" nor for {', '.join(shown)} ({len(rest) + 1:,} channels)"
-                if rest
-                else ""
-            )
             raise InputError(
                 f"{place}: no column '{column_of(patterns[option], first)}' (`{option}`) for channel"
-                f" '{first}'{more} (columns found: {counts})"
+                f" '{first}'{_and_more(missing)} (columns found: {counts})"
             )
-    return {
-        channel: {option: by_channel[channel] for option, by_channel in matches.items()}
-        for channel in names
-    }
+    channels = {}
+    for channel in names:
+        channels[channel] = {option: matches[option][channel] for option in matches}
+    return channels
+
+
+def _and_more(missing: Sequence[str]) -> str:
+    """Name the channels behind the first one that lack a column, too: a few, and how many there are."""
+    behind = list(missing[1:])
+    if not behind:
+        return ""
+    shown = behind[: _LISTED - 1]
+    if len(behind) >= _LISTED:
+        shown.append("…")
+    return f" nor for {', '.join(shown)} ({len(missing):,} channels)"
 
 
 def _matches(
@@ -157,12 +157,13 @@ def _only_column(before: str, after: str, free: Sequence[Column]) -> Column | No
     if not before.endswith("[") or after != "]":
         return None
     matrix = before.removesuffix("[").lower()
-    named = [
-        column
-        for column in free
-        if matrix in (column.name.lower(), column.quantity.lower())
-    ]
-    return named[0] if len(named) == 1 else None
+    columns = []
+    for column in free:
+        if matrix in (column.name.lower(), column.quantity.lower()):
+            columns.append(column)
+    if len(columns) != 1:
+        return None
+    return columns[0]
 
 
 @dataclass(kw_only=True)
@@ -273,11 +274,10 @@ class ChannelReader:
         self._first_notes = list(self._table.notes)
         try:
             columns = self._table.columns
-            times = {
-                c.number
-                for c in columns
-                if c.quantity.lower() in (*TIME_NAMES, *MORE_TIME_NAMES)
-            }
+            times = set()
+            for column in columns:
+                if column.quantity.lower() in (*TIME_NAMES, *MORE_TIME_NAMES):
+                    times.add(column.number)
             self.channels = channels_of(
                 self._table.place, columns, self.patterns, times
             )
@@ -307,7 +307,9 @@ class ChannelReader:
         else:
             self._table.notes[:] = self._first_notes
             table = self._read([channel])[channel]
-        return self.address if table is None else replace(self.address, table=table)
+        if table is None:
+            return self.address
+        return replace(self.address, table=table)
 
     def _open(self) -> Table:
         address = self.address.or_format(self.options.format)
@@ -332,11 +334,10 @@ class ChannelReader:
 
     def _read(self, channels: Sequence[str]) -> dict[str, HeldTable | None]:
         """Return what channels hold; None for each where any of their rows is bad."""
-        picked = {
-            column.number: column
-            for channel in channels
-            for column in self.channels[channel].values()
-        }
+        picked: dict[int, Column] = {}
+        for channel in channels:
+            for column in self.channels[channel].values():
+                picked[column.number] = column
         picks = {str(number): column for number, column in picked.items()}
         try:
             parts = list(self._table.blocks(picks | self._timed))

@@ -62,26 +62,25 @@ def patterns_of(**selectors: str | None) -> dict[str, str]:
 
     A parameter of None takes no part; one of an empty text has to be given.
     """
-    given_patterns = {
-        option: selector
-        for option, selector in selectors.items()
-        if selector is not None
-    }
-    pattern = next(
-        (
-            f"`{option}` '{selector}'"
-            for option, selector in given_patterns.items()
-            if is_pattern(selector)
-        ),
-        "a pattern",
-    )
-    for option, selector in given_patterns.items():
-        if not is_pattern(selector):
-            problem = f"is one column, '{selector}'," if selector else "is not given"
-            raise UsageError(
-                f"`{option}` {problem} where {pattern} is many: give a pattern for both"
-            )
-    return given_patterns
+    patterns: dict[str, str] = {}
+    not_many: dict[str, str] = {}
+    for option, selector in selectors.items():
+        if selector is None:
+            continue
+        if is_pattern(selector):
+            patterns[option] = selector
+        else:
+            not_many[option] = selector
+    pattern = "a pattern"
+    for option, selector in patterns.items():
+        pattern = f"`{option}` '{selector}'"
+        break
+    for option, selector in not_many.items():
+        problem = f"is one column, '{selector}'," if selector else "is not given"
+        raise UsageError(
+            f"`{option}` {problem} where {pattern} is many: give a pattern for both"
+        )
+    return patterns
 
 
 def columns_of(patterns: Mapping[str, str], channel: str) -> dict[str, str]:
@@ -106,20 +105,20 @@ class TableReader:
     def log(self, channel: str) -> Any:
         """Return the table without the columns of other channels."""
         columns = self.channels[channel].values()
-        others_columns = {
-            column.number
-            for by_option in self.channels.values()
-            for column in by_option.values()
-        }
-        others_columns -= {column.number for column in columns}
-        return self._table.iloc[
-            :,
-            [
-                k - 1
-                for k in range(1, self._table.shape[1] + 1)
-                if k not in others_columns
-            ],
-        ]
+        of_others: set[int] = set()
+        for by_option in self.channels.values():
+            of_others.update(column.number for column in by_option.values())
+        of_others -= {column.number for column in columns}
+        places = []
+        for number in range(1, self._table.shape[1] + 1):
+            if number not in of_others:
+                places.append(number - 1)
+        return self._table.iloc[:, places]
+
+
+def _name_of(log: Any) -> str:
+    """Return how messages call a table or a file."""
+    return TABLE if is_table(log) else parse_address(log).text
 
 
 @contextlib.contextmanager
@@ -145,12 +144,9 @@ def opened_readers(
             missing = [name for name in first if name not in channels]
             missing += [name for name in channels if name not in first]
             if missing:
-                name, first_name = (
-                    TABLE if is_table(log) else parse_address(log).text
-                    for log in (one, logs[0])
-                )
                 raise InputError(
-                    f"{name}: has other channels than {first_name}: {named(missing)} in one alone"
+                    f"{_name_of(one)}: has other channels than {_name_of(logs[0])}: {named(missing)} in one "
+                    "alone"
                 )
         yield readers
 
@@ -408,17 +404,13 @@ class ChannelTable:
         timed = header_of(signal.columns[0]) == "time_s"
         time: Any = signal.arrays[0] if timed else None
         arrays = signal.arrays[timed:]
-        attributes = {
-            key: value
-            for key, value in signal.attributes.items()
-            if key != "model_sha256"
-        }
-        # the models of all are not one
+        attributes = dict(signal.attributes)
+        attributes.pop("model_sha256", None)  # the models of all are not one
         signal = dataclasses.replace(signal, attributes=attributes)
         if self._first is None:
             self._first, self._time = signal, time
-        elif len(arrays[0]) != len(self._first.arrays[0]) or not np.array_equal(
-            time, self._time
+        elif len(arrays[0]) != len(self._first.arrays[0]) or not (
+            np.array_equal(time, self._time)
         ):
             raise InputError(
                 f"channel {channel}: its {len(arrays[0]):,} rows are not at the times of the first channel's"
@@ -467,12 +459,11 @@ class ChannelTable:
 
             stem = PLACE.split(self.pattern)[0].removesuffix("[")
             quantities = signal.columns[len(signal.columns) - len(arrays) :]
-            columns = [
-                dataclasses.replace(column, name=stem)
-                if column.name.startswith(stem)
-                else column
-                for column in quantities
-            ]
+            columns = []
+            for column in quantities:
+                if column.name.startswith(stem):
+                    column = dataclasses.replace(column, name=stem)
+                columns.append(column)
             self._matrices = self._stack.enter_context(
                 matrix_writer(
                     signal.address, columns, self.channels, self._time, len(arrays[0]),
@@ -527,12 +518,11 @@ def logs_apart(
         assert log.table is not None  # a bad row was refused above
         table, number = log.table, reader.channels[channel]["displacement"].number
         unit = read_model(models(channel)).output.unit
-        infos = [
-            dataclasses.replace(column, unit=unit)
-            if column.number == number
-            else column
-            for column in table.columns
-        ]
+        infos = []
+        for column in table.columns:
+            if column.number == number:
+                column = dataclasses.replace(column, unit=unit)
+            infos.append(column)
         block = dataclasses.replace(
             table.block,
             values={**table.block.values, str(number): apart[:, place].copy()},

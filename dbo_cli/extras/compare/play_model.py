@@ -106,12 +106,12 @@ class RelativeModel(ActuatorModel):
             self.dynamics,
             self.drive_lag,
         )
-        return any(parts) or (self.direction == "forward" and self.delay_seconds > 0.0)
+        return any(parts) or (self.is_forward and self.delay_seconds > 0.0)
 
     @property
     def drive_end(self) -> float:
         """Upper end of the operator's range, in the drive's unit."""
-        forward = self if self.direction == "forward" else self.inverted
+        forward = self if self.is_forward else self.inverted
         return float(through(forward.head_inverse, np.array([1.0]))[0])
 
     def start(
@@ -133,9 +133,8 @@ class RelativeModel(ActuatorModel):
             )
         operator = self.plays
         if state in ("empty", "full"):
-            return ModelState(
-                _standing(operator.after(operator.low if state == "empty" else 1.0))
-            )
+            end = operator.low if state == "empty" else 1.0
+            return ModelState(_standing(operator.after(end)))
         value = float(self._before_backlash([first_input])[0])
         if self.direction == "inverse":
             value = operator.settled_at(value)
@@ -151,14 +150,14 @@ class RelativeModel(ActuatorModel):
         self.require("forward")
         begun = self.inverted.start(first_desired, state, limits)
         if state in ("empty", "full") and limits.max_slew is not None:
-            ends = self.plays.low if state == "empty" else 1.0
-            begun = dataclasses.replace(begun, drive=ends)
+            end = self.plays.low if state == "empty" else 1.0
+            begun = dataclasses.replace(begun, drive=end)
         return begun
 
     def start_spread(self, begun: ModelState, first_input: float) -> float:
         """Return by how much the displacement at rest, where a run begins, depends on what was before."""
         operator = self.plays
-        forward = self if self.direction == "forward" else self.inverted
+        forward = self if self.is_forward else self.inverted
         value = float(self._before_backlash([first_input])[0])
         if self.direction == "inverse":
             value = operator.settled_at(value)
@@ -182,8 +181,9 @@ class RelativeModel(ActuatorModel):
         if any(isinstance(stage, PointStage) for stage in self.tail):
             return super().inner_limits(limits)
         ends = through(self.tail_inverse, np.array([limits.v_min, limits.v_max]))
-        per_volt = abs(float(ends[1] - ends[0])) / (limits.v_max - limits.v_min)
-        slew = None if limits.max_slew is None else limits.max_slew * per_volt
+        slew = limits.max_slew
+        if slew is not None:
+            slew *= abs(float(ends[1] - ends[0])) / (limits.v_max - limits.v_min)
         return DriveLimits(float(ends.min()), float(ends.max()), slew)
 
     def _backlash_block(
@@ -218,15 +218,12 @@ class RelativeModel(ActuatorModel):
             )
         elif operator.kind == "plays" and limits is None:
             closed = operator.closed_inverse
-            states = (
-                np.array(before.inverse_plays)
-                if before.inverse_plays
-                else closed.states_of(plays)
-            )
+            states = closed.states_of(plays)
+            if before.inverse_plays:
+                states = np.array(before.inverse_plays)
             y, states = closed.run(x, states)
-            after = PlayState(
-                0, None, tuple(closed.plays_of(states).tolist()), tuple(states.tolist())
-            )
+            places = tuple(closed.plays_of(states).tolist())
+            after = PlayState(0, None, places, tuple(states.tolist()))
         else:
             low, high = operator.ends
             share = self._share(
@@ -253,7 +250,9 @@ class RelativeModel(ActuatorModel):
         if not operator.by_rate.size:
             return NOTHING
         assert steps is not None
-        change = np.abs(np.diff(signal, prepend=signal[0] if last is None else last))
+        if last is None:
+            last = signal[0]
+        change = np.abs(np.diff(signal, prepend=last))
         reach = np.broadcast_to(
             np.asarray(steps) * (operator.fastest * slope), signal.shape
         )
@@ -313,58 +312,52 @@ def with_plays(model: ActuatorModel) -> RelativeModel:
 
 def _plays(node: Node) -> Stage:
     kind: Kind = node.text("type")  # type: ignore[assignment]
-    keys = {
-        "rate-plays": ("by_rate", "fastest"),
-        "one-sided-plays": ("cubic", "linear"),
-    }.get(kind, ())
-    node.only(
-        ("type", "radii", "weights", *keys), ("relaxation",) if kind == "plays" else ()
-    )
-    lists = {
-        key: node.numbers(key)
-        for key in ("radii", "weights", "by_rate")
-        if key in node.values
-    }
-    numbers = {
-        key: node.number(key)
-        for key in ("fastest", "cubic", "linear")
-        if key in node.values
-    }
-    beside, axis = (
-        read_relaxation(node, "relaxation")
-        if "relaxation" in node.values
-        else (None, "input")
-    )
-    more = {"relaxation": beside, "inverted": axis == "output"}
-    stage: Stage = node.build(lambda: PlayOperator(kind, **lists, **numbers, **more))  # type: ignore[arg-type]
+    required = ["type", "radii", "weights"]
+    optional: tuple[str, ...] = ()
+    if kind == "rate-plays":
+        required += ["by_rate", "fastest"]
+    elif kind == "one-sided-plays":
+        required += ["cubic", "linear"]
+    elif kind == "plays":
+        optional = ("relaxation",)
+    node.only(tuple(required), optional)
+    values: dict[str, Any] = {}
+    for key in ("radii", "weights", "by_rate"):
+        if key in node.values:
+            values[key] = node.numbers(key)
+    for key in ("fastest", "cubic", "linear"):
+        if key in node.values:
+            values[key] = node.number(key)
+    if "relaxation" in node.values:
+        values["relaxation"], axis = read_relaxation(node, "relaxation")
+        values["inverted"] = axis == "output"
+    stage: Stage = node.build(lambda: PlayOperator(kind, **values))
     return stage
 
 
 def read_places(node: Node, model: RelativeModel) -> BacklashState:
     """Return what the plays of a model remember."""
+    terms = model.plays.relaxation
     node.only(
         ("places", "inverse_places", "wanted"),
-        ("memory",) if model.plays.relaxation else (),
+        ("memory",) if terms else (),
     )
     places = tuple(node.numbers("places"))
-    inverse = (
-        None
-        if node.values["inverse_places"] is None
-        else tuple(node.numbers("inverse_places"))
-    )
+    inverse = None
+    if node.values["inverse_places"] is not None:
+        inverse = tuple(node.numbers("inverse_places"))
     for key, values in (("places", places), ("inverse_places", inverse)):
         if values is not None and len(values) != model.plays.n:
             raise node.refuse(
                 key,
                 f"has {len(values)} entries where the model has {model.plays.n} plays",
             )
-    wanted = None if node.values["wanted"] is None else node.number("wanted")
-    memory = tuple(node.numbers("memory")) if "memory" in node.values else None
-    if (
-        memory is not None
-        and model.plays.relaxation
-        and len(memory) != len(model.plays.relaxation.tau)
-    ):
+    wanted = memory = None
+    if node.values["wanted"] is not None:
+        wanted = node.number("wanted")
+    if "memory" in node.values:
+        memory = tuple(node.numbers("memory"))
+    if memory is not None and terms and len(memory) != len(terms.tau):
         raise node.refuse(
             "memory",
             f"has {len(memory)} entries, and not as many as the model's relaxation",

@@ -35,7 +35,13 @@ from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.cascade import OtherHysteresis
 from dbo_cli.hysteresis.model_file import relaxation_values
-from dbo_cli.hysteresis.operators import BacklashState, Floats, OutputLimits, Relaxation
+from dbo_cli.hysteresis.operators import (
+    Axis,
+    BacklashState,
+    Floats,
+    OutputLimits,
+    Relaxation,
+)
 
 Memory = tuple[float, ...] | None  # of relaxation; None: at rest at the sample to come
 Kind = Literal["plays", "rate-plays", "singular-plays", "one-sided-plays"]
@@ -66,7 +72,9 @@ def _follow(table: Floats, z: Floats, v: float) -> None:
 
 
 def _weighted(table: Floats, z: Floats, share: float) -> float:
-    weight = table[2] + share * table[3] if len(table) > 3 else table[2]
+    weight = table[2]
+    if len(table) > 3:
+        weight = weight + share * table[3]
     total = np.zeros(LANES)
     for group in (weight * z).reshape(-1, LANES):
         total = total + group
@@ -118,7 +126,8 @@ def _on_curve(curve: Floats, at: float, slope: float, wanted: float) -> float:
     near, far = at, at + step
     for _ in range(MOST_STEPS):
         missing = wanted - ((_curve(curve, far) - begin) + slope * (far - at))
-        if missing <= 0.0 if wanted > 0.0 else missing >= 0.0:
+        passed = missing <= 0.0 if wanted > 0.0 else missing >= 0.0
+        if passed:
             break
         near = far
         step = step + step
@@ -128,12 +137,13 @@ def _on_curve(curve: Floats, at: float, slope: float, wanted: float) -> float:
         missing = wanted - ((_curve(curve, x) - begin) + slope * (x - at))
         if missing == 0.0:
             break
-        if missing > 0.0 if wanted > 0.0 else missing < 0.0:
+        short = missing > 0.0 if wanted > 0.0 else missing < 0.0
+        if short:
             near = x
         else:
             far = x
         following = x + missing / (slope + _curve_slope(curve, x))
-        if not (near < following < far if near < far else far < following < near):
+        if not min(near, far) < following < max(near, far):
             following = near + 0.5 * (far - near)
         if following == x:
             break
@@ -148,7 +158,8 @@ def _solved(
     places: list[float] = z[:n].tolist()
     up, down, weight = (row[:n].tolist() for row in table[:3])
     by_rate: list[float] = table[3, :n].tolist() if len(table) > 3 else []
-    at, reached = places[0], _weighted(table, z, share)
+    at = places[0]
+    reached = _weighted(table, z, share)
     if curve.size:
         reached = reached + _curve(curve, at)
     if y == reached:
@@ -158,24 +169,25 @@ def _solved(
     if by_rate:
         slope = slope + share * by_rate[0]
     for i in range(1, n):
-        edge = places[i] + up[i] if rising else places[i] - down[i]
-        edge = max(edge, at) if rising else min(edge, at)
+        if rising:
+            edge = max(places[i] + up[i], at)
+        else:
+            edge = min(places[i] - down[i], at)
         gained = slope * (edge - at)
         if curve.size:
             gained = gained + (_curve(curve, edge) - _curve(curve, at))
         gained = reached + gained
-        if gained >= y if rising else gained <= y:
+        enough = gained >= y if rising else gained <= y
+        if enough:
             break
         reached = gained
         at = edge
         slope = slope + weight[i]
         if by_rate:
             slope = slope + share * by_rate[i]
-    return (
-        _on_curve(curve, at, slope, y - reached)
-        if curve.size
-        else at + (y - reached) / slope
-    )
+    if curve.size:
+        return _on_curve(curve, at, slope, y - reached)
+    return at + (y - reached) / slope
 
 
 def plays_solve(
@@ -201,12 +213,13 @@ def plays_solve(
         if limited:
             if step.size and not math.isnan(last):
                 most = float(step[k if step.size > 1 else 0])
-                v = last + most if v > last + most else v
-                v = last - most if v < last - most else v
-            v = high if v > high else v
-            v = low if v < low else v
+                v = min(v, last + most)
+                v = max(v, last - most)
+            v = min(v, high)
+            v = max(v, low)
             if abs(v - wanted) > slack:
-                first = first if clipped else k
+                if not clipped:
+                    first = k
                 clipped += 1
         _follow(table, z, v)
         x[k] = last = v
@@ -218,9 +231,9 @@ def plays_solve(
 
 def _kernel() -> Any:
     """Return the compiled plays, or their readable twin, this module, where the Python kernel was chosen."""
-    return (
-        sys.modules[__name__] if kernel.CHOSEN is kernel.PythonKernel else kernel.CHOSEN
-    )
+    if kernel.CHOSEN is kernel.PythonKernel:
+        return sys.modules[__name__]
+    return kernel.CHOSEN
 
 
 @dataclass(frozen=True)
@@ -244,16 +257,16 @@ class PlayState(BacklashState):
 
     def to_json_dict(self) -> dict[str, object]:
         """Return the state as plain JSON values."""
-        inverse = None if self.inverse_plays is None else list(self.inverse_plays)
-        memory: dict[str, object] = (
-            {} if self.memory is None else {"memory": list(self.memory)}
-        )
-        return {
+        values: dict[str, object] = {
             "places": list(self.plays),
-            "inverse_places": inverse,
+            "inverse_places": None,
             "wanted": self.wanted,
-            **memory,
         }
+        if self.inverse_plays is not None:
+            values["inverse_places"] = list(self.inverse_plays)
+        if self.memory is not None:
+            values["memory"] = list(self.memory)
+        return values
 
 
 @dataclass(frozen=True, eq=False)
@@ -381,18 +394,19 @@ class PlayOperator(OtherHysteresis):
             values |= {"by_rate": self.by_rate.tolist(), "fastest": self.fastest}
         if self.one_sided:
             values |= {"cubic": self.cubic, "linear": self.linear}
-        beside = relaxation_values(
-            self.relaxation, "output" if self.inverted else "input"
-        )
-        return values | ({"relaxation": beside} if beside else {})
+        axis: Axis = "output" if self.inverted else "input"
+        beside = relaxation_values(self.relaxation, axis)
+        if beside is not None:
+            values["relaxation"] = beside
+        return values
 
     @cached_property
     def table(self) -> Floats:
         """The kernel's rows: up, down, weight and by_rate, padded to whole groups of lanes."""
         down = np.zeros(self.n) if self.one_sided else self.radii
-        rows = [self.radii, down, self.weights] + (
-            [self.by_rate] if self.by_rate.size else []
-        )
+        rows = [self.radii, down, self.weights]
+        if self.by_rate.size:
+            rows.append(self.by_rate)
         table = np.zeros((len(rows), -(-self.n // LANES) * LANES))
         table[:2] = np.inf
         table[:, : self.n] = rows
@@ -401,7 +415,9 @@ class PlayOperator(OtherHysteresis):
     @cached_property
     def curve(self) -> Floats:
         """The kernel's (cubic, linear), or nothing."""
-        return np.array([self.cubic, self.linear]) if self.one_sided else NOTHING
+        if not self.one_sided:
+            return NOTHING
+        return np.array([self.cubic, self.linear])
 
     def settled(self, x: float) -> Floats:
         """Return the plays after an oscillation that decays from the whole range to ``x``."""
@@ -447,11 +463,9 @@ class PlayOperator(OtherHysteresis):
         """
         z, x = self._padded(plays), np.empty_like(y)
         bound = bounds or OutputLimits()
-        step = (
-            NOTHING
-            if bound.step is None
-            else np.array(bound.step, dtype=np.float64).reshape(-1)
-        )
+        step = NOTHING
+        if bound.step is not None:
+            step = np.array(bound.step, dtype=np.float64).reshape(-1)
         clipped = _kernel().plays_solve(
             self.n, self.table, self.curve, z, y, x, share, bounds is not None, bound.low, bound.high,
             bound.slack, step, np.nan if last is None else last,
@@ -492,11 +506,10 @@ class PlayOperator(OtherHysteresis):
         memories = list(begun.memory or [0.0] * len(terms.tau))
         if begun.memory is None:
             rows[0] = [0.0] * len(memories)  # at rest at the first sample
-        most = (
-            None
-            if bounds.step is None
-            else np.broadcast_to(bounds.step, y.shape).copy()
-        )
+        most = NOTHING
+        if bounds.step is not None:
+            most = np.broadcast_to(bounds.step, y.shape).copy()
+        before = math.nan if last is None else last
         clipped = first = 0
         for k, (wanted, decays) in enumerate(zip(y.tolist(), rows, strict=True)):
             past = [a * memory for a, memory in zip(decays, memories, strict=True)]
@@ -506,23 +519,18 @@ class PlayOperator(OtherHysteresis):
             wanted += share * terms.reference - sum(map(operator.mul, terms.gain, past))
             limited, _ = _kernel().plays_solve(
                 self.n, table, NOTHING, z, np.array([wanted]), x[k : k + 1], np.array([share]), True,
-                bounds.low, bounds.high, bounds.slack, NOTHING if most is None else most[k : k + 1],
-                np.nan if last is None else last,
+                bounds.low, bounds.high, bounds.slack, most[k : k + 1], before,
             )  # fmt: skip
-            first, clipped, last = (
-                first if clipped or not limited else k,
-                clipped + limited,
-                float(x[k]),
-            )
+            if limited and not clipped:
+                first = k
+            clipped += limited
+            before = float(x[k])
             memories = [
-                memory + (1.0 - a) * (last - terms.reference)
+                memory + (1.0 - a) * (before - terms.reference)
                 for a, memory in zip(decays, past, strict=True)
             ]
-        return (
-            x,
-            PlayState(0, tuple(memories), tuple(z[: self.n].tolist())),
-            (clipped, first),
-        )
+        after = PlayState(0, tuple(memories), tuple(z[: self.n].tolist()))
+        return x, after, (clipped, first)
 
     def slow_output(self, x: float, plays: Floats) -> float:
         """Return the output for one input that comes slowly."""

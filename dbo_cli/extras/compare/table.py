@@ -81,11 +81,12 @@ class ModelTable:
         return text.encode()
 
     def _heading(self) -> str:
-        checked = (
-            f"; validation on {', '.join(self.validation)}" if self.validation else ""
-        )
-        unit = f", RMSE in {self.unit}" if self.unit else ""
-        return f"Models fitted to {', '.join(self.logs)}{checked}{unit}"
+        heading = f"Models fitted to {', '.join(self.logs)}"
+        if self.validation:
+            heading += f"; validation on {', '.join(self.validation)}"
+        if self.unit:
+            heading += f", RMSE in {self.unit}"
+        return heading
 
     def _text(self) -> str:
         head = [
@@ -99,17 +100,21 @@ class ModelTable:
             "ns inv",
             "trip",
         ]
-        rows = [
-            _cells(row, row.name, "{:.0e}") for row in self.rows if row.refused is None
-        ]
+        rows = []
+        refusals = []
+        remarks = []
+        for row in self.rows:
+            if row.refused is None:
+                rows.append(_cells(row, row.name, "{:.0e}"))
+            else:
+                refusals.append(f"{row.name}: {row.refused}")
+            if remark(row):
+                remarks.append(f"{row.name}: {remark(row)}")
         parts = ["\n".join(renderers.wrapped(self._heading()))]
         if rows:
             parts.append(renderers.text_table(head, rows))
-        remarks = [
-            f"{row.name}: {row.refused}" for row in self.rows if row.refused is not None
-        ]
-        remarks += [f"{row.name}: {note}" for row in self.rows if (note := remark(row))]
-        parts += ["\n".join(renderers.wrapped(line)) for line in remarks]
+        for line in [*refusals, *remarks]:
+            parts.append("\n".join(renderers.wrapped(line)))
         return "\n\n".join(parts) + "\n"
 
     def _page(self, program: str) -> str:
@@ -178,15 +183,23 @@ def remark(row: Row) -> str:
 
 
 def _cells(row: Row, name: str, trip: str) -> list[str]:
-    cells = [name]
-    cells += [
-        digits(value) for value in (row.rmse, row.expected_rmse, row.validation_rmse)
+    """Return the cells of a row; ``trip`` is the form of what a round trip leaves."""
+    parameters = round_trip = "-"
+    if row.parameters is not None:
+        parameters = str(row.parameters)
+    if row.round_trip is not None:
+        round_trip = trip.format(row.round_trip)
+    return [
+        name,
+        digits(row.rmse),
+        digits(row.expected_rmse),
+        digits(row.validation_rmse),
+        parameters,
+        digits(row.fit_seconds, 3),
+        digits(row.forward_ns, 3),
+        digits(row.inverse_ns, 3),
+        round_trip,
     ]
-    cells.append("-" if row.parameters is None else str(row.parameters))
-    cells += [
-        digits(value, 3) for value in (row.fit_seconds, row.forward_ns, row.inverse_ns)
-    ]
-    return [*cells, "-" if row.round_trip is None else trip.format(row.round_trip)]
 
 
 def _paint_cost(shown: ModelTable, rows: Sequence[Row], axes: Axes) -> None:

@@ -62,21 +62,19 @@ class CascadePlan:
     @property
     def drive_stages(self) -> MemoryFree:
         """The memory-free stages from a drive to the backlash stage."""
-        return (
-            self.model.head
-            if self.model.direction == "forward"
-            else self.model.tail_inverse
-        )
+        return self.model.head if self.model.is_forward else self.model.tail_inverse
 
     @cached_property
     def inner_limits(self) -> DriveLimits | None:
         """The limits as the backlash stage meets them, before the stages behind it."""
-        return None if self.limits is None else self.model.inner_limits(self.limits)
+        if self.limits is None:
+            return None
+        return self.model.inner_limits(self.limits)
 
     @property
     def delay_samples(self) -> tuple[int, float] | None:
         """A forward model's delay as the delay stage counts: whole samples and the part beyond; or None."""
-        if self.model.direction == "inverse" or self.model.delay_seconds == 0.0:
+        if not self.model.is_forward or self.model.delay_seconds == 0.0:
             return None
         assert self.time_step is not None
         return whole_and_part(self.model.delay_seconds / self.time_step)
@@ -97,24 +95,21 @@ class CascadePlan:
     @property
     def kappa(self) -> float:
         """The immediate part of the memory on an inverse's output: sum c_j (1 - a_j), term by term."""
-        on_output = self.model.backlash.memory_on == "output"
-        return (
-            float(sum((self.gain * (1.0 - self.decay)).tolist())) if on_output else 0.0
-        )
+        if self.model.backlash.memory_on == "input":
+            return 0.0
+        return float(sum((self.gain * (1.0 - self.decay)).tolist()))
 
     @property
     def slew_step(self) -> float | None:
         """The largest change of the backlash stage's output in one step."""
-        return (
-            None
-            if self.inner_limits is None
-            else self.inner_limits.largest_change(self.time_step)
-        )
+        if self.inner_limits is None:
+            return None
+        return self.inner_limits.largest_change(self.time_step)
 
     @cached_property
     def inverter(self) -> DynamicsInverter | None:
         """What undoes the dynamics of an inverse model, or None."""
-        if self.model.direction == "forward" or self.model.dynamics is None:
+        if self.model.is_forward or self.model.dynamics is None:
             return None
         assert self.time_step is not None
         return self.model.dynamics.inverter(self.time_step)
@@ -122,26 +117,22 @@ class CascadePlan:
     @property
     def read_ahead(self) -> float:
         """How many seconds earlier an inverse needs its input: for its delay, and its dynamics."""
-        if self.model.direction == "forward":
+        if self.model.is_forward:
             return 0.0
-        undoing = (
-            0.0
-            if self.inverter is None
-            else self.inverter.ahead * self.inverter.time_step
-        )
+        if self.inverter is None:
+            return self.model.delay_seconds
+        undoing = self.inverter.ahead * self.inverter.time_step
         return self.model.delay_seconds + undoing
 
     @property
     def first_output(self) -> float:
         """The output after a rest at the lower end, no covered gear engaged."""
         covered = self.model.covered_gears
-        at = covered.x0 if self.model.direction == "inverse" else covered.y0
+        at = covered.y0 if self.model.is_forward else covered.x0
         y = float(through(self.model.tail, np.array([at]))[0])
-        return (
-            y
-            if self.limits is None
-            else min(max(y, self.limits.v_min), self.limits.v_max)
-        )
+        if self.limits is None:
+            return y
+        return min(max(y, self.limits.v_min), self.limits.v_max)
 
     @property
     def trimmed_drive(self) -> float:
@@ -150,9 +141,14 @@ class CascadePlan:
 
     def empty_state(self) -> ModelState:
         """Return the state of ``NAME_init``: no covered gear engaged, nothing remembered."""
-        memory = (0.0,) * self.terms if self.terms else None
-        state = BacklashState(self.model.spare_bits, memory)
+        state = BacklashState(self.model.spare_bits, self._memories(0.0))
         return ModelState(state, drive=self.model.covered_gears.x0)
+
+    def _memories(self, value: float) -> tuple[float, ...] | None:
+        """Return a memory in which every term remembers ``value``; None without terms."""
+        if not self.terms:
+            return None
+        return (value,) * self.terms
 
     def settled_state(self, drive: float) -> ModelState:
         """Return the state of ``NAME_reset``: settled and at rest at a drive (V)."""
@@ -161,26 +157,23 @@ class CascadePlan:
         start = covered.empty() if inner <= covered.x0 else covered.settled(inner)
         start = self.model.of_all_gears(start)
         _, after, _ = self.model.forward_backlash.run([inner], start)
-        memory = (
-            tuple(0.0 + (inner - self.reference) for _ in range(self.terms))
-            if self.terms
-            else None
+        state = BacklashState(
+            after.bits, self._memories(0.0 + (inner - self.reference))
         )
-        lagging = None if self.model.drive_lag is None else ((drive, 0.0, drive),)
-        return ModelState(
-            BacklashState(after.bits, memory), drive=inner, drive_lag=lagging
-        )
+        begun = ModelState(state, drive=inner)
+        if self.model.drive_lag is None:
+            return begun
+        return replace(begun, drive_lag=((drive, 0.0, drive),))
 
     def spare_words(self, width: int) -> list[str]:
         """Return the spare gears' bits as C constants of ``width`` bits; empty where there are none."""
         bits = self.model.spare_bits
-        count, mask = -(-self.model.backlash.n // width), (1 << width) - 1
+        if not bits:
+            return []
+        count = -(-self.model.backlash.n // width)
+        mask = (1 << width) - 1
         form = "UINT64_C(0x{:x})" if width == 64 else "0x{:x}U"
-        return (
-            [form.format(bits >> width * k & mask) for k in range(count)]
-            if bits
-            else []
-        )
+        return [form.format(bits >> width * k & mask) for k in range(count)]
 
 
 _KINDS = (
@@ -214,7 +207,9 @@ def plan_cascade(
         raise UsageError(
             f"`sample_rate` {sample_rate!r}: must be a frequency in Hz greater than 0"
         )
-    turned = model if model.direction == direction else model.inverse()
+    turned = model
+    if model.direction != direction:
+        turned = model.inverse()
     relaxation = turned.backlash.relaxation  # a model that has no gears is refused here
     for place, stage in enumerate(turned.stages):
         if not isinstance(stage, _KINDS):
@@ -229,20 +224,17 @@ def plan_cascade(
             "the model depends on the time between samples: give `sample_rate` in Hz"
         )
     step = None if sample_rate is None else 1.0 / sample_rate
-    decay = (
-        np.empty(0) if relaxation is None or step is None else relaxation.decay(step)[0]
-    )
-    if relaxation is not None and np.any(decay >= 1.0):
+    if relaxation is None:
+        return CascadePlan(turned, step, limits, np.empty(0), np.empty(0), 0.0)
+    assert step is not None
+    decay = relaxation.decay(step)[0]
+    if np.any(decay >= 1.0):
         raise ModelError(
             f"relaxation.tau: {max(relaxation.tau)!r} s is too slow for {sample_rate!r} Hz"
             " (`sample_rate` lower)"
         )
-    gain, reference = (
-        ((), 0.0) if relaxation is None else (relaxation.gain, relaxation.reference)
-    )
-    return CascadePlan(
-        turned, step, limits, np.array(gain, dtype=np.float64), decay, reference
-    )
+    gain = np.array(relaxation.gain, dtype=np.float64)
+    return CascadePlan(turned, step, limits, gain, decay, relaxation.reference)
 
 
 def ignored_beyond(quantity: Quantity) -> str:
@@ -292,12 +284,11 @@ def with_fewer_gears(
         raise UsageError(
             f"`gears` {gears}: the model has {full.n}; give a number from 1 to that"
         )
-    forward = model if model.direction == "forward" else model.inverse()
+    forward = model if model.is_forward else model.inverse()
     if gears == full.n:
         return forward, {}
-    across, up = (
-        np.concatenate([[0.0], np.cumsum(widths)]) for widths in (full.dx, full.dy)
-    )
+    across = np.concatenate([[0.0], np.cumsum(full.dx)])
+    up = np.concatenate([[0.0], np.cumsum(full.dy)])
     ends = across[-1] * np.arange(gears + 1) / gears
     heights = np.diff(np.interp(ends, across, up))
     reduced = DiscreteBacklashOperator(
@@ -308,25 +299,26 @@ def with_fewer_gears(
         full.relaxation,
         "input",
     )
-    stages = tuple(
-        reduced if stage is forward.backlash else stage for stage in forward.stages
-    )
-    fewer = replace(forward, stages=stages)
+    stages = list(forward.stages)
+    stages[stages.index(forward.backlash)] = reduced
+    fewer = replace(forward, stages=tuple(stages))
     return fewer, _loss(forward, fewer)
 
 
 def _loss(full: ActuatorModel, fewer: ActuatorModel) -> dict[str, float]:
     differences = []
-    step = max(full.backlash.relaxation.tau) if full.backlash.relaxation else None
-    if full.needs_time and step is None:
+    step = None
+    if full.backlash.relaxation:
+        step = max(full.backlash.relaxation.tau)
+    elif full.needs_time:
         step = max(full.delay_seconds, 1e-9)  # any step will do for a delay alone
     for seed in range(_TRIALS):
         moves = self_test_moves(full.input.minimum, full.input.maximum, seed)
-        outputs = [
-            m.simulate(moves, m.start(float(moves[0])), time_step=step).y
-            for m in (full, fewer)
-        ]
-        differences.append(outputs[1] - outputs[0])
+        first = float(moves[0])
+        exact = full.simulate(moves, full.start(first), time_step=step).y
+        coarse = fewer.simulate(moves, fewer.start(first), time_step=step).y
+        differences.append(coarse - exact)
     every = np.concatenate(differences)
-    worst, rms = float(np.max(np.abs(every))), float(np.sqrt(np.mean(every**2)))
+    worst = float(np.max(np.abs(every)))
+    rms = float(np.sqrt(np.mean(every**2)))
     return {"max": worst, "rms": rms, "max_percent": 100.0 * worst / full.output.span}

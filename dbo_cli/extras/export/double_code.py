@@ -69,14 +69,16 @@ def double_code(plan: CascadePlan, lookup: bool) -> c.ModelCode:
     memory = [f"double memory[{plan.terms}];"] if plan.terms else []
     # What a step of the gears changes; it writes to no turn that the state before it
     # has.
-    kept = [
+    changed = [
         member
         for member in (*parts.members, *memory)
         if not member.startswith("dbo_place ")
     ]
     _dynamics(plan, parts)
     lag = plan.model.drive_lag is not None
-    step = _lag_step(plan, parts, kept) if lag else parts.once
+    step = parts.once
+    if lag:
+        step = _lag_step(plan, parts, changed)
     members = [*parts.members, *memory]
     if parts.segments:
         members.append(f"size_t segments[{parts.segments}];")
@@ -87,16 +89,18 @@ def double_code(plan: CascadePlan, lookup: bool) -> c.ModelCode:
                 whole, c.hex_double(1.0 - part), "double", ""
             )
         else:
-            between = (
-                f"later + {c.hex_double(part)} * (earlier - later)" if part else "later"
-            )
+            between = "later"
+            if part:
+                between = f"later + {c.hex_double(part)} * (earlier - later)"
             more, delay = c.delay_line(whole, "double", between)
         members += more
-    dynamics, spare, covered = (
-        plan.model.dynamics is not None,
-        plan.spare_words(64),
-        plan.model.covered_gears,
-    )
+    dynamics = plan.model.dynamics is not None
+    spare = plan.spare_words(64)
+    covered = plan.model.covered_gears
+    lowest_output = highest_output = ""
+    if plan.limits is not None:
+        lowest_output = c.hex_double(plan.limits.v_min)
+        highest_output = c.hex_double(plan.limits.v_max)
     values: dict[str, str | bool] = {
         "inverse": plan.model.direction == "inverse", "counts": False, "lookup": lookup, "lag": lag,
         "moving": dynamics, "terms": plan.terms > 0, "points": parts.segments > 0, "spare": bool(spare),
@@ -108,8 +112,7 @@ def double_code(plan: CascadePlan, lookup: bool) -> c.ModelCode:
         "LOWEST_DRIVE": c.hex_double(covered.x0),
         "FIRST_OUTPUT": c.hex_double(plan.first_output),
         "REACH": ignored_beyond(plan.model.input), "DRIVE_REACH": ignored_beyond(plan.model.drive),
-        "LOWEST_OUTPUT": c.hex_double(plan.limits.v_min) if plan.limits else "",
-        "HIGHEST_OUTPUT": c.hex_double(plan.limits.v_max) if plan.limits else "",
+        "LOWEST_OUTPUT": lowest_output, "HIGHEST_OUTPUT": highest_output,
         "tables": parts.tables, "drive_steps": parts.drive, "step": parts.undo + step + parts.dynamics,
         "delay_line": delay,
     }  # fmt: skip
@@ -170,11 +173,12 @@ def _gears(plan: CascadePlan, parts: _Parts, lookup: bool) -> None:
         "ON_OUTPUT": str(int(gears.memory_on == "output")),
         "CHANGE": c.hex_double(plan.slew_step or 0.0), "LIMITS": "&within" if lagging else "&limits",
     }  # fmt: skip
-    slack = 0.0 if limits is None else NEGLIGIBLE * (limits.v_max - limits.v_min)
+    least = most = 0.0
+    if limits is not None:
+        least, most = limits.v_min, limits.v_max
     numbers = {
         "X_START": gears.x0, "Y_START": gears.y0, "REFERENCE": plan.reference, "KAPPA": kappa,
-        "LEAST": 0.0 if limits is None else limits.v_min, "MOST": 0.0 if limits is None else limits.v_max,
-        "SLACK": slack,
+        "LEAST": least, "MOST": most, "SLACK": NEGLIGIBLE * (most - least),
     }  # fmt: skip
     values |= {key: c.hex_double(value) for key, value in numbers.items()}
     parts.tables = c.fill("double_tables.c", values)
@@ -219,9 +223,10 @@ def _memory_free(plan: CascadePlan, parts: _Parts) -> None:
     parts.drive = _stage_steps(plan.drive_stages, "drive", parts)
     # rounding on the way through the points
     if plan.limits is not None and plan.model.tail:
-        low, high = ("low", "high") if plan.model.drive_lag is not None else (
-            c.hex_double(plan.limits.v_min), c.hex_double(plan.limits.v_max)
-        )  # fmt: skip
+        low, high = "low", "high"
+        if plan.model.drive_lag is None:
+            low = c.hex_double(plan.limits.v_min)
+            high = c.hex_double(plan.limits.v_max)
         parts.behind += f"    x = x < {low} ? {low} : x > {high} ? {high} : x;\n"
 
 
@@ -269,9 +274,13 @@ def _dynamics(plan: CascadePlan, parts: _Parts) -> None:
 def _undone_dynamics(plan: CascadePlan, parts: _Parts) -> None:
     """Add the inverse of the dynamics, the last section first, each with its window on the future."""
     assert plan.inverter is not None
-    undone, rows, windows, steps = plan.inverter.parts[::-1], [], "", ""
+    undone = plan.inverter.parts[::-1]
+    rows = []
+    windows = steps = ""
     for k, part in enumerate(undone):
-        ahead, weights, window = part.weight.size, "0", f"window_{k}"
+        ahead = part.weight.size
+        window = f"window_{k}"
+        weights = "0"
         if ahead:
             weights = f"weights_{k}"
             parts.tables += _doubles(weights, part.weight)
@@ -318,11 +327,9 @@ def _lag_step(plan: CascadePlan, parts: _Parts, gear_members: Sequence[str]) -> 
     parts.tables += c.array(
         "dbo_section_step", "lag_undone", c.double_rows(undoing_rows(numbers))
     )
-    parts.tables += (
-        output
-        + c.fill("next_above.c", {})
-        + ("" if slew is None else c.fill("towards.c", {}))
-    )
+    parts.tables += output + c.fill("next_above.c", {})
+    if slew is not None:
+        parts.tables += c.fill("towards.c", {})
     constants = {
         "LEAST": low, "MOST": high,
         "CHANGE": plan.limits.largest_change(plan.time_step) or 0.0, "PART": float(numbers[0, 0]),
@@ -379,9 +386,6 @@ def _vectors(plan: CascadePlan) -> list[c.Vectors]:
             played, state, time_step=plan.time_step, limits=plan.limits
         ).y
         start = None if reset is None else c.hex_double(reset)
-        vectors.append(
-            c.Vectors(
-                start, *([c.hex_double(v) for v in values] for values in (moves, y))
-            )
-        )
+        inputs = [c.hex_double(move) for move in moves]
+        vectors.append(c.Vectors(start, inputs, [c.hex_double(v) for v in y]))
     return vectors

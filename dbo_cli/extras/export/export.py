@@ -110,17 +110,20 @@ def translated(
         input=c.plain_quantity(model.input),
         output=c.plain_quantity(model.output),
     )
-    model, loss = (model, {}) if gears is None else with_fewer_gears(model, gears)
+    loss: dict[str, float] = {}
+    if gears is not None:
+        model, loss = with_fewer_gears(model, gears)
     limits = _limits(model, direction, v_min, v_max, max_slew, extrapolate)
     plan = plan_cascade(model, direction, sample_rate, limits)
     try:
-        code = (
-            double_code(plan, lookup)
-            if arithmetic == "double"
-            else single_code(plan, arithmetic == "q31")
-        )
+        if arithmetic == "double":
+            code = double_code(plan, lookup)
+        else:
+            code = single_code(plan, arithmetic == "q31")
     except NarrowGearsError as problem:
-        instead = f"`arithmetic` double{'' if arithmetic == 'q31' else ' or q31'}"
+        instead = "`arithmetic` double"
+        if arithmetic == "float":
+            instead = "`arithmetic` double or q31"
         raise ModelError(
             f"{problem} ({_gears_that_do(model, plan, arithmetic)}{instead})"
         ) from None
@@ -128,38 +131,33 @@ def translated(
     count, run = plan.model.backlash.n, plan.model.backlash.equal_run
     # Towards the input; an inverse then to its limits, and back to where a drive lag's
     # own limits hold it.
-    passes = (
-        1
-        if plan.model.direction == "forward"
-        else 2
-        if plan.model.drive_lag is None
-        else 3
-    )
-    beyond = ""
+    passes = 1
+    if not plan.model.is_forward:
+        passes = 2 if plan.model.drive_lag is None else 3
+    warnings: tuple[str, ...] = ()
     if plan.limits is not None:
         beyond = beyond_range(plan.model.drive, plan.limits.v_min, plan.limits.v_max)
+        if beyond:
+            warnings = (f"the limits allow {beyond}",)
     summary = ExportSummary(
         folder=folder, name=name, direction=plan.model.direction, arithmetic=arithmetic, files=(),
         gears=count, table_rows=-(-count // run), run=run, table_bytes=code.table_bytes,
         state_bytes=code.state_bytes(count), worst_runs=most_runs(count, arithmetic) * passes,
         vectors=sum(len(part.inputs) for part in code.vectors), bounds=code.bounds, gears_loss=loss,
-        notes=tuple(_notes(plan, loss, words)), warnings=(f"the limits allow {beyond}",) if beyond else (),
+        notes=tuple(_notes(plan, loss, words)), warnings=warnings,
     )  # fmt: skip
     return Translated(plan, code, summary, words)
 
 
 def _gears_that_do(model: ActuatorModel, plan: CascadePlan, arithmetic: str) -> str:
     """Return the remedy for gears that are too narrow: how many, halved until they do, are wide enough."""
-    gears, rate = (
-        plan.model.backlash.n // 2,
-        None if plan.time_step is None else 1.0 / plan.time_step,
-    )
+    gears = plan.model.backlash.n // 2
+    rate = None if plan.time_step is None else 1.0 / plan.time_step
     while gears:
-        fewer = plan_cascade(
-            with_fewer_gears(model, gears)[0], plan.model.direction, rate, plan.limits
-        )
+        fewer, _ = with_fewer_gears(model, gears)
+        coarse = plan_cascade(fewer, plan.model.direction, rate, plan.limits)
         try:
-            single_code(fewer, arithmetic == "q31")
+            single_code(coarse, arithmetic == "q31")
         except NarrowGearsError:
             gears //= 2
         else:
@@ -213,18 +211,24 @@ def most_runs(gears: int, arithmetic: str) -> int:
 
 def _words(plan: CascadePlan, name: str, arithmetic: str) -> c.Values:
     """Return what every file of an export knows."""
-    model, inverse = plan.model, plan.model.direction == "inverse"
+    model = plan.model
+    inverse = not model.is_forward
+    takes, gives = "drive", "displacement"
+    if inverse:
+        takes, gives = "displacement wanted", "drive"
+    rate = 0.0
+    if plan.time_step is not None:
+        rate = 1.0 / plan.time_step
     return {
         "NAME": name, "GUARD": name.upper(),
         "TITLE": f"The {plan.model.direction} hysteresis model of an actuator,"
         f" {model.input.quantity} to {model.output.quantity}",
         "ORIGIN": f"Written by dbo export from the model {model.digest[:16]}.",
-        "MEANING": f"the {'displacement wanted' if inverse else 'drive'} in,"
-        f" the {'drive' if inverse else 'displacement'} out",
+        "MEANING": f"the {takes} in, the {gives} out",
         "timed": plan.time_step is not None, "ahead": plan.read_ahead > 0.0, "inverse": inverse,
         "alone": True, "counts": arithmetic == "q31", "AHEAD": repr(plan.read_ahead),
         **_places(model.backlash.n, arithmetic),
-        "RATE": repr(0.0 if plan.time_step is None else 1.0 / plan.time_step),
+        "RATE": repr(rate),
     }  # fmt: skip
 
 
@@ -245,25 +249,21 @@ def _notes(plan: CascadePlan, loss: dict[str, float], words: c.Values) -> list[s
     if plan.time_step is not None:
         steps = round(plan.read_ahead / plan.time_step, 6)
         values["SHOWN_RATE"] = f"{1.0 / plan.time_step:.12g}"
-        values["SHOWN_AHEAD"] = (
-            f"{plan.read_ahead:.9g} s ({steps:.6g} sample{'s' if steps > 1 else ''})"
-        )
+        samples = "samples" if steps > 1 else "sample"
+        values["SHOWN_AHEAD"] = f"{plan.read_ahead:.9g} s ({steps:.6g} {samples})"
     if plan.limits is not None:
-        slew, unit = plan.limits.max_slew, plan.model.drive.suffix
-        slowly = (
-            "" if slew is None else f", changing by at most {slew!r}{unit} a second"
-        )
-        values["LEAST"], values["MOST_SLEW"] = (
-            repr(plan.limits.v_min),
-            f"{plan.limits.v_max!r}{unit}{slowly}",
-        )
+        unit = plan.model.drive.suffix
+        most = f"{plan.limits.v_max!r}{unit}"
+        if plan.limits.max_slew is not None:
+            most += f", changing by at most {plan.limits.max_slew!r}{unit} a second"
+        values["LEAST"] = repr(plan.limits.v_min)
+        values["MOST_SLEW"] = most
     if loss:
-        unit = (
-            plan.model.output if plan.model.direction == "forward" else plan.model.input
-        ).suffix
-        most, percent, rms = loss["max"], loss["max_percent"], loss["rms"]
+        displacement = plan.model.output if plan.model.is_forward else plan.model.input
+        unit = displacement.suffix
         values["LOSS"] = (
-            f"{most:.3g}{unit} ({percent:.2g} % of the range) at most, {rms:.3g}{unit}"
+            f"{loss['max']:.3g}{unit} ({loss['max_percent']:.2g} % of the range) at most, "
+            f"{loss['rms']:.3g}{unit}"
         )
     return c.fill("notes.md", {**words, **values}).splitlines()
 
@@ -292,10 +292,8 @@ def kernel_files(
 ) -> dict[str, str]:
     """Return the kernel's sources as they are, and headers that make their names this export's own."""
     name, guard = words["NAME"], words["GUARD"]
-    package, firmware = (
-        resources.files("dbo_cli.hysteresis"),
-        resources.files("dbo_cli.extras.export") / "firmware",
-    )
+    package = resources.files("dbo_cli.hysteresis")
+    firmware = resources.files("dbo_cli.extras.export") / "firmware"
     files: dict[str, str] = {}
     if c.INTERPOLATION in headers:
         files[c.INTERPOLATION] = c.interpolation_header(arithmetic)
@@ -304,7 +302,9 @@ def kernel_files(
     ]
     for file in ("dbo_kernel", *kernels):
         for kind in ("c", "h"):
-            path = (firmware if file == "dbo_lookup" else package) / f"{file}.{kind}"
+            path = package / f"{file}.{kind}"
+            if file == "dbo_lookup":
+                path = firmware / f"{file}.{kind}"
             if arithmetic != "double":
                 path = firmware / f"{file}_single.{kind}"
             files[f"{file}.{kind}"] = path.read_text(encoding="utf-8")

@@ -183,34 +183,33 @@ def axes_of(plan: CascadePlan) -> Axes:
 
 def shift_for(largest: float) -> int:
     """Return the shift, 62 at most, that brings a factor just below 2^31, as a whole number."""
-    return (
-        min(math.floor(math.log2((2.0**31 - 1.0) / largest)), 62)
-        if largest > 0.0
-        else 30
-    )
+    if not largest > 0.0:
+        return 30
+    return min(math.floor(math.log2((2.0**31 - 1.0) / largest)), 62)
 
 
 def segments_of(
     folded: Folded, q31: bool, x: tuple[float, float], y: tuple[float, float]
 ) -> Segments:
     """Return a folded function in the arithmetic; ``x`` and ``y`` are (offset, unit) of either axis."""
-    at, up = (folded.x - x[0]) / x[1], (folded.y - y[0]) / y[1]
+    at = (folded.x - x[0]) / x[1]
+    up = (folded.y - y[0]) / y[1]
     slopes = folded.slope * x[1] / y[1]
     if not q31:
-        return Segments(
-            [(F(a), F(b), F(s)) for a, b, s in zip(at, up, slopes, strict=True)], 0
-        )
-    at, up = np.rint(at), np.rint(up)
+        floats = [(F(a), F(b), F(s)) for a, b, s in zip(at, up, slopes, strict=True)]
+        return Segments(floats, 0)
+    at = np.rint(at)
+    up = np.rint(up)
     slopes[:-1] = np.diff(up) / np.maximum(np.diff(at), 1.0)
     shift = shift_for(float(np.abs(slopes).max()))
     if shift < 16 or float(np.abs(at).max()) >= 2.0**31:
         raise ModelError(
             "points or scales beyond the range of q31 (`arithmetic` float or double)"
         )
-    rows = zip(at.tolist(), up.tolist(), slopes.tolist(), strict=True)
-    return Segments(
-        [(int(a), int(b), round(s * 2.0**shift)) for a, b, s in rows], shift
-    )
+    counts = []
+    for a, b, slope in zip(at.tolist(), up.tolist(), slopes.tolist(), strict=True):
+        counts.append((int(a), int(b), round(slope * 2.0**shift)))
+    return Segments(counts, shift)
 
 
 def counts_of_range(quantity: Quantity) -> tuple[float, float]:
@@ -224,11 +223,15 @@ def _remembered(plan: CascadePlan, axes: Axes) -> tuple[int, float, float]:
     It is a count of the remembered axis, or coarser where the reference is far away:
     they have 31 bits.
     """
-    gears, on_output = plan.model.backlash, plan.model.backlash.memory_on == "output"
-    offset = (gears.y0 if on_output else gears.x0) - plan.reference
-    count = axes.y_count if on_output else axes.x_count
-    coarse = max(math.frexp(abs(offset) / count / COUNTS)[1], 0) if plan.terms else 0
-    return axes.fine[int(on_output)] + coarse, count * 2.0**coarse, offset
+    gears = plan.model.backlash
+    begin, count, fine = gears.x0, axes.x_count, axes.fine[0]
+    if gears.memory_on == "output":
+        begin, count, fine = gears.y0, axes.y_count, axes.fine[1]
+    offset = begin - plan.reference
+    coarse = 0
+    if plan.terms:
+        coarse = max(math.frexp(abs(offset) / count / COUNTS)[1], 0)
+    return fine + coarse, count * 2.0**coarse, offset
 
 
 def _carried(plan: CascadePlan, axes: Axes) -> Floats:
@@ -241,37 +244,45 @@ def _carried(plan: CascadePlan, axes: Axes) -> Floats:
 
 def _terms(plan: CascadePlan, axes: Axes) -> tuple[list[tuple[int, int, int]], int]:
     """Return (carried, rest, rest_shift) of each relaxation term, and the shift of what is carried."""
-    factors, rests = _carried(plan, axes), 1.0 - plan.decay
+    factors = _carried(plan, axes)
     shift = shift_for(float(factors.sum()))
     if shift < 0:
         raise ModelError(
             "relaxation.gain: beyond the range of this arithmetic (`arithmetic` double)"
         )
-    downs = [math.floor(math.log2(COUNTS / rest)) for rest in rests.tolist()]
-    return [
-        (round(factor * 2.0**shift), round(rest * 2.0**down), down)
-        for factor, rest, down in zip(
-            factors.tolist(), rests.tolist(), downs, strict=True
-        )
-    ], shift
+    terms = []
+    rests = 1.0 - plan.decay
+    for factor, rest in zip(factors.tolist(), rests.tolist(), strict=True):
+        down = math.floor(math.log2(COUNTS / rest))
+        terms.append((round(factor * 2.0**shift), round(rest * 2.0**down), down))
+    return terms, shift
 
 
 def _rows(axes: Axes, q31: bool) -> tuple[list[tuple[int, int, Any]], int]:
     """Return the gear table and, in q31, the shift of its slopes."""
     slopes = axes.heights / axes.widths * (axes.x_unit / axes.y_unit)
-    shift = shift_for(float(slopes.max())) if q31 else 0
-    if q31 and shift < 16:
-        raise ModelError("dy: a gear too steep for q31 (`arithmetic` float or double)")
-    return [
-        (
-            round(w / axes.x_unit),
-            round(h / axes.y_unit),
-            round(s * 2.0**shift) if q31 else F(s),
-        )
-        for w, h, s in zip(
-            axes.widths.tolist(), axes.heights.tolist(), slopes.tolist(), strict=True
-        )
-    ], shift
+    numbers: list[Any]
+    if q31:
+        shift = shift_for(float(slopes.max()))
+        if shift < 16:
+            raise ModelError(
+                "dy: a gear too steep for q31 (`arithmetic` float or double)"
+            )
+        numbers = [round(slope * 2.0**shift) for slope in slopes.tolist()]
+    else:
+        shift = 0
+        numbers = [F(slope) for slope in slopes.tolist()]
+    widths = [round(width / axes.x_unit) for width in axes.widths.tolist()]
+    heights = [round(height / axes.y_unit) for height in axes.heights.tolist()]
+    return list(zip(widths, heights, numbers, strict=True)), shift
+
+
+def _begin_of_axis(plan: CascadePlan, axes: Axes) -> float:
+    """Return where the gears begin, on the axis that an inverse's memory widens."""
+    gears = plan.model.backlash
+    if gears.memory_on == "input":
+        return gears.x0 + 0.0
+    return gears.x0 + axes.kappa * (gears.y0 - plan.reference)
 
 
 def single_tables(
@@ -292,13 +303,13 @@ def single_tables(
     on_output = gears.memory_on == "output"
     source, result = plan.model.input, plan.model.output
     rows, slope_shift = _rows(axes, q31)
-    base = gears.x0 + (axes.kappa * (gears.y0 - plan.reference) if on_output else 0.0)
-    taken, goes_in = (
-        (counts_of_range(source), counts_of_range(result))
-        if q31
-        else ((0.0, 1.0), (0.0, 1.0))
-    )
-    x_step, y_step = (axes.x_unit, axes.y_unit) if q31 else (axes.x_count, axes.y_count)
+    base = _begin_of_axis(plan, axes)
+    taken = goes_in = (0.0, 1.0)
+    x_step, y_step = axes.x_count, axes.y_count
+    if q31:
+        taken = counts_of_range(source)
+        goes_in = counts_of_range(result)
+        x_step, y_step = axes.x_unit, axes.y_unit
     before = fold(plan.model.head, source.minimum, source.maximum)
     behind = fold(plan.model.tail, gears.y0, gears.y0 + float(axes.high.sum()))
     if plan.model.direction == "forward":
@@ -307,14 +318,17 @@ def single_tables(
         undone = fold(plan.drive_stages, result.minimum, result.maximum)
         drive = segments_of(undone, q31, goes_in, (gears.y0, y_step))
     clip, change, positions = _limits(plan, axes, q31)
-    first = to_counts(plan.first_output, result) if q31 else F(plan.first_output)
+    first = _number(plan.first_output, result, q31)
     if clip is not None:
         first = min(max(first, clip[0]), clip[1])
     whole, part = plan.delay_samples or (-1, 0.0)
     smooth = plan.delay_is_smooth
     if smooth:
         part = 1.0 - part  # of the step in which the value lies
-    delay = whole, round(part * (PARTS if smooth else COUNTS)) if q31 else F(part)
+    number: Any = F(part)
+    if q31:
+        number = round(part * (PARTS if smooth else COUNTS))
+    delay = whole, number
     drive_shift, drive_count, offset = _remembered(plan, axes)
     terms, carried_shift = _terms(plan, axes)
     span = sum(rows[i // gears.equal_run][0] for i in range(gears.n))
@@ -329,6 +343,13 @@ def single_tables(
         behind=segments_of(behind, q31, (gears.y0, axes.y_count), goes_in),
         drive=drive, clip=clip, change=change, first=first, delay=delay, smooth=smooth,
     )  # fmt: skip
+
+
+def _number(value: float, quantity: Quantity, q31: bool) -> Any:
+    """Return a value of a quantity in the arithmetic: in counts, or as float32."""
+    if q31:
+        return to_counts(value, quantity)
+    return F(value)
 
 
 def to_counts(value: float, quantity: Quantity) -> int:
@@ -349,31 +370,32 @@ def _limits(
     limits, inner = plan.limits, plan.inner_limits
     if limits is None or inner is None:
         return None, None, None
-    clip = _count_clip(limits, plan.model.drive) if q31 else _float_clip(limits)
+    clip: tuple[Any, Any]
+    if q31:
+        clip = _count_clip(limits, plan.model.drive)
+    else:
+        clip = _float_clip(limits)
     if not clip[0] < clip[1]:
         raise ModelError(
             "`v_min`, `v_max`: too close for this arithmetic (`arithmetic` double)"
         )
-    change, step = None, -1.0
-    if (
-        limits.max_slew is not None
-        and plan.slew_step is not None
-        and plan.time_step is not None
-    ):
-        largest = limits.max_slew * plan.time_step
-        change, reached = (
-            _count_change(largest, plan.model.drive)
-            if q31
-            else _float_change(largest, clip)
-        )
-        step = plan.slew_step * (reached / largest) / axes.y_unit
+    change: Any = None
+    step = -1.0
+    slew, slew_step = limits.max_slew, plan.slew_step
+    if slew is not None and slew_step is not None and plan.time_step is not None:
+        largest = slew * plan.time_step
+        if q31:
+            change, reached = _count_change(largest, plan.model.drive)
+        else:
+            change, reached = _float_change(largest, clip)
+        step = slew_step * (reached / largest) / axes.y_unit
         if step < 4.0:
             raise ModelError(
                 "`max_slew`: less than this arithmetic resolves in one step (`sample_rate` lower)"
             )
-    low, high = (
-        (v - plan.model.backlash.y0) / axes.y_unit for v in (inner.v_min, inner.v_max)
-    )
+    y0 = plan.model.backlash.y0
+    low = (inner.v_min - y0) / axes.y_unit
+    high = (inner.v_max - y0) / axes.y_unit
     if max(abs(low), abs(high), step) >= 2.0**59:
         raise ModelError(
             "`v_min`, `v_max`: beyond what this arithmetic holds (`arithmetic` double)"
@@ -382,19 +404,21 @@ def _limits(
 
 
 def _float_clip(limits: DriveLimits) -> tuple[Any, Any]:
-    low, high = F(limits.v_min), F(limits.v_max)
-    low = np.nextafter(low, F(np.inf)) if float(low) < limits.v_min else low
-    high = np.nextafter(high, F(-np.inf)) if float(high) > limits.v_max else high
+    """Return the limits in float32, rounded inwards."""
+    low = F(limits.v_min)
+    if float(low) < limits.v_min:
+        low = np.nextafter(low, F(np.inf))
+    high = F(limits.v_max)
+    if float(high) > limits.v_max:
+        high = np.nextafter(high, F(-np.inf))
     return low, high
 
 
 def _count_clip(limits: DriveLimits, drive: Quantity) -> tuple[int, int]:
     """Return the limits in counts, each, as ``NAME_OUT`` converts it, within the limits asked for."""
     middle, unit = counts_of_range(drive)
-    low, high = (
-        round((limits.v_min - middle) / unit),
-        round((limits.v_max - middle) / unit),
-    )
+    low = round((limits.v_min - middle) / unit)
+    high = round((limits.v_max - middle) / unit)
     if max(abs(low), abs(high)) >= 2**31 - 1:
         raise ModelError(
             "`v_min`, `v_max`: beyond twice the model's range, which q31 does not hold"
@@ -414,11 +438,8 @@ def _float_change(largest: float, clip: tuple[Any, Any]) -> tuple[Any, float]:
     """
     place = float(np.spacing(max(abs(clip[0]), abs(clip[1]))))
     change = F(max(largest - 0.5 * place, 0.0))
-    change = (
-        np.nextafter(change, F(0.0))
-        if float(change) > largest - 0.5 * place
-        else change
-    )
+    if float(change) > largest - 0.5 * place:
+        change = np.nextafter(change, F(0.0))
     return change, max(largest - 2.0 * place, 0.0)
 
 
@@ -459,14 +480,16 @@ def _loop(plan: CascadePlan, axes: Axes, steepest: float) -> tuple[float, float,
 
     Returns the rounding, the gain of the loop, and how much a disturbance grows.
     """
-    c, a = plan.gain, plan.decay
     if not plan.terms:
         return 0.0, 0.0, 1.0
+    c, a = plan.gain, plan.decay
+    b = 1.0 - a
     on_output = plan.model.backlash.memory_on == "output"
-    b, carried = 1.0 - a, (c * a if on_output else c)
+    carried, widths, unit = c, axes.wide, axes.y_unit
+    if on_output:
+        carried, widths, unit = c * a, axes.high, axes.x_unit
     _, count, offset = _remembered(plan, axes)
-    drive = float((axes.high if on_output else axes.wide).sum()) + abs(offset)
-    unit = axes.x_unit if on_output else axes.y_unit
+    drive = float(widths.sum()) + abs(offset)
     rounded = count * (2.0 + 2.0 * drive / count * 2.0**-30 + 2.0**-24 / b)
     shift = shift_for(float(_carried(plan, axes).sum()))
     recall = unit * (0.5 + plan.terms * drive / count * 2.0 ** -(shift + 1))
@@ -476,12 +499,10 @@ def _loop(plan: CascadePlan, axes: Axes, steepest: float) -> tuple[float, float,
     loop = steepest * float(np.sum(carried))
     stiff = max(1.0 / steepest - axes.kappa, 0.0) + 0.5 * axes.kappa
     rho = float(np.min(2.0 * b * (1.0 - 0.5 * b)))
-    energy = 1.0 + math.sqrt(float(np.sum(2.0 * b * c * a**2)) / (4.0 * stiff * rho))
-    return (
-        rounding,
-        float(np.sum(carried)),
-        min(1.0 / (1.0 - loop) if loop < 1.0 else math.inf, energy),
-    )
+    growth = 1.0 + math.sqrt(float(np.sum(2.0 * b * c * a**2)) / (4.0 * stiff * rho))
+    if loop < 1.0:
+        growth = min(1.0 / (1.0 - loop), growth)
+    return rounding, float(np.sum(carried)), growth
 
 
 class NarrowGearsError(ModelError):
@@ -502,16 +523,16 @@ def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> dict[str, float]:
         The gears are too narrow for the arithmetic: its rounding is beyond 1/16 of one.
     """
     gears, source, result = plan.model.backlash, plan.model.input, plan.model.output
-    run, on_output = gears.equal_run, gears.memory_on == "output"
+    run = gears.equal_run
+    on_output = gears.memory_on == "output"
     slopes = axes.high / axes.wide
-    steepest, span, height = (
-        float(slopes.max()),
-        float(axes.wide.sum()),
-        float(axes.high.sum()),
-    )
+    steepest = float(slopes.max())
+    span = float(axes.wide.sum())
+    height = float(axes.high.sum())
     own, gain, growth = _loop(plan, axes, steepest)
-    base = gears.x0 + (axes.kappa * (gears.y0 - plan.reference) if on_output else 0.0)
-    x_in, y_out = counts_of_range(source)[1], counts_of_range(result)[1]
+    base = _begin_of_axis(plan, axes)
+    _, x_in = counts_of_range(source)
+    _, y_out = counts_of_range(result)
     before = fold(plan.model.head, source.minimum, source.maximum)
     entering = _function_error(before, q31, source.maximum, base, x_in, axes.x_unit)
     across = entering + _subset_error(axes.widths, axes.wide, run)
@@ -528,8 +549,7 @@ def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> dict[str, float]:
         across += EPS * 2.0 * span + axes.x_count
         rising += EPS * 4.0 * float(axes.high.max()) + axes.y_unit
     if on_output:
-        steady = steepest * (across + own) + rising
-        inner = steady * growth if growth < math.inf else math.inf
+        inner = (steepest * (across + own) + rising) * growth
         place = across + own + gain * inner
     else:
         inner = steepest * across + gain * entering + own + rising + axes.y_count
@@ -540,23 +560,26 @@ def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> dict[str, float]:
     hop = float(axes.wide.max()) * float(np.sum(np.abs(np.diff(slopes)))) * growth
     behind = fold(plan.model.tail, gears.y0, gears.y0 + height)
     bend = float(np.abs(behind.slope).max())
-    leaving = _function_error(
-        Folded(behind.x - gears.y0, behind.y, behind.slope), q31, height, 0.0, axes.y_count, y_out
-    ) + bend * 0.5 * axes.y_count + (y_out if q31 else EPS * bend * height)  # fmt: skip
+    shifted = Folded(behind.x - gears.y0, behind.y, behind.slope)
+    leaving = _function_error(shifted, q31, height, 0.0, axes.y_count, y_out)
+    leaving += bend * 0.5 * axes.y_count
+    leaving += y_out if q31 else EPS * bend * height
     if plan.model.delay_seconds and not on_output and not q31:
         leaving += 3.0 * EPS * max(abs(result.minimum), abs(result.maximum))
     same = bend * inner + leaving
     if plan.delay_is_smooth:
-        rounding = (
-            4.0 * y_out
-            if q31
-            else 8.0 * EPS * max(abs(result.minimum), abs(result.maximum))
-        )
+        rounding = 8.0 * EPS * max(abs(result.minimum), abs(result.maximum))
+        if q31:
+            rounding = 4.0 * y_out
         same = SMOOTH_GROWTH * same + rounding
-    values: dict[str, float] = {}
-    for key, value in (("same_gears", same), ("after_close_turn", same + bend * hop)):
-        values |= {key: value, f"{key}_percent": 100.0 * value / result.span}
-    return {**values, "close_turn_fraction": tolerance}
+    close = same + bend * hop
+    return {
+        "same_gears": same,
+        "same_gears_percent": 100.0 * same / result.span,
+        "after_close_turn": close,
+        "after_close_turn_percent": 100.0 * close / result.span,
+        "close_turn_fraction": tolerance,
+    }
 
 
 def _tolerance(
@@ -564,9 +587,9 @@ def _tolerance(
 ) -> float:
     """Return a power of two, twice what rounding can shift a turn by, as a part of the smallest gear."""
     part = 2.0 * max(place / narrow, rising / low)
-    power = min(
-        math.floor(-math.log2(part)) if part > 0.0 else LEAST_TOLERANCE, LEAST_TOLERANCE
-    )
+    power = LEAST_TOLERANCE
+    if part > 0.0:
+        power = min(math.floor(-math.log2(part)), LEAST_TOLERANCE)
     if power < COARSEST_TOLERANCE:
         raise NarrowGearsError(
             f"{plan.model.backlash.n} gears are too narrow for this arithmetic: its rounding is "
@@ -728,7 +751,9 @@ def _guide(begins: list[tuple[int, int]]) -> tuple[int, list[int]]:
 
 def row_shift(n: int, run: int) -> int:
     """Return a shift with which i * ceil(2^shift / run) >> shift is i // run for all i <= n, in 32 bits."""
-    return (n * run - 1).bit_length() if run > 1 else 0
+    if run == 1:
+        return 0
+    return (n * run - 1).bit_length()
 
 
 def _between(t: SingleTables, text: Text) -> str:
@@ -744,22 +769,19 @@ def _between(t: SingleTables, text: Text) -> str:
 
 def _vectors(plan: CascadePlan, t: SingleTables, text: Text) -> list[Vectors]:
     """Return two runs, computed by the readable twin of the kernel."""
-    source, vectors = plan.model.input, []
-    start = (
-        to_counts(plan.trimmed_drive, plan.model.drive)
-        if t.q31
-        else F(plan.trimmed_drive)
-    )
+    source = plan.model.input
+    vectors = []
+    start = _number(plan.trimmed_drive, plan.model.drive, t.q31)
     for seed, reset in enumerate((None, start), 1):
         moves = self_test_moves(source.minimum, source.maximum, seed)
-        inputs: list[Any] = [
-            to_counts(v, source) if t.q31 else F(v) for v in moves.tolist()
-        ]
+        inputs = [_number(move, source, t.q31) for move in moves.tolist()]
         kernel = SingleKernel(t)
         with np.errstate(over="ignore", under="ignore"):
             if reset is not None:
                 kernel.reset(reset)
             outputs = [kernel.step(x) for x in inputs]
-        texts = ([text(v) for v in values] for values in (inputs, outputs))
-        vectors.append(Vectors(None if reset is None else text(reset), *texts))
+        begun = None if reset is None else text(reset)
+        vectors.append(
+            Vectors(begun, [text(x) for x in inputs], [text(y) for y in outputs])
+        )
     return vectors

@@ -209,31 +209,26 @@ class SingleKernel:
                 self.y = self.y + self.t.rows[i // self.t.run][1]
 
     def _next(self, rising: bool) -> int:
-        return (
-            find_first_zero(self.bits)
-            if rising
-            else find_first_one(self.bits, self.t.n)
-        )
+        """Return the next gear to be crossed, n where there is none."""
+        if rising:
+            return find_first_zero(self.bits)
+        return find_first_one(self.bits, self.t.n)
 
     def pass_gears(self, u: int, bound: int, rising: bool) -> int:
         """Cross gears one way; return the last one crossed, n where there was none."""
         last = self.t.n
+        sign = 1 if rising else -1
         while (gear := self._next(rising)) < self.t.n:
             width, height, _ = self.t.rows[gear // self.t.run]
-            travelled = u - self.x if rising else self.x - u
-            room = bound - self.y if rising else self.y - bound
             tolerance = self.t.tolerance
-            if travelled < width - (width >> tolerance) or room < height - (
-                height >> tolerance
-            ):
+            if sign * (u - self.x) < width - (width >> tolerance):
+                break
+            if sign * (bound - self.y) < height - (height >> tolerance):
                 break
             last = gear
-            sign = 1 if rising else -1
-            self.x, self.y, self.bits = (
-                self.x + sign * width,
-                self.y + sign * height,
-                self.bits ^ 1 << gear,
-            )
+            self.x += sign * width
+            self.y += sign * height
+            self.bits ^= 1 << gear
         return last
 
     def follow_output(self, y: int, rising: bool) -> None:
@@ -243,10 +238,12 @@ class SingleKernel:
     def solve(self, u: int, low: int, high: int) -> int:
         """Return the output for the input ``u``."""
         rising = u >= self.x
-        last = self.pass_gears(u, high if rising else low, rising)
+        bound = high if rising else low
+        last = self.pass_gears(u, bound, rising)
         following = self._next(rising)
         d = u - self.x
-        if last < self.t.n and (d < 0 if rising else d > 0):
+        falls_short = d < 0 if rising else d > 0
+        if last < self.t.n and falls_short:
             following = last
         slope = self.t.rows[min(following, self.t.n - 1) // self.t.run][2]
         return self.y + self.along_gear(slope, d)
@@ -254,9 +251,12 @@ class SingleKernel:
     def solve_within(self, u: int, low: int, high: int) -> int:
         """Return the output within low ... high."""
         rising = u >= self.x
-        if high < self.y if rising else low > self.y:
-            self.follow_output(high if rising else low, not rising)
-            return high if rising else low
+        if rising and high < self.y:
+            self.follow_output(high, False)
+            return high
+        if not rising and low > self.y:
+            self.follow_output(low, True)
+            return low
         y = self.solve(u, low, high)
         if y > high:
             if not rising:
@@ -284,10 +284,9 @@ class SingleKernel:
         parts = zip(self.t.terms, self.memory, strict=True)
         total = sum(carried * (memory >> 24) for (carried, _, _), memory in parts)
         remembered = scaled_down(total, self.t.carried_shift)  # in positions
-        x = clamped(
-            x - remembered if self.t.memory_on_output else x,
-            (self.t.least, self.t.most),
-        )
+        if self.t.memory_on_output:
+            x -= remembered
+        x = clamped(x, (self.t.least, self.t.most))
         if self.t.limits is None:
             y = self.solve(x, -FARTHEST, FARTHEST)
         else:
@@ -309,18 +308,17 @@ class SingleKernel:
         """Do what ``NAME_reset`` does to the state of ``NAME_init``, which a new kernel has."""
         if self.t.clip is not None:  # of an inverse, whose output is the drive
             self.output = self._kept(drive)
-        axis = 1 if self.t.memory_on_output else 0
-        place = self.position_of(
-            self.through(self.t.drive, drive), (self.t.x_shift, self.t.y_shift)[axis]
-        )
-        target = place - (self.x, self.y)[axis]
-        low, high = (
-            0,
-            sum(self.t.rows[i // self.t.run][axis] for i in range(self.t.covered)),
-        )
+        axis, shift, begin = 0, self.t.x_shift, self.x
+        if self.t.memory_on_output:
+            axis, shift, begin = 1, self.t.y_shift, self.y
+        place = self.position_of(self.through(self.t.drive, drive), shift)
+        target = place - begin
+        widths = [self.t.rows[i // self.t.run][axis] for i in range(self.t.covered)]
+        low, high = 0, sum(widths)
         slack = high // 1048576
-        for i in reversed(range(self.t.covered if target > 0 else 0)):
-            width = self.t.rows[i // self.t.run][axis]
+        if target <= 0:
+            widths = []
+        for i, width in reversed(list(enumerate(widths))):
             if target - low >= (high - target) - slack:
                 self.bits |= 1 << i
                 low += width
@@ -330,10 +328,10 @@ class SingleKernel:
         self.load()
         if self.t.memory_on_output:
             self.follow_output(place, place >= self.y)
+        elif place >= self.x:
+            self.pass_gears(place, FARTHEST, True)
         else:
-            self.pass_gears(
-                place, FARTHEST if place >= self.x else -FARTHEST, place >= self.x
-            )
+            self.pass_gears(place, -FARTHEST, False)
         self.last = place
 
     def step(self, x: Number) -> Number:
@@ -360,7 +358,9 @@ class SingleKernel:
         later, earlier = self.delayed[-1 - whole], self.delayed[-2 - whole]
         if self.t.q31:
             return later + scaled_down((earlier - later) * part, 30)
-        return later + part * (earlier - later) if part else later
+        if not part:
+            return later
+        return later + part * (earlier - later)
 
     def _smoothly_delayed(self, out: Number, whole: int, part: Number) -> Number:
         """Return what a smooth delay line gives for the newest sample."""
@@ -376,8 +376,6 @@ class SingleKernel:
 
     def _kept(self, out: Number) -> Number:
         """Return an output within the limits."""
-        return (
-            out
-            if self.t.clip is None
-            else min(max(out, self.t.clip[0]), self.t.clip[1])
-        )
+        if self.t.clip is None:
+            return out
+        return min(max(out, self.t.clip[0]), self.t.clip[1])

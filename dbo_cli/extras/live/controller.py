@@ -32,7 +32,7 @@ from dbo_cli.extras.live.rows import (
 )
 from dbo_cli.hysteresis.cascade import WHOLE, MemoryFree, ScaleStage, through
 from dbo_cli.hysteresis.drive_lag import coefficients, undoing_rows
-from dbo_cli.hysteresis.dynamics import InverseMemory
+from dbo_cli.hysteresis.dynamics import DynamicsInverter, InverseMemory
 from dbo_cli.hysteresis.kernel import Floats
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, StartName
@@ -85,19 +85,20 @@ class LookAhead:
         self._rate = rate
         self._step = 1.0 / rate
         self._delay = model.delay_seconds
-        self._inverter = (
-            None if model.dynamics is None else model.dynamics.inverter(self._step)
-        )
+        self._inverter: DynamicsInverter | None = None
+        self._ahead = 0
+        if model.dynamics is not None:
+            self._inverter = model.dynamics.inverter(self._step)
+            self._ahead = self._inverter.ahead
         self._late = math.ceil(self._delay / self._step - WHOLE)
-        self._ahead = 0 if self._inverter is None else self._inverter.ahead
-        self._between = "linear" if model.delay is None else model.delay.between
         needed = self._late + self._ahead
-        best = self._ahead + (
-            0 if model.delay is None else model.delay.rows_ahead(self._step)
-        )
-        self.samples = (
-            best if seconds == "auto" else math.ceil(seconds / self._step - WHOLE)
-        )
+        self._between = "linear"
+        self.samples = self._ahead
+        if model.delay is not None:
+            self._between = model.delay.between
+            self.samples += model.delay.rows_ahead(self._step)
+        if seconds != "auto":
+            self.samples = math.ceil(seconds / self._step - WHOLE)
         if self.samples < needed:
             raise UsageError(
                 f"`lookahead` {seconds:g} s is {self.samples} samples, and the inverse of this model reads "
@@ -193,17 +194,13 @@ class DriveLag:
 
     def __init__(self, model: ActuatorModel, limits: DriveLimits, step: float) -> None:
         assert model.drive_lag is not None
-        self._model, self._lag, self._limits, self._step = (
-            model,
-            model.drive_lag,
-            limits,
-            step,
-        )
-        self._most = (
-            math.inf
-            if limits.max_slew is None
-            else limits.largest_change(step) or math.inf
-        )
+        self._model = model
+        self._lag = model.drive_lag
+        self._limits = limits
+        self._step = step
+        self._most = math.inf
+        if limits.max_slew is not None:
+            self._most = limits.largest_change(step) or math.inf
         row = undoing_rows(coefficients(self._lag, step))[0]
         self._by_lead, self._by_change = float(row[1]), float(row[2])
         self.held = (0.0, 0.0)  # what the lag passes on, and the drive before it
@@ -358,9 +355,9 @@ class Controller(LiveDrive[float, float | int]):
         self._most = math.inf if most is None else most
         # A converter's code keeps the slew limit itself, since it may have to save up
         # for it.
-        self._planning = (
-            self.limits if dac is None else DriveLimits(self._low, self._high)
-        )
+        self._planning = self.limits
+        if dac is not None:
+            self._planning = DriveLimits(self._low, self._high)
         self.wanted_reach = reach_of(
             model.output.minimum, model.output.maximum, WANTED_SPANS
         )
@@ -377,9 +374,8 @@ class Controller(LiveDrive[float, float | int]):
         self.converter = None if dac is None else Converter(dac, self.limits, most)
         self.saved = 0.0
         if self.converter is not None and not math.isnan(self._last):
-            self.converter.require_within(
-                "from_" if from_ is not None else "state", self._last
-            )
+            stands_by = "state" if from_ is None else "from_"
+            self.converter.require_within(stands_by, self._last)
         self._ahead: LookAhead | None = None
         if lookahead is not None and sample_rate is not None:
             self._ahead = LookAhead(model, sample_rate, lookahead)
@@ -497,9 +493,10 @@ class Controller(LiveDrive[float, float | int]):
         # without an array.
         self._head, self._after = self._inverse.head, self._inverse.tail
         self._drive_side = self._inverse.tail_inverse
-        self._scales = [
-            (s.gain, s.offset) for s in self._head if isinstance(s, ScaleStage)
-        ]
+        self._scales = []
+        for stage in self._head:
+            if isinstance(stage, ScaleStage):
+                self._scales.append((stage.gain, stage.offset))
         self._bent_before = len(self._scales) < len(self._head)
         self._bent = self._bent_before or bool(self._after)
 
@@ -784,9 +781,9 @@ class Controller(LiveDrive[float, float | int]):
 
 def _figure(name: str, value: Figure) -> Figure:
     """Return a limit as a text, a float or None (InputError where it is none of these)."""
-    return (
-        value if value is None or isinstance(value, str) else number(f"`{name}`", value)
-    )
+    if value is None or isinstance(value, str):
+        return value
+    return number(f"`{name}`", value)
 
 
 def _require_rate(sample_rate: float | None, needed: bool) -> None:

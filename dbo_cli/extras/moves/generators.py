@@ -386,8 +386,10 @@ def at_points(
     rows = drive.shape[1]
     seconds = (rows if loop else rows - 1) / rate
     count = points or rows
-    if max(count, 0.0 if new_rate is None else seconds * new_rate) > MOST_POINTS:
-        what = f"`points` {count:,}" if new_rate is None else f"`rate` {new_rate:g}"
+    what, most = f"`points` {count:,}", float(count)
+    if new_rate is not None:
+        what, most = f"`rate` {new_rate:g}", max(most, seconds * new_rate)
+    if most > MOST_POINTS:
         raise UsageError(
             f"{what}: a drive of {seconds:.6g} s becomes more than {MOST_POINTS:,} points"
         )
@@ -395,10 +397,9 @@ def at_points(
         exact = seconds * new_rate
         count = math.ceil(exact - WHOLE) + (0 if loop else 1)
         fitting = points or max(round(exact), 2)
-        if loop and (
-            abs(exact - round(exact)) > WHOLE * max(1.0, exact)
-            or count != (points or count)
-        ):
+        is_whole = abs(exact - round(exact)) <= WHOLE * max(1.0, exact)
+        is_full = points is None or count == points
+        if loop and not (is_whole and is_full):
             raise UsageError(
                 f"`rate` {new_rate:g}: the loop of {seconds:.6g} s is {exact:.6g} points (a `rate` of "
                 f"{fitting / seconds:.9g} makes {fitting:,})"
@@ -410,8 +411,10 @@ def at_points(
             )
     elif count < 2:
         raise UsageError(f"`points` {count}: a drive needs two")
+    elif count == rows:
+        new_rate = rate
     else:
-        new_rate = (count if loop else count - 1) / seconds if count != rows else rate
+        new_rate = (count if loop else count - 1) / seconds
     resting = 0 if points is None else points - count
     if count == rows and abs(new_rate / rate - 1.0) < WHOLE / count:
         played, moved = drive, 0.0

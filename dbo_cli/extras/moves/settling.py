@@ -175,6 +175,15 @@ def below_error(model: ActuatorModel, distance: float) -> str:
     )
 
 
+def _sections_of(model: ActuatorModel) -> list[Section]:
+    """Return what rings or lags: the sections of the dynamics, and of a lag before the gears."""
+    sections: list[Section] = []
+    for stage in (model.dynamics, model.drive_lag):
+        if stage is not None:
+            sections.extend(stage.sections)
+    return sections
+
+
 def settling_seconds(
     model: ActuatorModel, begin: float, end: float, distance: float
 ) -> float:
@@ -204,14 +213,9 @@ def settling_seconds(
     rest = slow.start(begin)
     for _ in range(2):  # the first sample's own time step does not matter
         rest = slow.simulate([begin], rest, time_step=longest).state
-    aim, size = (
-        output(end, longest),
-        abs(output(end, SHORTEST) - output(begin, SHORTEST)),
-    )
-    stages = (model.dynamics, model.drive_lag)
-    fades = _fades(
-        [section for stage in stages if stage is not None for section in stage.sections]
-    )
+    aim = output(end, longest)
+    size = abs(output(end, SHORTEST) - output(begin, SHORTEST))
+    fades = _fades(_sections_of(model))
 
     def left(seconds: float) -> float:
         rings = sum(part * math.exp(-seconds / fade) for part, fade in fades)
@@ -222,7 +226,10 @@ def settling_seconds(
         return 0.0
     for _ in range(HALVINGS):
         middle = math.sqrt(low * high)
-        low, high = (middle, high) if left(middle) > distance else (low, middle)
+        if left(middle) > distance:
+            low = middle
+        else:
+            high = middle
     modes = []
     if model.dynamics is not None:
         modes = [resonance.frequency for resonance in model.dynamics.resonances]
@@ -269,12 +276,10 @@ def _fades(sections: Sequence[Section]) -> list[tuple[float, float]]:
             fades.append((1.0, section.seconds))
             continue
         at = np.array([section.frequency])
-        gains = (
-            abs(complex(section_beside.response(at)[0]))
-            for section_beside in sections
-            if section_beside is not section
-        )
-        fades.append(
-            (math.prod(gains), 0.5 / (math.pi * section.frequency * section.damping))
-        )
+        gain = 1.0
+        for section_beside in sections:
+            if section_beside is not section:
+                gain *= abs(complex(section_beside.response(at)[0]))
+        fade = 0.5 / (math.pi * section.frequency * section.damping)
+        fades.append((gain, fade))
     return fades

@@ -120,13 +120,12 @@ class TrajectoryOptions:
         for name in needs:
             if getattr(self, name) is None:
                 raise UsageError(f"a {self.shape} needs `{name}`")
-        for option in (
-            name for pair in TAKES.values() for names in pair for name in names
-        ):
-            if getattr(self, option) and option not in needs + takes:
-                raise UsageError(
-                    f"`{option}` belongs to another shape than {self.shape}"
-                )
+        for needs_of_other, takes_of_other in TAKES.values():
+            for option in needs_of_other + takes_of_other:
+                if getattr(self, option) and option not in needs + takes:
+                    raise UsageError(
+                        f"`{option}` belongs to another shape than {self.shape}"
+                    )
 
     def _check_values(self) -> None:
         for low, high in (self.range, self.slow_range or self.range):
@@ -147,21 +146,22 @@ class TrajectoryOptions:
     @property
     def seconds(self) -> float:
         """About how long the move takes, in s."""
-        each = (
-            (self.dwell or 0.0) + 1.0 / (self.bandwidth or self.rate)
-            if self.steps
-            else 0.0
-        )
-        count = (self.lines or self.turns or self.cycles or 1) * (
-            2 if self.one_way else 1
-        )
+        standing = self.rest
+        if self.steps:
+            each = (self.dwell or 0.0) + 1.0 / (self.bandwidth or self.rate)
+            standing = self.steps * each + self.rest
+        count = self.lines or self.turns or self.cycles or 1
+        if self.one_way:
+            count *= 2
         moving = count / self.frequency if self.frequency else 0.0
-        return 2.0 * ((self.steps or 0) * each + self.rest) + moving
+        return 2.0 * standing + moving
 
     @property
     def turn(self) -> int:
         """Rows of a turn or a rise."""
-        return 0 if self.bandwidth is None else math.ceil(self.rate / self.bandwidth)
+        if self.bandwidth is None:
+            return 0
+        return math.ceil(self.rate / self.bandwidth)
 
     @property
     def period(self) -> int:
@@ -290,7 +290,9 @@ def _raster(options: TrajectoryOptions) -> Move:
     lines, turn, period = options.lines or 1, options.turn, options.period
     over, pixels = options.overscan / 100.0, options.pixels or 1
     room = (period - turn) / (1.0 + 2.0 * over)
-    inside = math.ceil(room / pixels) * pixels if options.pixels else math.floor(room)
+    inside = math.floor(room)
+    if options.pixels:
+        inside = math.ceil(room / pixels) * pixels
     if room < max(2, pixels):
         fewest = math.ceil(max(2, pixels) * (1.0 + 2.0 * over)) + turn
         raise UsageError(
@@ -300,28 +302,27 @@ def _raster(options: TrajectoryOptions) -> Move:
     extra = math.ceil(over * inside)
     flat, beyond = inside + 2 * extra, (high - low) * extra / inside
     ends = (low - beyond, high + beyond)
-    fast = strokes(ends, flat, turn, 2 * lines - 1 if options.one_way else lines)
-    gap = 2 * turn + flat if options.one_way else turn
+    count, gap = lines, turn
+    if options.one_way:  # a way back stands between two lines
+        count, gap = 2 * lines - 1, 2 * turn + flat
+    fast = strokes(ends, flat, turn, count)
     slow_low, slow_high = options.slow_range or options.range
-    levels = (
-        np.linspace(slow_low, slow_high, lines) if lines > 1 else np.array([slow_low])
-    )
+    levels = np.linspace(slow_low, slow_high, lines)
     profile = np.concatenate([np.zeros(flat), risen(gap)])
     blocks = levels[:-1, None] + np.diff(levels)[:, None] * profile
     lead = math.floor(START * turn)
     slow = np.concatenate(
         [np.full(lead + 1, levels[0]), blocks.ravel(), np.full(flat + lead, levels[-1])]
     )
-    rate, line = options.rate, flat + turn
-    each = (
-        f", {options.pixels} pixels of {inside // pixels} rows"
-        if options.pixels
-        else ""
-    )
+    line = flat + turn
+    seconds = line / options.rate
+    every = 2 * seconds if options.one_way else seconds
     note = (
-        f"{lines} lines, one in {line / rate * (2 if options.one_way else 1):.6g} s; of a line's "
-        f"{line / rate:.6g} s {100.0 * inside / line:.3g} % are linear and inside the range{each}"
+        f"{lines} lines, one in {every:.6g} s; of a line's "
+        f"{seconds:.6g} s {100.0 * inside / line:.3g} % are linear and inside the range"
     )
+    if options.pixels:
+        note += f", {options.pixels} pixels of {inside // pixels} rows"
     return Move((fast, slow), [note])
 
 
@@ -347,9 +348,9 @@ def _triangle(options: TrajectoryOptions) -> Move:
 def _sine(options: TrajectoryOptions) -> Move:
     """Return cycles that begin and end at the lower end, at rest."""
     phase = eased(options.period, options.cycles or 1, options.loop)
-    note = f"a cycle in {options.period / options.rate:.6g} s" + (
-        "" if options.loop else "; the first half and the last take twice as long each"
-    )
+    note = f"a cycle in {options.period / options.rate:.6g} s"
+    if not options.loop:
+        note += "; the first half and the last take twice as long each"
     return Move(
         (_between(options.range, 0.5 - 0.5 * np.cos(2.0 * math.pi * phase)),), [note]
     )

@@ -13,7 +13,7 @@ import numpy as np
 from dbo_cli.drives.gate import Floats
 from dbo_cli.drives.model_run import FAST_PART, FASTER
 from dbo_cli.drives.options import DriveOptions, Figure
-from dbo_cli.errors import Remarks, UsageError
+from dbo_cli.errors import Remarks, UsageError, suffix_of
 from dbo_cli.extras.moves.shapes import TrajectoryOptions, move
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import read_model
@@ -89,26 +89,25 @@ def make_trajectory(
         )
     options, notes = _trusted(options, [model for _, model in models])
     made = move(options)
-    axes = dict(
-        zip(ONE_AXIS if len(made.axes) == 1 else TWO_AXES, made.axes, strict=True)
-    )
+    names = ONE_AXIS if len(made.axes) == 1 else TWO_AXES
+    axes = dict(zip(names, made.axes, strict=True))
     if len(models) > len(axes):
         raise UsageError(
             f"`model`: {len(models)} of them, and a {options.shape} has {len(axes)} (one an axis)"
         )
-    for number, (axis, values) in enumerate(axes.items() if models else ()):
-        name, model = models[min(number, len(models) - 1)]
-        _require_reach(axis, values, name, model, drive.limits(model))
-        notes += _speed(axis, values * options.rate, name, model)
+    if models:
+        for number, (axis, values) in enumerate(axes.items()):
+            name, model = models[min(number, len(models) - 1)]
+            _require_reach(axis, values, name, model, drive.limits(model))
+            notes += _speed(axis, values * options.rate, name, model)
     rows = made.axes[0].size
     size = f"{rows:,} rows, {rows / options.rate:.6g} s"
-    suffix = f" {unit}" if unit else ""
-    reach = ", ".join(
-        f"{axis} {v.min():.6g} to {v.max():.6g}{suffix}" for axis, v in axes.items()
-    )
-    remarks = [
-        f"{options.shape}: {note}" for note in [f"{reach}; {size}", *made.notes, *notes]
-    ]
+    ranges = []
+    for axis, values in axes.items():
+        ends = f"{values.min():.6g} to {values.max():.6g}"
+        ranges.append(f"{axis} {ends}{suffix_of(unit)}")
+    first_note = f"{', '.join(ranges)}; {size}"
+    remarks = [f"{options.shape}: {note}" for note in [first_note, *made.notes, *notes]]
     return Trajectory(np.arange(rows) / options.rate, axes, unit, remarks)
 
 
@@ -118,11 +117,11 @@ def _trusted(
     """Return options with the bandwidth of the models, where none is given, and a note on it."""
     if options.bandwidth is not None:
         return options, []
-    known = [
-        frequency
-        for frequency in map(trusted_frequency, models)
-        if frequency is not None
-    ]
+    known = []
+    for model in models:
+        frequency = trusted_frequency(model)
+        if frequency is not None:
+            known.append(frequency)
     trusted = min(known, default=None)
     why = "the model does not know how fast it can be trusted: " if models else ""
     note = f"{why}corners are not rounded (`bandwidth` HZ)"
@@ -223,19 +222,16 @@ def write_trajectory(
     if output.is_stream:
         return made.notes
     words = ["dbo", "compensate", *(models[:1] or ["MODEL"]), output.text]
-    picked, second_axis = (
-        (header_of(columns[1]), header_of(columns[2]))
-        if len(made.axes) > 1
-        else ("", "")
-    )
-    then = shlex.join(words) + (
-        f" `displacement` {shlex.quote(picked)}" if picked else ""
-    )
-    then += " `periodic`" * options.loop + " -o drive.csv makes the drive"
-    return [
-        *made.notes,
-        then + (f", {second_axis} that of the second axis" if second_axis else ""),
-    ]
+    then = shlex.join(words)
+    two_axes = len(made.axes) > 1
+    if two_axes:
+        then += f" `displacement` {shlex.quote(header_of(columns[1]))}"
+    if options.loop:
+        then += " `periodic`"
+    then += " -o drive.csv makes the drive"
+    if two_axes:
+        then += f", {header_of(columns[2])} that of the second axis"
+    return [*made.notes, then]
 
 
 def trajectory(
@@ -286,12 +282,9 @@ def trajectory(
     for name in ("rate", "range"):
         if name not in options:
             raise UsageError(f"a {shape} needs `{name}`")
-    named = (
-        [model]
-        if isinstance(model, Model | str) or hasattr(model, "__fspath__")
-        else list(model)
-    )
-    models = [_named_model(source) for source in named]
+    if isinstance(model, Model | str) or hasattr(model, "__fspath__"):
+        model = [model]
+    models = [_named_model(source) for source in model]
     drive = DriveOptions(v_min=v_min, v_max=v_max, extrapolate=extrapolate)
     made = make_trajectory(TrajectoryOptions(shape, **options), models, unit, drive)
     frame = pd.DataFrame({"time": made.time, **made.axes})

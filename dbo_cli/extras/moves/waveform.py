@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -242,10 +242,10 @@ def _read(
     )
     if checked.problems:
         problem = checked.problems[0]
-        remedy = next(
-            (text for words, text in _REMEDIES.items() if words in problem), ""
-        )
-        raise LimitError(f"{name}: {problem}{remedy}")
+        for words, remedy in _REMEDIES.items():
+            if words in problem:
+                raise LimitError(f"{name}: {problem}{remedy}")
+        raise LimitError(f"{name}: {problem}")
     return (
         drive,
         1.0 / stated if stated else require_even(name, block.time, PLAYS),
@@ -280,36 +280,47 @@ def _encoded(
             f"`volts` gives {ends[0]:.6g} to {ends[1]:.6g} (wider `volts`, or the amplifier's `gain`, "
             f"which is {options.gain:g})"
         )
-    limits = options.limits
-    within = (limits.v_min / options.gain, limits.v_max / options.gain)
-    within = within if options.gain > 0.0 else within[::-1]
+    limits = _limits_at_generator(options)
+    within = limits.v_min, limits.v_max
     content, back, coarse = _rounded(volts, ends, within, options)
     for name, exact, rounded in zip(names, volts, back, strict=True):
         _refuse_coarse(name, exact, rounded, options)
     data = waveforms.written(options.to, waveforms.Signals(content, rate, ends))
-    slew = (
-        None
-        if limits.max_slew is None
-        else limits.max_slew / abs(options.gain) + coarse * rate
-    )
+    if limits.max_slew is not None:
+        slew = limits.max_slew + coarse * rate  # codes stand a step beside the drive
+        limits = replace(limits, max_slew=slew)
     for rows in back:
-        gate = DriveGate(DriveLimits(*within, slew))
-        gate.admit(np.append(rows, rows[0]) if options.loop else rows, 1.0 / rate)
+        closed = np.append(rows, rows[0]) if options.loop else rows
+        DriveGate(limits).admit(closed, 1.0 / rate)
     rounding = float(np.abs(back - volts).max())
-    codes = options.codes or form.codes or ((-1, 1) if form.normal else None)
-    mean = (
-        ""
-        if codes is None
-        else f"; {codes[0]:g} to {codes[1]:g} mean {ends[0]:.6g} to {ends[1]:.6g} V"
-    )
-    return (
-        data,
-        back,
-        [
-            _line(name, volts, played, rounding, options) + mean
-            for name, volts in zip(names, back, strict=True)
-        ],
-    )
+    mean = _meaning_of_codes(options, ends)
+    lines = []
+    for name, rows in zip(names, back, strict=True):
+        lines.append(_line(name, rows, played, rounding, options) + mean)
+    return data, back, lines
+
+
+def _limits_at_generator(options: WaveformOptions) -> DriveLimits:
+    """Return the limits of the drive in volts of the generator, in front of the amplifier's gain."""
+    limits, gain = options.limits, options.gain
+    slew = None
+    if limits.max_slew is not None:
+        slew = limits.max_slew / abs(gain)
+    low, high = limits.v_min / gain, limits.v_max / gain
+    if gain < 0.0:
+        low, high = high, low
+    return DriveLimits(low, high, slew)
+
+
+def _meaning_of_codes(options: WaveformOptions, ends: tuple[float, float]) -> str:
+    """Say which codes, or which ends of the form's own scale, mean which volts."""
+    form = format_named(options.to)
+    codes = options.codes or form.codes
+    if codes is None and form.normal:
+        codes = (-1, 1)
+    if codes is None:
+        return ""
+    return f"; {codes[0]:g} to {codes[1]:g} mean {ends[0]:.6g} to {ends[1]:.6g} V"
 
 
 def _rounded(
@@ -356,12 +367,17 @@ def _line(
     """Say what has to be set at the generator, and what rounding did."""
     low, high = float(volts.min()), float(volts.max())
     seconds = volts.size / played.rate
-    once = f"repeated at {1.0 / seconds:.9g} Hz" if options.loop else "played once"
-    before = f" before a gain of {options.gain:g}" if options.gain != 1.0 else ""
-    moved = f", another rate {played.moved:.3g} V of the drive" if played.moved else ""
-    end = f"; the last {played.held:,} hold the last value" if played.held else ""
-    return (
-        f"{name}: {volts.size:,} points at {played.rate:.9g} a second, {seconds:.6g} s, {once}{end}; "
-        f"amplitude {high - low:.6g} Vpp, offset {0.5 * (high + low):.6g} V{before}; rounding "
-        f"moves it by at most {rounding:.3g} V{moved}"
-    )
+    line = f"{name}: {volts.size:,} points at {played.rate:.9g} a second, {seconds:.6g} s, "
+    if options.loop:
+        line += f"repeated at {1.0 / seconds:.9g} Hz"
+    else:
+        line += "played once"
+    if played.held:
+        line += f"; the last {played.held:,} hold the last value"
+    line += f"; amplitude {high - low:.6g} Vpp, offset {0.5 * (high + low):.6g} V"
+    if options.gain != 1.0:
+        line += f" before a gain of {options.gain:g}"
+    line += f"; rounding moves it by at most {rounding:.3g} V"
+    if played.moved:
+        line += f", another rate {played.moved:.3g} V of the drive"
+    return line

@@ -68,9 +68,9 @@ def read_history(path: str) -> list[PassRecord]:
             f'{path}: is no history ("format": "{FORMAT}", "version": {VERSION})'
         )
     passes = content.get("passes")
-    return (
-        [_record(path, record) for record in passes] if isinstance(passes, list) else []
-    )
+    if not isinstance(passes, list):
+        return []
+    return [_record(path, record) for record in passes]
 
 
 def _record(path: str, values: Any) -> PassRecord:
@@ -236,9 +236,9 @@ class RepeatedMove:
             self._refuse_grown(name, passed, history)
         else:
             self._refuse_growth(name, error, before, update, cutoff)
-        of = (
-            f", the mean of {len(recordings)} recordings" if len(recordings) > 1 else ""
-        )
+        of = ""
+        if len(recordings) > 1:
+            of = f", the mean of {len(recordings)} recordings"
         percent = 100.0 * passed.rmse / float(np.ptp(desired))
         remarks.notes.append(
             f"{name}: the last pass was {passed.rmse:.3g}{unit} off (RMS, {percent:.2g} % of the move{of}), "
@@ -263,15 +263,14 @@ class RepeatedMove:
             self.options.periodic,
             self.desired.size,
         )
-        begin = (
-            0
-            if recording.time is None
-            else self._first_row(recording.name, recording.time)
-        )
+        begin = 0
+        if recording.time is not None:
+            begin = self._first_row(recording.name, recording.time)
         rows = recording.voltage.size - begin
         if rows > count and not loop and recording.time is not None:
             rows = count  # what stands behind is a return
-        if rows < count or (rows % count if loop else rows != count):
+        fits = rows % count == 0 if loop else rows == count
+        if rows < count or not fits:
             whole = " or whole periods of it" if loop else ""
             raise InputError(
                 f"{recording.name}: {rows:,} rows from the trajectory's first on, the trajectory has "
@@ -284,9 +283,8 @@ class RepeatedMove:
             measured = recording.measured[last:].reshape(-1, count).mean(axis=0)
             begun = model.start(float(voltage[0]), self.options.state)
             return _Pass(voltage, settled_run(model, voltage, step, begun).y, measured)
-        begun = model.start(
-            float(recording.voltage[0]), self.options.state if begin == 0 else "auto"
-        )
+        start = self.options.state if begin == 0 else "auto"
+        begun = model.start(float(recording.voltage[0]), start)
         believed = model.simulate(recording.voltage, begun, time_step=step).y
         own_rows = slice(begin, begin + count)
         return _Pass(
@@ -299,11 +297,9 @@ class RepeatedMove:
         """Return the recording's row of the trajectory's first; what stands before is a sweep or run-in."""
         step = even_step(time)
         if step is None or abs(step / self.step - 1.0) > SAME_RATE:
-            rate = (
-                "no even clock"
-                if step is None
-                else f"{1.0 / step:.6g} samples a second"
-            )
+            rate = "no even clock"
+            if step is not None:
+                rate = f"{1.0 / step:.6g} samples a second"
             raise InputError(
                 f"{name}: has {rate} where the trajectory has {1.0 / self.step:.6g} (record at the drive's "
                 "rate, or resample both)"
@@ -330,14 +326,12 @@ class RepeatedMove:
             self.desired - self.desired.mean(),
         )
         square = float(np.dot(wanted, wanted))
-        size = (
-            max(float(np.dot(believed_shape, wanted)) / square, 0.0) if square else 1.0
-        )
-        mean = (
-            0.0
-            if self.options.absolute
-            else float(believed.mean() - self.desired.mean())
-        )
+        size = 1.0
+        if square:
+            size = max(float(np.dot(believed_shape, wanted)) / square, 0.0)
+        mean = 0.0
+        if not self.options.absolute:
+            mean = float(believed.mean() - self.desired.mean())
         away = math.hypot(rms(believed_shape - size * wanted), mean)
         if away > ANOTHER_MOVE * rms(wanted):
             raise InputError(
@@ -423,11 +417,9 @@ class RepeatedMove:
     def _trusted(self, name: str, believed: FloatArray, measured: FloatArray) -> float:
         """Return the frequency (Hz) up to which a pass takes most of the error off, and nothing grows."""
         known = trusted_frequency(self.model)
-        frequency = (
-            _trusted_by_bands(name, believed, measured, self.step)
-            if known is None
-            else known
-        )
+        frequency = known
+        if frequency is None:
+            frequency = _trusted_by_bands(name, believed, measured, self.step)
         return min(frequency, 0.45 / self.step, _safe(self.model))
 
 
@@ -472,7 +464,8 @@ def _safe(model: ActuatorModel) -> float:
     frequency.
     """
     highest = math.inf
-    for resonance in () if model.dynamics is None else model.dynamics.resonances:
+    resonances = () if model.dynamics is None else model.dynamics.resonances
+    for resonance in resonances:
         for part in (1.0 - MISTUNED, 1.0 + MISTUNED):
             frequency = resonance.frequency * np.linspace(0.5, 2.0, 3001)
             actual = Resonance(resonance.frequency * part, SHARPER * resonance.damping)

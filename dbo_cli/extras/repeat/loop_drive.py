@@ -111,11 +111,10 @@ class LoopCompensation(LearnedCompensation):
             A row breaks a limit: this program's fault.
         """
         self.streamed = False  # a period is known whole before its first row leaves
-        self.whole = (
-            self.source
-            if isinstance(self.source, WholeSource)
-            else WholeSource(self.source)
-        )
+        if isinstance(self.source, WholeSource):
+            self.whole = self.source
+        else:
+            self.whole = WholeSource(self.source)
         self.step = step = self.whole.even_step("`periodic` needs an even clock")
         block, passes = self.whole.block, self.options.passes
         request = block.values[self.input.quantity]
@@ -130,21 +129,19 @@ class LoopCompensation(LearnedCompensation):
             require_rows(f"`passes` {passes}: the run-in", passes * loop.size, step)
         before, followed, run_in, settled, begun = self._led_to_loop(loop)
         played = before.voltage.size
-        count, zero = (
-            played + run_in.size,
-            0.0 if block.time is None else float(block.time[0]),
-        )
+        count = played + run_in.size
+        zero = 0.0 if block.time is None else float(block.time[0])
         times = np.asarray(zero - step * np.arange(count, 0, -1.0), dtype=np.float64)
-        firsts = (
-            before.voltage if played else NOTHING if run_in.size else settled.done.y
-        )
-        self.gate.require_start(step, float(firsts[0]) if firsts.size else None)
+        first = None  # of a run-in: any row inside the range will do
+        if played:
+            first = float(before.voltage[0])
+        elif not run_in.size:
+            first = float(settled.done.y[0])
+        self.gate.require_start(step, first)
         self.lead_in_seconds = step * count
         self.lead_in_figures.see(np.concatenate([before.voltage, run_in]), None)
         if run_in.size:
-            self.among_them = (
-                f", {passes} pass{'es' if passes > 1 else ''} of run-in among them"
-            )
+            self.among_them = f", {passes} {_passes(passes)} of run-in among them"
         require_short(self.source.name, before.chosen, step, step * loop.size)
         drive = self._closed(settled.done.y)
         self._count(settled)
@@ -178,10 +175,8 @@ class LoopCompensation(LearnedCompensation):
             if self.model.dynamics is not None:
                 lost = self.model.dynamics.loop(lost, self.step)[0]
             self.loss.add_displacement(lost)
-        seam, inside = (
-            abs(float(done.y[0] - done.y[-1])),
-            float(np.abs(np.diff(done.y)).max()),
-        )
+        seam = abs(float(done.y[0] - done.y[-1]))
+        inside = float(np.abs(np.diff(done.y)).max())
         self.remarks_before.notes.append(
             f"{self.source.name}: the drive's step at the loop's seam is {seam:.3g}{unit}, the largest "
             f"inside {inside:.3g}{unit}"
@@ -205,9 +200,8 @@ class LoopCompensation(LearnedCompensation):
             return
         text = f"{self.source.name}: the loop does not settle: {why}"
         much = away > ALLOWED_PART * move
-        if self.options.on_limit == "error" or (
-            self.options.on_limit == "auto" and much
-        ):
+        refused = self.options.on_limit == "error"
+        if refused or (self.options.on_limit == "auto" and much):
             raise LimitError(f"{text} (`on_limit` clip writes it all the same)")
         self.remarks_before.warn(text)
 
@@ -226,10 +220,10 @@ class LoopCompensation(LearnedCompensation):
         )
         how = "is settled from its first pass on: within"
         if passes:
+            seconds = passes * (self.step * drive.size)
             how = (
-                f"settles in {passes:,} pass{'es' if passes > 1 else ''}, "
-                f"{passes * (self.step * drive.size):.3g} s: the mean of the first is {first:.3g}{unit} off, "
-                "then within"
+                f"settles in {passes:,} {_passes(passes)}, {seconds:.3g} s: the mean of the first is "
+                f"{first:.3g}{unit} off, then within"
             )
         lower, upper = self._from_either_end(settled, led_in)
         known = self.start != "auto" or max(lower, upper) <= within
@@ -266,11 +260,10 @@ class LoopCompensation(LearnedCompensation):
         passes = self.options.passes
         if self.options.lead is not None:
             return self._run_in_from_rest(loop)
-        before = (
-            self.before_move(float(loop[0]), self.step)
-            if passes
-            else self._ramp_before()
-        )
+        if passes:
+            before = self.before_move(float(loop[0]), self.step)
+        else:
+            before = self._ramp_before()
         settled = self._settled(before.state or self._begun(float(self.period[0])))
         if passes:
             desired = np.concatenate(
@@ -290,9 +283,10 @@ class LoopCompensation(LearnedCompensation):
         bias, within, start = 0.0, self._stated()[0], self.came_from
         longest = longest_chosen(self.step * self.period.size)
         automatic = self.options.lead == "auto"
-        seconds = (
-            (0.0, longest) if automatic else (float(self.options.lead or 0.0),) * 2
-        )
+        seconds = 0.0, longest
+        if not automatic:
+            typed = float(self.options.lead or 0.0)
+            seconds = typed, typed
         for _ in range(REST_PLANS):
             # of the last try alone
             self.rows, self.rows_before, self.clipped = 0, 0, Tally()
@@ -310,10 +304,8 @@ class LoopCompensation(LearnedCompensation):
             # what an unknown start leaves crossed jumps with it: the next rests start
             # here
             if start is None:
-                start, rested = (
-                    float(before.voltage[0]),
-                    self.step * (before.voltage.size - 1),
-                )
+                start = float(before.voltage[0])
+                rested = self.step * (before.voltage.size - 1)
                 seconds = rested, rested
             else:
                 bias += off
@@ -449,17 +441,14 @@ class LoopCompensation(LearnedCompensation):
                 break
             # A later start only lowers the first row that the loop needs: the two meet
             # between these.
-            below, above = (
-                (max(below, first), above)
-                if leads_to > first
-                else (below, min(above, first))
-            )
+            if leads_to > first:
+                below = max(below, first)
+            else:
+                above = min(above, first)
             middle = 0.5 * (below + above)
-            first = (
-                leads_to
-                if below < leads_to < above or not math.isfinite(middle)
-                else middle
-            )
+            first = middle
+            if below < leads_to < above or not math.isfinite(middle):
+                first = leads_to
         if least > LOOP_ERROR * float(np.ptp(self.period)):
             lag = best.before.drive_lag
             # the second: the lag is on its way
@@ -509,11 +498,9 @@ class LoopCompensation(LearnedCompensation):
             model, drive, step, loops.looped_state(model, drive, step, begun)
         )
         clipped = settled.done.clipped_count
-        aim = (
-            loops.slow_output(model, drive, step, settled.before)
-            if clipped
-            else self.period
-        )
+        aim = self.period
+        if clipped:
+            aim = loops.slow_output(model, drive, step, settled.before)
         return float(np.abs(ends - aim).max())
 
     def _run_in(
@@ -537,17 +524,13 @@ class LoopCompensation(LearnedCompensation):
         self.rows += followed.y.size
         self.rows_before += followed.y.size
         self._count_clipped(followed, None)
-        forward = (
-            start
-            if begun is not None
-            else model.start(float(followed.y[0]), self.start)
-        )
+        forward = start
+        if begun is None:
+            forward = model.start(float(followed.y[0]), self.start)
         led, off = None, math.inf
-        fades = (
-            FADES
-            if self.options.lead is None
-            else ((1.0, 1.0 / self.options.passes), *FADES)
-        )
+        fades: tuple[tuple[float, float], ...] = FADES
+        if self.options.lead is not None:
+            fades = ((1.0, 1.0 / self.options.passes), *FADES)
         for fade in fades:
             aim = settled
             for _ in range(MOST_RUN_INS):
@@ -577,20 +560,16 @@ class LoopCompensation(LearnedCompensation):
         """Return what the gears are to follow before the period, delay and dynamics undone."""
         model, step = self.model, self.step
         inverter = None if model.dynamics is None else model.dynamics.inverter(step)
-        ahead = (
-            int(np.ceil(model.delay_seconds / step))
-            + AFTER
-            + (0 if inverter is None else inverter.ahead)
-        )
+        ahead = int(np.ceil(model.delay_seconds / step)) + AFTER
+        if inverter is not None:
+            ahead += inverter.ahead
         signal = loops.read_ahead(
             model, np.concatenate([desired, np.resize(loop, ahead)]), step
         )
         if inverter is not None:
-            memory = (
-                None
-                if begun is None or begun.dynamics is None
-                else inverter.memory_of(begun.dynamics)
-            )
+            memory = None
+            if begun is not None and begun.dynamics is not None:
+                memory = inverter.memory_of(begun.dynamics)
             ((_, signal, _),) = undone([(None, signal)], inverter, memory)
         return signal
 
@@ -661,6 +640,11 @@ def _fade(rows: int, run_in: int, fade: tuple[float, float]) -> FloatArray:
     """Return a rise over the last rows, from one part of the run-in before its end to another."""
     left = (rows - np.arange(rows)) / run_in
     return soft_rise(np.clip((fade[0] - left) / (fade[0] - fade[1]), 0.0, 1.0))
+
+
+def _passes(count: int) -> str:
+    """Return the word for one pass or several."""
+    return "pass" if count == 1 else "passes"
 
 
 def _require_closed(name: str, period: FloatArray) -> None:

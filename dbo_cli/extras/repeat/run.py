@@ -158,11 +158,9 @@ class RepeatedRun(SignalRun):
 
     def brought_to(self, model: ActuatorModel, listener: Listener) -> dict[str, Any]:
         """Return what was brought, the recordings read; ``rows`` are the trajectory's."""
-        brought = {
-            name: value
-            for name, value in self.brought.items()
-            if name not in ("voltage", "measured")
-        }
+        brought = dict(self.brought)
+        for name in ("voltage", "measured"):
+            brought.pop(name, None)
         if self.recordings:
             brought["tracked"] = [
                 self._recorded(address, model, listener) for address in self.recordings

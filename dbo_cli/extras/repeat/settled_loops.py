@@ -57,9 +57,9 @@ def undone_loop(model: ActuatorModel, desired: Floats, step: float) -> Floats:
         ahead = read_ahead(model, desired, step)
     else:
         ahead = _linear_undone(desired, model.delay_seconds / step)
-    return (
-        ahead if model.dynamics is None else model.dynamics.inverter(step).loop(ahead)
-    )
+    if model.dynamics is None:
+        return ahead
+    return model.dynamics.inverter(step).loop(ahead)
 
 
 def _linear_shift(x: Floats, samples: float) -> Floats:
@@ -322,9 +322,9 @@ def creep_rest(
             through_run_in * (1.0 - decay) + of_level,
             through_run_in * begins * decay + off,
         )
-        known = (
-            (slope, constant) if begun is not None else (through_run_in + of_level, off)
-        )
+        known = through_run_in + of_level, off
+        if begun is not None:
+            known = slope, constant
         level = -(float(effects @ known[1]) + bias) / float(effects @ known[0])
         level = min(max(level, float(inner.min())), float(inner.max()))
         return level, float(np.abs(effects * (slope * level + constant)).sum())
@@ -337,7 +337,10 @@ def creep_rest(
     if rest(seconds)[1] > most:
         while long / short > SPARE:
             middle = math.sqrt(short * long)
-            short, long = (middle, long) if rest(middle)[1] > most else (short, middle)
+            if rest(middle)[1] > most:
+                short = middle
+            else:
+                long = middle
         seconds = long
     level = rest(seconds)[0] + terms.reference
     return float(through(model.head_inverse, np.array([level]))[0]), seconds

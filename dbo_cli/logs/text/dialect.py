@@ -10,14 +10,15 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NoReturn
 
 from dbo_cli.errors import InputError, counted, decoded
 from dbo_cli.logs.clock import Statement
-from dbo_cli.logs.columns import split_header
+from dbo_cli.logs.columns import parse_column, split_header
 from dbo_cli.logs.request import BLANKS, FILL_GAPS, ReadingOptions
+from dbo_cli.logs.sample_block import Column
 from dbo_cli.logs.text.lines import (
     RepeatedHeader,
     find_repeated_header,
@@ -28,6 +29,7 @@ from dbo_cli.logs.text.lines import (
 )
 from dbo_cli.logs.units import is_known_unit
 
+_DELIMITERS = ("\t", ";", ",", BLANKS, "|")
 _NAMES = {",": "comma", ";": "semicolon", "\t": "tab", BLANKS: "blanks", "|": "pipe"}
 COMMENTS = "#%"
 SAMPLE_LINES = 40  # enough rows to outvote junk lines
@@ -98,6 +100,21 @@ class Dialect:
     score: float = 0.0
     fits: int = 0
 
+    def column(self, index: int) -> Column:
+        """Return a column (from 0); one without a name that holds no numbers is called text."""
+        written = self.written(index)
+        name = ""
+        if self.headers:
+            name = self.headers[index]
+        elif written == "numbers" and index not in self.numeric:
+            name = "(text)"
+        unit = self.units[index] if self.units else ""
+        return replace(parse_column(name, index + 1, unit), written=written)
+
+    def written(self, index: int) -> str:
+        """Return how a column (from 0) is written (``Column.written``)."""
+        return self.writings[index] if self.writings else "numbers"
+
     def is_comment(self, line: str) -> bool:
         """Return whether a line is empty or a comment."""
         return is_comment(line, self.comments)
@@ -112,7 +129,9 @@ class Dialect:
 
     def renamed(self, line: str) -> tuple[str, str] | None:
         """Return names above the data, and others that a comment gives the columns instead."""
-        for label, names in labelled(line, self.comments) if self.labels else ():
+        if not self.labels:
+            return None
+        for label, names in labelled(line, self.comments):
             above = dict(self.labels).get(label, names)
             if above != names:
                 return above, names
@@ -120,11 +139,11 @@ class Dialect:
 
     def describe(self) -> str:
         """Describe in one line what was detected, for ``verbose``."""
-        head = (
-            "no header"
-            if not self.headers
-            else "a header" + (" and a units line" if self.units else "")
-        )
+        head = "no header"
+        if self.headers:
+            head = "a header"
+            if self.units:
+                head = "a header and a units line"
         sign = "decimal comma" if self.decimal == "," else "decimal point"
         mark = _NAMES.get(self.delimiter, repr(self.delimiter))
         columns = counted(self.width, "column")
@@ -135,7 +154,9 @@ def cause_of(cell: str) -> str:
     """Return what to do about a cell that many rows have instead of a number; empty where it is not known."""
     if not cell:
         return FILL_GAPS
-    return _PLAIN_NUMBERS if _NUMBER_WITH_UNIT.fullmatch(cell) else ""
+    if _NUMBER_WITH_UNIT.fullmatch(cell):
+        return _PLAIN_NUMBERS
+    return ""
 
 
 def is_comment(line: str, comments: str) -> bool:
@@ -146,20 +167,35 @@ def is_comment(line: str, comments: str) -> bool:
 
 def has_data(text: bytes, options: ReadingOptions) -> bool:
     """Return whether a line of numbers has arrived, so that a live log can begin."""
-    forced = options.delimiter_character
-    comments = COMMENTS if options.comment is None else options.comment
-    marks = [forced] if forced else ["\t", ";", ",", " ", "|"]
-    lines = [
-        line
-        for raw in text.split(b"\n")[-2::-1]
-        if not is_comment(line := decoded(raw), comments)
-    ]
-    return any(
-        all(is_number(cell, sign) for cell in split_cells(line, mark))
-        for line in lines
-        for mark in marks
-        for sign in ".,"
-    )
+    comments = _comments(options)
+    marks = _delimiters(options)
+    for raw in text.split(b"\n")[-2::-1]:
+        line = decoded(raw)
+        if not is_comment(line, comments) and _is_row(line, marks):
+            return True
+    return False
+
+
+def _is_row(line: str, marks: Sequence[str]) -> bool:
+    """Return whether a line holds nothing but numbers, separated by one of the marks."""
+    for mark in marks:
+        cells = split_cells(line, mark)
+        for sign in ".,":
+            if all(is_number(cell, sign) for cell in cells):
+                return True
+    return False
+
+
+def _comments(options: ReadingOptions) -> str:
+    """Return the characters that begin comments."""
+    return COMMENTS if options.comment is None else options.comment
+
+
+def _delimiters(options: ReadingOptions) -> Sequence[str]:
+    """Return the delimiters that may be meant."""
+    if options.delimiter_character is not None:
+        return [options.delimiter_character]
+    return _DELIMITERS
 
 
 def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
@@ -173,7 +209,7 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
     lines = _lines_of(head)
     if not any(line.strip() for line in lines):
         raise InputError(f"{place}: the file is empty")
-    comments = COMMENTS if options.comment is None else options.comment
+    comments = _comments(options)
     candidates = _candidates(lines, comments, options.skip_lines or 0)
     sample = [lines[number] for number in candidates[-SAMPLE_LINES:]]
     readings = _readings(sample, comments, options)
@@ -255,24 +291,35 @@ def _refuse_samples_across(place: str, dialect: Dialect, rows: int) -> None:
 def labelled(line: str, comments: str, units: bool = True) -> list[tuple[str, str]]:
     """Return the label of a comment that names columns (or units), with what follows it; else nothing."""
     body = line.strip().lstrip(comments).strip()
-    label = _LABEL.match(body) if line.strip()[:1] in comments else None
-    return (
-        []
-        if label is None or (label["unit"] and not units)
-        else [(label[0], body[label.end() :])]
-    )
+    if line.strip()[:1] not in comments:
+        return []
+    label = _LABEL.match(body)
+    if label is None or (label["unit"] and not units):
+        return []
+    return [(label[0], body[label.end() :])]
 
 
 def _is_sparse(rows: list[list[str]], dialect: Dialect) -> bool:
-    rows = [row[: dialect.width] for row in rows]
-    full = [
-        [column for column, cell in enumerate(row) if is_number(cell, dialect.decimal)]
-        for row in rows
-    ]
-    if dialect.delimiter == BLANKS or len(set(map(tuple, full))) < 2:
+    """Return whether every row leaves a cell empty in which other rows have a number."""
+    if dialect.delimiter == BLANKS:
         return False
-    partly = set().union(*full) - set(full[0]).intersection(*full[1:])
-    return all(any(n < len(row) and not row[n] for n in partly) for row in rows)
+    numbers = []  # the columns in which each row has one
+    for row in rows:
+        columns = set()
+        for column, cell in enumerate(row[: dialect.width]):
+            if is_number(cell, dialect.decimal):
+                columns.add(column)
+        numbers.append(columns)
+    if not numbers:
+        return False
+    partly = numbers[0].union(*numbers) - numbers[0].intersection(*numbers)
+    if not partly:
+        return False
+    for row in rows:
+        cells = row[: dialect.width]
+        if not any(column < len(cells) and not cells[column] for column in partly):
+            return False
+    return True
 
 
 def _ask_about_numbered_columns(place: str, rows: list[list[str]]) -> None:
@@ -287,18 +334,22 @@ def _ask_about_numbered_columns(place: str, rows: list[list[str]]) -> None:
         It may be a header or a sample.
     """
     first, *rest = rows
-    written = first[1:] if not first[0] else first
-    counted = [
-        [str(number + start) for number in range(len(written))] for start in (0, 1)
-    ]
-    if written not in counted or len(written) < 2:
+    written = first
+    if not first[0]:
+        written = first[1:]
+    from_0 = [str(number) for number in range(len(written))]
+    from_1 = [str(number + 1) for number in range(len(written))]
+    if written not in (from_0, from_1) or len(written) < 2:
         return
-    whole = [
-        bool(re.fullmatch(r"[-+]?\d*", cell))
-        for row in rest
-        for cell in row[-len(written) :]
-    ]
-    if whole and (not any(whole) or (len(written) > 2 and not all(whole))):
+    whole = 0
+    others = 0
+    for row in rest:
+        for cell in row[-len(written) :]:
+            if re.fullmatch(r"[-+]?\d*", cell):
+                whole += 1
+            else:
+                others += 1
+    if others and (not whole or len(written) > 2):
         raise InputError(
             f"{place}: the first row, {','.join(written)}, counts the columns: are these names or a sample? "
             "(`header_lines` 1 or 0)"
@@ -321,22 +372,31 @@ def _readings(
     sample: Sequence[str], comments: str, options: ReadingOptions
 ) -> list[Dialect]:
     """Read the last lines with every delimiter and decimal sign that may be meant."""
-    delimiter = options.delimiter_character
-    decimal = options.decimal_sign
+    signs = [".", ","]
+    if options.decimal_sign is not None:
+        signs = [options.decimal_sign]
     readings = []
-    for sign in [decimal] if decimal else [".", ","]:
-        for mark in [delimiter] if delimiter else ["\t", ";", ",", BLANKS, "|"]:
-            absent = (
-                delimiter is None
-                and mark != BLANKS
-                and not any(mark in line for line in sample)
-            )
-            alone = mark == "," and sign == "."  # one column without any delimiter
-            if alone or not (absent or mark == sign):
-                reading = _reading(sample, mark, sign, comments)
-                if reading is not None:
-                    readings.append(reading)
+    for sign in signs:
+        for mark in _delimiters(options):
+            if not _may_separate(mark, sign, sample, options):
+                continue
+            reading = _reading(sample, mark, sign, comments)
+            if reading is not None:
+                readings.append(reading)
     return readings
+
+
+def _may_separate(
+    mark: str, sign: str, sample: Sequence[str], options: ReadingOptions
+) -> bool:
+    """Return whether a delimiter is worth trying with a decimal sign."""
+    if mark == "," and sign == ".":
+        return True  # one column has no delimiter at all, and is read so
+    if mark == sign:
+        return False
+    if options.delimiter_character is not None or mark == BLANKS:
+        return True
+    return any(mark in line for line in sample)
 
 
 def _reading(
@@ -403,8 +463,10 @@ def _holds_whole_numbers(dialect: Dialect, sample: Sequence[str]) -> bool:
     for line in sample:
         cells = dialect.cells(line)
         numbered = any(is_number(cell, dialect.decimal) for cell in cells)
-        if len(cells) == dialect.width and numbered:
-            if not all(cell.lstrip("+-").isdigit() for cell in cells if cell):
+        if len(cells) != dialect.width or not numbered:
+            continue
+        for cell in filter(None, cells):
+            if not cell.lstrip("+-").isdigit():
                 return False
     return True
 
@@ -442,16 +504,15 @@ def _first_good_row(
     """Find the first line with a number in every column of numbers, or else in one of them."""
     for number in candidates:
         cells = dialect.cells(lines[number])
-        if len(cells) == dialect.width and all(
-            is_number(cells[column], dialect.decimal) for column in dialect.numeric
-        ):
+        if len(cells) != dialect.width:
+            continue
+        if all(is_number(cells[column], dialect.decimal) for column in dialect.numeric):
             return number
     # rows are there, but every one of them has a bad cell
-    return next(
-        number
-        for number in candidates
-        if _some_numbers(dialect.cells(lines[number]), dialect)
-    )
+    for number in candidates:
+        if _some_numbers(dialect.cells(lines[number]), dialect):
+            return number
+    raise AssertionError("a dialect is detected from lines of numbers")
 
 
 def _with_other_header(
@@ -512,17 +573,16 @@ def _is_ruled(cells: list[str]) -> bool:
 
 
 def _some_numbers(cells: list[str], dialect: Dialect) -> bool:
-    return any(
-        column < len(cells) and is_number(cells[column], dialect.decimal)
-        for column in dialect.numeric
-    )
+    for column in dialect.numeric:
+        if column < len(cells) and is_number(cells[column], dialect.decimal):
+            return True
+    return False
 
 
 def _header_like(cells: list[str], dialect: Dialect) -> bool:
     """No numbers where the data have them, and about as many cells (a trailing delimiter aside)."""
-    if _some_numbers(cells, dialect) or not any(
-        re.search(r"\w", cell) for cell in cells
-    ):
+    has_words = any(re.search(r"\w", cell) for cell in cells)
+    if _some_numbers(cells, dialect) or not has_words:
         return False
     return abs(len(cells) - dialect.width) <= 1 and len(cells) >= min(dialect.width, 2)
 
@@ -532,37 +592,46 @@ def _names_and_units(
 ) -> tuple[list[str], list[str]]:
     """Find the line of names from a line of units below it (and one of remarks below that)."""
     last = header[-1]
-    joined = [
-        n
-        for n in (last, last - 1, last - 2)
-        if all(k in header for k in range(n, last + 1))
-    ]
-    for number in joined:
+    for number in (last, last - 1, last - 2):
+        if number not in header:
+            break
         units = _units_in(rows[number])
-        if units:
-            place = above.index(number)
-            named = (
-                rows[n]
-                for n in above[:place][::-1]
-                if re.search(r"\w", "".join(rows[n]))
-            )
-            over = next(named, [])  # not a line of dashes
-            if over and abs(len(over) - len(units)) <= 1 and not _units_in(over):
-                return over, units
-            return (rows[last], units) if number < last else (rows[number], [])
+        if not units:
+            continue
+        over = _words_above(rows, above, number)
+        if over and abs(len(over) - len(units)) <= 1 and not _units_in(over):
+            return over, units
+        if number < last:
+            return rows[last], units
+        return rows[number], []
     return rows[last], []
+
+
+def _words_above(
+    rows: dict[int, list[str]], above: list[int], number: int
+) -> list[str]:
+    """Return the next line above that is none of dashes; nothing where there is none."""
+    for higher in reversed(above[: above.index(number)]):
+        if re.search(r"\w", "".join(rows[higher])):
+            return rows[higher]
+    return []
 
 
 def _units_in(cells: list[str]) -> list[str]:
     """Return the cells of a line of units, a label in front (``Units: s``) aside; empty for any other."""
-    label = _LABEL.match(cells[0]) if cells else None
-    cells = (
-        [cells[0][label.end() :], *cells[1:]]
-        if label is not None and label["unit"]
-        else cells
-    )
-    filled = [cell.strip("[](){}<> ") for cell in cells if cell.strip("[](){}<> -")]
-    return cells if filled and all(is_known_unit(cell) for cell in filled) else []
+    if not cells:
+        return []
+    label = _LABEL.match(cells[0])
+    if label is not None and label["unit"]:
+        cells = [cells[0][label.end() :], *cells[1:]]
+    known = 0
+    for cell in cells:
+        if not cell.strip("[](){}<> -"):
+            continue
+        if not is_known_unit(cell.strip("[](){}<> ")):
+            return []
+        known += 1
+    return cells if known else []
 
 
 def _units_apart(
@@ -578,9 +647,10 @@ def _units_apart(
         if match is not None and is_known_unit(match["unit"].strip("[]()")):
             stated[match["name"].lower()] = match["unit"]
         elif (label is not None and label["unit"]) or line.strip()[:1] in comments:
-            cells = _fitting_cells(
-                body[label.end() :] if label is not None else body, dialect
-            )
+            text = body
+            if label is not None:
+                text = body[label.end() :]
+            cells = _fitting_cells(text, dialect)
             if cells is not None and _units_in(cells):
                 return tuple(cells)
     units = tuple(stated.get(name.lower(), "") for name in names)
@@ -600,45 +670,48 @@ def _other_header(
     headers: list[list[str]] = []
     for number in range(first - 1, max(-1, first - 4), -1):
         text = lines[number].strip()
-        body = text.lstrip(comments).strip() if text and text[0] in comments else text
+        body = text
+        if text and text[0] in comments:
+            body = text.lstrip(comments).strip()
         if body.isdigit() and body != text and number == first - 1:
             continue  # QCoDeS counts its rows there
-        cells = _fitting_cells(body, dialect) if body else None
-        if cells is None:
+        cells = _fitting_cells(body, dialect)
+        if not body or cells is None:
             break
         headers.append(cells)
+    if not headers:
+        return [], []
     if len(headers) > 1 and _units_in(headers[0]) and not _units_in(headers[1]):
         return headers[1], headers[0]
-    return (headers[0] if headers else []), []
+    return headers[0], []
 
 
 def _fitting_cells(text: str, dialect: Dialect) -> list[str] | None:
     """Split a header line in the way that gives as many cells as the data have columns."""
-    ways = [split_cells(text, mark) for mark in ("\t", ";", ",", "|") if mark in text]
-    ways.append(split_cells(text, dialect.delimiter))
-    certain = dialect.delimiter != BLANKS and dialect.delimiter in text
-    if certain:
-        ways = ways[-1:]
-    ways.append([cell.strip() for cell in re.split(r"\s{2,}|\t+", text)])
-    # else, taken apart at blanks, a header with one name too few would shift all the
-    # others
-    if not certain:
-        ways.append(
-            [
-                cell.strip()
-                for cell in re.findall(r"[^\s(\[]+\s*(?:[(\[][^)\]]{0,60}[)\]])?", text)
-            ]
-        )
-        ways.append(text.split())
-    fitting = (cells for cells in ways if len(cells) == dialect.width and all(cells))
-    return next(
-        (
-            cells
-            for cells in fitting
-            if not any(is_number(cell, dialect.decimal) for cell in cells)
-        ),
-        None,
-    )
+    for cells in _splits(text, dialect.delimiter):
+        if len(cells) != dialect.width or not all(cells):
+            continue
+        if not any(is_number(cell, dialect.decimal) for cell in cells):
+            return cells
+    return None
+
+
+def _splits(text: str, delimiter: str) -> Iterator[list[str]]:
+    """Split a header line in every way that may be meant, the likeliest first."""
+    wide_blanks = [cell.strip() for cell in re.split(r"\s{2,}|\t+", text)]
+    if delimiter != BLANKS and delimiter in text:
+        # taken apart at blanks, a header with one name too few would shift all others
+        yield split_cells(text, delimiter)
+        yield wide_blanks
+        return
+    for mark in ("\t", ";", ",", "|"):
+        if mark in text:
+            yield split_cells(text, mark)
+    yield split_cells(text, delimiter)
+    yield wide_blanks
+    with_units = re.findall(r"[^\s(\[]+\s*(?:[(\[][^)\]]{0,60}[)\]])?", text)
+    yield [cell.strip() for cell in with_units]
+    yield text.split()
 
 
 def _with_forced_header(
@@ -651,8 +724,11 @@ def _with_forced_header(
     count = options.header_lines
     if count is None:
         rows = [dialect.cells(lines[number]) for number in candidates[:2]]
-        count = sum(1 for row in rows if not _some_numbers(row, dialect))
-        count = min(count, 2 if len(rows) > 1 and _units_in(rows[1]) else 1)
+        most = 1
+        if len(rows) > 1 and _units_in(rows[1]):
+            most = 2
+        without = [row for row in rows if not _some_numbers(row, dialect)]
+        count = min(len(without), most)
     if len(candidates) <= count:
         return _headed(dialect, lines, len(lines), [], [], 0)
     header = []
@@ -680,18 +756,25 @@ def _aligned(
     if names and len(names) == width - 1:
         if rows and not rows[0][-1]:
             names = [*names, ""]  # the rows end with a delimiter
-        elif rows and [row[0] for row in rows] == [
-            str(number + 1) for number in range(len(rows))
-        ]:
-            names = ["", *names]  # numbered rows, their column without a name
+        elif rows and _are_numbered(rows):
+            names = ["", *names]  # their column has no name
     if names and len(names) != width:
         raise InputError(
             f"{place}:{dialect.first_line}: {width} cells where the header names {len(names)} columns "
             "(check the delimiter, or skip the lines above the data with `skip_lines`)"
         )
     units = _trimmed(list(dialect.units), width)
-    units = [*units, *[""] * (width - len(units))][:width] if units else []
+    if units:
+        units = [*units, *[""] * (width - len(units))][:width]
     return tuple(name.strip() for name in names), tuple(units)
+
+
+def _are_numbered(rows: list[list[str]]) -> bool:
+    """Return whether the first cells of rows count them from 1."""
+    for number, row in enumerate(rows, start=1):
+        if row[0] != str(number):
+            return False
+    return True
 
 
 def _late_decimal(place: str, lines: list[str], comments: str) -> str:

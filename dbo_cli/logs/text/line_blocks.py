@@ -48,14 +48,17 @@ def _no_text(start: bytes) -> str:
     for magic, remedy in _UNREAD.items():
         if start.startswith(magic):
             return remedy
-    name = "HDF5" if start.startswith(HDF5) else ""
-    kind_of = extensions.find_installed("reader", "by content")
-    if not name and kind_of is not None:
-        kind = kind_of(start, "")
-        name = "" if kind is None else kind.name
-    return (
-        f"{name}: give it as a file, not through a pipe or compressed" if name else ""
-    )
+    name = ""
+    if start.startswith(HDF5):
+        name = "HDF5"
+    else:
+        kind_of = extensions.find_installed("reader", "by content")
+        kind = None if kind_of is None else kind_of(start, "")
+        if kind is not None:
+            name = kind.name
+    if not name:
+        return ""
+    return f"{name}: give it as a file, not through a pipe or compressed"
 
 
 class _Hashing(io.RawIOBase):
@@ -73,6 +76,11 @@ class _Hashing(io.RawIOBase):
         buffer[: len(data)] = data
         self._digest.update(data)
         return len(data)
+
+
+def _hashed(stream: IO[bytes], digest: Any) -> IO[bytes]:
+    """Return a stream that hashes what is read from it."""
+    return cast(IO[bytes], io.BufferedReader(_Hashing(stream, digest), 1 << 20))
 
 
 class ByteSource:
@@ -95,17 +103,22 @@ class ByteSource:
         self.name = address.name
         self.is_regular = not address.is_stream and os.path.isfile(address.path)
         self.is_compressed = False
-        self._live, self._at_start, self._classic_mac = request.live, True, False
+        self._live = request.live
+        self._at_start = True
+        self._classic_mac = False
         self._hash: Any = None
         if request.digest and address.is_stream:
             import hashlib
 
             self._hash = hashlib.sha256()
         self._file = self._open(request)
-        self._owned = [] if address.is_stream else [self._file]
+        self._owned = []
+        if not address.is_stream:
+            self._owned.append(self._file)
         self._begun = self._now()  # how a regular file was when it was opened
-        # bytes that it has had since
-        self._largest = 0 if self._begun is None else self._begun.st_size
+        self._largest = 0  # bytes that it has had since
+        if self._begun is not None:
+            self._largest = self._begun.st_size
         try:
             self._stream, start = self._unpacked()
             self._decode = self._decoder(request.options.encoding, start)
@@ -122,7 +135,8 @@ class ByteSource:
         """Read up to ``size`` bytes (what has arrived, when live); empty at the end."""
         while data := self._arrived(size):
             try:
-                data = data if self._decode is None else self._decode(data)
+                if self._decode is not None:
+                    data = self._decode(data)
             except UnicodeError as problem:
                 raise InputError(
                     f"{self.name}: the text does not fit its encoding: {problem}"
@@ -142,12 +156,10 @@ class ByteSource:
         try:
             if self._live:
                 data: bytes = self._stream.read1(size)  # type: ignore[attr-defined]
+            elif self.is_regular:
+                data = self._stream.read(size)
             else:
-                data = (
-                    self._stream.read(size)
-                    if self.is_regular
-                    else self._patiently(size)
-                )
+                data = self._patiently(size)
         except _UNREADABLE as problem:
             raise self._why_unreadable(problem) from None
         self._refuse_change(ended=not data)
@@ -171,10 +183,10 @@ class ByteSource:
         now = self._now()
         if now is None or self._begun is None:
             return
-        same = now.st_size == self._begun.st_size
-        if now.st_size < self._largest or (
-            ended and same and now.st_mtime_ns != self._begun.st_mtime_ns
-        ):
+        is_shorter = now.st_size < self._largest
+        same_size = now.st_size == self._begun.st_size
+        written_since = now.st_mtime_ns != self._begun.st_mtime_ns
+        if is_shorter or (ended and same_size and written_since):
             raise InputError(f"{self.name}: {CHANGED}")
         self._largest = now.st_size
 
@@ -204,11 +216,9 @@ class ByteSource:
         now = self._now()
         if now is None or self._begun is None:
             return "in a stream"
-        return (
-            "in a file that is still growing"
-            if now.st_size != self._begun.st_size
-            else None
-        )
+        if now.st_size != self._begun.st_size:
+            return "in a file that is still growing"
+        return None
 
     def close(self) -> None:
         """Close what was opened here (never standard input)."""
@@ -238,9 +248,7 @@ class ByteSource:
         """Return the stream of the text itself, and how it starts; refuse what is plainly no text."""
         stream = self._file
         if self._hash is not None:
-            stream = cast(
-                IO[bytes], io.BufferedReader(_Hashing(stream, self._hash), 1 << 20)
-            )
+            stream = _hashed(stream, self._hash)
         start = self._first_bytes(stream)
         if start.startswith(_GZIP_MAGIC):
             import gzip
@@ -256,23 +264,27 @@ class ByteSource:
 
     def _decoder(self, encoding: str | None, start: bytes) -> Any:
         if encoding is None:
-            encoding = next(
-                (name for mark, name in _UTF16.items() if start.startswith(mark)), None
-            )
-        if encoding is None and b"\0" in start:
-            even, odd = start[0:40:2], start[1:40:2]
-            # all NUL is no text of 16 bits either
-            if len(start) >= 4 and any(even) != any(odd):
-                encoding = "utf-16-le" if any(even) else "utf-16-be"
-            if encoding is None:
-                problem = (
-                    "this is a binary file, not a text log: export it as CSV or HDF5"
-                )
-                raise InputError(f"{self.name}: {problem}")
+            encoding = self._encoding_of(start)
         if encoding is None:
             return None
         decoder = codecs.getincrementaldecoder(encoding)(errors="replace")
         return lambda data: decoder.decode(data).encode("utf-8")
+
+    def _encoding_of(self, start: bytes) -> str | None:
+        """Return the encoding that first bytes show; None for UTF-8 and supersets of ASCII."""
+        for mark, name in _UTF16.items():
+            if start.startswith(mark):
+                return name
+        if b"\0" not in start:
+            return None
+        # Text of 16 bits has its NULs in every second place, and elsewhere none.
+        even = any(start[0:40:2])
+        odd = any(start[1:40:2])
+        if len(start) >= 4 and even != odd:
+            return "utf-16-le" if even else "utf-16-be"
+        raise InputError(
+            f"{self.name}: this is a binary file, not a text log: export it as CSV or HDF5"
+        )
 
 
 # --- blocks of whole lines
@@ -303,24 +315,24 @@ class LineBlocks:
         """
         while not self.ended:
             read = len(self._pending)
-            if read >= HEAD_BYTES and (
-                self._pending.count(b"\n") > 1 or read > LONGEST_LINE
-            ):
+            two_lines = self._pending.count(b"\n") > 1
+            if read >= HEAD_BYTES and (two_lines or read > LONGEST_LINE):
                 break
             self._append(self._read(HEAD_BYTES - read % HEAD_BYTES))
-            if (
-                len(self._pending) >= HEAD_BYTES
-                and not self._pending[:HEAD_BYTES].strip()
-            ):
-                # a billion, in compressed data
-                above = len(self._pending) - len(self._pending.lstrip())
-                self.empty_lines += self._pending.count(b"\n", 0, above)
-                self._pending = self._pending[
-                    self._pending.rfind(b"\n", 0, above) + 1 :
-                ]
+            if len(self._pending) >= HEAD_BYTES:
+                self._leave_out_empty_lines()
             if enough(self._pending[: self._pending.rfind(b"\n") + 1]):
                 break
         return self._pending
+
+    def _leave_out_empty_lines(self) -> None:
+        """Leave out empty lines where nothing else was read: a billion, in compressed data."""
+        text = self._pending
+        if text[:HEAD_BYTES].strip():
+            return
+        blank = len(text) - len(text.lstrip())
+        self.empty_lines += text.count(b"\n", 0, blank)
+        self._pending = text[text.rfind(b"\n", 0, blank) + 1 :]
 
     def longer_head(self) -> bytes | None:
         """Read twice as far ahead as before; None at the end of the source or at LONGEST_LINE."""
@@ -333,11 +345,15 @@ class LineBlocks:
 
     def __iter__(self) -> Iterator[bytes]:
         """Yield blocks of whole lines; a last line without its line end comes alone, after all others."""
-        text, start, last = self._pending, 0, self._pending.rfind(b"\n") + 1
+        text = self._pending
+        start = 0
+        last = text.rfind(b"\n") + 1
         self._pending = text[last:]
         # What was read ahead is cut where it is much; the usual case is what one
         # reading brought.
-        most = self.block_bytes if last > 2 * self.block_bytes else last
+        most = last
+        if last > 2 * self.block_bytes:
+            most = self.block_bytes
         while start < last:
             limit = min(last, start + most)
             end = text.rfind(b"\n", start, limit) + 1 or text.index(b"\n", limit) + 1
@@ -354,7 +370,8 @@ class LineBlocks:
             else:
                 self._append(data)
         if self._pending:
-            text, self._pending = self._pending, b""
+            text = self._pending
+            self._pending = b""
             yield text
 
     def _noted(self, block: bytes) -> bytes:

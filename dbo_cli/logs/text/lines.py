@@ -36,16 +36,12 @@ NOT_FINITE = frozenset({"nan", "inf", "infinity", "1.#qnan", "1.#inf", "1.#ind"}
 def split_cells(line: str, delimiter: str) -> list[str]:
     """Split a line into stripped cells; quotes are honoured, and blanks count as one delimiter."""
     if '"' not in line:
-        return (
-            line.split()
-            if delimiter == BLANKS
-            else [cell.strip() for cell in line.split(delimiter)]
-        )
+        if delimiter == BLANKS:
+            return line.split()
+        return [cell.strip() for cell in line.split(delimiter)]
     if delimiter == BLANKS:
-        return [
-            quoted or plain
-            for quoted, plain in re.findall(r'"([^"]*)"|([^\s"]+)', line)
-        ]
+        words = re.findall(r'"([^"]*)"|([^\s"]+)', line)
+        return [quoted or plain for quoted, plain in words]
     mark = re.escape(delimiter)
     cells = re.findall(
         rf'(?:\s*"((?:[^"]|"")*)"\s*|([^{mark}]*)){mark}', line + delimiter
@@ -60,7 +56,9 @@ def to_number(cell: str, decimal: str) -> float | None:
         if not (cell := _ungrouped(cell, decimal)):
             return None
     value = float(cell.replace(",", ".").replace("d", "e").replace("D", "e"))
-    return value if abs(value) != float("inf") and not is_overflow(value) else None
+    if abs(value) == float("inf") or is_overflow(value):
+        return None
+    return value
 
 
 def _ungrouped(cell: str, decimal: str) -> str:
@@ -104,12 +102,9 @@ def complain(cell: str, decimal: str, written: str = "numbers") -> str:
     if written != "numbers":
         return f"is not a time stamp like the others: {shown}"
     if is_number(cell, decimal):
-        overflow = (
-            "the instrument's overflow"
-            if to_number(cell, decimal) is None and "37" in cell
-            else ""
-        )
-        return f"is {overflow or 'not finite'}: {shown}"
+        if to_number(cell, decimal) is None and "37" in cell:
+            return f"is the instrument's overflow: {shown}"
+        return f"is not finite: {shown}"
     return f"is not a number: {shown}"
 
 
@@ -217,7 +212,9 @@ def _clock_parts(text: str) -> tuple[int, str | None] | None:
     if match["half"]:
         if not 1 <= hours <= 12:
             return None
-        hours = hours % 12 + (12 if match["half"] in "pP" else 0)
+        hours %= 12
+        if match["half"] in "pP":
+            hours += 12
     whole = int(match["days"] or 0) * DAY + hours * 3600
     return whole + int(match["minutes"]) * 60 + int(match["seconds"]), match[
         "fraction"
@@ -227,7 +224,9 @@ def _clock_parts(text: str) -> tuple[int, str | None] | None:
 def clock_seconds(text: str) -> float | None:
     """Read ``hh:mm:ss.sss`` (also with days in front, or am and pm behind) as seconds, or give None."""
     parts = _clock_parts(text)
-    return None if parts is None else _exact(*parts)
+    if parts is None:
+        return None
+    return _exact(*parts)
 
 
 def minute_seconds(text: str) -> float | None:
@@ -243,7 +242,9 @@ def stamp_seconds(text: str) -> float | None:
     match = _STAMP.fullmatch(text)
     if match is None:
         return None
-    date, clock, zone = date_seconds(match["date"]), match["clock"], match["zone"]
+    date = date_seconds(match["date"])
+    clock = match["clock"]
+    zone = match["zone"]
     if ":" not in clock:
         clock = f"{clock[:2]}:{clock[2:4]}:{clock[4:]}"
     parts = _clock_parts(clock)
@@ -252,7 +253,10 @@ def stamp_seconds(text: str) -> float | None:
     whole = date + parts[0]
     if zone and zone[0] in "+-":
         ahead = int(zone[1:3]) * 3600 + int(zone[-2:]) * 60
-        whole += -ahead if zone[0] == "+" else ahead
+        if zone[0] == "+":
+            whole -= ahead
+        else:
+            whole += ahead
     return _exact(whole, parts[1])
 
 
@@ -267,7 +271,9 @@ READERS: dict[str, Callable[[str], float | None]] = {
 
 def value_of(cell: str, decimal: str, written: str) -> float | None:
     """Read a cell of a column as a number or a time stamp (s), as it is written; None for neither."""
-    return to_number(cell, decimal) if written == "numbers" else READERS[written](cell)
+    if written == "numbers":
+        return to_number(cell, decimal)
+    return READERS[written](cell)
 
 
 def writing_of(cells: Sequence[str]) -> str | None:
@@ -293,7 +299,9 @@ def _digits(cell: str) -> tuple[int, int, int] | None:
     match = _NUMBER.fullmatch(cell)
     if match is None:
         return None
-    decimals = len(match["rest"]) - 1 if match["rest"] is not None else -1
+    decimals = -1
+    if match["rest"] is not None:
+        decimals = len(match["rest"]) - 1
     return len(match["whole"]), decimals, len(match["exponent"] or "")
 
 
@@ -306,12 +314,10 @@ def looks_cut(cell: str, above: Sequence[str], decimal: str) -> bool:
     follows 100), unless the value leaps as well.
     """
     counts = _digits(cell)
-    counts_above = [digits for digits in map(_digits, above) if digits is not None]
+    counts_above = list(filter(None, map(_digits, above)))
     if counts is None or not counts_above:
         return False
-    whole, decimals, exponent = (
-        min(column) for column in zip(*counts_above, strict=True)
-    )
+    whole, decimals, exponent = map(min, zip(*counts_above, strict=True))
     if counts[2] < exponent:
         return True
     if counts[1] < decimals:
@@ -351,18 +357,14 @@ def find_repeated_header(
     Such a file has two ends of a header: that of the file's and that of the first
     segment's.
     """
-    ends = [
-        number
-        for number in range(first)
-        if lines[number].strip().startswith(END_OF_HEADER)
-    ]
+    ends = []
+    for number in range(first):
+        if lines[number].strip().startswith(END_OF_HEADER):
+            ends.append(number)
     if len(ends) < 2 or first - ends[-1] != 2:
         return None
-    inner = [
-        lines[number]
-        for number in range(ends[-2] + 1, ends[-1])
-        if lines[number].strip()
-    ]
+    between = lines[ends[-2] + 1 : ends[-1]]
+    inner = [line for line in between if line.strip()]
     if not inner:
         return None
     word = split_cells(inner[0], delimiter)[0]
@@ -374,11 +376,16 @@ def find_repeated_header(
 
 def _stated_start(lines: Sequence[str], delimiter: str) -> tuple[float, float] | None:
     """Return when a segment began: the date and the time that its header states, each in seconds."""
-    rows = [split_cells(line, delimiter) for line in lines]
-    stated = {cells[0]: cells[1] for cells in rows if len(cells) > 1}
+    stated = {}
+    for line in lines:
+        cells = split_cells(line, delimiter)
+        if len(cells) > 1:
+            stated[cells[0]] = cells[1]
     date = date_seconds(stated.get("Date", ""))
     clock = clock_seconds(stated.get("Time", "").replace(",", "."))
-    return None if date is None or clock is None else (date, clock)
+    if date is None or clock is None:
+        return None
+    return date, clock
 
 
 @dataclass

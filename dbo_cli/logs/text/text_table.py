@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from dbo_cli import extensions
 from dbo_cli.errors import InputError, counted, decoded, shortened
 from dbo_cli.logs.clock import agreed_rate
-from dbo_cli.logs.columns import column_label, parse_column
+from dbo_cli.logs.columns import column_label
 from dbo_cli.logs.request import (
     ALL_ROWS,
     BLANKS,
@@ -78,36 +78,27 @@ class TextTable(Table):
     """
 
     def __init__(self, request: Request) -> None:
-        options, live = request.options, request.live
-        self.place, self._options = request.address.name, options
+        options = request.options
+        live = request.live
+        self.place = request.address.name
+        self._options = options
         self.notes: list[str] = []
         self.dropped = DroppedRows()
         self.source = ByteSource(request)
         try:
             self._lines = LineBlocks(self.source, _LARGEST_BLOCK)
             head = self._lines.head(lambda text: live and has_data(text, options))
-            self.dialect = dialect = self._detected(head, options, live)
-            self.doubtful = [
-                f"line {line + self._lines.empty_lines}: {shortened(text)!r} is neither a row nor a header"
-                for line, text in dialect.passed
-            ]
+            self.dialect = self._detected(head, options, live)
         except BaseException:
             self.source.close()
             raise
-        units = dialect.units or ("",) * dialect.width
-        writings = dialect.writings or ("numbers",) * dialect.width
-        known = dialect.numeric | {
-            number for number, how in enumerate(writings) if how != "numbers"
-        }
-        names = dialect.headers or [
-            "" if number in known else "(text)" for number in range(dialect.width)
-        ]
-        self.columns = [
-            replace(parse_column(name, number, unit), written=how)
-            for number, (name, unit, how) in enumerate(
-                zip(names, units, writings, strict=True), start=1
+        self.doubtful = []
+        for line, text in self.dialect.passed:
+            number = line + self._lines.empty_lines
+            self.doubtful.append(
+                f"line {number}: {shortened(text)!r} is neither a row nor a header"
             )
-        ]
+        self.columns = [self.dialect.column(n) for n in range(self.dialect.width)]
         self._small = live or (self._lines.ended and len(head) < PLAIN_BYTES)
         self._bytes_per_row = max(8, len(head) // max(1, head.count(b"\n")))
         self._ahead = self.source.is_regular and not (live or self._lines.ended)
@@ -120,9 +111,10 @@ class TextTable(Table):
         if options.skip_lines:
             options = replace(options, skip_lines=max(0, options.skip_lines - above))
         while head is not None:
-            whole = self._lines.ended
+            complete = head
+            if not self._lines.ended:
+                complete = head[: head.rfind(b"\n") + 1]
             try:
-                complete = head if whole else head[: head.rfind(b"\n") + 1]
                 if _PLAIN.fullmatch(complete):
                     return detect(self.place, complete, options)
                 read_header = extensions.find_installed("reader", "header") or detect
@@ -130,7 +122,9 @@ class TextTable(Table):
                 return dialect
             except InputError as problem:
                 refusal = problem
-            head = None if live else self._lines.longer_head()
+            if live:
+                break
+            head = self._lines.longer_head()
         raise refusal
 
     def describe(self) -> str:
@@ -139,9 +133,8 @@ class TextTable(Table):
 
     def even_clock(self, columns: Collection[Column]) -> tuple[float | None, float]:
         """Return the sample rate (Hz) and the first row's time (s) that an instrument's header states."""
-        return agreed_rate(
-            self.place, self.dialect.clock, self.notes
-        ), self.dialect.start
+        rate = agreed_rate(self.place, self.dialect.clock, self.notes)
+        return rate, self.dialect.start
 
     def blocks(self, picks: Mapping[str, Column]) -> Iterator[SampleBlock]:
         """Read the wanted columns in blocks of about ``block_rows`` rows.
@@ -152,14 +145,11 @@ class TextTable(Table):
             At the first bad row, unless ``skip_bad``.
         """
         options = self._options
-        rows = (
-            options.block_rows
-            if self.source.is_regular
-            else min(options.block_rows, PIPE_ROWS)
-        )
-        self._lines.block_bytes = min(
-            _LARGEST_BLOCK, max(64, rows * self._bytes_per_row)
-        )
+        rows = options.block_rows
+        if not self.source.is_regular:
+            rows = min(rows, PIPE_ROWS)
+        wanted_bytes = max(64, rows * self._bytes_per_row)
+        self._lines.block_bytes = min(_LARGEST_BLOCK, wanted_bytes)
         parser = BlockParser(
             self.place,
             self.dialect,
@@ -181,7 +171,8 @@ class TextTable(Table):
 
     def _watched(self, blocks: Iterator[SampleBlock]) -> Iterator[SampleBlock]:
         """Note empty lines between rows of one column: each may be a cell that is empty."""
-        last_row, last_line = 0, 0
+        last_row = 0
+        last_line = 0
         for block in blocks:
             if len(block) and block.lines is not None:
                 rows = np.concatenate([[last_row], block.rows])
@@ -189,13 +180,13 @@ class TextTable(Table):
                 passed = np.diff(lines) - np.diff(rows)
                 if not last_row:
                     passed[0] = 0  # what stands above the data
-                for place in np.flatnonzero(passed)[
-                    : MOST_NAMED - len(self.doubtful)
-                ].tolist():
+                left = MOST_NAMED - len(self.doubtful)
+                for place in np.flatnonzero(passed)[:left].tolist():
                     self.doubtful.append(
                         f"line {lines[place + 1] - 1}: holds no number between two rows"
                     )
-                last_row, last_line = int(rows[-1]), int(lines[-1])
+                last_row = int(rows[-1])
+                last_line = int(lines[-1])
             yield block
 
     def close(self) -> None:
@@ -220,33 +211,27 @@ class TextTable(Table):
             while parser.next_line < first and start < len(block):
                 start = block.find(b"\n", start) + 1 or len(block)
                 parser.next_line += 1
-            rest = block[start:] if start else block
+            rest = block
+            if start:
+                rest = block[start:]
             if rest and (rest.endswith(b"\n") or self._is_whole(rest, parser)):
                 yield rest
 
     def _is_whole(self, last: bytes, parser: BlockParser) -> bool:
         """Judge a last line without its end: True with a note, False where it is dropped, or refuse it."""
-        line, row, dialect = (
-            decoded(last.removesuffix(b"\r")),
-            parser.next_row,
-            self.dialect,
-        )
-        first, final = parser.rows
-        if (
-            dialect.is_comment(line)
-            or row < first
-            or (final is not None and row > final)
-        ):
+        line = decoded(last.removesuffix(b"\r"))
+        row = parser.next_row
+        dialect = self.dialect
+        if dialect.is_comment(line) or not parser.is_wanted(row):
             return True
         place = f"{self.place}:{parser.next_line}"
         cell = dialect.cells(line)[-1]
-        near = self._lines.above.split(b"\n")[1:-1][-_NEIGHBOURS:]
-        rows = (
-            dialect.cells(text)
-            for raw in near
-            if not dialect.is_comment(text := decoded(raw))
-        )
-        above = [cells[-1] for cells in rows if len(cells) == dialect.width]
+        above = []  # the last cells of the rows above
+        for raw in self._lines.above.split(b"\n")[1:-1][-_NEIGHBOURS:]:
+            text = decoded(raw)
+            cells = dialect.cells(text)
+            if len(cells) == dialect.width and not dialect.is_comment(text):
+                above.append(cells[-1])
         why = self.source.unfinished()
         if why is None and not looks_cut(cell, above, dialect.decimal):
             self.notes.append(
@@ -317,16 +302,24 @@ class BlockParser:
                 self.next_line += len(block)
             elif block:
                 parsed = self._parse_regularly(block, small)
-                yield (self._parse_slowly(block) if parsed is None else parsed).within(
-                    self.rows
-                )
+                if parsed is None:
+                    parsed = self._parse_slowly(block)
+                yield parsed.within(self.rows)
+
+    def is_wanted(self, row: int) -> bool:
+        """Return whether a data row (from 1) is among those that are read."""
+        first, last = self.rows
+        return first <= row and (last is None or row <= last)
 
     def _parse_regularly(self, block: bytes, small: bool) -> SampleBlock | None:
         """Take a block at once where every line of it is a good row or empty; else None."""
-        mark, comments = self.dialect.delimiter, self.dialect.comments
+        mark = self.dialect.delimiter
+        comments = self.dialect.comments
         if not mark.isascii() or any(comment.encode() in block for comment in comments):
             return None  # the fast readers know single bytes only, and no comments
-        text = block.replace(b"\r\n", b"\n") if b"\r" in block else block
+        text = block
+        if b"\r" in text:
+            text = text.replace(b"\r\n", b"\n")
         if mark == BLANKS:
             if b'"' in text:
                 return None
@@ -342,7 +335,9 @@ class BlockParser:
         if marks > 2 * len(numbers) * self.dialect.width + 100:
             # polars takes hundreds of bytes for every cell of a line of delimiters
             return None
-        arrays = self._columns(text, len(numbers), small) if text else None
+        if not text:
+            return None
+        arrays = self._columns(text, len(numbers), small)
         if arrays is None:
             return None
         rows = range(self.next_row, self.next_row + len(numbers))
@@ -378,7 +373,9 @@ class BlockParser:
 
     def _parse_slowly(self, block: bytes) -> SampleBlock:
         """Take a block line by line."""
-        time = list(self.picks).index(TIME) if TIME in self.picks else None
+        time = None  # the place of the time among the picks
+        if TIME in self.picks:
+            time = list(self.picks).index(TIME)
         places: list[tuple[int, int]] = []
         values: list[list[float]] = []
         self.ahead = iter(block.removesuffix(b"\n").split(b"\n"))
@@ -393,9 +390,8 @@ class BlockParser:
                 row = self._parse_row(line)
                 if row is not None:
                     if time is not None and self.repeated is not None:
-                        row[time] = float(
-                            self.repeated.continued(np.array(row[time : time + 1]))[0]
-                        )
+                        stamp = np.array([row[time]])
+                        row[time] = float(self.repeated.continued(stamp)[0])
                     places.append((self.next_row, self.next_line))
                     values.append(row)
                 self.next_row += 1
@@ -418,30 +414,29 @@ class BlockParser:
 
     def _parse_row(self, line: str) -> list[float] | None:
         """Read the wanted cells of one line; None for a row that is out of range, blank or dropped."""
-        first, last = self.rows
-        if self.next_row < first or (last is not None and self.next_row > last):
+        if not self.is_wanted(self.next_row):
             return None
-        cells, sign, width = (
-            self.dialect.cells(line),
-            self.dialect.decimal,
-            self.dialect.width,
-        )
+        cells = self.dialect.cells(line)
+        width = self.dialect.width
+        row: list[float] = []
+        cell = "-"
+        blank = False
         problem = ""
         trailing = len(cells) == width + 1 and (self.dialect.remarks or not cells[-1])
         if len(cells) != width and not trailing:
             problem = f"{counted(len(cells), 'cell')} where the other rows have {width}"
-        row: list[float] = []
-        cell, blank = "-", False
-        for pick in () if problem else self.picks.values():
-            cell = cells[pick.number - 1] if pick.number <= len(cells) else ""
-            if not cell and pick.may_be_blank:
-                blank = True
-                continue
-            value = self.dialect.value(cell, pick.written)
-            if value is None:
-                problem = f"{column_label(pick)} {complain(cell, sign, pick.written)}"
-                break
-            row.append(value)
+        else:
+            for pick in self.picks.values():
+                cell = cells[pick.number - 1]
+                if not cell and pick.may_be_blank:
+                    blank = True
+                    continue
+                value = self.dialect.value(cell, pick.written)
+                if value is None:
+                    wrong = complain(cell, self.dialect.decimal, pick.written)
+                    problem = f"{column_label(pick)} {wrong}"
+                    break
+                row.append(value)
         problem = problem or self._text_among_numbers(cells)
         if not problem:
             return None if blank else row
@@ -454,11 +449,13 @@ class BlockParser:
     def _remedy(self, cell: str) -> str:
         """Return what to do about the row being taken, by how many of the block's next rows are bad, too."""
         twin = replace(self, skip_bad=True, rows=ALL_ROWS, dropped=DroppedRows())
-        texts = (decoded(raw.removesuffix(b"\r")) for raw in self.ahead if raw)
-        rows = [text for text in texts if not self.dialect.is_comment(text)]
-        for text in rows:
-            twin._parse_row(text)
-        return remedy_for(twin.dropped.count, len(rows), cause_of(cell))
+        rows = 0
+        for raw in filter(None, self.ahead):
+            text = decoded(raw.removesuffix(b"\r"))
+            if not self.dialect.is_comment(text):
+                twin._parse_row(text)
+                rows += 1
+        return remedy_for(twin.dropped.count, rows, cause_of(cell))
 
     def _text_among_numbers(self, cells: list[str]) -> str:
         """Describe where text stands in a column of numbers that nobody asked for: no sample has it."""
@@ -467,28 +464,19 @@ class BlockParser:
             if column < len(cells) and _is_text_in(
                 cells[column], numeric, self.dialect
             ):
-                names = self.dialect.headers
-                info = parse_column(names[column] if names else None, column + 1)
-                written = (
-                    self.dialect.writings[column]
-                    if self.dialect.writings
-                    else "numbers"
-                )
-                return f"{column_label(info)} {complain(cells[column], self.dialect.decimal, written)}"
+                label = column_label(self.dialect.column(column))
+                written = self.dialect.written(column)
+                wrong = complain(cells[column], self.dialect.decimal, written)
+                return f"{label} {wrong}"
         return ""
 
     @cached_property
     def _unpicked(self) -> list[int]:
         """The columns of numbers or time stamps (from 0) that are not read."""
-        stamps = {
-            at
-            for at, written in enumerate(self.dialect.writings)
-            if written != "numbers"
-        }
-        return sorted(
-            (self.dialect.numeric | stamps)
-            - {pick.number - 1 for pick in self.picks.values()}
-        )
+        writings = enumerate(self.dialect.writings)
+        stamps = {index for index, written in writings if written != "numbers"}
+        picked = {pick.number - 1 for pick in self.picks.values()}
+        return sorted((self.dialect.numeric | stamps) - picked)
 
 
 def _without_empty_lines(block: bytes) -> tuple[bytes, NDArray[np.int64]]:
@@ -541,7 +529,9 @@ def _counts(block: bytes, mark: int) -> tuple[int, int, bool]:
     ten times as long.
     """
     text = np.frombuffer(block, dtype=np.uint8)
-    lines, marks, empty = 0, 0, block[:1] == b"\n"
+    lines = 0
+    marks = 0
+    empty = block[:1] == b"\n"
     for start in range(0, len(text), _AT_ONCE):
         part = text[start : start + _AT_ONCE]
         ends = part == 10
@@ -568,7 +558,8 @@ def _has_text_in(columns: Sequence[int], block: bytes, dialect: Dialect) -> bool
         return False
     ends = np.flatnonzero((text == ord(dialect.delimiter)) | (text == 10))
     wanted, numeric = np.zeros((2, dialect.width), dtype=bool)
-    wanted[columns], numeric[list(dialect.numeric)] = True, True
+    wanted[columns] = True
+    numeric[list(dialect.numeric)] = True
     cells = np.searchsorted(ends, letters)
     # each cell once
     cells = cells[(np.diff(cells, prepend=-1) > 0) & wanted[cells % dialect.width]]
@@ -577,15 +568,16 @@ def _has_text_in(columns: Sequence[int], block: bytes, dialect: Dialect) -> bool
     # time stamps with a T are many, and no text
     doubtful = numeric[cells % dialect.width] | ~digit
     stops = np.append(ends, len(block))[cells]
+    places = np.stack([starts, stops, cells % dialect.width])[:, doubtful]
+    # each text once, with whether its column holds numbers
     words = {
         (block[start:stop], column in dialect.numeric)
-        for start, stop, column in np.stack([starts, stops, cells % dialect.width])[
-            :, doubtful
-        ].T.tolist()
+        for start, stop, column in places.T.tolist()
     }
-    return any(
-        _is_text_in(decoded(word).strip(), numbers, dialect) for word, numbers in words
-    )
+    for word, is_numeric in words:
+        if _is_text_in(decoded(word).strip(), is_numeric, dialect):
+            return True
+    return False
 
 
 def _is_text_in(cell: str, numeric: bool, dialect: Dialect) -> bool:
@@ -605,17 +597,20 @@ def _parse_plain(
         cells = cells.replace(b",", b".")
     words = cells.split(mark)
     try:
-        columns = [
-            map(_reader(pick, dialect), words[pick.number - 1 :: dialect.width])
-            for pick in picks
-        ]
-        arrays = [np.array(list(column), dtype=np.float64) for column in columns]
+        arrays = []
+        for pick in picks:
+            column = words[pick.number - 1 :: dialect.width]
+            numbers = list(map(_reader(pick, dialect), column))
+            arrays.append(np.array(numbers, dtype=np.float64))
     except (
         ValueError,
         TypeError,
     ):  # a cell that is none: float() raises, a reader of stamps gives None
         return None
-    return arrays if all(are_measured(array).all() for array in arrays) else None
+    for array in arrays:
+        if not are_measured(array).all():
+            return None
+    return arrays
 
 
 def _reader(pick: Column, dialect: Dialect) -> Callable[[bytes], float | None]:
