@@ -18,6 +18,7 @@ from dbo_cli.hysteresis.dynamics import (
     Lag,
     Resonance,
     ZeroPhaseLowPass,
+    latency_text,
     undone,
 )
 
@@ -279,3 +280,19 @@ def test_a_single_time_step_has_the_bits_of_many() -> None:
             section.step(np.array([STEP, STEP])),
         )
         assert one.tobytes() == two[0].tobytes() == two[1].tobytes()
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (0.003623, "3.62 ms"),
+        (0.9994, "999 ms"),
+        (1.0, "1 s"),
+        (8.851, "8.85 s"),
+        (-2.5, "-2.5 s"),
+        (0.0, "0 ms"),
+    ],
+)
+def test_a_lag_of_seconds_is_said_in_seconds(seconds: float, text: str) -> None:
+    """A lag of 8.85 s was printed as 8.85e+03 ms."""
+    assert latency_text(seconds) == text

@@ -195,6 +195,13 @@ def _series(angle: Any, zeta: float, order: int) -> Any:
     return total
 
 
+def latency_text(seconds: float) -> str:
+    """Return a delay or a lag as it is said: in ms below a second, in s from there on."""
+    if abs(seconds) < 1.0:
+        return f"{1e3 * seconds:.3g} ms"
+    return f"{seconds:.3g} s"
+
+
 @dataclass(frozen=True)
 class Lag:
     """A first-order section (1 + λs)/(1 + τs): a lag, or with a lead creep, of which 1 - λ/τ comes late.

@@ -326,10 +326,12 @@ def split_header(header: str) -> tuple[str, str | None]:
         # half a bracket is no unit
         if match is None or match["unit"].strip("[](){}<>") != match["unit"]:
             continue
-        quantity, unit = match["quantity"].strip(), match["unit"]
+        quantity = match["quantity"].strip()
+        unit = match["unit"]
         apart = _PREFIXED.fullmatch(quantity)
         if apart is not None:  # milli volts
-            quantity, unit = apart["quantity"].rstrip(" /"), apart["prefix"] + unit
+            quantity = apart["quantity"].rstrip(" /")
+            unit = apart["prefix"] + unit
         if is_known_unit(unit) and quantity.lower() not in _LETTERED:
             return quantity, normalise_unit(unit)
     return text, None
@@ -337,17 +339,18 @@ def split_header(header: str) -> tuple[str, str | None]:
 
 def is_torn(text: str) -> bool:
     """Return whether brackets do not fit, or a # stands for a letter of the unit: it is not clear."""
-    unlike = any(
-        text.count(left) != text.count(right) for left, right in ("()", "[]", "{}")
-    )
-    return unlike or _HASHED.search(text) is not None
+    for left, right in ("()", "[]", "{}"):
+        if text.count(left) != text.count(right):
+            return True
+    return _HASHED.search(text) is not None
 
 
 @lru_cache(maxsize=256)
 def parse_column(header: str | None, number: int, unit: str | None = None) -> Column:
     """Describe column ``number`` (from 1) by its header cell; a unit given apart (units line) goes first."""
     # no command for a terminal, no half a letter
-    header, unit = cleaned(header or ""), cleaned(unit or "")
+    header = cleaned(header or "")
+    unit = cleaned(unit or "")
     if header[:1] == "'" and header[1:2] in ("=", "+", "-", "@"):
         header = header[1:]  # what keeps a spreadsheet from taking it for a formula
     if not header:
@@ -365,9 +368,9 @@ def parse_column(header: str | None, number: int, unit: str | None = None) -> Co
 
 def contradicted_unit(column: Column) -> str | None:
     """Return the unit that a column's name states where it is another than the one it was given apart."""
-    unit_in_name = (
-        split_header(column.name.rsplit("/", 1)[-1])[1] if column.quantity else None
-    )
+    if not column.quantity:
+        return None
+    _, unit_in_name = split_header(column.name.rsplit("/", 1)[-1])
     known = (
         unit_in_name is not None
         and column.unit is not None
@@ -378,7 +381,9 @@ def contradicted_unit(column: Column) -> str | None:
 
 def column_label(column: Column) -> str:
     """Name a column in a message: ``column 'voltage_V'``, or ``column 2`` where the log has no header."""
-    return f"column '{column.name}'" if column.quantity else f"column {column.number}"
+    if column.quantity:
+        return f"column '{column.name}'"
+    return f"column {column.number}"
 
 
 def list_columns(columns: Sequence[Column]) -> str:
@@ -397,8 +402,10 @@ def list_columns(columns: Sequence[Column]) -> str:
 
 def any_of(names: Sequence[str]) -> str:
     """List what may be meant for an error message, shortened when there is much."""
-    more = f" or … ({len(names)} in all)" if len(names) > _LISTED else ""
-    return " or ".join(names[:_LISTED]) + more
+    listed = " or ".join(names[:_LISTED])
+    if len(names) > _LISTED:
+        return f"{listed} or … ({len(names)} in all)"
+    return listed
 
 
 def find_column(
@@ -483,12 +490,12 @@ def _ask_about_number(
 ) -> None:
     """Refuse a number that is the name of another column than the one at that place (InputError)."""
     number = int(selector)
-    named = [
-        column
-        for column in columns
-        if column.quantity and column.name.strip() == selector
-    ]
-    if any(column.number != number for column in named) and 1 <= number <= len(columns):
+    named = []
+    for column in columns:
+        if column.quantity and column.name.strip() == selector:
+            named.append(column)
+    elsewhere = any(column.number != number for column in named)
+    if elsewhere and 1 <= number <= len(columns):
         raise InputError(
             f"{place}: `{option}` {selector}: column {selector}, '{columns[number - 1].name}', or column "
             f"{named[0].number}, which is named '{selector}'? "
@@ -498,10 +505,14 @@ def _ask_about_number(
 
 def guess_columns(columns: Sequence[Column], guesses: Sequence[str]) -> list[Column]:
     """Find the columns whose quantity is one of ``guesses``, or else contains one as a word."""
-    exact = [column for column in columns if column.quantity.lower() in guesses]
-    return exact or [
-        column for column in columns if set(_words(column.quantity)) & set(guesses)
-    ]
+    whole = [column for column in columns if column.quantity.lower() in guesses]
+    if whole:
+        return whole
+    with_word = []
+    for column in columns:
+        if set(_words(column.quantity)) & set(guesses):
+            with_word.append(column)
+    return with_word
 
 
 def matching_columns(columns: Sequence[Column], wish: ColumnWish) -> list[Column]:
@@ -556,16 +567,18 @@ def _is_sure(column: Column, wish: ColumnWish) -> bool:
 
 def _misspelled(columns: Sequence[Column], wish: ColumnWish) -> list[Column]:
     """Find the columns of which a word is a long name but for one letter."""
-    names = [name for name in wish.guesses if len(name) >= 4]
+    return [column for column in columns if _is_misspelled(column, wish)]
 
-    def is_slip(column: Column) -> bool:
-        words = {
-            *_words(column.quantity),
-            *re.findall(r"[^\W_]+", column.quantity.lower()),
-        } - wish.foreign
-        return any(_one_letter_off(word, name) for word in words for name in names)
 
-    return [column for column in columns if is_slip(column)]
+def _is_misspelled(column: Column, wish: ColumnWish) -> bool:
+    """Return whether a word of a column is a long name but for one letter."""
+    words = set(_words(column.quantity))
+    words.update(re.findall(r"[^\W_]+", column.quantity.lower()))
+    for word in words - wish.foreign:
+        for name in wish.guesses:
+            if len(name) >= 4 and _one_letter_off(word, name):
+                return True
+    return False
 
 
 def _suspects(
@@ -579,24 +592,28 @@ def _suspects(
     Where no unit supports what was found by a lesser name, any column of an unknown
     name may be meant.
     """
-    sure = has_name or all(
-        kind_of_unit(column.unit) in wish.proving_units for column in lesser
-    )
-    long_names = [name for name in wish.guesses if len(name) >= 4]
-    return [
-        column
-        for column in fitting
-        if any(name in _letters(column) for name in long_names)  # positionmm, Posi)tion
-        or any(
-            _letters(column).startswith(name) for name in wish.guesses if len(name) == 3
-        )  # Wegccm
-        or _runs_into_unit(column, wish)
-        or (
-            column.unit is None and is_torn(column.quantity)
-        )  # nothing of the name is left: ) (mm)
-        or set(_words(column.quantity)) & set(wish.letters)
-        or (not sure and column.unit is None and _is_unknown(column, wish))
-    ]
+    sure = has_name or all(_has_proving_unit(column, wish) for column in lesser)
+    suspects = []
+    for column in fitting:
+        is_unknown = column.unit is None and _is_unknown(column, wish)
+        if _hides_name(column, wish) or (is_unknown and not sure):
+            suspects.append(column)
+    return suspects
+
+
+def _hides_name(column: Column, wish: ColumnWish) -> bool:
+    """Return whether a name of the wish may stand in a column's, run together or torn."""
+    letters = _letters(column)
+    for name in wish.guesses:
+        if len(name) >= 4 and name in letters:
+            return True  # positionmm, Posi)tion
+        if len(name) == 3 and letters.startswith(name):
+            return True  # Wegccm
+    if column.unit is None and is_torn(column.quantity):
+        return True  # nothing of the name is left: ) (mm)
+    if set(_words(column.quantity)) & set(wish.letters):
+        return True
+    return _runs_into_unit(column, wish)
 
 
 def _letters(column: Column) -> str:
@@ -606,14 +623,13 @@ def _letters(column: Column) -> str:
 def _runs_into_unit(column: Column, wish: ColumnWish) -> bool:
     """Return whether a name and a unit of the right kind stand without anything between them: Wegµm."""
     word = _letters(column)
-    ends = [
-        word[len(name) :]
-        for name in (*wish.guesses, *wish.letters)
-        if word.startswith(name)
-    ]
-    return any(
-        kind_of_unit(normalise_unit(end)) in wish.proving_units for end in ends if end
-    )
+    for name in (*wish.guesses, *wish.letters):
+        end = word.removeprefix(name)
+        if not word.startswith(name) or not end:
+            continue
+        if kind_of_unit(normalise_unit(end)) in wish.proving_units:
+            return True
+    return False
 
 
 def _is_unknown(column: Column, wish: ColumnWish) -> bool:
@@ -672,12 +688,8 @@ def may_be(column: Column, wish: ColumnWish) -> bool:
 
 
 def _words(quantity: str) -> list[str]:
-    return [
-        word.lower()
-        for word in re.findall(
-            r"[^\W\d_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", quantity)
-        )
-    ]
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", quantity)  # driveVoltage
+    return [word.lower() for word in re.findall(r"[^\W\d_]+", spaced)]
 
 
 def choose_columns(
@@ -724,21 +736,18 @@ def choose_columns(
     )
     if notes is not None:
         for role, reason in reasons.items():
-            name, remedy = (
-                role_columns[role].name,
-                f"(`{wishes[role].option}` names another)",
-            )
-            notes.append(
-                f"{place}: '{name}' is taken for the {_ROLE_WORDS[role]}: {reason} {remedy}"
-            )
+            taken = f"'{role_columns[role].name}' is taken for the {_ROLE_WORDS[role]}"
+            remedy = f"(`{wishes[role].option}` names another)"
+            notes.append(f"{place}: {taken}: {reason} {remedy}")
     if unclear:
         numbers = [column.number for column in free]
         raise InputError(_not_unique(place, columns, wishes, unclear, numbers, timed))
-    return {
-        role: replace(role_columns[role], may_be_blank=wish.may_be_blank)
-        for role, wish in wishes.items()
-        if role in role_columns
-    }
+    chosen = {}
+    for role, wish in wishes.items():
+        if role in role_columns:
+            column = role_columns[role]
+            chosen[role] = replace(column, may_be_blank=wish.may_be_blank)
+    return chosen
 
 
 def _refuse_named_away(
@@ -850,11 +859,11 @@ def _candidates(
 
 def _last_column(free: Sequence[Column], wish: ColumnWish) -> list[Column]:
     """Return the column that is left for the only wish, unless its unit or name speaks against it."""
-    return [
-        column
-        for column in free
-        if may_be(column, wish) and column.quantity.lower() not in wish.foreign
-    ]
+    left = []
+    for column in free:
+        if may_be(column, wish) and column.quantity.lower() not in wish.foreign:
+            left.append(column)
+    return left
 
 
 def _only_candidate(
@@ -867,11 +876,10 @@ def _only_candidate(
     """
     if guess_columns(columns, wish.guesses):
         return [], ""
-    proved = [
-        column
-        for column in free
-        if may_be(column, wish) and _has_proving_unit(column, wish)
-    ]
+    proved = []
+    for column in free:
+        if may_be(column, wish) and _has_proving_unit(column, wish):
+            proved.append(column)
     if len(proved) == 1:
         contrary_words = wish.foreign | _BESIDES | _READINGS
         if not contrary_words & set(_words(proved[0].quantity)):
@@ -910,15 +918,14 @@ def _by_what_is_left(
     """
     if not set(absent) <= {"voltage", *_RESULTS}:
         return {}, ""
-    numbered = [
-        column for column in free if column.written == "numbers" and column.quantity
-    ]
+    numbered = list(filter(_has_named_numbers, free))
     if any(_is_called_a_voltage_in_vain(column) for column in numbered):
         return {}, ""
     measured = [column for column in numbered if not _ORDERS & set(_words(column.name))]
     if len(absent) == 1:
-        column, reason = _the_rest(numbered, wishes[absent[0]], absent[0], len(wishes))
-        return ({}, "") if column is None else ({absent[0]: column}, reason)
+        role = absent[0]
+        rest, reason = _the_rest(numbered, wishes[role], role, len(wishes))
+        return ({}, "") if rest is None else ({role: rest}, reason)
     if len(absent) != 2 or len(measured) != 2 or len(numbered) != 2:
         return {}, ""
     orders = []
@@ -927,11 +934,13 @@ def _by_what_is_left(
             orders.append(
                 {role: drive if role == "voltage" else result for role in absent}
             )
-    return (
-        (orders[0], "of the two columns it alone can be")
-        if len(orders) == 1
-        else ({}, "")
-    )
+    if len(orders) != 1:
+        return {}, ""
+    return orders[0], "of the two columns it alone can be"
+
+
+def _has_named_numbers(column: Column) -> bool:
+    return column.written == "numbers" and bool(column.quantity)
 
 
 def _the_rest(
@@ -939,14 +948,15 @@ def _the_rest(
 ) -> tuple[Column | None, str]:
     """Find the column of the only role that is absent, and why it is meant; None where that is not clear."""
     if role == "voltage":
-        fits, contrary, wrong_words = (
-            _drives,
-            _is_moved,
-            wish.contrary - _TEMPERATURES | _ORDERS,
-        )
+        fits = _drives
+        contrary = _is_moved
+        wrong_words = wish.contrary - _TEMPERATURES | _ORDERS
     else:
-        fits, contrary, wrong_words = _is_moved, _drives, wish.contrary | _ORDERS
-    fitting, rest = [], []
+        fits = _is_moved
+        contrary = _drives
+        wrong_words = wish.contrary | _ORDERS
+    fitting = []
+    rest = []
     for column in numbered:
         words = set(_words(column.name))
         if fits(column) and not words & wrong_words:
@@ -1047,7 +1057,9 @@ def _not_unique(
         )
         which = ", which the ".join(role_names.values())
         return f"{place}: {list_columns(columns)}: which is the {which}? (such as {example})"
-    questions, absent, absent_roles = [], [], []
+    questions = []
+    absent = []
+    absent_roles = []
     for role, candidates in unclear.items():
         if candidates:
             names = any_of([f"'{column.name}'" for column in candidates])

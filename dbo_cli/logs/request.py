@@ -109,11 +109,9 @@ class Address:
     @property
     def delimiter(self) -> str:
         """The delimiter of text that is written there."""
-        tabs = (
-            _plain(self.path).endswith(".tsv")
-            if self.format is None
-            else self.format == "tsv"
-        )
+        tabs = self.format == "tsv"
+        if self.format is None:
+            tabs = _plain(self.path).endswith(".tsv")
         return "\t" if tabs else ","
 
     def or_format(self, named: str | None) -> Address:
@@ -124,13 +122,12 @@ class Address:
 
     def refuse_other(self, named: str, shown: str | None = None) -> None:
         """Refuse a format that contradicts the name (UsageError); a name without a known ending does not."""
-        kind, unlike = (
-            _kind_by_name(self.path),
-            {"csv": ".tsv", "tsv": ".csv"}.get(named, "::"),
-        )
-        if kind is not None and (
-            kind != FORMATS[named] or _plain(self.path).endswith(unlike)
-        ):
+        kind = _kind_by_name(self.path)
+        if kind is None:
+            return
+        contrary = {"csv": ".tsv", "tsv": ".csv"}.get(named)
+        is_contrary = contrary is not None and _plain(self.path).endswith(contrary)
+        if kind != FORMATS[named] or is_contrary:
             raise UsageError(
                 f"{shown or self.text}: `format` {named} contradicts this name: leave one of them out"
             )
@@ -147,7 +144,9 @@ def _plain(path: str) -> str:
 def _kind_by_name(path: str) -> str | None:
     if _plain(path).endswith(HDF5_ENDINGS):
         return "hdf5"
-    return "text" if _plain(path).endswith(TEXT_ENDINGS) else None
+    if _plain(path).endswith(TEXT_ENDINGS):
+        return "text"
+    return None
 
 
 def parse_address(source: Given, format: str | None = None) -> Address:
@@ -166,8 +165,9 @@ def parse_address(source: Given, format: str | None = None) -> Address:
     if format is not None and format not in FORMATS:
         raise UsageError(f"`format` {format}: the formats are {', '.join(FORMATS)}")
     path, separator, group = text.partition("::")
-    if separator and os.path.exists(text):
-        path, separator, group = text, "", ""  # a file whose name holds the separator
+    if separator and os.path.exists(text):  # a file whose name holds the separator
+        path = text
+        separator = ""
     kind = _kind_by_name(path) if format is None else FORMATS[format]
     if not separator:
         return Address(text, path, None, kind, format)
@@ -214,26 +214,32 @@ def check_document(address: Given, what: str, form: str) -> None:
     UsageError
         The name ends in what belongs to another format.
     """
-    endings, path = _DOCUMENTS[form], parse_address(address).path
-    known = {".csv", ".tsv", ".gz", *HDF5_ENDINGS, *_NOT_WRITTEN} - set(endings)
-    named = _longest_ending(path, known)
-    if named:
-        stem = path
-        while ending := _longest_ending(stem, known | {*endings, ".txt"}):
-            stem = stem[: -len(ending)]
-        kind = "text" if form == "text" else form.upper()
-        better = stem + (endings[0] if endings else ".txt")
-        raise UsageError(
-            f"{path}: {what} is written as {kind}, not as {named}: call it {better}"
-        )
+    path = parse_address(address).path
+    endings = _DOCUMENTS[form]
+    others = {".csv", ".tsv", ".gz", *HDF5_ENDINGS, *_NOT_WRITTEN} - set(endings)
+    named = _longest_ending(path, others)
+    if not named:
+        return
+    stem = path
+    while ending := _longest_ending(stem, others | {*endings, ".txt"}):
+        stem = stem[: -len(ending)]
+    kind = form.upper()
+    better = stem + ".txt"
+    if form == "text":
+        kind = "text"
+    else:
+        better = stem + endings[0]
+    raise UsageError(
+        f"{path}: {what} is written as {kind}, not as {named}: call it {better}"
+    )
 
 
 def _longest_ending(path: str, endings: Collection[str]) -> str:
-    return max(
-        (ending for ending in endings if path.lower().endswith(ending)),
-        key=len,
-        default="",
-    )
+    longest = ""
+    for ending in endings:
+        if path.lower().endswith(ending) and len(ending) > len(longest):
+            longest = ending
+    return longest
 
 
 def check_format(named: str | None, addresses: Sequence[Address]) -> None:
@@ -257,21 +263,22 @@ def other_file(selector: str | None) -> tuple[str, str] | None:
     if not os.path.isfile(path):
         return None
     inner, separator, column = rest.rpartition("::")
-    return (f"{path}::{inner}", column) if separator else (path, rest)
+    if separator:
+        return f"{path}::{inner}", column
+    return path, rest
 
 
 def selected_files(*selectors: str | None) -> list[str]:
     """List the files that ``FILE::COLUMN`` names: no output may overwrite them."""
-    named = [other_file(selector) for selector in selectors]
-    alone = [
-        selector
-        for selector in selectors
-        if selector is not None and os.path.isfile(selector)
-    ]
-    return [
-        *(match[0].partition("::")[0] for match in named if match is not None),
-        *alone,
-    ]
+    with_column = []
+    alone = []
+    for selector in selectors:
+        named = other_file(selector)
+        if named is not None:
+            with_column.append(named[0].partition("::")[0])
+        if selector is not None and os.path.isfile(selector):
+            alone.append(selector)
+    return [*with_column, *alone]
 
 
 def without_folder(selector: str) -> str:
@@ -461,9 +468,8 @@ class ReadingOptions:
                 chosen[option.name] = value
         if "rows" in chosen:
             first, last = self.rows
-            chosen["rows"] = (
-                f"{first if first > 1 else ''}:{'' if last is None else last}"
-            )
+            from_row = str(first) if first > 1 else ""
+            chosen["rows"] = f"{from_row}:{last or ''}"
         return chosen
 
     @cached_property
@@ -667,16 +673,12 @@ def brief(problem: BaseException) -> str:
     """Keep the reason in brackets of a library's message, or its first line."""
     if type(problem).__name__ == "PanicException":  # describes the library's own lines
         return GAVE_UP
-    text = (
-        str(problem).strip("'\"").splitlines()[0]
-        if str(problem)
-        else type(problem).__name__
-    )
-    return (
-        text[text.find("(") + 1 : text.rfind(")")]
-        if "(" in text and text.endswith(")")
-        else text
-    )
+    if not str(problem):
+        return type(problem).__name__
+    text = str(problem).strip("'\"").splitlines()[0]
+    if "(" in text and text.endswith(")"):
+        return text[text.find("(") + 1 : text.rfind(")")]
+    return text
 
 
 # --- compiled libraries and the process they run in
@@ -714,7 +716,8 @@ _host = Host()
 def set_host(chosen: Host) -> Host:
     """Choose what is done about libraries in this process; returns what was chosen before."""
     global _host
-    before, _host = _host, chosen
+    before = _host
+    _host = chosen
     import_polars.cache_clear()
     return before
 

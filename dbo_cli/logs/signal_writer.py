@@ -20,6 +20,7 @@ from dbo_cli.logs.request import BLOCK_ROWS, Address, Given, import_polars, pars
 from dbo_cli.logs.sample_block import Column, FloatArray
 from dbo_cli.logs.whole_output import (
     KEPT,
+    KeptOutputs,
     KeptSignal,
     check_output,
     is_replaceable,
@@ -153,6 +154,21 @@ class _Keeper:
 
 
 @contextlib.contextmanager
+def _kept_signal(
+    outputs: KeptOutputs,
+    address: Address,
+    columns: Sequence[Column],
+    format: str | None,
+    attributes: Callable[[], Mapping[str, str | float]],
+    commented: bool,
+) -> Iterator[SignalWriter]:
+    """Keep a signal among outputs that are written later or elsewhere."""
+    keeper = _Keeper(columns)
+    yield keeper
+    outputs.signals.append(keeper.signal(address, format, attributes(), commented))
+
+
+@contextlib.contextmanager
 def signal_writer(
     address: Given,
     columns: Sequence[Column],
@@ -194,9 +210,10 @@ def signal_writer(
     target = parse_output(address, format)
     outputs = KEPT.get()
     if outputs is not None:
-        keeper = _Keeper(columns)
-        yield keeper
-        outputs.signals.append(keeper.signal(target, format, attributes(), commented))
+        with _kept_signal(
+            outputs, target, columns, format, attributes, commented
+        ) as keeper:
+            yield keeper
         return
     check_output(target, protect)
     if target.kind == "hdf5":
@@ -205,11 +222,17 @@ def signal_writer(
         with hdf5_writer(target, columns, attributes()) as hdf5:
             yield hdf5
         return
+    comment = _comment(attributes()) if commented else ""
+    with _text_writer(target, columns, flush, comment) as writer:
+        yield writer
+
+
+@contextlib.contextmanager
+def _text_writer(
+    target: Address, columns: Sequence[Column], flush: bool, comment: str
+) -> Iterator[TextWriter]:
+    """Open an output for delimited text."""
     with opened(target.path, 1 << 20) as file, _packed(file, target) as stream:
-        comment = ""
-        if commented:  # where the output comes from
-            stated = (f"{key}: {value}" for key, value in attributes().items())
-            comment = f"# {cleaned('; '.join([program_version_string(), *stated]))}\n"
         writer = TextWriter(
             stream,
             columns,
@@ -223,6 +246,12 @@ def signal_writer(
             writer.finish()
         finally:
             writer.close()
+
+
+def _comment(attributes: Mapping[str, str | float]) -> str:
+    """Return the line that states where an output comes from."""
+    stated = [f"{key}: {value}" for key, value in attributes.items()]
+    return f"# {cleaned('; '.join([program_version_string(), *stated]))}\n"
 
 
 # --- rows as text

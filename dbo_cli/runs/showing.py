@@ -11,7 +11,7 @@ from typing import Any
 from dbo_cli import extensions
 from dbo_cli.errors import UsageError, suffix_of
 from dbo_cli.hysteresis.cascade import OtherHysteresis, Stage
-from dbo_cli.hysteresis.dynamics import Lag
+from dbo_cli.hysteresis.dynamics import Lag, latency_text
 from dbo_cli.hysteresis.model import (
     SIGN_VERBS,
     ActuatorModel,
@@ -182,14 +182,14 @@ def _moving(content: Mapping[str, Any]) -> list[str]:
     parts = []
     if before:
         gears = content["operator"].split()[-1]
-        parts.append(f"a lag of {1e3 * before:.3g} ms before the {gears}")
+        parts.append(f"a lag of {latency_text(before)} before the {gears}")
     for section in content["dynamics"]:
         if section.get("lead"):
             late = 100.0 * (1.0 - section["lead"] / section["lag"])
             parts.append(f"creep of {late:.2g} % with {section['lag']:.3g} s")
             continue
         if "lag" in section:
-            parts.append(f"a lag of {1e3 * section['lag']:.3g} ms")
+            parts.append(f"a lag of {latency_text(section['lag'])}")
             continue
         parts.append(
             f"a resonance at {section['frequency']:.5g} Hz, damping {section['damping']:.3g}"
@@ -302,10 +302,10 @@ def _lateness(fit: Mapping[str, Any]) -> list[str]:
     """Return how late the displacement is, how well that is known, and whose lag it is."""
     if not fit.get("lag_seconds"):
         return []
-    line = f"lag: {1e3 * fit['lag_seconds']:.3g} ms at the logs' own frequency"
+    line = f"lag: {latency_text(fit['lag_seconds'])} at the logs' own frequency"
     low, high = fit.get("delay_interval_seconds") or (0.0, 0.0)
     if high > low:
-        line += f"; a delay from {1e3 * low:.3g} to {1e3 * high:.3g} ms explains the logs as well"
+        line += f"; a delay from {latency_text(low)} to {latency_text(high)} explains the logs as well"
     if "sensor" not in fit and fit["lag_seconds"] > 0.0:
         line += (
             "; whether the actuator or its sensor is late a log cannot tell: all of it is compensated "
@@ -332,7 +332,7 @@ def _lag(content: Mapping[str, Any]) -> str:
         text = f"; lag and creep with time constants of {seconds} s"
     delay = content["delay_seconds"]
     if delay:
-        text += f"; a delay of {1e3 * delay:.3g} ms"
+        text += f"; a delay of {latency_text(delay)}"
     return text
 
 

@@ -26,6 +26,7 @@ from dbo_cli.hysteresis.dynamics import (
     Lag,
     Resonance,
     Section,
+    latency_text,
 )
 from dbo_cli.hysteresis.identification.evaluation import (
     FOLDS,
@@ -754,7 +755,7 @@ def said(
     late = ""
     if chosen.lag > 0.0:
         place = "before" if chosen.structure.lag_before else "behind"
-        late += f", lag {1e3 * chosen.lag:.3g} ms {place} the gears"
+        late += f", lag {latency_text(chosen.lag)} {place} the gears"
     if delay:
         late += f", delay {1e3 * delay:.4g} ms behind all"
     line = (

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.errors import FitError
+from dbo_cli.hysteresis.dynamics import latency_text
 from dbo_cli.hysteresis.identification.cleaning import Sensor, clean
 from dbo_cli.hysteresis.identification.evaluation import (
     WHOSE_LAG,
@@ -439,7 +440,7 @@ def _late_warnings(result: _Result) -> list[str]:
     if delay < LATE * period or cost <= BROKEN * expected.rmse:
         return []
     return [
-        f"the displacement is late by a pure delay of {1e3 * delay:.3g} ms, more often a sensor's or a "
+        f"the displacement is late by a pure delay of {latency_text(delay)}, more often a sensor's or a "
         "logger's than an actuator's: if so, compensating it costs "
         f"{100.0 * cost / result.span:.2g} % of a move at the logs' speed (`sensor_delay` takes it "
         "off)"
@@ -530,10 +531,11 @@ def _expected_lines(figures: Mapping[str, Any], unit: str) -> list[str]:
 
 def _lag_line(lag: float, sensor: Sensor) -> str:
     """Return the lag in words, and what becomes of it."""
-    line = f"lag {1e3 * lag:.3g} ms"
+    line = f"lag {latency_text(lag)}"
     if sensor:
         return (
-            f"{line}; the sensor's delay of {1e3 * sensor.delay:.3g} ms and lag of {1e3 * sensor.lag:.3g} ms "
-            "were taken off before and are not compensated"
+            f"{line}; the sensor's delay of {latency_text(sensor.delay)}"
+            f" and lag of {latency_text(sensor.lag)}"
+            " were taken off before and are not compensated"
         )
     return f"{line}, {WHOSE_LAG}" if lag > 0.0 else line
