@@ -219,7 +219,7 @@ FAULTS: list[Fault] = [
         IDENTIFICATION,
         ("middle = round((interval[0] + interval[1]) / 2.0 / finest) * finest", "middle = interval[0]",
          "the middle of the delays that explain the logs"),
-        ("return min(held), max(held)", "return held[0], held[0]", "the interval of delays"),
+        ("return min(as_good), max(as_good)", "return as_good[0], as_good[0]", "the interval of delays"),
     ),
     *_faults(
         "hysteresis/identification/evaluation.py",
@@ -255,7 +255,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "hysteresis/identification/statistics.py",
         IDENTIFICATION,
-        ("slice(begin if len(mine) < 2 else end - log.stretches, end)", "slice(begin, end)",
+        ("nuisance[k] = slice(first, end)", "nuisance[k] = slice(begin, end)",
          "a fold left out has its log's offset in common with the others"),
     ),
     *_faults(
@@ -263,7 +263,7 @@ FAULTS: list[Fault] = [
         IDENTIFICATION,
         ("np.abs(ways - moves[at]).max(axis=0)", "np.abs(ways - moves[at]).min(axis=0)", "a gap hides a turn"),
         (
-            "turned[still] = np.abs(np.diff(log.displacement)[at[still]]) > seen",
+            "turned[still] = np.abs(np.diff(log.displacement)[at[still]]) > most_measured",
             "turned[still] = False",
             "the drive stood still in a gap only if the displacement did",
         ),
@@ -560,7 +560,7 @@ FAULTS: list[Fault] = [
         ("fast - slow < np.log(SPEEDS_APART)", "fast < slow", "a lag on ramps of one speed is a lag"),
         ('rules = ("growing",) if self._one else ("growing", "falling")', 'rules = ("growing",)',
          "a loop that leads is found behind a late sensor"),
-        ("TRIAL_SMOOTHNESS) for one in rules]", 'TRIAL_SMOOTHNESS) for one in ("growing", "falling")]',
+        ("for slopes in rules", 'for slopes in ("growing", "falling")',
          "a wide loop of one amplitude lags"),
         ("listed = self._listed(best.slopes, [best.memories], best.smoothness)", "listed = [best]",
          "the asymmetry of springs that slip keeps its segments"),

@@ -65,8 +65,11 @@ LONGEST_REACH = 20_000
 
 
 def _positive(key: str, value: float, most: float = math.inf) -> None:
+    """Refuse a number that is not between 0 and ``most``, naming the key."""
     if not (math.isfinite(value) and 0.0 < value < most):
-        bound = "greater than 0" if most == math.inf else f"between 0 and {most:g}"
+        bound = "greater than 0"
+        if most < math.inf:
+            bound = f"between 0 and {most:g}"
         raise ModelError(f"{key}: {value!r} is not a finite number {bound}")
 
 
@@ -104,10 +107,9 @@ class Resonance(Mode):
     @property
     def highest(self) -> float:
         """The higher of the resonance's and the antiresonance's frequency (Hz)."""
-        beside = self.antiresonance
-        return (
-            self.frequency if beside is None else max(self.frequency, beside.frequency)
-        )
+        if self.antiresonance is None:
+            return self.frequency
+        return max(self.frequency, self.antiresonance.frequency)
 
     @property
     def output(self) -> tuple[float, float]:
@@ -115,13 +117,13 @@ class Resonance(Mode):
         if self.antiresonance is None:
             return 0.0, 0.0
         ratio = self.frequency / self.antiresonance.frequency
-        return ratio * ratio, 2.0 * ratio * (
-            self.antiresonance.damping - ratio * self.damping
-        )
+        damping = self.antiresonance.damping - ratio * self.damping
+        return ratio * ratio, 2.0 * ratio * damping
 
     def step(self, time_step: Floats) -> Floats:
         """Return the kernel's six numbers for each time step (s): what p and q change by."""
-        angle, zeta = 2.0 * math.pi * self.frequency * time_step, self.damping
+        angle = 2.0 * math.pi * self.frequency * time_step
+        zeta = self.damping
         if angle.size == 1 and 0.0 < angle[0] < _SERIES:
             return _even_step(angle.item(), zeta)
         sine, cosine = _turned(angle, zeta)
@@ -149,27 +151,19 @@ class Resonance(Mode):
 
 def _turned(angle: Floats, zeta: float) -> tuple[Floats, Floats]:
     """Return sine and cosine of a decaying turn, the sine over the root of 1 - zeta squared."""
-    root, fade = math.sqrt(1.0 - zeta * zeta), np.exp(-zeta * angle)
+    root = math.sqrt(1.0 - zeta * zeta)
+    fade = np.exp(-zeta * angle)
     return fade * np.sin(root * angle) / root, fade * np.cos(root * angle)
 
 
 @lru_cache(maxsize=16)  # a fit changes one resonance at a time, and has but a few
 def _even_step(angle: float, zeta: float) -> Floats:
     """Return ``Resonance.step`` of a single time step, in plain numbers: the same bits."""
-    sine, cosine = (turned.item() for turned in _turned(np.array([angle]), zeta))
+    sines, cosines = _turned(np.array([angle]), zeta)
+    sine, cosine = sines.item(), cosines.item()
     step = _series(angle, zeta, 0)
-    return np.array(
-        [
-            [
-                sine,
-                step,
-                _series(angle, zeta, 1),
-                cosine - zeta * sine,
-                sine,
-                step / angle,
-            ]
-        ]
-    )
+    ramp = _series(angle, zeta, 1)
+    return np.array([[sine, step, ramp, cosine - zeta * sine, sine, step / angle]])
 
 
 def _series(angle: Any, zeta: float, order: int) -> Any:
@@ -299,7 +293,8 @@ def section_inverse(section: Section, time_step: float) -> SectionInverse:
     if isinstance(section, Lag):
         numbers = np.array([matrix[0, 0], 0.0, 0.0, 0.0, drive[0], 0.0, out[0], 0.0])
         return SectionInverse(numbers, np.zeros(0), np.array([[1.0, 0.0], [0.0, 0.0]]))
-    half, det = 0.5 * (matrix[0, 0] + matrix[1, 1]), float(np.linalg.det(matrix))
+    half = 0.5 * (matrix[0, 0] + matrix[1, 1])
+    det = float(np.linalg.det(matrix))
     root = half * half - det
     if root <= 0.0:
         return _forward_only(section, time_step, matrix, drive, out, math.sqrt(det))
@@ -309,7 +304,8 @@ def section_inverse(section: Section, time_step: float) -> SectionInverse:
         return _forward_only(section, time_step, matrix, drive, out, abs(zeros[1]))
     if section.frequency * time_step * FEWEST_SAMPLES > 1.0 or abs(zeros[0]) >= 1.0:
         raise _unresolved(section, time_step)
-    inside, outside = (_mode(matrix, drive, out, zero) for zero in zeros)
+    inside = _mode(matrix, drive, out, zeros[0])
+    outside = _mode(matrix, drive, out, zeros[1])
     count = math.ceil(math.log(LEFT_OVER) / -math.log(abs(zeros[1])))
     if count > LONGEST_AHEAD:
         raise _unresolved(section, time_step)
@@ -345,12 +341,13 @@ def _forward_only(
 
 def _unresolved(section: Resonance, time_step: float) -> InputError:
     """Return the refusal of a clock that does not resolve a section, with the rate that does."""
-    named = [f"resonance at {section.frequency:.6g} Hz"]
+    name = f"resonance at {section.frequency:.6g} Hz"
     if section.antiresonance is not None:
-        named.append(f"antiresonance at {section.antiresonance.frequency:.6g} Hz")
+        frequency = section.antiresonance.frequency
+        name += f" with its antiresonance at {frequency:.6g} Hz"
     beyond = "above half" if section.highest * time_step >= 0.5 else "too high for"
     return InputError(
-        f"the model's {' with its '.join(named)} is {beyond} the sampling rate of {1.0 / time_step:.6g} Hz, "
+        f"the model's {name} is {beyond} the sampling rate of {1.0 / time_step:.6g} Hz, "
         f"so its inverse is not to be had there (`resample` {6.0 * section.highest:.6g} or more)"
     )
 
@@ -438,9 +435,9 @@ class DynamicsStage:
         """
         if x.size == 0:
             return x, state
-        memory = np.array(
-            self.rest(float(x[0])) if state is None else state, dtype=np.float64
-        )
+        if state is None:
+            state = self.rest(float(x[0]))
+        memory = np.array(state, dtype=np.float64)
         y = np.empty_like(x)
         kernel.CHOSEN.dynamics_run(
             self._output, memory, np.ascontiguousarray(x), y, self.rows(time_step)
@@ -453,7 +450,8 @@ class DynamicsStage:
         What a state before the period adds to that after it is linear: the state that a
         period leaves unchanged solves two equations.
         """
-        signal, states = np.ascontiguousarray(x), []
+        signal = np.ascontiguousarray(x)
+        states = []
         for section in self.sections:
             signal, end = _loop_of(DynamicsStage((section,)), signal, time_step)
             states.append(end)
@@ -488,7 +486,8 @@ def _undone_loop_of(part: SectionInverse, y: Floats) -> Floats:
     wrapped = np.pad(y, (0, part.weight.size), mode="wrap")
 
     def after(a: float, b: float) -> tuple[Floats, Floats]:
-        memory, u = np.array([y[-1], a, b]), np.empty(y.size)
+        memory = np.array([y[-1], a, b])
+        u = np.empty(y.size)
         kernel.CHOSEN.dynamics_undo(part.numbers, part.weight, memory, wrapped, u)
         return u, memory
 
@@ -499,10 +498,10 @@ def _repeated(
     after: Callable[[float, float], tuple[Floats, Floats]], periodic: slice
 ) -> tuple[Floats, Floats]:
     """Return a period, and the state after it, from the two numbers of the state that it leaves unchanged."""
-    base, *ends = (
-        after(*pair)[1][periodic] for pair in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
-    )
-    columns = np.column_stack([end - base for end in ends])
+    base = after(0.0, 0.0)[1][periodic]
+    by_first = after(1.0, 0.0)[1][periodic] - base
+    by_second = after(0.0, 1.0)[1][periodic] - base
+    columns = np.column_stack([by_first, by_second])
     first, second = np.linalg.solve(np.eye(2) - columns, base).tolist()
     return after(first, second)
 
@@ -530,7 +529,8 @@ class DynamicsInverter:
     def __init__(self, stage: DynamicsStage, time_step: float) -> None:
         if not time_step > 0.0:
             raise InputError(f"time step: {time_step!r} s is not greater than 0")
-        self.stage, self.time_step = stage, time_step
+        self.stage = stage
+        self.time_step = time_step
         self.parts = [section_inverse(section, time_step) for section in stage.sections]
         self.ahead = sum(part.weight.size for part in self.parts)
 
@@ -551,10 +551,10 @@ class DynamicsInverter:
 
     def run(self, y: Floats, memory: InverseMemory) -> tuple[Floats, InverseMemory]:
         """Return the input for all but the last ``ahead`` samples of an output, and the memory after them."""
-        count, signal = y.size - self.ahead, np.ascontiguousarray(y)
+        count = y.size - self.ahead
+        signal = np.ascontiguousarray(y)
         states = list(memory.states)
-        for k in range(len(self.parts) - 1, -1, -1):
-            part = self.parts[k]
+        for k, part in reversed(list(enumerate(self.parts))):
             numbers, weight = part.numbers, part.weight
             section = np.array(states[k])
             out = np.empty(signal.size - weight.size)
@@ -586,13 +586,13 @@ def with_future(
     # of the blocks that wait, and what is known of those after them
     values = np.empty(0)
     for block in chain(blocks, [None]):
-        if block is None:
-            part = np.full(ahead, values[-1]) if values.size else values
-        else:
-            part = block[1]
+        if block is not None:
+            payload, part = block
             if part.size:
-                waiting.append((block[0], part.size))
-        values = np.concatenate([values, part])
+                waiting.append((payload, part.size))
+            values = np.concatenate([values, part])
+        elif values.size:  # at the end
+            values = np.concatenate([values, np.full(ahead, values[-1])])
         while waiting and values.size - waiting[0][1] >= ahead:
             payload, count = waiting.popleft()
             yield payload, values[: count + ahead]
@@ -610,8 +610,9 @@ def undone(
     do not depend on how the signal is cut into blocks; empty blocks are dropped.
     """
     for payload, values in with_future(blocks, inverter.ahead):
-        begun = inverter.rest(float(values[0])) if memory is None else memory
-        u, memory = inverter.run(values, begun)
+        if memory is None:
+            memory = inverter.rest(float(values[0]))
+        u, memory = inverter.run(values, memory)
         yield payload, u, memory
 
 
@@ -646,13 +647,11 @@ class ZeroPhaseLowPass:
                 f"`bandwidth` {cutoff:g}: above half the sampling rate of {rate:.6g} Hz (at most "
                 f"{0.5 * rate:.6g})"
             )
-        angles = [
-            math.pi * (2 * k + 1 + order) / (2 * order) for k in range(order // 2)
-        ]
-        poles = [
-            2.0 * math.pi * cutoff * time_step * cmath.exp(1j * angle)
-            for angle in angles
-        ]
+        turn = 2.0 * math.pi * cutoff * time_step
+        poles = []
+        for k in range(order // 2):
+            angle = math.pi * (2 * k + 1 + order) / (2 * order)
+            poles.append(turn * cmath.exp(1j * angle))
         self.reach = math.ceil(
             math.log(LOW_PASS_LEFT_OVER) / max(pole.real for pole in poles)
         )
@@ -662,18 +661,14 @@ class ZeroPhaseLowPass:
                 f"`bandwidth` {cutoff:g}: too low for a sampling rate of {rate:.6g} Hz (at least "
                 f"{lowest:.3g}, or `resample` at a lower rate)"
             )
-        at, middle = np.arange(1.0, self.reach + 1.0), -sum(pole.real for pole in poles)
-        weight = (
-            sum(
-                ((-pole * np.exp(pole * at)).real for pole in poles),
-                np.zeros(self.reach),
-            )
-            / middle
-        )
-        self.cutoff, self.weight = (
-            cutoff,
-            weight / (1.0 + 2.0 * math.fsum(weight.tolist())),
-        )
+        samples = np.arange(1.0, self.reach + 1.0)
+        middle = -sum(pole.real for pole in poles)
+        response = np.zeros(self.reach)
+        for pole in poles:
+            response = response + (-pole * np.exp(pole * samples)).real
+        weight = response / middle
+        self.cutoff = cutoff
+        self.weight = weight / (1.0 + 2.0 * math.fsum(weight.tolist()))
 
     def run(self, x: Floats) -> Floats:
         """Return all but the first and the last ``reach`` samples, smoothed."""

@@ -117,13 +117,13 @@ def swings_between_turns(drive: Floats, span: float) -> tuple[Integers, Floats]:
 
 
 def travelled(drive: Floats, span: float) -> Floats:
-    """Return how far a drive has gone since its first sample, in its unit; noise is no way."""
-    way = np.zeros(len(drive))
+    """Return how far a drive has gone since its first sample, in its unit; noise does not count."""
+    distance = np.zeros(len(drive))
     edges, _ = swings_between_turns(drive, span)
     for first, last in itertools.pairwise(edges.tolist()):
         gone = np.maximum.accumulate(np.abs(drive[first : last + 1] - drive[first]))
-        way[first : last + 1] = way[first] + gone
-    return way
+        distance[first : last + 1] = distance[first] + gone
+    return distance
 
 
 def thinned(swings: Floats, span: float) -> Floats:
@@ -404,12 +404,12 @@ def _past(
     drive: Floats,
     steps: float | Floats | None,
     begin: int,
-    own: Floats,
+    predicted: Floats,
 ) -> float:
     """Return by how much a move differs, RMS, between the starts that a model knows; the most of them."""
     apart = 0.0
     for start in PASTS:
-        apart = max(apart, rms(played(model, drive, steps, start)[begin:] - own))
+        apart = max(apart, rms(played(model, drive, steps, start)[begin:] - predicted))
     return apart
 
 
@@ -493,7 +493,7 @@ def played(
     ).y
 
 
-def spread(own: Floats, others: Sequence[tuple[Alternative, Floats]]) -> StatedError:
+def spread(chosen: Floats, others: Sequence[tuple[Alternative, Floats]]) -> StatedError:
     """Return how far other models' predictions are from the chosen one's, in shape and in zero.
 
     Of each kind of change the one that goes farthest counts, weighted by how well it
@@ -502,7 +502,7 @@ def spread(own: Floats, others: Sequence[tuple[Alternative, Floats]]) -> StatedE
     shapes: dict[str, float] = {}
     zeros: dict[str, float] = {}
     for alternative, predicted in others:
-        left = predicted - own
+        left = predicted - chosen
         kind = alternative.kind
         shape = alternative.weight * float(left.std())
         zero = alternative.weight * abs(float(left.mean()))
@@ -513,12 +513,15 @@ def spread(own: Floats, others: Sequence[tuple[Alternative, Floats]]) -> StatedE
     return StatedError(float(np.sqrt(shape_squared)), float(np.sqrt(zero_squared)))
 
 
-def changed_gain(own: Floats, trend: object) -> StatedError:
+def changed_gain(predicted: Floats, trend: object) -> StatedError:
     """Return what a gain that changed by ``trend`` along the logs (None: not) adds to a later move."""
     if not isinstance(trend, float):
         return StatedError(0.0, 0.0)
     later = GAIN_LATER * abs(trend)
-    return StatedError(later * float(own.std()), later * float(own.mean() - own.min()))
+    return StatedError(
+        later * float(predicted.std()),
+        later * float(predicted.mean() - predicted.min()),
+    )
 
 
 def rms(values: Floats) -> float:

@@ -157,12 +157,10 @@ class PythonStepper:
 
     def set(self, words: Words, memory: Floats, last: float) -> None:
         """Take over the bits, the memory and the output before."""
-        self._words[:], self._memory[:], self.last, self._planned = (
-            words,
-            memory,
-            last,
-            None,
-        )
+        self._words[:] = words
+        self._memory[:] = memory
+        self.last = last
+        self._planned = None
 
     def get(self, words: Words, memory: Floats) -> float:
         """Fill the bits and the memory; return the output before."""
@@ -207,19 +205,19 @@ class BacklashStepper:
         time_step: float | None,
         limits: OutputLimits | None = None,
     ) -> None:
-        terms, bound = operator.relaxation, limits or OutputLimits()
-        decay = (
-            terms.decay(time_step)
-            if terms and time_step is not None
-            else np.zeros((0, 0))
-        )
-        step = math.nan if bound.step is None else float(np.asarray(bound.step))
-        make = (
-            PythonStepper
-            if kernel.CHOSEN is kernel.PythonKernel
-            else kernel.CHOSEN.Stepper
-        )
-        self._operator, self._made_with = operator, (time_step, limits)
+        terms = operator.relaxation
+        bound = limits or OutputLimits()
+        decay = np.zeros((0, 0))
+        if terms and time_step is not None:
+            decay = terms.decay(time_step)
+        step = math.nan
+        if bound.step is not None:
+            step = float(np.asarray(bound.step))
+        make: Any = PythonStepper
+        if kernel.CHOSEN is not kernel.PythonKernel:
+            make = kernel.CHOSEN.Stepper
+        self._operator = operator
+        self._made_with = (time_step, limits)
         self.inner = make(
             *operator.constants(True),
             decay,
@@ -229,15 +227,11 @@ class BacklashStepper:
             bound.slack,
             step,
         )
-        self._words, self._memory = (
-            operator._words(state),
-            np.zeros(len(terms.gain) if terms else 0),
-        )
-        self.plan, self.commit, self.follow = (
-            self.inner.plan,
-            self.inner.commit,
-            self.inner.follow,
-        )
+        self._words = operator._words(state)
+        self._memory = np.zeros(operator._gain.size)
+        self.plan = self.inner.plan
+        self.commit = self.inner.commit
+        self.follow = self.inner.follow
         self.set(state, last)
 
     def __reduce__(self) -> Any:
@@ -258,11 +252,9 @@ class BacklashStepper:
     def state(self) -> BacklashState:
         """The committed state."""
         self.inner.get(self._words, self._memory)
-        memory = (
-            tuple(self._memory.tolist())
-            if self._operator.relaxation is not None
-            else None
-        )
+        memory = None
+        if self._operator.relaxation is not None:
+            memory = tuple(self._memory.tolist())
         return BacklashState(self._operator._bits(self._words), memory)
 
     @property
@@ -296,10 +288,10 @@ class PythonBank:
     def __init__(self, steppers: tuple[Any, ...], *curves_and_limits: Any) -> None:
         *curves, limits = curves_and_limits
         self._steppers = steppers
-        self._curves = [
-            [numbers[a:b].tolist() for a, b in itertools.pairwise(places.tolist())]
-            for numbers, places in zip(curves[::2], curves[1::2], strict=True)
-        ]
+        self._curves: list[list[list[float]]] = []
+        for numbers, places in zip(curves[::2], curves[1::2], strict=True):
+            edges = itertools.pairwise(places.tolist())
+            self._curves.append([numbers[a:b].tolist() for a, b in edges])
         rows = limits.reshape(8, -1).copy()
         self._low, self._high, self._most, self._last = rows[:4]
         self._wanted, self._played = rows[4:6], rows[6:]
@@ -358,10 +350,11 @@ class PythonBank:
     def _planned_volts(self, k: int, wanted: float, gate: bool) -> tuple[float, bool]:
         """Return the voltage of one channel, and whether its limits hold it back."""
         stepper = self._steppers[k]
-        volts = inwards(*self._limits(k)) if gate else None
-        if volts is not None:
-            stepper.follow(_run(self._curves[2][k], volts))
-            return volts, True
+        if gate:
+            inner = inwards(*self._limits(k))
+            if inner is not None:
+                stepper.follow(_run(self._curves[2][k], inner))
+                return inner, True
         volts = float(stepper.plan(_run(self._curves[0][k], wanted)))
         if self._curves[1][k]:
             low, high = float(self._low[k]), float(self._high[k])
@@ -372,7 +365,9 @@ class PythonBank:
 def _first_outside(values: Floats, ends: Floats) -> int:
     """Return the first place where a value is not between its ends, or -1."""
     bad = ~((ends[0] < values) & (values < ends[1]))
-    return int(np.argmax(bad)) if bad.any() else -1
+    if not bad.any():
+        return -1
+    return int(np.argmax(bad))
 
 
 def _run(numbers: list[float], x: float) -> float:

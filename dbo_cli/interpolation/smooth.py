@@ -119,11 +119,11 @@ def smooth(
     times: Floats,
     values: Floats,
     wanted: Floats,
-    found: Floats,
+    out: Floats,
     newest: int,
     whole: float,
 ) -> int:
-    """Fill ``found``; see ``interpolated``, whose arguments these are, in Python."""
+    """Fill ``out``; see ``interpolated``, whose arguments these are, in Python."""
     t, v = times.tolist(), values.tolist()
     last, before = len(t) - 1, 0
     for k, at in enumerate(wanted.tolist()):
@@ -133,9 +133,9 @@ def smooth(
         gap = t[after] - t[before]
         part = (at - t[before]) / gap if gap > 0.0 else 0.0
         if part < whole:
-            found[k] = v[before]
+            out[k] = v[before]
         elif part > 1.0 - whole:
-            found[k] = v[after]
+            out[k] = v[after]
         else:
             known = max(min(newest + k, last), after)
             begin = max(min(before - 2, known - 5), 0)
@@ -145,18 +145,18 @@ def smooth(
             )
             if rises:
                 samples = v[begin : begin + WINDOW]
-                found[k] = between(window, samples, before - begin, part)
+                out[k] = between(window, samples, before - begin, part)
             else:
-                found[k] = v[before] + part * (v[after] - v[before])
+                out[k] = v[before] + part * (v[after] - v[before])
     return before
 
 
-def smooth_even(values: Floats, found: Floats, k: int, part: float) -> None:
-    """Fill ``found``; see ``shifted_by_part``, whose arguments these are, in Python."""
+def smooth_even(values: Floats, out: Floats, k: int, part: float) -> None:
+    """Fill ``out``; see ``shifted_by_part``, whose arguments these are, in Python."""
     times = [float(i) for i in range(WINDOW)]
     v = values.tolist()
-    for j in range(found.size):
-        found[j] = between(times, v[j : j + WINDOW], k, part)
+    for j in range(out.size):
+        out[j] = between(times, v[j : j + WINDOW], k, part)
 
 
 def _chosen() -> Any:
@@ -187,9 +187,9 @@ def shifted_by_part(values: Floats, k: int, part: float) -> Floats:
     part
         0 to 1.
     """
-    found = np.empty(values.size - (WINDOW - 1))
-    CHOSEN.smooth_even(np.ascontiguousarray(values), found, k, part)
-    return found
+    out = np.empty(values.size - (WINDOW - 1))
+    CHOSEN.smooth_even(np.ascontiguousarray(values), out, k, part)
+    return out
 
 
 def value_between(
@@ -221,11 +221,11 @@ def interpolated(
         samples to come. None: all are known.
     """
     count = wanted.size
-    found = np.empty(count)
+    out = np.empty(count)
     known = len(times) - 1 if newest is None else newest
     signal = (
         np.ascontiguousarray(times),
         np.ascontiguousarray(values),
         np.ascontiguousarray(wanted),
     )
-    return found, int(CHOSEN.smooth(*signal, found, known, WHOLE))
+    return out, int(CHOSEN.smooth(*signal, out, known, WHOLE))

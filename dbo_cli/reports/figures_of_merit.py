@@ -137,13 +137,13 @@ class DirectionTracker:
     def __init__(self) -> None:
         self._noise = NoiseLevel()
         self._low, self._high = math.inf, -math.inf
-        self._way = 0
+        self._direction = 0
         self._furthest = 0.0  # of the samples since the last turn
 
     def add(self, values: Floats) -> Directions:
         """Take one batch (finite, not empty)."""
         self._noise.add(values)
-        direction = before = self._way
+        direction = before = self._direction
         low, high = self._low, self._high
         self._low = min(low, float(values.min()))
         self._high = max(high, float(values.max()))
@@ -174,7 +174,7 @@ class DirectionTracker:
     ) -> tuple[list[Turn], int]:
         """Return the turns of a batch, and how many samples of it are settled. Every turning point is met."""
         turns: list[Turn] = []
-        direction, furthest, settled = self._way, self._furthest, 0
+        direction, furthest, settled = self._direction, self._furthest, 0
         begin = 0  # of the monotone stretch that ends at ``place``
         places = monotone_ends(values)
         for place, value in zip(places.tolist(), values[places].tolist(), strict=True):
@@ -204,7 +204,7 @@ class DirectionTracker:
                 furthest = value
                 settled = place + 1
             begin = place + 1
-        self._way, self._furthest = direction, furthest
+        self._direction, self._furthest = direction, furthest
         return turns, settled
 
 

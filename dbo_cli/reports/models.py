@@ -225,14 +225,14 @@ def _paint_bode(model: ActuatorModel, what: str, axes: Axes) -> None:
         axes.set_yscale("log")
         shown = np.abs(response)
         if measured:
-            seen = measured["gain"] / measured["gain"][0] * shown[0]
+            points = measured["gain"] / measured["gain"][0] * shown[0]
     else:
         shown = np.degrees(np.unwrap(np.angle(response)))
         if measured:
-            seen = measured["phase_degrees"]
-            seen = seen + 360.0 * np.round((shown[0] - seen[0]) / 360.0)
+            points = measured["phase_degrees"]
+            points = points + 360.0 * np.round((shown[0] - points[0]) / 360.0)
     if measured:
-        axes.plot(measured["frequency"], seen, label="measured", **style.POINTS)
+        axes.plot(measured["frequency"], points, label="measured", **style.POINTS)
     axes.plot(at, shown, label="model", **style.SOLID)
     trusted = model.fit.get("trusted_hz")
     if isinstance(trusted, int | float) and trusted > 0.0:

@@ -131,7 +131,7 @@ class SummaryExpected(Expected):
         unit
             What follows the numbers.
         """
-        here = f"{low:.5g} to {high:.5g}{unit}"
+        compared = f"{low:.5g} to {high:.5g}{unit}"
         slack = SAME_MOVE * (high - low) + EQUAL * max(abs(low), abs(high))
         if self.move_range is not None:
             first, last = self.move_range
@@ -140,15 +140,15 @@ class SummaryExpected(Expected):
         elif self.move_span is not None:
             same = abs(self.move_span - (high - low)) <= slack
             move = f"a move of {self.move_span:.4g}{unit}"
-            here = f"{high - low:.4g}{unit}"
+            compared = f"{high - low:.4g}{unit}"
         else:
             same = False
             move = "a move that it does not describe"
         if same:
             return replace(self, source=f"{self.source} for this move"), None
         warning = (
-            f"{self.source} states the error of {move}, the one compared has {here}: the expected error may "
-            "be another move's (give the summary of this move)"
+            f"{self.source} states the error of {move}, the one compared has {compared}: "
+            "the expected error may be another move's (give the summary of this move)"
         )
         return replace(self, source=f"{self.source} for {move}"), warning
 
@@ -460,9 +460,9 @@ def evaluate(
     try:
         log = evaluation.run(parts.before())
     except InputError:
-        if not parts.found:
+        if not parts.present:
             raise
-    if not parts.found:
+    if not parts.present:
         return log
     log = evaluation.run(parts.after())
     count = counted(parts.count, "row")
@@ -667,7 +667,7 @@ class _Turns:
     """Find the minima of a stream that stand deeper than a part of the range seen so far."""
 
     def __init__(self, part: float) -> None:
-        self._part, self._seen = part, 0
+        self._part, self._samples = part, 0
         self._low, self._high = math.inf, -math.inf
         self._falling, self._extreme = True, math.inf
         # stream position before which no minimum can be found any more
@@ -679,7 +679,7 @@ class _Turns:
         places = monotone_ends(desired)
         places = places[np.isfinite(desired[places])]
         for place, value in zip(places.tolist(), desired[places].tolist(), strict=True):
-            position = self._seen + place
+            position = self._samples + place
             self._low, self._high = min(self._low, value), max(self._high, value)
             threshold = self._part * (self._high - self._low)
             if self._falling:
@@ -697,9 +697,9 @@ class _Turns:
                 self._falling = True
                 self._extreme = value
                 self.candidate = position
-        self._seen += len(desired)
+        self._samples += len(desired)
         if not self._falling:
-            self.candidate = self._seen
+            self.candidate = self._samples
         return minima
 
 

@@ -83,12 +83,12 @@ class BeforeZero:
     """Tell the rows before time 0, with which a log may begin, from those of the trajectory itself.
 
     A conditioning sweep stands there, and says nothing about tracking. Nothing is held
-    back: whoever has worked on ``before()`` learns from ``found`` whether the
+    back: whoever has worked on ``before()`` learns from ``present`` whether the
     trajectory is still to come from ``after()``.
 
     Attributes
     ----------
-    found : bool
+    present : bool
         Whether the log begins with times below 0 and goes on with others.
     count : int
         Rows before time 0.
@@ -96,7 +96,7 @@ class BeforeZero:
 
     def __init__(self, blocks: Iterable[SampleBlock]) -> None:
         self._blocks: Iterator[SampleBlock] = iter(blocks)
-        self.found = False
+        self.present = False
         self.count = 0
 
     def before(self) -> Iterator[SampleBlock]:
@@ -116,7 +116,7 @@ class BeforeZero:
             if stop:
                 yield block.part(0, stop)
             if len(reached):
-                self.found = True
+                self.present = True
                 rest = block.part(stop, len(block))
                 self._blocks = chain([rest], self._blocks)
                 return
@@ -346,22 +346,22 @@ class Batches:
 
     def __init__(self, size: int = BATCH) -> None:
         self._size = size
-        self._held: list[SampleBlock] = []
+        self._waiting: list[SampleBlock] = []
         self._count = 0
 
     def add(self, block: SampleBlock) -> Iterator[SampleBlock]:
         """Yield the batches that a block completes; what is left waits for the next call."""
-        self._held.append(block)
+        self._waiting.append(block)
         self._count += len(block)
         while self._count >= self._size:
             self._count -= self._size
-            yield joined(list(released(self._held, self._size)))
+            yield joined(list(released(self._waiting, self._size)))
 
     def rest(self) -> Iterator[SampleBlock]:
         """Yield what has not filled a batch, as one; nothing where nothing is left."""
         if self._count:
-            yield joined(self._held)
-        self._held, self._count = [], 0
+            yield joined(self._waiting)
+        self._waiting, self._count = [], 0
 
 
 def batched(blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
@@ -437,7 +437,7 @@ class Dwells:
 
     def __init__(self, name: str, seconds: float, sample_rate: float | None) -> None:
         self._name, self._seconds, self._rate = name, seconds, sample_rate
-        self.kept = self.read = 0
+        self.counted = self.read = 0
 
     def of(self, blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
         """Yield the pairs that count; how they are cut into blocks changes none.
@@ -469,14 +469,14 @@ class Dwells:
             )
             level, since = float(desired[-1]), float(start[-1])
             self.read += len(block)
-            self.kept += len(dwelling)
+            self.counted += len(dwelling)
             yield dwelling
-        if self.read and not self.kept:
+        if self.read and not self.counted:
             raise InputError(
                 f"{self._name}: what is desired is nowhere held for {self._seconds:g} s (`dwell`)"
             )
 
     def note(self) -> str:
         """Return how many pairs counted."""
-        rows = f"{self.kept:,} of {self.read:,} rows"
+        rows = f"{self.counted:,} of {self.read:,} rows"
         return f"{self._name}: {rows} count, at which what is desired has been held for {self._seconds:g} s"

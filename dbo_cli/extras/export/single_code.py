@@ -137,11 +137,11 @@ def fold(stages: MemoryFree, low: float, high: float) -> Folded:
         back = tuple(stage.inverse() for stage in reversed(stages[:place]))
         nodes += through(back, np.ascontiguousarray(inner)).tolist()
     span = high - low
-    found: list[float] = []
+    begins: list[float] = []
     for node in sorted(nodes):
-        if not found or node - found[-1] > 1e-9 * span:
-            found.append(node)
-    x = np.array([*found, max(found[-1] + span, high)])
+        if not begins or node - begins[-1] > 1e-9 * span:
+            begins.append(node)
+    x = np.array([*begins, max(begins[-1] + span, high)])
     y = through(stages, x.copy())
     return Folded(x[:-1], y[:-1], np.diff(y) / np.diff(x))
 
@@ -529,7 +529,7 @@ def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> dict[str, float]:
     steepest = float(slopes.max())
     span = float(axes.wide.sum())
     height = float(axes.high.sum())
-    own, gain, growth = _loop(plan, axes, steepest)
+    remembered, gain, growth = _loop(plan, axes, steepest)
     base = _begin_of_axis(plan, axes)
     _, x_in = counts_of_range(source)
     _, y_out = counts_of_range(result)
@@ -549,10 +549,10 @@ def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> dict[str, float]:
         across += EPS * 2.0 * span + axes.x_count
         rising += EPS * 4.0 * float(axes.high.max()) + axes.y_unit
     if on_output:
-        inner = (steepest * (across + own) + rising) * growth
-        place = across + own + gain * inner
+        inner = (steepest * (across + remembered) + rising) * growth
+        place = across + remembered + gain * inner
     else:
-        inner = steepest * across + gain * entering + own + rising + axes.y_count
+        inner = steepest * across + gain * entering + remembered + rising + axes.y_count
         place = across
     tolerance = _tolerance(
         place, float(axes.wide.min()), rising, float(axes.high.min()), plan
@@ -632,17 +632,13 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
     ]
     if t.terms:
         members.append(f"dbo_memory memory[{len(t.terms)}];")
-    delay = ""
-    if t.delay[0] >= 0:
-        if t.smooth:
-            suffix = "" if q31 else "F"
-            more, delay = smooth_delay_line(
-                t.delay[0], text(t.delay[1]), number, suffix
-            )
-        else:
-            more, delay = delay_line(t.delay[0], number, _between(t, text))
-        members += more
-    low, high = ("", "") if t.clip is None else map(text, t.clip)
+    more, delay = _delay_line(t, text, number)
+    members += more
+    low = high = change = ""
+    if t.clip is not None:
+        low, high = text(t.clip[0]), text(t.clip[1])
+    if t.change is not None:
+        change = text(t.change)
     values: dict[str, str | bool] = {
         "counts": q31, "inverse": plan.model.direction == "inverse", "terms": bool(t.terms),
         "spare": bool(spare), "delay": bool(delay), "tables": tables, "delay_line": delay,
@@ -651,7 +647,7 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
         "CHECKPOINTS": checkpoints_of(t.n, arithmetic),
         "LIMITS": "0" if t.limits is None else "&limits", "LOWEST_OUTPUT": low, "HIGHEST_OUTPUT": high,
         "FIRST_OUTPUT": text(t.first), "slew": t.change is not None,
-        "CHANGE": "" if t.change is None else text(t.change), "REACH": f"{ignored_beyond(plan.model.input)}F",
+        "CHANGE": change, "REACH": f"{ignored_beyond(plan.model.input)}F",
         "DRIVE_REACH": f"{ignored_beyond(plan.model.drive)}F",
         "Y_SHIFT": str(t.y_shift),
     }  # fmt: skip
@@ -664,12 +660,8 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
             f"{label}_ROWS": str(len(segments.rows)),
             f"{label}_SHIFT": str(segments.shift),
         }
-    for side, quantity in (("INPUT", plan.model.input), ("OUTPUT", plan.model.output)):
-        middle, unit = counts_of_range(quantity)
-        values |= {
-            f"{side}_MIDDLE": repr(middle), f"{side}_COUNT": repr(unit), f"{side}_COUNTS": repr(1.0 / unit),
-            f"{side}_LABEL": f"{quantity.quantity}{f' ({quantity.unit})' if quantity.unit else ''}",
-        }  # fmt: skip
+    values |= _words_of("INPUT", plan.model.input)
+    values |= _words_of("OUTPUT", plan.model.output)
     headers = (INTERPOLATION,) if t.smooth else ()
     return ModelCode(
         number,
@@ -683,19 +675,42 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
     )
 
 
+def _delay_line(t: SingleTables, text: Text, number: str) -> tuple[list[str], str]:
+    """Return the members of a delay line and its statements; nothing where there is no delay."""
+    whole, part = t.delay
+    if whole < 0:
+        return [], ""
+    if not t.smooth:
+        return delay_line(whole, number, _between(t, text))
+    suffix = "" if t.q31 else "F"
+    return smooth_delay_line(whole, text(part), number, suffix)
+
+
+def _words_of(side: str, quantity: Quantity) -> dict[str, str]:
+    """Return what the files say of one side: its range in counts, and its label."""
+    middle, unit = counts_of_range(quantity)
+    label = quantity.quantity
+    if quantity.unit:
+        label += f" ({quantity.unit})"
+    return {
+        f"{side}_MIDDLE": repr(middle),
+        f"{side}_COUNT": repr(unit),
+        f"{side}_COUNTS": repr(1.0 / unit),
+        f"{side}_LABEL": label,
+    }
+
+
 def _tables(t: SingleTables, text: Text) -> tuple[str, int]:
     """Return all tables but that of the spare gears, and their bytes."""
     rows = [
         [integer(width), integer(height), text(slope)]
         for width, height, slope in t.rows
     ]
-    out, size = array("dbo_gear", "gears", struct_rows(rows)), 12 * len(t.rows)
+    out = array("dbo_gear", "gears", struct_rows(rows))
+    size = 12 * len(t.rows)
     begins = _begins(t)
-    out += array(
-        "dbo_begin",
-        "begins",
-        struct_rows([[integer(v) for v in begin] for begin in begins]),
-    )
+    begin_rows = [[integer(x), integer(y)] for x, y in begins]
+    out += array("dbo_begin", "begins", struct_rows(begin_rows))
     part_shift, guide = _guide(begins)
     out += array("dbo_place", "guide", [str(row) for row in guide])
     size += 16 * len(begins) + 2 * len(guide)
