@@ -397,8 +397,8 @@ FAULTS: list[Fault] = [
     *_faults(
         "logs/text/line_blocks.py",
         ("logs_changing_files",),
-        ("now.st_size < self._largest or", "False or", "a text log that is cut while it is read"),
-        ("now.st_mtime_ns != self._begun.st_mtime_ns)", "False)", "a text log that is written over while it is read"),
+        ("is_shorter = now.st_size < self._largest", "is_shorter = False", "a text log that is cut while it is read"),
+        ("written_since = now.st_mtime_ns != self._begun.st_mtime_ns", "written_since = False", "a text log that is written over while it is read"),
     ),
     *_faults(
         "logs/request.py",
@@ -422,7 +422,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "logs/whole_output.py",
         ("logs_outputs", "logs_output_sets", "logs_stores", "logs_windows"),
-        ("os.chmod(output.temporary, stat.S_IMODE(os.stat(output.target).st_mode))", "pass",
+        ("os.chmod(output.temporary, permissions)", "pass",
          "a file that is replaced, or a store that a group is added to, keeps its permissions"),
         ("_bring_to_disk(output.temporary, os.O_RDWR)", "_bring_to_disk(output.temporary, os.O_RDONLY)",
          "Windows stores a file through a handle that may write"),
@@ -650,7 +650,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "logs/joined_files.py",
         ("logs_values",),
-        ("start + (np.asarray(whole.rows", "(np.asarray(whole.rows", "joined files have their own start times"),
+        ("return Clock(self.place, rate=rate, start=start)", "return Clock(self.place, rate=rate)", "joined files have their own start times"),
     ),
     *_faults(
         "logs/request.py",
