@@ -219,7 +219,7 @@ FAULTS: list[Fault] = [
         IDENTIFICATION,
         ("middle = round((interval[0] + interval[1]) / 2.0 / finest) * finest", "middle = interval[0]",
          "the middle of the delays that explain the logs"),
-        ("return min(held), max(held)", "return held[0], held[0]", "the interval of delays"),
+        ("return min(as_good), max(as_good)", "return as_good[0], as_good[0]", "the interval of delays"),
     ),
     *_faults(
         "hysteresis/identification/evaluation.py",
@@ -255,7 +255,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "hysteresis/identification/statistics.py",
         IDENTIFICATION,
-        ("slice(begin if len(mine) < 2 else end - log.stretches, end)", "slice(begin, end)",
+        ("nuisance[k] = slice(first, end)", "nuisance[k] = slice(begin, end)",
          "a fold left out has its log's offset in common with the others"),
     ),
     *_faults(
@@ -263,7 +263,7 @@ FAULTS: list[Fault] = [
         IDENTIFICATION,
         ("np.abs(ways - moves[at]).max(axis=0)", "np.abs(ways - moves[at]).min(axis=0)", "a gap hides a turn"),
         (
-            "turned[still] = np.abs(np.diff(log.displacement)[at[still]]) > seen",
+            "turned[still] = np.abs(np.diff(log.displacement)[at[still]]) > most_measured",
             "turned[still] = False",
             "the drive stood still in a gap only if the displacement did",
         ),
@@ -397,8 +397,8 @@ FAULTS: list[Fault] = [
     *_faults(
         "logs/text/line_blocks.py",
         ("logs_changing_files",),
-        ("now.st_size < self._largest or", "False or", "a text log that is cut while it is read"),
-        ("now.st_mtime_ns != self._begun.st_mtime_ns)", "False)", "a text log that is written over while it is read"),
+        ("is_shorter = now.st_size < self._largest", "is_shorter = False", "a text log that is cut while it is read"),
+        ("written_since = now.st_mtime_ns != self._begun.st_mtime_ns", "written_since = False", "a text log that is written over while it is read"),
     ),
     *_faults(
         "logs/request.py",
@@ -422,7 +422,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "logs/whole_output.py",
         ("logs_outputs", "logs_output_sets", "logs_stores", "logs_windows"),
-        ("os.chmod(output.temporary, stat.S_IMODE(os.stat(output.target).st_mode))", "pass",
+        ("os.chmod(output.temporary, permissions)", "pass",
          "a file that is replaced, or a store that a group is added to, keeps its permissions"),
         ("_bring_to_disk(output.temporary, os.O_RDWR)", "_bring_to_disk(output.temporary, os.O_RDONLY)",
          "Windows stores a file through a handle that may write"),
@@ -560,7 +560,7 @@ FAULTS: list[Fault] = [
         ("fast - slow < np.log(SPEEDS_APART)", "fast < slow", "a lag on ramps of one speed is a lag"),
         ('rules = ("growing",) if self._one else ("growing", "falling")', 'rules = ("growing",)',
          "a loop that leads is found behind a late sensor"),
-        ("TRIAL_SMOOTHNESS) for one in rules]", 'TRIAL_SMOOTHNESS) for one in ("growing", "falling")]',
+        ("for slopes in rules", 'for slopes in ("growing", "falling")',
          "a wide loop of one amplitude lags"),
         ("listed = self._listed(best.slopes, [best.memories], best.smoothness)", "listed = [best]",
          "the asymmetry of springs that slip keeps its segments"),
@@ -650,7 +650,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "logs/joined_files.py",
         ("logs_values",),
-        ("start + (np.asarray(whole.rows", "(np.asarray(whole.rows", "joined files have their own start times"),
+        ("return Clock(self.place, rate=rate, start=start)", "return Clock(self.place, rate=rate)", "joined files have their own start times"),
     ),
     *_faults(
         "logs/request.py",

@@ -16,7 +16,6 @@ from dbo_cli.hysteresis.identification.normal_equations import (
     AT_ZERO,
     FREE,
     POSITIVE,
-    PythonFit,
 )
 
 compiled: Any = pytest.importorskip("dbo_cli.hysteresis._fit")
@@ -27,7 +26,7 @@ def test_products_are_the_same_bits(columns: int) -> None:
     table = np.random.default_rng(columns).normal(size=(1000, columns))
     one, other = np.zeros((2, columns, columns))
     compiled.add_products(table, columns, one)
-    PythonFit.add_products(table, columns, other)
+    normal_equations.add_products(table, columns, other)
     assert np.array_equal(np.triu(one), np.triu(other))
     assert np.triu(one) == pytest.approx(np.triu(table.T @ table), rel=1e-12, abs=1e-9)
 
@@ -47,7 +46,7 @@ def test_minima_are_the_same_bits_and_meet_the_conditions_of_an_optimum(
     begin = np.full(count, POSITIVE, np.uint8)
     begin[: count // 8], begin[-1] = FREE, ABSENT
     found, states = [], []
-    for kernel in (compiled, PythonFit):
+    for kernel in (compiled, normal_equations):
         state, x = begin.copy(), np.zeros(count)
         assert kernel.minimise(matrix, right, state, x, 1e-10, 500) > 0
         found.append(x)
@@ -63,7 +62,7 @@ def test_minima_are_the_same_bits_and_meet_the_conditions_of_an_optimum(
     )
 
 
-@pytest.mark.parametrize("kernel", [compiled, PythonFit])
+@pytest.mark.parametrize("kernel", [compiled, normal_equations])
 def test_what_has_no_minimum_is_told(kernel: Any) -> None:
     state, x = np.full(2, FREE, np.uint8), np.zeros(2)
     assert (
@@ -84,7 +83,8 @@ def test_wrong_lengths_are_refused() -> None:
 
 
 def test_the_compiled_loops_are_chosen() -> None:
-    expected = PythonFit if os.environ.get("DBO_KERNEL") == "python" else compiled
+    python = os.environ.get("DBO_KERNEL") == "python"
+    expected = normal_equations if python else compiled
     assert normal_equations.CHOSEN is expected
 
 

@@ -296,7 +296,7 @@ def test_a_fold_that_outliers_empty_is_no_fold() -> None:
     spiked[shape.cycles[1] + 50] += 20.0
     ready = prepare([replace(log, displacement=spiked, faulty=fault)], 0.0)
     folds = ready.logs[0].fold
-    assert ready.outlier_rows[0] == fault.sum() + 1
+    assert ready.logs[0].outlier_rows == fault.sum() + 1
     assert np.unique(folds[folds >= 0]).tolist() == list(range(folds.max() + 1))
 
 

@@ -78,7 +78,7 @@ def fitted_with(
     heights = np.linspace(0.5, 1.5, basis.gears) / basis.gears
     deviation, origin = -0.1, 0.05
     vector = np.array([*heights, *(gains or []), deviation, origin])
-    ready = Prepared((), (), basis.low, basis.high, 3.0, 7.0, (), (), ())
+    ready = Prepared((), (), basis.low, basis.high, 3.0, 7.0)
     return Candidate(basis, Structure("free", (), 2, 1e-8), vector), ready
 
 

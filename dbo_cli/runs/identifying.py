@@ -158,6 +158,40 @@ def identify_recordings(
     )
 
 
+def _warn_of_order(source: Source, wish: ColumnWish) -> None:
+    """Warn of a displacement that by its name is what was wanted."""
+    column = source.columns["displacement"]
+    if isinstance(source, SignalLog) and is_order(column, wish):
+        source.warnings.append(
+            f"{source.name}: column '{column.name}' is what was wanted, by its name, not what was "
+            "measured: what is identified is how the drive was computed, not the actuator"
+        )
+
+
+def _bring_to_units(
+    source: Source, units: Mapping[str, str | None], prior: ActuatorModel | None
+) -> None:
+    """Bring a log to the units of a prior, else of the first log; its uncertainty to the displacement's."""
+    if prior is not None:
+        bring_to(source, "voltage", prior.input, "the prior")
+        bring_to(source, "displacement", prior.output, "the prior")
+    for role in ("voltage", "displacement"):
+        if role in units:
+            source.convert(role, units[role], "the first log is")
+    if "uncertainty" in source.columns:
+        unit = source.columns["displacement"].unit
+        source.convert("uncertainty", unit, "the displacement is")
+
+
+def _remarks_of(source: Source, log: Any) -> Remarks:
+    """Return what was said as a log was read, and what ``read_log`` left in a table."""
+    remarks = remarks_of(source)
+    if is_table(log):
+        kinds = {kind: list(log.attrs.get(kind, [])) for kind in vars(remarks)}
+        remarks.add(Remarks(**kinds))
+    return remarks
+
+
 def _refuse_shared_columns(source: Source) -> None:
     """Refuse one column in two roles (InputError)."""
     for first, second in itertools.combinations(source.columns, 2):
@@ -216,7 +250,9 @@ def sign_line(models: Mapping[str, ActuatorModel], noun: str = "channel") -> str
 
 def with_sign(read: Sequence[str], line: str) -> list[str]:
     """Return the lines that say what was read, with the sign in the first."""
-    return [f"{read[0]}; {line}", *read[1:]] if read else [line]
+    if not read:
+        return [line]
+    return [f"{read[0]}; {line}", *read[1:]]
 
 
 def sign_warning(models: Mapping[str, ActuatorModel], noun: str) -> str | None:
@@ -274,9 +310,24 @@ def chosen_of(options: IdentificationOptions) -> dict[str, Any]:
     return changed
 
 
+def _option_words(name: str, value: object) -> list[str]:
+    """Return an option as a shell spells it: once for each of several texts, without a value for True."""
+    items: list[object] = [value]
+    if isinstance(value, tuple) and value:
+        if all(isinstance(item, str) for item in value):
+            items = list(value)
+    words = []
+    for item in items:
+        words.append("--" + name.replace("_", "-"))
+        if item is not True:
+            words.append(_word(item))
+    return words
+
+
 def _word(value: object) -> str:
     if isinstance(value, float):
-        return f"{value:g}" if float(f"{value:g}") == value else repr(value)
+        short = f"{value:g}"
+        return short if float(short) == value else repr(value)
     if isinstance(value, tuple):
         return ",".join(map(_word, value)) or "0"
     return str(value)
@@ -339,23 +390,16 @@ class IdentifyRun:
         """Return how the identification of ``columns`` was called, as a shell spells it, without folders."""
         chosen = chosen_of(self.options) | self.reading.chosen()
         chosen |= self.brought
-        chosen |= dict(columns) | (
-            {"prior": os.path.basename(prior)} if isinstance(prior, str) else {}
-        )
-        words = ["identify", *(os.path.basename(_name_of(log)) for log in self.logs)]
-        for log in self.validation if checked else ():
-            words += ["--validate", os.path.basename(_name_of(log))]
+        chosen |= columns
+        if isinstance(prior, str):
+            chosen["prior"] = os.path.basename(prior)
+        words = ["identify"]
+        words += [os.path.basename(_name_of(log)) for log in self.logs]
+        if checked:
+            for log in self.validation:
+                words += ["--validate", os.path.basename(_name_of(log))]
         for name, value in chosen.items():
-            several = (
-                isinstance(value, tuple)
-                and value
-                and all(isinstance(item, str) for item in value)
-            )
-            for item in value if several else [value]:
-                words += [
-                    "--" + name.replace("_", "-"),
-                    *([] if item is True else [_word(item)]),
-                ]
+            words += _option_words(name, value)
         return [cleaned(request.without_folder(word)) for word in words]
 
     def read(
@@ -365,58 +409,32 @@ class IdentifyRun:
         prior_model = read_model(prior) if isinstance(prior, str) else prior
         names = short_names([*self.logs, *self.validation])
         units: dict[str, str | None] = {}
-        judged = recording_wishes(self.voltage, self.displacement)
-        fitted = recording_wishes(self.voltage, self.displacement, self.uncertainty)
 
         def read(
             log: Any, reading: ReadingOptions, wishes: Mapping[str, ColumnWish]
         ) -> Recording:
             if isinstance(log, Recording):
                 return log
+            name = names.get(log) if isinstance(log, Address) else _name_of(log)
             opened_log = opened(
                 log, wishes, reading, listener, time=self.time, digest=True
             )
             with closing(opened_log) as source:
                 _refuse_shared_columns(source)
-                taken = source.columns["displacement"]
-                if isinstance(source, SignalLog) and is_order(
-                    taken, wishes["displacement"]
-                ):
-                    source.warnings.append(
-                        f"{source.name}: column '{taken.name}' is what was wanted, by its name, not what was "
-                        "measured: what is identified is how the drive was computed, not the actuator"
-                    )
-                if prior_model is not None:
-                    bring_to(source, "voltage", prior_model.input, "the prior")
-                    bring_to(source, "displacement", prior_model.output, "the prior")
-                for role in ("voltage", "displacement"):
-                    if role in units:
-                        source.convert(role, units[role], "the first log is")
-                if "uncertainty" in source.columns:
-                    source.convert(
-                        "uncertainty",
-                        source.columns["displacement"].unit,
-                        "the displacement is",
-                    )
-                named = names.get(log) if isinstance(log, Address) else _name_of(log)
-                recording = recording_of(source, named, listener)
+                _warn_of_order(source, wishes["displacement"])
+                _bring_to_units(source, units, prior_model)
+                recording = recording_of(source, name, listener)
                 _refuse_one_signal(recording, source)
-                units.update(
-                    {role: column.unit for role, column in source.columns.items()}
+                for role, column in source.columns.items():
+                    units[role] = column.unit
+                return dataclasses.replace(
+                    recording,
+                    record=_record_of(source, log),
+                    remarks=_remarks_of(source, log),
                 )
-                remarks = remarks_of(source)
-                if is_table(log):  # what ``read_log`` left in it
-                    remarks.add(
-                        Remarks(
-                            **{
-                                kind: list(log.attrs.get(kind, []))
-                                for kind in vars(remarks)
-                            }
-                        )
-                    )
-                record = _record_of(source, log)
-                return dataclasses.replace(recording, record=record, remarks=remarks)
 
+        fitted = recording_wishes(self.voltage, self.displacement, self.uncertainty)
+        judged = recording_wishes(self.voltage, self.displacement)
         whole = dataclasses.replace(self.reading, rows=ALL_ROWS)
         return (
             [read(log, self.reading, fitted) for log in self.logs],
@@ -426,23 +444,12 @@ class IdentifyRun:
     def run(self, output: Address, listener: Listener = SILENT) -> IdentifyResult:
         """Identify a model of one actuator from logs and write it."""
         request.check_document(output, "a model", "json")
-        selectors = self.voltage, self.displacement, self.uncertainty, self.reading.time
-        beside = request.selected_files(*selectors)
-        known = [] if self.prior is None else [self.prior]
         inputs = [*self.logs, *self.validation]
-        self.check_outputs([output], [*inputs, *beside, *known])
+        self.check_outputs([output], [*inputs, *self._files_beside()])
         request.check_format(self.reading.format, inputs)
         prior = None if self.prior is None else read_model(self.prior)
         fitted, checks = self.read(listener, prior)
-        columns = {
-            "voltage": self.voltage,
-            "displacement": self.displacement,
-            "uncertainty": self.uncertainty,
-        }
-        arguments = self.arguments(
-            {key: column for key, column in columns.items() if column is not None},
-            self.prior,
-        )
+        arguments = self.arguments(self._named_columns(), self.prior)
         rows = sum(len(log.voltage) for log in fitted)
         listener.working(f"fitting {rows:,} rows")
         try:
@@ -457,6 +464,23 @@ class IdentifyRun:
             result.remarks.read, sign_line({"": result.model})
         )
         return result
+
+    def _files_beside(self) -> list[Any]:
+        """Return the files that are read beside the logs: those of columns, and the prior's."""
+        selectors = self.voltage, self.displacement, self.uncertainty, self.reading.time
+        files: list[Any] = [*request.selected_files(*selectors)]
+        if self.prior is not None:
+            files.append(self.prior)
+        return files
+
+    def _named_columns(self) -> dict[str, str]:
+        """Return the columns that were named, by role."""
+        columns = {
+            "voltage": self.voltage,
+            "displacement": self.displacement,
+            "uncertainty": self.uncertainty,
+        }
+        return {role: name for role, name in columns.items() if name is not None}
 
     def check_outputs(self, outputs: Sequence[Address], inputs: Sequence[Any]) -> None:
         """Refuse a model's or a summary's file that cannot be written, before any work starts."""
@@ -478,11 +502,13 @@ def _record_of(source: Source, log: Any) -> Mapping[str, Any]:
     if isinstance(source, SignalLog):
         return dict(source.record()) | {"read": source.reading_record()}
     assert isinstance(source, ArraySource)
-    known: Mapping[str, Any] | None = (
-        log.attrs.get("provenance") if is_table(log) else None
-    )
+    known: Mapping[str, Any] | None = None
+    if is_table(log):
+        known = log.attrs.get("provenance")
+    if known:
+        return known
     digest = hashlib.sha256()
     for values in source.values.values():
         digest.update(values.astype("<f8").tobytes())
     count = next(iter(source.values.values())).size
-    return known or {"name": "arrays", "sha256": digest.hexdigest(), "rows": count}
+    return {"name": "arrays", "sha256": digest.hexdigest(), "rows": count}

@@ -137,8 +137,7 @@ def compare(
     notes: list[str] = []
     mended, ends = clean(recordings, Sensor(), notes)
     ready = prepare(mended, skip_seconds, ends)
-    clocked = all(log.seconds() is not None for log in recordings)
-    cycle = median_cycle_seconds(recordings) if clocked else None
+    cycle = median_cycle_seconds(recordings)
     judged = skip_seconds if judged_from is None else judged_from
     judge = _Judge(mended, ready, validation, judged, timed)
     fits: dict[str, tuple[str, Callable[[], ActuatorModel]]] = {}

@@ -136,11 +136,10 @@ def regular_step(recording: Recording) -> float | None:
         return None
     steps = np.diff(seconds)
     step = float(np.median(steps))
-    return (
-        step
-        if step > 0.0 and float(np.abs(steps - step).max()) <= EVEN * step
-        else None
-    )
+    if not step > 0.0:
+        return None
+    farthest = float(np.abs(steps - step).max())
+    return step if farthest <= EVEN * step else None
 
 
 def spiked_rows(displacement: Floats, window: int = SPIKE_WINDOW) -> Booleans:
@@ -162,9 +161,9 @@ def spiked_rows(displacement: Floats, window: int = SPIKE_WINDOW) -> Booleans:
         around = np.sort(windows[part], axis=1)
         away[part] = np.abs(displacement[part] - around[:, half])
         spread[part] = around[:, -1 - window // 3] - around[:, window // 3]
-    sigma = (
-        OF_NORMAL * float(np.median(away[away > 0.0])) if (away > 0.0).any() else 0.0
-    )
+    sigma = 0.0
+    if (away > 0.0).any():
+        sigma = OF_NORMAL * float(np.median(away[away > 0.0]))
     spiked = (away > SPIKE_SIGMAS * sigma) & (away > SPIKE_SPREAD * spread)
     # 0.1 % of the range: chosen.
     spiked &= away > 1e-3 * float(
@@ -177,10 +176,8 @@ def stuck_rows(displacement: Floats, voltage: Floats) -> Booleans:
     """Rows of runs of one displacement, away from its extremes, over which the drive travels far."""
     stuck = np.zeros(len(displacement), bool)
     edges = np.flatnonzero(np.diff(displacement) != 0.0) + 1
-    begins, ends = (
-        np.concatenate(([0], edges)),
-        np.concatenate((edges, [len(displacement)])),
-    )
+    begins = np.concatenate(([0], edges))
+    ends = np.concatenate((edges, [len(displacement)]))
     path = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(voltage)))))
     travelled = path[ends - 1] - path[begins]
     usual = float(np.percentile(travelled, 90.0))
@@ -222,22 +219,22 @@ def _without_hum(
 ) -> Recording:
     """Take lines that the drive does not have off the displacement, each with a slowly changing size."""
     base = _drive_frequency(recording, step)
-    held = float(np.mean(np.diff(recording.displacement) == 0.0))
-    if base is None or held > MOST:
+    repeated = float(np.mean(np.diff(recording.displacement) == 0.0))
+    if base is None or repeated > MOST:
         return recording
     displacement = _filled(recording.displacement, bad)
-    found = _hum_lines(displacement, recording.voltage, step, base)
-    if not found:
+    lines = _hum_lines(displacement, recording.voltage, step, base)
+    if not lines:
         return recording
     from scipy.signal import filtfilt, iirnotch
 
     clean = displacement
-    for frequency in found:
+    for frequency in lines:
         width = max(1.0 / (step * len(displacement)) * 8.0, frequency / 30.0)
         taps = iirnotch(frequency, frequency / width, 1.0 / step)
         clean = filtfilt(*taps, clean)
     size = np.sqrt(2.0) * float(np.std(displacement - clean))
-    shown = ", ".join(f"{frequency:.4g}" for frequency in found)
+    shown = ", ".join(f"{frequency:.4g}" for frequency in lines)
     unit = f" {recording.displacement_unit}" if recording.displacement_unit else ""
     notes.append(
         f"{recording.name}: hum of {size:.3g}{unit} at {shown} Hz, which the drive does not have, taken off "
@@ -254,17 +251,20 @@ def _hum_lines(
     _, driven = _spectrum(voltage * (np.ptp(displacement) / np.ptp(voltage)), step)
     least = (NOTICEABLE * float(np.ptp(displacement))) ** 2 * len(displacement) / 4.0
     candidates = np.flatnonzero((frequency > HARMONICS * base) & (power > least))
-    found: list[float] = []
+    lines: list[float] = []
     for line in candidates[np.argsort(-power[candidates])]:
-        near = any(abs(frequency[line] - one) < 6.0 * frequency[1] for one in found)
+        near = any(
+            abs(frequency[line] - other_line) < 6.0 * frequency[1]
+            for other_line in lines
+        )
         foreign = HUM_LINE * float(driven[line]) < float(power[line])
         if (
             not near
             and foreign
             and _stands_out(power, int(line), base / float(frequency[1]))
         ):
-            found.append(float(frequency[line]))
-    return sorted(found)
+            lines.append(float(frequency[line]))
+    return sorted(lines)
 
 
 def _stands_out(power: Floats, line: int, base: float) -> bool:
@@ -280,12 +280,11 @@ def _stands_out(power: Floats, line: int, base: float) -> bool:
     if len(around) < 8 or power[line] < HUM_LINE * float(np.median(power[around])):
         return False
     order = round(line / base)
-    places = [round((order + k) * base) for k in (-2, -1, 1, 2)]
-    harmonics = [
-        float(power[max(at - 2, 0) : at + 3].max())
-        for at in places
-        if 2 < at < len(power) - 2
-    ]
+    harmonics = []
+    for neighbour in (-2, -1, 1, 2):
+        place = round((order + neighbour) * base)
+        if 2 < place < len(power) - 2:
+            harmonics.append(float(power[place - 2 : place + 3].max()))
     return not harmonics or float(power[line]) > HUM_LINE * max(harmonics)
 
 
@@ -407,10 +406,10 @@ def slope(values: Floats, seconds: Floats, width: float) -> Floats:
         spread: Floats = np.interp(seconds, even, filled)
         return spread
     half = min(max(round(width / step), 2), (len(values) - 1) // 2)
-    found: Floats = savgol_filter(
+    rate: Floats = savgol_filter(
         values, 2 * half + 1, min(3, 2 * half), deriv=1, delta=step
     )
-    return found
+    return rate
 
 
 # --- the range of a drive ---
@@ -606,10 +605,11 @@ def _rounded(level: float, noise: float) -> float:
     if abs(level) < largest:
         return 0.0
     exponent = math.floor(math.log10(largest))
-    factor = max(
-        factor
-        for factor in (1, 2, 5)
-        if factor == 1 or factor * 10.0**exponent <= largest
-    )
-    steps = round(level / (factor * 10.0**exponent))
+    unit = 10.0**exponent
+    factor = 1
+    if 2 * unit <= largest:
+        factor = 2
+    if 5 * unit <= largest:
+        factor = 5
+    steps = round(level / (factor * unit))
     return float(f"{steps * factor}e{exponent}")

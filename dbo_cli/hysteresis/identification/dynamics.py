@@ -50,7 +50,7 @@ from dbo_cli.hysteresis.identification.dynamics_fit import (
 from dbo_cli.hysteresis.identification.evaluation import (
     predict,
     validated,
-    validation_of,
+    validations_of,
 )
 from dbo_cli.hysteresis.identification.identify import Identification, identify_static
 from dbo_cli.hysteresis.identification.recordings import (
@@ -103,40 +103,39 @@ def with_dynamics(
         Resonances are asked for, and no log has a part in which they would show.
     """
     slow, fast = split(recordings)
-    asked = options.dynamics
+    wanted = options.dynamics
     if not fast or not slow:
-        if asked:
+        if wanted:
             raise FitError(
-                f"`dynamics` {asked}: no log has a small sweep, nor is one ten times as fast as another "
+                f"`dynamics` {wanted}: no log has a small sweep, nor is one ten times as fast as another "
                 "(record a drive of excite with `sweep_to`)"
             )
         return []
     try:
         base = identify_static(slow, dataclasses.replace(options, dynamics=0))
     except FitError:
-        if asked:
+        if wanted:
             raise
         return []
     fast = [_without_sensor(part, options) for part in fast]
-    band = lowest, highest = (
-        min(part.lowest for part in fast),
-        max(part.highest for part in fast),
-    )
+    lowest = min(part.lowest for part in fast)
+    highest = max(part.highest for part in fast)
+    band = lowest, highest
     model = _without_fast_lags(base.model.without(base.model.delay), FAST_LAGS / lowest)
     reading = _Reading(base, model, [Signals(model, part) for part in fast], ())
-    chosen, doubts = chosen_dynamics(reading.signals, band, asked)
-    chosen, doubts = with_delay(reading.signals, band, asked, chosen, doubts)
+    chosen, doubts = chosen_dynamics(reading.signals, band, wanted)
+    chosen, doubts = with_delay(reading.signals, band, wanted, chosen, doubts)
     if not chosen.resonances:
         return _unexplained(reading.signals, chosen, fast)
     chosen = _sharpened(reading.signals, _placed(reading.signals, chosen, band), band)
     for _ in range(MOST_RESONANCES):
         reading, chosen = _read_again(reading, chosen, slow, fast, band, options)
-        if asked is not None or len(chosen.resonances) == MOST_RESONANCES:
+        if wanted is not None or len(chosen.resonances) == MOST_RESONANCES:
             break
         # What hides a weak resonance from the first reading of the slow rows is gone
         # with the second.
-        here = fitted(reading.signals, [chosen.parameters], chosen.structure, band)
-        more = one_more(reading.signals, here, band)
+        best = fitted(reading.signals, [chosen.parameters], chosen.structure, band)
+        more = one_more(reading.signals, best, band)
         if more is None:
             break
         chosen = _sharpened(reading.signals, more, band)
@@ -301,7 +300,9 @@ def _again(
 
 def _late(chosen: FittedDynamics) -> float:
     """Return the lag (s) of what is behind the gears, for slow moves."""
-    late = sum(one.damping / (math.pi * one.frequency) for one in chosen.resonances)
+    late = sum(
+        section.damping / (math.pi * section.frequency) for section in chosen.resonances
+    )
     return late + chosen.lag - chosen.lag_before + chosen.structure.delay
 
 
@@ -343,21 +344,19 @@ def _without_fast_lags(model: ActuatorModel, shortest: float) -> ActuatorModel:
     if terms is None:
         return model
     pairs = list(zip(terms.tau, terms.gain, strict=True))
-    kept = [(tau, gain) for tau, gain in pairs if tau >= shortest]
+    slow = [(tau, gain) for tau, gain in pairs if tau >= shortest]
     added = sum(gain for tau, gain in pairs if tau < shortest)
     # gain·(v − reference), at once: every gear steeper by it, and the corner where it
     # then lies.
     heights = gears.dy + added * gears.dx
     y0 = gears.y0 + added * (gears.x0 - terms.reference)
-    rest = (
-        Relaxation(terms.reference, *map(tuple, zip(*kept, strict=True)))
-        if kept
-        else None
-    )
-    prompt = BacklashStage(gears.dx, heights, gears.x0, y0, rest)
-    return dataclasses.replace(
-        model, stages=tuple(prompt if one is gears else one for one in model.stages)
-    )
+    rest = None
+    if slow:
+        taus, gains = zip(*slow, strict=True)
+        rest = Relaxation(terms.reference, taus, gains)
+    stages = list(model.stages)
+    stages[stages.index(gears)] = BacklashStage(gears.dx, heights, gears.x0, y0, rest)
+    return dataclasses.replace(model, stages=tuple(stages))
 
 
 def _assembled(
@@ -370,72 +369,83 @@ def _assembled(
     doubts: Sequence[str],
 ) -> Identification:
     """Return the whole model with what is to be said of it."""
-    base, model, signals, creep = (
-        reading.base,
-        reading.model,
-        reading.signals,
-        reading.creep,
-    )
-    first = (
-        (DynamicsStage((Lag(chosen.lag_before),)),) if chosen.lag_before > 0.0 else ()
-    )
-    slow = [stage for stage in model.stages if not isinstance(stage, DynamicsStage)]
-    stages: tuple[Stage, ...] = (*first, *slow, DynamicsStage((*creep, *chosen.behind)))
+    base = reading.base
+    model = _with_stages(reading, chosen)
+    figures = _figures(reading, chosen, fast, highest)
+    trusted_hz, why = trusted(reading.signals, chosen, highest)
+    figures["trusted_hz"] = trusted_hz
+    terms = reading.model.backlash.relaxation
+    figures["relaxation_seconds"] = list(terms.tau) if terms else []
+    figures["delay_seconds"] = chosen.structure.delay
+    figures["delay_interval_seconds"] = None
+    figures["lag_seconds"] = _late(chosen) + chosen.lag_before
+    warnings = [*base.warnings, *doubts]
+    if warnings:
+        figures["warnings"] = warnings
+    sensor = Sensor.of(options)
+    checks = validations_of(model, validation, sensor, options.skip_seconds)
+    unit = model.output.suffix
+    # Of lag and memories the slow rows tell what the dynamics say better.
+    summary = [line for line in base.summary if not line.startswith("lag ")]
+    summary += said(figures, chosen, trusted_hz, why, unit)
+    validation_figures, lines = validated(checks, model.output.span, unit)
+    figures |= validation_figures
+    summary += lines
+    model = dataclasses.replace(model, fit=figures)
+    return Identification(model, figures, summary, warnings)
+
+
+def _with_stages(reading: _Reading, chosen: FittedDynamics) -> ActuatorModel:
+    """Return the slow rows' model with the lag before, creep and dynamics behind its gears."""
+    model = reading.model
+    stages: list[Stage] = []
+    if chosen.lag_before > 0.0:
+        stages.append(DynamicsStage((Lag(chosen.lag_before),)))
+    stages += [stage for stage in model.stages if not isinstance(stage, DynamicsStage)]
+    stages.append(DynamicsStage((*reading.creep, *chosen.behind)))
     if chosen.structure.delay:
-        stages = (*stages, DelayStage(chosen.structure.delay))
+        stages.append(DelayStage(chosen.structure.delay))
     low, high = slow_output_range(stages, model.input.minimum, model.input.maximum)
     output = dataclasses.replace(model.output, minimum=low, maximum=high)
-    trusted_hz, why = trusted(signals, chosen, highest)
-    figures: dict[str, object] = dict(base.fit)
-    figures["dynamics"] = {
-        "resonances": [
+    return dataclasses.replace(model, stages=tuple(stages), output=output, fit={})
+
+
+def _figures(
+    reading: _Reading,
+    chosen: FittedDynamics,
+    fast: Sequence[FastPart],
+    highest: float,
+) -> dict[str, object]:
+    """Return what the slow rows' file says of its fit, with dynamics and creep."""
+    lowest = min(part.lowest for part in fast)
+    resonances = []
+    for k, resonance in enumerate(chosen.resonances):
+        frequency, damping = resonance.frequency, resonance.damping
+        resonances.append(
             {
-                "frequency": one.frequency,
-                "damping": one.damping,
-                "frequency_interval": interval(one.frequency, chosen.spread[2 * k]),
-                "damping_interval": interval(one.damping, chosen.spread[2 * k + 1]),
+                "frequency": frequency,
+                "damping": damping,
+                "frequency_interval": interval(frequency, chosen.spread[2 * k]),
+                "damping_interval": interval(damping, chosen.spread[2 * k + 1]),
             }
-            for k, one in enumerate(chosen.resonances)
-        ],
+        )
+    figures: dict[str, object] = dict(reading.base.fit)
+    figures["dynamics"] = {
+        "resonances": resonances,
         "lag_seconds": chosen.lag,
         "lag_place": "before" if chosen.structure.lag_before else "behind",
         "rmse": chosen.rmse,
         "cross_validated_rmse": chosen.left_out,
         "logs": [part.recording.name for part in fast],
-        "swept": [min(part.lowest for part in fast), highest],
-        "response": response(signals, min(part.lowest for part in fast), highest),
+        "swept": [lowest, highest],
+        "response": response(reading.signals, lowest, highest),
     }
-    if creep:
+    if reading.creep:
         figures["creep"] = [
-            {"seconds": one.seconds, "share": 1.0 - one.lead / one.seconds}
-            for one in creep
+            {"seconds": lag.seconds, "share": 1.0 - lag.lead / lag.seconds}
+            for lag in reading.creep
         ]
-    figures["trusted_hz"] = trusted_hz
-    terms = model.backlash.relaxation
-    figures["relaxation_seconds"] = list(terms.tau) if terms else []
-    figures["delay_seconds"], figures["delay_interval_seconds"] = (
-        chosen.structure.delay,
-        None,
-    )
-    figures["lag_seconds"] = _late(chosen) + chosen.lag_before
-    warnings = [*base.warnings, *doubts]
-    if warnings:
-        figures["warnings"] = warnings
-    whole = dataclasses.replace(model, stages=stages, output=output, fit={})
-    checks = [
-        validation_of(whole, Sensor.of(options).taken_off(log), options.skip_seconds)
-        for log in validation
-    ]
-    unit = f" {model.output.unit}" if model.output.unit else ""
-    # Of lag and memories the slow rows tell what the dynamics say better.
-    told = [line for line in base.summary if not line.startswith("lag ")]
-    summary = [*told, *said(figures, chosen, trusted_hz, why, unit)]
-    found, lines = validated(checks, output.span, unit)
-    figures |= found
-    summary += lines
-    return Identification(
-        dataclasses.replace(whole, fit=figures), figures, summary, warnings
-    )
+    return figures
 
 
 def creep_behind(
@@ -491,19 +501,16 @@ def _memories(gears: BacklashStage) -> tuple[Floats, Floats]:
 
 def _sections(taus: Floats, shares: Floats) -> tuple[Lag, ...]:
     """Return 1 - Σ c + Σ c/(1 + τs) as a product of sections (1 + λs)/(1 + τs), λ < τ."""
-    kept = shares > LEAST_SHARE
-    taus, shares = taus[kept], shares[kept]
+    large = shares > LEAST_SHARE
+    taus, shares = taus[large], shares[large]
     if not taus.size or float(shares.sum()) >= 0.5:
         return ()
     numerator = (1.0 - shares.sum()) * np.poly(-1.0 / taus)
     for k, share in enumerate(shares):
-        others = np.poly(-1.0 / np.delete(taus, k)) if taus.size > 1 else np.ones(1)
+        others = np.poly(-1.0 / np.delete(taus, k))  # 1 where there are none
         numerator[1:] += share / taus[k] * others
-    leads = np.sort(-1.0 / np.roots(numerator).real)
-    return tuple(
-        Lag(float(tau), float(lead))
-        for tau, lead in zip(np.sort(taus), leads, strict=True)
-    )
+    leads = np.sort(-1.0 / np.roots(numerator).real).tolist()
+    return tuple(map(Lag, np.sort(taus).tolist(), leads))
 
 
 def _freed(log: Recording, sections: tuple[Lag, ...], step: float) -> Recording:

@@ -243,17 +243,17 @@ def sections_of(
     """Return the lag and the resonances of logarithms, lowest first, wherever the lag stands."""
     count = structure.resonances
     values = np.exp(parameters)
-    pairs = sorted(
-        (float(values[2 * k]), float(min(values[2 * k + 1], MOST_DAMPING)))
-        for k in range(count)
-    )
+    pairs = []
+    for k in range(count):
+        damping = float(min(values[2 * k + 1], MOST_DAMPING))
+        pairs.append((float(values[2 * k]), damping))
+    pairs.sort()
     resonances = [Resonance(frequency, damping) for frequency, damping in pairs]
     if structure.antiresonance:
-        at, damping = (
-            float(values[2 * count]),
-            float(min(values[2 * count + 1], MOST_DAMPING)),
-        )
-        resonances[-1] = Resonance(*pairs[-1], Antiresonance(at, damping))
+        frequency = float(values[2 * count])
+        damping = float(min(values[2 * count + 1], MOST_DAMPING))
+        beside = Antiresonance(frequency, damping)
+        resonances[-1] = Resonance(*pairs[-1], beside)
     return (Lag(float(values[-1])), *resonances)
 
 
@@ -375,14 +375,14 @@ def _spread(
     73, 13, 1986).
     """
     left = residuals(signals, best, structure)
-    changed = [
-        residuals(signals, best + SMALL * one, structure) for one in np.eye(best.size)
-    ]
+    changed = []
+    for direction in np.eye(best.size):
+        changed.append(residuals(signals, best + SMALL * direction, structure))
     slopes, scatter = np.zeros((2, best.size, best.size))
-    for k, one in enumerate(signals):
-        along = np.array([(other[k] - left[k]) / SMALL for other in changed])
+    for k, part in enumerate(signals):
+        along = np.array([(moved[k] - left[k]) / SMALL for moved in changed])
         slopes += np.einsum("ir,jr->ij", along, along)
-        begins = np.flatnonzero(np.diff(one.block, prepend=-1))
+        begins = np.flatnonzero(np.diff(part.block, prepend=-1))
         pulls = np.add.reduceat(along * left[k], begins, axis=1)
         scatter += np.einsum("ib,jb->ij", pulls, pulls)
     inverse = np.linalg.pinv(slopes, hermitian=True)
@@ -474,11 +474,9 @@ def with_delay(
         nearest = min(tried.values(), key=lambda one: one.left_out)
         step = step if nearest.left_out < best.left_out else 0.5 * step
         best = nearest
-    return (
-        (best, more_doubts)
-        if best.left_out <= EARNED * without.left_out
-        else (without, doubts)
-    )
+    if best.left_out <= EARNED * without.left_out:
+        return best, more_doubts
+    return without, doubts
 
 
 class Spectra(NamedTuple):
@@ -548,31 +546,32 @@ def _earned(
     signals: Sequence[Signals], more: FittedDynamics, best: FittedDynamics, band: Band
 ) -> bool:
     """Return whether the error on blocks left out asks for more, all of it inside the swept band."""
-    found = [one.frequency for one in more.resonances]
-    found += [
-        one.antiresonance.frequency for one in more.resonances if one.antiresonance
-    ]
-    if not all(INSIDE * band[0] < one < band[1] for one in found):
-        return False
-    if any(one.damping < INSIDE * LEAST_DAMPING for one in more.resonances):
-        return False
-    pairs = [
-        (one.damping, one.antiresonance.damping)
-        for one in more.resonances
-        if one.antiresonance
-    ]
-    if any(max(pair) > MOST_BESIDE / INSIDE for pair in pairs):
-        return False
+    for resonance in more.resonances:
+        if not _is_inside(resonance, band):
+            return False
     if more.left_out <= EARNED * best.left_out:
         return True
     if not best.resonances:
         return False
-    rows, noise = (
-        sum(one.measured.size for one in signals),
-        white_noise(residuals(signals, best.parameters, best.structure)),
-    )
+    rows = sum(part.measured.size for part in signals)
+    noise = white_noise(residuals(signals, best.parameters, best.structure))
     gained = rows * (best.left_out**2 - more.left_out**2)
     return gained >= max(SURE * noise, MOST_OF_IT * rows * (best.left_out**2 - noise))
+
+
+def _is_inside(resonance: Resonance, band: Band) -> bool:
+    """Return whether a resonance, and its antiresonance, lie inside the swept band and the bounds."""
+    lowest, highest = INSIDE * band[0], band[1]
+    if not lowest < resonance.frequency < highest:
+        return False
+    if resonance.damping < INSIDE * LEAST_DAMPING:
+        return False
+    beside = resonance.antiresonance
+    if not beside:
+        return True
+    if max(resonance.damping, beside.damping) > MOST_BESIDE / INSIDE:
+        return False
+    return lowest < beside.frequency < highest
 
 
 def _white(signals: Sequence[Signals], best: FittedDynamics) -> bool:
@@ -584,25 +583,28 @@ def _starts(
     signals: Sequence[Signals], best: FittedDynamics, band: Band
 ) -> list[Floats]:
     """Return where to begin with one resonance more."""
-    known = [one.frequency for one in best.resonances]
+    known = [resonance.frequency for resonance in best.resonances]
     before = best.parameters[: 2 * len(known)]
     lag = np.log(max(best.lag, 0.02 / band[1]))
     peak = _peak(signals, best, band)
     places = (peak, 0.8 * band[1]) if known else (peak,)  # chosen
-    return [
-        np.array([*before, np.log(at), np.log(z), lag])
-        for z in DAMPINGS
-        for at in places
-    ]
+    starts = []
+    for damping in DAMPINGS:
+        for frequency in places:
+            starts.append(np.array([*before, np.log(frequency), np.log(damping), lag]))
+    return starts
 
 
 def _with_notch(
     signals: Sequence[Signals], best: FittedDynamics, band: Band
 ) -> list[Floats]:
     """Return where to begin with an antiresonance beside resonances that are found."""
-    places = (_peak(signals, best, band), 0.9 * band[1])
-    return [np.array([*best.parameters[:-1], np.log(at), np.log(z), best.parameters[-1]])
-            for at in places for z in DAMPINGS[1:3]]  # fmt: skip
+    *before, lag = best.parameters
+    starts = []
+    for frequency in (_peak(signals, best, band), 0.9 * band[1]):
+        for damping in DAMPINGS[1:3]:
+            starts.append(np.array([*before, np.log(frequency), np.log(damping), lag]))
+    return starts
 
 
 def _notched(starts: Sequence[Floats]) -> list[Floats]:
@@ -611,8 +613,12 @@ def _notched(starts: Sequence[Floats]) -> list[Floats]:
     So near to it and so like it that the two undo each other: the fit begins where it
     was without them.
     """
-    return [np.array([*start[:-1], start[-3] + side, start[-2], start[-1]])
-            for start in starts for side in (-NEAR, NEAR)]  # fmt: skip
+    notched = []
+    for *before, lag in starts:
+        frequency, damping = before[-2:]
+        for side in (-NEAR, NEAR):
+            notched.append(np.array([*before, frequency + side, damping, lag]))
+    return notched
 
 
 def _peak(signals: Sequence[Signals], best: FittedDynamics, band: Band) -> float:
@@ -622,14 +628,11 @@ def _peak(signals: Sequence[Signals], best: FittedDynamics, band: Band) -> float
     seen = _spectra(
         one.moved(best.parameters, best.structure), left, one.time_step, band
     )
-    ratio, inside = (
-        np.abs(seen.both) / np.maximum(seen.power, 1e-12 * seen.power.max()),
-        seen.driven,
-    )
+    ratio = np.abs(seen.both) / np.maximum(seen.power, 1e-12 * seen.power.max())
+    inside = seen.driven
+    frequencies = np.maximum(seen.frequency, 1e-9)
     for known in best.resonances:
-        inside &= (
-            np.abs(np.log(np.maximum(seen.frequency, 1e-9) / known.frequency)) > APART
-        )
+        inside &= np.abs(np.log(frequencies / known.frequency)) > APART
     if not inside.any():
         return 0.7 * band[1]  # chosen
     return float(seen.frequency[inside][np.argmax(ratio[inside])])
@@ -706,16 +709,15 @@ def trusted(
     for top, has, wrong in zip(
         tops.tolist(), energy.tolist(), error.tolist(), strict=True
     ):
+        why = ""
         if has <= ENERGY * float(energy.max()):
             if top < highest / 50.0:
                 continue
-            return min(
-                trusted, ceiling
-            ), "beyond, the sweep was too small" if trusted < ceiling else ""
-        if wrong > TRUSTED * has and top > 0.02 * highest:
-            return min(
-                trusted, ceiling
-            ), "beyond, the error grows" if trusted < ceiling else ""
+            why = "beyond, the sweep was too small"
+        elif wrong > TRUSTED * has and top > 0.02 * highest:
+            why = "beyond, the error grows"
+        if why:
+            return (trusted, why) if trusted < ceiling else (ceiling, "")
         trusted = top
     return min(trusted, ceiling, highest), ""
 
@@ -729,37 +731,40 @@ def said(
 ) -> list[str]:
     """Return the lines about the dynamics."""
     parts = []
-    for k, one in enumerate(chosen.resonances):
-        frequency = outward(interval(one.frequency, chosen.spread[2 * k]), 5)
-        damping = outward(interval(one.damping, chosen.spread[2 * k + 1]), 3)
+    for k, resonance in enumerate(chosen.resonances):
+        frequency = outward(interval(resonance.frequency, chosen.spread[2 * k]), 5)
+        damping = outward(interval(resonance.damping, chosen.spread[2 * k + 1]), 3)
         parts.append(
-            f"resonance at {one.frequency:.5g} Hz ({frequency}), damping {one.damping:.3g} ({damping})"
+            f"resonance at {resonance.frequency:.5g} Hz ({frequency}), "
+            f"damping {resonance.damping:.3g} ({damping})"
         )
-        if one.antiresonance:
+        if resonance.antiresonance:
             parts[-1] += (
-                f" with an antiresonance at {one.antiresonance.frequency:.5g} Hz"
+                f" with an antiresonance at {resonance.antiresonance.frequency:.5g} Hz"
             )
-    place = "before" if chosen.structure.lag_before else "behind"
-    lag = (
-        f", lag {latency_text(chosen.lag)} {place} the gears"
-        if chosen.lag > 0.0
-        else ""
-    )
-    if chosen.structure.delay:
-        lag += f", delay {1e3 * chosen.structure.delay:.4g} ms behind all"
-    crept = figures.get("creep", [])
-    assert isinstance(crept, list)
-    told = ", ".join(
-        f"{100.0 * one['share']:.2g} % with {one['seconds']:.3g} s" for one in crept
-    )
-    return [
-        *([f"creep of the displacement, behind the gears: {told}"] if told else []),
-        f"dynamics: {'; '.join(parts)}{lag}; fast rows RMSE {chosen.rmse:.3g}{unit}, on blocks left out "
+    lines = []
+    creep = figures.get("creep", [])
+    assert isinstance(creep, list)
+    if creep:
+        terms = [
+            f"{100.0 * term['share']:.2g} % with {term['seconds']:.3g} s"
+            for term in creep
+        ]
+        lines.append(f"creep of the displacement, behind the gears: {', '.join(terms)}")
+    delay = chosen.structure.delay
+    late = ""
+    if chosen.lag > 0.0:
+        place = "before" if chosen.structure.lag_before else "behind"
+        late += f", lag {latency_text(chosen.lag)} {place} the gears"
+    if delay:
+        late += f", delay {1e3 * delay:.4g} ms behind all"
+    line = (
+        f"dynamics: {'; '.join(parts)}{late}; fast rows RMSE {chosen.rmse:.3g}{unit}, on blocks left out "
         f"{chosen.left_out:.3g}{unit}"
-        + (
-            f"; its lateness is {WHOSE_LAG}"
-            if max(chosen.lag, chosen.structure.delay) > 0.0 and "sensor" not in figures
-            else ""
-        ),
-        f"trust the model to {trusted:.3g} Hz{': ' + why if why else ''}",
-    ]
+    )
+    if max(chosen.lag, delay) > 0.0 and "sensor" not in figures:
+        line += f"; its lateness is {WHOSE_LAG}"
+    lines.append(line)
+    line = f"trust the model to {trusted:.3g} Hz"
+    lines.append(f"{line}: {why}" if why else line)
+    return lines

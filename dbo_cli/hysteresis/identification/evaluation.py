@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError
+from dbo_cli.hysteresis.identification.cleaning import Sensor
 from dbo_cli.hysteresis.identification.preparation import Prepared
 from dbo_cli.hysteresis.identification.recordings import (
     BLOCK_ROWS,
@@ -70,11 +71,9 @@ def predict(
     seconds = recording.seconds()
     voltage = recording.voltage
     state = model.start(float(voltage[0]), start)
-    steps = (
-        None
-        if seconds is None
-        else np.maximum(np.diff(seconds, prepend=seconds[0]), 0.0)
-    )
+    steps = None
+    if seconds is not None:
+        steps = np.maximum(np.diff(seconds, prepend=seconds[0]), 0.0)
     predicted = np.empty(len(voltage))
     for first in range(0, len(voltage), BLOCK_ROWS):
         part = slice(first, min(first + BLOCK_ROWS, len(voltage)))
@@ -110,11 +109,9 @@ def known_rows(recording: Recording, skip_seconds: float) -> NDArray[np.bool_]:
     first sample is not known. So is that behind gaps (``known_behind_gaps``).
     """
     seconds = recording.seconds()
-    keep = (
-        np.ones(len(recording.voltage), bool)
-        if seconds is None
-        else seconds >= skip_seconds
-    )
+    keep = np.ones(len(recording.voltage), bool)
+    if seconds is not None:
+        keep = seconds >= skip_seconds
     wiped = first_wiped_row(recording.voltage)
     if wiped <= KNOWN_PAST * len(keep):
         keep[:wiped] = False
@@ -141,9 +138,22 @@ def validation_of(
     return Residual(recording.name, left - left.mean(), np.flatnonzero(keep), 0.0)
 
 
+def validations_of(
+    model: ActuatorModel,
+    recordings: Sequence[Recording],
+    sensor: Sensor,
+    skip_seconds: float,
+) -> list[Residual]:
+    """Residuals on recordings that took no part in the fit, their sensor taken off."""
+    return [
+        validation_of(model, sensor.taken_off(recording), skip_seconds)
+        for recording in recordings
+    ]
+
+
 def pooled(values: Sequence[float], residuals: Sequence[Residual]) -> float:
     """Root of the mean square over all logs, weighted by their rows."""
-    weights = np.array([len(one.values) for one in residuals], dtype=float)
+    weights = np.array([len(residual.values) for residual in residuals], dtype=float)
     return float(np.sqrt(weights @ np.square(values) / weights.sum()))
 
 
@@ -198,19 +208,19 @@ def validated(
     """Return what the model file says of logs that took no part in the fit, and lines for the terminal."""
     if not checks:
         return {}, []
-    rmse = pooled([one.rmse for one in checks], checks)
+    rmse = pooled([check.rmse for check in checks], checks)
     figures: dict[str, object] = {
         "validation_rmse": rmse,
         "validation_percent": 100.0 * rmse / span,
         "validation": [
-            {"name": one.name, "samples": len(one.values), "rmse": one.rmse}
-            for one in checks
+            {"name": check.name, "samples": len(check.values), "rmse": check.rmse}
+            for check in checks
         ],
     }
     return figures, [
-        f"{one.name}: predicts it to {one.rmse:.4g}{unit} RMSE ({100.0 * one.rmse / span:.2f} % of the "
+        f"{check.name}: predicts it to {check.rmse:.4g}{unit} RMSE ({100.0 * check.rmse / span:.2f} % of the "
         "model's range), offset removed"
-        for one in checks
+        for check in checks
     ]
 
 
@@ -265,11 +275,8 @@ def _rounded_down(value: float, digits: int) -> float:
 def white_noise(left: Sequence[Floats]) -> float:
     """Return the mean square of what is white in what is left over, by its second differences."""
     noise = [np.diff(part, 2) for part in left]
-    return (
-        sum(float(part @ part) for part in noise)
-        / sum(part.size for part in noise)
-        / 6.0
-    )
+    squares = sum(float(part @ part) for part in noise)
+    return squares / sum(part.size for part in noise) / 6.0
 
 
 def most_noise(noise: float, rows: int) -> float:
@@ -289,10 +296,8 @@ def straight_line(recording: Recording, log: PreparedLog) -> float:
     rows = log.used
     # About their means: an offset of a million ranges would leave the voltage no digits
     # beside the constant.
-    voltage, target = (
-        signal[rows] - signal[rows].mean()
-        for signal in (recording.voltage, recording.displacement)
-    )
+    voltage = recording.voltage[rows] - recording.voltage[rows].mean()
+    target = recording.displacement[rows] - recording.displacement[rows].mean()
     weights = log.weights_at(rows)
     columns = weighted(np.column_stack((voltage, log.drift[rows])), weights)
     target = weighted(target, weights)
@@ -308,11 +313,8 @@ def loop_width_percent(model: ActuatorModel) -> float:
     up = np.linspace(model.input.minimum, model.input.maximum, 1001)
     walk = np.concatenate((up, up[::-1]))
     still = model.without(model.delay)
-    slow = still.simulate(
-        walk,
-        still.start(float(up[0]), "empty"),
-        time_step=1e9 if still.needs_time else None,
-    )
+    time_step = 1e9 if still.needs_time else None
+    slow = still.simulate(walk, still.start(float(up[0]), "empty"), time_step=time_step)
     rising, falling = slow.y[: len(up)], slow.y[: len(up) - 1 : -1]
     return 100.0 * float(np.abs(falling - rising).max()) / float(np.ptp(slow.y))
 
@@ -343,16 +345,16 @@ def log_warnings(
     warnings = []
     for log in recordings:
         moving = np.abs(np.diff(log.voltage)) > 0.0
-        held = (np.diff(log.displacement) == 0.0) & moving
+        repeats = (np.diff(log.displacement) == 0.0) & moving
         if (
             moving.any()
-            and held.sum() > MOST * moving.sum()
+            and repeats.sum() > MOST * moving.sum()
             and not _stepped(log.displacement)
         ):
             warnings.append(
-                f"{log.name}: {100.0 * held.sum() / moving.sum():.0f} % of the displacements repeat the one "
-                "before while the drive moves: the sensor is slower than the log (sample-and-hold); log at "
-                "the sensor's rate, or the fit sees a lag that is not the actuator's"
+                f"{log.name}: {100.0 * repeats.sum() / moving.sum():.0f} % of the displacements repeat the "
+                "one before while the drive moves: the sensor is slower than the log (sample-and-hold); log "
+                "at the sensor's rate, or the fit sees a lag that is not the actuator's"
             )
         seconds = log.seconds()
         if seconds is not None and log.time is not None:
@@ -374,10 +376,8 @@ def log_warnings(
             "less than two whole cycles: nothing could be left out to test the model on; record at least "
             "three"
         )
-    low, span = (
-        min(log.voltage.min() for log in recordings),
-        max(np.ptp(log.voltage) for log in recordings),
-    )
+    low = min(log.voltage.min() for log in recordings)
+    span = max(np.ptp(log.voltage) for log in recordings)
     places = [
         np.bincount((100.0 * (log.voltage - low) / span + 0.5).astype(np.int64))
         for log in recordings
@@ -505,10 +505,11 @@ def fit_warnings(
     """Warnings about the fitted model and what it leaves over."""
     warnings = []
     span = abs(prepared.scale)
-    rows = sum(len(one.values) for one in residuals)
-    rmse = float(
-        np.sqrt(sum(float(one.weighted @ one.weighted) for one in residuals) / rows)
-    )
+    rows = sum(len(residual.values) for residual in residuals)
+    squares = 0.0
+    for residual in residuals:
+        squares += float(residual.weighted @ residual.weighted)
+    rmse = float(np.sqrt(squares / rows))
     if rows < ROWS_PER_SLOPE * choice.basis.gears:
         warnings.append(
             f"{rows} rows for {choice.basis.gears} unknown slopes are fewer than the {ROWS_PER_SLOPE} for "
@@ -542,7 +543,7 @@ def _gain_warnings(
     after the sixth, creep over five decades 0.4 twice (0.3 % of gain), everything else
     0.8 and more.
     """
-    gains, before, own = [], 0.0, 0.0
+    gains, before, after = [], 0.0, 0.0
     for log, residual in zip(recordings, residuals, strict=True):
         left = residual.values - residual.values.mean()
         predicted = log.displacement[residual.rows] - residual.values
@@ -550,8 +551,8 @@ def _gain_warnings(
         more = float(np.sum(left * predicted)) / max(float(np.sum(predicted**2)), TINY)
         gains.append(1.0 + more)
         before += float(np.sum(left**2))
-        own += float(np.sum((left - more * predicted) ** 2))
-    if max(gains) < GAINS_APART * min(gains) or own > MOST * before:
+        after += float(np.sum((left - more * predicted) ** 2))
+    if max(gains) < GAINS_APART * min(gains) or after > MOST * before:
         return []
     each = ", ".join(
         f"{log.name} {gain:.3f}" for log, gain in zip(recordings, gains, strict=True)
@@ -571,10 +572,11 @@ def _slew_warnings(
         measured = log.displacement[residual.rows]
         predicted = measured - residual.values
         apart = 5  # rows: over one step noise is as large as the motion
-        steps = [one[apart:] - one[:-apart] for one in (measured, predicted)]
-        for way, word in ((1.0, "rises"), (-1.0, "falls")):
-            there = way * steps[1] > 0.0
-            near, usual = (_near_greatest(way * one[there]) for one in steps)
+        steps = [signal[apart:] - signal[:-apart] for signal in (measured, predicted)]
+        for direction, word in ((1.0, "rises"), (-1.0, "falls")):
+            along = direction * steps[1] > 0.0
+            near = _near_greatest(direction * steps[0][along])
+            usual = _near_greatest(direction * steps[1][along])
             if near > SLEWED * usual > 0.0:
                 warnings.append(
                     f"{log.name}: the displacement {word} at one greatest speed ({100.0 * near:.0f} % of the "
@@ -593,11 +595,9 @@ chosen (butterflies leave 0.02, amplifiers that slew 0.3, a log of another drive
 
 def _near_greatest(steps: Floats) -> float:
     """Return the share of steps within a tenth of the greatest, the largest 0.5 % aside."""
-    return (
-        float(np.mean(steps > 0.9 * np.percentile(steps, 99.5)))
-        if len(steps) >= FEWEST_ROWS
-        else 0.0
-    )
+    if len(steps) < FEWEST_ROWS:
+        return 0.0
+    return float(np.mean(steps > 0.9 * np.percentile(steps, 99.5)))
 
 
 def _shape_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list[str]:
@@ -606,17 +606,14 @@ def _shape_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list
     for log, ready in zip(recordings, prepared.logs, strict=True):
         voltage = (log.voltage - prepared.low) / prepared.span
         moved = np.diff(voltage, prepend=voltage[0])
-        down = (
-            moved[
-                np.maximum.accumulate(np.where(moved != 0.0, np.arange(len(moved)), 0))
-            ]
-            < 0.0
+        last_move = np.maximum.accumulate(
+            np.where(moved != 0.0, np.arange(len(moved)), 0)
         )
+        down = moved[last_move] < 0.0
         place = np.clip((voltage * 20).astype(np.int64), 0, 19) + 20 * down
-        counts, sums = (
-            np.bincount(place[ready.used], weights, minlength=40).reshape(2, 20)
-            for weights in (None, log.displacement[ready.used])
-        )
+        place, displacement = place[ready.used], log.displacement[ready.used]
+        counts = np.bincount(place, minlength=40).reshape(2, 20)
+        sums = np.bincount(place, displacement, minlength=40).reshape(2, 20)
         # a level driven to one way alone would be half a loop
         full = (counts > 0).all(axis=0)
         mean = (sums[:, full] / counts[:, full]).mean(axis=0)
@@ -625,15 +622,14 @@ def _shape_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list
             continue
         falls = -float(climbs[climbs < 0.0].sum())
         turns = falls > 0.25 * float(climbs[climbs > 0.0].sum())
-        if turns and _follows(log.displacement[ready.used], place[ready.used]):
+        at_ends = min(float(climbs[1:3].mean()), float(climbs[-3:-1].mean()))
+        if turns and _follows(displacement, place):
             warnings.append(
                 f"{log.name}: the displacement rises and falls again as the voltage rises (a butterfly, or a "
                 "turning direction of motion): no invertible model follows that; stay on one side of the "
                 "turn"
             )
-        elif not turns and min(
-            float(climbs[1:3].mean()), float(climbs[-3:-1].mean())
-        ) < SATURATION * float(np.median(climbs)):
+        elif not turns and at_ends < SATURATION * float(np.median(climbs)):
             warnings.append(
                 f"{log.name}: the displacement hardly moves at an end of the drive's range (saturation, or "
                 "an end stop): the inverse asks for large voltages there; keep trajectories away from it"
@@ -655,11 +651,10 @@ def _speed_correlation(
     left, speed = [], []
     for log, residual in zip(recordings, residuals, strict=True):
         seconds = log.seconds()
-        steps = (
-            np.gradient(log.voltage)
-            if seconds is None
-            else _speed(log.voltage, seconds)
-        )
+        if seconds is None:
+            steps = np.gradient(log.voltage)
+        else:
+            steps = _speed(log.voltage, seconds)
         left.append(residual.values - residual.values.mean())
         speed.append(steps[residual.rows] - steps[residual.rows].mean())
     a, b = np.concatenate(left), np.concatenate(speed)

@@ -130,13 +130,14 @@ class Expectation:
     @property
     def forgets(self) -> bool:
         """Whether the displacement forgets with the way gone, which no gears do."""
-        return any(one.forgetting is not None for one in self.alternatives)
+        return any(model.forgetting is not None for model in self.alternatives)
 
     def swing_values(self) -> list[list[float]]:
         """Return the logs' swings for the model file: from which voltage to which."""
-        return [
-            [float(f"{volt:.4g}") for volt in swing] for swing in self.seen.tolist()
-        ]
+        values = []
+        for start, end in self.seen.tolist():
+            values.append([float(f"{start:.4g}"), float(f"{end:.4g}")])
+        return values
 
     def zero_words(self, unit: str) -> str:
         """Say under which condition the zero is as stated; ``unit`` follows a number."""
@@ -194,7 +195,9 @@ def expect(
     distance = unlike(moves[0], seen, basis.span, len(moves[0]) - len(own_moves))
     drifted = changed_gain(own_moves, trend)
     line = abs(prepared.scale) * line_left_out(logs, basis)
-    lasted = 0.0 if logs[0].seconds is None else float(moves[1][-1] - moves[1][0])
+    lasted = 0.0
+    if logs[0].seconds is not None:
+        lasted = float(moves[1][-1] - moves[1][0])
     zero = moving_zero(judged.zero_drift, judged.zero_drift_rate, lasted)
     figure = stated(known, distance, apart, drifted, zero)
     return Expectation(
@@ -257,9 +260,8 @@ def _line_error(
         _free_of_drift(log, x, rows)
         for log, x, rows in zip(logs, voltage, fitted, strict=True)
     ]
-    slope = sum(float(x @ y) for x, y in free) / max(
-        sum(float(x @ x) for x, _ in free), TINY
-    )
+    together = sum(float(x @ y) for x, y in free)
+    slope = together / max(sum(float(x @ x) for x, _ in free), TINY)
     squares, count = 0.0, 0
     for log, x, rows in zip(logs, voltage, judged, strict=True):
         if rows.any():
@@ -284,7 +286,7 @@ def _free_of_drift(
 
 
 def _gain_trend(
-    logs: Sequence[PreparedLog], choice: Choice, own: Solution, floor: float
+    logs: Sequence[PreparedLog], choice: Choice, solution_before: Solution, floor: float
 ) -> float | None:
     """Return by how much the gain changes along a log, where that explains most of the error beyond noise.
 
@@ -294,7 +296,7 @@ def _gain_trend(
     square that is noise.
     """
     steepness = (
-        np.diff(corners(own.knots, choice.structure.segments))
+        np.diff(corners(solution_before.knots, choice.structure.segments))
         * choice.structure.segments
     )
     moving, changing = [], []
@@ -415,15 +417,16 @@ def _forgetting(
     memory = Relaxation(
         basis.low, tuple(length * basis.span for length in LENGTHS), per_volt
     )
-    one = Alternative(
+    forgetful = Alternative(
         "forgetting", 1.0, _other(solution, basis, structure, prepared, model), memory
     )
     log = logs[0]
-    steps = (
-        None if log.seconds is None else np.diff(log.seconds, prepend=log.seconds[0])
-    )
-    apart = played(model, log.voltage, steps) - one.played(log.voltage, steps)
-    return (replace(one, model=_shifted(one.model, float(apart[log.used].mean()))),)
+    steps = None
+    if log.seconds is not None:
+        steps = np.diff(log.seconds, prepend=log.seconds[0])
+    apart = played(model, log.voltage, steps) - forgetful.played(log.voltage, steps)
+    shifted = _shifted(forgetful.model, float(apart[log.used].mean()))
+    return (replace(forgetful, model=shifted),)
 
 
 def _changes(
@@ -472,23 +475,21 @@ def _on_logs(
     left, means = [], []
     for log in logs:
         moved = prepared.offset + prepared.scale * log.output
-        one = residual_of(
+        residual = residual_of(
             model, Recording(log.name, log.voltage, moved, log.seconds), log
         )
-        left.append(one)
-        means.append(one.mean_predicted)
-    return pooled([one.rmse for one in left], left), means[0]
+        left.append(residual)
+        means.append(residual.mean_predicted)
+    return pooled([residual.rmse for residual in left], left), means[0]
 
 
 def _shifted(model: ActuatorModel, by: float) -> ActuatorModel:
     """Return a model whose displacement is ``by`` larger."""
-    stages = tuple(
-        replace(stage, offset=stage.offset + by)
-        if isinstance(stage, ScaleStage)
-        else stage
-        for stage in model.stages
-    )
-    return replace(model, stages=stages)
+    stages = list(model.stages)
+    for place, stage in enumerate(stages):
+        if isinstance(stage, ScaleStage):
+            stages[place] = replace(stage, offset=stage.offset + by)
+    return replace(model, stages=tuple(stages))
 
 
 def _invented_moves(logs: Sequence[PreparedLog], basis: Basis) -> tuple[Floats, Floats]:
@@ -497,10 +498,11 @@ def _invented_moves(logs: Sequence[PreparedLog], basis: Basis) -> tuple[Floats, 
     speeds = np.concatenate([swings_of(log, basis).speed for log in logs])
     slow, fast = np.percentile(speeds, [10.0, 90.0])
     turns = [0.0, 1.0, 0.0]
-    turns += [
-        float(rng.choice((0.0, 1.0))) if rng.random() < AT_AN_END else rng.random()
-        for _ in range(MOVES - 2)
-    ]
+    for _ in range(MOVES - 2):
+        if rng.random() < AT_AN_END:
+            turns.append(float(rng.choice((0.0, 1.0))))
+        else:
+            turns.append(rng.random())
     total = float(np.abs(np.diff(turns)).sum())
     voltage, seconds = [np.zeros(1)], [np.zeros(1)]
     for begin, end in itertools.pairwise(turns):

@@ -259,11 +259,14 @@ class _Finalists:
         larger model always wins, so there another one has to earn its place.
         """
         chosen = judged[0]
-        best = min(judged, key=lambda one: one.score)
+        best = min(judged, key=lambda candidate: candidate.score)
         if not chosen.beaten_by(best, self._needed()):
             return chosen
-        as_good = [one for one in judged if not one.beaten_by(best, 0.0)]
-        return min(as_good, key=lambda one: (_complexity(one), one.score))
+        as_good = []
+        for candidate in judged:
+            if not candidate.beaten_by(best, 0.0):
+                as_good.append(candidate)
+        return min(as_good, key=lambda each: (_complexity(each), each.score))
 
     def _judged_choice(self) -> Candidate:
         """Return what the search chose, refined and judged; without its delay where that is as good."""
@@ -288,11 +291,9 @@ class _Finalists:
     def _starts(self, basis: Basis, least: dict[int, float]) -> Iterator[Structure]:
         """Yield gears alone of every chain of candidates that is within reach of the first one's."""
         every = tuple(range(len(basis.time_constants)))
-        memories = (
-            [every]
-            if self._options.relaxation is not None or not every
-            else [every, ()]
-        )
+        memories = [every]
+        if self._options.relaxation is None and every:
+            memories.append(())
         rules: tuple[str, ...] = ("growing", "falling")
         if swings_of_two_kinds(self._logs, basis):
             rules = (*rules, "free")
@@ -316,15 +317,15 @@ class _Finalists:
     ) -> Iterator[Candidate]:
         """Yield the refined candidates of more and more segments, each begun where the last one ended."""
         problem = self._problem(basis)
-        segments: tuple[tuple[int, float], ...] = SEGMENTS
+        segments = list(SEGMENTS)
         if upto is not None:
-            segments = (*(one for one in SEGMENTS if upto.segments % one[0] == 0 and one[0] < upto.segments),
-                        (upto.segments, upto.knot_smoothness))  # fmt: skip
+            last = upto.segments
+            coarser = [step for step in SEGMENTS if step[0] < last]
+            segments = [step for step in coarser if last % step[0] == 0]
+            segments.append((last, upto.knot_smoothness))
         elif self._options.points is not None:
-            segments = (
-                (1, KNOT_SMOOTHNESS),
-                (max(self._options.points, 1), KNOT_SMOOTHNESS),
-            )
+            last = max(self._options.points, 1)
+            segments = [(1, KNOT_SMOOTHNESS), (last, KNOT_SMOOTHNESS)]
         vector = np.zeros(problem.columns(1).total)
         before = 1
         for count, kinks in segments:
@@ -336,17 +337,24 @@ class _Finalists:
                 yield refined
 
 
-def _percent(one: Candidate) -> str:
+def _percent(candidate: Candidate) -> str:
     """Return the error left out, mean over the kinds, as a share of the range."""
-    return f"{100.0 * math.exp(one.score):.3g} % of the range"
+    return f"{100.0 * math.exp(candidate.score):.3g} % of the range"
 
 
-def _complexity(one: Candidate) -> float:
+def _complexity(candidate: Candidate) -> float:
     """Return how much a candidate has: halvings of its segments, memories, delay, bend, free slopes."""
-    structure = one.structure
-    parts = [bool(structure.memories), bool(one.basis.delay), bool(one.basis.bend)]
-    free = structure.slopes == "free"
-    return math.log2(structure.segments) + sum(parts) + 2.0 * free
+    basis, structure = candidate.basis, candidate.structure
+    complexity = math.log2(structure.segments)
+    if structure.memories:
+        complexity += 1.0
+    if basis.delay:
+        complexity += 1.0
+    if basis.bend:
+        complexity += 1.0
+    if structure.slopes == "free":
+        complexity += 2.0
+    return complexity
 
 
 # --- the numbers of what was chosen, and its stages ---
@@ -602,10 +610,10 @@ def _response_left_out(logs: Sequence[PreparedLog], taps: int) -> Score:
         gram[np.arange(taps), np.arange(taps)] += (
             DAMPING * np.trace(gram[:taps, :taps]) / taps
         )
-        found = least_squares(gram, rest[:-1, -1])
+        response = least_squares(gram, rest[:-1, -1])
         for table, columns, quarter in tables:
             some = table[quarter == k]
-            left = some[:, -1] - some[:, :-1] @ found[columns]
+            left = some[:, -1] - some[:, :-1] @ response[columns]
             squares[k] += float(left @ left)
             rows[k] += len(left)
     return Score(squares, rows)

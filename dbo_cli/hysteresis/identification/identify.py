@@ -29,7 +29,7 @@ from dbo_cli.hysteresis.identification.evaluation import (
     rated_warnings,
     swapped_warnings,
     validated,
-    validation_of,
+    validations_of,
 )
 from dbo_cli.hysteresis.identification.expectation import Expectation, expect
 from dbo_cli.hysteresis.identification.finalists import best_of, fit, model_of
@@ -111,7 +111,7 @@ def identify_static(
         Nothing trustworthy can be identified.
     """
     notes: list[str] = []
-    cycle = _cycle_seconds(recordings)
+    cycle = median_cycle_seconds(recordings)
     sensor = Sensor.of(options)
     sensor.check(cycle)
     # Where dynamics are looked for, or left out, what swings at the beginning is no
@@ -127,7 +127,7 @@ def identify_static(
     model = model_of(candidate, prepared, logs[0], options.zero, options.gears)
     judged = judge(model, logs, prepared.logs)
     _refuse_straight_line(judged, logs, prepared, options)
-    checks = _validated(model, validation, sensor, options)
+    checks = validations_of(model, validation, sensor, options.skip_seconds)
     choice = replace(choice, basis=finalist.basis, structure=finalist.structure)
     expected = expect(prepared, choice, model, judged)
 
@@ -180,7 +180,7 @@ class _Result:
     @property
     def unit(self) -> str:
         """The displacement's unit as it follows a number."""
-        return f" {self.model.output.unit}" if self.model.output.unit else ""
+        return self.model.output.suffix
 
 
 def _stated(
@@ -196,13 +196,6 @@ def _stated(
     figures["alternatives"] = [other.values() for other in others]
     model = replace(result.model, fit=figures)
     return Identification(model, figures, summary, warnings)
-
-
-def _cycle_seconds(recordings: Sequence[Recording]) -> float | None:
-    """Return the median duration of a cycle, None where a log has no clock."""
-    if any(log.seconds() is None for log in recordings):
-        return None
-    return median_cycle_seconds(recordings)
 
 
 def _refuse_beaten(
@@ -225,19 +218,6 @@ def _refuse_straight_line(
     if judged.rmse > NO_BETTER * judged.line and not options.force:
         why = _no_loop(judged, logs, prepared)
         raise FitError(f"{why} (`force` keeps the model)")
-
-
-def _validated(
-    model: ActuatorModel,
-    validation: Sequence[Recording],
-    sensor: Sensor,
-    options: IdentificationOptions,
-) -> list[Residual]:
-    """Return what the model leaves of logs that took no part in the fit."""
-    return [
-        validation_of(model, sensor.taken_off(log), options.skip_seconds)
-        for log in validation
-    ]
 
 
 def _for_use(result: _Result) -> dict[str, object]:
@@ -390,8 +370,8 @@ def _figures(result: _Result) -> dict[str, object]:
 def _log_figures(result: _Result, place: int) -> dict[str, object]:
     """Return what the model file says of one log."""
     prepared, residual = result.prepared, result.judged.residuals[place]
-    log, transient = prepared.logs[place], prepared.transient_rows[place]
-    start = None if transient or log.stretches else log.start
+    log = prepared.logs[place]
+    start = None if log.transient_rows or log.stretches else log.start
     return {
         "name": residual.name,
         "samples": len(residual.values),
@@ -399,9 +379,9 @@ def _log_figures(result: _Result, place: int) -> dict[str, object]:
         "drift": residual.drift_span,
         "begins_at": float(result.given[place].voltage[0]),
         "start": start,
-        "transient_rows": transient,
-        "outlier_rows": prepared.outlier_rows[place],
-        "clipped_rows": prepared.clipped_rows[place],
+        "transient_rows": log.transient_rows,
+        "outlier_rows": log.outlier_rows,
+        "clipped_rows": log.clipped_rows,
     }
 
 
@@ -514,7 +494,7 @@ def lag_seconds(candidate: Candidate, cycle: float | None) -> float:
 def _summary(figures: Mapping[str, Any], result: _Result) -> list[str]:
     """Lines for the person at the terminal; ``show`` says how well the lag is determined."""
     unit, prepared = result.unit, result.prepared
-    volt = f" {result.model.input.unit}" if result.model.input.unit else ""
+    volt = result.model.input.suffix
     lines = _expected_lines(figures, unit)
     lines += validated(result.checks, result.span, unit)[1]
     lines.append(

@@ -52,18 +52,20 @@ def identify(
     check_recordings(recordings)
     if options.sign is not None:
         _refuse_other_sign(recordings, options.sign)
-    found = _identify_by_method(widest_first(recordings), options, validation, prior)
-    sign: dict[str, object] = {"sign": found.model.sign}
+    result = _identify_by_method(widest_first(recordings), options, validation, prior)
+    sign: dict[str, object] = {"sign": result.model.sign}
     stated: dict[str, object] = {}
     lines: list[str] = []
     if options.scale_uncertainty > 0.0:
-        stated, lines = _stated_gain(found.model, options.scale_uncertainty)
-    model = dataclasses.replace(found.model, fit=sign | dict(found.model.fit) | stated)
+        stated, lines = _stated_gain(result.model, options.scale_uncertainty)
+    model = dataclasses.replace(
+        result.model, fit=sign | dict(result.model.fit) | stated
+    )
     return dataclasses.replace(
-        found,
+        result,
         model=model,
-        fit=sign | found.fit | stated,
-        summary=[*found.summary, *lines],
+        fit=sign | result.fit | stated,
+        summary=[*result.summary, *lines],
     )
 
 
@@ -78,15 +80,15 @@ def _stated_gain(
     span = model.output.span
     gain = span / model.input.span
     shape = model.fit.get("expected_shape_rmse")
-    of_ends = math.sqrt(2.0) * shape / span if isinstance(shape, float) else 0.0
+    of_ends = 0.0
+    if isinstance(shape, float):
+        of_ends = math.sqrt(2.0) * shape / span
     uncertainty = gain * math.hypot(of_ends, percent / 100.0)
     if model.sign == "falling":
         gain = -gain
-    unit = (
-        f" {model.output.unit}/{model.input.unit}"
-        if model.output.unit and model.input.unit
-        else ""
-    )
+    unit = ""
+    if model.output.unit and model.input.unit:
+        unit = f" {model.output.unit}/{model.input.unit}"
     figures: dict[str, object] = {
         "gain": gain,
         "gain_uncertainty": uncertainty,

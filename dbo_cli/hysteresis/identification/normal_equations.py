@@ -15,6 +15,7 @@ wherever it is identified.
 from __future__ import annotations
 
 import contextlib
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -43,8 +44,8 @@ def add_products(table: Floats, columns: int, matrix: Floats) -> None:
     for first in range(0, len(rows), ROWS):
         part = rows[first : first + ROWS]
         products = part[:, :, None] * part[:, None, :]
-        for one in products:
-            matrix += one
+        for of_row in products:
+            matrix += of_row
 
 
 def _solved(matrix: Floats, right: Floats) -> Floats | None:
@@ -104,21 +105,14 @@ def minimise(
     return 0
 
 
-class PythonFit:
-    """The functions of this module under the names that the extension gives its own."""
-
-    add_products = staticmethod(add_products)
-    minimise = staticmethod(minimise)
-
-
 def _choose() -> Any:
-    """Return the extension where the compiled kernel is chosen and it was built, else the functions here."""
+    """Return the extension where the compiled kernel is chosen and it was built, else this module."""
     if kernel.KIND == "compiled":
         with contextlib.suppress(ImportError):
             from dbo_cli.hysteresis import _fit  # type: ignore[attr-defined,unused-ignore]
 
             return _fit
-    return PythonFit
+    return sys.modules[__name__]
 
 
 CHOSEN = _choose()
@@ -401,8 +395,8 @@ def bounded_minimum(
     states[count:] = FREE
     form = np.einsum("ij,jk->ik", np.einsum("ji,jk->ik", both, matrix), both)
     goal = np.einsum("ji,j->i", both, right)
-    found = _least_within(form, goal, states, slice(begin, count), spare)
-    answer: Floats = np.einsum("ij,j->i", both, found)
+    unknowns = _least_within(form, goal, states, slice(begin, count), spare)
+    answer: Floats = np.einsum("ij,j->i", both, unknowns)
     return answer
 
 
@@ -410,15 +404,15 @@ def _least_within(
     matrix: Floats, right: Floats, states: States, widths: slice, spare: float
 ) -> Floats:
     """Return the x of least x'Mx - 2 r'x under the signs of ``states``, its ``widths`` at most ``spare``."""
-    found = _least(matrix, right, states)
-    if float(found[widths].sum()) > spare:
+    x = _least(matrix, right, states)
+    if float(x[widths].sum()) > spare:
         # One inequality is broken, so it holds as an equation where the error is least.
         tied, goal = matrix.copy(), right.copy()
         heavy = TIE * float(np.diagonal(tied)[widths].max())
         tied[widths, widths] += heavy
         goal[widths] += heavy * spare
-        found = _least(tied, goal, states)
-    return found
+        x = _least(tied, goal, states)
+    return x
 
 
 def _least(matrix: Floats, right: Floats, states: States) -> Floats:

@@ -292,8 +292,8 @@ class OutputProblem:
             self.columns(structure.segments), structure.slopes, structure.segments
         )
         guess = unknowns.states(structure.memories) if states is None else states.copy()
-        found = minimum(unknowns.products(gram), unknowns, structure, count, guess)
-        return unknowns.solution(found).vector, guess
+        signed = minimum(unknowns.products(gram), unknowns, structure, count, guess)
+        return unknowns.solution(signed).vector, guess
 
     def penalty(self, vector: Floats, structure: Structure) -> float:
         """Return what the smoothness of slopes and asymmetry adds to the squares."""
@@ -336,12 +336,12 @@ class OutputProblem:
         segments = structure.segments
         gram = self.products(self.table(vector, segments))
         first = len(vector) - self.drift.shape[1]
-        own = slice(first, len(vector))
+        free = slice(first, len(vector))
         rest = np.append(vector, -1.0)
-        rest[own] = 0.0
-        products = np.einsum("ij,j->i", gram[own], rest)
+        rest[free] = 0.0
+        products = np.einsum("ij,j->i", gram[free], rest)
         vector = vector.copy()
-        vector[own] = -least_squares(gram[own, own], products)
+        vector[free] = -least_squares(gram[free, free], products)
         squares = self.squares(vector, segments)
         penalised = squares + self.penalty(vector, structure)
         return Candidate(self.basis, structure, vector, squares, penalised, self.count)
@@ -385,10 +385,10 @@ class OutputProblem:
         ``left_of_all`` is what the candidate, fitted to all rows, leaves of them.
         """
         segments = candidate.structure.segments
-        kept = total - np.add.reduce([grams[k] for k in part.cells])
+        rest = total - np.add.reduce([grams[k] for k in part.cells])
         rows = self.count - len(part.rows)
         try:
-            vector, _ = self.solved(kept, candidate.structure, rows, states)
+            vector, _ = self.solved(rest, candidate.structure, rows, states)
         except FitError:
             vector = candidate.vector
         if segments > 1:
@@ -417,8 +417,8 @@ class OutputProblem:
         for kind, parts in self.kinds.items():
             squares = []
             for part in parts:
-                kept = total - np.add.reduce([grams[k] for k in part.cells])
-                left = _left_by_line(table[part.rows], _line_of(kept))
+                rest = total - np.add.reduce([grams[k] for k in part.cells])
+                left = _left_by_line(table[part.rows], _line_of(rest))
                 squares.append(self._squares_on(part, left))
             errors[kind] = Score.of(squares, [len(part.rows) for part in parts])
         line = _line_of(total)
@@ -443,18 +443,18 @@ class OutputProblem:
             rows = [len(part.rows) for part in parts_of_kind]
             shares += [count / len(parts_of_kind) for count in rows]
         left_out = [np.add.reduce([grams[k] for k in part.cells]) for part in parts]
-        kept = [unknowns.products(total - gram) for gram in left_out]
+        rests = [unknowns.products(total - gram) for gram in left_out]
         errors = []
         for smoothness in tried:
             trial = replace(structure, smoothness=smoothness)
             error = 0.0
             for part, gram, products, share in zip(
-                parts, left_out, kept, shares, strict=True
+                parts, left_out, rests, shares, strict=True
             ):
                 states = unknowns.states(structure.memories)
                 weight = self.count - len(part.rows)
-                found = minimum(products, unknowns, trial, weight, states)
-                vector = unknowns.solution(found).vector
+                signed = minimum(products, unknowns, trial, weight, states)
+                vector = unknowns.solution(signed).vector
                 left = squared_error_free_of(gram, vector, self._own_columns(part))
                 error += share * left / len(part.rows)
             errors.append(error)
@@ -477,14 +477,15 @@ class OutputProblem:
         ``left_of_all`` is what the candidate leaves.
         """
         structure = candidate.structure
-        kept = np.ones(self.count, bool)
-        kept[part.rows] = False
+        fitted_rows = np.ones(self.count, bool)
+        fitted_rows[part.rows] = False
         penalty = self.penalty(candidate.vector, structure)
-        least = _sum_of_squares(left_of_all[kept]) + penalty
+        least = _sum_of_squares(left_of_all[fitted_rows]) + penalty
         for halving in range(HALVINGS + 1):
             trial = candidate.vector + 0.5**halving * (vector - candidate.vector)
             left = self.left_over(trial, structure.segments)
-            if _sum_of_squares(left[kept]) + self.penalty(trial, structure) < least:
+            squares = _sum_of_squares(left[fitted_rows])
+            if squares + self.penalty(trial, structure) < least:
                 return left
         return left_of_all
 
@@ -574,7 +575,7 @@ def _part(
     logs: Sequence[PreparedLog],
 ) -> Part | None:
     """Return one part, or None where it is too small, or most of the logs."""
-    here = np.array([label[cell.start] == k for cell in cells])
+    of_part = np.array([label[cell.start] == k for cell in cells])
     rows = np.flatnonzero(label == k)
     if len(rows) < min(FEWEST_ROWS, len(label) // 20) or len(rows) > 0.85 * len(label):
         return None
@@ -584,10 +585,9 @@ def _part(
         place = int(mine[0])
         only = bool((owners == place).sum() == len(rows))
         end = int(begins[place + 1])
-        nuisance = slice(
-            int(begins[place]) if only else end - logs[place].stretches, end
-        )
-    return Part(np.flatnonzero(here), rows, nuisance)
+        first = int(begins[place]) if only else end - logs[place].stretches
+        nuisance = slice(first, end)
+    return Part(np.flatnonzero(of_part), rows, nuisance)
 
 
 def _line_of(gram: Floats) -> Floats:

@@ -94,7 +94,7 @@ def identify_by_paper(
     drift = np.ones((len(cycle.voltage), 1))
     residual = residual_of(model, again, dataclasses.replace(cycle, drift=drift))
     span = float(np.ptp(log.displacement))
-    checks = [validation_of(model, other, options.skip_seconds) for other in validation]
+    checks = [validation_of(model, check, options.skip_seconds) for check in validation]
     figures: dict[str, object] = {
         "method": "paper",
         "rmse": residual.rmse,
@@ -103,11 +103,11 @@ def identify_by_paper(
         "gears": len(model.backlash.dx),
         "loop_width_percent": loop_width_percent(model),
     }
-    unit = f" {model.output.unit}" if model.output.unit else ""
+    unit = model.output.suffix
     percent = f"{figures['rmse_percent']:.2f} % of the model's range"
     summary = [f"fit RMSE {residual.rmse:.4g}{unit} ({percent}) on one cycle"]
-    found, lines = validated(checks, span, unit)
-    figures |= found
+    of_checks, lines = validated(checks, span, unit)
+    figures |= of_checks
     summary += lines
     return Identification(dataclasses.replace(model, fit=figures), figures, summary, [])
 

@@ -104,6 +104,9 @@ docs/choices.md.
 PROBE_SMOOTHNESS = 1e-9
 """Of free slopes, from which outliers and drift are told. Measured: docs/choices.md."""
 
+# of the longest memory: longer ones are slow, and can stand in for the shortest warm-up
+SLOW = WARM_UPS[0] / LONGEST_MEMORY
+
 LEVEL_MOVES = 0.02
 """Scatter of the cycles' mean levels, of the drive or of a slow memory, over the drive's range, from which
 creep can be told from drift. Measured: docs/choices.md.
@@ -123,7 +126,11 @@ def drift_order(shape: DriveShape, has_clock: bool, moving_level: bool) -> int:
     """Highest order of the drift polynomial that a log of so many cycles can tell from anything else."""
     if not has_clock or shape.cycle_count < CYCLES_PER_ORDER:
         return 0
-    highest = HIGHEST_ORDER if moving_level else 2 if one_amplitude([shape]) else 1
+    highest = 1
+    if moving_level:
+        highest = HIGHEST_ORDER
+    elif one_amplitude([shape]):
+        highest = 2
     return min(highest, shape.cycle_count // CYCLES_PER_ORDER)
 
 
@@ -144,74 +151,76 @@ def with_drift_needed(
     offered = [_Drift(order) for order in range(highest + 1)]
     if highest >= WARMING:
         offered += [_Drift(0, part) for part in WARM_UPS]
-    wanted, doubtful = _wanted(
-        _trials(logs, low, high, offered), _trials(logs, low, high, offered, True)
-    )
-    return [
+    drifts = _tried(logs, low, high, offered)
+    beside_creep = _tried(logs, low, high, offered, creeping=True)
+    wanted, doubtful = _wanted(drifts, beside_creep)
+    with_drift = [
         replace(log, drift=_columns(log)[:, _places(log, wanted)]) for log in logs
-    ], doubtful
+    ]
+    return with_drift, doubtful
 
 
 @dataclass(frozen=True)
 class _Drift:
-    """A polynomial of this order in time, and a warm-up with this time constant (of the log's length)."""
+    """A polynomial of this order in time, and a warm-up with this time constant (of the log's length).
+
+    Once it was tried: the RMS error, the gains of the slow memories together beside it,
+    and the drift's size, the largest of the logs', peak to peak; both in units of the
+    range.
+    """
 
     order: int
     warm_up: float | None = None
+    error: float = 0.0
+    creep: float = 0.0
+    size: float = 0.0
+
+    @property
+    def simple(self) -> bool:
+        """Whether it cannot bend to whatever the model leaves over, as many orders do."""
+        return self.warm_up is not None or self.order == 1
 
 
-@dataclass(frozen=True)
-class _Trial:
-    """A fit with a drift: its RMS error, the gains of the slow memories together, the drift's size.
-
-    The size is the largest of the logs', peak to peak; both in units of the range.
-    """
-
-    error: float
-    creep: float
-    size: float
-
-
-def _evident(trials: dict[_Drift, _Trial]) -> _Drift:
+def _evident(drifts: Sequence[_Drift]) -> _Drift:
     """Return the simplest drift without which the error is evidently larger."""
-    least = min(trial.error for trial in trials.values())
-    return next(
-        one for one, trial in trials.items() if trial.error <= DRIFT_GAIN * least
-    )
+    least = min(drift.error for drift in drifts)
+    return next(drift for drift in drifts if drift.error <= DRIFT_GAIN * least)
 
 
 def _wanted(
-    trials: dict[_Drift, _Trial], creeping: dict[_Drift, _Trial]
+    drifts: Sequence[_Drift], beside_creep: Sequence[_Drift]
 ) -> tuple[_Drift, float]:
     """Return the drift that the logs ask for, and the size of one that could be in the place of creep.
 
-    ``creeping`` has the same fits beside creep that follows the displacement, not the
-    drive. Where the sensor is so good that the two differ by more than its noise, a
-    drift stood in for the difference (0.3 % of the range on a stage that only creeps,
-    in noise of 0.006 %). The highest order bends to whatever the gears leave over, and
-    is no evidence there.
+    The first of ``drifts`` is none. ``beside_creep`` has the same fits beside creep that
+    follows the displacement, not the drive. Where the sensor is so good that the two
+    differ by more than its noise, a drift stood in for the difference (0.3 % of the
+    range on a stage that only creeps, in noise of 0.006 %). The highest order bends to
+    whatever the gears leave over, and is no evidence there.
     """
-    none = _Drift(0)
-    few = {one: trial for one, trial in creeping.items() if one.order < HIGHEST_ORDER}
-    wanted = none if _evident(few) == none else _evident(trials)
-    # A polynomial of many orders bends to whatever the model leaves over.
-    simple = [one for one in trials if one.warm_up is not None or one.order == 1]
-    if wanted == none:
-        simple = [
-            one
-            for one in simple
-            if trials[one].creep <= CREEP_LEFT * trials[none].creep
-        ]
-    best = min(simple, key=lambda one: trials[one].error, default=none)
-    as_good = [
-        one for one in simple if trials[one].error <= AS_GOOD * trials[best].error
-    ]
-    best = min(as_good, key=lambda one: trials[one].creep, default=none)
-    if wanted != none:
-        return (best if trials[best].error < trials[wanted].error else wanted), 0.0
-    if trials[none].error >= INSTEAD_GAIN * trials[best].error:
+    none = wanted = drifts[0]
+    few = [drift for drift in beside_creep if drift.order < HIGHEST_ORDER]
+    if _evident(few) is not few[0]:
+        wanted = _evident(drifts)
+    simple = [drift for drift in drifts if drift.simple]
+    if wanted is none:
+        most = CREEP_LEFT * none.creep
+        simple = [drift for drift in simple if drift.creep <= most]
+    best = _least_creep(simple, none)
+    if wanted is not none:
+        return (best if best.error < wanted.error else wanted), 0.0
+    if none.error >= INSTEAD_GAIN * best.error:
         return best, 0.0
-    return none, trials[best].size if trials[best].size >= DOUBTFUL else 0.0
+    return none, best.size if best.size >= DOUBTFUL else 0.0
+
+
+def _least_creep(drifts: Sequence[_Drift], none: _Drift) -> _Drift:
+    """Return the drift that leaves least creep, of those as good as the best; ``none`` of none."""
+    if not drifts:
+        return none
+    most = AS_GOOD * min(drift.error for drift in drifts)
+    as_good = [drift for drift in drifts if drift.error <= most]
+    return min(as_good, key=lambda drift: drift.creep)
 
 
 def _order(log: PreparedLog) -> int:
@@ -219,23 +228,30 @@ def _order(log: PreparedLog) -> int:
     return int(log.drift.shape[1]) - log.stretches - 1
 
 
+def _warm_ups(log: PreparedLog) -> tuple[float, ...]:
+    """Return the time constants of the warm-ups that a log can tell, as parts of its length."""
+    return WARM_UPS if _order(log) >= WARMING else ()
+
+
 def _columns(log: PreparedLog) -> Floats:
     """Columns of all drifts: the log's own polynomial, warm-ups, offsets of stretches; (samples, columns)."""
-    own = _order(log) + 1
+    terms = _order(log) + 1
     assert log.seconds is not None
-    parts = np.asarray(WARM_UPS if own > WARMING else ()) * float(log.seconds.max())
-    left = np.exp(-log.seconds[:, None] / parts)
-    return np.hstack((log.drift[:, :own], left - left.mean(axis=0), log.drift[:, own:]))
+    taus = np.asarray(_warm_ups(log)) * float(log.seconds.max())
+    left = np.exp(-log.seconds[:, None] / taus)
+    return np.hstack(
+        (log.drift[:, :terms], left - left.mean(axis=0), log.drift[:, terms:])
+    )
 
 
 def _places(log: PreparedLog, drift: _Drift) -> list[int]:
     """Which of a log's columns make up the drift, of no higher order than the log's own."""
-    own = _order(log) + 1
-    warm_ups = WARM_UPS if own > WARMING else ()
-    places = list(range(min(drift.order + 1, own)))
+    terms = _order(log) + 1
+    warm_ups = _warm_ups(log)
+    places = list(range(min(drift.order + 1, terms)))
     if drift.warm_up in warm_ups:
-        places.append(own + warm_ups.index(drift.warm_up))
-    first = own + len(warm_ups)
+        places.append(terms + warm_ups.index(drift.warm_up))
+    first = terms + len(warm_ups)
     return [*places, *range(first, first + log.stretches)]
 
 
@@ -245,11 +261,11 @@ def _time_constants(logs: Sequence[PreparedLog]) -> tuple[float, ...]:
     steps = np.concatenate([np.diff(clock) for clock in clocks])
     least = 2.0 * float(np.median(steps[steps > 0.0]))
     tau = LONGEST_MEMORY * max(float(clock.max()) for clock in clocks)
-    found = []
+    taus = []
     while tau >= least:
-        found.append(tau)
+        taus.append(tau)
         tau /= TIME_CONSTANT_RATIO
-    return tuple(found[::-1])
+    return tuple(taus[::-1])
 
 
 def _scaled(logs: Sequence[PreparedLog]) -> list[PreparedLog]:
@@ -259,39 +275,41 @@ def _scaled(logs: Sequence[PreparedLog]) -> list[PreparedLog]:
     return [replace(log, output=(log.output - bottom) / height) for log in logs]
 
 
-def _trials(
+def _tried(
     logs: Sequence[PreparedLog],
     low: float,
     high: float,
     offered: Sequence[_Drift],
     creeping: bool = False,
-) -> dict[_Drift, _Trial]:
+) -> list[_Drift]:
     """Fit each drift beside all memories, from statistics gathered once.
 
     ``creeping``: also beside memories of the displacement, by the measured one, as
     regressors of each log.
     """
     basis = _trial_basis(low, high, _time_constants(logs))
-    # Of a log much shorter than a memory the memory is its own negative, and explains
-    # whatever is in it.
-    shortest = min(float(log.seconds[-1]) for log in logs if log.seconds is not None)
-    possible = [
-        tau
-        for tau in basis.time_constants
-        if creeping and tau <= LONGEST_MEMORY * shortest
-    ]
-    slow = tuple(
-        tau for tau in possible if tau > WARM_UPS[0] / LONGEST_MEMORY * possible[-1]
-    )
+    slow = _slow_memories(logs, basis) if creeping else ()
     some = _scaled(fewer_rows(logs))
-    together = [
-        replace(log, drift=np.hstack((_columns(log), _crept(log, slow))))
-        for log in some
-    ]
+    together = []
+    for log in some:
+        drift = np.hstack((_columns(log), _crept(log, slow)))
+        together.append(replace(log, drift=drift))
     statistics = gather(together, basis, TRIAL_SEGMENTS)
-    return {
-        drift: _trial(statistics, basis, some, drift, len(slow)) for drift in offered
-    }
+    return [_trial(statistics, basis, some, drift, len(slow)) for drift in offered]
+
+
+def _slow_memories(logs: Sequence[PreparedLog], basis: Basis) -> tuple[float, ...]:
+    """Return the slow time constants that are short enough for each log.
+
+    Of a log much shorter than a memory the memory is its own negative, and explains
+    whatever is in it.
+    """
+    lengths = [float(log.seconds[-1]) for log in logs if log.seconds is not None]
+    longest = LONGEST_MEMORY * min(lengths)
+    possible = [tau for tau in basis.time_constants if tau <= longest]
+    if not possible:
+        return ()
+    return tuple(tau for tau in possible if tau > SLOW * possible[-1])
 
 
 def _trial_basis(
@@ -313,42 +331,38 @@ def _trial(
     logs: Sequence[PreparedLog],
     drift: _Drift,
     crept: int,
-) -> _Trial:
+) -> _Drift:
     """Fit one drift with all memories, the better of growing and falling slopes."""
     gram, rows = statistics.total()
     begin = statistics.columns.total - statistics.columns.drift
-    kept = [np.arange(begin)]
+    parts = [np.arange(begin)]
     tables = []
     for log in logs:
         table, places = _columns(log), _places(log, drift)
         memories = range(table.shape[1], table.shape[1] + crept)
-        kept.append(begin + np.asarray([*places, *memories]))
+        parts.append(begin + np.asarray([*places, *memories]))
         tables.append(table[:, places[1 : len(places) - log.stretches]])
         begin += table.shape[1] + crept
-    chosen = np.concatenate([*kept, [begin]])
+    chosen = np.concatenate([*parts, [begin]])
     gram = gram[np.ix_(chosen, chosen)]
-    columns = replace(statistics.columns, drift=len(chosen) - len(kept[0]) - 1)
+    columns = replace(statistics.columns, drift=len(chosen) - len(parts[0]) - 1)
     everything = tuple(range(len(basis.time_constants)))
-    structures = [
-        Structure(s, everything, TRIAL_SEGMENTS, TRIAL_SMOOTHNESS)
-        for s in ("growing", "falling")
-    ]
-    solutions = [solve(gram, columns, structure, rows) for structure in structures]
-    errors = [squared_error(gram, solution.vector) for solution in solutions]
+    solutions, errors = [], []
+    for slopes in ("growing", "falling"):
+        structure = Structure(slopes, everything, TRIAL_SEGMENTS, TRIAL_SMOOTHNESS)
+        solution = solve(gram, columns, structure, rows)
+        solutions.append(solution)
+        errors.append(squared_error(gram, solution.vector))
     best = solutions[int(np.argmin(errors))]
-    slow = (
-        np.asarray(basis.time_constants)
-        > WARM_UPS[0] / LONGEST_MEMORY * basis.time_constants[-1]
-    )
-    sizes, first = [0.0], 0
-    for place, table in zip(kept[1:], tables, strict=True):
-        sizes.append(
-            float(np.ptp(table @ best.drift[first + 1 : first + 1 + table.shape[1]]))
-        )
-        first += len(place)
-    return _Trial(
-        float(np.sqrt(min(errors) / rows)), float(best.gains[slow].sum()), max(sizes)
-    )
+    taus = np.asarray(basis.time_constants)
+    slow = taus > SLOW * taus[-1]
+    size, first = 0.0, 0
+    for part, table in zip(parts[1:], tables, strict=True):
+        terms = best.drift[first + 1 : first + 1 + table.shape[1]]
+        size = max(size, float(np.ptp(table @ terms)))
+        first += len(part)
+    error = float(np.sqrt(min(errors) / rows))
+    return replace(drift, error=error, creep=float(best.gains[slow].sum()), size=size)
 
 
 PROBE_FOLLOWS = 0.005
@@ -391,9 +405,6 @@ class Prepared:
     high: float
     scale: float
     offset: float
-    transient_rows: tuple[int, ...]
-    outlier_rows: tuple[int, ...]
-    clipped_rows: tuple[int, ...]
     doubtful_drift: float = 0.0
     notes: list[str] = field(default_factory=list)
 
@@ -418,19 +429,19 @@ def clipped_sensor(displacement: Floats, voltage: Floats) -> Booleans:
     moving = np.abs(np.diff(voltage, prepend=voltage[0])) > 0.0
     usual = _steepness(displacement, voltage)
     for extreme in (displacement.min(), displacement.max()):
-        found: list[tuple[int, int]] = []
+        runs_at_extreme: list[tuple[int, int]] = []
         before: list[float] = []
         for begin, end in runs((displacement == extreme) & moving):
             swing = float(np.ptp(voltage[begin:end]))
             if end - begin >= 5 and swing > 0.01 * float(np.ptp(voltage)):
-                found.append((begin, end))
+                runs_at_extreme.append((begin, end))
                 near = slice(max(begin - max((end - begin) // 5, 3), 0), begin + 1)
                 if begin - near.start >= 3:
                     before.append(_steepness(displacement[near], voltage[near]))
-        if found and (
+        if runs_at_extreme and (
             not before or float(np.median(before)) > CLIPPED_STEEPNESS * usual
         ):
-            for begin, end in found:
+            for begin, end in runs_at_extreme:
                 stuck[begin:end] = True
     return stuck
 
@@ -438,7 +449,9 @@ def clipped_sensor(displacement: Floats, voltage: Floats) -> Booleans:
 def _steepness(displacement: Floats, voltage: Floats) -> float:
     """Displacement travelled for each volt travelled."""
     path = float(np.abs(np.diff(voltage)).sum())
-    return float(np.abs(np.diff(displacement)).sum()) / path if path > 0.0 else 0.0
+    if path == 0.0:
+        return 0.0
+    return float(np.abs(np.diff(displacement)).sum()) / path
 
 
 def without_outliers(values: Floats) -> Floats:
@@ -483,13 +496,15 @@ def folds_of(
     samples = len(usable)
     cycle = np.searchsorted(shape.cycles, np.arange(samples), side="right") - 1
     cycle = np.clip(cycle, 0, max(shape.cycle_count - 1, 0))
-    held = np.bincount(cycle[usable], minlength=1)
-    if np.count_nonzero(held) < 3:
+    counts = np.bincount(cycle[usable], minlength=1)
+    if np.count_nonzero(counts) < 3:
         fold = _stretches(usable, min(wanted, 4))
     else:
-        long = cycle == int(held.argmax())
+        long = cycle == int(counts.argmax())
         cut = np.where(
-            long & (held.max() > MOST * held.sum()), _stretches(usable & long, PARTS), 0
+            long & (counts.max() > MOST * counts.sum()),
+            _stretches(usable & long, PARTS),
+            0,
         )
         piece = PARTS * cycle + cut
         present = np.unique(piece[usable])
@@ -515,54 +530,28 @@ def prepare(
         Where too few rows are left.
     """
     low, high = drive_range(recordings) if ends is None else ends
-    shapes = tuple(drive_shape(log.voltage) for log in recordings)
     scale = signed_range(recordings)
     notes: list[str] = []
-    counted = [_usable_rows(log, skip_seconds, at_rest, notes) for log in recordings]
-    usable, transients, outlying, clipped = zip(*counted, strict=True)
-    weights = row_weights([log.uncertainty for log in recordings], usable)
-    _check_weights(weights, usable, notes)
-    logs: list[PreparedLog] = []
-    fold = 0
-    for log, shape, rows, roots in zip(
-        recordings, shapes, usable, weights, strict=True
-    ):
-        seconds = log.seconds()
-        clock = np.arange(len(log.voltage), dtype=float) if seconds is None else seconds
-        order = drift_order(shape, seconds is not None, level_moves(shape, log.voltage))
-        share = max(
-            2,
-            round(
-                FOLDS * len(log.voltage) / sum(len(one.voltage) for one in recordings)
-            ),
-        )
-        folds = folds_of(shape, rows, fold, min(share, FOLDS))
-        fold = int(folds.max()) + 1
-        drift, output = drift_columns(clock, order), log.displacement / scale
-        unopened = PreparedLog(
-            log.name,
-            log.voltage,
-            output,
-            seconds,
-            folds,
-            drift,
-            "settled",
-            weights=roots,
-            rows=log.rows,
-        )
-        logs.append(_with_offsets_behind_gaps(log, unopened, low, high))
+    opened = [_opened(log, scale, skip_seconds, at_rest, notes) for log in recordings]
+    shapes = tuple(drive_shape(log.voltage) for log in recordings)
+    dealt = _dealt(_weighted(opened, recordings, notes), shapes)
+    parts = [
+        _with_offsets_behind_gaps(recording, log, low, high)
+        for recording, log in zip(recordings, dealt, strict=True)
+    ]
     # Where the rows under the unknown history are left out anyway, the start state
     # makes no difference.
-    chosen = [
-        log if cut else _with_history(log, low, high, notes)
-        for log, cut in zip(logs, transients, strict=True)
-    ]
-    moves = (
+    begun = []
+    for log in parts:
+        if not log.transient_rows:
+            log = _with_history(log, low, high, notes)
+        begun.append(log)
+    moves = [
         level_moves(shape, log.voltage)
-        for shape, log in zip(shapes, recordings, strict=True)
-    )
-    logs, doubtful = with_drift_needed(chosen, low, high, not any(moves))
-    flat, outliers = _without_drift_and_spikes(logs, low, high, notes)
+        for shape, log in zip(shapes, begun, strict=True)
+    ]
+    drifting, doubtful = with_drift_needed(begun, low, high, not any(moves))
+    flat = _without_drift_and_spikes(drifting, low, high, notes)
     bottom = min(float(log.output[log.used].min()) for log in flat)
     top = max(float(log.output[log.used].max()) for log in flat)
     ready = tuple(
@@ -575,21 +564,77 @@ def prepare(
         high,
         scale=scale * (top - bottom),
         offset=scale * bottom,
-        transient_rows=transients,
-        outlier_rows=tuple(a + b for a, b in zip(outlying, outliers, strict=True)),
-        clipped_rows=clipped,
         doubtful_drift=doubtful,
         notes=notes,
     )
+
+
+def _opened(
+    recording: Recording,
+    scale: float,
+    skip_seconds: float,
+    at_rest: bool,
+    notes: list[str],
+) -> PreparedLog:
+    """Return a log in units of ``scale`` with the rows that can take part, all in one fold."""
+    voltage, seconds = recording.voltage, recording.seconds()
+    usable, transient = _known_rows(recording, skip_seconds, at_rest, notes)
+    usable, faulty, clipped = _sound_rows(recording, usable, notes)
+    shape = drive_shape(voltage)
+    order = drift_order(shape, seconds is not None, level_moves(shape, voltage))
+    clock = seconds
+    if clock is None:
+        clock = np.arange(len(voltage), dtype=float)
+    return PreparedLog(
+        recording.name,
+        voltage,
+        recording.displacement / scale,
+        seconds,
+        np.where(usable, 0, -1),
+        drift_columns(clock, order),
+        "settled",
+        rows=recording.rows,
+        transient_rows=transient,
+        outlier_rows=faulty,
+        clipped_rows=clipped,
+    )
+
+
+def _weighted(
+    logs: Sequence[PreparedLog], recordings: Sequence[Recording], notes: list[str]
+) -> list[PreparedLog]:
+    """Return the logs with the weights of their rows, by the recordings' uncertainty."""
+    used = [log.used for log in logs]
+    weights = row_weights([recording.uncertainty for recording in recordings], used)
+    _check_weights(weights, used, notes)
+    return [
+        replace(log, weights=roots) for log, roots in zip(logs, weights, strict=True)
+    ]
+
+
+def _dealt(
+    logs: Sequence[PreparedLog], shapes: Sequence[DriveShape]
+) -> list[PreparedLog]:
+    """Return the logs with their cycles dealt into folds, each log in proportion to its rows."""
+    total = sum(len(log.voltage) for log in logs)
+    dealt = []
+    first = 0
+    for log, shape in zip(logs, shapes, strict=True):
+        share = max(2, round(FOLDS * len(log.voltage) / total))
+        folds = folds_of(shape, log.used, first, min(share, FOLDS))
+        first = int(folds.max()) + 1
+        dealt.append(replace(log, fold=folds))
+    return dealt
 
 
 def _check_weights(
     weights: Sequence[Floats | None], used: Sequence[Booleans], notes: list[str]
 ) -> None:
     """Say what the rows' weights come to, or refuse (FitError) where a few rows outweigh all others."""
-    roots = [
-        one[rows] for one, rows in zip(weights, used, strict=True) if one is not None
-    ]
+    roots = []
+    for weights_of_log, rows in zip(weights, used, strict=True):
+        if weights_of_log is not None:
+            roots.append(weights_of_log[rows])
     if not roots:
         return
     together = np.concatenate(roots)
@@ -606,56 +651,74 @@ def _check_weights(
     )
 
 
-def _usable_rows(
-    log: Recording,
-    skip_seconds: float,
-    at_rest: bool,
-    notes: list[str],
-) -> tuple[Booleans, int, int, int]:
-    """Rows of one log that can take part, and how many do not: history unknown, faulty, sensor clipped."""
+def _known_rows(
+    log: Recording, skip_seconds: float, at_rest: bool, notes: list[str]
+) -> tuple[Booleans, int]:
+    """Return the rows whose history is known, and how many at the beginning were left out because it is not.
+
+    Rows that the user skips do not count.
+    """
     samples = len(log.voltage)
-    usable = np.ones(samples, bool)
-    faulty = np.zeros(samples, bool) if log.faulty is None else log.faulty
-    seconds = log.seconds()
-    if skip_seconds > 0.0:
-        if seconds is None:
-            raise FitError(
-                f"{log.name}: `skip` needs a clock: name the time column (`time`) or give `sample_rate`"
-            )
-        usable &= seconds >= skip_seconds
+    usable = _not_skipped(log, skip_seconds)
     skipped = samples - int(usable.sum())
     wiped = first_wiped_row(log.voltage)
-    transient = 0
-    moving = samples - int(np.argmax(log.voltage != log.voltage[0]))
     early = np.arange(samples) < wiped
+    moving = samples - int(np.argmax(log.voltage != log.voltage[0]))
     mostly_known = samples - wiped >= (1.0 - KNOWN_PAST) * moving
     unknown = wiped > skipped and mostly_known
     if unknown and at_rest:
-        unknown = not _predicts_later_rows(log, usable & ~faulty, early)
+        sound = usable if log.faulty is None else usable & ~log.faulty
+        unknown = not _predicts_later_rows(log, sound, early)
+    transient = 0
     if unknown:
         usable &= ~early
         transient = wiped - skipped
-        left_rows = f"rows {log.row(skipped)} to {log.row(wiped - 1)} left out"
         notes.append(
-            f"{log.name}: {left_rows}: before the drive had been at both ends of its range, the actuator's "
-            "history is unknown"
+            f"{log.name}: rows {log.row(skipped)} to {log.row(wiped - 1)} left out: before the drive had "
+            "been at both ends of its range, the actuator's history is unknown"
         )
-    usable = _left_behind_gaps(log, usable, notes)
-    left_out = int((usable & faulty).sum())
-    usable &= ~faulty
-    stuck = clipped_sensor(log.displacement, log.voltage) & usable
-    if stuck.any():
-        usable &= ~stuck
+    return _left_behind_gaps(log, usable, notes), transient
+
+
+def _not_skipped(log: Recording, skip_seconds: float) -> Booleans:
+    """Return the rows from ``skip_seconds`` on."""
+    if skip_seconds <= 0.0:
+        return np.ones(len(log.voltage), bool)
+    seconds = log.seconds()
+    if seconds is None:
+        raise FitError(
+            f"{log.name}: `skip` needs a clock: name the time column (`time`) or give `sample_rate`"
+        )
+    return seconds >= skip_seconds
+
+
+def _sound_rows(
+    log: Recording, usable: Booleans, notes: list[str]
+) -> tuple[Booleans, int, int]:
+    """Return the usable rows that are neither faulty nor clipped, and how many are either.
+
+    Raises
+    ------
+    FitError
+        Too few are left.
+    """
+    faulty = 0
+    if log.faulty is not None:
+        faulty = int((usable & log.faulty).sum())
+        usable = usable & ~log.faulty
+    clipped = clipped_sensor(log.displacement, log.voltage) & usable
+    if clipped.any():
+        usable = usable & ~clipped
         notes.append(
-            f"{log.name}: {int(stuck.sum())} rows left out: the sensor stands at the end of its range while "
-            "the drive moves (clipped); move the sensor or lower its gain and record again"
+            f"{log.name}: {int(clipped.sum())} rows left out: the sensor stands at the end of its range "
+            "while the drive moves (clipped); move the sensor or lower its gain and record again"
         )
     if int(usable.sum()) < FEWEST_ROWS:
         raise FitError(
             f"{log.name}: {int(usable.sum())} usable rows are too few to identify from: record longer, or "
             "skip less"
         )
-    return usable, transient, left_out, int(stuck.sum())
+    return usable, faulty, int(clipped.sum())
 
 
 def _predicts_later_rows(log: Recording, usable: Booleans, early: Booleans) -> bool:
@@ -685,9 +748,9 @@ def _predicts_later_rows(log: Recording, usable: Booleans, early: Booleans) -> b
     errors = np.zeros(2)
     for quarter in range(1, QUARTERS + 1):
         for place, left_out in enumerate(([quarter], [quarter, 0])):
-            kept = [k for k in range(QUARTERS + 1) if k not in left_out]
-            gram = np.sum([statistics.grams[k] for k in kept], axis=0)
-            rows = sum(statistics.rows[k] for k in kept)
+            fitted_folds = [k for k in range(QUARTERS + 1) if k not in left_out]
+            gram = np.sum([statistics.grams[k] for k in fitted_folds], axis=0)
+            rows = sum(statistics.rows[k] for k in fitted_folds)
             try:
                 vector = solve(gram, statistics.columns, structure, rows).vector
             except FitError:
@@ -729,18 +792,20 @@ def _with_offsets_behind_gaps(
     Where a piece does not reach both ends of the log's range, what was in the gap can
     leave an offset in it.
     """
-    own = []
+    offsets = []
     for begin, known, end in pieces_behind_gaps(recording):
         reaches = np.ptp(log.voltage[begin:end]) >= (1.0 - SMALLEST_TURN) * np.ptp(
             log.voltage
         )
         if not reaches and log.used[known:end].any():
-            own.append(
+            offsets.append(
                 (np.arange(len(log.fold)) >= begin) & (np.arange(len(log.fold)) < end)
             )
-    if not own:
+    if not offsets:
         return log
-    opened = replace(log, drift=np.column_stack((log.drift, *own)), stretches=len(own))
+    opened = replace(
+        log, drift=np.column_stack((log.drift, *offsets)), stretches=len(offsets)
+    )
     better = _probe_error(opened, low, high) < MOST * _probe_error(log, low, high)
     return opened if better else log
 
@@ -756,7 +821,7 @@ def _with_history(
     them has an offset of its own.
     """
     starts = [replace(log, start=start) for start in STARTS]
-    errors = [_probe_error(one, low, high) for one in starts]
+    errors = [_probe_error(begun, low, high) for begun in starts]
     best = int(np.argmin(errors))
     if errors[best] >= 0.99 * errors[0]:  # chosen: no evident gain
         best = 0
@@ -786,9 +851,12 @@ def _left_open(log: PreparedLog) -> PreparedLog | None:
     ):
         return None
     # the last stretch's offset is the model's
-    own = (stretch[:, None] == present[:-1]).astype(float)
+    offsets = (stretch[:, None] == present[:-1]).astype(float)
     return replace(
-        log, fold=fold, drift=np.hstack((log.drift, own)), stretches=own.shape[1]
+        log,
+        fold=fold,
+        drift=np.hstack((log.drift, offsets)),
+        stretches=offsets.shape[1],
     )
 
 
@@ -816,70 +884,69 @@ def _probe(log: PreparedLog, low: float, high: float) -> tuple[Statistics, Struc
 
 def _without_drift_and_spikes(
     logs: Sequence[PreparedLog], low: float, high: float, notes: list[str]
-) -> tuple[list[PreparedLog], tuple[int, ...]]:
+) -> list[PreparedLog]:
     """Fit gears and drift once, take the drift out of the outputs, and leave out rows far from the fit."""
-    basis, structure = (
-        _trial_basis(low, high),
-        Structure("free", (), 1, PROBE_SMOOTHNESS),
-    )
-    outliers = np.zeros(len(logs), np.int64)
-    residuals: list[Floats] = []
-    for attempt in range(2):
-        solution, _ = gather(fewer_rows(logs), basis, 1).solved(structure)
-        begin = 0
-        residuals = []
-        drifts = []
-        for log in logs:
-            terms = solution.drift[begin : begin + log.drift.shape[1]]
-            begin += log.drift.shape[1]
-            fitted = log.drift @ terms
-            residual = np.full(len(log.output), np.nan)
-            for first, last, drive in drive_rows(
-                basis, log.voltage, log.seconds, log.start, log.used
-            ):
-                residual[first:last] = (
-                    log.output[first:last]
-                    - drive @ solution.heights
-                    - fitted[first:last]
-                )
-            residuals.append(residual)
-            # the first log keeps its level: the model has it
-            drifts.append(fitted - solution.drift[0])
-        if attempt == 1:
-            break
-        logs, found = _leave_out_spikes(logs, residuals, notes)
-        outliers += found
-        if not found.any():
-            break
+    drifts, residuals = _drift_and_rest(logs, low, high)
+    kept = [
+        _without_spikes(log, residual, notes)
+        for log, residual in zip(logs, residuals, strict=True)
+    ]
+    if any(after is not before for after, before in zip(kept, logs, strict=True)):
+        drifts, _ = _drift_and_rest(kept, low, high)
     flat = [
         replace(log, output=log.output - drift)
-        for log, drift in zip(logs, drifts, strict=True)
+        for log, drift in zip(kept, drifts, strict=True)
     ]
-    return with_folds(flat, [log.fold for log in flat]), tuple(int(n) for n in outliers)
+    return with_folds(flat, [log.fold for log in flat])
 
 
-def _leave_out_spikes(
-    logs: Sequence[PreparedLog], residuals: Sequence[Floats], notes: list[str]
-) -> tuple[list[PreparedLog], Integers]:
-    """Leave out rows that stand far from the fit and from their own neighbours."""
-    kept: list[PreparedLog] = []
-    found = np.zeros(len(logs), np.int64)
-    for place, (log, residual) in enumerate(zip(logs, residuals, strict=True)):
-        used = log.used
-        residual = weighted(residual, log.weights)
-        values = residual[used]
-        centre = float(np.median(values))
-        sigma = OF_NORMAL * float(np.median(np.abs(values - centre)))
-        far = used & (np.abs(residual - centre) > SPIKE_SIGMAS * max(sigma, 1e-12))
-        # No drive turns in a residual: more of them are seen together than in the
-        # displacement itself (three spikes among four rows left 0.6 % of the range).
-        far &= spiked_rows(np.where(used, residual, centre), 3 * SPIKE_WINDOW)
-        if 0 < int(far.sum()) <= MOST_OUTLIERS * int(used.sum()):
-            found[place] = int(far.sum())
-            notes.append(
-                f"{log.name}: {found[place]} outlying rows left out (more than {SPIKE_SIGMAS:g} standard "
-                f"deviations from the fit; first at row {log.row(int(np.argmax(far)))})"
-            )
-            log = replace(log, fold=np.where(far, -1, log.fold))
-        kept.append(log)
-    return kept, found
+def _drift_and_rest(
+    logs: Sequence[PreparedLog], low: float, high: float
+) -> tuple[list[Floats], list[Floats]]:
+    """Fit gears and drift; return the drift of each log, and what both leave (no number where none was made).
+
+    The first log keeps its level: the model has it.
+    """
+    basis = _trial_basis(low, high)
+    structure = Structure("free", (), 1, PROBE_SMOOTHNESS)
+    solution, _ = gather(fewer_rows(logs), basis, 1).solved(structure)
+    drifts = []
+    residuals: list[Floats] = []
+    begin = 0
+    for log in logs:
+        terms = solution.drift[begin : begin + log.drift.shape[1]]
+        begin += log.drift.shape[1]
+        fitted = log.drift @ terms
+        residual = np.full(len(log.output), np.nan)
+        for first, last, drive in drive_rows(
+            basis, log.voltage, log.seconds, log.start, log.used
+        ):
+            without_gears = log.output[first:last] - drive @ solution.heights
+            residual[first:last] = without_gears - fitted[first:last]
+        residuals.append(residual)
+        drifts.append(fitted - solution.drift[0])
+    return drifts, residuals
+
+
+def _without_spikes(
+    log: PreparedLog, residual: Floats, notes: list[str]
+) -> PreparedLog:
+    """Return a log without the rows that stand far from the fit and from their own neighbours."""
+    used = log.used
+    residual = weighted(residual, log.weights)
+    values = residual[used]
+    centre = float(np.median(values))
+    sigma = OF_NORMAL * float(np.median(np.abs(values - centre)))
+    far = used & (np.abs(residual - centre) > SPIKE_SIGMAS * max(sigma, 1e-12))
+    # No drive turns in a residual: more of them are seen together than in the
+    # displacement itself (three spikes among four rows left 0.6 % of the range).
+    far &= spiked_rows(np.where(used, residual, centre), 3 * SPIKE_WINDOW)
+    count = int(far.sum())
+    if not 0 < count <= MOST_OUTLIERS * int(used.sum()):
+        return log
+    notes.append(
+        f"{log.name}: {count} outlying rows left out (more than {SPIKE_SIGMAS:g} standard "
+        f"deviations from the fit; first at row {log.row(int(np.argmax(far)))})"
+    )
+    fold = np.where(far, -1, log.fold)
+    return replace(log, fold=fold, outlier_rows=log.outlier_rows + count)

@@ -31,7 +31,7 @@ from dbo_cli.hysteresis.identification.evaluation import (
     predict,
     rated_warnings,
     validated,
-    validation_of,
+    validations_of,
     with_its_error,
 )
 from dbo_cli.hysteresis.identification.identify import BROKEN, Identification
@@ -88,6 +88,10 @@ class _Moved:
     fitted_gain: float
     fitted_lag: float
 
+    def delay_behind(self, prior: ActuatorModel) -> float:
+        """Return the delay of the refreshed model (s), none below 0."""
+        return max(prior.delay_seconds + self.lag, 0.0)
+
 
 @dataclass(frozen=True)
 class _Log:
@@ -120,23 +124,17 @@ class _Log:
 
     def free_of_drift(self, values: Floats) -> Floats:
         """Return values of the rows that count without offset and drift, weighted."""
-        columns, values = (
-            weighted(self.drift[self.keep], self.weights),
-            weighted(values, self.weights),
-        )
-        free: Floats = (
-            values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
-        )
+        columns = weighted(self.drift[self.keep], self.weights)
+        values = weighted(values, self.weights)
+        terms = np.linalg.lstsq(columns, values, rcond=None)[0]
+        free: Floats = values - columns @ terms
         return free
 
     def products(self, delay: float) -> Floats:
         """Return the products of prediction and measurement, both free of drift; shape (FOLDS, 2, 2)."""
-        table = np.column_stack(
-            [
-                self.free_of_drift(one)
-                for one in (self.late(delay), self.measured[self.keep])
-            ]
-        )
+        predicted = self.free_of_drift(self.late(delay))
+        measured = self.free_of_drift(self.measured[self.keep])
+        table = np.column_stack((predicted, measured))
         return np.array([part.T @ part for part in np.array_split(table, FOLDS)])
 
 
@@ -163,68 +161,57 @@ def refresh(
         raise UsageError(
             "`prior` has a lag, which needs a clock: name the time column (`time`) or give `sample_rate`"
         )
-    cycle = median_cycle_seconds(recordings) if clocked else None
+    cycle = median_cycle_seconds(recordings)
     sensor = Sensor.of(options) or _sensor_of(prior.fit)
     sensor.check(cycle)
+
     notes: list[str] = []
     recordings = [sensor.taken_off(log) for log in recordings]
     recordings = [without_voltage_glitches(log, notes) for log in recordings]
-    mended_logs = [mended(log, notes) for log in recordings]
-    bare = _with_delay(prior, 0.0)
-    rows = [_rows_that_count(log, options.skip_seconds) for log in mended_logs]
-    weights = row_weights([log.uncertainty for log in mended_logs], rows)
-    logs = [
-        _beside(bare, log, keep, roots)
-        for log, keep, roots in zip(mended_logs, rows, weights, strict=True)
-    ]
-    of_shape = _gain_of_shape(prior, logs, recordings)
-    may_hold = not prior.fit.get(OF_OTHERS, False)
-    moved = _moved(
-        logs, prior.delay_seconds, cycle, _own_error(prior), of_shape, may_hold
-    )
-    if moved.gain <= 0.0:
-        raise FitError(
-            f"the displacement runs against the prior's (gain {moved.gain:.3g}): check `voltage` and "
-            "`displacement`"
-        )
-    delay = max(prior.delay_seconds + moved.lag, 0.0)
-    model = _with_delay(_scaled(bare, moved.gain, moved.offset), delay)
-    unit = f" {prior.output.unit}" if prior.output.unit else ""
-    covered = (
-        min(float(log.voltage.min()) for log in recordings),
-        max(float(log.voltage.max()) for log in recordings),
-    )
-    figures = _figures(prior, moved, logs, delay)
+    logs = _beside(prior, recordings, options.skip_seconds, notes)
+    moved = _moved(prior, logs, recordings, cycle)
+    model = _refreshed(prior, moved)
+
+    unit = prior.output.suffix
+    covered = _covered(recordings)
     warnings = _check_shape(prior, logs, moved, unit, options.force)
     warnings += _warnings(prior, logs, moved, unit)
     warnings += rated_warnings(*covered, options.rated)
-    summary = notes + _summary(figures, moved, prior, clocked, covered)
-    checks = [
-        validation_of(model, sensor.taken_off(log), options.skip_seconds)
-        for log in validation
-    ]
-    found, lines = validated(checks, model.output.span, unit)
-    figures |= found
-    summary += lines
+    checks = validations_of(model, validation, sensor, options.skip_seconds)
+    validation_figures, lines = validated(checks, model.output.span, unit)
+    figures = _figures(prior, moved, logs) | validation_figures
+    summary = [*notes, *_summary(figures, moved, prior, clocked, covered), *lines]
     figures["alternatives"] = [
-        _moved_along(one, moved).values() for one in alternatives_of(prior)
+        _moved_along(other, moved).values() for other in alternatives_of(prior)
     ]
     if sensor:
         figures["sensor"] = {"delay": sensor.delay, "lag": sensor.lag}
     figures["warnings"] = list(warnings)
-    return Identification(
-        dataclasses.replace(model, fit=figures), figures, summary, warnings
+    model = dataclasses.replace(model, fit=figures)
+    return Identification(model, figures, summary, warnings)
+
+
+def _covered(recordings: Sequence[Recording]) -> tuple[float, float]:
+    """Return the least and the greatest voltage of the logs."""
+    lowest = min(float(log.voltage.min()) for log in recordings)
+    highest = max(float(log.voltage.max()) for log in recordings)
+    return lowest, highest
+
+
+def _refreshed(prior: ActuatorModel, moved: _Moved) -> ActuatorModel:
+    """Return the prior with the gain, offset and delay that were found."""
+    bare = _with_delay(prior, 0.0)
+    return _with_delay(
+        _scaled(bare, moved.gain, moved.offset), moved.delay_behind(prior)
     )
 
 
 def _sensor_of(fit: Mapping[str, object]) -> Sensor:
     """Return the sensor whose lag was taken off the prior's own logs."""
-    kept = fit.get("sensor")
-    return (
-        Sensor(float(kept["delay"]), float(kept["lag"]))
-        if isinstance(kept, Mapping)
-        else Sensor()
-    )
+    sensor = fit.get("sensor")
+    if not isinstance(sensor, Mapping):
+        return Sensor()
+    return Sensor(float(sensor["delay"]), float(sensor["lag"]))
 
 
 def _rows_that_count(log: Recording, skip_seconds: float) -> Booleans:
@@ -243,28 +230,44 @@ def _rows_that_count(log: Recording, skip_seconds: float) -> Booleans:
 
 
 def _beside(
+    prior: ActuatorModel,
+    recordings: Sequence[Recording],
+    skip_seconds: float,
+    notes: list[str],
+) -> list[_Log]:
+    """Return the logs, their faults mended, beside what the prior predicts without its delay."""
+    bare = _with_delay(prior, 0.0)
+    mended_logs = [mended(log, notes) for log in recordings]
+    rows = [_rows_that_count(log, skip_seconds) for log in mended_logs]
+    weights = row_weights([log.uncertainty for log in mended_logs], rows)
+    return [
+        _from_best_start(bare, log, keep, roots)
+        for log, keep, roots in zip(mended_logs, rows, weights, strict=True)
+    ]
+
+
+def _from_best_start(
     prior: ActuatorModel, log: Recording, keep: Booleans, weights: Floats | None
 ) -> _Log:
     """Return a log beside the prediction from the start that explains it best."""
     seconds = log.seconds()
     roots = None if weights is None else weights[keep]
-    clock = (
-        np.arange(len(keep), dtype=float)
-        if seconds is None
-        else np.maximum.accumulate(seconds)
-    )
+    known: Floats | None = None
+    clock = np.arange(len(keep), dtype=float)
+    if seconds is not None:
+        known = clock = np.maximum.accumulate(seconds)
     order = min(drift_order(drive_shape(log.voltage), seconds is not None, False), 1)
     drift = drift_columns(clock, order)
-    found = []
+    logs, errors = [], []
     for start in STARTS:
         predicted = predict(prior, log, start)
-        known = None if seconds is None else clock
-        one = _Log(
+        beside = _Log(
             log.name, known, predicted, log.displacement, drift, keep, 0.0, roots
         )
-        found.append((_gain_and_error(one.products(0.0).sum(axis=0))[1], one))
-    levels = [float(one.late(0.0).mean()) for _, one in found]
-    best = min(found, key=lambda pair: pair[0])[1]
+        logs.append(beside)
+        errors.append(_gain_and_error(beside.products(0.0).sum(axis=0))[1])
+    levels = [float(beside.late(0.0).mean()) for beside in logs]
+    best = logs[errors.index(min(errors))]
     return dataclasses.replace(best, levels_apart=max(levels) - min(levels))
 
 
@@ -295,44 +298,58 @@ def _own_error(prior: ActuatorModel) -> float:
 
 
 def _moved(
+    prior: ActuatorModel,
     logs: Sequence[_Log],
-    held: float,
+    recordings: Sequence[Recording],
     cycle: float | None,
-    own_error: float,
-    of_shape: float,
-    may_hold: bool,
 ) -> _Moved:
-    """Return gain, offset and change of the lag from ``held`` (s); no change without a clock.
+    """Return gain, offset and change of the prior's lag; no change of it without a clock.
 
     An old number holds unless the log speaks against it by more than it can know: the
-    interval of its own blocks, and what the prior's own error can feign: ``of_shape``
-    of a gain whose swings err apart (``_gain_of_shape``), and ``own_error`` (RMS, of
-    the displacement) where all err alike. Without ``may_hold`` the numbers are those
-    that fit best.
+    interval of its own blocks, and what the prior's own error can feign: that of a gain
+    whose swings err apart (``_gain_of_shape``), and where all err alike. Of a prior that
+    is the shape of others (``OF_OTHERS``) no number is an old one: those that fit best
+    are taken.
+
+    Raises
+    ------
+    FitError
+        The displacement goes the other way.
     """
-    lag, lag_error = (
-        (0.0, 0.0) if cycle is None else _lag(logs, held, LONGEST_DELAY / 2.0 * cycle)
-    )
+    may_hold = not prior.fit.get(OF_OTHERS, False)
+    own_error, delay = _own_error(prior), prior.delay_seconds
+    lag, lag_error = 0.0, 0.0
+    if cycle is not None:
+        lag, lag_error = _lag(logs, delay, LONGEST_DELAY / 2.0 * cycle)
     fitted_lag = lag
     if may_hold and max(log.shifted_by(lag) for log in logs) <= own_error:
         lag = 0.0
-    products = _products(logs, max(held + lag, 0.0))
+    products = _products(logs, max(delay + lag, 0.0))
     total = products.sum(axis=0)
     gain = fitted_gain = _gain_and_error(total)[0]
-    interval = _interval([_gain_and_error(total - one)[0] for one in products])
-    gain_error = math.hypot(interval, of_shape)
+    interval = _interval([_gain_and_error(total - part)[0] for part in products])
+    gain_error = math.hypot(interval, _gain_of_shape(prior, logs, recordings))
     rows = sum(int(log.keep.sum()) for log in logs)
     feigned = own_error / math.sqrt(total[0, 0] / rows)
     gain_holds = may_hold and abs(gain - 1.0) <= max(gain_error, feigned)
     if gain_holds:
         gain = 1.0
-    first = logs[0]
-    apart = first.measured[first.keep] - gain * first.late(max(held + lag, 0.0))
-    weights = None if first.weights is None else first.weights**2
-    offset = float(np.average(apart, weights=weights))
+    offset = _offset(logs[0], gain, max(delay + lag, 0.0))
     if gain_holds and abs(offset) <= own_error:
         offset = 0.0
+    if gain <= 0.0:
+        raise FitError(
+            f"the displacement runs against the prior's (gain {gain:.3g}): check `voltage` and "
+            "`displacement`"
+        )
     return _Moved(gain, gain_error, offset, lag, lag_error, fitted_gain, fitted_lag)
+
+
+def _offset(log: _Log, gain: float, delay: float) -> float:
+    """Return the mean distance of a log from the prediction, by the weights of its rows."""
+    apart = log.measured[log.keep] - gain * log.late(delay)
+    weights = None if log.weights is None else log.weights**2
+    return float(np.average(apart, weights=weights))
 
 
 def _gain_of_shape(
@@ -353,11 +370,11 @@ def _gain_of_shape(
     return WITHIN_STATED * error / math.sqrt(sum(squares) / rows * swings)
 
 
-def _lag(logs: Sequence[_Log], held: float, longest: float) -> tuple[float, float]:
+def _lag(logs: Sequence[_Log], delay: float, longest: float) -> tuple[float, float]:
     """Return the change of the delay (s) that fits best, 0 where it scatters by as much, and its interval."""
     trials = np.linspace(-longest, longest, TRIALS)
     errors = [
-        _gain_and_error(_products(logs, held + at).sum(axis=0))[1] for at in trials
+        _gain_and_error(_products(logs, delay + at).sum(axis=0))[1] for at in trials
     ]
     middle = float(trials[np.clip(int(np.argmin(errors)), 1, TRIALS - 2)])
     step = 2.0 * longest / (TRIALS - 1)
@@ -365,30 +382,28 @@ def _lag(logs: Sequence[_Log], held: float, longest: float) -> tuple[float, floa
     # parabolas over the neighbours, over a quarter of that and a sixteenth
     for _ in range(3):
         around = np.array(
-            [_products(logs, held + middle + at) for at in (-step, 0.0, step)]
+            [_products(logs, delay + middle + at) for at in (-step, 0.0, step)]
         )
-        parts = [
-            step
-            * _vertex([_gain_and_error(one.sum(axis=0) - one[k])[1] for one in around])
-            for k in range(FOLDS)
-        ]
-        middle += step * _vertex(
-            [_gain_and_error(one.sum(axis=0))[1] for one in around]
-        )
+        totals = np.array([each.sum(axis=0) for each in around])
+        parts = [step * _least_at(totals - around[:, k]) for k in range(FOLDS)]
+        middle += step * _least_at(totals)
         step /= 4.0
     error = _interval(parts)
     return (middle if abs(middle) > error else 0.0), error
+
+
+def _least_at(products: Floats) -> float:
+    """Return where, of three delays with these products, the error is least."""
+    return _vertex([_gain_and_error(each)[1] for each in products])
 
 
 def _vertex(errors: Sequence[float]) -> float:
     """Return where the parabola through errors at -1, 0 and 1 is least, at most 1 away."""
     before, at, after = errors
     curvature = before - 2.0 * at + after
-    return (
-        float(np.clip((before - after) / (2.0 * curvature), -1.0, 1.0))
-        if curvature > 0.0
-        else 0.0
-    )
+    if not curvature > 0.0:
+        return 0.0
+    return float(np.clip((before - after) / (2.0 * curvature), -1.0, 1.0))
 
 
 def _scaled(model: ActuatorModel, gain: float, offset: float) -> ActuatorModel:
@@ -410,11 +425,9 @@ def _scaled(model: ActuatorModel, gain: float, offset: float) -> ActuatorModel:
 def _with_delay(model: ActuatorModel, seconds: float) -> ActuatorModel:
     """Return a model with this delay in the place of its own."""
     bare = model.without(model.delay)
-    return (
-        dataclasses.replace(bare, stages=(*bare.stages, DelayStage(seconds)))
-        if seconds > 0.0
-        else bare
-    )
+    if seconds <= 0.0:
+        return bare
+    return dataclasses.replace(bare, stages=(*bare.stages, DelayStage(seconds)))
 
 
 def _moved_along(other: Alternative, moved: _Moved) -> Alternative:
@@ -425,10 +438,11 @@ def _moved_along(other: Alternative, moved: _Moved) -> Alternative:
 
 
 def _figures(
-    prior: ActuatorModel, moved: _Moved, logs: Sequence[_Log], delay: float
+    prior: ActuatorModel, moved: _Moved, logs: Sequence[_Log]
 ) -> dict[str, object]:
     """Return what the prior's file says of its fit, brought up to date; what no longer holds is left out."""
     span = moved.gain * prior.output.span
+    delay = moved.delay_behind(prior)
     parts = [_left_over(log, moved.gain, delay) for log in logs]
     rows = np.array([len(part) for part in parts], dtype=float)
     errors = np.array([float(np.sqrt(np.mean(part**2))) for part in parts])
@@ -453,27 +467,28 @@ def _figures(
         "samples": int(rows.sum()),
         "delay_seconds": delay,
         "delay_interval_seconds": None,
-        "prior": {
-            "gain": moved.gain,
-            "gain_interval": [
-                moved.gain - moved.gain_error,
-                moved.gain + moved.gain_error,
-            ],
-            "offset": moved.offset,
-            "delay_seconds": delay - prior.delay_seconds,
-            "delay_interval_seconds": [
-                moved.lag - moved.lag_error,
-                moved.lag + moved.lag_error,
-            ],
-            "rmse": prior.fit.get("rmse"),
-            "expected_rmse": prior.fit.get("expected_rmse"),
-        },
+        "prior": _change_figures(prior, moved),
         "logs": [
             {"name": log.name, "samples": len(part), "rmse": float(error)}
             for log, part, error in zip(logs, parts, errors, strict=True)
         ],
     }
     return figures
+
+
+def _change_figures(prior: ActuatorModel, moved: _Moved) -> dict[str, object]:
+    """Return by how much the prior's numbers have moved, and its own errors."""
+    gain, gain_error = moved.gain, moved.gain_error
+    lag, lag_error = moved.lag, moved.lag_error
+    return {
+        "gain": gain,
+        "gain_interval": [gain - gain_error, gain + gain_error],
+        "offset": moved.offset,
+        "delay_seconds": moved.delay_behind(prior) - prior.delay_seconds,
+        "delay_interval_seconds": [lag - lag_error, lag + lag_error],
+        "rmse": prior.fit.get("rmse"),
+        "expected_rmse": prior.fit.get("expected_rmse"),
+    }
 
 
 def _parts_of_prior(
@@ -574,7 +589,7 @@ def _summary(
     covered: tuple[float, float],
 ) -> list[str]:
     """Return lines for the person at the terminal."""
-    unit = f" {prior.output.unit}" if prior.output.unit else ""
+    unit = prior.output.suffix
     lag = "no clock, so the lag is the prior's"
     if clocked:
         change = 1e3 * figures["prior"]["delay_seconds"]
@@ -582,7 +597,7 @@ def _summary(
         lag = f"lag {late} ms (within {within_late})"
         if not change:
             lag = f"lag as it was (within {within_late} ms)"
-    drive = f" {prior.input.unit}" if prior.input.unit else ""
+    drive = prior.input.suffix
     ends = prior.input.minimum, prior.input.maximum
     gain, within_gain = with_its_error(moved.gain, moved.gain_error)
     lines = [

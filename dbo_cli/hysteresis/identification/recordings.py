@@ -7,6 +7,7 @@ import math
 import numbers
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,11 +100,19 @@ class Recording:
             self,
             voltage=self.voltage[rows],
             displacement=self.displacement[rows],
-            time=None if self.time is None else self.time[rows],
-            uncertainty=None if self.uncertainty is None else self.uncertainty[rows],
-            rows=None if self.rows is None else self.rows[rows],
-            faulty=None if self.faulty is None else self.faulty[rows],
+            time=_rows_of(self.time, rows),
+            uncertainty=_rows_of(self.uncertainty, rows),
+            rows=_rows_of(self.rows, rows),
+            faulty=_rows_of(self.faulty, rows),
         )
+
+
+Numbers = TypeVar("Numbers", Floats, Integers, Booleans)
+
+
+def _rows_of(values: Numbers | None, rows: slice) -> Numbers | None:
+    """Return the values of some rows, None where the log has none."""
+    return None if values is None else values[rows]
 
 
 METHODS = ("least-squares", "paper")
@@ -256,7 +265,7 @@ class IdentificationOptions:
 
     def check_prior(self) -> None:
         """Refuse what a prior already has (UsageError)."""
-        usual = {one.name: one.default for one in fields(self)}
+        usual = {option.name: option.default for option in fields(self)}
         for name in NOT_WITH_PRIOR:
             if getattr(self, name) != usual[name]:
                 raise UsageError(
@@ -265,7 +274,7 @@ class IdentificationOptions:
 
     def _check_paper(self) -> None:
         """Refuse what the paper's method would have to ignore."""
-        usual = {one.name: one.default for one in fields(self)}
+        usual = {option.name: option.default for option in fields(self)}
         for name in NOT_FOR_PAPER:
             value = getattr(self, name)
             nothing = name in ("relaxation", "delay", "dynamics") and not value
@@ -309,7 +318,8 @@ def _choice(
     name: str, value: object, choices: Sequence[object], other: str = ""
 ) -> None:
     if not any(
-        value is one or (isinstance(value, str) and value == one) for one in choices
+        value is choice or (isinstance(value, str) and value == choice)
+        for choice in choices
     ):
         raise UsageError(
             f"`{name}` {value!r}: is one of {', '.join(map(str, choices))}{other}"
@@ -482,25 +492,27 @@ def pieces_behind_gaps(log: Recording) -> list[tuple[int, int, int]]:
     if seconds is None or not at.size:
         return []
     steps, moves = np.diff(seconds), np.diff(v)
-    most, seen = (_usual_change(values, at) for values in (v, log.displacement))
-    before, after = (
-        np.maximum(at - SPEED_ROWS, 0),
-        np.minimum(at + 1 + SPEED_ROWS, len(v) - 1),
-    )
+    most = _usual_change(v, at)
+    most_measured = _usual_change(log.displacement, at)
+    before = np.maximum(at - SPEED_ROWS, 0)
+    after = np.minimum(at + 1 + SPEED_ROWS, len(v) - 1)
     # how far the drive would have gone on, by its speed before and after
     ways = np.zeros((2, len(at)))
-    for way, first, last in zip(ways, (before, at + 1), (at, after), strict=True):
+    for expected, first, last in zip(ways, (before, at + 1), (at, after), strict=True):
         past = seconds[last] - seconds[first]
-        np.divide((v[last] - v[first]) * steps[at], past, out=way, where=past > 0.0)
+        np.divide(
+            (v[last] - v[first]) * steps[at], past, out=expected, where=past > 0.0
+        )
     turned = np.abs(ways - moves[at]).max(axis=0) > HIDDEN_STEPS * most
     still = np.abs(moves[at]) <= most  # if the displacement was, too
-    turned[still] = np.abs(np.diff(log.displacement)[at[still]]) > seen
+    turned[still] = np.abs(np.diff(log.displacement)[at[still]]) > most_measured
     gaps = (at[turned] + 1).tolist()
     ends = [*gaps, len(v)][1:]
-    return [
-        (begin, begin + first_wiped_row(v[begin:end]), end)
-        for begin, end in zip(gaps, ends, strict=True)
-    ]
+    pieces = []
+    for begin, end in zip(gaps, ends, strict=True):
+        known = begin + first_wiped_row(v[begin:end])
+        pieces.append((begin, known, end))
+    return pieces
 
 
 def _long_steps(log: Recording) -> Integers:
@@ -529,7 +541,9 @@ def _usual_change(values: Floats, long: Integers) -> float:
 
 
 def median_cycle_seconds(recordings: Sequence[Recording]) -> float | None:
-    """Duration in seconds of the cycle in which the logs' middle second lies, None without clock or cycle.
+    """Duration in seconds of the cycle in which the logs' middle second lies.
+
+    None where a log has no clock, or none has a cycle.
 
     Cycles count by their duration: of a drive with many small quick turns, the full
     sweeps say how late an actuator may be.
@@ -537,10 +551,12 @@ def median_cycle_seconds(recordings: Sequence[Recording]) -> float | None:
     durations: list[Floats] = []
     for log in recordings:
         seconds = log.seconds()
+        if seconds is None:
+            return None
         turns = drive_shape(log.voltage).turns
-        if seconds is not None and len(turns) >= 2:
+        if len(turns) >= 2:
             durations.append(2.0 * np.diff(seconds[turns]))
-        elif seconds is not None and len(turns) == 1:
+        elif len(turns) == 1:
             durations.append(np.array([seconds[-1]]))
     if not durations:
         return None
@@ -585,45 +601,39 @@ class FastPart:
 
 def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[FastPart]]:
     """Return the logs without their fast parts, and these; no fast parts where none are to be told."""
+    span = max(float(np.ptp(log.voltage)) for log in recordings)
+    sweeps = [_sweep_beside_more(log, span) for log in recordings]
+    rests, halves = [], []
+    for log, sweep in zip(recordings, sweeps, strict=True):
+        # Beside loops, a sweep's many swings do not make a log a fast one.
+        rest = log if sweep is None else _without(log, sweep.rows)
+        half = _median_half_period(rest, span)
+        if half is None:
+            half = _median_half_period(log, span)
+        rests.append(rest)
+        halves.append(half)
+    slowest = max((half for half in halves if half is not None), default=0.0)
     slow: list[Recording] = []
     fast: list[FastPart] = []
-    span = max(float(np.ptp(log.voltage)) for log in recordings)
-    steps = [grid_step(log) for log in recordings]
-    sweeps = [_longest_sweep(log, span) for log in recordings]
-    # A log that is a sweep from end to end has nothing else to tell the gears from.
-    sweeps = [
-        found
-        if found is None or _without(log, found.rows).voltage.size >= FEWEST_ROWS
-        else None
-        for log, found in zip(recordings, sweeps, strict=True)
-    ]
-    # Beside loops, a sweep's many swings do not make a log a fast one.
-    loops = [
-        log if found is None else _without(log, found.rows)
-        for log, found in zip(recordings, sweeps, strict=True)
-    ]
-    halves = [_median_half_period(rest, span) for rest in loops]
-    halves = [_median_half_period(log, span) if half is None else half
-              for log, half in zip(recordings, halves, strict=True)]  # fmt: skip
-    slowest = max((half for half in halves if half is not None), default=None)
-    for log, step, found, rest, half in zip(
-        recordings, steps, sweeps, loops, halves, strict=True
-    ):
-        if (
-            step is not None
-            and half is not None
-            and slowest is not None
-            and FASTER * half <= slowest
-        ):
-            fast.append(
-                FastPart(log, slice(0, log.voltage.size), step, *_band(log, span, step))
-            )
-        elif found is not None:
-            fast.append(found)
-            slow.append(rest)
-        else:
-            slow.append(log)
+    for log, sweep, rest, half in zip(recordings, sweeps, rests, halves, strict=True):
+        step = grid_step(log)
+        if step is not None and half is not None and FASTER * half <= slowest:
+            lowest, highest = _band(log, span, step)
+            rows = slice(0, log.voltage.size)
+            fast.append(FastPart(log, rows, step, lowest, highest))
+            continue
+        if sweep is not None:
+            fast.append(sweep)
+        slow.append(rest)
     return slow, fast
+
+
+def _sweep_beside_more(log: Recording, span: float) -> FastPart | None:
+    """Return the longest sweep of a log; None where nothing else is left to tell the gears from."""
+    sweep = _longest_sweep(log, span)
+    if sweep is None or _without(log, sweep.rows).voltage.size < FEWEST_ROWS:
+        return None
+    return sweep
 
 
 def grid_step(log: Recording) -> float | None:
@@ -644,7 +654,7 @@ def _longest_sweep(log: Recording, span: float) -> FastPart | None:
     edges = [0, log.voltage.size]
     if grid_step(log) is None:
         edges[1:1] = (_long_steps(log) + 1).tolist()
-    found = []
+    sweeps = []
     for begin, end in itertools.pairwise(edges):
         if end - begin < FEWEST_SWINGS * FEWEST_A_PERIOD // 2:
             continue
@@ -653,8 +663,8 @@ def _longest_sweep(log: Recording, span: float) -> FastPart | None:
         sweep = None if step is None else _sweep(piece, span, step)
         if sweep is not None:
             rows = slice(begin + sweep.rows.start, begin + sweep.rows.stop)
-            found.append(replace(sweep, recording=log, rows=rows))
-    return max(found, key=lambda part: part.rows.stop - part.rows.start, default=None)
+            sweeps.append(replace(sweep, recording=log, rows=rows))
+    return max(sweeps, key=lambda part: part.rows.stop - part.rows.start, default=None)
 
 
 def _swings(voltage: Floats, span: float) -> tuple[Floats, Floats]:
@@ -678,9 +688,9 @@ def _band(log: Recording, span: float, step: float) -> tuple[float, float]:
     rows, _ = _swings(log.voltage, span)
     halves = np.diff(rows)[1:-1] * step
     halves = halves[halves > 0.0]
-    return 0.5 / float(np.quantile(halves, 0.98)), 0.5 / max(
-        float(np.quantile(halves, 0.02)), step
-    )
+    longest = float(np.quantile(halves, 0.98))
+    shortest = max(float(np.quantile(halves, 0.02)), step)
+    return 0.5 / longest, 0.5 / shortest
 
 
 def _sweep(log: Recording, span: float, step: float) -> FastPart | None:
@@ -688,20 +698,15 @@ def _sweep(log: Recording, span: float, step: float) -> FastPart | None:
     rows, levels = _swings(log.voltage, span)
     halves, heights = np.diff(rows), np.abs(np.diff(levels))
     near = np.abs(np.diff(np.log(np.maximum(halves, 1.0)))) <= SMOOTH
+    quick = np.minimum(halves[1:], halves[:-1]) <= FEWEST_A_PERIOD
     small = heights <= SMALL_SWING * span
-    good = (
-        small[1:]
-        & small[:-1]
-        & (near | (np.minimum(halves[1:], halves[:-1]) <= FEWEST_A_PERIOD))
-    )
+    good = small[1:] & small[:-1] & (near | quick)
     first, last = max(runs(good), key=lambda run: run[1] - run[0], default=(0, 0))
     if last - first < FEWEST_SWINGS:
         return None
     periods = 2.0 * step * halves[first : last + 1]
-    fastest, slowest = (
-        float(np.quantile(periods, 0.05)),
-        float(np.quantile(periods, 0.98)),
-    )
+    fastest = float(np.quantile(periods, 0.05))
+    slowest = float(np.quantile(periods, 0.98))
     if slowest < SWEPT * fastest or fastest < FEWEST_A_PERIOD * step * 0.5:
         return None
     wider = round(WIDER * slowest / step)

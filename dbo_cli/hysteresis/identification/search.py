@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
@@ -79,6 +80,7 @@ FINEST_DELAY_STEP = 0.25  # of a sample: what a fit to noisy cycles can tell
 # sample periods
 DELAY_TRIALS = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
 FEWEST_DELAYS = 4  # tried before the trials may end
+FEWEST_WINDOWS = 4  # of a cycle each: fewer means tell nothing of how a level moves
 FAR_BEYOND = 1.5  # times the least squared error; chosen
 
 
@@ -100,11 +102,10 @@ class Choice:
 
 def sample_period(logs: Sequence[PreparedLog]) -> float | None:
     """Median time between samples in seconds, None where a log has no clock."""
-    if any(log.seconds is None for log in logs):
+    clocks = [log.seconds for log in logs if log.seconds is not None]
+    if len(clocks) < len(logs):
         return None
-    steps = np.concatenate(
-        [np.diff(log.seconds) for log in logs if log.seconds is not None]
-    )
+    steps = np.concatenate([np.diff(clock) for clock in clocks])
     moving = steps[steps > 0.0]
     return float(np.median(moving)) if len(moving) else None
 
@@ -120,10 +121,10 @@ def time_constant_grid(
     memories are therefore offered only where they move by a stated share of the range
     once drift is taken off.
     """
-    longest = (
-        max(float(log.seconds[-1]) for log in prepared.logs if log.seconds is not None)
-        * LONGEST_MEMORY
-    )
+    lengths = [
+        float(log.seconds[-1]) for log in prepared.logs if log.seconds is not None
+    ]
+    longest = max(lengths) * LONGEST_MEMORY
     count = max(int(np.log(longest / period) / np.log(TIME_CONSTANT_RATIO)), 0)
     grid = [*(period * TIME_CONSTANT_RATIO**k for k in range(count)), longest]
     fast = [tau for tau in grid if tau <= slowest_lag(cycle)]
@@ -140,7 +141,9 @@ def _moving_slowly(
 ) -> list[float]:
     """Return the memories (by seconds) that, averaged over cycles and freed of drift, move noticeably."""
     moving = np.zeros(len(taus), bool)
-    for log in prepared.logs if taus else ():
+    if not taus:
+        return []
+    for log in prepared.logs:
         if log.seconds is None:
             continue
         used = log.used
@@ -151,7 +154,9 @@ def _moving_slowly(
         _, window, rows = np.unique(
             np.floor(log.seconds[used] / cycle), return_inverse=True, return_counts=True
         )
-        for place in np.flatnonzero(~moving) if len(rows) >= 4 else ():
+        if len(rows) < FEWEST_WINDOWS:
+            continue
+        for place in np.flatnonzero(~moving):
             memory = memories[used, place]
             means = np.bincount(window, memory - drift @ (drift.T @ memory)) / rows
             moving[place] = float(means.std()) > LEVEL_MOVES
@@ -178,24 +183,20 @@ def choose(
     period = sample_period(logs)
     grid: tuple[float, ...] = ()
     if period is not None and cycle is not None:
-        given = options.relaxation
-        grid = (
-            time_constant_grid(prepared, period, cycle)
-            if given is None
-            else tuple(given)
-        )
+        if options.relaxation is None:
+            grid = time_constant_grid(prepared, period, cycle)
+        else:
+            grid = tuple(options.relaxation)
     search = _Search(logs, options, prepared.one_amplitude, len(grid), period, cycle)
     basis = replace(
         usual_basis(prepared.low, prepared.high, grid), delay=options.delay or 0.0
     )
     if options.gears is not None:
-        few = options.gears <= 2 * basis.gears
-        slopes, split = (
-            (options.gears, 1)
-            if few
-            else (basis.gears, -(-options.gears // basis.gears))
-        )
-        basis = replace(basis, gears=slopes, split=split)
+        if options.gears <= 2 * basis.gears:
+            basis = replace(basis, gears=options.gears, split=1)
+        else:
+            split = math.ceil(options.gears / basis.gears)
+            basis = replace(basis, split=split)
     if options.delay is None and period is not None:
         basis = replace(basis, delay=search.evident_delay(basis))
     rule, clockwise = search.direction(basis)
@@ -252,7 +253,9 @@ class _Search:
         self._all = tuple(range(memories))
         self._segments = SEGMENTS
         if one_amplitude:
-            self._segments = tuple(one for one in SEGMENTS if one[1] == KNOT_SMOOTHNESS)
+            self._segments = tuple(
+                step for step in SEGMENTS if step[1] == KNOT_SMOOTHNESS
+            )
         if options.points is not None:
             self._segments = ((max(options.points, 1), KNOT_SMOOTHNESS),)
         self._finest = self._segments[-1][0]
@@ -266,11 +269,9 @@ class _Search:
 
     def _memories(self) -> list[tuple[int, ...]]:
         """Return the choices of memories, simplest first; those that the user gave are not a choice."""
-        return (
-            [self._all]
-            if self._options.relaxation is not None or not self._all
-            else [(), self._all]
-        )
+        if self._options.relaxation is not None or not self._all:
+            return [self._all]
+        return [(), self._all]
 
     def _listed(
         self,
@@ -279,32 +280,33 @@ class _Search:
         smoothness: float = TRIAL_SMOOTHNESS,
     ) -> list[Structure]:
         """Return the list of candidates, simplest first."""
-        return [
-            Structure(slopes, some, segments, smoothness, kinks)
-            for segments, kinks in self._segments
-            for some in memories
-        ]
+        structures = []
+        for segments, kinks in self._segments:
+            for some in memories:
+                structure = Structure(slopes, some, segments, smoothness, kinks)
+                structures.append(structure)
+        return structures
 
     def _best(
         self, basis: Basis, candidates: Sequence[Structure]
     ) -> tuple[Structure, Score]:
         """Return the simplest candidate that is no worse than the best, and its error on data left out."""
         statistics = self._statistics(basis)
-        found: list[tuple[Structure, Score]] = []
+        judged: list[tuple[Structure, Score]] = []
         least = np.inf
         for structure in reversed(candidates):
             # What is left out is predicted no better than what is fitted: most need not
             # be left out at all.
             try:
                 if fitted_rmse(statistics, structure) <= least * (1.0 + INDIFFERENCE):
-                    found.insert(0, (structure, cross_validate(statistics, structure)))
-                    least = min(least, found[0][1].rmse)
+                    judged.insert(0, (structure, cross_validate(statistics, structure)))
+                    least = min(least, judged[0][1].rmse)
             except (
                 FitError
             ):  # one candidate that cannot be solved is no reason to refuse the log
-                if structure == candidates[0] and not found:
+                if structure == candidates[0] and not judged:
                     raise
-        return found[simplest_of([score for _, score in found], self._indifference)]
+        return judged[simplest_of([score for _, score in judged], self._indifference)]
 
     def _least(self, basis: Basis, candidates: Sequence[Structure]) -> float:
         """Return the least error on data left out among candidates; infinite where none can be solved."""
@@ -345,12 +347,14 @@ class _Search:
         ruled, score = self._best(
             basis, self._listed(structure.slopes, [structure.memories])
         )
-        free, other = self._best(basis, self._listed("free", [structure.memories]))
-        if other.rmse >= EARNED * score.rmse or no_worse(score, other):
+        free, free_score = self._best(basis, self._listed("free", [structure.memories]))
+        if free_score.rmse >= EARNED * score.rmse or no_worse(score, free_score):
             return structure.slopes
-        mine, groups = groups_left_out(self._logs, basis, ruled, score.rmse)
-        its, _ = groups_left_out(self._logs, basis, free, other.rmse)
-        return "free" if groups and its < EARNED * mine else structure.slopes
+        groups_error, groups = groups_left_out(self._logs, basis, ruled, score.rmse)
+        free_groups_error, _ = groups_left_out(self._logs, basis, free, free_score.rmse)
+        if groups and free_groups_error < EARNED * groups_error:
+            return "free"
+        return structure.slopes
 
     def evident_delay(self, basis: Basis) -> float:
         """Delay in seconds that is seen at first sight, else 0: with it in the way, all is chosen wrong.
@@ -364,17 +368,19 @@ class _Search:
         """
         rules = ("growing",) if self._one else ("growing", "falling")
         either = [
-            Structure(one, self._all, self._finest, TRIAL_SMOOTHNESS) for one in rules
+            Structure(slopes, self._all, self._finest, TRIAL_SMOOTHNESS)
+            for slopes in rules
         ]
         errors: dict[float, float] = {}
         for step in self._steps_within(DELAY_TRIALS):
-            errors[step] = min(
-                fitted_rmse(self._late(basis, step), one) for one in either
-            )
+            late = self._late(basis, step)
+            errors[step] = min(fitted_rmse(late, structure) for structure in either)
             if _far_beyond(errors[step], errors.values()):
                 break
         best = min(errors, key=lambda step: errors[step])
-        return best * self._period if errors[best] < EARNED * errors[0.0] else 0.0
+        if errors[best] >= EARNED * errors[0.0]:
+            return 0.0
+        return best * self._period
 
     def _steps_within(self, samples: Sequence[float]) -> list[float]:
         """Return the delays, in samples, that are within a quarter of a cycle."""
@@ -394,51 +400,65 @@ class _Search:
         rising and falling drive twice a cycle it cannot follow, and lag and loop width
         are found wrong in its place.
         """
-        listed = self._listed(slopes, [self._memories()[0] if self._one else self._all])
-        found = [(basis, *self._best(basis, listed))]
+        memories = self._memories()[0] if self._one else self._all
+        listed = self._listed(slopes, [memories])
+        structure, score = self._best(basis, listed)
         if self._options.points is not None:
-            return found[0][:2]
-        needed = EARNED * found[0][2].rmse
-        trials = found[0][1], listed[-1]
+            return basis, structure
+        bent, bent_structure, least = self._bent(basis, structure, score, listed)
+        if least.rmse > EARNED * score.rmse or no_worse(score, least):
+            return basis, structure
+        return bent, bent_structure
 
-        def error(bent: Basis) -> float:
-            return min(fitted_rmse(self._statistics(bent), one) for one in trials)
+    def _bent(
+        self,
+        basis: Basis,
+        structure: Structure,
+        score: Score,
+        listed: Sequence[Structure],
+    ) -> tuple[Basis, Structure, Score]:
+        """Return the bend that does best on data left out, of those whose fit is clearly better than without.
+
+        Steps lead to either side while the fit gets better, then half a step from the
+        best; no bend where none of them fits so well. ``structure`` and ``score`` are
+        those without a bend.
+        """
+        trials = structure, listed[-1]
+        tried = [(basis, structure, score)]
+        needed = EARNED * score.rmse
+
+        def fit_error(bent: Basis) -> float:
+            return min(fitted_rmse(self._statistics(bent), trial) for trial in trials)
 
         def attempt(bend: float) -> float:
             bent = replace(basis, bend=bend)
-            left = error(bent)
-            if left <= needed:
-                found.append((bent, *self._best(bent, listed)))
-            return left
+            error = fit_error(bent)
+            if error <= needed:
+                tried.append((bent, *self._best(bent, listed)))
+            return error
 
         for side in (-BEND_STEP, BEND_STEP):
-            errors = [error(basis)]
+            errors = [fit_error(basis)]
             while len(errors) <= BEND_TRIALS and errors[-1] <= min(errors):
                 errors.append(attempt(side * len(errors)))
-        best = min(found, key=lambda item: item[2].rmse)
-        if best[0].bend:
-            for bend in (
-                best[0].bend - BEND_STEP / 2.0,
-                best[0].bend + BEND_STEP / 2.0,
-            ):
-                if abs(bend) < BEND_TRIALS * BEND_STEP:
-                    attempt(bend)
-            best = min(found, key=lambda item: item[2].rmse)
-        return (
-            found[0][:2]
-            if best[2].rmse > needed or no_worse(found[0][2], best[2])
-            else best[:2]
-        )
+        best = min(tried, key=lambda item: item[2].rmse)
+        if not best[0].bend:
+            return best
+        for side in (-BEND_STEP, BEND_STEP):
+            bend = best[0].bend + side / 2.0
+            if abs(bend) < BEND_TRIALS * BEND_STEP:
+                attempt(bend)
+        return min(tried, key=lambda item: item[2].rmse)
 
     def bend_again(self, basis: Basis, structure: Structure) -> Basis:
         """Return the bend, or one of its neighbours, that does best beside the lag."""
         if not basis.bend:
             return basis
-        near = [
-            replace(basis, bend=basis.bend + side * BEND_STEP / 2.0)
-            for side in (0, -1, 1)
-        ]
-        scores = [self._score(one, structure).rmse for one in near]
+        near = []
+        for side in (0, -1, 1):
+            bend = basis.bend + side * BEND_STEP / 2.0
+            near.append(replace(basis, bend=bend))
+        scores = [self._score(bent, structure).rmse for bent in near]
         return near[int(np.argmin(scores))]
 
     def lag(
@@ -453,22 +473,22 @@ class _Search:
         choices = [replace(structure, memories=some) for some in self._memories()]
         if self._cycle is None:
             return basis, choices[0], None
-        found: list[tuple[Basis, Structure, tuple[float, float] | None]] = []
+        tried: list[tuple[Basis, Structure, tuple[float, float] | None]] = []
         # else the fit without any delay was far worse
         if self._options.delay is not None or not basis.delay:
-            found.append((basis, choices[0], None))
-        for one in choices:
-            late, interval = self.delayed(basis, one)
-            found.append((late, one, interval))
-        scores = [self._score(one, other) for one, other, _ in found]
+            tried.append((basis, choices[0], None))
+        for choice in choices:
+            late, interval = self.delayed(basis, choice)
+            tried.append((late, choice, interval))
+        scores = [self._score(late, choice) for late, choice, _ in tried]
         best = simplest_of(scores)
-        if self._one and len(choices) > 1 and best == len(found) - 1:
+        if self._one and len(choices) > 1 and best == len(tried) - 1:
             # Memories make loops, too, at the logs' one frequency.
             short = simplest_of(scores[:-1])
             if not _earned(scores[best], scores[short]):
                 best = short
-        basis, structure, interval = found[best]
-        return basis, structure, interval or found[-len(choices)][2]
+        basis, structure, interval = tried[best]
+        return basis, structure, interval or tried[-len(choices)][2]
 
     def delayed(
         self, basis: Basis, structure: Structure
@@ -500,11 +520,10 @@ class _Search:
             best = min(tried, key=lambda step: tried[step].rmse)
             below = max((step for step in tried if step < best), default=best)
             above = min((step for step in tried if step > best), default=best)
-            between = [
-                (best + step) / 2.0
-                for step in (below, above)
-                if abs(step - best) > FINEST_DELAY_STEP
-            ]
+            between = []
+            for step in (below, above):
+                if abs(step - best) > FINEST_DELAY_STEP:
+                    between.append((best + step) / 2.0)
             if not between:
                 return {step * self._period: score for step, score in tried.items()}
             for step in between:
@@ -530,7 +549,7 @@ class _Search:
         for count in SLOPE_CHOICES[1:]:
             if count * ROWS_PER_SLOPE <= usable:
                 candidates.append(replace(basis, gears=count, split=ALL_GEARS // count))
-        scores = [self._score(one, structure) for one in candidates]
+        scores = [self._score(candidate, structure) for candidate in candidates]
         best = simplest_of(scores, FINE_INDIFFERENCE)
         basis, score = candidates[best], scores[best]
         finer = replace(basis, split=FINER_GEARS * basis.split)
@@ -547,9 +566,11 @@ class _Search:
         if fast - slow < np.log(SPEEDS_APART):
             return False
         count = len(basis.time_constants)
-        other = replace(structure, memories=tuple(range(count, count + len(LENGTHS))))
-        way = self._score(replace(basis, lengths=LENGTHS), other)
-        return _earned(way, score)
+        forgetful = replace(
+            structure, memories=tuple(range(count, count + len(LENGTHS)))
+        )
+        by_way = self._score(replace(basis, lengths=LENGTHS), forgetful)
+        return _earned(by_way, score)
 
     def _score(self, basis: Basis, structure: Structure) -> Score:
         """Return the error on data left out; without bound where the candidate cannot be solved."""
@@ -590,5 +611,5 @@ def _interval(tried: dict[float, Score]) -> tuple[float, float]:
     """Delays whose error is within one standard error (over folds) of the best one's."""
     none = next(iter(tried.values()))
     best = min(tried.values(), key=lambda score: float(score.excess_over(none).mean()))
-    held = [delay for delay, score in tried.items() if no_worse(score, best)]
-    return min(held), max(held)
+    as_good = [delay for delay, score in tried.items() if no_worse(score, best)]
+    return min(as_good), max(as_good)

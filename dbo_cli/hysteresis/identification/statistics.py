@@ -269,13 +269,13 @@ def _wanted_rows(wanted: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
     """Yield (first row, row after the last) of blocks with a wanted row, a few neighbours at a time."""
     edges = np.arange(0, len(wanted), BLOCK_ROWS)
     begin: int | None = None
-    for block, here in enumerate(
+    for block, has_wanted in enumerate(
         [*np.logical_or.reduceat(wanted, edges).tolist(), False]
     ):
-        if begin is not None and (not here or block - begin == JOINED_BLOCKS):
+        if begin is not None and (not has_wanted or block - begin == JOINED_BLOCKS):
             yield begin * BLOCK_ROWS, min(block * BLOCK_ROWS, len(wanted))
             begin = None
-        if here and begin is None:
+        if has_wanted and begin is None:
             begin = block
 
 
@@ -320,16 +320,16 @@ def row_weights(
     count alike.
     """
     alike: list[Floats | None] = [None] * len(uncertainties)
-    present = [one for one in uncertainties if one is not None]
+    present = [deviations for deviations in uncertainties if deviations is not None]
     if len(present) < len(alike):
         return alike
     together = np.concatenate(
-        [one[rows] for one, rows in zip(present, used, strict=True)]
+        [deviations[rows] for deviations, rows in zip(present, used, strict=True)]
     )
     if float(np.ptp(together)) == 0.0:
         return alike
     scale = float(np.mean(together**-2.0)) ** -0.5
-    return [scale / one for one in present]
+    return [scale / deviations for deviations in present]
 
 
 def equal_rows(roots: Floats) -> float:
@@ -357,7 +357,8 @@ class PreparedLog:
     the numbers of the samples in the file, None from 1 on. The last ``stretches`` of
     the drift's columns are offsets of stretches of a history left open, not drift.
     ``weights`` are the roots of the rows' weights, None where all rows count alike. All
-    arrays have shape (samples, ...).
+    arrays have shape (samples, ...). The last three numbers are of rows left out: before
+    their history was known, faulty or far from a fit, and of a clipped sensor.
     """
 
     name: str
@@ -370,6 +371,9 @@ class PreparedLog:
     stretches: int = 0
     weights: Floats | None = None
     rows: Integers | None = None
+    transient_rows: int = 0
+    outlier_rows: int = 0
+    clipped_rows: int = 0
     _lags: dict[object, Floats] = field(default_factory=dict, repr=False, compare=False)
 
     def row(self, index: int) -> int:
@@ -415,9 +419,8 @@ class FoldProducts:
     def total(self, leave_out: int | None = None) -> tuple[Floats, int]:
         """Sum over the folds, all or all but one: the products and the number of rows."""
         keep = [k for k in range(len(self.grams)) if k != leave_out]
-        return np.sum([self.grams[k] for k in keep], axis=0), sum(
-            self.rows[k] for k in keep
-        )
+        gram = np.sum([self.grams[k] for k in keep], axis=0)
+        return gram, sum(self.rows[k] for k in keep)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -474,7 +477,7 @@ class Statistics(FoldProducts):
     ) -> Floats:
         """Return the signed unknowns fitted to all folds but one; ``states`` are a guess."""
         unknowns, folds = self._signed_folds(structure)
-        kept = [k for k in range(len(folds)) if k != fold]
+        others = [k for k in range(len(folds)) if k != fold]
         key = structure.slopes, structure.segments
         if key not in self._without:
             # candidates alike in these follow each other; keeping all took 13 MB more
@@ -482,8 +485,8 @@ class Statistics(FoldProducts):
             self._without[key] = {}
         sums = self._without[key]
         if fold not in sums:
-            sums[fold] = np.add.reduce([folds[k] for k in kept], axis=0)
-        rows = sum(self.rows[k] for k in kept)
+            sums[fold] = np.add.reduce([folds[k] for k in others], axis=0)
+        rows = sum(self.rows[k] for k in others)
         return minimum(sums[fold], unknowns, structure, rows, states.copy())
 
     def solved(self, structure: Structure) -> tuple[Solution, float]:
@@ -496,10 +499,12 @@ class Statistics(FoldProducts):
     def left_out(self, structure: Structure, fold: int, states: States) -> float:
         """Return the sum of squared errors on a fold of a fit to the others; ``states`` are a guess."""
         unknowns, folds = self._signed_folds(structure)
-        found = self._minimum_without(structure, states, fold)
+        signed = self._minimum_without(structure, states, fold)
         moved = unknowns.total - self.columns.total
-        own = slice(self.nuisance[fold].start + moved, self.nuisance[fold].stop + moved)
-        return squared_error_free_of(folds[fold], found, own, 1.0)
+        nuisance = slice(
+            self.nuisance[fold].start + moved, self.nuisance[fold].stop + moved
+        )
+        return squared_error_free_of(folds[fold], signed, nuisance, 1.0)
 
 
 def fewer_rows(
@@ -521,12 +526,12 @@ def fewer_rows(
         logs = [_thinned(log, every) for log in logs]
         total = sum(int(log.used.sum()) for log in logs)
     length = min(BLOCK_ROWS, max(1, limit // 40))
-    kept = []
+    folds = []
     for log in logs:
         stretch = np.arange(len(log.fold)) // length
         chosen = (stretch * GOLDEN_RATIO) % 1.0 < limit / total
-        kept.append(np.where(chosen, log.fold, -1))
-    return with_folds(logs, kept)
+        folds.append(np.where(chosen, log.fold, -1))
+    return with_folds(logs, folds)
 
 
 def with_folds(
@@ -545,12 +550,12 @@ def _thinned(log: PreparedLog, every: int) -> PreparedLog:
     length = 3 * every
     blocks = log.voltage[: len(log.voltage) // length * length].reshape(-1, length)
     begins = length * np.arange(len(blocks))
-    kept = np.zeros(len(log.voltage), bool)
-    kept[
+    chosen = np.zeros(len(log.voltage), bool)
+    chosen[
         np.r_[begins, begins + blocks.argmin(axis=1), begins + blocks.argmax(axis=1)]
     ] = True
-    kept[length * len(blocks) :] = True
-    rows = np.flatnonzero(kept)
+    chosen[length * len(blocks) :] = True
+    rows = np.flatnonzero(chosen)
     seconds = None if log.seconds is None else log.seconds[rows]
     return replace(
         log,
@@ -583,30 +588,44 @@ def gather(logs: Sequence[PreparedLog], basis: Basis, segments: int) -> Statisti
     begin = shared
     for log in logs:
         end = begin + log.drift.shape[1]
-        own = end - begin + shared + 1
-        mine = {
-            int(k): np.zeros((own, own))
-            for k in np.flatnonzero(np.bincount(log.fold[log.used]))
-        }
-        made = drive_rows(
-            basis, log.voltage, log.seconds, log.start, log.used, log.lags(basis)
-        )
-        for first, last, drive in made:
-            output = log.output[first:last]
-            hats = hat_functions(output, segments)
-            table = np.hstack((drive, -hats, log.drift[first:last], output[:, None]))
-            table = weighted(table, log.weights_at(slice(first, last)))
-            for k, part in _runs(log.fold[first:last]):
-                CHOSEN.add_products(table[part], own, mine[k])
-                rows[k] += part.stop - part.start
+        of_log = _products_of_log(log, basis, segments, rows)
         picked = np.ix_(*2 * [np.r_[0:shared, begin:end, size - 1]])
-        for k, gram in mine.items():
+        for k, gram in of_log.items():
             grams[k][picked] += np.triu(gram) + np.triu(gram, 1).T
-            nuisance[k] = slice(begin if len(mine) < 2 else end - log.stretches, end)
+            first = begin
+            if len(of_log) > 1:  # offset and drift are common to the log's folds
+                first = end - log.stretches
+            nuisance[k] = slice(first, end)
         begin = end
     return Statistics(
         columns=columns, grams=tuple(grams), rows=tuple(rows), nuisance=tuple(nuisance)
     )
+
+
+def _products_of_log(
+    log: PreparedLog, basis: Basis, segments: int, rows: list[int]
+) -> dict[int, Floats]:
+    """Return the upper triangles of one log's products by folds, and count the folds' rows in ``rows``.
+
+    The columns are those of gears and memories, of the asymmetry, of the log's own
+    drift, and (last) the target.
+    """
+    folds = np.flatnonzero(np.bincount(log.fold[log.used]))
+    memories = len(basis.time_constants) + len(basis.lengths)
+    own = Columns(basis.gears, memories, segments, log.drift.shape[1])
+    size = own.total + 1
+    products = {int(k): np.zeros((size, size)) for k in folds}
+    for first, last, drive in drive_rows(
+        basis, log.voltage, log.seconds, log.start, log.used, log.lags(basis)
+    ):
+        output = log.output[first:last]
+        hats = hat_functions(output, segments)
+        table = np.hstack((drive, -hats, log.drift[first:last], output[:, None]))
+        table = weighted(table, log.weights_at(slice(first, last)))
+        for k, part in _runs(log.fold[first:last]):
+            CHOSEN.add_products(table[part], size, products[k])
+            rows[k] += part.stop - part.start
+    return products
 
 
 def _runs(fold: Integers) -> Iterator[tuple[int, slice]]:
@@ -736,7 +755,7 @@ def groups_left_out(
     worst, names = cycles**2, []
     for name, grouped in groupings(logs, basis):
         statistics = gather(grouped, basis, structure.segments)
-        found: list[tuple[float, int]] = []
+        errors: list[tuple[float, int]] = []
         for group in range(1, len(statistics.grams)):
             rest, rows = statistics.total(leave_out=group)
             mine = statistics.rows[group]
@@ -746,20 +765,13 @@ def groups_left_out(
                 vector = solve(rest, statistics.columns, structure, rows).vector
             except FitError:
                 continue
-            left = (
-                squared_error_free_of(
-                    statistics.grams[group], vector, statistics.nuisance[group]
-                )
-                / mine
-            )
-            found.append((min(left, (MAX_RATIO * cycles) ** 2), mine))
-        if found:
+            gram, nuisance = statistics.grams[group], statistics.nuisance[group]
+            left = squared_error_free_of(gram, vector, nuisance) / mine
+            errors.append((min(left, (MAX_RATIO * cycles) ** 2), mine))
+        if errors:
             names.append(name)
-            worst = max(
-                worst,
-                sum(error * mine for error, mine in found)
-                / sum(mine for _, mine in found),
-            )
+            squares = sum(error * mine for error, mine in errors)
+            worst = max(worst, squares / sum(mine for _, mine in errors))
     return float(np.sqrt(worst)), tuple(names)
 
 
@@ -768,33 +780,26 @@ def groupings(
 ) -> Iterator[tuple[str, list[PreparedLog]]]:
     """Yield each way to group swings: its name, and the logs with the groups as folds, 0 for none."""
     swings = [swings_of(log, basis) for log in logs]
-    counts = np.concatenate([one.rows for one in swings])
-    speeds = np.repeat(np.concatenate([one.speed for one in swings]), counts)
+    speeds = np.concatenate([np.repeat(of_log.speed, of_log.rows) for of_log in swings])
     slow, fast = np.quantile(speeds, [1 / 3, 2 / 3])
     for name in ("amplitudes", "levels", "speeds"):
-        labels = []
-        for one in swings:
-            small = one.amplitude < LARGE
+        grouped = []
+        any_group = False
+        for log, of_log in zip(logs, swings, strict=True):
             if name == "amplitudes":
-                label = np.where(one.amplitude < SMALL_SWING, 1, 2)
+                groups = np.where(of_log.amplitude < SMALL_SWING, 1, 2)
             elif name == "levels":
                 # thirds of the range
-                label = 1 + np.clip(3.0 * one.level, 0.0, 2.0).astype(np.int64)
+                groups = 1 + np.clip(3.0 * of_log.level, 0.0, 2.0).astype(np.int64)
             else:
-                label = np.where(one.speed < slow, 1, np.where(one.speed > fast, 2, 0))
-            labels.append(np.repeat(np.where(small, label, 0), one.rows))
-        if any(label.any() for label in labels):
-            folds = [
-                np.where(log.used, label, -1)
-                for log, label in zip(logs, labels, strict=True)
-            ]
-            yield (
-                name,
-                [
-                    replace(log, fold=fold)
-                    for log, fold in zip(logs, folds, strict=True)
-                ],
-            )
+                groups = np.where(of_log.speed > fast, 2, 0)
+                groups[of_log.speed < slow] = 1
+            groups[of_log.amplitude >= LARGE] = 0
+            label = np.repeat(groups, of_log.rows)
+            any_group = any_group or bool(label.any())
+            grouped.append(replace(log, fold=np.where(log.used, label, -1)))
+        if any_group:
+            yield name, grouped
 
 
 @dataclass(frozen=True)
