@@ -194,7 +194,7 @@ FAULTS: list[Fault] = [
         MODEL,
         ("slew *= cascade.least_slope(stage)", "slew *= 1.0", "the slew limit holds through points behind the gears"),
         ("y = np.clip(y, limits.v_min, limits.v_max)", "pass", "the range holds to the last bit behind points"),
-        ("0 if state == \"empty\" else 1", "1 if state == \"empty\" else 0",
+        ('drive = low if state == "empty" else high', 'drive = high if state == "empty" else low',
          "the slew limit holds from the first sample on"),
         ("clipped = short and limits is not None and first.at_limit",
          "clipped = False", "a first sample beyond the limits counts as clipped"),
