@@ -40,18 +40,18 @@ class Break:
 
 def record_breaks(time: Floats, signals: Sequence[Floats]) -> list[Break]:
     """Return the breaks that are seen in the record alone: dark beams, and gaps in time."""
-    found = []
+    breaks = []
     for signal in signals:
         for first, behind in dark_parts(signal):
-            found.append(
+            breaks.append(
                 Break(first, behind, f"the beam was interrupted at {time[first]:.6g} s")
             )
     steps = np.diff(time)
     longest = max(_seconds_a_half(time, signals[0]), GAP * float(np.median(steps)))
     for row in np.flatnonzero(steps > longest).tolist():
         why = f"nothing was recorded from {time[row]:.6g} s to {time[row + 1]:.6g} s"
-        found.append(Break(row + 1, row + 1, why))
-    return sorted(found, key=lambda one: (one.first, one.behind))
+        breaks.append(Break(row + 1, row + 1, why))
+    return sorted(breaks, key=lambda gap: (gap.first, gap.behind))
 
 
 def rest_breaks(time: Floats, drive: Floats, signal: Floats) -> list[Break]:
@@ -70,7 +70,7 @@ def rest_breaks(time: Floats, drive: Floats, signal: Floats) -> list[Break]:
     lowest = minimum_filter1d(drive, rows, mode="nearest")
     still = highest - lowest < STILL * volts
     edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
-    found = []
+    breaks = []
     for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         if end - begin < rows:
             continue
@@ -81,8 +81,8 @@ def rest_breaks(time: Floats, drive: Floats, signal: Floats) -> list[Break]:
             during = f"{time[first]:.6g} s to {time[behind - 1]:.6g} s"
             halves = "half a fringe" if passed == 1 else f"some {passed} half fringes"
             why = f"the mirror moved by itself by {halves} while the drive stood still, {during}"
-            found.append(Break(first, behind, why))
-    return found
+            breaks.append(Break(first, behind, why))
+    return breaks
 
 
 def _crossings(signal: Floats) -> Floats:

@@ -78,8 +78,8 @@ def drift_basis(place: Floats, fringes: float) -> Floats:
 def _stiffness(knots: int, factors: int) -> Floats:
     """Return the matrix of the sum of squared differences of neighbouring knots, for several factors."""
     bent = np.diff(np.eye(knots), axis=0)
-    one = bent.T @ bent + 1e-9 * np.eye(knots)
-    return np.asarray(np.kron(np.eye(factors), one), dtype=np.float64)
+    single = bent.T @ bent + 1e-9 * np.eye(knots)
+    return np.asarray(np.kron(np.eye(factors), single), dtype=np.float64)
 
 
 def fit_light(

@@ -51,8 +51,8 @@ def track_quadrature(
     for _ in range(2):
         channels = _channels(first, second, smoothed.phase, weight)
         channels = [
-            Channel(one.signal, one.offset, one.cosine, one.sine, noise, weight)
-            for one, noise in zip(channels, smoothed.noise, strict=True)
+            Channel(light.signal, light.offset, light.cosine, light.sine, noise, weight)
+            for light, noise in zip(channels, smoothed.noise, strict=True)
         ]
         smoothed = smooth(time, channels, smoothed.phase, kinks)
     amplitude = float(np.mean(np.hypot(channels[0].cosine, channels[0].sine)))
@@ -113,11 +113,11 @@ def _channels(
 
 def _angle(channels: list[Channel]) -> Floats:
     """Return the unwrapped phase that both signals give together."""
-    one, two = channels
-    x = one.signal - one.offset
-    y = two.signal - two.offset
-    determinant = one.cosine * two.sine - one.sine * two.cosine
-    cosine = (x * two.sine - y * one.sine) / determinant
-    sine = (y * one.cosine - x * two.cosine) / determinant
+    first, second = channels
+    x = first.signal - first.offset
+    y = second.signal - second.offset
+    determinant = first.cosine * second.sine - first.sine * second.cosine
+    cosine = (x * second.sine - y * first.sine) / determinant
+    sine = (y * first.cosine - x * second.cosine) / determinant
     unwrapped: Floats = np.unwrap(np.arctan2(sine, cosine))
     return unwrapped

@@ -189,10 +189,10 @@ def parts_between(signals: Signals, breaks: Sequence[Break]) -> list[Signals]:
     """Return the parts of a log between breaks; those that are too short to count are left out."""
     parts = []
     begin = 0
-    for one in [*breaks, Break(signals.time.size, signals.time.size, "")]:
-        if one.first - begin >= assessment.FEWEST_ROWS:
-            parts.append(signals.part(begin, one.first))
-        begin = max(begin, one.behind)
+    for gap in [*breaks, Break(signals.time.size, signals.time.size, "")]:
+        if gap.first - begin >= assessment.FEWEST_ROWS:
+            parts.append(signals.part(begin, gap.first))
+        begin = max(begin, gap.behind)
     return parts
 
 
@@ -215,14 +215,14 @@ def displacements(
         else [signals.signal, signals.quadrature]
     )
     breaks = record_breaks(signals.time, both)
-    why = [one.why for one in breaks]
+    why = [gap.why for gap in breaks]
     made: list[Displacement] = []
     for part in parts_between(signals, breaks):
         counted, rests = _counted(
             part, options, name, part.time.size == signals.time.size, remarks
         )
         made += counted
-        why += [one.why for one in rests]
+        why += [gap.why for gap in rests]
     if not made:
         raise InputError(f"{name}: {'; '.join(why)}, and no part is long enough")
     return made, why
@@ -398,8 +398,8 @@ def write_displacement(
             )
     if options.scale_uncertainty > 0.0:
         known = f"a fringe of {1000.0 * fringe:.6g} nm is known to {options.scale_uncertainty:g} %"
-        said = f"identify --scale-uncertainty {options.scale_uncertainty:g} states it with the gain"
-        remarks.note([f"{known}, which no row's standard deviation contains: {said}"])
+        remedy = f"identify --scale-uncertainty {options.scale_uncertainty:g} states it with the gain"
+        remarks.note([f"{known}, which no row's standard deviation contains: {remedy}"])
     return remarks
 
 
