@@ -112,8 +112,7 @@ class Remarks:
         self.warnings.append(text)
 
 
-# --- names, units and paths of any bytes as text that is safe to show
-# ------------------------------
+# --- names, units and paths of any bytes as text that is safe to show ---
 
 # C0 and C1 controls (among them the escape that begins a terminal's commands), the
 # marks that turn the direction of writing round, and halves of surrogate pairs, which

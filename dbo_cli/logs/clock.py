@@ -53,8 +53,7 @@ from dbo_cli.logs.units import (
     time_unit,
 )
 
-# --- what a file states
-# -----------------------------------------------------------------------------------
+# --- what a file states ---
 
 _WORDS = frozenset(word for word in UNIT_OF if len(word) > 1) - {
     "min",
@@ -368,8 +367,7 @@ def _factor(kind: str, unit: str) -> float | None:
     return size.denominator / size.numerator
 
 
-# --- the time column
-# -------------------------------------------------------------------------------------
+# --- the time column ---
 
 DATE = "the date"  # the place among the roles of the column of dates beside clock times
 

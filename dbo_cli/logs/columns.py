@@ -307,8 +307,7 @@ def column_wish(
     )
 
 
-# --- headers
-# -----------------------------------------------------------------------------------------
+# --- headers ---
 
 
 def split_header(header: str) -> tuple[str, str | None]:
@@ -1108,8 +1107,7 @@ def is_order(column: Column, wish: ColumnWish) -> bool:
     return bool(_ORDERS & set(_words(column.name)))
 
 
-# --- columns that are written
-# ---------------------------------------------------------------------------
+# --- columns that are written ---
 
 
 def header_of(column: Column) -> str:

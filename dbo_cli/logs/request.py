@@ -289,8 +289,7 @@ def without_folder(selector: str) -> str:
     return f"{os.path.basename(path)}::{rest}"
 
 
-# --- how a log is to be read
-# -----------------------------------------------------------------------------
+# --- how a log is to be read ---
 
 Rows = tuple[int, int | None]
 """The first and the last data row that take part, counted from 1; None: to the end."""
@@ -567,8 +566,7 @@ def _is_pair_of_rows(pair: object) -> TypeGuard[Rows]:
     return type(pair[0]) is int and type(pair[1] or 1) is int
 
 
-# --- what a reader of a format is given
-# ------------------------------------------------------------------
+# --- what a reader of a format is given ---
 
 CHANGED = "the file changed while it was read: read it when its writer is done, or read a copy"
 
@@ -681,8 +679,7 @@ def brief(problem: BaseException) -> str:
     return text
 
 
-# --- compiled libraries and the process they run in
-# ------------------------------------------------
+# --- compiled libraries and the process they run in ---
 #
 # Some of them change what belongs to the whole process: polars puts a handler of its own
 # before Python's, and the libraries behind Parquet and workbooks write pages to standard

@@ -135,8 +135,7 @@ def _open_hdf5(request: Request) -> Table:
     return open_hdf5(request)
 
 
-# --- what a run needs of a log
-# ------------------------------
+# --- what a run needs of a log ---
 
 
 @dataclass(eq=False)
@@ -252,8 +251,7 @@ def remarks_of(source: Source) -> Remarks:
     return remarks
 
 
-# --- the log
-# -----------------------------------------------------------------------------------------
+# --- the log ---
 
 
 class SignalLog(Source):
@@ -682,8 +680,7 @@ def _scales_by_role(
     return scales
 
 
-# --- where a model comes from
-# ------------------------------------------------------------------------
+# --- where a model comes from ---
 
 
 def file_sha256(path: str) -> str:

@@ -254,8 +254,7 @@ def _comment(attributes: Mapping[str, str | float]) -> str:
     return f"# {cleaned('; '.join([program_version_string(), *stated]))}\n"
 
 
-# --- rows as text
-# ---------------------------------------------------------------------------------------
+# --- rows as text ---
 
 
 def header_cell(text: str, delimiter: str) -> str:

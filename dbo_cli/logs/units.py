@@ -385,8 +385,7 @@ def parse_scale(text: str) -> Scale:
     return Scale(match["role"].lower(), factor, *units)
 
 
-# --- units of time
-# ---------------------------------------------------------------------------------------
+# --- units of time ---
 
 FACTORS = {
     "s": ONE, "ms": UnitFactor(1, 10**3), "us": UnitFactor(1, 10**6), "ns": UnitFactor(1, 10**9),

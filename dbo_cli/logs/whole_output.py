@@ -33,8 +33,7 @@ from dbo_cli.logs.request import Address, Given, host, parse_address
 if TYPE_CHECKING:
     from dbo_cli.logs.sample_block import Column, FloatArray
 
-# --- which file an output is
-# ------------------------------------------------------------------------
+# --- which file an output is ---
 
 # Linux' names of open files, and the names that ``partial_path`` gives.
 _DESCRIPTOR = re.compile(
@@ -244,8 +243,7 @@ def _check_descriptor(path: str, descriptor: int) -> None:
         sys.stdout.flush()
 
 
-# --- temporary names
-# ------------------------------------------------------------------------------
+# --- temporary names ---
 
 
 def partial_path(target: str) -> str:
@@ -326,8 +324,7 @@ def _is_locked(path: str) -> bool:
         os.close(handle)
 
 
-# --- outputs under temporary names, and their renames
-# -----------------------------------------------
+# --- outputs under temporary names, and their renames ---
 
 _ERRNO = re.compile(
     r"(?:errno = |os error )(\d+)"

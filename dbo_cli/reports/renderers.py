@@ -124,7 +124,8 @@ def no_formula(name: str) -> str:
 
 def to_text(report: Report) -> str:
     """Return one sentence and tables of at most 80 columns, four significant digits, for a terminal."""
-    errors, left = log_tables(report)
+    errors = _columns_of_errors(report)
+    left = _columns_of_what_is_left(report)
     parts = ["\n".join(wrapped(line)) for line in verdict_lines(report)]
     parts += ["\n".join(wrapped(headline(report)))]
     parts += ["\n".join(wrapped(line)) for line in expected_lines(report)]
@@ -229,17 +230,19 @@ class Column(NamedTuple):
     cell: Callable[[Any], str]
 
 
-def log_tables(report: Report) -> tuple[list[Column], list[Column]]:
-    """Return the columns of both tables of logs: their errors, and the loop and the lag that are left."""
+NAME = Column("log", "Log", lambda log: str(log.name))
+
+
+def _columns_of_errors(report: Report) -> list[Column]:
+    """Return the columns of the table of errors; some are there only where their figures are known."""
     unit = _unit(report, " ({})")
-    name = Column("log", "Log", lambda log: str(log.name))
-    errors = [
-        name,
+    columns = [
+        NAME,
         Column("samples", "Samples", lambda log: str(log.figures.samples)),
         *_errors(report, 4),
     ]
     if any(log.expected is not None for log in report.logs):
-        errors.insert(
+        columns.insert(
             4,
             Column(
                 "% range",
@@ -251,13 +254,19 @@ def log_tables(report: Report) -> tuple[list[Column], list[Column]]:
         expected = Column(
             "expected", f"Expected{unit}", lambda log: digits(log.expected_rmse)
         )
-        errors.insert(3, expected)
+        columns.insert(3, expected)
     if len(report.logs) > 1:
-        errors.append(
+        columns.append(
             Column("ratio", "Times the first", lambda log: digits(log.ratio_to_first))
         )
-    return errors, [
-        name,
+    return columns
+
+
+def _columns_of_what_is_left(report: Report) -> list[Column]:
+    """Return the columns of the table of loop and lag."""
+    unit = _unit(report, " ({})")
+    return [
+        NAME,
         Column(
             "loop left",
             f"Hysteresis left{unit}",
@@ -447,7 +456,8 @@ def to_html(
     """
     report = replace(report, unit=shown_unit(report.unit) or None)
     sentence = " ".join(map(breakable, headline(report).split()))
-    errors, left = log_tables(report)
+    errors = _columns_of_errors(report)
+    left = _columns_of_what_is_left(report)
     together = drawn_figures(comparison_plots, "all")
     parts = [_html_verdict(report), f'<p class="headline">{sentence}.</p>']
     parts += [f"<p>{escape(line)}.</p>" for line in expected_lines(report)]

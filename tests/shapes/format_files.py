@@ -87,7 +87,7 @@ def rows(mark: str = ",", columns: tuple[Any, ...] = (T, V, D), tail: str = "") 
     return [mark.join(f"{value:.6g}" for value in row) + tail for row in zip(*columns, strict=True)]
 
 
-# --- what libraries write ------------------------------------------------------------------------------------
+# --- what libraries write ---
 
 
 def numpy_file(array: Any) -> Callable[[Path], None]:

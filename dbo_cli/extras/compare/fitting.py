@@ -434,30 +434,25 @@ def fit(
     )
     if relative.kind == "rate-plays":
         design = replace(design, fastest=_fastest(logs, design))
-    falls = (
-        (False,) if relative.kind == "one-sided-plays" or plays == 1 else (False, True)
-    )
-    period, longest = (
-        search.sample_period(prepared.logs) or 1.0,
-        LONGEST_DELAY * (cycle or 0.0),
-    )
+    period = search.sample_period(prepared.logs) or 1.0
+    longest = LONGEST_DELAY * (cycle or 0.0)
     # without a clock 0 alone
     trials = [step for step in DELAY_TRIALS if step * period <= longest]
-    ways = [
-        (*best_delay(logs, replace(design, falling=fall), trials, period), fall)
-        for fall in falls
-    ]
-    delay, _, falling = min(ways, key=lambda trial: trial[1])
-    design = replace(design, delay=delay, falling=falling)
+    delay, error = best_delay(logs, design, trials, period)
+    design = replace(design, delay=delay)
+    if relative.kind != "one-sided-plays" and plays > 1:
+        falling = replace(design, falling=True)
+        delay_falling, error_falling = best_delay(logs, falling, trials, period)
+        if error_falling < error:
+            delay = delay_falling
+            design = replace(falling, delay=delay)
     # thinned rows alone tell the delay less well
     if trials[1:] and logs[0] is not prepared.logs[0]:
         near = [max(delay / period + step, 0.0) for step in (-1.0, 0.0, 1.0)]
-        design = replace(
-            design, delay=best_delay(prepared.logs, design, near, period)[0]
-        )
-    design = _simplest(
-        logs, [replace(design, segments=count) for count in relative.segments]
-    )
+        delay, _ = best_delay(prepared.logs, design, near, period)
+        design = replace(design, delay=delay)
+    curves = [replace(design, segments=count) for count in relative.segments]
+    design = _simplest(logs, curves)
     usable = sum(int(log.used.sum()) for log in logs)
     counts = [
         count for count in relative.plays if count * search.ROWS_PER_SLOPE <= usable

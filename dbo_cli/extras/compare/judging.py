@@ -140,13 +140,10 @@ def compare(
     cycle = median_cycle_seconds(recordings)
     judged = skip_seconds if judged_from is None else judged_from
     judge = _Judge(mended, ready, validation, judged, timed)
-    fits: dict[str, tuple[str, Callable[[], ActuatorModel]]] = {
-        relative.name: (
-            relative.words,
-            partial(fit, relative, ready, judge.recordings, cycle),
-        )
-        for relative in RELATIVES
-    }
+    fits: dict[str, tuple[str, Callable[[], ActuatorModel]]] = {}
+    for relative in RELATIVES:
+        fitted = partial(fit, relative, ready, judge.recordings, cycle)
+        fits[relative.name] = relative.words, fitted
     # a mere line is compared, too
     options = IdentificationOptions(skip_seconds=skip_seconds, force=True)
     identified = cache(lambda: identify(recordings, options).model)
@@ -159,12 +156,15 @@ def compare(
 
 def _same_stages(dbo: ActuatorModel) -> RelativeModel:
     """Return the DBO's own model with plays in the place of its gears; nothing is fitted again."""
-    model, figures = (
-        with_plays(dbo),
-        {key: dbo.fit[key] for key in SHARED if key in dbo.fit},
-    )
-    figures |= {"method": SAME_STAGES, "operator": SAME_WORDS, "plays": model.plays.n}
-    return dataclasses.replace(model, fit=figures | {"parameters": _parameters(dbo)})
+    model = with_plays(dbo)
+    figures = {key: dbo.fit[key] for key in SHARED if key in dbo.fit}
+    figures |= {
+        "method": SAME_STAGES,
+        "operator": SAME_WORDS,
+        "plays": model.plays.n,
+        "parameters": _parameters(dbo),
+    }
+    return dataclasses.replace(model, fit=figures)
 
 
 @dataclass(frozen=True)
@@ -196,26 +196,33 @@ class _Judge:
         checks = [
             validation_of(model, log, self.skip_seconds) for log in self.validation
         ]
-        expected_rmse, ratio = (
-            model.fit.get("expected_rmse"),
-            model.fit.get("left_out_ratio"),
-        )
+        stated = model.fit.get("expected_rmse")
+        ratio = model.fit.get("left_out_ratio")
+        expected = None
         if ratio is not None:
-            expected_rmse = rmse * float(str(ratio))
-        expected = None if expected_rmse is None else float(str(expected_rmse))
+            expected = rmse * float(str(ratio))
+        elif stated is not None:
+            expected = float(str(stated))
         if isinstance(model, RelativeModel):
             model = dataclasses.replace(
                 model, fit=self._figures(model, rmse, expected, checks)
             )
-        errors = rmse, expected, _pooled(checks) if checks else None
-        forward, inverse = self._times(model) if self.timed else (None, None)
-        cost = seconds if self.timed and name != SAME_STAGES else None, forward, inverse
+        validated = _pooled(checks) if checks else None
+        fit_seconds = forward = inverse = None
+        if self.timed:
+            forward, inverse = self._times(model)
+        if self.timed and name != SAME_STAGES:
+            fit_seconds = seconds
         return Row(
             name,
             words,
-            *errors,
+            rmse,
+            expected,
+            validated,
             _parameters(model),
-            *cost,
+            fit_seconds,
+            forward,
+            inverse,
             self._round_trip(model),
             None,
             model,
@@ -238,16 +245,18 @@ class _Judge:
                 {"name": check.name, "samples": len(check.values), "rmse": check.rmse}
                 for check in checks
             ]
-        return {
-            key: value for key, value in model.fit.items() if key != "left_out_ratio"
-        } | figures
+        values = dict(model.fit)
+        values.pop("left_out_ratio", None)
+        return values | figures
 
     def _step(self, model: ActuatorModel) -> float | None:
         """Return the time step (s) of the first log, where a model needs one."""
         if not model.needs_time:
             return None
         clock = self.recordings[0].seconds()
-        steps = np.diff(clock) if clock is not None else np.array([1.0])
+        if clock is None:
+            return 1.0
+        steps = np.diff(clock)
         return float(np.median(steps[steps > 0.0]))
 
     def _times(self, model: ActuatorModel) -> tuple[float, float | None]:
@@ -263,7 +272,8 @@ class _Judge:
 
     def _time(self, model: ActuatorModel, signal: Floats) -> float:
         step = self._step(model)
-        start, fastest = model.start(float(signal[0])), math.inf
+        start = model.start(float(signal[0]))
+        fastest = math.inf
         for _ in range(TIMED_RUNS):
             begun = processor_ns()
             model.simulate(signal, start, time_step=step)
@@ -291,7 +301,8 @@ def _parameters(model: ActuatorModel) -> int:
         return int(str(fit["parameters"]))
     memories = fit.get("relaxation_seconds")
     count = int(str(fit["different_slopes"])) + max(int(str(fit["points"])) - 1, 0) + 1
-    count += len(memories) if isinstance(memories, list) else 0
+    if isinstance(memories, list):
+        count += len(memories)
     count += bool(fit.get("drive_bend")) + bool(fit.get("delay_seconds"))
     if model.dynamics is not None:
         count += sum(

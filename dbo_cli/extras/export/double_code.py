@@ -63,7 +63,7 @@ def double_code(plan: CascadePlan, lookup: bool) -> c.ModelCode:
     ModelError
         There are too many gears for such a table.
     """
-    parts, delay = _Parts(), ""
+    parts = _Parts()
     _gears(plan, parts, lookup)
     _memory_free(plan, parts)
     memory = [f"double memory[{plan.terms}];"] if plan.terms else []
@@ -82,18 +82,8 @@ def double_code(plan: CascadePlan, lookup: bool) -> c.ModelCode:
     members = [*parts.members, *memory]
     if parts.segments:
         members.append(f"size_t segments[{parts.segments}];")
-    if plan.delay_samples is not None:
-        whole, part = plan.delay_samples
-        if plan.delay_is_smooth:
-            more, delay = c.smooth_delay_line(
-                whole, c.hex_double(1.0 - part), "double", ""
-            )
-        else:
-            between = "later"
-            if part:
-                between = f"later + {c.hex_double(part)} * (earlier - later)"
-            more, delay = c.delay_line(whole, "double", between)
-        members += more
+    more, delay = _delay_line(plan)
+    members += more
     dynamics = plan.model.dynamics is not None
     spare = plan.spare_words(64)
     covered = plan.model.covered_gears
@@ -125,6 +115,19 @@ def double_code(plan: CascadePlan, lookup: bool) -> c.ModelCode:
     return c.ModelCode(
         "double", members, "double.c", values, _vectors(plan), used, parts.size, {}
     )
+
+
+def _delay_line(plan: CascadePlan) -> tuple[list[str], str]:
+    """Return the members of a delay line and its statements; nothing where there is no delay."""
+    if plan.delay_samples is None:
+        return [], ""
+    whole, part = plan.delay_samples
+    if plan.delay_is_smooth:
+        return c.smooth_delay_line(whole, c.hex_double(1.0 - part), "double", "")
+    between = "later"
+    if part:
+        between = f"later + {c.hex_double(part)} * (earlier - later)"
+    return c.delay_line(whole, "double", between)
 
 
 # ---- the gears

@@ -376,13 +376,19 @@ def export_set(
         )
     files = _set_files(made, name)
     listed = [*sorted(files), project.MANIFEST]
+    channels = {}
+    for channel, translation in made.items():
+        summary = asdict(translation.summary)
+        channels[channel] = {
+            key: value for key, value in summary.items() if key not in _OF_THE_SET
+        }
     figures = {
-        "name": name, "direction": direction, "arithmetic": arithmetic, "files": listed,
-        "channels": {
-            channel: {key: value for key, value in asdict(member.summary).items() if key not in _OF_THE_SET}
-            for channel, member in made.items()
-        },
-    }  # fmt: skip
+        "name": name,
+        "direction": direction,
+        "arithmetic": arithmetic,
+        "files": listed,
+        "channels": channels,
+    }
     project.write_folder(folder, files, figures, overwrite)
     return {
         channel: replace(translation.summary, files=tuple(listed))
@@ -392,7 +398,8 @@ def export_set(
 
 def _names(channels: Iterable[str], name: str) -> dict[str, str]:
     """Return what begins each channel's names, never different in case alone: some disks do not see it."""
-    channel_names, taken = {}, {"names", "test"}
+    channel_names = {}
+    taken = {"names", "test"}
     for channel in channels:
         word = re.sub(r"[^A-Za-z0-9_]", "_", channel)
         files = {word.lower(), f"{word.lower()}_test"}
@@ -418,10 +425,11 @@ def _set_files(made: Mapping[str, Translated], name: str) -> dict[str, str]:
         "VECTORS": str(sum(each.summary.vectors for each in made.values())), "ARITHMETIC": arithmetic,
         "moving": any(each.plan.model.dynamics is not None for each in made.values()),
     }  # fmt: skip
-    headers = tuple(
-        dict.fromkeys(header for each in made.values() for header in each.code.headers)
-    )
-    sources, tests = kernel_files(words, arithmetic, headers), {}
+    headers: dict[str, None] = {}  # each once, in their order
+    for each in made.values():
+        headers |= dict.fromkeys(each.code.headers)
+    sources = kernel_files(words, arithmetic, tuple(headers))
+    tests = {}
     for each in made.values():
         channel_files = c.model_sources({**each.words, "alone": False}, each.code)
         test = f"{each.summary.name}_test.c"

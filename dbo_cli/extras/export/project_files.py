@@ -207,12 +207,14 @@ def check_folder(folder: str, overwrite: bool) -> None:
         known |= made | {f"{listed['name']}_test", "example"}
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         known = set()
-    paths = sorted(
-        p.relative_to(target).as_posix() for p in target.rglob("*") if not p.is_dir()
-    )
-    if strangers := [path for path in paths if path not in known]:
+    strangers = []
+    for path in target.rglob("*"):
+        name = path.relative_to(target).as_posix()
+        if name not in known and not path.is_dir():
+            strangers.append(name)
+    if strangers:
         raise OutputError(
-            f"{folder}: holds '{strangers[0]}', which no export wrote: it is not overwritten"
+            f"{folder}: holds '{min(strangers)}', which no export wrote: it is not overwritten"
             " (move it, or choose another folder)"
         )
 

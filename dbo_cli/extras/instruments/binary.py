@@ -49,8 +49,7 @@ _VALUES = ("Data", "data", "values", "value", "Values", "Y")
 _UNIT_NAMES = ("Unit", "unit", "Units", "units")
 
 
-# --- NumPy
-# -------------------------------------------------------------------------------------------------
+# --- NumPy ---
 
 
 def open_npy(request: Request) -> ColumnTable:
@@ -185,8 +184,7 @@ def _array_shape(array: Any) -> str:
     return f"{'x'.join(map(str, array.shape)) or 'one value'}, {array.dtype}"
 
 
-# --- MATLAB
-# ------------------------------------------------------------------------------------------------
+# --- MATLAB ---
 
 
 def open_matlab(request: Request) -> ColumnTable:
@@ -401,8 +399,7 @@ def _shape(value: Any) -> str:
     return "x".join(map(str, np.shape(value))) or "one value"
 
 
-# --- netCDF
-# ------------------------------------------------------------------------------------------------
+# --- netCDF ---
 
 
 def open_netcdf(request: Request) -> ColumnTable:
@@ -455,8 +452,7 @@ def _variable(label: str, variable: Any) -> ColumnSource:
     )
 
 
-# --- Parquet and Feather (Arrow), read in blocks with polars
-# ---------------------------------------------
+# --- Parquet and Feather (Arrow), read in blocks with polars ---
 
 # read at once: a row group is decoded whole, and pandas writes a million rows into one
 _ROWS = 1 << 20
@@ -587,8 +583,7 @@ def _pandas_attributes(metadata: dict[str, str]) -> dict[str, Any]:
     return attributes if isinstance(attributes, dict) else {}
 
 
-# --- Excel workbooks and OpenDocument sheets, read with fastexcel
-# -----------------------------------------
+# --- Excel workbooks and OpenDocument sheets, read with fastexcel ---
 
 # rows that tell whether a sheet holds a table; instruments' headers are shorter
 _LOOKED_AT = 200
@@ -689,8 +684,7 @@ def _sheet_as_text(book: Any, name: str) -> bytes:
     return written.encode("utf-8")
 
 
-# --- LabVIEW's TDMS, read in blocks with npTDMS
-# -----------------------------------------------------------
+# --- LabVIEW's TDMS, read in blocks with npTDMS ---
 
 
 def open_tdms(request: Request) -> ColumnTable:
@@ -789,8 +783,7 @@ def _tdms_statements(node: Any) -> list[Statement]:
     return statements
 
 
-# --- universal files (UFF, UNV) of modal analysis: data sets 58, read with pyuff
-# --------------------------
+# --- universal files (UFF, UNV) of modal analysis: data sets 58, read with pyuff ---
 
 # of the dataset's definition: the kind of its abscissa, and its spacing
 _TIME, _UNEVEN = 17, 0

@@ -35,8 +35,7 @@ from dbo_cli.logs.text.lines import to_number
 from dbo_cli.logs.text.text_table import TextTable
 from dbo_cli.logs.units import FACTORS, time_unit
 
-# --- JSON: a record a line, an array of records, or an object of arrays
-# -----------------------------------
+# --- JSON: a record a line, an array of records, or an object of arrays ---
 
 
 def open_json(request: Request) -> ColumnTable:
@@ -242,8 +241,7 @@ def _scaled(source: ColumnSource, match: re.Match[str]) -> ColumnSource:
     )
 
 
-# --- tables of data bases: a row for each value, or several rows a stamp
-# -----------------------------------
+# --- tables of data bases: a row for each value, or several rows a stamp ---
 
 _TIMES = (*TIME_NAMES, *MORE_TIME_NAMES)
 SIGNALS = ("field", "series", "channel", "variable", "metric", "signal", "topic", "parameter", "sensor",

@@ -69,10 +69,10 @@ def is_group(node: Any) -> bool:
 def attribute(node: Any, *names: str) -> Any:
     """Give the first attribute of these names (case aside), or None."""
     spellings = _attribute_names(node)
-    spelling = next(
-        (spellings[name.lower()] for name in names if name.lower() in spellings), None
-    )
-    return None if spelling is None else node.attrs[spelling]
+    for name in names:
+        if name.lower() in spellings:
+            return node.attrs[spellings[name.lower()]]
+    return None
 
 
 def _attribute_names(node: Any) -> dict[str, str]:
@@ -86,11 +86,9 @@ def attribute_text(node: Any, *names: str) -> str:
 
 def _only_text(value: Any) -> str:
     values = np.atleast_1d(value).ravel()
-    return (
-        clean_text(values[0])
-        if values.size == 1 and isinstance(values[0], str | bytes)
-        else ""
-    )
+    if values.size != 1 or not isinstance(values[0], str | bytes):
+        return ""
+    return clean_text(values[0])
 
 
 def matlab_class(node: Any) -> str:
@@ -118,27 +116,29 @@ def columns_of(
         return []
     if kind.names is not None:
         return _fields_of(dataset, name) if len(shape) == 1 else []
+    label = name or clean_text(dataset.name.rsplit("/", 1)[-1])
     if kind.kind in "SO" and len(shape) == 1 and _is_short_text(kind):
-        label = name or clean_text(dataset.name.rsplit("/", 1)[-1])
         stamps_source = text_source(label, shape[0], slicer(dataset, 0, 0))
         return [] if stamps_source is None else [stamps_source]
     if kind.kind not in "fiub" or len(shape) not in (1, 2) or 0 in shape:
         return []
-    label = name or clean_text(dataset.name.rsplit("/", 1)[-1])
     axis = _time_axis(dataset, stamps)
-    width = 1 if len(shape) == 1 else shape[1 - axis]
-    names = _column_names(dataset, width) if width > 1 else None
-    labels = names or (
-        [label]
-        if width == 1
-        else [f"{label}[{number}]" for number in range(1, width + 1)]
-    )
-    fetches = [slicer(dataset, axis, index) for index in range(width)]
-    sources = [
-        ColumnSource(label, shape[axis], fetch)
-        for label, fetch in zip(labels, fetches, strict=True)
-    ]
-    return [_described(source, dataset, index) for index, source in enumerate(sources)]
+    sources = []
+    for index, column_label in enumerate(_labels(dataset, label, axis)):
+        source = ColumnSource(column_label, shape[axis], slicer(dataset, axis, index))
+        sources.append(_described(source, dataset, index))
+    return sources
+
+
+def _labels(dataset: Any, label: str, axis: int) -> list[str]:
+    """Return what the columns of a vector or a matrix are called: as an attribute says, or numbered."""
+    if len(dataset.shape) == 1 or dataset.shape[1 - axis] == 1:
+        return [label]
+    width = dataset.shape[1 - axis]
+    names = _column_names(dataset, width)
+    if names is not None:
+        return names
+    return [f"{label}[{number}]" for number in range(1, width + 1)]
 
 
 def _holds_measurements(dataset: Any) -> bool:
@@ -148,10 +148,9 @@ def _holds_measurements(dataset: Any) -> bool:
     ):
         return False
     matlab = matlab_class(dataset)
-    if matlab and (
-        matlab not in _MATLAB_NUMBERS
-        or attribute(dataset, "MATLAB_object_decode") is not None
-    ):
+    if matlab and matlab not in _MATLAB_NUMBERS:
+        return False
+    if matlab and attribute(dataset, "MATLAB_object_decode") is not None:
         return False
     return attribute(dataset, "MATLAB_empty") is None
 
@@ -162,12 +161,10 @@ def _time_axis(dataset: Any, stamps: frozenset[int]) -> int:
         return 0
     if len(stamps & set(shape)) == 1 and shape[0] != shape[1]:
         return 0 if shape[0] in stamps else 1
-    # MATLAB stores every matrix transposed, so a square one runs the other way.
-    return (
-        0
-        if shape[0] > shape[1] or (shape[0] == shape[1] and not matlab_class(dataset))
-        else 1
-    )
+    if shape[0] == shape[1]:
+        # MATLAB stores every matrix transposed, so a square one runs the other way.
+        return 1 if matlab_class(dataset) else 0
+    return 0 if shape[0] > shape[1] else 1
 
 
 def slicer(dataset: Any, axis: int, index: int) -> Fetch:
@@ -208,11 +205,9 @@ def field_sources(
     if kind.kind in "SO" and _is_short_text(kind):
         stamps_source = text_source(label, length, _field(dataset, field, ...))
         return [] if stamps_source is None else [stamps_source]
-    return (
-        [ColumnSource(label, length, _field(dataset, field, ...))]
-        if kind.kind in "fiub"
-        else []
-    )
+    if kind.kind in "fiub":
+        return [ColumnSource(label, length, _field(dataset, field, ...))]
+    return []
 
 
 def _is_short_text(kind: Any) -> bool:
@@ -253,7 +248,9 @@ def _unit_of(dataset: Any, index: int) -> str:
     units = [clean_text(text) for text in np.atleast_1d(value).ravel()]
     if len(units) == 1 and "," in units[0]:
         units = units[0].split(",")
-    return units[0] if len(units) == 1 else units[index] if index < len(units) else ""
+    if len(units) == 1:
+        return units[0]
+    return units[index] if index < len(units) else ""
 
 
 def _scaled(source: ColumnSource, dataset: Any, index: int) -> ColumnSource:
@@ -269,8 +266,10 @@ def _scaled(source: ColumnSource, dataset: Any, index: int) -> ColumnSource:
     if source.problem:
         return source
     remarks = []
-    scale, shift = number("scale"), number("offset")
-    scale = number("scaling_factor") if scale is None else scale
+    shift = number("offset")
+    scale = number("scale")
+    if scale is None:
+        scale = number("scaling_factor")
     if scale is not None and scale not in (0.0, 1.0) and number("scale_factor") is None:
         if shift:
             text = (
@@ -327,8 +326,7 @@ def stored_text(dataset: Any) -> str:
     return _only_text(dataset[()])
 
 
-# --- programs for experiments
-# ---------------------------------------------------------------------
+# --- programs for experiments ---
 
 # what PyMoDAQ calls arrays, beside logs and errors
 _SIGNALS = ("axis", "data", "data_enlargeable")
@@ -343,11 +341,9 @@ def program_columns(group: Any) -> list[ColumnSource]:
         return _pandas_columns(group)
     if all(name in group for name in ("Channels", "Log list", "Data")):
         return list(_labber_traces(group)) or list(_labber_steps(group))
-    return (
-        without_scalars(list(_pymodaq(group)))
-        if "pymodaq_version" in group.file.attrs
-        else []
-    )
+    if "pymodaq_version" in group.file.attrs:
+        return without_scalars(list(_pymodaq(group)))
+    return []
 
 
 def _pymodaq(group: Any, depth: int = 0) -> Iterator[ColumnSource]:
@@ -389,7 +385,8 @@ def _labber_units(group: Any) -> dict[str, str]:
 
 def _labber_steps(group: Any) -> Iterator[ColumnSource]:
     """Read values by step: points, channels, entries; the entries follow each other."""
-    units, data = _labber_units(group), group["Data/Data"][()]
+    units = _labber_units(group)
+    data = group["Data/Data"][()]
     for index, row in enumerate(group["Data/Channel names"][()]):
         name = clean_text(row["name"])
         if not clean_text(row["info"]):  # else a part of a complex number
@@ -400,24 +397,24 @@ def _labber_steps(group: Any) -> Iterator[ColumnSource]:
 
 def _labber_traces(group: Any) -> Iterator[ColumnSource]:
     """Read the traces of a log with one entry: values, and ``NAME_t0dt`` with the step along them."""
-    units, traces = _labber_units(group), group.get("Traces", {})
-    for name in (name for name in traces if f"{name}_t0dt" in traces):
+    units = _labber_units(group)
+    traces = group.get("Traces", {})
+    for name in traces:
+        if f"{name}_t0dt" not in traces:
+            continue
         values = np.asarray(traces[name][()])
-        if values.ndim == 3 and values.shape[1:] == (1, 1):
-            start, step = (
-                float(value) for value in np.ravel(traces[f"{name}_t0dt"][()])[:2]
-            )
-            timed = attribute_text(traces[name], "x_unit") in ("s", "") and step > 0.0
-            clock = (
-                (Statement(f"'{name}_t0dt' {step:g} s", 1.0 / step),) if timed else ()
-            )
-            unit = units.get(clean_text(name)) or None
-            source = array_source(clean_text(name), values[:, 0, 0], unit)
-            yield replace(source, clock=clock, start=start)
+        if values.ndim != 3 or values.shape[1:] != (1, 1):
+            continue
+        unit = units.get(clean_text(name)) or None
+        source = array_source(clean_text(name), values[:, 0, 0], unit)
+        start, step = np.ravel(traces[f"{name}_t0dt"][()])[:2].astype(float).tolist()
+        clock: tuple[Statement, ...] = ()
+        if attribute_text(traces[name], "x_unit") in ("s", "") and step > 0.0:
+            clock = (Statement(f"'{name}_t0dt' {step:g} s", 1.0 / step),)
+        yield replace(source, clock=clock, start=start)
 
 
-# --- pandas, through PyTables: tables, with data columns or not, and blocks
-# -------------------------
+# --- pandas, through PyTables: tables, with data columns or not, and blocks ---
 
 
 def _pandas_columns(group: Any) -> list[ColumnSource]:
@@ -440,22 +437,17 @@ def _pandas_table(group: Any, table: Any) -> list[ColumnSource]:
     info = _harmless(attribute(group, "info"))
     for field in table.dtype.names:
         if field == "index":
-            name = (
-                info.get("index", {}).get("index_name")
-                if isinstance(info, dict)
-                else None
-            )
+            name = None
+            if isinstance(info, dict):
+                name = info.get("index", {}).get("index_name")
             for source in field_sources(table, field, clean_text(name or ""), None):
                 sources += _as_index(source, attribute_text(table, "index_kind"))
             continue
-        names = [
-            clean_text(name)
-            for name in _harmless(attribute(table, f"{field}_kind")) or ()
-        ]
+        stored_names = _harmless(attribute(table, f"{field}_kind")) or ()
+        names = [clean_text(name) for name in stored_names]
+        kind = attribute_text(table, f"{field}_dtype")
         for source in field_sources(table, field, clean_text(field), names):
-            sources.append(
-                _from_stamps(source, attribute_text(table, f"{field}_dtype")) or source
-            )
+            sources.append(_from_stamps(source, kind) or source)
     return sources
 
 
@@ -464,25 +456,20 @@ def _pandas_blocks(group: Any) -> list[ColumnSource]:
     order = group["axis0"][()].ravel() if is_dataset(group.get("axis0")) else ()
     by_name: dict[str, ColumnSource] = {}
     for number in range(int(np.ravel(attribute(group, "nblocks"))[0])):
-        values, items = (
-            group.get(f"block{number}_values"),
-            group.get(f"block{number}_items"),
-        )
-        if not (
-            is_dataset(values)
-            and is_dataset(items)
-            and values.dtype.kind in "fiub"
-            and values.ndim == 2
-        ):
+        values = group.get(f"block{number}_values")
+        items = group.get(f"block{number}_items")
+        if not is_dataset(values) or not is_dataset(items):
             continue
+        if values.dtype.kind not in "fiub" or values.ndim != 2:
+            continue
+        kind = attribute_text(values, "value_type")
         for index, name in enumerate(map(clean_text, items[()].ravel())):
             source = ColumnSource(name, values.shape[0], slicer(values, 0, index))
-            by_name[name] = (
-                _from_stamps(source, attribute_text(values, "value_type")) or source
-            )
-    return sources + [
-        by_name[name] for name in map(clean_text, order) if name in by_name
-    ]
+            by_name[name] = _from_stamps(source, kind) or source
+    for name in map(clean_text, order):
+        if name in by_name:
+            sources.append(by_name[name])
+    return sources
 
 
 def _index(axis: Any) -> list[ColumnSource]:
@@ -507,11 +494,9 @@ def _as_index(source: ColumnSource, kind: str) -> list[ColumnSource]:
 def _from_stamps(source: ColumnSource, kind: str) -> ColumnSource | None:
     """Turn dates (and durations) stored as counts into seconds from the first row on."""
     match = re.fullmatch(r"(?:datetime|timedelta)64(?:\[(s|ms|us|ns)(?:,.*)?\])?", kind)
-    return (
-        from_first_row(source, match[1] or "ns")
-        if match is not None and source.length
-        else None
-    )
+    if match is None or not source.length:
+        return None
+    return from_first_row(source, match[1] or "ns")
 
 
 class _NoCode(pickle.Unpickler):

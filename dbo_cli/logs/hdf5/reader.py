@@ -105,7 +105,8 @@ def open_hdf5(request: Request) -> ColumnTable:
     try:
         with request.reading("HDF5", _DAMAGED):
             node, sources = _find_columns(file, address, request.named)
-            clock, where = _nearest_clock(node), f" in {node.name}"
+            clock = _nearest_clock(node)
+            where = f" in {node.name}"
     except BaseException:
         file.close()
         raise
@@ -158,9 +159,9 @@ def _by_path(
             continue
         if "*" in path and not any(fits_pattern(label, path) for label in known):
             for name in _dataset_paths(start):
-                columns = (
-                    columns_of(start.get(name), "") if fits_pattern(name, path) else []
-                )
+                if not fits_pattern(name, path):
+                    continue
+                columns = columns_of(start.get(name), "")
                 if len(columns) == 1 and name not in known:
                     known.add(name)
                     yield replace(columns[0], label=name)
@@ -216,10 +217,10 @@ def _no_columns(
             f"{text} (the end of an address is enough: `voltage` '*{clean_text(end)}')"
         )
     objects = file.get("#subsystem#") is not None
-    members = (node for name in file if (node := file.get(name)) is not None)
-    return (
-        f"{text}{MATLAB_OBJECTS}" if objects or any(map(_is_object, members)) else text
-    )
+    for name in file:
+        member = file.get(name)
+        objects = objects or (member is not None and _is_object(member))
+    return f"{text}{MATLAB_OBJECTS}" if objects else text
 
 
 def _short_end(path: str, paths: Sequence[str]) -> str:
@@ -256,11 +257,9 @@ def _list_groups(file: Any) -> str:
 
 
 def _shape_of(dataset: Any) -> str:
-    shape = (
-        "no shape"
-        if dataset.shape is None
-        else "x".join(map(str, dataset.shape)) or "one value"
-    )
+    if dataset.shape is None:
+        return f"no shape, {dataset.dtype}"
+    shape = "x".join(map(str, dataset.shape)) or "one value"
     return f"{shape}, {dataset.dtype}"
 
 
@@ -291,17 +290,21 @@ def tables_below(group: Any) -> list[tuple[Any, list[ColumnSource]]]:
     chosen = _default_data(group)
     if chosen is not None:
         return [(chosen, columns_in(chosen))]
-    level, visited = [group], {group.id}
+    level = [group]
+    visited = {group.id}
     for _ in range(_DEEPEST):
-        level = [
-            child
-            for node in level
-            for child in _inner_groups(node)
-            if child.id not in visited
-        ]
-        level = list({child.id: child for child in level}.values())
-        visited |= {child.id for child in level}
-        tables = [(child, columns) for child in level if (columns := columns_in(child))]
+        children = []
+        for node in level:
+            for child in _inner_groups(node):
+                if child.id not in visited:
+                    visited.add(child.id)
+                    children.append(child)
+        level = children
+        tables = []
+        for child in level:
+            columns = columns_in(child)
+            if columns:
+                tables.append((child, columns))
         if tables or not level:
             return tables
     return []
@@ -341,8 +344,7 @@ def _plain_columns(group: Any) -> list[ColumnSource]:
     return [_in_seconds(group, source) for source in sources]
 
 
-# --- NeXus
-# ----------------------------------------------------------------------------------------
+# --- NeXus ---
 
 
 def _default_data(group: Any) -> Any:
@@ -354,21 +356,21 @@ def _default_data(group: Any) -> Any:
         named = attribute_text(node, "default")
         target = node.get(named) if named else None
         if target is None:
-            kinds = [
-                child
-                for child in _inner_groups(node)
-                if attribute_text(child, "NX_class") == "NXentry"
-            ]
-            kinds = kinds or [
-                c
-                for c in _inner_groups(node)
-                if attribute_text(c, "NX_class") == "NXdata"
-            ]
-            target = kinds[0] if len(kinds) == 1 else None
+            members = _of_class(node, "NXentry") or _of_class(node, "NXdata")
+            target = members[0] if len(members) == 1 else None
         if not is_group(target):
             return None
         node = target
     return None
+
+
+def _of_class(group: Any, kind: str) -> list[Any]:
+    """Return the groups in a group that have this class of NeXus."""
+    return [
+        child
+        for child in _inner_groups(group)
+        if attribute_text(child, "NX_class") == kind
+    ]
 
 
 def _nexus_scaled(group: Any, sources: list[ColumnSource]) -> list[ColumnSource]:
@@ -379,28 +381,26 @@ def _nexus_scaled(group: Any, sources: list[ColumnSource]) -> list[ColumnSource]
     for source in sources:
         if source.label in helpers:
             continue
-        factor, offset = (
-            _single(group.get(f"{source.label}{end}")) for end in ends[:2]
-        )
-        if factor is not None or offset is not None:
-            factor, offset = 1.0 if factor is None else factor, offset or 0.0
-            source = replace(source, scale=factor, offset=offset * factor)
+        factor = _single(group.get(f"{source.label}_scaling_factor"))
+        offset = _single(group.get(f"{source.label}_offset"))
+        if factor is None and offset is not None:
+            factor = 1.0
+        if factor is not None:
+            shift = (offset or 0.0) * factor
+            source = replace(source, scale=factor, offset=shift)
         scaled.append(source)
     signal = attribute_text(group, "signal")
-    length = next((source.length for source in scaled if source.label == signal), None)
-    return (
-        scaled
-        if length is None
-        else [source for source in scaled if source.length == length]
-    )
+    for source in scaled:
+        if source.label == signal:
+            return [column for column in scaled if column.length == source.length]
+    return scaled
 
 
 def _single(node: Any) -> float | None:
     return number_in(node[()]) if is_dataset(node) and node.size == 1 else None
 
 
-# --- one group per signal (Bluesky, NXlog, LabOne's plotter)
-# --------------------------------------
+# --- one group per signal (Bluesky, NXlog, LabOne's plotter) ---
 
 
 def _logged_columns(group: Any) -> list[ColumnSource]:
@@ -433,7 +433,9 @@ def _logged_columns(group: Any) -> list[ColumnSource]:
             ]
     if not values or max(source.length for source in values) < 2:
         return []
-    return (_one_clock(clocks) if len(clocks) == len(values) else clocks) + values
+    if len(clocks) == len(values):
+        clocks = _one_clock(clocks)
+    return clocks + values
 
 
 def _beside(datasets: dict[str, Any], length: int) -> bool:
@@ -447,12 +449,9 @@ def _beside(datasets: dict[str, Any], length: int) -> bool:
 def _one_clock(clocks: list[ColumnSource]) -> list[ColumnSource]:
     """Put clocks that agree together into one; signals stamped each for itself keep their own."""
     first = clocks[0]
+    kind = (first.length, first.unit, first.scale)
     for clock in clocks[1:]:
-        if (clock.length, clock.unit, clock.scale) != (
-            first.length,
-            first.unit,
-            first.scale,
-        ):
+        if (clock.length, clock.unit, clock.scale) != kind:
             return clocks
         for start in range(0, first.length, BLOCK_ROWS):
             stop = min(first.length, start + BLOCK_ROWS)
@@ -470,10 +469,10 @@ def _in_seconds(group: Any, source: ColumnSource) -> ColumnSource:
     base = _clock_base(group)
     if base is not None:
         return replace(source, unit="s", scale=1.0 / base)
-    device = any(
-        re.fullmatch(r"dev\d+", part.lower()) for part in group.name.split("/")
-    )
-    return replace(source, unit="ticks") if device else source
+    for part in group.name.split("/"):
+        if re.fullmatch(r"dev\d+", part.lower()):
+            return replace(source, unit="ticks")
+    return source
 
 
 def _clock_base(group: Any) -> float | None:
@@ -487,8 +486,7 @@ def _clock_base(group: Any) -> float | None:
     return None
 
 
-# --- files opened with care
-# ------------------------------------------------------------------------------
+# --- files opened with care ---
 #
 # A file may claim a million times more rows than it holds, refer to itself, or point
 # anywhere on the machine: an external link to a named pipe never opens, external
@@ -654,10 +652,8 @@ def check_dataset(dataset: Any, watch: FileWatch) -> None:
     if dataset.is_virtual:
         _check_virtual(dataset, place, watch, ())
         return
-    if (
-        dataset.chunks is not None
-        and _bytes(dataset.chunks, dataset) > _MOST_CHUNK_BYTES
-    ):
+    chunk = dataset.chunks
+    if chunk is not None and _bytes(chunk, dataset) > _MOST_CHUNK_BYTES:
         raise InputError(
             f"{place} is stored in pieces of more than 1 GB: store it in smaller ones (h5repack)"
         )
@@ -683,12 +679,8 @@ def _stored_share(dataset: Any) -> float:
         return float(min(1.0, dataset.id.get_storage_size() / claimed))
     try:
         pieces = dataset.id.get_num_chunks()
-    except (
-        AttributeError,
-        OSError,
-        RuntimeError,
-        ValueError,
-    ):  # a layout older than HDF5 1.10
+    except (AttributeError, OSError, RuntimeError, ValueError):
+        # a layout older than HDF5 1.10
         return 1.0 if dataset.id.get_storage_size() else 0.0
     return float(min(1.0, pieces * _bytes(dataset.chunks, dataset) / claimed))
 
@@ -702,18 +694,11 @@ def _check_virtual(
             f"{place} is a virtual one made of itself: it holds no samples"
         )
     for file_name, name in _sources(dataset):
-        source = (
-            _file_named(file_name, dataset.file.filename)
-            if file_name != "."
-            else itself[0]
-        )
         if "%" in file_name + name:
             raise InputError(
                 f"{place} is a virtual one of numbered files: join them into one file first"
             )
-        called = f"'{cleaned(name)}'" + (
-            f" in '{cleaned(file_name)}'" if file_name != "." else ""
-        )
+        source, called = _source_of(file_name, name, dataset.file.filename)
         missing = f"{place} is a virtual one, and its source {called} is missing"
         if source is None or not os.path.isfile(source):
             raise InputError(f"{missing}: put the file beside this one")
@@ -737,6 +722,14 @@ def _check_virtual(
             raise InputError(f"{missing}: it cannot be opened") from None
 
 
+def _source_of(file_name: str, name: str, beside: str) -> tuple[str | None, str]:
+    """Return the file of a virtual dataset's source, None where it is missing, and what messages call it."""
+    if file_name == ".":
+        return os.path.realpath(beside), f"'{cleaned(name)}'"
+    called = f"'{cleaned(name)}' in '{cleaned(file_name)}'"
+    return _file_named(file_name, beside), called
+
+
 def _resolved_link(file: Any, name: str) -> Any:
     """Return the dataset of a virtual source where it stands there by itself, no link on the way."""
     node = file
@@ -751,7 +744,8 @@ def _resolved_link(file: Any, name: str) -> Any:
 def _sources(dataset: Any) -> Iterator[tuple[str, str]]:
     """Give each source of a virtual dataset once; every sample of it must come from one."""
     claimed = int(np.prod([float(length) for length in dataset.shape]))
-    mapped, files = 0, set()
+    mapped = 0
+    files = set()
     for source in dataset.virtual_sources():
         mapped += int(source.vspace.get_select_npoints())
         if (source.file_name, source.dset_name) not in files:

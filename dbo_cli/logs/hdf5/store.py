@@ -134,8 +134,11 @@ class StoreOutput:
 
     def _node(self, store: Any) -> Any:
         """Return what stands at the group's path, None where there is nothing yet."""
-        node, place = store, ""
-        for name in self.group.strip("/").split("/") if self.group != "/" else ():
+        if self.group == "/":
+            return store
+        node = store
+        place = ""
+        for name in self.group.strip("/").split("/"):
             place += f"/{name}"
             link = node.get(name, getlink=True)
             if link is None:
@@ -229,11 +232,8 @@ def _locked(path: str) -> Iterator[None]:
     while True:
         handle = os.open(path, os.O_RDONLY)
         try:
-            if (
-                whole_output.try_lock(handle)
-                and not _is_open_for_writing(handle)
-                and _is_still(handle, path)
-            ):
+            locked = whole_output.try_lock(handle)
+            if locked and not _is_open_for_writing(handle) and _is_still(handle, path):
                 yield
                 return
         finally:
@@ -306,19 +306,18 @@ class Hdf5Writer:
 
     def __init__(self, group: Any, columns: Sequence[Column]) -> None:
         # A slash would make a group, and a lone dot is the group itself.
-        headers = (header.replace("/", "_") for header in unique_headers(columns))
-        self._names = [
-            name if name not in ("", ".") else f"column_{n}"
-            for n, name in enumerate(headers, 1)
-        ]
+        self._names: list[str] = []
+        for number, header in enumerate(unique_headers(columns), 1):
+            name = header.replace("/", "_")
+            if name in ("", "."):
+                name = f"column_{number}"
+            self._names.append(name)
         self._group = group
         self._group.attrs[MARK] = self._names
-        clocks = [
-            number
-            for number, column in enumerate(columns)
-            if header_of(column) == "time_s"
-        ]
-        self._clock = clocks[0] if clocks and "sample_rate" not in group.attrs else None
+        headers = [header_of(column) for column in columns]
+        self._clock: int | None = None
+        if "time_s" in headers and "sample_rate" not in group.attrs:
+            self._clock = headers.index("time_s")
         self._times = TimeCheck(group.file.filename)
         self._columns = columns
         self._kept: list[list[FloatArray]] = [[] for _ in columns]
@@ -353,18 +352,11 @@ class Hdf5Writer:
 
     def _store(self, chunk: int, last: bool = False) -> None:
         """Write the whole chunks that are kept; the ``last`` one is filled up with zeros."""
-        for name, column in (
-            () if self._datasets else zip(self._names, self._columns, strict=True)
-        ):
-            dataset = self._group.create_dataset(
-                name, (0,), "<f8", maxshape=(None,), chunks=(chunk,), compression="gzip", compression_opts=1,
-                shuffle=True,
-            )  # fmt: skip
-            if column.unit:
-                dataset.attrs["units"] = cleaned(column.unit)
-            dataset.attrs["quantity"] = cleaned(column.quantity or column.name)
-            self._datasets.append(dataset)
-        rows = self._kept_rows if last else self._kept_rows // chunk * chunk
+        if not self._datasets:
+            self._create(chunk)
+        rows = self._kept_rows
+        if not last:
+            rows = rows // chunk * chunk
         if not rows:
             return
         for number, dataset in enumerate(self._datasets):
@@ -378,6 +370,18 @@ class Hdf5Writer:
             self._kept[number] = [values[rows:]]
         self._rows += rows
         self._kept_rows -= rows
+
+    def _create(self, chunk: int) -> None:
+        """Create the datasets, still without rows."""
+        for name, column in zip(self._names, self._columns, strict=True):
+            dataset = self._group.create_dataset(
+                name, (0,), "<f8", maxshape=(None,), chunks=(chunk,), compression="gzip", compression_opts=1,
+                shuffle=True,
+            )  # fmt: skip
+            if column.unit:
+                dataset.attrs["units"] = cleaned(column.unit)
+            dataset.attrs["quantity"] = cleaned(column.quantity or column.name)
+            self._datasets.append(dataset)
 
 
 def shuffled_deflated(values: FloatArray) -> bytes:
@@ -416,8 +420,7 @@ def _squeezed(plane: bytes) -> bytes:
     )
 
 
-# --- matrices: a dataset a quantity, rows of samples, a column of each channel
-# ------------------------
+# --- matrices: a dataset a quantity, rows of samples, a column of each channel ---
 
 WriteChannel = Callable[[int, Sequence[FloatArray]], None]
 
@@ -447,24 +450,25 @@ def matrix_writer(
     """
     whole_output.check_output(target, protect)
     with store_output(target, attributes) as group:
-        group.attrs[MARK] = [
-            *(["time_s"] if time is not None else []),
-            *(column.name for column in columns),
-        ]
+        names = [column.name for column in columns]
+        if time is not None:
+            names.insert(0, "time_s")
+        group.attrs[MARK] = names
         if time is not None:
             group["time_s"] = time
             group["time_s"].attrs["units"] = "s"
-        datasets, chunks = [], (min(rows, MATRIX_ROWS), 1)
+        datasets = []
+        chunks = (min(rows, MATRIX_ROWS), 1)
         for column in columns:
             shape = rows, len(channels)
             dataset = group.create_dataset(
                 column.name, shape, "<f8", chunks=chunks, fillvalue=np.nan
             )
             dataset.attrs["quantity"] = cleaned(column.quantity or column.name)
-            few = len(channels) <= MOST_NAMES
-            dataset.attrs["channel_of_column"] = (
-                list(channels) if few else "\n".join(channels)
-            )
+            if len(channels) <= MOST_NAMES:
+                dataset.attrs["channel_of_column"] = list(channels)
+            else:
+                dataset.attrs["channel_of_column"] = "\n".join(channels)
             if column.unit:
                 dataset.attrs["units"] = cleaned(column.unit)
             datasets.append(dataset)

@@ -287,8 +287,7 @@ class ByteSource:
         )
 
 
-# --- blocks of whole lines
-# ---------------------------------------------------------------------------
+# --- blocks of whole lines ---
 
 
 @dataclass

@@ -108,8 +108,7 @@ def complain(cell: str, decimal: str, written: str = "numbers") -> str:
     return f"is not a number: {shown}"
 
 
-# --- dates and clock times in cells, read as seconds
-# -----------------------------------------------------
+# --- dates and clock times in cells, read as seconds ---
 #
 # Dates count from 1970-01-01 (no zone given: as if UTC), clock times from midnight. The
 # arithmetic is on whole numbers, so that a stamp becomes the float64 nearest to it.
@@ -284,8 +283,7 @@ def writing_of(cells: Sequence[str]) -> str | None:
     return None
 
 
-# --- is the last number of a log whole?
-# -----------------------------------------------------------------
+# --- is the last number of a log whole? ---
 
 # a change this many times the largest one above is not the next sample
 _USUAL_STEPS = 3.0
@@ -343,8 +341,7 @@ def _leaps(cell: str, above: Sequence[str], decimal: str) -> bool:
     return abs(value - numbers[-1]) > _USUAL_STEPS * max(steps)
 
 
-# --- header blocks that stand again, one before each segment (LabVIEW's Multi_Headings)
-# --------------
+# --- header blocks that stand again, one before each segment (LabVIEW's Multi_Headings) ---
 
 END_OF_HEADER = "***End_of_Header***"  # as LabVIEW writes it
 

@@ -252,8 +252,7 @@ class TextTable(Table):
         return False
 
 
-# --- blocks of lines to arrays
-# ------------------------------------------------------------------------
+# --- blocks of lines to arrays ---
 
 _DIGIT = re.compile(r"\d")
 # bytes; what fits the cache is looked through three times as fast as 8 MB
