@@ -48,10 +48,8 @@ def read_instrument_header(place: str, head: bytes, options: ReadingOptions) -> 
         The header is a known maker's and contradicts itself; or there is no line of
         numbers.
     """
-    lines = [
-        decoded(line.removesuffix(b"\r"))
-        for line in head.split(b"\n", _LOOKED_AT)[:_LOOKED_AT]
-    ]
+    raw_lines = head.split(b"\n", _LOOKED_AT)[:_LOOKED_AT]
+    lines = [decoded(line.removesuffix(b"\r")) for line in raw_lines]
     lines[0] = lines[0].removeprefix("\ufeff")
     forced = (
         options.delimiter,
@@ -60,26 +58,32 @@ def read_instrument_header(place: str, head: bytes, options: ReadingOptions) -> 
         options.skip_lines,
         options.header_lines,
     )
-    for maker in _MAKERS if all(option is None for option in forced) else ():
-        begins = (
-            n
-            for n, line in enumerate(lines[: maker.within])
-            if maker.mark.match(line[:_LONGEST])
-        )
-        at = next(begins, None)
-        header = None if at is None else maker.read(place, lines, at)
+    if all(option is None for option in forced):
+        header = _makers_header(place, lines)
         if header is not None:
-            return replace(
-                header,
-                clock=header.clock or tuple(_stated(lines[: header.first_line - 1])),
-            )
+            above = lines[: header.first_line - 1]
+            return replace(header, clock=header.clock or tuple(_stated(above)))
     return replace(detect(place, head, options), clock=tuple(_stated(lines)))
+
+
+def _makers_header(place: str, lines: list[str]) -> Dialect | None:
+    """Read the header of the first maker whose mark it has; None for a maker that is not known."""
+    for maker in _MAKERS:
+        for index, line in enumerate(lines[: maker.within]):
+            if maker.mark.match(line[:_LONGEST]):
+                header = maker.read(place, lines, index)
+                if header is not None:
+                    return header
+                break
+    return None
 
 
 def _stated(lines: Sequence[str]) -> Iterator[Statement]:
     """Find the lines above the data that state a rate or a step: ``key = value``, ``key: value``."""
     for line in lines:
-        mark = _MARK.search(line) if len(line) <= _LONGEST else None
+        if len(line) > _LONGEST:
+            continue
+        mark = _MARK.search(line)
         if mark is None:
             continue
         key = line[: mark.start()].strip().lstrip("#%;!/*").strip()
@@ -90,11 +94,8 @@ def _stated(lines: Sequence[str]) -> Iterator[Statement]:
         thousands = re.fullmatch(r"(\d{1,3}),(\d{3})(\D*)", value)
         if thousands is not None:
             text = f"'{key}' {value}"
-            yield Statement(
-                text,
-                None,
-                f"{text} may be {thousands[1]} or {thousands[1]}{thousands[2]}",
-            )
+            either = f"{thousands[1]} or {thousands[1]}{thousands[2]}"
+            yield Statement(text, None, f"{text} may be {either}")
         else:
             yield from read_statements(key, value)
 
@@ -104,8 +105,9 @@ def _first_value(text: str, mark: str) -> str:
     value = re.split(r"[\t;]|,\s*(?=,|$)", text)[0].strip()
     if mark != "," and re.fullmatch(r"\d+,\d+\s*\D*", value):
         # 1,000 is 1 to some and 1000 to others
-        grouped = re.fullmatch(r"\d{1,3},\d{3}\D*", value)
-        return value if grouped else value.replace(",", ".")
+        if re.fullmatch(r"\d{1,3},\d{3}\D*", value):
+            return value
+        return value.replace(",", ".")
     cells = [cell.strip() for cell in value.split(",")]
     if len(cells) == 2 and is_number(cells[0], ".") and not is_number(cells[1], "."):
         return f"{cells[0]} {cells[1]}"
@@ -164,17 +166,19 @@ def _number(text: str) -> float | None:
 def _step(name: str, value: str, unit: str = "") -> tuple[Statement, ...]:
     """Read a step, in seconds by the maker's definition, under the name that it has in the file."""
     step = _number(value.strip().removesuffix("s"))
-    return (
-        (Statement(f"'{name}' {value.strip()}{unit}", 1.0 / step),)
-        if step and step > 0.0
-        else ()
-    )
+    if step is None or not step > 0.0:
+        return ()
+    return (Statement(f"'{name}' {value.strip()}{unit}", 1.0 / step),)
 
 
 def _settings(lines: Sequence[str]) -> dict[str, list[str]]:
     """Read lines of comma-separated settings: a key, and a value for each channel."""
-    rows = [split_cells(line, ",") for line in lines]
-    return {cells[0].lower(): cells[1:] for cells in rows if cells[0]}
+    settings = {}
+    for line in lines:
+        key, *values = split_cells(line, ",")
+        if key:
+            settings[key.lower()] = values
+    return settings
 
 
 # One reader for each maker: the file's lines, and the index of the line that gave it
@@ -190,18 +194,21 @@ def _pi_array(place: str, lines: list[str], end: int) -> Dialect | None:
         The rows have another number of columns than the header states.
     """
     pattern = re.compile(r"\s*#\s*([A-Z_]+\s?\d*)\s*=\s*(.*?)\s*")
-    matches = [
-        match for line in lines[:end] if (match := pattern.fullmatch(line[:_LONGEST]))
-    ]
-    settings = {match[1].replace(" ", ""): match[2] for match in matches}
+    settings = {}
+    for line in lines[:end]:
+        match = pattern.fullmatch(line[:_LONGEST])
+        if match is not None:
+            settings[match[1].replace(" ", "")] = match[2]
     if end + 1 >= len(lines) or not {"SAMPLE_TIME", "NDATA", "DIM"} & settings.keys():
         return None
     code = _number(settings.get("SEPARATOR", "9"))
-    delimiter = chr(int(code)) if code is not None and 0 < code < 127 else "\t"
-    delimiter = delimiter if delimiter in lines[end + 1] else BLANKS
-    width = len(
-        [cell for cell in split_cells(lines[end + 1].rstrip(), delimiter) if cell]
-    )
+    delimiter = "\t"
+    if code is not None and 0 < code < 127:
+        delimiter = chr(int(code))
+    first_row = lines[end + 1]
+    if delimiter not in first_row:
+        delimiter = BLANKS
+    width = len(list(filter(None, split_cells(first_row.rstrip(), delimiter))))
     stated = _number(settings.get("DIM", ""))
     if stated is not None and int(stated) != width:
         raise InputError(
@@ -224,23 +231,16 @@ def _lvm(place: str, lines: list[str], _: int) -> Dialect | None:
     InputError
         Every channel has its own X column, and whether they are the same is not known.
     """
-    ends = [
-        number for number, line in enumerate(lines) if line.startswith(END_OF_HEADER)
-    ]
+    ends = []
+    for number, line in enumerate(lines):
+        if line.startswith(END_OF_HEADER):
+            ends.append(number)
     if len(ends) < 2 or ends[1] + 2 >= len(lines):
         return None
-    stated = [
-        match
-        for line in lines[: ends[0]]
-        if (match := re.match(r"(\w+)([\t,;])(.*)", line))
-    ]
-    file = {
-        match[1]: match[3].rstrip("\t ").removesuffix(match[2]) or match[3].strip("\t ")
-        for match in stated
-    }
+    file = _lvm_settings(lines[: ends[0]])
     delimiter = _LVM_SEPARATORS.get(file.get("Separator", "Tab").lower(), "\t")
     rows = [split_cells(line, delimiter) for line in lines[ends[0] + 1 : ends[1] + 3]]
-    channels = {cells[0]: cells[1:] for cells in rows[:-2] if cells[0]}
+    channels = _lvm_channels(rows[:-2])
     names = rows[-2]
     remarks = names[-1] == "Comment"  # which a row has or leaves out
     while names and names[-1] in ("", "Comment"):
@@ -251,32 +251,26 @@ def _lvm(place: str, lines: list[str], _: int) -> Dialect | None:
             f"{place}: every channel has its own X column (X_Columns Multi): write it with X_Columns One "
             "or No"
         )
-    timed = all(
-        dimension.lower() == "time"
-        for dimension in channels.get("X_Dimension", [])
-        if dimension
-    )
+    dimensions = filter(None, channels.get("X_Dimension", []))
+    timed = all(dimension.lower() == "time" for dimension in dimensions)
+    x_unit = "s" if timed else ""
     if x_columns == "no":
         names = ["", *names[1:]]  # the X column is there, but its cells are empty
-    units = [
-        "s" if timed and x_columns != "no" else "",
-        *channels.get("Y_Unit_Label", []),
-    ]
+        x_unit = ""
+    units = [x_unit, *channels.get("Y_Unit_Label", [])]
+    start = 0.0
     # Where X0 is not relative, it counts from a day in the past.
-    starts = (
-        channels.get("X0", [])
-        if file.get("Time_Pref", "Relative").lower() == "relative"
-        else []
-    )
-    start = _number(next((start for start in starts if start), "")) or 0.0
-    steps = [
-        step
-        for value in channels.get("Delta_X", [])
-        for step in _step("Delta_X", value)
-    ]
-    clock = tuple(dict.fromkeys(steps)) if timed else ()
+    if file.get("Time_Pref", "Relative").lower() == "relative":
+        starts = filter(None, channels.get("X0", []))
+        start = _number(next(starts, "")) or 0.0
+    clock: list[Statement] = []
+    for value in channels.get("Delta_X", []):
+        clock += _step("Delta_X", value)
     decimal = "," if file.get("Decimal_Separator") == "," else "."
-    width = len(names) if remarks and rows[-1][-1] else max(len(names), len(rows[-1]))
+    first_row = rows[-1]
+    width = len(names)
+    if not (remarks and first_row[-1]):
+        width = max(width, len(first_row))
     header = _header(
         lines,
         ends[1] + 2,
@@ -285,10 +279,31 @@ def _lvm(place: str, lines: list[str], _: int) -> Dialect | None:
         width,
         delimiter,
         decimal,
-        clock=clock,
+        clock=tuple(dict.fromkeys(clock)) if timed else (),
         start=start,
     )
     return replace(header, remarks=remarks)
+
+
+def _lvm_settings(lines: Sequence[str]) -> dict[str, str]:
+    """Read what the file's own header states: a key, the separator, a value."""
+    settings = {}
+    for line in lines:
+        match = re.match(r"(\w+)([\t,;])(.*)", line)
+        if match is not None:
+            key, mark, value = match.groups()
+            value = value.rstrip("\t ").removesuffix(mark) or value.strip("\t ")
+            settings[key] = value
+    return settings
+
+
+def _lvm_channels(rows: Sequence[Sequence[str]]) -> dict[str, Sequence[str]]:
+    """Read what the segment's header states: a key, and a value for each channel."""
+    channels = {}
+    for cells in rows:
+        if cells[0]:
+            channels[cells[0]] = cells[1:]
+    return channels
 
 
 def _labview_waveforms(place: str, lines: list[str], _: int) -> Dialect | None:
