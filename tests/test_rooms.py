@@ -139,7 +139,7 @@ def test_no_function_is_longer_than_a_page() -> None:
         f"{path.relative_to(PACKAGE)}: {node.name}"
         for path in MODULES
         for node in nodes(path)
-        if isinstance(node, ast.FunctionDef) and lines_of(node) > 100
+        if isinstance(node, ast.FunctionDef) and lines_of(node) > 80
     ]
     assert long == []
 

@@ -222,7 +222,7 @@ def headline(report: Report) -> str:
     return f"{line}, {factor} times {direction} than {first.name}"
 
 
-class Column(NamedTuple):
+class ReportColumn(NamedTuple):
     """One column of a table: its heading in text and on a page (empty: not there), and its cells."""
 
     short: str
@@ -230,88 +230,92 @@ class Column(NamedTuple):
     cell: Callable[[Any], str]
 
 
-NAME = Column("log", "Log", lambda log: str(log.name))
+NAME = ReportColumn("log", "Log", lambda log: str(log.name))
 
 
-def _columns_of_errors(report: Report) -> list[Column]:
+def _columns_of_errors(report: Report) -> list[ReportColumn]:
     """Return the columns of the table of errors; some are there only where their figures are known."""
     unit = _unit(report, " ({})")
     columns = [
         NAME,
-        Column("samples", "Samples", lambda log: str(log.figures.samples)),
+        ReportColumn("samples", "Samples", lambda log: str(log.figures.samples)),
         *_errors(report, 4),
     ]
     if any(log.expected is not None for log in report.logs):
         columns.insert(
             4,
-            Column(
+            ReportColumn(
                 "% range",
                 "% of the model's range",
                 lambda log: digits(log.percent_of_range),
             ),
         )
     if any(log.expected_rmse is not None for log in report.logs):
-        expected = Column(
+        expected = ReportColumn(
             "expected", f"Expected{unit}", lambda log: digits(log.expected_rmse)
         )
         columns.insert(3, expected)
     if len(report.logs) > 1:
         columns.append(
-            Column("ratio", "Times the first", lambda log: digits(log.ratio_to_first))
+            ReportColumn(
+                "ratio", "Times the first", lambda log: digits(log.ratio_to_first)
+            )
         )
     return columns
 
 
-def _columns_of_what_is_left(report: Report) -> list[Column]:
+def _columns_of_what_is_left(report: Report) -> list[ReportColumn]:
     """Return the columns of the table of loop and lag."""
     unit = _unit(report, " ({})")
     return [
         NAME,
-        Column(
+        ReportColumn(
             "loop left",
             f"Hysteresis left{unit}",
             lambda log: digits(log.figures.loop_width),
         ),
-        Column(
+        ReportColumn(
             "% move",
             "the same, % of the move",
             lambda log: digits(log.figures.loop_width_percent),
         ),
-        Column(
+        ReportColumn(
             "by noise",
             f"Noise alone{unit}",
             lambda log: digits(log.figures.loop_noise, 2),
         ),
-        Column(
+        ReportColumn(
             "lag left",
             "Delay left (samples)",
             lambda log: digits(log.figures.lag_left, 3),
         ),
-        Column("seconds", "", lambda log: digits(log.figures.lag_left_seconds, 3)),
-        Column(
+        ReportColumn(
+            "seconds", "", lambda log: digits(log.figures.lag_left_seconds, 3)
+        ),
+        ReportColumn(
             "",
             "Delay left (ms)",
             lambda log: digits(log.figures.lag_left_seconds, 3, 1000.0),
         ),
-        Column(
+        ReportColumn(
             "phase",
             "Phase left (360° a cycle)",
             lambda log: digits(log.figures.phase_left, 3) + "°",
         ),
-        Column("largest at row", "", lambda log: str(log.figures.max_abs_row)),
+        ReportColumn("largest at row", "", lambda log: str(log.figures.max_abs_row)),
     ]
 
 
-def segment_table(report: Report) -> list[Column]:
+def segment_table(report: Report) -> list[ReportColumn]:
     """Return the columns of a table of segments."""
     return [
-        Column("part", "Part", lambda part: str(part.number)),
-        Column("rows", "Rows", lambda part: f"{part.first_row}:{part.last_row}"),
+        ReportColumn("part", "Part", lambda part: str(part.number)),
+        ReportColumn("rows", "Rows", lambda part: f"{part.first_row}:{part.last_row}"),
         *_errors(report, 3),
-        Column(
+        ReportColumn(
             "loop", "Hysteresis left", lambda part: digits(part.figures.loop_width, 3)
         ),
-        Column(
+        ReportColumn(
             "lag", "Delay left (samples)", lambda part: digits(part.figures.lag_left, 3)
         ),
     ]
@@ -325,28 +329,30 @@ def segment_words(report: Report) -> str:
     return f"by {segment:g} s"
 
 
-def _errors(report: Report, places: int) -> list[Column]:
+def _errors(report: Report, places: int) -> list[ReportColumn]:
     unit = _unit(report, " ({})")
     mean = "offset" if report.options.remove_offset else "mean"
     return [
-        Column("RMSE", f"RMSE{unit}", lambda part: digits(part.figures.rmse, places)),
-        Column(
+        ReportColumn(
+            "RMSE", f"RMSE{unit}", lambda part: digits(part.figures.rmse, places)
+        ),
+        ReportColumn(
             "% move",
             "% of the move",
             lambda part: digits(part.figures.nrmse_percent, places),
         ),
-        Column(
+        ReportColumn(
             "95 %",
             f"95 % below{unit}",
             lambda part: digits(part.figures.p95_abs, places),
         ),
-        Column(
+        ReportColumn(
             "largest",
             f"Largest{unit}",
             lambda part: digits(part.figures.max_abs, places),
         ),
-        Column("", "at row", lambda part: str(part.figures.max_abs_row)),
-        Column(
+        ReportColumn("", "at row", lambda part: str(part.figures.max_abs_row)),
+        ReportColumn(
             mean,
             f"{mean.capitalize()}{unit}",
             lambda part: digits(getattr(part.figures, mean), places),
@@ -358,7 +364,7 @@ def _unit(report: Report, form: str = " {}") -> str:
     return form.format(report.unit) if report.unit else ""
 
 
-def _table_of(columns: Sequence[Column], parts: Sequence[Any]) -> str:
+def _table_of(columns: Sequence[ReportColumn], parts: Sequence[Any]) -> str:
     shown = [column for column in columns if column.short]
     rows = [[column.cell(part) for column in shown] for part in parts]
     return text_table([column.short for column in shown], rows)
@@ -521,7 +527,9 @@ def filled(name: str, **values: str) -> str:
     )
 
 
-def _html_table(columns: Sequence[Column], parts: Sequence[Any], chief: int = 2) -> str:
+def _html_table(
+    columns: Sequence[ReportColumn], parts: Sequence[Any], chief: int = 2
+) -> str:
     shown = [column for column in columns if column.long]
     rows = [[column.cell(part) for column in shown] for part in parts]
     return html_table([column.long for column in shown], rows, chief)
