@@ -16,6 +16,8 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import correlate
 
 from dbo_cli.drives import check
+from dbo_cli.drives.gate import DriveFigures, DriveGate
+from dbo_cli.hysteresis.model_state import DriveLimits
 
 
 def write(name: str, header: str, *columns: Any) -> None:
@@ -71,6 +73,12 @@ def test_a_drive_within_its_limits_passes(bench: Any) -> None:
         ("--from 0 --max-slew 2000", "row 1: from 0 to 50 V in one row is faster than 2000 V per second"),
         ("--rows 1:250 --loop", "from the last row, 89.9803 V, to the first, 50 V, is a step of 40 V "
          "where the largest inside is 1.26 V: the loop does not close"),
+        ("--rows 1:205 --loop", "from the last row, 55.0133 V, to the first, 50 V, is a step of 5.01 V "
+         "where the largest inside is 1.26 V: the loop does not close"),
+        ("--from 49.9 --max-slew 1256", "row 2: from 50 to 51.2564304 V in one row is faster than 1256 V "
+         "per second (7 rows in all)"),
+        ("--from 49 --max-slew 1255 --rows 3:400", "row 3: from 49 to 52.5116208 V in one row is faster than "
+         "1255 V per second (14 rows in all)"),
     ],
 )  # fmt: skip
 def test_what_breaks_a_limit_is_named(bench: Any, words: str, problem: str) -> None:
@@ -98,6 +106,7 @@ def test_gaps_repeats_and_rows_without_a_number_are_named(bench: Any) -> None:
         "row 201: the time stamp repeats",
         "row 22: a gap in time (3 rows in all)",
     ]
+    assert done.err == f"dbo: error: odd.csv: {found['problems'][0]} (and 2 more)\n"
 
 
 def test_what_was_played_is_told_from_what_was_to_be(bench: Any) -> None:
@@ -113,10 +122,10 @@ def test_what_was_played_is_told_from_what_was_to_be(bench: Any) -> None:
         "differs by up to 2.1 V, more than 0.1 V (gain 1.02 and offset 0.3 V explain all but"
         in done.err
     )
-    write("half.csv", "time_s,monitor_V", TIME[:200], DRIVE[:200])
+    write("part.csv", "time_s,monitor_V", TIME[:150], DRIVE[:150])
     assert (
-        "200 of 400 rows were not played"
-        in bench("check", "half.csv", "--against", "drive.csv").err
+        "250 of 400 rows were not played"
+        in bench("check", "part.csv", "--against", "drive.csv").err
     )
     noise = np.random.default_rng(1).normal(50.0, 20.0, 400)
     write("other.csv", "time_s,monitor_V", TIME, noise)
@@ -1005,3 +1014,30 @@ def test_the_first_row_has_the_time_up_to_the_second(dbo: Any) -> None:
     )
     assert dbo("check", "d.csv", "--from", "0", "--max-slew", "1000").code == 0
     assert dbo("check", "d.csv", "--from", "0", "--max-slew", "999").code == 3
+
+
+def test_the_figures_of_a_drive_by_hand() -> None:
+    """Travel, work, time and the fastest step; what there was before the first row counts for none."""
+    figures = DriveFigures()
+    figures.see(np.array([-1.0, -3.0, 1.0]), np.array([7.0, 0.5, 2.0]))
+    figures.see(np.array([2.0, -4.0]), np.array([0.25, 1.0]))
+    assert (figures.low, figures.high) == (-4.0, 2.0)
+    assert (figures.first, figures.last, figures.rows) == (-1.0, -4.0, 5)
+    assert (figures.largest_step, figures.travel) == (6.0, 13.0)
+    assert figures.work == 3.0 * 2.0 + 1.0 * 4.0 + 2.0 * 1.0 + 4.0 * 6.0
+    assert figures.seconds == 0.5 + 2.0 + 0.25 + 1.0
+    assert figures.fastest == 6.0
+
+
+def test_a_step_may_exceed_the_slew_limit_by_rounding_alone() -> None:
+    limits = DriveLimits(0.0, 100.0, 1000.0)
+    gate = DriveGate(limits)
+    assert gate.broken(np.array([50.0, 51.0, 52.0 + 1e-14]), 0.001).tolist() == [
+        False,
+        False,
+        False,
+    ]
+    assert DriveGate(limits).broken(np.array([50.0, 51.0 + 1e-9]), 0.001).tolist() == [
+        False,
+        True,
+    ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from fractions import Fraction
 from pathlib import Path
 
@@ -12,7 +13,13 @@ from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.columns import column_wish, parse_column
 from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.signal_log import Source, open_log
-from dbo_cli.logs.units import kind_of_unit, parse_scale, unit_factor
+from dbo_cli.logs.units import (
+    kind_of_unit,
+    parse_scale,
+    parse_time_unit,
+    require_unit,
+    unit_factor,
+)
 
 
 @pytest.mark.parametrize(
@@ -228,3 +235,43 @@ def test_doubtful_units_are_warned_of(tmp_path: Path) -> None:
             f"{path}: the unit 'furlong' of column 'displacement' is not known and carried as it is "
             "(`scale` ROLE=FACTORUNIT/UNIT converts)",
         ]
+
+
+@pytest.mark.parametrize(
+    ("unit", "wanted", "factor"),
+    [
+        ("cm", "mm", 10.0), ("angstrom", "nm", 0.1), ("min", "s", 60.0), ("h", "min", 60.0),
+        ("deg", "rad", 0.017453292519943295), ("arcsec", "urad", 4.84813681109536),
+        ("uF", "nF", 1000.0), ("nF", "pF", 1000.0), ("F", "uF", 1e6),
+        ("bar", "Pa", 1e5), ("mbar", "Pa", 100.0), ("psi", "Pa", 6894.757293168),
+        ("kA/m", "A/m", 1000.0), ("Nm", "mNm", 1000.0), ("kV", "V", 1000.0), ("mV", "uV", 1000.0),
+    ],
+)  # fmt: skip
+def test_units_are_what_the_tables_of_the_si_say(
+    unit: str, wanted: str, factor: float
+) -> None:
+    """Definitions: psi of 0.45359237 kg, 9.80665 m/s2 and (0.0254 m)2; a second of arc is pi/648,000 rad."""
+    there, back = unit_factor(unit, wanted), unit_factor(wanted, unit)
+    assert there is not None and back is not None
+    assert float(there) == pytest.approx(factor, rel=1e-12)
+    assert float(back) == pytest.approx(1.0 / factor, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "seconds"),
+    [("s", "s", 1.0), ("ms", "ms", 1e-3), ("us", "us", 1e-6), ("ns", "ns", 1e-9), ("min", "min", 60.0),
+     ("h", "h", 3600.0), ("d", "d", 86400.0)],
+)  # fmt: skip
+def test_a_unit_of_time_in_seconds(text: str, unit: str, seconds: float) -> None:
+    name, factor = parse_time_unit(text)
+    assert name == unit
+    assert float(factor) == pytest.approx(seconds, rel=1e-12)
+
+
+def test_a_plain_limit_of_a_drive_in_kilovolts_is_refused_with_both_meanings() -> None:
+    message = (
+        "`v_max` 100: the drive is in kV, and a plain number may be meant in V "
+        "(`v_max` 0.1kV or `v_max` 100kV)"
+    )
+    with pytest.raises(UsageError, match="^" + re.escape(message) + "$"):
+        require_unit("v_max", 100.0, "kV")

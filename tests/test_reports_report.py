@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import os
+import re
 import unicodedata
 from pathlib import Path
 
@@ -16,10 +17,13 @@ from trials import pairs
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.reports import report as report_module
 from dbo_cli.reports.accumulators import FigureData
-from dbo_cli.reports.renderers import headline, to_csv, to_json, to_text
+from dbo_cli.reports.renderers import headline, to_csv, to_html, to_json, to_text
 from dbo_cli.reports.report import (
+    Expected,
+    LogReport,
     Report,
     ReportOptions,
+    SummaryExpected,
     check_limits,
     common_unit,
     digits,
@@ -603,3 +607,76 @@ def test_no_scale_writes_what_is_no_number(scale, gain, step):
     report = Report.of(logs, ReportOptions(), "um")
     for text in (to_json(report), to_csv(report), to_text(report)):
         assert "nan" not in text.lower() and "inf" not in text.lower()
+
+
+def late_and_noisy() -> Report:
+    """Return a report of one log: late by three samples, a loop of 0.8 um, three rows without a number."""
+    desired = sine()
+    noise = 0.02 * np.random.default_rng(3).normal(size=desired.size)
+    direction = np.sign(np.gradient(desired))
+    measured = np.roll(desired, 3) + noise + 0.8 * direction
+    measured[[10, 500, 900]] = np.nan
+    options = ReportOptions(segment=2.0)
+    log = evaluate("a.csv", blocks_of(desired, measured), options, sample_rate=200.0)
+    return Report.of([log], options, "um")
+
+
+def test_every_figure_of_a_table_is_the_one_of_its_column():
+    report = late_and_noisy()
+    log = json.loads(to_json(report))["logs"][0]
+    assert log["not_finite"] == 3
+    assert log["p95_abs"] < log["max_abs"]
+    shown = [
+        digits(log[key])
+        for key in ("rmse", "nrmse_percent", "p95_abs", "max_abs", "mean")
+    ]
+    lines = to_text(report).splitlines()
+    errors = next(line for line in lines if line.startswith("a.csv   "))
+    assert errors.split() == ["a.csv", str(log["samples"]), *shown]
+    left = [line for line in lines if line.startswith("a.csv   ")][1]
+    assert left.split() == [
+        "a.csv",
+        digits(log["loop_width"]),
+        digits(log["loop_width_percent"]),
+        digits(log["loop_noise"], 2),
+        digits(log["lag_left_samples"], 3),
+        digits(log["lag_left_s"], 3),
+        digits(log["phase_left_degrees"], 3) + "°",
+        str(log["max_abs_row"]),
+    ]
+    rows = [line.split()[:2] for line in lines if re.match(r"[123] ", line)]
+    assert rows == [["1", "1:400"], ["2", "401:800"], ["3", "801:1000"]]
+    assert log["lag_left_s"] == pytest.approx(log["lag_left_samples"] / 200.0)
+
+
+def test_the_page_gives_the_delay_in_milliseconds():
+    report = late_and_noisy()
+    log = json.loads(to_json(report))["logs"][0]
+    page = to_html(report, [[]], program="dbo")
+    assert "Delay left (ms)" in page
+    milliseconds = digits(1e3 * log["lag_left_s"], 3)
+    assert float(milliseconds) == pytest.approx(6.9, abs=0.1)
+    assert f">{milliseconds}<" in page
+
+
+def test_percent_of_the_range_is_the_rmse_over_the_range_of_the_model():
+    log = late_and_noisy().logs[0]
+    expected = Expected(0.5, 0.4, 80.0, "model.json")
+    judged = LogReport("a.csv", log.figures, 0, expected=expected)
+    assert judged.percent_of_range == pytest.approx(100.0 * log.figures.rmse / 80.0)
+    assert log.percent_of_range is None
+
+
+@pytest.mark.parametrize(
+    ("high", "same"), [(100.0, True), (100.9, True), (101.2, False), (98.8, False)]
+)
+def test_a_summary_is_of_a_move_whose_ends_lie_within_a_hundredth(high, same):
+    stated = SummaryExpected(0.5, 0.4, 120.0, "d.json", move_range=(0.0, 100.0))
+    expected, warning = stated.of_move(0.0, high, " um")
+    if same:
+        assert warning is None
+        assert expected.source == "d.json for this move"
+    else:
+        assert f"a move from 0 to 100 um, the one compared has 0 to {high:g} um" in (
+            warning
+        )
