@@ -672,6 +672,12 @@ FAULTS: list[Fault] = [
         ('slack = SAME_MOVE * (high - low)', 'slack = 10.0 * SAME_MOVE * (high - low)', 'another move is one whose ends differ by a hundredth'),
     ),
     *_faults(
+        "reports/report.py",
+        ("reports_report", "reports_verdict"),
+        (', {100.0 * half.part_of_rows:.2g} % of all', ', {half.part_of_rows:.2g} % of all', 'the part of the rows in words'),
+        ('"offset_removed": figures.offset, "loop_noise": figures.loop_noise', '"offset_removed": figures.offset, "loop_noise": figures.loop_width', "the noise of a part's loop"),
+    ),
+    *_faults(
         "reports/renderers.py",
         ("reports_report",),
         ('digits(log.figures.lag_left_seconds, 3, 1000.0)', 'digits(log.figures.lag_left_seconds, 3)', 'the page gives the delay in milliseconds'),

@@ -647,6 +647,8 @@ def test_every_figure_of_a_table_is_the_one_of_its_column():
     rows = [line.split()[:2] for line in lines if re.match(r"[123] ", line)]
     assert rows == [["1", "1:400"], ["2", "401:800"], ["3", "801:1000"]]
     assert log["lag_left_s"] == pytest.approx(log["lag_left_samples"] / 200.0)
+    for part in log["segments"]:
+        assert part["loop_noise"] < 0.1 < abs(part["loop_width"])
 
 
 def test_the_page_gives_the_delay_in_milliseconds():

@@ -183,6 +183,8 @@ def test_a_start_that_makes_half_of_the_error_is_said_with_its_rows(dbo: Any) ->
     text = dbo("report", "run.csv").out
     part = float(np.sqrt(np.mean(error[last:] ** 2) / np.mean(error**2)))
     assert f"without them the RMSE is {part:.2f} of it" in " ".join(text.split())
+    percent = log["half_of_error_percent_of_rows"]
+    assert f", {percent:.2g} % of all, make " in " ".join(text.split())
     assert (
         "half of the squared error" in dbo("report", "run.csv", "--format", "html").out
     )
