@@ -116,7 +116,7 @@ class MoveLoss:
 
     def add_displacement(self, lost: FloatArray) -> None:
         """Add rows of which it is known how much displacement they lose."""
-        self.squares += float(lost @ lost)
+        self.squares += float(np.square(lost).sum())
         self.most = max(self.most, float(np.abs(lost).max(initial=0.0)))
 
     def rms(self, rows: int) -> float:

@@ -223,7 +223,7 @@ class Inputs:
     def note_rounding(self, before: FloatArray, after: FloatArray) -> None:
         """Add up what a low-pass took off."""
         away = after - before
-        self._squares += float(np.dot(away, away))
+        self._squares += float(np.square(away).sum())
         self._largest = max(self._largest, float(np.abs(away).max()))
         self._smoothed += away.size
 

@@ -303,7 +303,7 @@ class DelayLeft:
         # before, what was is not of this signal
         known = time >= self._begin + self._delay.seconds
         left = (late - wanted)[known]
-        self._squares += float(left @ left)
+        self._squares += float(np.square(left).sum())
         self._rows += left.size
         self._rows_left -= time.size
         self._last = float(time[-1])

@@ -303,8 +303,8 @@ def _with_drift(
     times, apart, weights = np.zeros(PARTS), np.zeros(PARTS), np.zeros(PARTS)
     for k, rows in enumerate(parts):
         moving = speed[rows] - speed[rows].mean()
-        weights[k] = float(np.dot(moving, moving))
-        apart[k] = -float(np.dot(moving, left[rows])) / max(weights[k], 1e-300)
+        weights[k] = float(np.sum(moving * moving))
+        apart[k] = -float(np.sum(moving * left[rows])) / max(weights[k], 1e-300)
         times[k] = at[rows].mean()
     weights /= max(float(weights.sum()), 1e-300)
     middle = float(np.dot(weights, times))

@@ -481,7 +481,7 @@ def _slope(explained: Sequence[FloatArray], logs: Sequence[Recording]) -> float:
         np.concatenate(parts)
         for parts in zip(*((a - a.mean(), b - b.mean()) for a, b in pairs), strict=True)
     )
-    return float(x @ y) / float(x @ x)
+    return float(np.sum(x * y)) / float(np.sum(x * x))
 
 
 def _predicted(model: ActuatorModel, log: Recording) -> FloatArray:
@@ -511,7 +511,7 @@ def _mean_of(logs: Mapping[str, Sequence[Recording]]) -> list[Recording]:
         table = table - table.mean(axis=0)
         mean = table[:, 0]
         for _ in range(2):
-            gains = table.T @ mean / float(mean @ mean)
+            gains = table.T @ mean / float(np.sum(mean * mean))
             moving = np.abs(gains) > LEAST_GAIN * np.median(np.abs(gains))
             mean = (table[:, moving] / gains[moving]).mean(axis=1) * float(
                 np.median(gains[moving])

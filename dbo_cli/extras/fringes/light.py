@@ -124,7 +124,7 @@ def fit_light(
     for _ in range(3):
         solution: Floats = np.linalg.solve(products + noise**2 * stiffness, targets)
         residual = signal - rows @ solution
-        noise = float(np.sqrt(weight @ residual**2 / free))
+        noise = float(np.sqrt(np.sum(weight * residual**2) / free))
     width = basis.shape[1]
     factors = [
         basis @ solution[k * width : (k + 1) * width] for k in range(1 + len(terms))

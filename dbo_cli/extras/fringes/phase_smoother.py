@@ -166,7 +166,9 @@ def smooth(
             channel.weight * (channel.slope(phase) / channel.noise) ** 2 * variance
         )
         rows = float(channel.weight.sum() - leverage.sum())
-        squares = float(channel.weight @ (channel.signal - channel.shown(phase)) ** 2)
+        squares = float(
+            np.sum(channel.weight * (channel.signal - channel.shown(phase)) ** 2)
+        )
         noise.append(float(np.sqrt(squares / max(rows, 1.0))))
     return Smoothed(phase, np.sqrt(variance), noise)
 
@@ -201,9 +203,9 @@ def _cost(bands: Floats, channels: list[Channel], phase: Floats, give: Floats) -
     """Return twice the negative logarithm of how probable the signals are, up to a constant."""
     whole = bands.copy()
     whole[2] += _information(channels, phase)
-    cost = float(phase @ _penalty(bands, phase)) + float(np.sum(np.log(give)))
+    cost = float(np.sum(phase * _penalty(bands, phase))) + float(np.sum(np.log(give)))
     for channel in channels:
         misfit = channel.signal - channel.shown(phase)
-        cost += float(channel.weight @ misfit**2) / channel.noise**2
+        cost += float(np.sum(channel.weight * misfit**2)) / channel.noise**2
     factor = cholesky_banded(whole)
     return cost + 2.0 * float(np.sum(np.log(factor[2])))

@@ -325,10 +325,10 @@ class RepeatedMove:
             believed - believed.mean(),
             self.desired - self.desired.mean(),
         )
-        square = float(np.dot(wanted, wanted))
+        square = float(np.sum(wanted * wanted))
         size = 1.0
         if square:
-            size = max(float(np.dot(believed_shape, wanted)) / square, 0.0)
+            size = max(float(np.sum(believed_shape * wanted)) / square, 0.0)
         mean = 0.0
         if not self.options.absolute:
             mean = float(believed.mean() - self.desired.mean())

@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dbo_cli.errors import UsageError
+from dbo_cli.hysteresis.identification.normal_equations import dot, sum_of_squares
 from dbo_cli.hysteresis.identification.recordings import (
     BLOCK_ROWS,
     EVEN,
@@ -203,7 +204,7 @@ def _spectrum(values: Floats, step: float) -> tuple[Floats, Floats]:
     window = np.hanning(len(values))
     power = np.abs(np.fft.rfft((values - values.mean()) * window)) ** 2
     lines: Floats = np.asarray(np.fft.rfftfreq(len(values), step), dtype=np.float64)
-    return lines, power / float(window @ window)
+    return lines, power / sum_of_squares(window)
 
 
 def _filled(values: Floats, bad: Booleans) -> Floats:
@@ -522,7 +523,7 @@ def _top(voltage: Floats, noise: float) -> float:
         at = _highest_rows(halves[finding], noise, *known[finding])
         level, error = known[telling]
         weight = error[at] ** -2.0
-        tops.append(float(level[at] @ weight / weight.sum()))
+        tops.append(dot(level[at], weight) / float(weight.sum()))
         weights.append(float(weight.sum()))
     top = float(np.average(tops, weights=weights))
     # So many readings above it are higher by noise alone: a drive of few rows a turn is
@@ -577,7 +578,7 @@ def _one_sided(voltage: Floats, noise: float) -> tuple[Floats, Floats]:
     while rows <= min(LONGEST, len(voltage)):
         weights = _weights_of_the_end(rows)
         end = oaconvolve(readings, weights[::-1], mode="full")[: len(voltage)]
-        end_error = noise * float(np.sqrt(weights @ weights))
+        end_error = noise * math.sqrt(sum_of_squares(weights))
         np.maximum(lowest, end - AGREE * end_error, out=lowest)
         np.minimum(highest, end + AGREE * end_error, out=highest)
         growing &= lowest <= highest

@@ -37,6 +37,7 @@ from dbo_cli.hysteresis.identification.evaluation import (
     outward,
     white_noise,
 )
+from dbo_cli.hysteresis.identification.normal_equations import sum_of_squares
 from dbo_cli.hysteresis.identification.recordings import MOST, FastPart, Floats
 from dbo_cli.hysteresis.identification.statistics import EARNED
 from dbo_cli.hysteresis.model import ActuatorModel
@@ -348,7 +349,7 @@ def fitted(
         left = residuals(signals, parameters, structure)
         for part, one in zip(left, signals, strict=True):
             out = part[~keep[one.block]]
-            squares, rows = squares + float(out @ out), rows + out.size
+            squares, rows = squares + sum_of_squares(out), rows + out.size
     spread = _spread(signals, best, structure)
     order = np.argsort(best[0 : 2 * structure.resonances : 2])
     places = [2 * k + side for k in order for side in (0, 1)]

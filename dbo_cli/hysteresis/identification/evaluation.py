@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.identification.cleaning import Sensor
+from dbo_cli.hysteresis.identification.normal_equations import dot, sum_of_squares
 from dbo_cli.hysteresis.identification.preparation import Prepared
 from dbo_cli.hysteresis.identification.recordings import (
     BLOCK_ROWS,
@@ -275,7 +276,7 @@ def _rounded_down(value: float, digits: int) -> float:
 def white_noise(left: Sequence[Floats]) -> float:
     """Return the mean square of what is white in what is left over, by its second differences."""
     noise = [np.diff(part, 2) for part in left]
-    squares = sum(float(part @ part) for part in noise)
+    squares = sum(sum_of_squares(part) for part in noise)
     return squares / sum(part.size for part in noise) / 6.0
 
 
@@ -287,7 +288,7 @@ def most_noise(noise: float, rows: int) -> float:
 def beyond_noise(left: Sequence[Floats]) -> float:
     """Return the mean square of what is left over beyond white noise, 0 where that may be all."""
     rows = sum(part.size for part in left)
-    total = sum(float(part @ part) for part in left) / rows
+    total = sum(sum_of_squares(part) for part in left) / rows
     return max(total - most_noise(white_noise(left), rows), 0.0)
 
 
@@ -508,7 +509,7 @@ def fit_warnings(
     rows = sum(len(residual.values) for residual in residuals)
     squares = 0.0
     for residual in residuals:
-        squares += float(residual.weighted @ residual.weighted)
+        squares += sum_of_squares(residual.weighted)
     rmse = float(np.sqrt(squares / rows))
     if rows < ROWS_PER_SLOPE * choice.basis.gears:
         warnings.append(
@@ -658,8 +659,8 @@ def _speed_correlation(
         left.append(residual.values - residual.values.mean())
         speed.append(steps[residual.rows] - steps[residual.rows].mean())
     a, b = np.concatenate(left), np.concatenate(speed)
-    size = float(np.sqrt((a @ a) * (b @ b)))
-    return float(a @ b) / size if size > 0.0 else 0.0
+    size = math.sqrt(sum_of_squares(a) * sum_of_squares(b))
+    return dot(a, b) / size if size > 0.0 else 0.0
 
 
 def _speed(voltage: Floats, seconds: Floats) -> Floats:

@@ -31,6 +31,8 @@ from dbo_cli.hysteresis.identification.finalists import stages_of
 from dbo_cli.hysteresis.identification.normal_equations import (
     Solution,
     Structure,
+    dot,
+    sum_of_squares,
 )
 from dbo_cli.hysteresis.identification.output_error import Candidate, corners
 from dbo_cli.hysteresis.identification.preparation import Prepared, level_moves
@@ -260,14 +262,14 @@ def _line_error(
         _free_of_drift(log, x, rows)
         for log, x, rows in zip(logs, voltage, fitted, strict=True)
     ]
-    together = sum(float(x @ y) for x, y in free)
-    slope = together / max(sum(float(x @ x) for x, _ in free), TINY)
+    together = sum(dot(x, y) for x, y in free)
+    slope = together / max(sum(sum_of_squares(x) for x, _ in free), TINY)
     squares, count = 0.0, 0
     for log, x, rows in zip(logs, voltage, judged, strict=True):
         if rows.any():
             moved, output = _free_of_drift(log, x, rows)
             left = output - slope * moved
-            squares += float(left @ left)
+            squares += sum_of_squares(left)
             count += left.size
     return float(np.sqrt(squares / count))
 

@@ -27,6 +27,7 @@ from dbo_cli.hysteresis.identification.normal_equations import (
     SLOPE_FLOOR,
     Structure,
     least_squares,
+    sum_of_squares,
 )
 from dbo_cli.hysteresis.identification.output_error import (
     BLOCKS,
@@ -614,6 +615,6 @@ def _response_left_out(logs: Sequence[PreparedLog], taps: int) -> Score:
         for table, columns, quarter in tables:
             some = table[quarter == k]
             left = some[:, -1] - some[:, :-1] @ response[columns]
-            squares[k] += float(left @ left)
+            squares[k] += sum_of_squares(left)
             rows[k] += len(left)
     return Score(squares, rows)

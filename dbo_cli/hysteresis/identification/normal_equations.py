@@ -468,6 +468,20 @@ def solve(
     )
 
 
+def dot(a: Floats, b: Floats) -> float:
+    """Return the sum of products of two signals.
+
+    Not ``a @ b``: BLAS shares long sums among its threads, whose number then shows in
+    the last digit.
+    """
+    return float(np.sum(a * b))
+
+
+def sum_of_squares(values: Floats) -> float:
+    """Return the sum of squares of a signal; see ``dot``."""
+    return dot(values, values)
+
+
 def least_squares(gram: Floats, products: Floats) -> Floats:
     """Solve symmetric normal equations; columns that say the same, or nothing, share or get zero."""
     states = np.full(len(products), FREE, np.uint8)

@@ -36,6 +36,7 @@ from dbo_cli.hysteresis.identification.normal_equations import (
     penalties,
     quadratic,
     squared_error_free_of,
+    sum_of_squares,
 )
 from dbo_cli.hysteresis.identification.recordings import FEWEST_ROWS, Floats, Integers
 from dbo_cli.hysteresis.identification.statistics import (
@@ -244,7 +245,7 @@ class OutputProblem:
 
     def squares(self, vector: Floats, segments: int) -> float:
         """Return the sum of the squared errors of the output."""
-        return _sum_of_squares(self.left_over(vector, segments))
+        return sum_of_squares(self.left_over(vector, segments))
 
     def noise(self, candidate: Candidate) -> float:
         """Return the mean square of what is white in what a candidate leaves, by its second differences."""
@@ -422,7 +423,7 @@ class OutputProblem:
                 squares.append(self._squares_on(part, left))
             errors[kind] = Score.of(squares, [len(part.rows) for part in parts])
         line = _line_of(total)
-        least = _sum_of_squares(_left_by_line(table, line))
+        least = sum_of_squares(_left_by_line(table, line))
         memories = np.zeros(self.drive.shape[1] - gears)
         vector = np.concatenate((np.full(gears, line[0]), memories, line[1:]))
         structure = Structure("free", (), 1, 0.0)
@@ -480,11 +481,11 @@ class OutputProblem:
         fitted_rows = np.ones(self.count, bool)
         fitted_rows[part.rows] = False
         penalty = self.penalty(candidate.vector, structure)
-        least = _sum_of_squares(left_of_all[fitted_rows]) + penalty
+        least = sum_of_squares(left_of_all[fitted_rows]) + penalty
         for halving in range(HALVINGS + 1):
             trial = candidate.vector + 0.5**halving * (vector - candidate.vector)
             left = self.left_over(trial, structure.segments)
-            squares = _sum_of_squares(left[fitted_rows])
+            squares = sum_of_squares(left[fitted_rows])
             if squares + self.penalty(trial, structure) < least:
                 return left
         return left_of_all
@@ -601,18 +602,14 @@ def _left_by_line(table: Floats, line: Floats) -> Floats:
     return left
 
 
-def _sum_of_squares(values: Floats) -> float:
-    return float(np.sum(values * values))
-
-
 def _free_of(left: Floats, columns: Floats) -> float:
     """Return the sum of squares that these columns leave."""
     if not columns.shape[1]:
-        return _sum_of_squares(left)
+        return sum_of_squares(left)
     gram = np.einsum("ij,ik->jk", columns, columns)
     products = np.einsum("ij,i->j", columns, left)
     rest = left - np.einsum("ij,j->i", columns, least_squares(gram, products))
-    return _sum_of_squares(rest)
+    return sum_of_squares(rest)
 
 
 def finer(vector: Floats, columns: Columns, segments: int, to: int) -> Floats:
