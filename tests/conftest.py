@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import hashlib
 import json
@@ -9,8 +10,10 @@ import os
 import pickle
 import re
 import shutil
+import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -46,23 +49,44 @@ SMALL_MODEL: dict[str, Any] = {
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Let all workers keep compiled objects in one folder (``cached_cc.py``)."""
+    """Let all workers, and later runs, share compiled objects in one folder (``cached_cc.py``)."""
     if (
         "DBO_TEST_OBJECTS" not in os.environ
         and os.name == "posix"
         and shutil.which("gcc")
     ):
-        folder = tempfile.TemporaryDirectory(prefix="dbo-objects-")
-        config.add_cleanup(folder.cleanup)
-        os.environ["DBO_TEST_OBJECTS"] = folder.name
+        folder = objects_folder(config)
+        os.environ["DBO_TEST_OBJECTS"] = str(folder)
         # this Python, found before, and without its site
-        compiler = Path(folder.name) / "cc"
-        compiler.write_text(
+        compiler = folder / "cc"
+        fresh = folder / f"cc.{os.getpid()}"
+        fresh.write_text(
             f'#!/bin/sh\nexec "{sys.executable}" -SE "{CACHED_CC}" "$@"\n',
             encoding="utf-8",
         )
-        compiler.chmod(0o700)
+        fresh.chmod(0o700)
+        fresh.replace(compiler)
         os.environ["CC"] = str(compiler)
+
+
+def objects_folder(config: pytest.Config) -> Path:
+    """Return a folder for the objects of this compiler; what no run of a month used is gone.
+
+    It is pytest's own cache (``pytest --cache-clear`` empties it), or, without one, a
+    folder of this run.
+    """
+    if not hasattr(config, "cache"):  # -p no:cacheprovider
+        temporary = tempfile.TemporaryDirectory(prefix="dbo-objects-")
+        config.add_cleanup(temporary.cleanup)
+        return Path(temporary.name)
+    compiler = subprocess.run(["gcc", "-v"], capture_output=True, check=True).stderr
+    folder = config.cache.mkdir(f"objects-{hashlib.sha256(compiler).hexdigest()[:16]}")
+    oldest = time.time() - 30 * 86400.0
+    for kept in folder.iterdir():
+        with contextlib.suppress(FileNotFoundError):  # another run removed it
+            if kept.stat().st_mtime < oldest:
+                kept.unlink()
+    return folder
 
 
 @pytest.fixture

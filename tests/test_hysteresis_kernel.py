@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import os
-import shutil
 import subprocess
 import sys
 import sysconfig
@@ -18,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 import reference
-from compiling import COMPILERS, compile_c
+from compiling import COMPILERS, WARNINGS, compile_c
 from gear_by_gear import gear_by_gear
 from trials import Floats, random_operator, random_trajectory
 
@@ -656,7 +655,7 @@ def test_environment_selects_the_python_twin() -> None:
     assert done.stdout.strip() == "python"
 
 
-@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+@pytest.mark.skipif(not COMPILERS, reason="no C compiler")
 @pytest.mark.parametrize(
     "flags",
     [
@@ -673,18 +672,10 @@ def test_random_blocks_give_the_bits_of_single_gears(
     source = (
         Path(__file__).resolve().parent.parent / "benchmarks" / "kernel_reference.c"
     )
-    words = [
-        "cc",
-        "-std=c99",
-        *flags,
-        "-ffp-contract=off",
-        f"-I{SOURCE}",
-        str(source),
-        "-o",
-        str(program),
-        "-lm",
-    ]
-    subprocess.run(words, check=True)
+    compile_c(
+        tmp_path, "-std=c99", *flags, "-ffp-contract=off", f"-I{SOURCE}", str(source),
+        "-o", str(program), "-lm",
+    )  # fmt: skip
     for seed in ("11", "12"):
         done = subprocess.run(
             [str(program), "3e5", seed], capture_output=True, text=True, check=False
@@ -708,10 +699,10 @@ void drive(const dbo_gear *gears, size_t n, dbo_place *turns, const double *x, d
 """
 
 
-@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+@pytest.mark.skipif(not COMPILERS, reason="no C compiler")
 def test_single_steps_with_small_places(tmp_path: Path) -> None:
     """The file on its own, warnings as errors, with places of 16 bits and without the package's guide."""
-    (tmp_path / "harness.c").write_text(HARNESS)
+    (tmp_path / "kernel_harness.c").write_text(HARNESS)
     rng = np.random.default_rng(8)
     operator = DiscreteBacklashOperator(
         rng.uniform(0.1, 1.0, 150), rng.uniform(0.1, 1.0, 150)
@@ -725,11 +716,9 @@ def test_single_steps_with_small_places(tmp_path: Path) -> None:
         ["-O1", *few, "-DDBO_SMALL"],
     ):
         library = tmp_path / f"kernel{''.join(flags)}.so"
-        subprocess.run(
-            ["cc", "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror",
-             "-Wno-unused-function", "-ffp-contract=off", "-shared", "-fPIC", *flags, f"-I{SOURCE}",
-             str(tmp_path / "harness.c"), "-o", str(library)],
-            check=True,
+        compile_c(
+            tmp_path, *WARNINGS, "-Wno-unused-function", "-shared", "-fPIC", *flags,
+            f"-I{SOURCE}", "kernel_harness.c", "-o", str(library),
         )  # fmt: skip
         loaded = ctypes.CDLL(str(library))
         y = np.empty_like(x)
