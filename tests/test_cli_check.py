@@ -788,6 +788,24 @@ def test_binary_files_are_as_strict(bench: Any, name: str) -> None:
     )
 
 
+@pytest.mark.parametrize("selector", ["fast.csv::V", "fast.csv"])
+def test_a_drive_is_checked_in_its_own_file(bench: Any, selector: str) -> None:
+    """On the rows of another file its peak of 500 V, and its end, were looked at by nobody."""
+    rows = np.arange(2 * len(TIME))
+    fast = np.where(rows == 51, 500.0, 5.0)
+    write("fast.csv", "time_s,V", rows * (TIME[1] - TIME[0]) / 2.0, fast)
+    limits = ("--v-min", 0, "--v-max", 10)
+    done = bench("check", "drive.csv", "--voltage", selector, *limits)
+    assert (done.code, done.out) == (2, "")
+    assert done.err == (
+        "dbo: error: --voltage: a drive is checked in its own file, not on the rows of drive.csv: "
+        "check fast.csv (--voltage V)\n"
+    )
+    done = bench("check", "fast.csv", "--voltage", "V", *limits)
+    assert done.code == 3 and "row 52: 500 is outside 0 to 10" in done.err
+    assert bench("check", "drive.csv", "--voltage", "drive.csv::voltage_V").code == 0
+
+
 def test_files_of_unequal_length_and_a_meant_drive_with_bad_rows_are_problems(
     bench: Any,
 ) -> None:

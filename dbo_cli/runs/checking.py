@@ -36,6 +36,7 @@ from dbo_cli.logs.request import (
     Given,
     ReadingOptions,
     check_document,
+    other_file,
     selected_files,
 )
 from dbo_cli.logs.sample_block import DroppedRows, SampleBlock, even_step, joined
@@ -283,6 +284,7 @@ def _read(
     options = dataclasses.replace(reading, skip_bad=True)
     want = {"voltage": column_wish("voltage", voltage, option="voltage")}
     with open_log(address, want, options) as log:
+        _require_own_file(address, log.columns["voltage"].name)
         if wanted is not None and log.columns["voltage"].unit is not None:
             log.convert("voltage", wanted, "the recording is")
         block = joined(list(log.blocks()))
@@ -300,6 +302,18 @@ def _read(
             log.doubtful,
             remarks,
         )
+
+
+def _require_own_file(address: Address, column: str) -> None:
+    """Refuse a drive from another file (UsageError): between this file's rows nobody would look."""
+    elsewhere = other_file(column)
+    if elsewhere is None or elsewhere[0] == address.text:
+        return
+    file, name = elsewhere
+    raise UsageError(
+        f"`voltage`: a drive is checked in its own file, not on the rows of {cleaned(address.name)}: check "
+        f"{cleaned(file)} (`voltage` {cleaned(name)})"
+    )
 
 
 def _named(dropped: DroppedRows) -> list[str]:
