@@ -667,7 +667,7 @@ DRIVING = (
         "Round the trajectory's corners with a zero-phase low-pass first; with --tracked, learn so far up.",
     ),
 )
-CHECKING = (  # the fields of ``CheckOptions``
+CHECKING = (  # the fields of ``CheckOptions``, but for ``voltage``, which is DRIVE_COLUMN
     Option("--v-min VOLT", "Lowest voltage allowed."),
     Option("--v-max VOLT", "Highest voltage allowed."),
     MAX_SLEW,

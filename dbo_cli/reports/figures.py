@@ -144,32 +144,8 @@ def plots_of_comparison(
 def plots_of_log(report: Report, log: LogReport, figure_data: FigureData) -> list[Plot]:
     """Return the figures of one log, drawn from what ``figure_data`` gathered while it was evaluated."""
     view = _LogView(report, log, figure_data)
-    first, second = report.options.labels
     wide, tall = style.WIDE, style.TALL
-    both = f"{first.capitalize()} and {second}"
-    difference = f"{second.capitalize()} less {first} displacement"
-    output = f"{second.capitalize()} against {first}"
-    error_words = f"{difference} against time, with a band of one RMSE"
-    if log.concentrated is not None:
-        error_words += ", and the rows that make half of the squared error"
-    plots = [
-        Plot(
-            "tracking",
-            f"{both} against time",
-            f"{both} against time, the first as a solid line, the second dashed.",
-            wide,
-            view.tracking,
-        ),
-        Plot(
-            "worst",
-            "The same about the largest error, ten times finer",
-            f"{both} about the largest error, both axes ten times finer.",
-            wide,
-            view.worst,
-        ),
-        Plot("error", "Error against time", f"{error_words}.", wide, view.error),
-        Plot("output", output, f"{output}, beside the identity.", tall, view.output),
-    ]
+    plots = _plots_of_signals(view, log, *report.options.labels)
     if figure_data.has_drive:
         loop = f"Hysteresis loop: {view.quantity.lower()} against {view.drive_name.lower()}"
         plots.append(Plot("loop", loop, f"{loop}.", tall, view.loop))
@@ -206,6 +182,37 @@ def plots_of_log(report: Report, log: LogReport, figure_data: FigureData) -> lis
             )
         )
     return plots
+
+
+def _plots_of_signals(
+    view: _LogView, log: LogReport, first: str, second: str
+) -> list[Plot]:
+    """Return the figures of both signals and of their difference, which every log has."""
+    wide, tall = style.WIDE, style.TALL
+    both = f"{first.capitalize()} and {second}"
+    difference = f"{second.capitalize()} less {first} displacement"
+    output = f"{second.capitalize()} against {first}"
+    error_words = f"{difference} against time, with a band of one RMSE"
+    if log.concentrated is not None:
+        error_words += ", and the rows that make half of the squared error"
+    return [
+        Plot(
+            "tracking",
+            f"{both} against time",
+            f"{both} against time, the first as a solid line, the second dashed.",
+            wide,
+            view.tracking,
+        ),
+        Plot(
+            "worst",
+            "The same about the largest error, ten times finer",
+            f"{both} about the largest error, both axes ten times finer.",
+            wide,
+            view.worst,
+        ),
+        Plot("error", "Error against time", f"{error_words}.", wide, view.error),
+        Plot("output", output, f"{output}, beside the identity.", tall, view.output),
+    ]
 
 
 class _LogView:

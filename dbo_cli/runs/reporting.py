@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import itertools
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -76,6 +77,10 @@ if TYPE_CHECKING:
 Match = Literal["auto", "time", "rows"]
 ELSEWHERE = "`trajectory` FILE where it lies elsewhere, or `model` MODEL to compare with a model"
 SLACK = 1e-9  # of the range: what rounding may add to a drive that ends at its limit
+
+
+Judge = functools.partial[LogReport]
+"""``evaluate``, to which only the blocks are missing."""
 
 
 @dataclass(frozen=True)
@@ -264,53 +269,53 @@ class TrackingRun:
                     opened(log, want, reading_of_log, listener, time=time)
                 )
             )
-            if trajectory is None:
-                wished = None
-            else:
+            wished = None
+            if trajectory is not None:
                 wished = stack.enter_context(
                     open_trajectory(trajectory, options.desired, reading_of_trajectory)
                 )
                 listener.opened(wished.describe())
             self._bring_to_one_unit(source, wished or source)
-            data = self._new_figure_data(source) if self.traced else None
-            run = None
-            if self.model is not None:
-                run = ModelRun(self.model, source, start_of(options.state, self.model))
-                run.remedies = "`rows` leaves rows out, "
-            blocks = _counted(source, listener)
-            matched = None
-            if wished is not None:
-                matched = _matched(source, blocks, wished, options.match)
-            if matched is not None:
-                blocks = matched.pairs()
-            elif run is not None:
-                drive = PredictedDrive(
-                    run, options.count_sweep or reading.rows != ALL_ROWS
-                )
-                blocks = drive.predicted(blocks)
-            merits = evaluate(
+            judge = functools.partial(
+                evaluate,
                 name or source.name,
-                blocks,
-                self.options,
+                options=self.options,
                 sample_rate=source.stated_rate,
-                figure_data=data,
+                figure_data=self._new_figure_data(source) if self.traced else None,
                 score_rows=score_rows,
                 count_sweep=options.count_sweep or reading.rows != ALL_ROWS,
             )
-            if matched is not None:
-                merits = dataclasses.replace(
-                    merits, notes=(*matched.notes(), *merits.notes)
+            blocks = _counted(source, listener)
+            if self.model is not None:
+                merits, remarks = self._beside_model(
+                    self.model, source, blocks, options.state, judge
                 )
-            if run is not None:
-                merits = judged_by_expected(
-                    merits, drive.expected(self.model_name, score_rows)
-                )
-            elif options.expected is not None:
-                merits = self._judged_by(options.expected, merits)
+            else:
+                merits = _beside_desired(source, blocks, wished, options.match, judge)
+                remarks = remarks_of(source)
+                if options.expected is not None:
+                    merits = self._judged_by(options.expected, merits)
             self._merits.append(merits)
             listener.finished()
-            self.remarks.add(remarks_of(source) if run is None else run.remarks())
+            self.remarks.add(remarks)
             self.remarks.add(Remarks(warnings=list(merits.warnings)))
+
+    def _beside_model(
+        self,
+        model: ActuatorModel,
+        source: Source,
+        blocks: Iterator[SampleBlock],
+        state: StartName | ModelState | str,
+        judge: Judge,
+    ) -> tuple[LogReport, Remarks]:
+        """Compare what was measured with what a model makes of the drive."""
+        run = ModelRun(model, source, start_of(state, model))
+        run.remedies = "`rows` leaves rows out, "
+        asked = judge.keywords
+        drive = PredictedDrive(run, asked["count_sweep"])
+        merits = judge(drive.predicted(blocks))
+        expected = drive.expected(self.model_name, asked["score_rows"])
+        return judged_by_expected(merits, expected), run.remarks()
 
     def result(self) -> TrackingReport:
         """Return the report on all sources."""
@@ -604,6 +609,21 @@ def _is_number(value: object) -> bool:
 def _shown(value: object) -> str:
     """Return a value of a JSON file as a message repeats it."""
     return shortened(json.dumps(value))
+
+
+def _beside_desired(
+    source: Source,
+    blocks: Iterator[SampleBlock],
+    trajectory: Source | None,
+    match: Match,
+    judge: Judge,
+) -> LogReport:
+    """Compare what was measured with what was desired, in the log itself or in a trajectory."""
+    if trajectory is None:
+        return judge(blocks)
+    matched = _matched(source, blocks, trajectory, match)
+    merits = judge(matched.pairs())
+    return dataclasses.replace(merits, notes=(*matched.notes(), *merits.notes))
 
 
 def _counted(source: Source, listener: Listener) -> Iterator[SampleBlock]:

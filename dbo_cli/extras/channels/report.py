@@ -54,29 +54,17 @@ def report_channels(run: ReportRun, work: Work, listener: Listener) -> Outcome:
     short = short_names(logs)
     with opened_readers(logs, run.reading, patterns) as readers:
         channels = list(readers[0].channels)
-        models = (
-            None
-            if options.model is None
-            else models_by_channel(options.model, channels)
-        )
-        if (
-            options.model is not None
-            and is_set(options.model)
-            and read_set(options.model).coupling
-        ):
-            outcome.remarks.warn(
-                f"the models of {options.model} are coupled, and each is compared by itself: what the others "
-                "show is in the error (simulate takes the coupling into account)"
-            )
+        models = None
+        if options.model is not None:
+            models = models_by_channel(options.model, channels)
+            _warn_of_coupling(options.model, outcome.remarks)
 
         def jobs() -> Iterator[tuple[str, Callable[[], tuple[Report, Remarks]]]]:
             for reader, address in zip(readers, logs, strict=True):
                 for channel in channels:
-                    name = (
-                        channel
-                        if len(logs) == 1
-                        else f"{short.get(address, address.text)} {channel}"
-                    )
+                    name = channel
+                    if len(logs) > 1:
+                        name = f"{short.get(address, address.text)} {channel}"
                     fields: dict[str, Any] = columns_of(patterns, channel)
                     fields |= {"model": models(channel) if models else None}
                     of_channel = dataclasses.replace(options, **fields)
@@ -108,6 +96,15 @@ def report_channels(run: ReportRun, work: Work, listener: Listener) -> Outcome:
         merits, patterns if drawn and len(logs) == 1 else None
     )
     return run.judged(report, chosen, outcome)
+
+
+def _warn_of_coupling(model: Any, remarks: Remarks) -> None:
+    """Warn where a set's models are compared by themselves though they are coupled."""
+    if is_set(model) and read_set(model).coupling:
+        remarks.warn(
+            f"the models of {model} are coupled, and each is compared by itself: what the others "
+            "show is in the error (simulate takes the coupling into account)"
+        )
 
 
 def _summary(

@@ -388,6 +388,16 @@ _TWINCAT_KEYS = frozenset(
 )
 
 
+def _twincat_channels(names: Sequence[str]) -> list[int]:
+    """Return the columns of the channels, by the line that names them."""
+    keys = [n for n, cell in enumerate(names) if cell == "Name"]
+    named = [cell for cell in names if cell]
+    if len(keys) > 1 or len(named) == 2:  # each channel behind its own stamps
+        return [n + 1 for n in keys]
+    # all behind the stamps of the first column
+    return [n for n in range(1, len(names)) if names[n]]
+
+
 def _twincat(place: str, lines: list[str], at: int) -> Dialect | None:
     """Read TwinCAT Scope's text export: a block of keys by channel, then time stamps (ms) and values.
 
@@ -412,12 +422,7 @@ def _twincat(place: str, lines: list[str], at: int) -> Dialect | None:
     if "Name" not in rows:
         return None
     names = rows["Name"]
-    keys = [n for n, cell in enumerate(names) if cell == "Name"]
-    # each channel behind its own stamps
-    if len(keys) > 1 or len([cell for cell in names if cell]) == 2:
-        channels = [n + 1 for n in keys]
-    else:  # all behind the stamps of the first column
-        channels = [n for n in range(1, len(names)) if names[n]]
+    channels = _twincat_channels(names)
     steps = {
         rows["SampleTime[ms]"][n] for n in channels if n < len(rows["SampleTime[ms]"])
     }
@@ -439,11 +444,9 @@ def _twincat(place: str, lines: list[str], at: int) -> Dialect | None:
     if stamp is not None and stamp < _FILETIME:
         labels[0], units[0] = "time", "ms"
     step = _number(steps.pop()) if steps else None
-    clock = (
-        (Statement(f"'SampleTime[ms]' {step:g}", 1000.0 / step),)
-        if step and step > 0.0
-        else ()
-    )
+    clock: tuple[Statement, ...] = ()
+    if step is not None and step > 0.0:
+        clock = (Statement(f"'SampleTime[ms]' {step:g}", 1000.0 / step),)
     notes = _scale_notes(rows, channels)
     return _header(
         lines,

@@ -290,25 +290,20 @@ def creep_rest(
     bias
         How far off the mean was where this was tried, beyond what is planned here.
     """
-    terms, memory, drive = (
-        model.backlash.relaxation,
-        settled.before.backlash.memory,
-        settled.done.y,
-    )
+    terms = model.backlash.relaxation
+    memory = settled.before.backlash.memory
+    drive = settled.done.y
     if terms is None or memory is None:
         return float(drive.min() + drive.max()) / 2.0, between[0]
-    effects, tau = (
-        np.array(memory_effects(model, drive, step, settled.before)),
-        np.array(terms.tau),
-    )
+    effects = np.array(memory_effects(model, drive, step, settled.before))
+    tau = np.array(terms.tau)
     inner = through(model.head, drive) - terms.reference
-    ends = (
-        through(model.head, np.array([model.input.minimum, model.input.maximum]))
-        - terms.reference
-    )
+    ends_of_range = np.array([model.input.minimum, model.input.maximum])
+    ends = through(model.head, ends_of_range) - terms.reference
     far: Floats = np.where(np.array(memory) > ends.mean(), ends[0], ends[1])
     begins = far if begun is None else np.array(begun)
-    bare, none = dataclasses.replace(terms, reference=0.0), [0.0] * tau.size
+    bare = dataclasses.replace(terms, reference=0.0)
+    none = [0.0] * tau.size
     through_run_in = np.exp(-rise.size * step / tau)
     of_level = np.array(bare.lags(1.0 - rise, step, none)[1])
     off = (
@@ -318,10 +313,8 @@ def creep_rest(
     def rest(wait: float) -> tuple[float, float]:
         """Return the best level of a rest, and what the terms are off then, sizes added up."""
         decay = np.exp(-wait / tau)
-        slope, constant = (
-            through_run_in * (1.0 - decay) + of_level,
-            through_run_in * begins * decay + off,
-        )
+        slope = through_run_in * (1.0 - decay) + of_level
+        constant = through_run_in * begins * decay + off
         known = through_run_in + of_level, off
         if begun is not None:
             known = slope, constant
@@ -329,11 +322,10 @@ def creep_rest(
         level = min(max(level, float(inner.min())), float(inner.max()))
         return level, float(np.abs(effects * (slope * level + constant)).sum())
 
-    short, long = (
-        max(between[0], step),
-        min(between[1], max(between[0], FOR_EVER * float(tau.max()))),
-    )
-    most, seconds = max(0.5 * within, SPARE * rest(long)[1]), between[0]
+    short = max(between[0], step)
+    long = min(between[1], max(between[0], FOR_EVER * float(tau.max())))
+    most = max(0.5 * within, SPARE * rest(long)[1])
+    seconds = between[0]
     if rest(seconds)[1] > most:
         while long / short > SPARE:
             middle = math.sqrt(short * long)
