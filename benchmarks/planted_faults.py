@@ -689,6 +689,7 @@ FAULTS: list[Fault] = [
         "runs/checking.py",
         ("cli_check",),
         ('(and {len(checked.problems) - 1} more)', '(and {len(checked.problems)} more)', 'how many more problems there are'),
+        ('elsewhere[0] == address.text', 'elsewhere[0] != address.text', 'a drive of another file is checked between its rows'),
     ),
     *_faults(
         "drives/check.py",
