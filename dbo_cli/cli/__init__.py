@@ -1,1 +1,0 @@
-"""The shell: options, commands and exit codes."""

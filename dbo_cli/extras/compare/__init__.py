@@ -1,1 +1,0 @@
-"""The relatives that the paper names, on the same logs, model file and commands: to compare with."""

@@ -1,1 +1,0 @@
-"""A model as source code for the controller that runs it: C in the arithmetic of the chip, and an FMU."""

@@ -1,1 +1,0 @@
-"""An extra: the displacement of an actuator from the fringes of an interferometer."""

@@ -1,1 +1,0 @@
-"""Moves: trajectories that people write by hand, how long a step takes to settle, and generators' files."""

@@ -1,1 +1,0 @@
-"""Mathematics of hysteresis: arrays in, arrays out; no files, no printing."""

@@ -1,1 +1,0 @@
-"""HDF5: reading whatever programs have put there, and writing columns that every program reads."""

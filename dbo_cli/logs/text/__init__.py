@@ -1,1 +1,0 @@
-"""Delimited text: from the bytes of a file to a table of columns."""

@@ -1,1 +1,0 @@
-"""What is only written: reports and figures."""
