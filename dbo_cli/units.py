@@ -1,0 +1,324 @@
+"""Units: how they are spelled, what they measure, and how one becomes another.
+
+A unit is carried, never guessed. SI prefixes of one unit are converted, unlike units
+are not. Units are shown in ASCII (``um``).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+from dbo_cli.errors import InputError, UsageError
+
+# what instruments write, and what it measures; each with the SI prefixes
+_BASES = {
+    "V": "voltage", "A": "current", "m": "length", "N": "force", "Hz": "frequency", "s": "time",
+    "rad": "angle", "Pa": "pressure", "T": "induction", "g": "mass", "C": "charge", "W": "power",
+    "ohm": "resistance", "F": "capacitance", "Nm": "torque", "A/m": "field",
+}  # fmt: skip
+_PREFIXES = {"": 0, "p": -12, "n": -9, "u": -6, "m": -3, "k": 3, "M": 6, "G": 9}
+# units without prefixes: what they measure, and their size in the base unit
+_OTHERS: dict[str, tuple[str, Fraction]] = {
+    "cm": ("length", Fraction(1, 100)),
+    "angstrom": ("length", Fraction(1, 10**10)),
+    "min": ("time", Fraction(60)),
+    "h": ("time", Fraction(3600)),
+    "d": ("time", Fraction(86400)),
+    "deg": ("angle", Fraction(math.pi / 180.0)),
+    "arcsec": ("angle", Fraction(math.pi / 648000.0)),
+    "bar": ("pressure", Fraction(10**5)),
+    "mbar": ("pressure", Fraction(100)),
+    "psi": ("pressure", Fraction("6894.757293168")),
+    "K": ("temperature", Fraction(1)),
+    "degC": ("temperature in degC", Fraction(1)),
+    "degF": ("temperature in degF", Fraction(1)),
+    "Oe": ("field in Oe", Fraction(1)),
+    "%": ("share", Fraction(1)),
+    "ppm": ("strain", Fraction(1, 10**6)),
+    "dB": ("level", Fraction(1)),
+    "counts": ("count", Fraction(1)),
+    "samples": ("number of samples", Fraction(1)),
+}
+_BASE_OF = {kind: base for base, kind in _BASES.items()}
+_SPELLINGS = {
+    "V": "volt volts vdc vac в 伏", "mV": "millivolt millivolts мв", "uV": "microvolt microvolts",
+    "kV": "kilovolt kilovolts кв", "m": "meter meters metre metres",
+    "um": "micron microns micrometer micrometers micrometre micrometres mikrometer мкм 微米",
+    "nm": "nanometer nanometers nanometre nanometres нм 纳米",
+    "mm": "millimeter millimeters millimetre millimetres мм 毫米", "angstrom": "ångström å",
+    "A": "ampere amperes amp amps", "mA": "milliampere", "N": "newton", "Pa": "pascal", "Hz": "hertz",
+    "rad": "radian radians", "deg": "degree degrees °", "%": "percent",
+    "counts": "count cts lsb bit a.u. au", "samples": "sample",
+    "s": "sec secs second seconds", "ms": "msec msecs millisec millisecs millisecond milliseconds",
+    "us": "usec usecs microsec microsecs microsecond microseconds",
+    "ns": "nsec nsecs nanosec nanosecs nanosecond nanoseconds", "ps": "picosecond picoseconds",
+    "min": "minutes", "h": "hours",
+}  # fmt: skip
+# spellings that count for a time column only, where capitals do not matter either
+_TIME_SPELLINGS = {
+    "s": "s sek sekunde sekunden seconde secondes segundo segundos secondo secondi с сек 秒",
+    "ms": "ms milli millis millisekunde millisekunden millisecondes milisegundos millisecondi мс 毫秒 ミリ秒",
+    "us": "us micros mikrosekunde mikrosekunden microsecondes mus mcs мкс 微秒",
+    "ns": "ns nanos nanosekunden нс", "ps": "ps psec psecs",
+    "min": "min mins minute minuten minutos minuti мин",
+    "h": "h hr hrs hour stunde stunden std heure heures horas ore",
+    "d": "d day days tag tage jour jours dias giorni",
+}  # fmt: skip
+# what drives actuators besides a voltage, and what they give besides a displacement
+DRIVING_KINDS = frozenset(
+    ("pressure", "current", "force", "field", "temperature", "charge", "power")
+)
+MOVED_KINDS = frozenset(("strain", "force", "torque", "induction"))
+
+
+def _sizes() -> dict[str, tuple[str, Fraction]]:
+    sizes = dict(_OTHERS)
+    for base, kind in _BASES.items():
+        for prefix, power in _PREFIXES.items():
+            sizes[prefix + base] = (kind, Fraction(10) ** power)
+    return sizes
+
+
+def _by_word(table: dict[str, str]) -> dict[str, str]:
+    words = {}
+    for unit, spellings in table.items():
+        for word in spellings.split():
+            words[word] = unit
+    return words
+
+
+_SIZES = _sizes()
+_WORDS = _by_word(_SPELLINGS)
+_TIME_WORDS = _by_word(_TIME_SPELLINGS)
+
+_MICRO = re.compile(r"[µμ](?=[^\W\d])")  # before a unit, nowhere else
+_BRACKETED = re.compile(r"(?P<name>.*?)\s*[\[(<{](?P<unit>[^\[\](){}<>]*)[\])>}]")
+_BEHIND = re.compile(r"(?P<name>.*?)\s*(?:/|\bin\b|,)\s*(?P<unit>\S{1,30})")
+_SUFFIX = re.compile(r"(?P<name>.+)[_ ](?P<unit>[^_ ]+)")
+_PREFIX_WORD = re.compile(
+    r"(?P<name>.+?)[_ /-]+(?P<prefix>milli|micro|nano|pico|kilo)", re.IGNORECASE
+)
+# data[2], x(1), Voltage (CH1), Position (raw): no units
+_REMARK = re.compile(
+    r"[-+]?\d+([.:,]\s*\d+)*|ch(an(nel)?)?[ _]?\w|:|raw|measured|actual|filtered|calibrated|corrected|"
+    r"desired|target|setpoint|command(ed)?|sensor|feedback|monitor|smoothed|mean|avg|average|drive|piezo|pzt|stage"
+)
+_NODE = re.compile(r"[A-SU-Za-su-z]\([^()]*\)")  # V(drive), as simulators write it
+_LETTERED = ("", "channel", "ch", "chan", "input", "probe")  # Channel A: no amperes
+_NUMBER = r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
+_QUANTITY = re.compile(
+    rf"\s*(?P<number>{_NUMBER})\s*(?P<unit>[^\s\d./][^\s\d]*)?\s*", re.ASCII
+)
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A known unit: its ASCII text, what it measures, and its size in the base unit."""
+
+    text: str
+    kind: str
+    size: Fraction
+
+    @property
+    def factor(self) -> float:
+        """Its size in the base unit (``um``: 1e-6)."""
+        return float(self.size)
+
+    @property
+    def base(self) -> str:
+        """The base unit of its kind (``um``: ``m``); the unit itself where there is none."""
+        return _BASE_OF.get(self.kind, self.text)
+
+
+def spell(text: str | None) -> str | None:
+    """Spell a unit plainly: ``µm`` and ``microns`` are ``um``; None for an empty text."""
+    plain = (text or "").strip().strip("[](){}<>").strip()
+    plain = plain.replace("°C", "degC").replace("°F", "degF").replace("Ω", "ohm")
+    plain = _MICRO.sub("u", plain)
+    return _WORDS.get(plain.lower(), plain) or None
+
+
+def parse_unit(text: str | None) -> Unit | None:
+    """Read a unit in any known spelling; None where it is not known."""
+    unit = spell(text)
+    if unit is None or unit not in _SIZES:
+        return None
+    kind, size = _SIZES[unit]
+    return Unit(unit, kind, size)
+
+
+def kind_of(text: str | None) -> str | None:
+    """Return what a unit measures (``voltage``, ``length``), or None where that is not known."""
+    unit = parse_unit(text)
+    return None if unit is None else unit.kind
+
+
+def ratio(from_text: str | None, to_text: str | None) -> Fraction:
+    """Return by what figures are multiplied to be in another unit, as an exact fraction.
+
+    Raises
+    ------
+    InputError
+        The units measure different things, or one of two unlike units is not known.
+    """
+    start, end = spell(from_text), spell(to_text)
+    if start == end or start is None or end is None:
+        return Fraction(1)
+    before, after = parse_unit(start), parse_unit(end)
+    if before is None or after is None or before.kind != after.kind:
+        raise InputError(f"{start} cannot be converted to {end}")
+    return before.size / after.size
+
+
+def conversion(from_text: str | None, to_text: str | None) -> float:
+    """Return by what figures are multiplied to be in another unit; 1 where either is None.
+
+    Raises
+    ------
+    InputError
+        The units measure different things, or one of two unlike units is not known.
+    """
+    return float(ratio(from_text, to_text))
+
+
+def multiplied(values: Any, factor: Fraction) -> Any:
+    """Multiply numbers or arrays; by 1/1000 as a division, which is exact to the last digit."""
+    if factor == 1:
+        return values
+    if factor.numerator == 1:
+        return values / float(factor.denominator)
+    return values * float(factor)
+
+
+def time_unit(text: str | None) -> str | None:
+    """Return a unit of time (``s``, ``ms``, ``us``, ...) in plain spelling; None for any other.
+
+    Capitals do not matter: ``mS`` in a time column is no conductance.
+    """
+    plain = (text or "").strip().strip("[](){}<>").strip().rstrip(".")
+    plain = plain.replace("µ", "u").replace("μ", "u").lower()
+    plain = plain.replace("milli ", "milli").replace("micro ", "micro")
+    unit = _TIME_WORDS.get(plain) or _WORDS.get(plain)
+    if unit is not None and _SIZES[unit][0] == "time":
+        return unit
+    return None
+
+
+def split_header(text: str) -> tuple[str, str | None]:
+    """Split a header at its unit: ``voltage_V``, ``Weg/nm``, ``time (ms)``, ``CH1 in V``.
+
+    A suffix counts as a unit only where it is a known one; what stands in brackets
+    counts unless it is an index or a word such as ``raw``.
+    """
+    plain = " ".join(text.split())
+    match = _BRACKETED.fullmatch(plain)
+    if match and match["name"] and not has_torn_bracket(plain):
+        inner = match["unit"].strip()
+        is_node = _NODE.fullmatch(plain) and parse_unit(inner) is None
+        if is_node or _REMARK.fullmatch(inner.lower()):
+            return plain, None
+        return match["name"].strip().rstrip("_,"), spell(inner)
+    for pattern in (_BEHIND, _SUFFIX):
+        match = pattern.fullmatch(plain)
+        if match is None:
+            continue
+        name, unit = match["name"].strip(), match["unit"]
+        apart = _PREFIX_WORD.fullmatch(name)
+        if apart:  # milli volts
+            name, unit = apart["name"].rstrip(" /"), apart["prefix"] + unit
+            name = name.removesuffix(" in")
+        is_bare = unit.strip("[](){}<>") == unit
+        if is_bare and name.lower() not in _LETTERED and parse_unit(unit):
+            return name, spell(unit)
+        if is_bare and pattern is _BEHIND and not name and parse_unit(unit):
+            return plain, spell(unit)  # "in s": a unit in the place of a name
+    return plain, None
+
+
+def has_torn_bracket(text: str) -> bool:
+    """Return whether brackets do not fit, so that a unit may be torn."""
+    return any(
+        text.count(left) != text.count(right) for left, right in ("()", "[]", "{}")
+    )
+
+
+def parse_quantity(figure: str | float, unit: str | None, name: str = "value") -> float:
+    """Return a figure in ``unit``: a number is in it already, ``"1.2kV"`` is converted.
+
+    Parameters
+    ----------
+    figure
+        A number, or a text with or without a unit.
+    unit
+        What the result is in; with a stroke and a unit of time it is a speed
+        (``V/s``: ``"2V/ms"`` gives 2000).
+    name
+        The parameter, for messages.
+
+    Raises
+    ------
+    UsageError
+        It is no finite number, or its unit cannot be converted.
+    """
+    if not isinstance(figure, str):
+        value, own = float(figure), None
+    else:
+        match = _QUANTITY.fullmatch(figure)
+        value = float(match["number"]) if match else math.nan
+        own = match["unit"] if match else None
+    if not math.isfinite(value):
+        raise UsageError(
+            f"`{name}` {figure}: give a number, or one with its unit such as 5{unit or 'V'}"
+        )
+    if own is None or (unit is None and parse_unit(own) is None):
+        return value
+    try:
+        return float(multiplied(value, _ratio_of_speeds(own, unit or own)))
+    except InputError:
+        raise UsageError(
+            f"`{name}` {figure}: cannot be converted; give a figure in {unit}"
+        ) from None
+
+
+def _ratio_of_speeds(own: str, wanted: str) -> Fraction:
+    """Return the ratio of two units, each with or without a unit of time behind a stroke."""
+    above, time = _without_time(own)
+    wanted_above, wanted_time = _without_time(wanted)
+    if (time is None) != (wanted_time is None):
+        raise InputError(f"{own} cannot be converted to {wanted}")
+    return ratio(above, wanted_above) / ratio(time, wanted_time)
+
+
+def _without_time(unit: str) -> tuple[str, str | None]:
+    if parse_unit(unit):
+        return unit, None
+    above, stroke, below = unit.rpartition("/")
+    if stroke and kind_of(below) == "time":
+        return above, below
+    return unit, None
+
+
+def quantity_name(role: str, unit: str | None) -> str:
+    """Return what a signal is called: by what its unit measures, else by its role.
+
+    A voltage in N is a force and a displacement in ppm a strain; in V, um, deg, % and
+    unknown units the role says it.
+    """
+    kinds = {"voltage": DRIVING_KINDS, "displacement": MOVED_KINDS}
+    kind = kind_of(unit)
+    if kind is not None and kind in kinds.get(role, ()):
+        return kind
+    return role
+
+
+def drive_unit(figure: str | float) -> str:
+    """Return the unit of a drive that goes up to a figure: bar for ``4bar``; V for volts and numbers."""
+    match = _QUANTITY.fullmatch(figure) if isinstance(figure, str) else None
+    unit = spell(match["unit"]) if match else None
+    if kind_of(unit) in DRIVING_KINDS:
+        return unit or "V"
+    return "V"
