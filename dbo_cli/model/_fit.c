@@ -1,8 +1,6 @@
-/* The two loops in which an identification spends its time, for normal_equations.py, which has the same in Python.
+/* The two loops in which an identification spends its time.
  * Every sum is taken in one fixed order, so that neither the number of threads nor the library changes a bit. */
-#define Py_LIMITED_API 0x030b0000
-#define PY_SSIZE_T_CLEAN
-#include <Python.h>
+#include "_kernel.h"
 
 #include <math.h>
 #include <string.h>
@@ -19,7 +17,6 @@
 #else
 #define FOR_EACH_PROCESSOR
 #endif
-#define NUMBERS(view) ((size_t)(view).len / sizeof(double))
 
 enum { AT_ZERO = 0, POSITIVE = 1, FREE = 2, ABSENT = 3 };
 
@@ -138,7 +135,8 @@ static int solve_passive(const double *matrix, const double *right, size_t n, co
     return 1;
 }
 
-/* Minimise x'Hx - 2 g'x with x >= 0 but for free unknowns, by block principal pivoting (see normal_equations.py).
+/* Minimise x'Hx - 2 g'x with x >= 0 but for free unknowns, by block principal pivoting: unknowns that break their sign or
+ * their gradient change sides, all at once while that helps, then one by one.
  * Returns the number of steps, 0 where it does not end, -1 where H is not positive definite. */
 static long minimise(const double *matrix, const double *right, size_t n, unsigned char *state, double *x, double tolerance,
                      long most, size_t *at, double *upper, double *part, double *dual) {
@@ -169,7 +167,7 @@ static long minimise(const double *matrix, const double *right, size_t n, unsign
     return 0;
 }
 
-static PyObject *fit_add_products(PyObject *module, PyObject *args) {
+PyObject *fit_add_products(PyObject *module, PyObject *args) {
     Py_buffer table, matrix;
     Py_ssize_t columns;
     int fits;
@@ -196,7 +194,7 @@ static PyObject *fit_add_products(PyObject *module, PyObject *args) {
     Py_RETURN_NONE;
 }
 
-static PyObject *fit_minimise(PyObject *module, PyObject *args) {
+PyObject *fit_minimise(PyObject *module, PyObject *args) {
     Py_buffer matrix, right, state, x;
     double tolerance;
     long most, steps = 0;
@@ -223,13 +221,3 @@ static PyObject *fit_minimise(PyObject *module, PyObject *args) {
     if (!fits) return PyErr_Format(PyExc_ValueError, "buffer of the wrong length: minimise");
     return PyLong_FromLong(steps);
 }
-
-static PyMethodDef methods[] = {
-    {"add_products", fit_add_products, METH_VARARGS, "add_products(table, columns, matrix)"},
-    {"minimise", fit_minimise, METH_VARARGS, "minimise(matrix, right, state, x, tolerance, most) -> steps"},
-    {NULL, NULL, 0, NULL},
-};
-
-static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, "_fit", NULL, -1, methods, NULL, NULL, NULL, NULL};
-
-PyMODINIT_FUNC PyInit__fit(void) { return PyModule_Create(&definition); }

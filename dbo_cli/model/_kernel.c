@@ -1,15 +1,31 @@
-/* dbo_kernel.c, dbo_dynamics.c and dbo_plays.c as a Python extension in the limited ABI. Arguments are checked by operators.py; here
+/* dbo_kernel.c, dbo_dynamics.c and dbo_plays.c as a Python extension in the limited ABI. Arguments are checked by gears.py; here
  * only lengths are, so that no mistake there can read or write beyond a buffer. */
-#define Py_LIMITED_API 0x030b0000
-#define PY_SSIZE_T_CLEAN
-#include "_stepper.h"
+#include "_kernel.h"
 
 #include <string.h>
 
 #include "dbo_dynamics.h"
+#include "dbo_kernel.h"
 #include "dbo_plays.h"
 
-#define NUMBERS(view) ((size_t)(view).len / sizeof(double))
+/* One operator, its limits and its state, held from one live sample to the next. */
+typedef struct {
+    PyObject_HEAD
+    Py_buffer gears;
+    Py_buffer guide;
+    dbo_backlash op;
+    dbo_limits limits;
+    double largest_change;
+    int limited;
+    double *decay;
+    dbo_fixed_step fixed;
+    void *table; /* of `fixed`; NULL where it gives nothing */
+    dbo_backlash_state now;
+    dbo_backlash_state next;
+    int planned;
+    size_t clipped;
+    double *memory; /* of both, then gains and decay */
+} stepper;
 
 static int too_short(const char *what) {
     PyErr_Format(PyExc_ValueError, "kernel buffer of the wrong length: %s", what);
@@ -154,104 +170,6 @@ done:
     return Py_BuildValue("");
 }
 
-/* An operator, room for a state of it, and a decay at rest. */
-typedef struct {
-    Py_buffer gears, guide, gain;
-    Py_ssize_t n, run;
-    dbo_backlash op;
-    dbo_backlash_state state;
-    double *memory; /* and as many zeros */
-} rested;
-
-static int take_rested(rested *r) {
-    const size_t terms = NUMBERS(r->gain);
-    if (!assemble(&r->op, &r->gears, &r->guide, r->n, r->run)) return 0;
-    r->op.terms = terms;
-    r->op.gain = r->gain.buf;
-    r->memory = PyMem_Calloc(2 * terms + 1, sizeof(double));
-    if (r->memory) return take_turns(&r->op, &r->state);
-    PyErr_NoMemory();
-    return 0;
-}
-
-static void release_rested(rested *r) {
-    PyMem_Free(r->memory);
-    PyMem_Free(r->state.checkpoints);
-    PyBuffer_Release(&r->gears);
-    PyBuffer_Release(&r->guide);
-    PyBuffer_Release(&r->gain);
-}
-
-/* The output at rest for an input, from a state of this operator or the `exchanged` one, which stays as it is. */
-static double output_at_rest(const rested *r, const dbo_backlash_state *from, int exchanged, double x) {
-    dbo_backlash_state state = *from;
-    if (exchanged) {
-        state.x = from->y;
-        state.y = from->x;
-        state.checkpoints = r->state.checkpoints;
-        for (size_t k = 0; k < from->depth / DBO_SPACING; k++) {
-            state.checkpoints[k].x = from->checkpoints[k].y;
-            state.checkpoints[k].y = from->checkpoints[k].x;
-        }
-    }
-    state.memory = r->memory;
-    return dbo_backlash_step(&r->op, &state, x, r->memory + r->op.terms, NULL, NULL);
-}
-
-static void settle_at(rested *r, double drive) {
-    r->state.memory = r->memory;
-    dbo_backlash_decay(&r->op, &r->state, r->op.n, NULL, drive);
-}
-
-static int same_turns(const dbo_backlash_state *a, const dbo_backlash_state *b) {
-    return a->depth == b->depth && a->set == b->set && a->zero == b->zero &&
-           memcmp(a->turns, b->turns, a->depth * sizeof(dbo_place)) == 0;
-}
-
-#define MOST_HALVINGS 2000 /* of a range: more than float64 has */
-
-/* See kernel.py: the drive whose own settled state leads to an output, or the two between which that steps over it. */
-static PyObject *backlash_start(PyObject *module, PyObject *args) {
-    rested forward, inverse, again;
-    double output, below, above, drive = 0.0;
-    int found = 0, ready = 0;
-    (void)module;
-    forward.memory = inverse.memory = NULL;
-    forward.state.checkpoints = inverse.state.checkpoints = NULL;
-    if (!PyArg_ParseTuple(args, "(y*y*nnddpy*dp)(y*y*nnddpy*dp)ddd", &forward.gears, &forward.guide, &forward.n,
-                          &forward.run, &forward.op.x0, &forward.op.y0, &forward.op.extend, &forward.gain,
-                          &forward.op.reference, &forward.op.memory_on_output, &inverse.gears, &inverse.guide, &inverse.n,
-                          &inverse.run, &inverse.op.x0, &inverse.op.y0, &inverse.op.extend, &inverse.gain,
-                          &inverse.op.reference, &inverse.op.memory_on_output, &output, &below, &above))
-        return NULL;
-    if (!take_rested(&forward) || !take_rested(&inverse)) goto done;
-    if (inverse.op.n != forward.op.n && too_short("gears")) goto done;
-    again = forward;
-    again.state.turns = inverse.state.turns; /* which the steps of the inverse do without */
-    again.state.checkpoints = inverse.state.checkpoints;
-    ready = 1;
-    Py_BEGIN_ALLOW_THREADS
-    for (int tries = 0; tries < MOST_HALVINGS && !found; tries++) {
-        const double middle = below + 0.5 * (above - below);
-        if (!(below < middle && middle < above)) break;
-        settle_at(&forward, middle);
-        drive = output_at_rest(&inverse, &forward.state, 1, output);
-        settle_at(&again, drive);
-        found = same_turns(&forward.state, &again.state);
-        if (found) break;
-        if (output_at_rest(&forward, &forward.state, 0, middle) < output)
-            below = middle;
-        else
-            above = middle;
-    }
-    Py_END_ALLOW_THREADS
-done:
-    release_rested(&forward);
-    release_rested(&inverse);
-    if (!ready) return NULL;
-    return Py_BuildValue("(dd)", found ? drive : below, found ? drive : above);
-}
-
 static void stepper_dealloc(PyObject *object) {
     stepper *self = (stepper *)object;
     PyTypeObject *type = Py_TYPE(object);
@@ -363,7 +281,7 @@ static dbo_backlash_state *from_now(stepper *self) {
     return &self->next;
 }
 
-double stepper_step(stepper *self, double x) {
+static double stepper_step(stepper *self, double x) {
     const dbo_limits *limits = self->limited ? &self->limits : NULL;
     dbo_backlash_state *next = from_now(self);
     dbo_counts counts = {0, 0, 0, 0};
@@ -377,7 +295,7 @@ double stepper_step(stepper *self, double x) {
     return y;
 }
 
-void stepper_follow(stepper *self, double y) {
+static void stepper_follow(stepper *self, double y) {
     dbo_backlash_apply(&self->op, from_now(self), y, self->decay);
     self->clipped = 0;
     self->planned = 1;
@@ -443,7 +361,7 @@ static PyType_Slot stepper_slots[] = {
     {Py_tp_methods, (void *)stepper_methods}, {Py_tp_getset, (void *)stepper_attributes},
     {0, NULL}};
 
-static PyType_Spec stepper_spec = {"dbo_cli.hysteresis._kernel.Stepper", sizeof(stepper), 0, Py_TPFLAGS_DEFAULT,
+static PyType_Spec stepper_spec = {"dbo_cli.model._kernel.Stepper", sizeof(stepper), 0, Py_TPFLAGS_DEFAULT,
                                    stepper_slots};
 
 static PyObject *backlash_engagement(PyObject *module, PyObject *args) {
@@ -706,43 +624,9 @@ done:
     return Py_BuildValue("(nn)", (Py_ssize_t)clipped, (Py_ssize_t)first);
 }
 
-/* A time as close to a sample's as `whole` (of a step) is that sample's. Both the times and those wanted rise. */
-static PyObject *interpolated(PyObject *module, PyObject *args) {
-    Py_buffer times, values, wanted, found;
-    double whole;
-    size_t count, last, before = 0;
-    int ready = 0;
-    (void)module;
-    if (!PyArg_ParseTuple(args, "y*y*y*w*d", &times, &values, &wanted, &found, &whole)) return NULL;
-    count = NUMBERS(wanted);
-    last = NUMBERS(times) - 1;
-    if ((NUMBERS(times) == 0 || NUMBERS(values) != NUMBERS(times)) && too_short("values")) goto done;
-    if (NUMBERS(found) != count && too_short("found")) goto done;
-    ready = 1;
-    Py_BEGIN_ALLOW_THREADS
-    for (size_t k = 0; k < count; k++) {
-        const double *t = times.buf, *v = values.buf, at = ((const double *)wanted.buf)[k];
-        while (before < last && t[before + 1] <= at) before++;
-        const size_t after = before < last ? before + 1 : last;
-        const double gap = t[after] - t[before];
-        const double part = gap > 0.0 ? (at - t[before]) / gap : 0.0;
-        const double between = v[before] + (part < whole ? 0.0 : part) * (v[after] - v[before]);
-        ((double *)found.buf)[k] = part > 1.0 - whole ? v[after] : between;
-    }
-    Py_END_ALLOW_THREADS
-done:
-    PyBuffer_Release(&times);
-    PyBuffer_Release(&values);
-    PyBuffer_Release(&wanted);
-    PyBuffer_Release(&found);
-    if (!ready) return NULL;
-    return PyLong_FromSize_t(before);
-}
-
 static PyMethodDef methods[] = {
     {"backlash_run", backlash_run, METH_VARARGS, "Equations (1)-(12) over a block of samples."},
     {"backlash_decay", backlash_decay, METH_VARARGS, "The state after an oscillation that decays to a drive."},
-    {"backlash_start", backlash_start, METH_VARARGS, "The drive whose own settled state leads to an output."},
     {"backlash_engagement", backlash_engagement, METH_VARARGS, "Part of every gear in every sample."},
     {"memory_run", memory_run, METH_VARARGS, "Relaxation terms over a block of samples."},
     {"point_run", point_run, METH_VARARGS, "Equations (13)-(16) over a block of samples."},
@@ -751,38 +635,31 @@ static PyMethodDef methods[] = {
     {"plays_run", plays_run, METH_VARARGS, "A weighted sum of plays over a block of samples."},
     {"plays_rows", plays_rows, METH_VARARGS, "Every play in every sample."},
     {"plays_solve", plays_solve, METH_VARARGS, "The input of a weighted sum of plays from its output."},
-    {"interpolated", interpolated, METH_VARARGS, "A signal at other times, linearly between its samples."},
     {"smooth", smooth, METH_VARARGS, "A symmetric weighted mean over a block of samples."},
+    {"between", between, METH_VARARGS, "A signal at other times, smoothly between its samples."},
+    {"between_even", between_even, METH_VARARGS, "Evenly spaced samples, shifted by a part of a step."},
+    {"add_products", fit_add_products, METH_VARARGS, "add_products(table, columns, matrix)"},
+    {"minimise", fit_minimise, METH_VARARGS, "minimise(matrix, right, state, x, tolerance, most) -> steps"},
     {NULL, NULL, 0, NULL}};
 
-static PyTypeObject *stepper_type; /* the first module's; types of others are refused */
-
-int is_stepper(PyObject *object) { return Py_TYPE(object) == stepper_type; }
-
-#define INTERFACE 1 /* of the functions' arguments; kernel.py has the same number and refuses another */
+#define INTERFACE 2 /* of the functions' arguments; kernel.py has the same number and refuses another */
 
 static int add_types(PyObject *module) {
-    if (PyModule_AddIntConstant(module, "INTERFACE", INTERFACE) < 0)
+    PyObject *type;
+    if (PyModule_AddIntConstant(module, "INTERFACE", INTERFACE) < 0) return -1;
+    type = PyType_FromModuleAndSpec(module, &stepper_spec, NULL);
+    if (type == NULL || PyModule_AddType(module, (PyTypeObject *)type) < 0) {
+        Py_XDECREF(type);
         return -1;
-    PyType_Spec *specs[2] = {&stepper_spec, &bank_spec};
-    for (int k = 0; k < 2; k++) {
-        PyObject *type = PyType_FromModuleAndSpec(module, specs[k], NULL);
-        if (type == NULL || PyModule_AddType(module, (PyTypeObject *)type) < 0) {
-            Py_XDECREF(type);
-            return -1;
-        }
-        if (k == 0)
-            stepper_type = (PyTypeObject *)type; /* kept for good */
-        else
-            Py_DECREF(type);
     }
+    Py_DECREF(type);
     return 0;
 }
 
 static PyModuleDef_Slot slots[] = {{Py_mod_exec, (void *)add_types}, {0, NULL}};
 
 static struct PyModuleDef definition = {
-    PyModuleDef_HEAD_INIT, "_kernel", "The compiled recursions; see kernel.py.", 0, methods, slots,
+    PyModuleDef_HEAD_INIT, "_kernel", "The compiled recursions; see gears.py.", 0, methods, slots,
     NULL, NULL, NULL};
 
 PyMODINIT_FUNC PyInit__kernel(void) { return PyModuleDef_Init(&definition); }

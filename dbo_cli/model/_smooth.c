@@ -1,12 +1,7 @@
-/* The extension of smooth.py: dbo_interpolation.h over arrays. */
-#define Py_LIMITED_API 0x030b0000
-#define PY_SSIZE_T_CLEAN
-#include <Python.h>
+/* dbo_interpolation.h over arrays; delay.py says what the arguments are. */
+#include "_kernel.h"
 
 #include "dbo_interpolation.h"
-
-#define NUMBERS(view) ((size_t)((view).len / (Py_ssize_t)sizeof(double)))
-#define INTERFACE 1 /* of the function's arguments; smooth.py has the same number and refuses another */
 
 static double at_part(const double *t, const double *v, size_t before, size_t known, double part) {
     size_t begin = before > 2 ? before - 2 : 0;
@@ -18,7 +13,7 @@ static double at_part(const double *t, const double *v, size_t before, size_t kn
     return v[before] + part * (v[before + 1] - v[before]);
 }
 
-static PyObject *smooth(PyObject *module, PyObject *args) {
+PyObject *between(PyObject *module, PyObject *args) {
     Py_buffer times, values, wanted, found;
     double whole;
     Py_ssize_t newest;
@@ -63,7 +58,7 @@ done:
     return PyLong_FromSize_t(before);
 }
 
-static PyObject *smooth_even(PyObject *module, PyObject *args) {
+PyObject *between_even(PyObject *module, PyObject *args) {
     static const double t[DBO_WINDOW] = {0.0, 1.0, 2.0, 3.0, 4.0, 5.0};
     Py_buffer values, found;
     double part;
@@ -86,35 +81,3 @@ done:
     if (!ready) return NULL;
     Py_RETURN_NONE;
 }
-
-static PyObject *between(PyObject *module, PyObject *args) {
-    Py_buffer times, values;
-    double part, found = 0.0;
-    int k, ready;
-    (void)module;
-    if (!PyArg_ParseTuple(args, "y*y*id", &times, &values, &k, &part)) return NULL;
-    ready = NUMBERS(times) == DBO_WINDOW && NUMBERS(values) == DBO_WINDOW && k >= 0 && k < DBO_WINDOW - 1;
-    if (ready)
-        found = dbo_between(times.buf, values.buf, k, part);
-    else
-        PyErr_SetString(PyExc_ValueError, "no six samples, or no such place among them");
-    PyBuffer_Release(&times);
-    PyBuffer_Release(&values);
-    return ready ? PyFloat_FromDouble(found) : NULL;
-}
-
-static PyMethodDef methods[] = {
-    {"smooth", smooth, METH_VARARGS, "A signal at other times, smoothly between its samples."},
-    {"between", between, METH_VARARGS, "A value between two of six samples."},
-    {"smooth_even", smooth_even, METH_VARARGS, "Evenly spaced samples, shifted by a part of a step."},
-    {NULL, NULL, 0, NULL}};
-
-static int add_interface(PyObject *module) { return PyModule_AddIntConstant(module, "INTERFACE", INTERFACE); }
-
-static PyModuleDef_Slot slots[] = {{Py_mod_exec, (void *)add_interface}, {0, NULL}};
-
-static struct PyModuleDef definition = {
-    PyModuleDef_HEAD_INIT, "_smooth", "Interpolation over arrays; see smooth.py.", 0, methods, slots,
-    NULL, NULL, NULL};
-
-PyMODINIT_FUNC PyInit__smooth(void) { return PyModuleDef_Init(&definition); }

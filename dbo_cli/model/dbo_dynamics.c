@@ -1,4 +1,4 @@
-/* See dbo_dynamics.h. The readable twin of this file is kernel.py; both give the same bits. */
+/* See dbo_dynamics.h. */
 #include "dbo_dynamics.h"
 
 /* Sums over many neighbours go neighbour by neighbour over a chunk of samples, which compilers turn into

@@ -1,4 +1,4 @@
-/* See dbo_kernel.h. The readable twin of this file is kernel.py; both give the same bits. */
+/* See dbo_kernel.h. */
 #include "dbo_kernel.h"
 
 #define ENDLESS (1.0e300 * 1.0e300) /* infinity, without a header for it */

@@ -1,4 +1,4 @@
-/* See dbo_plays.h. The readable twin of this file is relatives/plays.py; both give the same bits. */
+/* See dbo_plays.h. */
 #include "dbo_plays.h"
 
 #include <math.h>
