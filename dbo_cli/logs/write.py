@@ -1,0 +1,538 @@
+"""Outputs that appear whole or not at all: columns as text or HDF5, and small files.
+
+Everything is written under a temporary name in the folder of the output, brought to
+the disk, and renamed when it is complete. Whatever ends the work before that (an error,
+Ctrl-C, a full disk) removes the temporary files and leaves the old ones as they were.
+Standard output, pipes and devices are written at once, block by block::
+
+    with create("drive.csv", [("time", "s"), ("voltage", "V")]) as out:
+        out.write(time, voltage)
+
+    with Outputs() as outputs:  # both appear, or neither
+        out = outputs.create("drive.csv", columns)
+        out.write(time, voltage)
+        outputs.write_text("summary.json", text)
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import gzip
+import io
+import os
+import re
+import stat
+import sys
+from collections.abc import Iterator, Sequence
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dbo_cli.errors import OutputError, UsageError
+from dbo_cli.units import split_header
+
+FloatArray = NDArray[np.float64]
+Named = tuple[str, str | None]  # a column's name and its unit
+Attributes = dict[str, str | float]
+
+BLOCK_ROWS = 1 << 16  # rows that are formatted at once
+# Cells that Python formats sooner than polars is imported (0.1 s, measured).
+PLAIN_CELLS = 1 << 16
+NAME_BYTES = 100  # of the output's name in a temporary one; file systems allow 255
+HDF5_SUFFIXES = (".h5", ".hdf5")
+DELIMITERS = {"": ",", ".csv": ",", ".txt": ",", ".dat": ",", ".tsv": "\t"}
+_DESCRIPTOR = re.compile(r"/dev/fd/(\d{1,6})")
+_ERRNO = re.compile(r"errno = (\d+)")  # in the texts of HDF5
+
+
+@contextlib.contextmanager
+def create(
+    path: str | os.PathLike[str],
+    columns: Sequence[Named],
+    attributes: Attributes | None = None,
+) -> Iterator[Writer]:
+    """Open an output for columns; it appears when the block is left without an error.
+
+    Parameters
+    ----------
+    path
+        ``-`` is standard output. The suffix decides: ``.csv``, ``.txt``, ``.dat`` or
+        none is text with commas, ``.tsv`` with tabs (both also ``.gz``), ``.h5`` and
+        ``.hdf5`` are HDF5.
+    columns
+        Name and unit of each; ``("voltage", "V")`` becomes the header ``voltage_V``.
+    attributes
+        What an HDF5 file states beside its columns.
+
+    Raises
+    ------
+    UsageError
+        The suffix is of no format that is written.
+    OutputError
+        It cannot be written; what stood there before is left as it was.
+    """
+    with Outputs() as outputs:
+        yield outputs.create(path, columns, attributes)
+
+
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Write a small file, whole or not at all; ``-`` is standard output (OutputError)."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
+    """Write a small file, whole or not at all; ``-`` is standard output (OutputError)."""
+    with Outputs() as outputs:
+        outputs.write_bytes(path, data)
+
+
+def check_outputs(*paths: str | os.PathLike[str]) -> None:
+    """Refuse outputs that cannot be written or are one file, before any long work.
+
+    Raises
+    ------
+    OutputError
+        A folder is missing or not writable, a path is a folder, two paths are one file.
+    """
+    outputs = Outputs()
+    for path in paths:
+        outputs.register(os.fspath(path))
+
+
+# --- files and their names ---
+
+
+class _File:
+    """One output: the name that it shall have, and what is written meanwhile."""
+
+    def __init__(self, path: str) -> None:
+        self.path = path  # as typed
+        self.descriptor = _descriptor_of(path)
+        self.target = os.path.realpath(path)
+        self.stream: IO[bytes] | None = None
+        self.backup: str | None = None
+        self.renamed = False
+        self.is_new = False  # no file of this name was replaced
+        replaceable = os.path.isfile(path) or not os.path.exists(path)
+        self.direct = self.descriptor is not None or not replaceable
+        self.temporary = None if self.direct else _hidden_name(self.target)
+        if not self.direct:
+            _require_place(path, self.target)
+        elif os.path.isdir(path):
+            raise OutputError(f"{path}: this is a folder: give a file name")
+
+    def open(self) -> IO[bytes]:
+        """Open the temporary file, or the pipe, device or descriptor itself."""
+        with telling(self.path):
+            if self.descriptor == 1:
+                sys.stdout.flush()
+                self.stream = sys.stdout.buffer
+            elif self.descriptor is not None:
+                # opened anew by its name, a file behind it would be cut to nothing
+                self.stream = os.fdopen(os.dup(self.descriptor), "wb")
+            elif self.temporary is not None:
+                self.stream = open(self.temporary, "xb")
+            else:
+                self.stream = open(self.path, "wb")
+        return self.stream
+
+    def finish(self) -> None:
+        """Bring everything to the disk, with the permissions of the file that it replaces."""
+        with telling(self.path):
+            self.close()
+            if self.temporary is None:
+                return
+            if os.path.exists(self.target):
+                os.chmod(self.temporary, stat.S_IMODE(os.stat(self.target).st_mode))
+            handle = os.open(self.temporary, os.O_RDWR)
+            try:
+                os.fsync(handle)
+            finally:
+                os.close(handle)
+
+    def close(self) -> None:
+        """Close the stream; standard output stays open."""
+        if self.stream is not None:
+            self.stream.flush()
+            if self.descriptor != 1:
+                self.stream.close()
+
+    def rename(self, keep: bool) -> None:
+        """Give the output its name; with ``keep`` the old file is kept until all have theirs."""
+        if self.temporary is None:
+            return
+        with telling(self.path):
+            self.is_new = not os.path.exists(self.target)
+            if keep and not self.is_new:
+                self.backup = _hidden_name(self.target)
+                with contextlib.suppress(OSError):  # a file system without hard links
+                    os.link(self.target, self.backup)
+            os.replace(self.temporary, self.target)
+            self.renamed = True
+
+    def take_back(self) -> None:
+        """Leave no trace: the old file stands where it stood, and the new one is gone."""
+        if self.backup is not None:
+            with contextlib.suppress(OSError):
+                os.replace(self.backup, self.target)
+        elif self.renamed and self.is_new:
+            _remove(self.target)
+        with contextlib.suppress(OSError, ValueError):
+            self.close()
+        _remove(self.backup)
+        _remove(self.temporary)
+
+
+class Outputs:
+    """Files that appear together when the block is left, or none of them."""
+
+    def __init__(self) -> None:
+        """Begin without any."""
+        self._files: list[_File] = []
+        self._writers: list[Writer] = []
+        self._complete = False
+
+    def register(self, path: str) -> _File:
+        """Note an output; refuse it where it cannot be written or is noted already."""
+        if "\0" in path or not path:
+            raise OutputError(f"{path!r}: this is no file name")
+        file = _File(path)
+        for other in self._files:
+            is_same = file.temporary is not None and file.target == other.target
+            if is_same or (
+                file.descriptor is not None and file.descriptor == other.descriptor
+            ):
+                raise OutputError(
+                    f"{path}: two outputs go there: give each a file of its own"
+                )
+        self._files.append(file)
+        return file
+
+    def open(self, path: str | os.PathLike[str]) -> IO[bytes]:
+        """Return a stream of bytes that becomes the file when all are complete."""
+        return self.register(os.fspath(path)).open()
+
+    def create(
+        self,
+        path: str | os.PathLike[str],
+        columns: Sequence[Named],
+        attributes: Attributes | None = None,
+    ) -> Writer:
+        """Return a writer of columns; see :func:`create`."""
+        path = os.fspath(path)
+        suffix = _suffix_of(path)
+        file = self.register(path)
+        writer: Writer
+        if suffix in HDF5_SUFFIXES:
+            writer = Hdf5Writer(file, columns, attributes)
+        else:
+            writer = TextWriter(file, columns, attributes)
+        self._writers.append(writer)
+        return writer
+
+    def write_text(self, path: str | os.PathLike[str], text: str) -> None:
+        """Write a small file of text."""
+        self.write_bytes(path, text.encode())
+
+    def write_bytes(self, path: str | os.PathLike[str], data: bytes) -> None:
+        """Write a small file of bytes."""
+        file = self.register(os.fspath(path))
+        stream = file.open()
+        with telling(file.path):
+            stream.write(data)
+            stream.flush()
+
+    def __enter__(self) -> Outputs:
+        """Begin."""
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Give all files their names, or remove all that was written."""
+        try:
+            if kind is None:
+                self._commit()
+        except BaseException:
+            self._give_up()
+            raise
+        if kind is not None:
+            self._give_up()
+
+    def _commit(self) -> None:
+        for writer in self._writers:
+            writer.close()
+        for file in self._files:
+            file.finish()
+        for file in self._files:
+            file.rename(keep=len(self._files) > 1)
+        self._complete = True
+        for file in self._files:
+            _remove(file.backup)
+
+    def _give_up(self) -> None:
+        for writer in self._writers:
+            with contextlib.suppress(Exception):
+                writer.close()
+        for file in self._files:
+            if self._complete:  # Ctrl-C came when all had their names
+                _remove(file.backup)
+            else:
+                file.take_back()
+
+
+def _descriptor_of(path: str) -> int | None:
+    """Return the open descriptor that a path stands for (``-``, ``/dev/stdout``), or None."""
+    if path in ("-", "/dev/stdout"):
+        return 1
+    if path == "/dev/stderr":
+        return 2
+    match = _DESCRIPTOR.fullmatch(path)
+    return int(match[1]) if match else None
+
+
+def _suffix_of(path: str) -> str:
+    """Return the suffix that decides the format; refuse one that is of none (UsageError)."""
+    if "::" in path:
+        file = path.partition("::")[0]
+        raise UsageError(
+            f"{path}: an output is a whole file, not a part of one: write {file}"
+        )
+    if _descriptor_of(path) is not None:
+        return ""
+    stem, suffix = os.path.splitext(path)
+    suffix = suffix.lower()
+    if suffix == ".gz":
+        suffix = os.path.splitext(stem)[1].lower()
+        if suffix in HDF5_SUFFIXES:
+            raise UsageError(f"{path}: HDF5 is compressed inside: write {stem}")
+    if suffix in DELIMITERS or suffix in HDF5_SUFFIXES:
+        return suffix
+    if not os.path.exists(path) or os.path.isfile(path):
+        raise UsageError(
+            f"{path}: no format is called {suffix}: write {stem}.csv, .tsv or .h5"
+        )
+    return ""
+
+
+def _require_place(path: str, target: str) -> None:
+    """Refuse a place where no file can be made (OutputError)."""
+    folder = os.path.dirname(target)
+    if not os.path.isdir(folder):
+        raise OutputError(f"{path}: there is no folder '{folder}': create it first")
+    if not os.access(folder, os.W_OK):
+        raise OutputError(
+            f"{path}: the folder '{folder}' is not writable: write elsewhere"
+        )
+    if os.path.exists(target) and not os.access(target, os.W_OK):
+        raise OutputError(f"{path}: the file is write-protected: give another name")
+
+
+def _hidden_name(target: str) -> str:
+    """Return a name beside a file that nobody else uses."""
+    folder, name = os.path.split(target)
+    short = os.fsencode(name)[:NAME_BYTES].decode("utf-8", "ignore")
+    return os.path.join(folder, f".{short}.{os.getpid()}-{os.urandom(4).hex()}.partial")
+
+
+def _remove(path: str | None) -> None:
+    if path is not None:
+        with contextlib.suppress(OSError):
+            os.unlink(path)
+
+
+@contextlib.contextmanager
+def telling(path: str) -> Iterator[None]:
+    """Turn what the system says into one line; a closed pipe stays BrokenPipeError."""
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as problem:
+        place = "standard output" if path == "-" else path
+        raise OutputError(f"{place}: {_reason(problem)}") from None
+
+
+def _reason(problem: OSError) -> str:
+    """Return why writing failed; HDF5 gives the error's number only in its text."""
+    number = problem.errno
+    inside = _ERRNO.search(str(problem))
+    if inside:
+        number = int(inside[1])
+    if number in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+        return "the disk is full, so nothing was written: free some space, or write elsewhere"
+    if number:
+        return f"cannot be written: {os.strerror(number)}"
+    return f"cannot be written: {str(problem).splitlines()[0]}"
+
+
+# --- columns ---
+
+
+class Writer:
+    """Takes rows as one array a column."""
+
+    def __init__(
+        self, file: _File, columns: Sequence[Named], attributes: Attributes | None
+    ) -> None:
+        """Take the columns (names and units) of an output."""
+        self.path = file.path
+        self.columns = list(columns)
+        self.attributes = dict(attributes or {})
+        self.rows = 0
+
+    def write(self, *arrays: ArrayLike) -> None:
+        """Append rows: one array of numbers a column, all of one length, all finite.
+
+        Raises
+        ------
+        OutputError
+            A number is not finite, or the rows cannot be written.
+        """
+        values = []
+        for array in arrays:
+            values.append(np.ascontiguousarray(array, dtype=np.float64))
+        if len(values) != len(self.columns) or {a.shape for a in values} != {
+            (len(values[0]),)
+        }:
+            shapes = [a.shape for a in values]
+            raise ValueError(f"{len(self.columns)} columns of one length, not {shapes}")
+        self._require_finite(values)
+        with telling(self.path):
+            for start in range(0, len(values[0]), BLOCK_ROWS):
+                block = [array[start : start + BLOCK_ROWS] for array in values]
+                self._append(block)
+                self.rows += len(block[0])
+
+    def close(self) -> None:
+        """Complete the format."""
+
+    def _append(self, block: Sequence[FloatArray]) -> None:
+        raise NotImplementedError
+
+    def _require_finite(self, values: Sequence[FloatArray]) -> None:
+        for (name, _), array in zip(self.columns, values, strict=True):
+            finite = np.isfinite(array)
+            if not finite.all():
+                row = int(np.argmin(finite))
+                raise OutputError(
+                    f"{self.path}: row {self.rows + row + 1}: {name} would be {array[row]}, which is no "
+                    "number to write: look at the input there"
+                )
+
+
+class TextWriter(Writer):
+    """Appends rows of delimited text; each number is the shortest that reads back."""
+
+    def __init__(
+        self, file: _File, columns: Sequence[Named], attributes: Attributes | None
+    ) -> None:
+        """Open the output and write the header."""
+        super().__init__(file, columns, attributes)
+        self.delimiter = DELIMITERS[_suffix_of(file.path)]
+        self._flush = file.direct
+        self._stream = file.open()
+        self._packed: gzip.GzipFile | None = None
+        if file.path.lower().endswith(".gz"):
+            # no name and no time: the same numbers give the same bytes
+            self._packed = gzip.GzipFile("", "wb", 6, self._stream, 0)
+        cells = [header_cell(name, unit, self.delimiter) for name, unit in columns]
+        with telling(self.path):
+            self._send((self.delimiter.join(cells) + "\n").encode())
+
+    def close(self) -> None:
+        """End a compressed stream."""
+        if self._packed is not None:
+            with telling(self.path):
+                self._packed.close()
+
+    def _append(self, block: Sequence[FloatArray]) -> None:
+        cells = (self.rows + len(block[0])) * len(block)
+        if cells < PLAIN_CELLS and "polars" not in sys.modules:
+            self._send(_plain_rows(block, self.delimiter))
+            return
+        import polars as pl
+
+        frame = pl.DataFrame({str(n): array for n, array in enumerate(block)})
+        buffer = io.BytesIO()
+        frame.write_csv(buffer, include_header=False, separator=self.delimiter)
+        self._send(buffer.getbuffer())
+
+    def _send(self, data: bytes | memoryview) -> None:
+        stream = self._packed or self._stream
+        stream.write(data)
+        if self._flush:
+            stream.flush()
+            self._stream.flush()
+
+
+def header_cell(name: str, unit: str | None, delimiter: str) -> str:
+    """Return a header that is read back as this name and unit: ``voltage_V``."""
+    text = name
+    if unit:
+        text = f"{name}_{unit}"
+        if split_header(text) != (name, unit):
+            text = f"{name} [{unit}]"
+    if delimiter in text or '"' in text or "\n" in text or text[:1] in ("#", "%"):
+        text = '"' + text.replace('"', '""') + '"'
+    return text
+
+
+def _plain_rows(block: Sequence[FloatArray], delimiter: str) -> bytes:
+    columns = []
+    for array in block:
+        columns.append([shortest(value) for value in array.tolist()])
+    lines = []
+    for cells in zip(*columns, strict=True):
+        lines.append(delimiter.join(cells) + "\n")
+    return "".join(lines).encode()
+
+
+def shortest(value: float) -> str:
+    """Write a finite number with the fewest digits that read back, as polars spells it."""
+    text = repr(value)
+    if "e" not in text:
+        return text
+    digits, exponent = text.split("e")
+    if exponent == "-05":  # polars writes exponents only below 1e-5
+        sign = "-" if digits[0] == "-" else ""
+        return f"{sign}0.0000{digits.lstrip('-').replace('.', '')}"
+    return f"{digits}e{exponent[0]}{exponent[1:].lstrip('0')}"
+
+
+class Hdf5Writer(Writer):
+    """Appends rows to one dataset a column of a new HDF5 file."""
+
+    def __init__(
+        self, file: _File, columns: Sequence[Named], attributes: Attributes | None
+    ) -> None:
+        """Open the new file and make its datasets."""
+        super().__init__(file, columns, attributes)
+        if file.temporary is None:
+            raise UsageError(
+                f"{file.path}: HDF5 cannot go down a pipe: give a file name"
+            )
+        import h5py
+
+        self._datasets: list[Any] = []
+        with telling(self.path):
+            self._store = h5py.File(file.temporary, "w")
+            for name, unit in columns:
+                dataset = self._store.create_dataset(
+                    name.replace("/", "_"), (0,), "f8", maxshape=(None,), chunks=(BLOCK_ROWS,),
+                    shuffle=True, compression="gzip", compression_opts=1,
+                )  # fmt: skip
+                dataset.attrs["units"] = unit or ""
+                self._datasets.append(dataset)
+
+    def close(self) -> None:
+        """State the attributes and close the file."""
+        with telling(self.path):
+            if self._store:
+                self._store.attrs.update(self.attributes)
+                self._store.close()
+
+    def _append(self, block: Sequence[FloatArray]) -> None:
+        for dataset, array in zip(self._datasets, block, strict=True):
+            dataset.resize(self.rows + len(array), axis=0)
+            dataset[self.rows :] = array
