@@ -1,0 +1,227 @@
+"""Many channels of one log: ``{}`` in the names of columns stands for a channel's name.
+
+``--voltage 'V{}' --displacement 'D{}'`` takes the columns V1 and D1, V2 and D2, and so
+on. Each channel has a model of its own; a model set is one file of them. Channels are
+worked on one after the other, in memory; their results stand side by side in one
+table.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.errors import DboError, InputError, ModelError, UsageError
+
+if TYPE_CHECKING:
+    from dbo_cli.logs import Reading, Table
+    from dbo_cli.model import Model
+
+Floats = NDArray[np.float64]
+PLACE = "{}"
+
+
+def is_pattern(columns: Mapping[str, str | None]) -> bool:
+    """Return whether the name of a column stands for many."""
+    return any(typed is not None and PLACE in typed for typed in columns.values())
+
+
+def filled(columns: Mapping[str, str | None], name: str) -> dict[str, str | None]:
+    """Return the columns of one channel."""
+    chosen = {}
+    for role, typed in columns.items():
+        chosen[role] = None if typed is None else typed.replace(PLACE, name)
+    return chosen
+
+
+def names(
+    paths: Sequence[str], reading: Reading, columns: Mapping[str, str | None]
+) -> list[str]:
+    """Return the channels that patterns find in a log, in the order of its columns.
+
+    Raises
+    ------
+    InputError
+        A pattern finds no column, or two patterns find different channels.
+    UsageError
+        The log is a stream, which cannot be read once for every channel.
+    """
+    from dbo_cli.logs import columns_of
+
+    path = paths[0]
+    if path == "-":
+        raise UsageError("-: channels are read one after the other; give a file")
+    headers = [column.name for column in columns_of(path, reading)]
+    found: dict[str, list[str]] = {}
+    for role, typed in columns.items():
+        if typed is not None and PLACE in typed:
+            found[role] = _matches(typed, headers)
+            if not found[role]:
+                raise InputError(
+                    f"{path}: no column fits `{role}` {typed}; there are: {', '.join(headers)}"
+                )
+    first, *others = found.items()
+    for role, channels in others:
+        odd = sorted(set(channels) ^ set(first[1]))
+        if odd:
+            raise InputError(
+                f"{path}: channel {odd[0]} has no column for both `{first[0]}` and `{role}`"
+            )
+    return first[1]
+
+
+def _matches(pattern: str, headers: Sequence[str]) -> list[str]:
+    """Return what stands in the place of ``{}``, for each header that fits."""
+    before, _, behind = pattern.partition(PLACE)
+    fit = re.compile(re.escape(before) + "(.+)" + re.escape(behind), re.DOTALL)
+    channels = []
+    for header in headers:
+        match = fit.fullmatch(header)
+        if match is not None:
+            channels.append(match[1])
+    return channels
+
+
+def models_of(path: str, channels: Iterable[str]) -> dict[str, Model]:
+    """Return the model of each channel: of a set, or one that serves all."""
+    from dbo_cli.model import is_set, read_model, read_models
+
+    if not is_set(path):
+        model = read_model(path)
+        return dict.fromkeys(channels, model)
+    models = read_models(path)
+    for name in channels:
+        if name not in models:
+            raise ModelError(
+                f"{path}: no model of channel {name}; there are: {', '.join(models)}"
+            )
+    return {name: models[name] for name in channels}
+
+
+def simulate(
+    model_path: str,
+    log_path: str,
+    output: str,
+    reading: Reading,
+    columns: Mapping[str, str | None],
+    state: str,
+    outside: Any,
+) -> str:
+    """Run the model of each channel over its input, write all side by side; return what to say of it."""
+    channels = names([log_path], reading, columns)
+    models = models_of(model_path, channels)
+    out = _SideBySide()
+    for name, model in models.items():
+        table = _read(
+            log_path, reading, filled(columns, name), {"input": model.input.unit}
+        )
+        try:
+            y, _ = model.simulate(
+                table["input"], dt=table.dt, state=_named_state(state), outside=outside
+            )
+        except DboError as problem:
+            raise type(problem)(f"channel {name}: {problem}") from problem
+        out.add(f"{model.input.quantity}_{name}", model.input.unit, table["input"])
+        out.add(f"{model.output.quantity}_{name}", model.output.unit, y)
+    out.write(output, table.time)
+    return f"{len(channels)} channels, {len(table['input']):,} rows"
+
+
+def compensate(
+    model_path: str,
+    log_path: str,
+    output: str,
+    reading: Reading,
+    columns: Mapping[str, str | None],
+    limits: Mapping[str, Any],
+    on_limit: Any,
+    state: str,
+) -> str:
+    """Drive each channel along its own displacement, write all drives side by side; return what to say."""
+    from dbo_cli.drive import Limits, plan
+
+    channels = names([log_path], reading, columns)
+    models = models_of(model_path, channels)
+    out = _SideBySide()
+    for name, model in models.items():
+        model.require("forward", f"{model_path}::{name}")
+        table = _read(
+            log_path,
+            reading,
+            filled(columns, name),
+            {"displacement": model.output.unit},
+        )
+        clock = table.dt if isinstance(table.dt, float) else table.time
+        try:
+            allowed = Limits.within(model.input, **limits)
+            drive = plan(
+                model,
+                table["displacement"],
+                clock,
+                allowed,
+                on_limit=on_limit,
+                state=_named_state(state),
+                name=f"channel {name}",
+            )
+        except DboError as problem:
+            raise type(problem)(f"channel {name}: {problem}") from problem
+        out.add(f"desired_{name}", model.output.unit, drive.desired)
+        out.add(f"{model.input.quantity}_{name}", model.input.unit, drive.voltage)
+    out.write(output, table.time)
+    return f"{len(channels)} channels, {len(table['displacement']):,} rows"
+
+
+def refuse(pieces: Mapping[str, object], **others: object) -> None:
+    """Refuse what gives channels drives of different lengths."""
+    for option, value in {**pieces, **others}.items():
+        if value:
+            raise UsageError(
+                f"`{option}` is for one channel at a time (dbo compensate SET::NAME ... writes a file of each)"
+            )
+
+
+def _named_state(state: str) -> Any:
+    """Return the name of a start; a state file belongs to one model."""
+    if state not in ("auto", "empty", "full", "settled"):
+        raise UsageError(f"`state` {state}: a state file is of one channel (SET::NAME)")
+    return state
+
+
+def _read(
+    path: str,
+    reading: Reading,
+    columns: Mapping[str, str | None],
+    units: Mapping[str, str | None],
+) -> Table:
+    """Read one channel of a log."""
+    from dbo_cli.logs import open_log
+
+    wanted = {role: unit for role, unit in units.items() if unit}
+    with open_log(path, dict(columns), reading, wanted) as log:
+        return log.read()
+
+
+class _SideBySide:
+    """Columns of all channels, collected for one table."""
+
+    def __init__(self) -> None:
+        self.columns: list[tuple[str, str | None]] = []
+        self.arrays: list[Floats] = []
+
+    def add(self, name: str, unit: str | None, values: Floats) -> None:
+        """Take a column."""
+        self.columns.append((name, unit))
+        self.arrays.append(values)
+
+    def write(self, output: str, time: Floats | None) -> None:
+        """Write all columns, behind the time if there is one."""
+        from dbo_cli.logs import create
+
+        clock: list[tuple[str, str | None]] = [] if time is None else [("time", "s")]
+        arrays = self.arrays if time is None else [time, *self.arrays]
+        with create(output, [*clock, *self.columns]) as table:
+            table.write(*arrays)

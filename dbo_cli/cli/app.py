@@ -1,0 +1,258 @@
+"""The entry of the program: commands by name, an exception as one line and an exit code."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import os
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from types import FrameType
+from typing import Any
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from dbo_cli.cli.options import OUTPUT, speaks
+from dbo_cli.cli.say import Level, print_line, show_warnings
+from dbo_cli.errors import DboError
+
+INTERRUPTED = 130  # 128 and the number of SIGINT, as shells report it
+WRONG_COMMAND_LINE = 2
+
+COMMANDS = (
+    "excite",
+    "identify",
+    "show",
+    "invert",
+    "simulate",
+    "compensate",
+    "check",
+    "report",
+    "export",
+    "compare",
+    "trajectory",
+    "waveform",
+)
+"""In the order of a working day; each is a function of that name in a module of that name."""
+
+
+class Command(TyperCommand):
+    """A command whose ``-h`` is one screen, grouped; ``--help-all`` shows every option."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the options under the headings of their panels."""
+        groups: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+        hidden = False
+        for parameter in self.get_params(ctx):
+            hidden = hidden or getattr(parameter, "hidden", False)
+            record = parameter.get_help_record(ctx)
+            if record is None:
+                continue
+            if parameter.param_type_name == "argument":
+                groups["Arguments"].append((parameter.metavar, parameter.help))
+            else:
+                groups.setdefault(_heading(parameter), []).append(record)
+        groups[OUTPUT] = groups.pop(OUTPUT)  # last
+        for heading, records in groups.items():
+            if records:
+                with formatter.section(heading):
+                    formatter.write_dl(records, col_max=26)
+        if hidden:
+            formatter.write(f"\n{ctx.command_path} --help-all lists rarer options.\n")
+
+
+def _heading(parameter: Any) -> str:
+    """Return the heading under which help lists an option."""
+    if parameter.name == "help":
+        return OUTPUT
+    return getattr(parameter, "rich_help_panel", None) or "Options"
+
+
+class Commands(TyperGroup):
+    """The group behind ``dbo``: a command's module is imported when it is asked for."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names in the order of a working day, then those of other packages."""
+        return [*COMMANDS, *sorted(_foreign())]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return the command of a name, or None."""
+        if cmd_name in COMMANDS:
+            module = importlib.import_module(f"dbo_cli.cli.{cmd_name}")
+            return _built(cmd_name, getattr(module, cmd_name))
+        foreign = _foreign().get(cmd_name)
+        return None if foreign is None else _built(cmd_name, foreign.load())
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the command that the first word names, or say which there are."""
+        names = self.list_commands(ctx)
+        if args[0] not in names and not args[0].startswith("-"):
+            near = difflib.get_close_matches(args[0], names, 1)
+            meant = f"did you mean dbo {near[0]}? " if near else ""
+            ctx.fail(
+                f"no such command: {args[0]} ({meant}there are: {', '.join(names)})"
+            )
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write each command with the first line of its documentation."""
+        rows = []
+        for name in self.list_commands(ctx):
+            rows.append((name, self.get_command(ctx, name).get_short_help_str(100)))
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
+
+
+def _foreign() -> dict[str, Any]:
+    """Return the commands of other packages: entry points of ``dbo_cli.commands``."""
+    from importlib.metadata import entry_points
+
+    return {point.name: point for point in entry_points(group="dbo_cli.commands")}
+
+
+def _built(name: str, function: Callable[..., None]) -> Any:
+    """Make a typer command of a function."""
+    app = _typer()
+    app.command(name, cls=Command)(speaks(function))
+    command = typer.main.get_command(app)
+    if "--help-all" in sys.argv:
+        for parameter in command.params:
+            parameter.hidden = False  # type: ignore[attr-defined]
+    return command
+
+
+def _typer(**settings: Any) -> typer.Typer:
+    """Return a typer application that speaks plain text."""
+    return typer.Typer(
+        add_completion=False,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+        context_settings={
+            "help_option_names": ["-h", "--help", "--help-all"],
+            "max_content_width": 100,
+        },
+        **settings,
+    )
+
+
+def _root(
+    ctx: typer.Context,
+    version: bool = typer.Option(False, "--version", help="Print the version."),
+) -> None:
+    """Identify, invert and compensate the hysteresis of piezo actuators."""
+    if version:
+        from dbo_cli.version import __version__
+
+        print(f"dbo {__version__}")
+    elif ctx.invoked_subcommand is None:
+        print(ctx.get_help())
+
+
+def program() -> Any:
+    """Return the group ``dbo``, ready to parse a command line."""
+    app = _typer(cls=Commands, invoke_without_command=True)
+    app.callback(invoke_without_command=True)(_root)
+    return typer.main.get_command(app)
+
+
+def main(words: Sequence[str]) -> int:
+    """Run one command line and return its exit code."""
+    show_warnings()
+    try:
+        code = program().main(list(words), prog_name="dbo", standalone_mode=False)
+        sys.stdout.flush()
+        return int(code or 0)
+    except BrokenPipeError:
+        _abandon_stdout()
+        return 0
+    except KeyboardInterrupt:
+        print_line("interrupted")
+        return INTERRUPTED
+    except SystemExit:
+        raise
+    except BaseException as problem:  # a panic of polars is no Exception
+        if Level.debug:
+            import traceback
+
+            traceback.print_exc()
+        text, code = _explained(problem, words)
+        print_line(f"error: {text}")
+        return code
+
+
+def _explained(problem: BaseException, words: Sequence[str]) -> tuple[str, int]:
+    """Return what went wrong in one line, and the exit code that belongs to it."""
+    if isinstance(problem, DboError):
+        return str(problem), problem.exit_code
+    if hasattr(problem, "format_message"):  # the command line, refused by typer
+        return (
+            f"{_refused(problem)} ({_help_of(words)} lists the options)",
+            WRONG_COMMAND_LINE,
+        )
+    if isinstance(problem, OSError):
+        place = f"{problem.filename}: " if problem.filename else ""
+        return f"{place}{problem.strerror or problem}", 1
+    if isinstance(problem, MemoryError):
+        return "out of memory (`rows` A:B takes a part of a log)", 1
+    kind = type(problem).__name__
+    return (
+        f"internal error: {kind}: {problem} (--debug shows where; please report it)",
+        1,
+    )
+
+
+def _refused(problem: Any) -> str:
+    """Return why typer refused the command line, with the option that is most like an unknown one."""
+    unknown = getattr(problem, "option_name", None)
+    near = getattr(problem, "possibilities", None)
+    if unknown is not None and near:
+        best = difflib.get_close_matches(unknown, near, 1, 0.0)
+        return f"no such option: {unknown}; did you mean {best[0]}?"
+    text: str = problem.format_message()
+    return text.rstrip(".")
+
+
+def _help_of(words: Sequence[str]) -> str:
+    """Return the command line that lists the options."""
+    if words and words[0] in COMMANDS:
+        return f"dbo {words[0]} --help-all"
+    return "dbo --help"
+
+
+# --- what belongs to the process ---
+
+
+def run() -> None:
+    """Serve the console script: ``main`` as a process."""
+    # Many small factorisations: threads only wait for each other there, and one thread
+    # gives the same bytes on every machine of a kind.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ.setdefault("POLARS_MAX_THREADS", "1")
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, _end)
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    code = main(sys.argv[1:])
+    try:
+        sys.stdout.flush()
+        sys.stderr.flush()
+    except OSError:
+        pass  # main() has said what there was to say
+    os._exit(code)  # taking the interpreter apart takes a tenth of a second
+
+
+def _end(number: int, frame: FrameType | None) -> None:
+    """Unwind the stack, so that nothing half written is left."""
+    raise SystemExit(128 + number)
+
+
+def _abandon_stdout() -> None:
+    """Point stdout at nothing, so that the last flush does not complain about the closed pipe."""
+    try:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except (OSError, ValueError):
+        pass

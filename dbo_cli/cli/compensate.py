@@ -1,0 +1,348 @@
+"""``dbo compensate``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from typer import Argument, Option
+
+from dbo_cli.cli.identify import named
+from dbo_cli.cli.options import (
+    Displacement,
+    From,
+    MaxSlew,
+    ModelFile,
+    Output,
+    SaveState,
+    State,
+    Summary,
+    Text,
+    Time,
+    VMax,
+    VMin,
+    column,
+    count,
+    hertz,
+    reads_logs,
+    seconds_or_auto,
+)
+from dbo_cli.cli.say import detail, progress, say
+from dbo_cli.cli.simulate import START_NAMES
+from dbo_cli.errors import UsageError
+
+if TYPE_CHECKING:
+    from dbo_cli.drive import Drive, Limits
+    from dbo_cli.logs import Block, Log, Reading
+    from dbo_cli.model import Model
+
+BEFORE, LOOPS = "Before and after the move", "Loops and learning"
+
+
+@reads_logs
+def compensate(
+    model: ModelFile,
+    trajectory: Annotated[
+        str, Argument(metavar="TRAJECTORY", help="The wanted displacement; - is stdin.")
+    ],
+    reading: Reading,
+    output: Output = "-",
+    summary: Summary = None,
+    v_min: VMin = None,
+    v_max: VMax = None,
+    max_slew: MaxSlew = None,
+    extrapolate: Annotated[
+        bool,
+        Option(
+            "--extrapolate",
+            help="Leave the identified range, as far as --v-min and --v-max say.",
+            rich_help_panel="Limits",
+        ),
+    ] = False,
+    on_limit: Annotated[
+        Literal["auto", "clip", "error"],
+        Option(
+            help="auto: clip if the tracking error stays under 1 % of the move, otherwise exit 3.",
+            rich_help_panel="Limits",
+        ),
+    ] = "auto",
+    start: From = None,
+    approach: Annotated[
+        Text,
+        Option(
+            metavar="SECONDS|auto",
+            help="Time for the way from there to the first row.",
+            rich_help_panel=BEFORE,
+        ),
+    ] = None,
+    condition: Annotated[
+        bool,
+        Option(
+            "--condition",
+            help="Sweep the range first: the past is known then.",
+            rich_help_panel=BEFORE,
+        ),
+    ] = False,
+    lead: Annotated[
+        Text,
+        Option(
+            metavar="SECONDS|auto",
+            help="Begin earlier, for a model with dynamics or a delay.",
+            rich_help_panel=BEFORE,
+        ),
+    ] = None,
+    return_to: Annotated[
+        Text,
+        Option(
+            "--return",
+            metavar="VOLT",
+            help="Go to this voltage at the end.",
+            rich_help_panel=BEFORE,
+        ),
+    ] = None,
+    periodic: Annotated[
+        bool,
+        Option(
+            "--periodic",
+            help="The trajectory is one period of a loop.",
+            rich_help_panel=LOOPS,
+        ),
+    ] = False,
+    passes: Annotated[
+        str,
+        Option(
+            metavar="N",
+            help="With --periodic: passes before the settled one.",
+            rich_help_panel=LOOPS,
+        ),
+    ] = "0",
+    tracked: Annotated[
+        list[str] | None,
+        Option(
+            metavar="LOG",
+            help="The last pass, recorded: write a better drive; repeatable.",
+            rich_help_panel=LOOPS,
+        ),
+    ] = None,
+    history: Annotated[
+        Text,
+        Option(
+            metavar="FILE",
+            help="With --tracked: keep the error of each pass there.",
+            rich_help_panel=LOOPS,
+        ),
+    ] = None,
+    absolute: Annotated[
+        bool,
+        Option(
+            "--absolute",
+            help="With --tracked: learn the mean of the error, too.",
+            hidden=True,
+            rich_help_panel=LOOPS,
+        ),
+    ] = False,
+    bandwidth: Annotated[
+        Text,
+        Option(
+            metavar="HZ",
+            help="Round the corners of the trajectory by a zero-phase low-pass.",
+        ),
+    ] = None,
+    state: State = "auto",
+    save_state: SaveState = None,
+    time: Time = None,
+    displacement: Displacement = None,
+    voltage: Annotated[Text, column("The drive in a --tracked log", rare=True)] = None,
+    measured: Annotated[
+        Text, column("The displacement in a --tracked log", rare=True)
+    ] = None,
+) -> None:
+    """Write the drive voltage that makes the actuator follow a displacement.
+
+    No row leaves the identified range, cut by --v-min and --v-max. Rows before the move
+    have negative times.
+
+    Example: dbo compensate model.json move.csv --v-min 0 --v-max 100 --max-slew 2000
+    --from 0 --approach auto -o drive.csv
+    """
+    from dbo_cli import channels
+    from dbo_cli.drive import Limits, voltage_in
+    from dbo_cli.model import read_model, read_state
+
+    columns = {"time": time, "displacement": displacement}
+    pieces = {"start": start, "approach": approach, "lead": lead, "return": return_to}
+    if channels.is_pattern(columns):
+        channels.refuse(pieces, condition=condition, periodic=periodic, tracked=tracked)
+        chosen = {
+            "v_min": v_min,
+            "v_max": v_max,
+            "max_slew": max_slew,
+            "extrapolate": extrapolate,
+        }
+        done = channels.compensate(
+            model, trajectory, output, reading, columns, chosen, on_limit, state
+        )
+        say(f"{named(output)}: {done}")
+        return
+    actuator = read_model(model)
+    actuator.require("forward", model)
+    limits = Limits.within(actuator.input, v_min, v_max, max_slew, extrapolate)
+    options: dict[str, Any] = {
+        "start": None if start is None else voltage_in("`from`", start, actuator.input),
+        "approach": seconds_or_auto("approach", approach),
+        "condition": condition,
+        "lead": seconds_or_auto("lead", lead),
+        "return_to": None
+        if return_to is None
+        else voltage_in("`return`", return_to, actuator.input),
+        "on_limit": on_limit,
+        "state": state if state in START_NAMES else read_state(state, actuator),
+        "name": trajectory,
+    }
+    whole: dict[str, Any] = {
+        "bandwidth": hertz("bandwidth", bandwidth),
+        "periodic": periodic,
+        "passes": count("passes", passes),
+        "absolute": absolute,
+    }
+    if tracked:
+        recorded = {"time": time, "voltage": voltage, "measured": measured}
+        whole["tracked"] = [
+            read_tracked(path, reading, recorded, actuator) for path in tracked
+        ]
+        whole["history"] = read_history(history)
+    elif history or absolute:
+        raise UsageError("`history` and `absolute` belong to `tracked` LOG")
+    units = {"displacement": actuator.output.unit} if actuator.output.unit else {}
+    from dbo_cli.logs import open_log
+
+    with open_log(trajectory, columns, reading, units) as wanted:
+        if whole["bandwidth"] or periodic or tracked:
+            drive = drive_whole(actuator, wanted, limits, output, {**options, **whole})
+        else:
+            drive = drive_stream(actuator, wanted, limits, output, options)
+    write_beside(
+        drive, actuator, wanted, summary, save_state, history if tracked else None
+    )
+    say(wanted.line())
+    detail(*wanted.remarks)
+    say(f"{named(output)}: {drive.line()}")
+    say(drive.expected_line())
+    detail(drive.lead_line())
+
+
+def drive_stream(
+    actuator: Model, wanted: Log, limits: Limits, output: str, options: dict[str, Any]
+) -> Drive:
+    """Drive a trajectory block by block."""
+    from dbo_cli.drive import stream
+    from dbo_cli.logs import create
+
+    if output == "-" and options["on_limit"] == "auto":
+        options = {**options, "on_limit": "clip"}  # rows that were sent stay sent
+    blocks = progress(wanted.blocks(), "driven")
+    first = next(blocks, None)
+    clocked = first is not None and first.time is not None
+    rows = stream(actuator, pairs(first, blocks), wanted.clock.step, limits, **options)
+    attributes = about(actuator, limits)
+    with create(output, drive_columns(actuator, clocked), attributes) as table:
+        for time, desired, voltage in rows:
+            table.write(
+                *((desired, voltage) if time is None else (time, desired, voltage))
+            )
+    return rows.drive
+
+
+def drive_whole(
+    actuator: Model, wanted: Log, limits: Limits, output: str, options: dict[str, Any]
+) -> Drive:
+    """Drive a trajectory that has to be known as a whole."""
+    from dbo_cli.drive import plan
+    from dbo_cli.logs import create
+
+    table = wanted.read()
+    clock = table.dt if isinstance(table.dt, float) else table.time
+    drive = plan(actuator, table["displacement"], clock, limits, **options)
+    clocked = drive.time is not None
+    with create(
+        output, drive_columns(actuator, clocked), about(actuator, limits)
+    ) as out:
+        if clocked:
+            out.write(drive.time, drive.desired, drive.voltage)
+        else:
+            out.write(drive.desired, drive.voltage)
+    return drive
+
+
+def pairs(first: Block | None, blocks: Iterable[Block]) -> Iterator[tuple[Any, Any]]:
+    """Yield time and displacement of each block."""
+    if first is None:
+        return
+    for block in chain([first], blocks):
+        yield block.time, block.values["displacement"]
+
+
+def drive_columns(actuator: Model, clocked: bool) -> list[tuple[str, str | None]]:
+    """Return names and units of the columns of a drive."""
+    columns: list[tuple[str, str | None]] = [("time", "s")] if clocked else []
+    columns.append(("desired", actuator.output.unit))
+    columns.append((actuator.input.quantity, actuator.input.unit))
+    return columns
+
+
+def about(actuator: Model, limits: Limits) -> dict[str, str]:
+    """Return what an HDF5 drive says of itself: its model and its limits."""
+    return {"model": actuator.digest, "limits": json.dumps(limits.as_dict())}
+
+
+def read_tracked(
+    path: str, reading: Reading, columns: dict[str, str | None], actuator: Model
+) -> Any:
+    """Read a recorded pass in the model's units."""
+    from dbo_cli.drive import Tracked
+    from dbo_cli.logs import open_log
+
+    units = {}
+    if actuator.input.unit:
+        units["voltage"] = actuator.input.unit
+    if actuator.output.unit:
+        units["measured"] = actuator.output.unit
+    with open_log(path, columns, reading, units) as log:
+        table = log.read()
+    return Tracked(path, table["voltage"], table["measured"], table.time)
+
+
+def read_history(path: str | None) -> list[Any]:
+    """Return the passes so far; none where there is no file yet."""
+    from dbo_cli.drive import parse_history
+
+    if path is None or not Path(path).exists():
+        return []
+    return parse_history(Path(path).read_text(encoding="utf-8"), path)
+
+
+def write_beside(
+    drive: Drive,
+    actuator: Model,
+    wanted: Log,
+    summary: str | None,
+    save_state: str | None,
+    history: str | None,
+) -> None:
+    """Write what stands beside a drive: its summary, the state after it, the passes so far."""
+    from dbo_cli.drive import dumps_history
+    from dbo_cli.logs import write_text
+    from dbo_cli.model import dumps_state
+
+    if summary is not None:
+        write_text(
+            summary,
+            json.dumps({**drive.summary(), "trajectory": wanted.name}, indent=2) + "\n",
+        )
+    if save_state is not None:
+        write_text(save_state, dumps_state(drive.state, actuator))
+    if history is not None:
+        write_text(history, dumps_history(drive.history))

@@ -1,0 +1,99 @@
+"""What a command says on standard error: its lines, its warnings, and how far it has come.
+
+Data alone goes to standard output. A command says at most three lines by default:
+what was read, what came out, what to expect. Warnings follow.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+import time
+import warnings
+from collections.abc import Iterable, Iterator
+from typing import Any, TypeVar
+
+from dbo_cli.errors import DboWarning
+
+ERASE = "\r\x1b[K"
+_PARAMETER = re.compile(r"`([a-z]\w*)`")
+_CONTROL = re.compile(
+    "[\x00-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufeff]+"
+)
+_PAUSE = 0.2  # seconds between two updates of a progress line
+_VALUE_HELD = TypeVar("_VALUE_HELD")
+
+
+class Level:
+    """How much is said: set once, by the options of the command."""
+
+    quiet = False
+    verbose = False
+    debug = False
+
+
+def say(text: str) -> None:
+    """Print a line that everybody needs."""
+    if not Level.quiet and text:
+        print_line(text)
+
+
+def detail(*texts: str) -> None:
+    """Print lines for ``--verbose`` alone."""
+    if Level.verbose and not Level.quiet:
+        for text in texts:
+            print_line(text)
+
+
+def print_line(text: str) -> None:
+    """Print one line on standard error; a broken standard error changes nothing."""
+    erase = ERASE if sys.stderr.isatty() else ""
+    try:
+        print(f"{erase}dbo: {shell_line(text)}", file=sys.stderr, flush=True)
+    except OSError:
+        pass
+
+
+def shell_line(text: str) -> str:
+    """Return a message as the shell shows it: one line, parameters as options, no control characters."""
+    text = _CONTROL.sub(" ", text)
+    return _PARAMETER.sub(
+        lambda name: "--" + name[1].strip("_").replace("_", "-"), text
+    )
+
+
+def show_warnings() -> None:
+    """Print each ``DboWarning`` as a line; what libraries warn programmers of stays unsaid."""
+    warnings.simplefilter("ignore")
+    warnings.simplefilter("always", DboWarning)
+    warnings.showwarning = _show
+
+
+def _show(message: Any, category: Any, *_: Any) -> None:
+    if issubclass(category, DboWarning) and not Level.quiet:
+        print_line(f"warning: {message}")
+
+
+def progress(blocks: Iterable[_VALUE_HELD], what: str) -> Iterator[_VALUE_HELD]:
+    """Hand blocks on, and say on a terminal how many rows have passed.
+
+    A block is anything with a length.
+    """
+    shown = sys.stderr.isatty() and not Level.quiet
+    rows, last = 0, time.monotonic()
+    for block in blocks:
+        yield block
+        rows += len(block)  # type: ignore[arg-type]
+        if shown and time.monotonic() - last > _PAUSE:
+            last = time.monotonic()
+            print(
+                f"{ERASE}dbo: {what} {rows:,} rows", end="", file=sys.stderr, flush=True
+            )
+    if shown:
+        print(ERASE, end="", file=sys.stderr, flush=True)
+
+
+def working(what: str) -> None:
+    """Say on a terminal what takes a while; the next line takes its place."""
+    if sys.stderr.isatty() and not Level.quiet:
+        print(f"{ERASE}dbo: {what} ...", end="", file=sys.stderr, flush=True)

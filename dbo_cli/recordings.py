@@ -1,0 +1,99 @@
+"""Logs of an actuator as the arrays that ``identify`` and ``compare`` work on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dbo_cli.logs import Reading, open_log
+from dbo_cli.units import quantity_name
+
+if TYPE_CHECKING:
+    from dbo_cli.identify import Recording
+    from dbo_cli.logs import Log
+    from dbo_cli.model import Model
+
+
+def read_recordings(
+    paths: Sequence[str],
+    reading: Reading,
+    columns: dict[str, str | None],
+    units: dict[str, str] | None = None,
+) -> tuple[list[Recording], list[Log]]:
+    """Read logs of one actuator; all get the units of the first.
+
+    Parameters
+    ----------
+    paths : sequence of str
+        The logs, as typed.
+    reading : Reading
+        How they are read.
+    columns : dict
+        What was typed for the roles time, voltage and displacement.
+    units : dict, optional
+        The units of voltage and displacement; those of the first log if not given.
+
+    Returns
+    -------
+    recordings, logs
+        Arrays in seconds and the log's units, and the logs for what they have to say.
+
+    Raises
+    ------
+    InputError
+        A log cannot be read, or it is not clear which column is which.
+    """
+    recordings, logs = [], []
+    for path in paths:
+        recording, log = read_recording(path, reading, columns, units)
+        units = {"voltage": recording.input[1], "displacement": recording.output[1]}
+        units = {role: unit for role, unit in units.items() if unit}
+        recordings.append(recording)
+        logs.append(log)
+    return recordings, logs
+
+
+def read_recording(
+    path: str,
+    reading: Reading,
+    columns: dict[str, str | None],
+    units: dict[str, str] | None,
+) -> tuple[Recording, Log]:
+    """Read one log of an actuator; see ``read_recordings``."""
+    from dbo_cli.identify import Recording
+
+    with open_log(path, columns, reading, units) as log:
+        table = log.read()
+        drive, moved = log.columns["voltage"], log.columns["displacement"]
+        recording = Recording(
+            name=log.name,
+            voltage=table["voltage"],
+            displacement=table["displacement"],
+            time=table.time,
+            input=(quantity_name("voltage", drive.unit), drive.unit),
+            output=(quantity_name("displacement", moved.unit), moved.unit),
+        )
+    return recording, log
+
+
+def provenance(recordings: Sequence[Recording], logs: Sequence[Log]) -> dict[str, Any]:
+    """Return where a model comes from: the program and its logs, and no time of day."""
+    from dbo_cli.version import __version__
+
+    sources = []
+    for recording, log in zip(recordings, logs, strict=True):
+        source: dict[str, Any] = {"name": Path(log.name).name, "rows": recording.rows}
+        for role, column in log.columns.items():
+            source[role] = column.name
+        sources.append(source)
+    return {"program": f"dbo {__version__}", "logs": sources}
+
+
+def with_provenance(
+    model: Model, recordings: Sequence[Recording], logs: Sequence[Log]
+) -> Model:
+    """Return a model that names its logs."""
+    import dataclasses
+
+    return dataclasses.replace(model, provenance=provenance(recordings, logs))
