@@ -180,7 +180,7 @@ def refuse(pieces: Mapping[str, object], **others: object) -> None:
     for option, value in {**pieces, **others}.items():
         if value:
             raise UsageError(
-                f"`{option}` is for one channel at a time (dbo compensate SET::NAME ... writes a file of each)"
+                f"`{option}` is for one channel at a time: dbo compensate SET::NAME ..."
             )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import Callable
-from typing import Annotated, Any, Literal, Optional
+from typing import Annotated, Any, Literal
 
 from typer import Argument, Option
 
@@ -20,7 +20,7 @@ COLUMNS = "Columns: a header name, a dataset path, a number from 1, or FILE::COL
 READING = "Reading logs"
 LIMITS, STATE, OUTPUT = "Limits", "State", "Output and messages"
 
-Text = Optional[str]
+Text = str | None
 
 # --- arguments ---
 
@@ -150,7 +150,7 @@ _READING: dict[str, tuple[Any, Any]] = {
         Option(metavar="HZ", help="Sample rate of a log without a time column."),
     ),
     "scale": (
-        Optional[list[str]],
+        list[str] | None,
         Option(
             metavar="ROLE=FACTOR",
             help="Multiply a column: voltage=20, displacement=10um/V; repeatable.",
