@@ -1,0 +1,478 @@
+"""Figures that one can put into a paper: PNG, SVG, or SVG to stand inside a page; same values, same bytes.
+
+The look is in ``figures.mplstyle``. The two colours of a comparison differ in lightness
+as well as in hue (they survive a grey print and the common colour blindnesses), and in
+the pattern of the line. Matplotlib is imported when something is drawn.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+import os
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from dbo_cli.errors import OutputError
+from dbo_cli.report.merits import Floats
+from dbo_cli.report.render import digits, short_name, shown_unit
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from dbo_cli.model import Model, Quantity
+    from dbo_cli.report.report import LogReport, Report
+
+SCHEME = {
+    "#1b1d22": "ink",
+    "#5d646f": "muted",
+    "#d5d9df": "rule",
+    "#00508f": "first",
+    "#e0751a": "second",
+    "#1b7f5c": "third",
+    "#9c4697": "fourth",
+    "#8a6d00": "fifth",
+    "#7fa8cc": "fill",
+}
+"""Every colour, and the variable of ``page.css`` that stands for it in a page."""
+INK, MUTED, RULE, FIRST, SECOND, THIRD, FOURTH, FIFTH, FILL = SCHEME
+
+SOLID: dict[str, Any] = {"color": FIRST, "linewidth": 1.3}
+DASHED: dict[str, Any] = {
+    "color": SECOND,
+    "linestyle": (0, (3.2, 1.4)),
+    "linewidth": 1.3,
+}
+THIN: dict[str, Any] = {"color": INK, "linewidth": 0.9}
+DOTTED: dict[str, Any] = {"color": MUTED, "linestyle": (0, (1, 1.6)), "linewidth": 0.9}
+SEVERAL = (SECOND, FIRST, THIRD, FOURTH, FIFTH, INK)
+WIDE = (5.0, 2.8)  # inches: two side by side fill a page in print, one a phone
+TALL = (5.0, 4.0)  # inches: as wide as those; for loops
+COLUMNS = 1000  # of a figure; a curve keeps the least and the greatest value in each
+MOST_POINTS = 20_000  # of a loop that stays lines in an SVG; more become a picture
+LOOP_POINTS = 501  # each way of a model's loop
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+Kind = Literal["png", "svg", "inline"]
+
+
+@dataclass(frozen=True)
+class Plot:
+    """One figure.
+
+    Attributes
+    ----------
+    key
+        Stem of its file name.
+    title
+        What it shows, in words.
+    size
+        Width and height in inches.
+    paint
+        Draws into axes.
+    """
+
+    key: str
+    title: str
+    size: tuple[float, float]
+    paint: Callable[[Axes], None]
+
+
+@contextlib.contextmanager
+def style(outlines: bool = True) -> Iterator[None]:
+    """Draw in this program's look, whatever the user's own configuration says.
+
+    ``outlines``: letters become outlines, which need no font; else they stay text.
+    """
+    from matplotlib import rc_context, rc_params_from_file, rcParamsDefault
+
+    settings = {}
+    for key, value in rcParamsDefault.items():
+        if not key.startswith(("backend", "interactive", "toolbar", "webagg")):
+            settings[key] = value
+    own = Path(__file__).with_name("figures.mplstyle")
+    settings.update(rc_params_from_file(own, use_default_template=False))
+    settings["svg.fonttype"] = "path" if outlines else "none"
+    with rc_context(settings):
+        yield
+
+
+def draw(plot: Plot, kind: Kind) -> bytes:
+    """Return a figure as PNG, as SVG, or as SVG that stands inside a page.
+
+    The inline form has letters as text, no background, variables for the colours of
+    ``SCHEME``, and ids that begin with the figure's key.
+    """
+    with style(outlines=kind != "inline"):
+        figure = figure_of(plot)
+        out = io.BytesIO()
+        if kind == "png":
+            figure.savefig(out, format="png", metadata={"Software": None})
+            return out.getvalue()
+        metadata = {"Date": None, "Creator": None}
+        inline = kind == "inline"
+        figure.savefig(out, format="svg", metadata=metadata, transparent=inline)
+    if inline:
+        return _for_page(out.getvalue().decode(), plot).encode()
+    return out.getvalue()
+
+
+def figure_of(plot: Plot) -> Figure:
+    """Return a painted figure that belongs to no window."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=plot.size, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    plot.paint(axes)
+    handles, labels = axes.get_legend_handles_labels()
+    if handles:
+        place = {"loc": "outside upper left", "columnspacing": 1.6}
+        figure.legend(handles, labels, ncols=_legend_columns(labels), **place)
+    return figure
+
+
+def _legend_columns(labels: Sequence[str]) -> int:
+    """Return how many names fit side by side."""
+    longest = max(len(label) for label in labels)
+    return max(1, min(len(labels), 56 // (longest + 7)))
+
+
+def _for_page(svg: str, plot: Plot) -> str:
+    """Turn an SVG file into an element of a page: own ids, colours as variables, no fixed size."""
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    svg = re.sub(r' id="', f' id="{plot.key}-', svg)
+    svg = re.sub(r"(url\(#|href=\"#)", lambda found: f"{found[1]}{plot.key}-", svg)
+    for color, name in SCHEME.items():
+        svg = svg.replace(color, f"var(--{name})")
+    for side in ("width", "height"):
+        svg = re.sub(rf'<svg ([^>]*?){side}="[^"]*"', r"<svg \1", svg, count=1)
+    label = f'<svg role="img" aria-label="{escape(plot.title)}" '
+    return svg.replace("<svg ", label, 1).strip()
+
+
+def save(plots: Sequence[Plot], folder: str | os.PathLike[str]) -> list[Path]:
+    """Write every figure as ``KEY.png`` and ``KEY.svg``, each whole or not at all; return the files."""
+    target = Path(folder)
+    written = []
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+        for plot in plots:
+            kinds: tuple[Kind, ...] = ("png", "svg")
+            for kind in kinds:
+                path = target / f"{plot.key}.{kind}"
+                part = path.with_name(f".{path.name}.part")
+                part.write_bytes(draw(plot, kind))
+                os.replace(part, path)
+                written.append(path)
+    except OSError as problem:
+        reason = problem.strerror or "it failed"
+        raise OutputError(
+            f"{folder}: figures cannot be written: {reason}: `figures` needs a folder"
+        ) from None
+    return written
+
+
+# --- a report ---
+
+
+def plots_of_report(report: Report) -> list[Plot]:
+    """Return the figures of a report: all errors side by side, then each log's own, then the model's."""
+    plots = []
+    if len(report.logs) > 1:
+        paint = partial(_paint_errors, report)
+        plots.append(Plot("errors", "Error of all logs", WIDE, paint))
+    stems = file_stems([log.name for log in report.logs])
+    for log, stem in zip(report.logs, stems, strict=True):
+        plots += plots_of_log(report, log, stem)
+    if report.model is not None:
+        plots += plots_of_model(report.model)
+    return plots
+
+
+def plots_of_log(report: Report, log: LogReport, stem: str) -> list[Plot]:
+    """Return the figures of one log: both signals, the error, the loop and the spectrum."""
+    first, second = report.labels
+    name = ""
+    if len(report.logs) > 1:
+        name = f", {short_name(log.name)}"
+    error = "Residual of the model" if first == "model" else "Error"
+    loop = "Hysteresis loop"
+    if log.pair.voltage is None:
+        loop = f"{second.capitalize()} against {first}"
+    painted = [
+        ("follow", f"{first.capitalize()} and {second}", WIDE, _paint_follow),
+        ("error", error, WIDE, _paint_error),
+        ("loop", loop, TALL, _paint_loop),
+    ]
+    if spectrum_of(log) is not None:
+        painted.append(("spectrum", "Spectrum of the error", WIDE, _paint_spectrum))
+    plots = []
+    for key, title, size, paint in painted:
+        plots.append(
+            Plot(f"{stem}-{key}", title + name, size, partial(paint, report, log))
+        )
+    return plots
+
+
+def file_stems(names: Sequence[str]) -> list[str]:
+    """Return a stem for the files of every log, all different."""
+    stems: list[str] = []
+    for name in names:
+        base = name.replace("::", "-").replace("\\", "/").rsplit("/", 1)[-1]
+        base = re.sub(r"\.(csv|tsv|txt|dat|lvm|h5|hdf5)(\.gz)?(?=-|$)", "", base)
+        stem = re.sub(r"[^\w.-]+", "_", base).strip("._-")[:80] or "log"
+        unique, count = stem, 2
+        while unique in stems:
+            unique = f"{stem}-{count}"
+            count += 1
+        stems.append(unique)
+    return stems
+
+
+def axis_label(quantity: str, unit: str | None) -> str:
+    """Return a quantity with its unit in brackets."""
+    if not unit:
+        return quantity
+    return f"{quantity} ({shown_unit(unit)})"
+
+
+def _clock_of(log: LogReport) -> tuple[Floats, str]:
+    """Return the places of the rows along the axis, and its name."""
+    pair = log.pair
+    if pair.time is not None:
+        return pair.time, "Time (s)"
+    assert pair.numbers is not None
+    if pair.dt is not None:
+        return (pair.numbers - 1.0) * pair.dt, "Time (s)"
+    return pair.numbers, "Row"
+
+
+def envelope(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Return a curve as its least and greatest value in each of many columns; a short one as it is."""
+    if len(x) <= 4 * COLUMNS:
+        return x, y
+    edges = np.linspace(0, len(x), COLUMNS + 1).astype(np.int64)[:-1]
+    low, high = np.minimum.reduceat(y, edges), np.maximum.reduceat(y, edges)
+    heights = np.column_stack([low, high]).ravel()
+    return np.repeat(x[edges], 2), heights
+
+
+def _paint_follow(report: Report, log: LogReport, axes: Axes) -> None:
+    first, second = report.labels
+    time, clock = _clock_of(log)
+    measured = log.pair.measured - log.merits.offset
+    axes.plot(*envelope(time, log.pair.desired), label=first, **SOLID)
+    axes.plot(*envelope(time, measured), label=second, **DASHED)
+    axes.set(xlabel=clock, ylabel=axis_label("Displacement", report.unit))
+
+
+def _error_of(log: LogReport) -> Floats:
+    """Return measured less desired, the mean taken off where that was asked for."""
+    return log.pair.measured - log.pair.desired - log.merits.offset
+
+
+def _paint_error(report: Report, log: LogReport, axes: Axes) -> None:
+    time, clock = _clock_of(log)
+    rmse = log.merits.rmse
+    band = f"± RMSE, {digits(rmse, 3)} {shown_unit(report.unit)}".rstrip()
+    axes.axhspan(-rmse, rmse, color=FILL, alpha=0.35, linewidth=0.0, label=band)
+    axes.plot(*envelope(time, _error_of(log)), **THIN)
+    name = "Residual" if report.labels[0] == "model" else "Error"
+    axes.set(xlabel=clock, ylabel=axis_label(name, report.unit))
+
+
+def _paint_errors(report: Report, axes: Axes) -> None:
+    names = set()
+    for log, color in zip(report.logs, SEVERAL, strict=False):
+        time, clock = _clock_of(log)
+        names.add(clock)
+        curve = envelope(time - time[0], _error_of(log))
+        axes.plot(*curve, color=color, linewidth=1.0, label=short_name(log.name))
+    clock = names.pop() if len(names) == 1 else "Row, or time (s)"
+    axes.set(xlabel=clock, ylabel=axis_label("Error", report.unit))
+
+
+def _paint_loop(report: Report, log: LogReport, axes: Axes) -> None:
+    first, second = report.labels
+    pair, measured = log.pair, log.pair.measured - log.merits.offset
+    # many points become a picture inside the SVG, or the file takes megabytes
+    as_picture = len(measured) > MOST_POINTS
+    length = axis_label("Displacement", report.unit)
+    if pair.voltage is None:
+        ends = [log.merits.desired_min, log.merits.desired_max]
+        axes.plot(pair.desired, measured, rasterized=as_picture, label=second, **SOLID)
+        axes.plot(ends, ends, label="no error", **DOTTED)
+        x_label = axis_label(f"{first.capitalize()} displacement", report.unit)
+        axes.set(
+            xlabel=x_label, ylabel=axis_label("Measured displacement", report.unit)
+        )
+        return
+    axes.plot(pair.voltage, measured, rasterized=as_picture, label=second, **SOLID)
+    if first == "model":
+        axes.plot(
+            pair.voltage, pair.desired, rasterized=as_picture, label=first, **DASHED
+        )
+    axes.set(xlabel=axis_label("Drive voltage", report.voltage_unit), ylabel=length)
+
+
+def spectrum_of(log: LogReport) -> tuple[Floats, Floats] | None:
+    """Return frequencies (Hz) and the amplitude density of the error (unit/sqrt(Hz)).
+
+    By Welch's method, the mean of each piece taken off. None without an even clock or
+    with fewer than 64 rows.
+    """
+    step, error = log.pair.step(), _error_of(log)
+    if step is None or len(error) < 64:
+        return None
+    time = log.pair.time
+    if time is not None and np.ptp(np.diff(time)) > 0.01 * step:
+        return None
+    from scipy.signal import welch
+
+    rows = min(len(error), max(64, 2 ** int(math.log2(len(error) / 4.0))))
+    frequency, power = welch(error, 1.0 / step, nperseg=rows)
+    return frequency[1:], np.sqrt(power[1:])
+
+
+def _paint_spectrum(report: Report, log: LogReport, axes: Axes) -> None:
+    curve = spectrum_of(log)
+    assert curve is not None
+    frequency, density = curve
+    axes.plot(frequency, np.maximum(density, 1e-30), **THIN)
+    axes.set(xscale="log", yscale="log")
+    floor = 1e-6 * float(density.max())
+    if floor > 0.0:
+        axes.set_ylim(bottom=max(float(density.min()), floor))
+    unit = f"{shown_unit(report.unit)}/√Hz" if report.unit else "1/√Hz"
+    axes.set(xlabel="Frequency (Hz)", ylabel=f"Error density ({unit})")
+    label_decades(axes)
+
+
+def label_decades(axes: Axes, sides: str = "xy") -> None:
+    """Label logarithmic axes in plain letters: decades, and 2 and 5 where there are few decades."""
+    for axis, side in ((axes.xaxis, "x"), (axes.yaxis, "y")):
+        if side in sides:
+            axis.set_major_formatter(_decade)
+            axis.set_minor_formatter(partial(_between, axis))
+
+
+def _decade(value: float, _: float = 0.0) -> str:
+    if 0.0005 < value < 50_000.0:
+        return f"{value:g}"
+    return "10" + f"{math.log10(value):.0f}".translate(RAISED)
+
+
+def _between(axis: Any, value: float, _: float = 0.0) -> str:
+    low, high = sorted(axis.get_view_interval())
+    lead = f"{value:.0e}"[0]
+    if high > 100.0 * low or lead not in ("2", "5"):
+        return ""
+    return f"{value:.3g}"
+
+
+# --- a model ---
+
+
+def plots_of_model(model: Model) -> list[Plot]:
+    """Return the figures of a model: its loop, and the response of its dynamics where it has any."""
+    drive = model.input if model.is_forward else model.output
+    title = f"The model's loop, {quantity_range(drive)}"
+    straight = "The same less a straight line"
+    plots = [
+        Plot("model-loop", title, TALL, partial(_paint_model_loop, model)),
+        Plot("model-hysteresis", straight, WIDE, partial(_paint_hysteresis, model)),
+    ]
+    if model.dynamics is not None:
+        for key, what in (("gain", "Gain"), ("phase", "Phase")):
+            paint = partial(_paint_response, model, what)
+            plots.append(Plot(f"model-{key}", f"{what} of the dynamics", WIDE, paint))
+    return plots
+
+
+def quantity_range(quantity: Quantity) -> str:
+    """Return a range with its unit."""
+    unit = f" {shown_unit(quantity.unit)}" if quantity.unit else ""
+    return f"{quantity.min:.4g} to {quantity.max:.4g}{unit}"
+
+
+def slow_loop(model: Model) -> tuple[Floats, Floats, Floats]:
+    """Return the drive on the way up, and the displacement there and on the way down.
+
+    Slowly: creep has come to rest; dynamics and delay take no part. Of an inverse model
+    the loop of the actuator that it undoes.
+    """
+    forward = model.forward().static
+    drive = forward.input
+    up = np.linspace(drive.min, drive.max, LOOP_POINTS)
+    walk = np.concatenate([up, up[::-1], up])
+    dt = 1e9 if forward.needs_time else None
+    y, _ = forward.simulate(walk, dt=dt, state="empty")
+    rising = y[2 * LOOP_POINTS :]
+    falling = y[LOOP_POINTS : 2 * LOOP_POINTS][::-1]
+    return up, rising, falling
+
+
+def _quantity(quantity: Quantity) -> str:
+    return axis_label(quantity.quantity.capitalize(), quantity.unit)
+
+
+def _paint_model_loop(model: Model, axes: Axes) -> None:
+    forward = model.forward()
+    drive, rising, falling = slow_loop(model)
+    axes.plot(drive, rising, label="rising", **SOLID)
+    axes.plot(drive, falling, label="falling", **DASHED)
+    axes.set(xlabel=_quantity(forward.input), ylabel=_quantity(forward.output))
+
+
+def _paint_hysteresis(model: Model, axes: Axes) -> None:
+    forward = model.forward()
+    drive, rising, falling = slow_loop(model)
+    line = np.polyfit(np.tile(drive, 2), np.concatenate([rising, falling]), 1)
+    axes.plot(drive, rising - np.polyval(line, drive), label="rising", **SOLID)
+    axes.plot(drive, falling - np.polyval(line, drive), label="falling", **DASHED)
+    name = f"{forward.output.quantity.capitalize()} less a line"
+    axes.set(
+        xlabel=_quantity(forward.input), ylabel=axis_label(name, forward.output.unit)
+    )
+
+
+def _paint_response(model: Model, what: str, axes: Axes) -> None:
+    dynamics = model.forward().dynamics
+    assert dynamics is not None
+    corners = []
+    for section in dynamics.sections:
+        seconds = getattr(section, "seconds", None)
+        corner = 0.5 / (math.pi * seconds) if seconds else section.frequency
+        corners.append(float(corner))
+    at = np.geomspace(0.03 * min(corners), 3.0 * max(corners), 600)
+    near = [corner * np.linspace(0.9, 1.1, 101) for corner in corners]
+    at = np.unique(np.concatenate([at, *near]))
+    response = dynamics.response(at)
+    axes.set_xscale("log")
+    if what == "Gain":
+        axes.plot(at, np.abs(response), **SOLID)
+        axes.set(yscale="log", ylabel="Gain")
+        label_decades(axes)
+    else:
+        axes.plot(at, np.degrees(np.unwrap(np.angle(response))), **SOLID)
+        axes.set(ylabel="Phase (degrees)")
+        label_decades(axes, "x")
+    axes.set(xlabel="Frequency (Hz)")
+
+
+def plot_model(model: Model) -> Figure:
+    """Return the model's loop as a figure of matplotlib, for a notebook."""
+    with style():
+        return figure_of(plots_of_model(model)[0])

@@ -1,0 +1,288 @@
+"""The report as text, JSON, CSV and an HTML page: the same values, the same bytes every time."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Callable, Mapping, Sequence
+from html import escape
+from importlib import resources
+from string import Template
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from dbo_cli.version import __version__
+
+if TYPE_CHECKING:
+    from dbo_cli.report.plots import Plot
+    from dbo_cli.report.report import LogReport, Report
+
+JSON_VERSION = 1  # of the form dbo-report
+LONGEST_NAME = 40  # letters of a log's name in a table
+MINUS = "\N{MINUS SIGN}"
+
+
+def to_json(report: Report) -> str:
+    """Return the report as JSON text, ``dbo-report`` version 1; numbers read back exactly.
+
+    The keys are always all there, in this order: ``format``, ``version``, ``unit``,
+    ``compared`` (the error is the second less the first), ``offset_removed``, ``logs``
+    (``LogReport.record``), ``notes``, ``limits`` (``Verdict.record``), ``passed`` (null
+    where no limit was set) and ``warnings``. Keys may be added within a version; none
+    changes its meaning. Rows count from 1, in the file.
+    """
+    content = {
+        "format": "dbo-report",
+        "version": JSON_VERSION,
+        "unit": report.unit,
+        "compared": list(report.labels),
+        "offset_removed": report.remove_offset,
+        "logs": [log.record() for log in report.logs],
+        "notes": report.notes,
+        "limits": [verdict.record() for verdict in report.verdicts],
+        "passed": report.passed,
+        "warnings": report.warnings,
+    }
+    return json_text(content)
+
+
+def json_text(content: Mapping[str, Any]) -> str:
+    """Return plain values as JSON text."""
+    return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def to_csv(report: Report) -> str:
+    """Return a line a log: the keys of the JSON form and the unit; what is undefined is empty."""
+    rows = [{**log.record(), "unit": report.unit} for log in report.logs]
+    for row in rows:
+        row["name"] = no_formula(row["name"])
+    out = io.StringIO()
+    writer = csv.DictWriter(out, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return out.getvalue()
+
+
+def no_formula(name: str) -> str:
+    """Put an apostrophe before a name that a spreadsheet would calculate."""
+    if name.startswith(("=", "+", "@")) or (name.startswith("-") and name != "-"):
+        return f"'{name}"
+    return name
+
+
+def digits(value: float | None, places: int = 4) -> str:
+    """Return a number to some significant digits, plain from 1e-3 to 1e6; None is ``-``."""
+    if value is None:
+        return "-"
+    if value == 0.0:
+        return "0"
+    if not 1e-3 <= abs(value) < 1e6:
+        return f"{value:.{places - 1}e}"
+    text = f"{value:#.{places}g}"
+    if "e" in text:
+        return f"{value:.0f}"
+    return text.rstrip(".")
+
+
+def shown_unit(unit: str | None) -> str:
+    """Return a unit as people write it; nothing where it is not known."""
+    return {"um": "µm", "us": "µs"}.get(unit or "", unit or "")
+
+
+def short_name(name: str) -> str:
+    """Return a name cut in its middle where it is long; the end tells more than the start."""
+    if len(name) <= LONGEST_NAME:
+        return name
+    return f"{name[:12]}…{name[-(LONGEST_NAME - 13) :]}"
+
+
+class TableColumn(NamedTuple):
+    """A column of the table: its heading, and its cell for a log."""
+
+    title: str
+    cell: Callable[[LogReport], str]
+
+
+def columns_of(report: Report) -> list[TableColumn]:
+    """Return the columns of the table; those that nothing is known for are left out."""
+    columns = [
+        TableColumn("log", lambda log: short_name(log.name)),
+        TableColumn("rows", lambda log: f"{log.merits.samples:,}"),
+        TableColumn("RMSE", lambda log: digits(log.merits.rmse)),
+        TableColumn("% of move", lambda log: digits(log.merits.nrmse_percent, 3)),
+        TableColumn("largest", lambda log: digits(log.merits.max_abs)),
+        TableColumn("at row", lambda log: f"{log.largest_row:,}"),
+    ]
+    if report.remove_offset:
+        mean = TableColumn("offset", lambda log: digits(log.merits.offset))
+    else:
+        mean = TableColumn("mean", lambda log: digits(log.merits.mean))
+    columns.append(mean)
+    columns.append(TableColumn("loop", lambda log: digits(log.merits.loop_width, 3)))
+    if any(log.pair.step() for log in report.logs):
+        columns.append(TableColumn("lag (ms)", _lag_in_ms))
+    else:
+        columns.append(TableColumn("lag (rows)", lambda log: digits(log.merits.lag, 3)))
+    if any(log.expected_rmse for log in report.logs):
+        expected = TableColumn("expected", lambda log: digits(log.expected_rmse))
+        columns.insert(3, expected)
+    if any(log.percent_of_range for log in report.logs):
+        percent = TableColumn("% of range", lambda log: digits(log.percent_of_range, 3))
+        columns.insert(4, percent)
+    if len(report.logs) > 1:
+        ratio = TableColumn("ratio", lambda log: digits(log.ratio_to_first, 3))
+        columns.append(ratio)
+    return columns
+
+
+def _lag_in_ms(log: LogReport) -> str:
+    step = log.pair.step()
+    if step is None or log.merits.lag is None:
+        return "-"
+    return digits(1000.0 * step * log.merits.lag, 3)
+
+
+def to_text(report: Report) -> str:
+    """Return the verdict, an aligned table and at most a few lines."""
+    lines = [verdict.words() for verdict in report.verdicts]
+    if lines:
+        lines.insert(0, "PASSED" if report.passed else "FAILED")
+        lines.append("")
+    columns = columns_of(report)
+    rows = [[column.cell(log) for column in columns] for log in report.logs]
+    lines.append(text_table([column.title for column in columns], rows))
+    lines += ["", settings_line(report)]
+    lines += [f"warning: {warning}" for warning in report.warnings]
+    lines += [f"note: {note}" for note in report.notes]
+    return "\n".join(lines) + "\n"
+
+
+def text_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return columns two blanks apart, the first to the left, the others to the right."""
+    table = [list(head), *[list(row) for row in rows]]
+    widths = []
+    for number in range(len(head)):
+        widths.append(max(len(row[number]) for row in table))
+    lines = []
+    for row in table:
+        cells = [row[0].ljust(widths[0])]
+        for cell, width in zip(row[1:], widths[1:], strict=True):
+            cells.append(cell.rjust(width))
+        lines.append("  ".join(cells).rstrip())
+    return "\n".join(lines)
+
+
+def settings_line(report: Report) -> str:
+    """Return what was compared, and what the figures mean."""
+    first, second = report.labels
+    line = f"error = {second} - {first}"
+    if report.unit:
+        line += f" in {report.unit}"
+    if report.remove_offset:
+        line += ", mean removed"
+    lag = report.logs[0].lag
+    if lag:
+        line += f", {second} taken {lag} rows later"
+    line += f"; move: range of {first}; loop: error falling less error rising"
+    return line
+
+
+def headline(report: Report) -> str:
+    """Return the least error and, of several logs, what it is beside the first one."""
+    first = report.logs[0]
+    best = min(report.logs, key=lambda log: log.merits.rmse)
+    unit = f" {report.unit}" if report.unit else ""
+    line = f"{short_name(best.name)}: error {digits(best.merits.rmse, 3)}{unit} RMS"
+    if best is not first and best.merits.rmse > 0.0:
+        times = first.merits.rmse / best.merits.rmse
+        return f"{line}, {digits(times, 2)} times less than {short_name(first.name)}"
+    if best.merits.nrmse_percent is not None:
+        line += f" ({digits(best.merits.nrmse_percent, 2)} % of the move)"
+    return line
+
+
+# --- the page: no script, no network, the figures inside it ---
+
+
+def to_html(report: Report) -> str:
+    """Return a page that needs no other file: verdict, table, figures, footer."""
+    from dbo_cli.report.plots import plots_of_report
+
+    unit = shown_unit(report.unit)
+    head = []
+    for column in columns_of(report):
+        title = column.title
+        if unit and title in ("RMSE", "expected", "largest", "mean", "offset", "loop"):
+            title += f" ({unit})"
+        head.append(title)
+    rows = []
+    for log in report.logs:
+        rows.append([column.cell(log) for column in columns_of(report)])
+    parts = [_verdict(report), f'<p class="headline">{escape(headline(report))}</p>']
+    for warning in report.warnings:
+        parts.append(f'<p class="warning">Warning: {escape(warning)}</p>')
+    parts.append(html_table(head, rows, chief=2))
+    parts.append(f'<p class="muted">{escape(settings_line(report))}</p>')
+    parts += [f'<p class="muted">{escape(note)}</p>' for note in report.notes]
+    parts.append(html_figures(plots_of_report(report)))
+    parts.append(f"<footer>{'<br>'.join(map(escape, footer_lines(report)))}</footer>")
+    return page("Tracking report", parts)
+
+
+def _verdict(report: Report) -> str:
+    """Return whether the limits are kept; nothing where none was set."""
+    if report.passed is None:
+        return ""
+    word = "passed" if report.passed else "failed"
+    lines = [f"<strong>{word.capitalize()}</strong>"]
+    lines += [escape(verdict.words()) for verdict in report.verdicts]
+    return f'<p class="verdict {word}">{"<br>".join(lines)}</p>'
+
+
+def footer_lines(report: Report) -> list[str]:
+    """Return who made the page, from what: version, command, model, limits; no time of day."""
+    lines = [f"dbo {__version__}"]
+    if report.command:
+        lines.append(report.command)
+    if report.model is not None:
+        name = report.model_name or "model"
+        lines.append(f"Model {name} ({report.model.digest[:12]})")
+    if report.limits:
+        limits = [f"{key} {value}" for key, value in report.limits.items()]
+        lines.append(f"Limits: {', '.join(limits)}")
+    return lines
+
+
+def html_table(head: Sequence[str], rows: Sequence[Sequence[str]], chief: int) -> str:
+    """Return a table whose cells know their heading: a narrow screen shows a row as a card."""
+    cells = "".join(f'<th scope="col">{escape(title)}</th>' for title in head)
+    lines = []
+    for row in rows:
+        line = ""
+        for number, (title, cell) in enumerate(zip(head, row, strict=True)):
+            mark = ' class="chief"' if number == chief else ""
+            line += f'<td{mark} data-label="{escape(title)}">{escape(cell)}</td>'
+        lines.append(f"<tr>{line}</tr>")
+    body = "\n".join(lines)
+    return f"<table><thead><tr>{cells}</tr></thead><tbody>\n{body}\n</tbody></table>"
+
+
+def html_figures(plots: Sequence[Plot]) -> str:
+    """Return figures as part of a page."""
+    from dbo_cli.report.plots import draw
+
+    drawn = []
+    for plot in plots:
+        image = draw(plot, "inline").decode()
+        caption = f"<figcaption>{escape(plot.title)}</figcaption>"
+        drawn.append(f"<figure>{caption}{image}</figure>")
+    return '<div class="figures">' + "\n".join(drawn) + "</div>"
+
+
+def page(title: str, parts: Sequence[str]) -> str:
+    """Return a whole page of parts that are HTML already."""
+    here = resources.files("dbo_cli.report")
+    style = here.joinpath("page.css").read_text("utf-8")
+    frame = Template(here.joinpath("page.html").read_text("utf-8"))
+    body = "\n".join(part for part in parts if part)
+    return frame.substitute(title=escape(title), style=style, body=body)
