@@ -24,7 +24,7 @@ import os
 import re
 import stat
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import IO, Any
 
 import numpy as np
@@ -40,6 +40,7 @@ Attributes = dict[str, str | float]
 BLOCK_ROWS = 1 << 16  # rows that are formatted at once
 # Cells that Python formats sooner than polars is imported (0.1 s, measured).
 PLAIN_CELLS = 1 << 16
+GZIP_LEVEL = 1  # three times as fast as 6, and 8 % larger (measured)
 NAME_BYTES = 100  # of the output's name in a temporary one; file systems allow 255
 HDF5_SUFFIXES = (".h5", ".hdf5")
 DELIMITERS = {"": ",", ".csv": ",", ".txt": ",", ".dat": ",", ".tsv": "\t"}
@@ -123,7 +124,7 @@ class _File:
         elif os.path.isdir(path):
             raise OutputError(f"{path}: this is a folder: give a file name")
 
-    def open(self) -> IO[bytes]:
+    def open(self, readable: bool = False) -> IO[bytes]:
         """Open the temporary file, or the pipe, device or descriptor itself."""
         with telling(self.path):
             if self.descriptor == 1:
@@ -133,7 +134,7 @@ class _File:
                 # opened anew by its name, a file behind it would be cut to nothing
                 self.stream = os.fdopen(os.dup(self.descriptor), "wb")
             elif self.temporary is not None:
-                self.stream = open(self.temporary, "xb")
+                self.stream = open(self.temporary, "xb+" if readable else "xb")
             else:
                 self.stream = open(self.path, "wb")
         return self.stream
@@ -154,10 +155,12 @@ class _File:
 
     def close(self) -> None:
         """Close the stream; standard output stays open."""
-        if self.stream is not None:
+        if self.stream is None or self.stream.closed:
+            return
+        if self.descriptor == 1:
             self.stream.flush()
-            if self.descriptor != 1:
-                self.stream.close()
+        else:
+            self.stream.close()
 
     def rename(self, keep: bool) -> None:
         """Give the output its name; with ``keep`` the old file is kept until all have theirs."""
@@ -435,7 +438,7 @@ class TextWriter(Writer):
         self._packed: gzip.GzipFile | None = None
         if file.path.lower().endswith(".gz"):
             # no name and no time: the same numbers give the same bytes
-            self._packed = gzip.GzipFile("", "wb", 6, self._stream, 0)
+            self._packed = gzip.GzipFile("", "wb", GZIP_LEVEL, self._stream, 0)
         cells = [header_cell(name, unit, self.delimiter) for name, unit in columns]
         with telling(self.path):
             self._send((self.delimiter.join(cells) + "\n").encode())
@@ -515,24 +518,67 @@ class Hdf5Writer(Writer):
         import h5py
 
         self._datasets: list[Any] = []
-        with telling(self.path):
-            self._store = h5py.File(file.temporary, "w")
-            for name, unit in columns:
-                dataset = self._store.create_dataset(
-                    name.replace("/", "_"), (0,), "f8", maxshape=(None,), chunks=(BLOCK_ROWS,),
-                    shuffle=True, compression="gzip", compression_opts=1,
-                )  # fmt: skip
-                dataset.attrs["units"] = unit or ""
-                self._datasets.append(dataset)
+        self._stream = _PatientStream(file.open(readable=True))
+        self._store = h5py.File(self._stream, "w")
+        for name, unit in columns:
+            dataset = self._store.create_dataset(
+                name.replace("/", "_"), (0,), "f8", maxshape=(None,), chunks=(BLOCK_ROWS,),
+                shuffle=True, compression="gzip", compression_opts=1,
+            )  # fmt: skip
+            dataset.attrs["units"] = unit or ""
+            self._datasets.append(dataset)
 
     def close(self) -> None:
         """State the attributes and close the file."""
+        if self._store:
+            self._store.attrs.update(self.attributes)
+            self._store.close()
         with telling(self.path):
-            if self._store:
-                self._store.attrs.update(self.attributes)
-                self._store.close()
+            self._stream.tell_problem()
 
     def _append(self, block: Sequence[FloatArray]) -> None:
         for dataset, array in zip(self._datasets, block, strict=True):
             dataset.resize(self.rows + len(array), axis=0)
             dataset[self.rows :] = array
+        self._stream.tell_problem()
+
+
+class _PatientStream:
+    """A file for HDF5 that keeps what goes wrong for later.
+
+    HDF5 ends the process when it cannot write while it closes a file (a full disk).
+    """
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        """Take a file that can be read and written."""
+        self._stream = stream
+        self._problem: BaseException | None = None
+        self.seek = stream.seek
+        self.tell = stream.tell
+        self.read = stream.read
+        self.readinto = stream.readinto  # type: ignore[attr-defined]
+
+    def write(self, data: bytes) -> int:
+        """Write, or pretend to after a failure."""
+        return self._tried(self._stream.write, data) or len(data)
+
+    def truncate(self, size: int) -> int:
+        """Give the file a size."""
+        return self._tried(self._stream.truncate, size) or size
+
+    def flush(self) -> None:
+        """Hand everything to the system."""
+        self._tried(self._stream.flush)
+
+    def tell_problem(self) -> None:
+        """Raise what went wrong."""
+        if self._problem is not None:
+            raise self._problem
+
+    def _tried(self, function: Callable[..., Any], *values: Any) -> Any:
+        if self._problem is None:
+            try:
+                return function(*values)
+            except BaseException as problem:  # Ctrl-C, too
+                self._problem = problem
+        return None

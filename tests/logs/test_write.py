@@ -1,0 +1,375 @@
+"""Outputs: values that read back, whole or not at all, together or none."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import resource
+import signal
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import h5py
+import numpy as np
+import polars as pl
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dbo_cli.errors import DboError, OutputError, UsageError
+from dbo_cli.logs import write
+from dbo_cli.logs.write import (
+    Outputs,
+    check_outputs,
+    create,
+    header_cell,
+    write_bytes,
+    write_text,
+)
+
+COLUMNS = [("time", "s"), ("desired", "um"), ("voltage", "V")]
+
+
+def rows(count: int = 1000) -> list[np.ndarray]:
+    rng = np.random.default_rng(3)
+    return [
+        np.arange(count) / 1e4,
+        rng.normal(size=count),
+        rng.normal(size=count) * 1e-7,
+    ]
+
+
+def only(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def run(
+    script: str, *arguments: str, **options: object
+) -> subprocess.CompletedProcess[bytes]:
+    command = [sys.executable, "-c", textwrap.dedent(script), *arguments]
+    return subprocess.run(command, capture_output=True, timeout=60, **options)  # type: ignore[call-overload]
+
+
+@pytest.mark.parametrize(
+    "name", ["a.csv", "a.tsv", "a.csv.gz", "a", "a.dat", "a.h5", "a.hdf5"]
+)
+def test_numbers_read_back_to_the_bit_from_any_blocks(
+    tmp_path: Path, name: str
+) -> None:
+    arrays = rows(150_000)
+    path = tmp_path / name
+    with create(path, COLUMNS, {"model": "abc"}) as out:
+        for start, stop in [(0, 1), (1, 70_000), (70_000, 70_000), (70_000, 150_000)]:
+            out.write(*[array[start:stop] for array in arrays])
+        assert out.rows == 150_000
+    if "h" in path.suffix:
+        with h5py.File(path) as store:
+            assert store.attrs["model"] == "abc"
+            for (column, unit), array in zip(COLUMNS, arrays, strict=True):
+                assert store[column].attrs["units"] == unit
+                np.testing.assert_array_equal(store[column][:], array)
+    else:
+        frame = pl.read_csv(path, separator="\t" if "tsv" in name else ",")
+        assert frame.columns == ["time_s", "desired_um", "voltage_V"]
+        for column, array in zip(frame.columns, arrays, strict=True):
+            np.testing.assert_array_equal(frame[column].to_numpy(), array)
+    assert only(tmp_path) == [name]
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.csv.gz", "a.h5"])
+def test_the_same_numbers_give_the_same_bytes(tmp_path: Path, name: str) -> None:
+    for folder in ("one", "two"):
+        (tmp_path / folder).mkdir()
+        with create(tmp_path / folder / name, COLUMNS, {"n": 1.5}) as out:
+            out.write(*rows())
+    first, second = tmp_path / "one" / name, tmp_path / "two" / name
+    assert first.read_bytes() == second.read_bytes()
+
+
+@given(
+    st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=50)
+)
+@settings(max_examples=200, deadline=None, derandomize=True)
+def test_a_few_rows_look_as_polars_writes_them(values: list[float]) -> None:
+    plain = write._plain_rows([np.array(values)], ",").decode()
+    by_polars = pl.DataFrame({"x": values}).write_csv(include_header=False)
+    assert plain == by_polars
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("voltage", "V"),
+        ("desired", "um"),
+        ("pressure", "bar"),
+        ("n", None),
+        ("force", "odd unit"),
+        ("a,b", "V"),
+    ],
+)
+def test_a_header_is_read_back(name: str, unit: str | None) -> None:
+    from dbo_cli.units import split_header
+
+    cell = header_cell(name, unit, ",")
+    assert split_header(cell.strip('"')) == (name, unit)
+    assert cell.startswith('"') == ("," in name)
+
+
+def test_no_row_that_is_no_number_is_written(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    with (
+        pytest.raises(OutputError, match=r"row 1003.*desired.*nan"),
+        create(path, COLUMNS) as out,
+    ):
+        out.write(*rows())
+        out.write([1.0, 2.0, 3.0], [0.0, 0.0, np.nan], [0.0, 0.0, 0.0])
+    assert only(tmp_path) == []
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.csv.gz", "a.h5"])
+@pytest.mark.parametrize("old", [None, b"what stood there"])
+@pytest.mark.parametrize("problem", [ValueError, KeyboardInterrupt, SystemExit])
+def test_a_failure_leaves_everything_as_it_was(
+    tmp_path: Path, name: str, old: bytes | None, problem: type[BaseException]
+) -> None:
+    path = tmp_path / name
+    if old is not None:
+        path.write_bytes(old)
+    with pytest.raises(problem), create(path, COLUMNS) as out:
+        out.write(*rows())
+        raise problem
+    if old is None:
+        assert only(tmp_path) == []
+    else:
+        assert only(tmp_path) == [name]
+        assert path.read_bytes() == old
+
+
+def test_permissions_links_and_inputs(tmp_path: Path) -> None:
+    target = tmp_path / "real.csv"
+    target.write_text("x\n1\n")
+    target.chmod(0o640)
+    link = tmp_path / "link.csv"
+    link.symlink_to(target)
+    with target.open() as before, create(link, [("x", None)]) as out:
+        out.write([2.0])
+        assert before.read() == "x\n1\n"  # an input that is replaced is read to its end
+    assert link.is_symlink()
+    assert target.read_text() == "x\n2.0\n"
+    assert target.stat().st_mode & 0o777 == 0o640
+    mask = os.umask(0o027)
+    try:
+        write_text(tmp_path / "new.json", "{}")
+    finally:
+        os.umask(mask)
+    assert (tmp_path / "new.json").stat().st_mode & 0o777 == 0o640
+
+
+def test_several_outputs_appear_together_or_not_at_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    old, new = tmp_path / "old.csv", tmp_path / "new.json"
+    old.write_text("before")
+    real, count = os.replace, 0
+
+    def replace_once(source: str, target: str) -> None:
+        nonlocal count
+        count += 1
+        if count == 2:
+            raise OSError(5, "Input/output error")
+        real(source, target)
+
+    monkeypatch.setattr(os, "replace", replace_once)
+    for first, second in [(old, new), (new, old)]:
+        count = 0
+        with (
+            pytest.raises(OutputError, match="cannot be written"),
+            Outputs() as outputs,
+        ):
+            outputs.write_text(first, "1")
+            outputs.write_text(second, "2")
+        assert only(tmp_path) == ["old.csv"]
+        assert old.read_text() == "before"
+    monkeypatch.undo()
+    with Outputs() as outputs:
+        outputs.create(old, [("x", "V")]).write([1.0])
+        outputs.write_text(new, "{}")
+        with outputs.open(tmp_path / "figure.png") as stream:
+            stream.write(b"png")
+        assert old.read_text() == "before"
+    assert old.read_text() == "x_V\n1.0\n"
+    assert only(tmp_path) == ["figure.png", "new.json", "old.csv"]
+
+
+def test_places_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "x.csv")
+    cases: list[tuple[list[Path], type[DboError]]] = [
+        ([tmp_path / "missing" / "a.csv"], OutputError),
+        ([tmp_path / "folder"], OutputError),
+        ([tmp_path / "x.csv", tmp_path / "folder" / ".." / "x.csv"], OutputError),
+        ([tmp_path / "x.csv", tmp_path / "link"], OutputError),
+        ([Path("-"), Path("/dev/stdout")], OutputError),
+        ([tmp_path / ("n" * 300)], OutputError),
+    ]
+    for paths, kind in cases:
+        with pytest.raises(kind), Outputs() as outputs:
+            check_outputs(*paths)
+            outputs.write_bytes(paths[0], b"")
+    for name in ("a.npy", "a.xlsx", "a.h5.gz", "a.h5::/group"):
+        with pytest.raises(UsageError), create(tmp_path / name, COLUMNS):
+            pass
+    with pytest.raises(UsageError), create("a.h5::/group", COLUMNS):
+        pass
+    write_bytes("/dev/null", b"x")
+    assert only(tmp_path) == ["folder", "link"]
+
+
+KILLED = """
+    import sys, time
+    import numpy as np
+    from dbo_cli.logs.write import Outputs
+    with Outputs() as outputs:
+        out = outputs.create(sys.argv[1], [("x", "V"), ("y", "um")])
+        outputs.write_text(sys.argv[2], "{}")
+        while True:
+            out.write(np.arange(1000.0), np.arange(1000.0))
+            print("written", flush=True)
+"""
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.h5", "a.csv.gz"])
+@pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGKILL])
+def test_a_process_that_is_ended(tmp_path: Path, name: str, signal_number: int) -> None:
+    path = tmp_path / name
+    path.write_text("before")
+    command = [
+        sys.executable,
+        "-c",
+        textwrap.dedent(KILLED),
+        str(path),
+        str(tmp_path / "s.json"),
+    ]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    )
+    assert process.stdout is not None
+    for _ in range(5):
+        assert process.stdout.readline() == b"written\n"
+    process.send_signal(signal_number)
+    process.stdout.close()
+    assert process.wait(20) != 0
+    assert path.read_text() == "before"
+    visible = [found for found in only(tmp_path) if not found.startswith(".")]
+    assert visible == [name]
+    if signal_number == signal.SIGINT:
+        assert only(tmp_path) == [name]
+
+
+FULL = """
+    import sys
+    import numpy as np
+    from dbo_cli.errors import OutputError
+    from dbo_cli.logs.write import create
+    try:
+        with create(sys.argv[1], [("x", "V")]) as out:
+            for _ in range(20):
+                out.write(np.random.default_rng(0).normal(size=20_000))
+    except OutputError as problem:
+        print(problem)
+        sys.exit(9)
+"""
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.h5"])
+def test_a_full_disk_leaves_the_old_file(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    path.write_text("before")
+    most = 300_000  # bytes that a file may have
+
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+
+    done = run(FULL, str(path), preexec_fn=limit)
+    assert done.returncode == 9, done.stderr
+    assert b"disk is full" in done.stdout
+    assert path.read_text() == "before"
+    assert only(tmp_path) == [name]
+
+
+def test_a_full_disk_behind_a_redirection() -> None:
+    with open("/dev/full", "wb") as full:
+        command = [
+            sys.executable,
+            "-c",
+            textwrap.dedent(FULL.replace("print(problem)", "")),
+            "-",
+        ]
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, timeout=60)
+    assert done.returncode in (9, 120), done.stderr  # 120: Python's flush at its end
+
+
+PIPED = """
+    import sys
+    from dbo_cli.logs.write import create
+    with create(sys.argv[1], [("x", "V")]) as out:
+        for n in range(3):
+            out.write([float(n)])
+            sys.stdin.readline()
+"""
+
+
+@pytest.mark.parametrize("path", ["-", "/dev/stdout", "/dev/fd/1"])
+def test_a_pipe_gets_each_block_at_once(path: str) -> None:
+    command = [sys.executable, "-c", textwrap.dedent(PIPED), path]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stdin=subprocess.PIPE)
+    assert process.stdout is not None
+    assert process.stdin is not None
+    assert process.stdout.readline() == b"x_V\n"
+    for n in range(3):
+        assert process.stdout.readline() == f"{n}.0\n".encode()
+        process.stdin.write(b"\n")
+        process.stdin.flush()
+    assert process.wait(20) == 0
+    process.stdout.close()
+    process.stdin.close()
+
+
+def test_a_closed_pipe_is_left_to_the_caller() -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    with (
+        pytest.raises(BrokenPipeError),
+        create(f"/dev/fd/{writing}", [("x", "V")]) as out,
+    ):
+        out.write([1.0])
+    os.close(writing)
+
+
+def test_a_redirection_that_appends_is_not_cut(tmp_path: Path) -> None:
+    path = tmp_path / "log.txt"
+    path.write_text("first\n")
+    with path.open("ab") as stream:
+        for name in ("/dev/stdout", "-"):
+            command = [sys.executable, "-c", textwrap.dedent(PIPED), name]
+            subprocess.run(command, stdout=stream, stdin=subprocess.DEVNULL, check=True)
+    assert path.read_text() == "first\n" + 2 * "x_V\n0.0\n1.0\n2.0\n"
+
+
+def test_a_named_pipe_is_written_to_and_stays(tmp_path: Path) -> None:
+    path = tmp_path / "fifo.csv"
+    os.mkfifo(path)
+    reader = subprocess.Popen(["cat", str(path)], stdout=subprocess.PIPE)
+    with create(path, [("x", "V")]) as out:
+        out.write([1.0])
+    assert reader.communicate(timeout=20)[0] == b"x_V\n1.0\n"
+    assert only(tmp_path) == ["fifo.csv"]
+
+
+def test_a_gzip_stream_is_a_whole_one(tmp_path: Path) -> None:
+    with create(tmp_path / "a.tsv.gz", COLUMNS) as out:
+        out.write(*rows(3))
+    with gzip.open(tmp_path / "a.tsv.gz", "rt") as text:
+        assert text.readline() == "time_s\tdesired_um\tvoltage_V\n"
