@@ -1,29 +1,28 @@
-# make demo    identify, compensate and report on the sample log; files and a picture are left in demo/
-# make test    ruff, mypy and pytest
-# make paper DATA=FOLDER   Section V of the publication from the authors' recordings, into paper/
-# make compare DATA=FOLDER   the DBO beside its relatives on all recordings: the tables of docs/comparison.md
-# make figures   every picture in docs/, the one in README.md, the man pages and docs/api.md
-# make site   the pages of docs/ as a site, in site/;  make package  archives, built and tried, in archives/
-# make fuzz    100,000 malformed inputs, 20,000 changed headers;  make clean
-# make attack  killed runs, full disks, mutated models, random command lines, drives and live control (ATTACK=10: ten times as many)
-# make mutants plants faults in the mathematics and says which no test finds (an hour on one core)
-# make bench   the figures of speed, memory and exactness
+# make demo      identify, compensate and report on the sample log; a page and a picture are left in demo/
+# make test      ruff, mypy and pytest
+# make package   a wheel and an archive in dist/, installed where nothing else is, and tried there
+# make site      the pages of docs/ as a site, with the reference of the library, in site/
+# make paper DATA=FOLDER      Section V of the publication from the authors' recordings, into paper/
+# make evidence DATA=FOLDER   the error on recordings of others, case by case: the table of docs/evidence.md
+# make labs      the adapters in examples/ inside the programs of laboratories; downloads them
+# make bench     the figures of speed, memory and exactness;  make attack  random drives and files
+# make clean
 #
 # Needs python3 (3.11 or newer) and make; everything else is installed into .venv by the first call.
-# Another interpreter: make PYTHON=python3.12 demo. On Windows see README.md.
+# Another interpreter: make PYTHON=python3.12 demo.
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 DBO := $(BIN)/dbo
 BENCH := $(BIN)/python sample_data/virtual_actuator.py
-KERNEL := $(wildcard dbo_cli/hysteresis/*.c dbo_cli/hysteresis/*.h dbo_cli/interpolation/*.c dbo_cli/interpolation/*.h)
+KERNEL := $(wildcard dbo_cli/model/*.c dbo_cli/model/*.h)
 
-.PHONY: help demo picture figures test site package paper compare fuzz attack mutants bench clean
+.PHONY: help demo picture test package site paper evidence labs bench attack clean
 .DELETE_ON_ERROR:
 
 help:
-	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,13p'
+	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,9p'
 
 # --- the environment ---
 
@@ -36,7 +35,6 @@ $(VENV)/made:
 
 $(VENV)/installed: $(VENV)/made pyproject.toml $(KERNEL)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
-	@mkdir -p $(VENV)/share/man/man1 && ln -sf $(CURDIR)/docs/man/*.1 $(VENV)/share/man/man1/  # no editable install does
 	@touch $@
 
 $(VENV)/installed-test: $(VENV)/installed
@@ -89,27 +87,26 @@ demo/picture.png: demo/uncompensated.csv demo/compensated.csv sample_data/draw_d
 test: $(VENV)/installed-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check --quiet .
-	@echo "$(BIN)/mypy, beside $(BIN)/python -m pytest -q -n auto"
-	@$(BIN)/mypy & types=$$!; $(BIN)/python -m pytest -q -n auto; suite=$$?; wait $$types && exit $$suite
+	$(BIN)/mypy
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -n auto
 
-# --- what is drawn and written from the program ---
+# --- what is published ---
 
-figures: picture | $(VENV)/installed
-	for name in make_figures make_dynamics_figures draw_imports make_man_pages make_api_page; do \
-	  $(BIN)/python docs/$$name.py || exit 1; \
-	done
-
-# --- the pages of docs/ as a site: every link and anchor is checked, a broken one is an error ---
+package: $(VENV)/made
+	rm -rf dist build
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check build
+	$(BIN)/python -m build --outdir dist . > dist.log || { cat dist.log; exit 1; }
+	@rm dist.log
+	$(PYTHON) -m venv --clear dist/venv
+	dist/venv/bin/pip install --quiet --disable-pip-version-check dist/*.whl
+	cd dist && PATH="$$PWD/venv/bin:$$PATH" sh ../tests/a_day.sh ../sample_data
+	rm -rf dist/venv
 
 site: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[site]"
+	$(BIN)/python docs/make_reference.py
 	$(BIN)/python -m mkdocs build --strict --quiet --site-dir site
 	@echo "site/index.html"
-
-# --- what is published: built, installed where nothing else is, and tried there ---
-
-package:
-	packaging/build_and_try $(PYTHON) archives
 
 # --- the rest ---
 
@@ -118,30 +115,18 @@ paper: $(VENV)/installed
 	  echo "make paper DATA=FOLDER: the authors' recordings (README.md says where they are public)"; exit 2; }
 	$(BIN)/python benchmarks/paper.py "$(DATA)" paper
 
-compare: $(VENV)/installed
-	@test -n "$(DATA)" || { \
-	  echo "make compare DATA=FOLDER: the authors' recordings (README.md says where they are public)"; exit 2; }
-	$(BIN)/python benchmarks/comparison.py "$(DATA)" --write
+evidence: $(VENV)/installed
+	@test -n "$(DATA)" || { echo "make evidence DATA=FOLDER: a folder of recordings (docs/evidence.md)"; exit 2; }
+	$(BIN)/python benchmarks/identification.py "$(DATA)"
 
-fuzz: $(VENV)/installed-test
-	$(BIN)/python benchmarks/fuzz.py
-	$(BIN)/python benchmarks/header_fuzz.py 20000
-
-ATTACK ?= 1
-
-attack: $(VENV)/installed-test
-	$(BIN)/python benchmarks/attack/kills.py $$((200 * $(ATTACK)))
-	$(BIN)/python benchmarks/attack/full_disk.py $$((200 * $(ATTACK)))
-	$(BIN)/python benchmarks/attack/mutants.py $$((10000 * $(ATTACK)))
-	$(BIN)/python benchmarks/attack/command_lines.py $$((10000 * $(ATTACK)))
-	$(BIN)/python benchmarks/attack/drives.py $$((20000 * $(ATTACK)))
-	$(BIN)/python benchmarks/attack/live.py $$((180 * $(ATTACK)))
-
-mutants: $(VENV)/installed-test
-	$(BIN)/python benchmarks/mutants.py
+labs: $(VENV)/installed-test
+	examples/try_in_labs $(PYTHON)
 
 bench: $(VENV)/installed-test
-	$(BIN)/python benchmarks/figures_page.py -o figures.md
+	for name in kernel_speed live_speed streams exactness; do $(BIN)/python benchmarks/$$name.py || exit 1; done
+
+attack: $(VENV)/installed-test
+	for name in attack_drives attack_live attack_files; do $(BIN)/python benchmarks/$$name.py || exit 1; done
 
 clean:
-	rm -rf demo paper site archives build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf demo paper site dist build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
