@@ -1,0 +1,249 @@
+"""What a drive may do: two ranges of the voltage, and how fast it may change.
+
+The *rating* is what the amplifier may be asked for: the limits that were typed, or an
+end of the identified range where none was typed. The *move's range* is the rating cut
+to the identified range. Rows of a move, and a sweep, stay in the move's range; the way
+in and the return may use the rating; nothing leaves it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.errors import InputError, LimitError, UsageError
+from dbo_cli.model import Quantity, VoltageWindow
+from dbo_cli.units import parse_quantity, parse_unit
+
+Floats = NDArray[np.float64]
+Figure = float | str | None
+"""A limit: a number in the unit of the drive, or a text with a unit (``1.2kV``, ``2V/ms``)."""
+
+WRONG_UNIT = 10.0
+"""Times the largest identified voltage: a plain number beyond it was meant in another unit; chosen."""
+
+INWARDS = 1.0 - 2.0**-51
+"""Factor on a step: the step in time, the product and this factor are rounded by 2^-53 each."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The limits of a drive.
+
+    Attributes
+    ----------
+    rating : tuple of float
+        Least and greatest voltage of any row.
+    move : tuple of float
+        Least and greatest voltage of the rows of a move and of a sweep.
+    identified : tuple of float
+        The range on which the model was identified.
+    slew : float, optional
+        Fastest change per second.
+    unit : str, optional
+        Unit of the voltages.
+    extrapolate : bool
+        Whether a move may leave the identified range.
+    """
+
+    rating: tuple[float, float]
+    move: tuple[float, float]
+    identified: tuple[float, float]
+    slew: float | None = None
+    unit: str | None = "V"
+    extrapolate: bool = False
+
+    @classmethod
+    def within(
+        cls,
+        quantity: Quantity,
+        v_min: Figure = None,
+        v_max: Figure = None,
+        max_slew: Figure = None,
+        extrapolate: bool = False,
+    ) -> Limits:
+        """Return the limits of a drive.
+
+        Parameters
+        ----------
+        quantity
+            The voltage of a model: its unit and its identified range.
+        v_min, v_max, max_slew
+            What was typed: numbers in the unit of the drive, or texts with a unit.
+        extrapolate
+            Let the move use the whole rating.
+
+        Raises
+        ------
+        UsageError
+            A limit cannot be read, is probably in another unit, or leaves nothing of
+            the range.
+        """
+        identified = (quantity.min, quantity.max)
+        low, high = identified
+        if v_min is not None:
+            low = voltage_in("v_min", v_min, quantity)
+        if v_max is not None:
+            high = voltage_in("v_max", v_max, quantity)
+        slew = None
+        if max_slew is not None:
+            slew = slew_in("max_slew", max_slew, quantity)
+        if extrapolate and v_min is None and v_max is None:
+            raise UsageError("`extrapolate` goes as far as `v_min` and `v_max` say: give one of them")
+        if not extrapolate:
+            _require_overlap(quantity, low, high)
+        if not low < high:
+            raise UsageError(f"`v_min` {low:g} must be below `v_max` {high:g}")
+        move = low, high
+        if not extrapolate:
+            move = max(low, quantity.min), min(high, quantity.max)
+        return cls((low, high), move, identified, slew, quantity.unit, extrapolate)
+
+    @property
+    def suffix(self) -> str:
+        """The unit behind a blank, for messages."""
+        return f" {self.unit}" if self.unit else ""
+
+    @property
+    def window(self) -> VoltageWindow:
+        """What the rows of a move may do, as a model takes it."""
+        return VoltageWindow(*self.move, self.slew)
+
+    @property
+    def rating_window(self) -> VoltageWindow:
+        """What any row may do."""
+        return VoltageWindow(*self.rating, self.slew)
+
+    def range_of(self, part: str) -> tuple[float, float]:
+        """Return the range of a part of a drive: ``move``, or ``lead`` and ``return``."""
+        return self.move if part == "move" else self.rating
+
+    def largest_step(self, dt: float | Floats | None) -> float | Floats | None:
+        """Return the largest change in a time step (s), rounded down; None where any change is allowed.
+
+        Raises
+        ------
+        InputError
+            There is a slew limit and no clock.
+        """
+        if self.slew is None:
+            return None
+        if dt is None:
+            raise InputError("`max_slew` needs the time between samples (a time column, or `sample_rate`)")
+        return self.slew * dt * INWARDS
+
+    def require_start(self, voltage: float, name: str = "`start`") -> None:
+        """Refuse an amplifier that stands outside the rating.
+
+        Raises
+        ------
+        LimitError
+            It does, or the voltage is no finite number.
+        """
+        low, high = self.rating
+        if low <= voltage <= high:
+            return
+        if not math.isfinite(voltage):
+            raise LimitError(f"{name} {voltage}: give the voltage at which the amplifier stands")
+        raise LimitError(
+            f"{name} {voltage:.6g}{self.suffix} is outside the limits, {low:.6g} to {high:.6g}{self.suffix}: "
+            "bring the amplifier inside first, or give its rating with `v_min` and `v_max`"
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the limits as plain values, for summaries."""
+        return {
+            "unit": self.unit,
+            "rating": list(self.rating),
+            "move": list(self.move),
+            "identified": list(self.identified),
+            "max_slew": self.slew,
+            "extrapolate": self.extrapolate,
+        }
+
+    def describe(self) -> str:
+        """Say what a move may do: ``0 to 96 V, 200 V/s``."""
+        low, high = self.move
+        text = f"{low:.6g} to {high:.6g}{self.suffix}"
+        if self.slew is not None:
+            text += f", {self.slew:.6g}{self.suffix}/s"
+        return text
+
+
+def voltage_in(name: str, typed: float | str, quantity: Quantity) -> float:
+    """Return a typed voltage in the unit of a model's drive.
+
+    Raises
+    ------
+    UsageError
+        It cannot be read; or it is a plain number far beyond the model's range, and the
+        unit of the drive has a prefix.
+    """
+    value = parse_quantity(typed, quantity.unit, name)
+    base = _without_prefix(quantity.unit)
+    largest = max(abs(quantity.min), abs(quantity.max))
+    if base is None or not _is_plain(typed) or abs(value) <= WRONG_UNIT * largest:
+        return value
+    raise UsageError(
+        f"`{name}` {typed}: plain numbers are read in {quantity.unit}, and the model goes from "
+        f"{quantity.min:.6g} to {quantity.max:.6g} {quantity.unit}: give the unit "
+        f"({value:.9g}{base}, {value:.9g}{quantity.unit})"
+    )
+
+
+def slew_in(name: str, typed: float | str, quantity: Quantity) -> float:
+    """Return a typed slew limit in the unit of a model's drive per second.
+
+    Raises
+    ------
+    UsageError
+        It cannot be read or is not above 0; or it is a plain number and the unit of the
+        drive has a prefix.
+    """
+    unit = None if quantity.unit is None else f"{quantity.unit}/s"
+    value = parse_quantity(typed, unit, name)
+    if not value > 0.0:
+        raise UsageError(f"`{name}` {typed}: give a number above 0")
+    base = _without_prefix(quantity.unit)
+    if base is None or not _is_plain(typed):
+        return value
+    raise UsageError(
+        f"`{name}` {typed}: the drive of the model is in {quantity.unit}: give the unit "
+        f"({value:.9g}{base}/s, {value:.9g}{unit})"
+    )
+
+
+def _without_prefix(unit: str | None) -> str | None:
+    """Return the base unit of a unit that has a prefix; None of any other."""
+    known = parse_unit(unit)
+    if known is None or known.base == known.text:
+        return None
+    if not known.text.endswith(known.base):  # bar is no prefix of Pa
+        return None
+    return known.base
+
+
+def _is_plain(typed: float | str) -> bool:
+    """Tell whether a figure was typed without a unit."""
+    if not isinstance(typed, str):
+        return True
+    return not any(letter.isalpha() and letter not in "eE" for letter in typed)
+
+
+def _require_overlap(quantity: Quantity, low: float, high: float) -> None:
+    """Refuse limits that leave nothing of the identified range (UsageError)."""
+    if low >= quantity.max:
+        wrong = f"`v_min` {low:.6g}"
+    elif high <= quantity.min:
+        wrong = f"`v_max` {high:.6g}"
+    else:
+        return
+    raise UsageError(
+        f"{wrong}{quantity.suffix} leaves nothing of the range on which the model was identified, "
+        f"{quantity.min:.6g} to {quantity.max:.6g}{quantity.suffix} (another limit, or `extrapolate` with "
+        "`v_min` and `v_max`)"
+    )
