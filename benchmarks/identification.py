@@ -168,7 +168,9 @@ def copied(case: Case, kind: str) -> Case:
             displacement = displacement + 0.01 * np.std(displacement) * noise
         else:
             rows = slice(displacement.size // 20, None)
-        logs.append(Log(log.name, log.time[rows], log.voltage[rows], displacement[rows]))
+        logs.append(
+            Log(log.name, log.time[rows], log.voltage[rows], displacement[rows])
+        )
     return replace(case, logs=logs)
 
 

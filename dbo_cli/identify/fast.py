@@ -1,0 +1,171 @@
+"""Fast parts of logs: small sweeps, and logs ten times as fast as another.
+
+Gears, curve and creep are told from the slow rows; resonances from the fast ones, which
+a fit without resonances would take for hysteresis.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.identify.recording import Recording
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+FEWEST_ROWS = 40  # of a slow part
+NOTICEABLE = 3e-4  # of the range: a smaller reversal of the drive is no turn
+SMALL_SWING = 0.35  # of the range: a sweep's largest swing
+FEWEST_SWINGS = 40  # in a sweep
+SWEPT = 5.0  # highest over lowest frequency of a sweep, at least
+SMOOTH = 0.7  # of the logarithms of neighbouring half periods: a sweep is gradual
+FEWEST_A_PERIOD = 6  # samples of the highest frequency
+WIDER = 2.0  # periods of the lowest frequency that belong to a sweep on either side
+FASTER = 10.0  # half periods of a slow log over those of a fast one
+
+
+@dataclass(frozen=True)
+class FastPart:
+    """Rows of a log in which the drive is fast; those before them tell the state of the gears.
+
+    Attributes
+    ----------
+    recording
+        The whole log.
+    rows
+        The fast rows.
+    dt
+        Time step (s).
+    band
+        Lowest and highest frequency of the drive there (Hz).
+    """
+
+    recording: Recording
+    rows: slice
+    dt: float
+    band: tuple[float, float]
+
+
+def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[FastPart]]:
+    """Return the logs without their fast parts, and these."""
+    span = max(float(np.ptp(log.voltage)) for log in recordings)
+    sweeps = [_sweep(log, span) for log in recordings]
+    rests = []
+    for log, sweep in zip(recordings, sweeps, strict=True):
+        rests.append(log if sweep is None else _without(log, sweep.rows))
+    halves = [_median_half_period(rest, span) for rest in rests]
+    slowest = max((half for half in halves if half is not None), default=0.0)
+    slow: list[Recording] = []
+    fast: list[FastPart] = []
+    for log, sweep, rest, half in zip(recordings, sweeps, rests, halves, strict=True):
+        step = even_step(log)
+        if step is not None and half is not None and FASTER * half <= slowest:
+            fast.append(FastPart(log, slice(0, log.rows), step, _band(log, span, step)))
+            continue
+        if sweep is not None:
+            fast.append(sweep)
+        slow.append(rest)
+    return slow, fast
+
+
+def even_step(log: Recording) -> float | None:
+    """Return the step (s) of an even clock to whose grid each row is nearest, or None."""
+    if log.time is None:
+        return None
+    time = np.asarray(log.time, dtype=np.float64)
+    step = float(time[-1] - time[0]) / (time.size - 1)
+    if not step > 0.0:
+        return None
+    away = np.abs(time - (time[0] + step * np.arange(time.size)))
+    return step if float(away.max()) <= 0.5 * step else None
+
+
+def turns(voltage: Floats, span: float) -> Integers:
+    """Return the rows where a drive turns, its two ends included."""
+    moving = np.flatnonzero(np.diff(voltage))
+    if moving.size == 0:
+        return np.array([0, voltage.size - 1])
+    signs = np.sign(np.diff(voltage)[moving])
+    places = moving[1:][np.diff(signs) != 0.0]
+    candidates = [0, *places.tolist(), voltage.size - 1]
+    found = [0]
+    best, direction = 0, 0.0
+    for row in candidates[1:]:
+        change = float(voltage[row] - voltage[best])
+        if change * direction > 0.0:
+            best = row
+        elif abs(change) > NOTICEABLE * span:
+            if direction:
+                found.append(best)
+            direction, best = np.sign(change), row
+    return np.array([*found, voltage.size - 1])
+
+
+def _median_half_period(log: Recording, span: float) -> float | None:
+    """Return the median time between turns (s), None where there are too few."""
+    rows = turns(log.voltage, span)
+    if log.time is None or rows.size < 6:
+        return None
+    return float(np.median(np.diff(log.time[rows])))
+
+
+def _band(log: Recording, span: float, step: float) -> tuple[float, float]:
+    """Return the lowest and highest frequency of a fast log's drive (Hz), by its turns."""
+    halves = step * np.diff(turns(log.voltage, span))[1:-1]
+    shortest, longest = np.quantile(halves[halves > 0.0], (0.02, 0.98))
+    return 0.5 / float(longest), 0.5 / max(float(shortest), step)
+
+
+def _sweep(log: Recording, span: float) -> FastPart | None:
+    """Return the longest run of small swings whose frequency changes gradually over a wide band."""
+    step = even_step(log)
+    if step is None:
+        return None
+    rows = turns(log.voltage, span)
+    halves = np.diff(rows).astype(np.float64)
+    small = np.abs(np.diff(log.voltage[rows])) <= SMALL_SWING * span
+    gradual = np.abs(np.diff(np.log(np.maximum(halves, 1.0)))) <= SMOOTH
+    quick = np.minimum(halves[1:], halves[:-1]) <= FEWEST_A_PERIOD
+    first, last = _longest_run(small[1:] & small[:-1] & (gradual | quick))
+    if last - first < FEWEST_SWINGS:
+        return None
+    periods = 2.0 * step * halves[first : last + 1]
+    fastest, slowest = np.quantile(periods, (0.05, 0.98)).tolist()
+    if slowest < SWEPT * fastest or fastest < 0.5 * FEWEST_A_PERIOD * step:
+        return None
+    wider = round(WIDER * slowest / step)
+    begin = max(int(rows[first]) - wider, 0)
+    end = min(int(rows[last + 1]) + wider, log.rows)
+    if max(begin, log.rows - end) < FEWEST_ROWS:
+        return None  # nothing else is left to tell the gears from
+    band = 1.0 / slowest, 1.0 / float(periods.min())
+    return FastPart(log, slice(begin, end), step, band)
+
+
+def _longest_run(mask: NDArray[np.bool_]) -> tuple[int, int]:
+    """Return begin and end of the longest run of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    if edges.size == 0:
+        return 0, 0
+    lengths = edges[1::2] - edges[::2]
+    longest = int(np.argmax(lengths))
+    return int(edges[2 * longest]), int(edges[2 * longest + 1])
+
+
+def _without(log: Recording, rows: slice) -> Recording:
+    """Return a log up to its fast rows, or from behind them where that is the longer part."""
+    kept = slice(0, rows.start)
+    if rows.start < log.rows - rows.stop:
+        kept = slice(rows.stop, log.rows)
+    return dataclasses.replace(
+        log,
+        voltage=log.voltage[kept],
+        displacement=log.displacement[kept],
+        time=None if log.time is None else log.time[kept],
+        good=None if log.good is None else log.good[kept],
+    )

@@ -1,0 +1,191 @@
+"""Identification as in Section V of Aye and Ang (2018): one cycle, few gears, no lag.
+
+The gain is the range of the cycle's displacement over that of its voltage, the origin
+the least displacement and the least voltage; the gears map volts to volts. The paper
+does not say how its 25 gears were placed and fitted beyond "least squares". Here their
+edges are spaced as a sine is in time, narrow where the drive turns. A turn inside a
+gear retraces it, so few gears that are fitted to one cycle alone predict smaller loops
+badly. Hence a fine operator is fitted to the cycle first, and the few gears to what it
+does on the cycle and on the cycle shrunk about its middle.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from dbo_cli.errors import FitError, UsageError
+from dbo_cli.model import Gears, Model, Points, Quantity, Scale
+
+if TYPE_CHECKING:
+    from dbo_cli.identify.recording import Options, Recording
+
+Floats = NDArray[np.float64]
+
+GEARS = 25  # the paper's
+FINE_GEARS, GROUP = 1280, 20  # gears of the fine operator, and how many share a slope
+SEGMENTS = 2
+"""Of the curve behind the gears. On the authors' cycle 1, 2 and 4 leave 0.89, 0.90, 1.04 um on the other log."""
+SHRUNK = tuple(part / 20 for part in range(20, 5, -1))  # amplitudes, over the cycle's
+CYCLE_WEIGHT = 10.0  # of the cycle's own amplitude, over each smaller one
+LEAST_SLOPE = 0.3  # of a gear, of the mean slope
+LEAST_CURVE = 0.03  # slope of a segment's inverse, of the mean slope
+EXACT = 1e3  # weight of the condition that the curve keeps its ends
+
+
+def identify_paper(recording: Recording, options: Options) -> Model:
+    """Return the model of one cycle.
+
+    Parameters
+    ----------
+    recording
+        One whole cycle.
+    options
+        ``gears``, ``points`` and ``zero`` count.
+
+    Raises
+    ------
+    FitError
+        The displacement falls where the voltage rises: the paper's rule takes K > 0.
+    UsageError
+        Options that the paper's method does not have.
+    """
+    voltage, displacement = recording.voltage, recording.displacement
+    if float(np.cov(voltage, displacement)[0, 1]) < 0.0:
+        raise FitError(
+            f"{recording.name}: the displacement falls as the voltage rises, and the paper's method knows "
+            "positive gains only: use `method` least-squares"
+        )
+    count = GEARS if options.gears == "auto" else int(options.gears)
+    segments = SEGMENTS if options.points == "auto" else max(int(options.points), 1)
+    if count < 1:
+        raise UsageError(f"`gears` {count}: the paper's method needs at least one")
+
+    low, swing = float(voltage.min()), float(np.ptp(voltage))
+    least, stroke = float(displacement.min()), float(np.ptp(displacement))
+    drive = (voltage - low) / swing
+    output = (displacement - least) / stroke
+    fine, curve = _fine_slopes(drive, output, segments)
+    edges = 0.5 - 0.5 * np.cos(np.pi * np.arange(count + 1) / count)
+    heights = _few_heights(drive, fine, np.diff(edges))
+
+    gears = Gears(swing * np.diff(edges), swing * heights, low, 0.0)
+    stages: list[Gears | Points | Scale] = [gears]
+    if segments > 1:
+        parts = np.full(segments, swing / segments)
+        stages.append(Points(swing * curve, parts, 0.0, 0.0))
+    shift = zero_shift(displacement, options.zero)
+    stages.append(Scale(stroke / swing, least - shift))
+    model = Model(
+        direction="forward",
+        input=Quantity(*recording.input, low, low + swing),
+        output=Quantity(*recording.output, least - shift, least - shift + stroke),
+        stages=tuple(stages),
+    )
+    return _with_figures(model, recording, displacement - shift, count)
+
+
+def zero_shift(displacement: Floats, zero: str | float) -> float:
+    """Return what is taken off the displacement so that its zero is where the user wants it."""
+    if zero == "none":
+        return 0.0
+    if zero == "mean":
+        return float(displacement.mean())
+    if zero == "first":
+        return float(displacement[0])
+    return float(zero)
+
+
+def _with_figures(
+    model: Model, recording: Recording, displacement: Floats, count: int
+) -> Model:
+    """Return the model with what is left on its cycle, which is played twice: the first only sets the state."""
+    twice = np.tile(recording.voltage, 2)
+    played, _ = model.simulate(twice, state="empty")
+    left = displacement - played[recording.voltage.size :]
+    rmse = float(np.sqrt(np.mean(left**2)))
+    ends, _ = model.simulate(
+        np.array([model.input.min, model.input.max]), state="empty"
+    )
+    fit = {
+        "method": "paper",
+        "sign": "rising",
+        "rmse": rmse,
+        "expected_rmse": None,
+        "gears": count,
+        "range": [model.input.min, model.input.max],
+        "logs": [{"name": recording.name, "rows": displacement.size, "rmse": rmse}],
+        "warnings": [],
+        "notes": [],
+    }
+    kind, unit = recording.output
+    output = Quantity(kind, unit, float(ends[0]), float(ends[1]))
+    return Model("forward", model.input, output, model.stages, fit)
+
+
+def _fine_slopes(drive: Floats, output: Floats, segments: int) -> tuple[Floats, Floats]:
+    """Fit a fine operator and a curve behind it to a cycle, both 0 to 1; slopes may only grow.
+
+    The curve is unknown by its inverse, so that all is linear: the gears' sum, offset
+    free, is the sum of ``inverse[k]`` times what the output has travelled of segment k.
+    The inverse keeps both ends.
+
+    Returns
+    -------
+    slopes : array, shape (FINE_GEARS / GROUP,)
+        Heights of the groups of gears.
+    curve : array, shape (segments,)
+        Widths of the curve's segments; their heights are equal.
+    """
+    engaged = _engaged(_fine_gears(), np.tile(drive, 2), GROUP)[drive.size :]
+    cells = engaged.shape[1]
+    edges = np.arange(segments) / segments
+    travelled = np.clip(output[:, None] - edges, 0.0, 1.0 / segments)
+    least = LEAST_CURVE * travelled.sum(axis=1)
+    growing = engaged @ np.tril(np.ones((cells, cells))) / cells
+    offset = np.ones((drive.size, 1))
+    table = np.hstack([growing, offset, -offset, -travelled])
+    ends = np.zeros(table.shape[1])
+    ends[-segments:] = EXACT
+    goal = np.append(least, EXACT * segments * (1.0 - LEAST_CURVE))
+    unknown, _ = nnls(np.vstack([table, ends]), goal, maxiter=100 * table.shape[1])
+    slopes = np.cumsum(unknown[:cells]) / cells
+    inverse = LEAST_CURVE + unknown[-segments:]
+    return slopes, inverse / inverse.sum()
+
+
+def _fine_gears() -> Gears:
+    width = np.full(FINE_GEARS, 1.0 / FINE_GEARS)
+    return Gears(width, width, 0.0, 0.0)
+
+
+def _engaged(gears: Gears, drive: Floats, group: int) -> Floats:
+    engaged, _ = gears.engagement(drive, 0, group)
+    return np.asarray(engaged, dtype=np.float64)
+
+
+def _few_heights(drive: Floats, fine: Floats, widths: Floats) -> Floats:
+    """Return heights of gears of given widths that do what the fine operator does, at all amplitudes.
+
+    Each amplitude has an offset of its own. The first of two cycles of each only sets
+    the state.
+    """
+    rows, count = drive.size, widths.size
+    shrunk = [np.tile(0.5 + part * (drive - 0.5), 2) for part in SHRUNK]
+    whole = np.concatenate(shrunk)
+    counts = np.tile(np.repeat([False, True], rows), len(SHRUNK))
+    target = (_engaged(_fine_gears(), whole, GROUP) @ fine)[counts]
+    parts = _engaged(Gears(widths, widths, 0.0, 0.0), whole, 1)[counts]
+    growing = (parts * widths) @ np.tril(np.ones((count, count)))
+    offsets = np.repeat(np.eye(len(SHRUNK)), rows, axis=0)
+    table = np.hstack([growing, offsets, -offsets])
+    squares = np.ones(len(SHRUNK))
+    squares[0] = CYCLE_WEIGHT
+    weight = np.sqrt(np.repeat(squares, rows))
+    goal = weight * (target - LEAST_SLOPE * (parts @ widths))
+    unknown, _ = nnls(weight[:, None] * table, goal, maxiter=100 * table.shape[1])
+    heights: Floats = widths * (LEAST_SLOPE + np.cumsum(unknown[:count]))
+    return heights

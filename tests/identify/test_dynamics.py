@@ -1,0 +1,164 @@
+"""Resonances and lags: found where a sweep shows them, and not elsewhere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dbo_cli.errors import FitError
+from dbo_cli.identify import dynamics
+from dbo_cli.identify.fast import FastPart, split
+from dbo_cli.identify.recording import Recording
+from dbo_cli.model import (
+    Delay,
+    Dynamics,
+    Gears,
+    Lag,
+    Mode,
+    Model,
+    Quantity,
+    Relaxation,
+    Resonance,
+    Scale,
+)
+
+RATE = 2_000.0
+
+
+def plant(*sections: Lag | Resonance, delay: float = 0.0) -> Model:
+    """An actuator of 80 gears with dynamics."""
+    widths = np.full(80, 100.0 / 80.0)
+    gears = Gears(widths, 0.1 * widths * np.linspace(0.6, 1.4, 80), 0.0, 0.0)
+    stages: list[object] = [gears, Scale(1.0, 0.5)]
+    if sections:
+        stages.append(Dynamics(sections))
+    if delay:
+        stages.append(Delay(delay))
+    drive, moved = Quantity("voltage", "V", 0.0, 100.0), Quantity("x", "um", 0.5, 10.5)
+    return Model("forward", drive, moved, tuple(stages))
+
+
+def swept(slow_seconds: float = 3.0) -> np.ndarray:
+    """Loops of 1 Hz, a way to the middle, a sweep of 2 to 200 Hz, a way back."""
+    loops = np.arange(round(slow_seconds * RATE)) / RATE
+    slow = 50.0 - 50.0 * np.cos(2.0 * np.pi * loops)
+    way = 25.0 - 25.0 * np.cos(np.pi * np.arange(600) / 600)
+    part = np.arange(round(2.0 * RATE)) / (2.0 * RATE)
+    turns = 2.0 * 2.0 / np.log(100.0) * np.expm1(np.log(100.0) * part)
+    fade = np.clip(np.minimum(part, 1.0 - part) / 0.05, 0.0, 1.0)
+    sweep = 50.0 + 0.25**part * fade * np.sin(2.0 * np.pi * turns)
+    rest = np.full(600, 50.0)
+    return np.concatenate([slow, way, rest, sweep, rest, way[::-1]])
+
+
+def recorded(model: Model, drive: np.ndarray, noise: float = 0.002) -> Recording:
+    moved, _ = model.simulate(drive, dt=1.0 / RATE, state="empty")
+    moved = moved + np.random.default_rng(1).normal(0.0, noise, moved.size)
+    return Recording("log.csv", drive, moved, np.arange(moved.size) / RATE)
+
+
+def found(model: Model, wanted: str | int = "auto") -> tuple:
+    _, fast = split([recorded(model, swept())])
+    return dynamics.find(plant(), fast, wanted)
+
+
+def test_the_sweep_is_told_from_the_loops() -> None:
+    log = recorded(plant(), swept())
+    (slow,), (part,) = split([log])
+    assert isinstance(part, FastPart)
+    assert slow.rows == part.rows.start > 3.0 * RATE
+    assert part.band[0] < 4.0 and part.band[1] == pytest.approx(200.0, rel=0.05)
+    loops = recorded(plant(), swept()[:6000])
+    assert split([loops]) == ([loops], [])
+    assert split([Recording("log.csv", log.voltage, log.displacement)])[1] == []
+
+
+def test_a_log_ten_times_as_fast_is_a_fast_one() -> None:
+    phase = 2.0 * np.pi * np.arange(8000) / RATE
+    slow = recorded(plant(), 50.0 - 50.0 * np.cos(phase))
+    fast = recorded(plant(), 50.0 - 20.0 * np.cos(30.0 * phase))
+    rest, (part,) = split([slow, fast])
+    assert rest == [slow] and part.recording is fast
+    assert part.band == pytest.approx((30.0, 30.0), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("frequency", "damping", "lag"),
+    [(60.0, 0.02, 5e-4), (110.0, 0.005, 2e-3), (35.0, 0.3, 1e-3)],
+)
+def test_a_resonance_and_a_lag_come_back(
+    frequency: float, damping: float, lag: float
+) -> None:
+    sections, delay, figures = found(plant(Lag(lag), Resonance(frequency, damping)))
+    *lags, resonance = sections
+    assert isinstance(resonance, Resonance)
+    assert resonance.frequency == pytest.approx(frequency, rel=0.005)
+    assert resonance.damping == pytest.approx(damping, rel=0.1)
+    assert sum(one.seconds for one in lags) == pytest.approx(lag, abs=2e-4)
+    assert delay == 0.0
+    low, high = figures["resonances"][0]["frequency_interval"]
+    assert low < frequency < high
+    assert figures["left_out_rmse"] < 0.003
+
+
+def test_two_modes_that_add_up_have_an_antiresonance() -> None:
+    notch = Resonance(150.0, 0.02, Mode(120.0, 0.02))
+    sections, _, _ = found(plant(Resonance(60.0, 0.02), notch))
+    first, second = (one for one in sections if isinstance(one, Resonance))
+    assert first.frequency == pytest.approx(60.0, rel=0.005)
+    assert second.antiresonance is not None
+    assert second.frequency == pytest.approx(150.0, rel=0.01)
+    assert second.antiresonance.frequency == pytest.approx(120.0, rel=0.01)
+
+
+def test_no_resonance_is_found_where_there_is_none() -> None:
+    assert found(plant(Lag(1e-3)))[:2] == ((), 0.0)
+    sections, _, _ = found(plant(Lag(1e-3)), 0)
+    assert sections == ()
+
+
+def test_a_late_sensor_hides_no_resonance() -> None:
+    sections, delay, _ = found(plant(Resonance(60.0, 0.02), delay=0.02))
+    resonance = sections[-1]
+    assert isinstance(resonance, Resonance)
+    assert resonance.frequency == pytest.approx(60.0, rel=0.005)
+    late = delay + sum(one.seconds for one in sections if isinstance(one, Lag))
+    assert late == pytest.approx(0.02, rel=0.05)
+
+
+def test_the_unit_of_displacement_does_not_matter() -> None:
+    log = recorded(plant(Resonance(60.0, 0.03)), swept())
+    metres = Recording("log.csv", log.voltage, 1e-6 * log.displacement, log.time)
+    ours, same = (
+        dynamics.find(plant(), split([one])[1], 1)[0] for one in (log, metres)
+    )
+    assert same[-1].frequency == pytest.approx(ours[-1].frequency, rel=1e-5)
+    assert same[-1].damping == pytest.approx(ours[-1].damping, rel=1e-3)
+
+
+def test_refining_keeps_what_fits_and_offers_one_more() -> None:
+    model = plant(Resonance(60.0, 0.02), Resonance(150.0, 0.02))
+    _, fast = split([recorded(model, swept())])
+    begun = (Resonance(61.0, 0.03),)
+    sections, _, _ = dynamics.refine(plant(), fast, begun, 0.0)
+    frequencies = [one.frequency for one in sections if isinstance(one, Resonance)]
+    assert frequencies == pytest.approx([60.0, 150.0], rel=0.01)
+
+
+def test_resonances_without_a_sweep_are_refused() -> None:
+    with pytest.raises(FitError, match="`dynamics` 1"):
+        dynamics.find(plant(), [], 1)
+    assert dynamics.find(plant(), [], "auto") == ((), 0.0, {})
+
+
+def test_fast_memories_act_at_once_and_slow_ones_stay() -> None:
+    widths = np.full(40, 2.5)
+    terms = Relaxation(0.0, (1e-3, 5.0), (0.01, 0.02))
+    gears = Gears(widths, 0.1 * widths, 0.0, 0.0, terms)
+    model = plant().with_stages((gears,))
+    fixed = dynamics.without_fast_lags(model, 0.1)
+    assert fixed.gears.relaxation == Relaxation(0.0, (5.0,), (0.02,))
+    slow = np.linspace(0.0, 100.0, 500)
+    with_memory, _ = model.simulate(slow, dt=0.1)
+    without, _ = fixed.simulate(slow, dt=0.1)
+    assert np.abs(with_memory - without).max() < 1e-9

@@ -1,0 +1,139 @@
+"""A model refreshed from a short log: what changed comes back, what did not stays as it was."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from dbo_cli.errors import FitError, ModelError, UsageError
+from dbo_cli.identify.prior import rescale
+from dbo_cli.identify.recording import Options, Recording
+from dbo_cli.model import (
+    Candidate,
+    Delay,
+    Gears,
+    Model,
+    Quantity,
+    Relaxation,
+    Scale,
+)
+
+RATE = 500.0
+NOISE = 0.005
+
+
+def actuator(
+    gain: float = 1.0, offset: float = 0.0, delay: float = 0.004, grow: float = 0.8
+) -> Model:
+    """An actuator of 60 gears; ``grow`` widens its loop."""
+    widths = np.full(60, 100.0 / 60.0)
+    slopes = 1.0 + grow * np.linspace(-0.5, 0.5, 60)
+    gears = Gears(widths, 0.1 * widths * slopes, 0.0, 0.0)
+    stages = [gears, Scale(gain, offset)]
+    if delay:
+        stages.append(Delay(delay))
+    drive = Quantity("voltage", "V", 0.0, 100.0)
+    moved = Quantity("displacement", "um", offset, offset + 10.0 * gain)
+    fit = {"expected_rmse": 0.01, "rmse": 0.01, "line_rmse": 0.6}
+    other = Candidate(0.5, (gears, Scale(1.02 * gain, offset)))
+    return Model("forward", drive, moved, tuple(stages), fit, (other,))
+
+
+def waves(low: float, high: float, cycles: int = 4, shape: str = "sine") -> np.ndarray:
+    part = np.arange(int(cycles * RATE)) / RATE
+    if shape == "triangle":
+        wave = 2.0 * np.abs(part - np.floor(part + 0.5))
+    else:
+        wave = 0.5 - 0.5 * np.cos(2.0 * np.pi * part)
+    return low + (high - low) * wave
+
+
+def recorded(
+    model: Model, drive: np.ndarray, seed: int = 1, skip: int = 0
+) -> Recording:
+    moved, _ = model.simulate(drive, dt=1.0 / RATE, state="empty")
+    moved = moved + np.random.default_rng(seed).normal(0.0, NOISE, moved.size)
+    time = np.arange(drive.size) / RATE
+    return Recording("new.csv", drive[skip:], moved[skip:], time[skip:])
+
+
+def error(model: Model, truth: Model) -> float:
+    """RMS error of new moves."""
+    rng = np.random.default_rng(5)
+    levels = np.concatenate([[0.0, 100.0], rng.uniform(0.0, 100.0, 12)])
+    drive = np.interp(np.arange(4000), np.linspace(0, 4000, levels.size), levels)
+    wanted, _ = truth.simulate(drive, dt=1.0 / RATE, state="empty")
+    moved, _ = model.simulate(drive, dt=1.0 / RATE, state="empty")
+    return float(np.sqrt(np.mean((moved - wanted) ** 2)))
+
+
+def test_gain_offset_and_delay_come_back() -> None:
+    truth = actuator(1.07, 1.3, 0.011)
+    refreshed = rescale(actuator(), [recorded(truth, waves(0.0, 100.0))], Options())
+    moved = refreshed.fit["prior"]
+    assert moved["gain"] == pytest.approx(1.07, abs=0.004)
+    assert moved["offset"] == pytest.approx(1.3, abs=0.02)
+    assert moved["delay_seconds"] == pytest.approx(0.007, abs=0.0015)
+    assert error(refreshed, truth) < 0.2 * error(actuator(), truth)
+    assert refreshed.fit["expected_rmse"] == pytest.approx(0.0107, rel=0.1)
+    assert refreshed.output.span == pytest.approx(10.7, rel=0.005)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("shape", ["sine", "triangle"])
+@pytest.mark.parametrize("ends", [(0.0, 100.0), (40.0, 60.0), (75.0, 95.0)])
+def test_an_unchanged_actuator_keeps_its_numbers(
+    ends: tuple[float, float], shape: str, seed: int
+) -> None:
+    prior = actuator()
+    way = np.concatenate([waves(0.0, 90.0, 2), np.linspace(0.0, ends[0], 200)])
+    drive = np.concatenate([way, waves(*ends, 3, shape)])
+    log = recorded(prior, drive, seed, skip=way.size)
+    refreshed = rescale(prior, [log], Options())
+    assert error(refreshed, prior) < 0.002
+
+
+def test_a_shape_that_is_a_little_off_feigns_no_change() -> None:
+    prior = actuator()
+    prior = dataclasses.replace(prior, fit={"expected_rmse": 0.05, "rmse": 0.05})
+    truth = actuator(grow=0.9)
+    before = error(prior, truth)
+    for ends in ((0.0, 100.0), (40.0, 60.0), (10.0, 30.0)):
+        refreshed = rescale(prior, [recorded(truth, waves(*ends))], Options())
+        assert error(refreshed, truth) < 1.1 * before
+
+
+def test_candidates_are_rescaled_with_it() -> None:
+    truth = actuator(1.2, 2.0, 0.0)
+    refreshed = rescale(actuator(), [recorded(truth, waves(0.0, 100.0))], Options())
+    (one,) = refreshed.candidates
+    scale = one.stages[1]
+    assert isinstance(scale, Scale)
+    assert one.weight == 0.5
+    assert scale.gain == pytest.approx(1.02 * 1.2, rel=0.005)
+
+
+def test_a_changed_shape_is_refused_and_kept_by_force() -> None:
+    log = recorded(actuator(grow=1.6), waves(0.0, 100.0))
+    with pytest.raises(FitError, match="new.csv"):
+        rescale(actuator(), [log], Options())
+    kept = rescale(actuator(), [log], Options(force=True))
+    assert len(kept.fit["warnings"]) == 1
+    assert kept.fit["expected_rmse"] > 0.02
+
+
+def test_what_cannot_be_refreshed_is_refused() -> None:
+    log = recorded(actuator(), waves(0.0, 100.0))
+    against = Recording("new.csv", log.voltage, -log.displacement, log.time)
+    with pytest.raises(FitError, match="runs against"):
+        rescale(actuator(), [against], Options())
+    with pytest.raises(ModelError):
+        rescale(actuator().inverse(), [log], Options())
+    gears = actuator().gears
+    slow = Gears(gears.dx, gears.dy, 0.0, 0.0, Relaxation(0.0, (1.0,), (0.01,)))
+    without_clock = Recording("new.csv", log.voltage, log.displacement)
+    with pytest.raises(UsageError, match="`time`"):
+        rescale(actuator().with_stages((slow,)), [without_clock], Options())
+    assert rescale(actuator(delay=0.0), [without_clock], Options()).delay_seconds == 0.0
