@@ -1,8 +1,8 @@
 """Reports: how well what was measured follows what was desired, or what a model predicts."""
 
 from dbo_cli.report.expected import Expected, expected_in
-from dbo_cli.report.match import match
-from dbo_cli.report.merits import Merits, merits
+from dbo_cli.report.matching import match
+from dbo_cli.report.merits import Merits
 from dbo_cli.report.pair import Pair, predict
 from dbo_cli.report.report import LogReport, Report, Verdict, report
 from dbo_cli.report.show import Shown, show_model
@@ -17,7 +17,6 @@ __all__ = [
     "Verdict",
     "expected_in",
     "match",
-    "merits",
     "predict",
     "report",
     "show_model",

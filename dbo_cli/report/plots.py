@@ -187,26 +187,33 @@ def save(plots: Sequence[Plot], folder: str | os.PathLike[str]) -> list[Path]:
 # --- a report ---
 
 
-def plots_of_report(report: Report) -> list[Plot]:
-    """Return the figures of a report: all errors side by side, then each log's own, then the model's."""
-    plots = []
+def sections_of_report(report: Report) -> list[tuple[str, list[Plot]]]:
+    """Return the figures of a report with their headings: all logs, then each log's own, then the model's."""
+    sections = []
     if len(report.logs) > 1:
         paint = partial(_paint_errors, report)
-        plots.append(Plot("errors", "Error of all logs", WIDE, paint))
+        sections.append(
+            ("All logs", [Plot("errors", "Error of each log", WIDE, paint)])
+        )
     stems = file_stems([log.name for log in report.logs])
     for log, stem in zip(report.logs, stems, strict=True):
-        plots += plots_of_log(report, log, stem)
+        sections.append((log.name, plots_of_log(report, log, stem)))
     if report.model is not None:
-        plots += plots_of_model(report.model)
+        sections.append(("The model", plots_of_model(report.model)))
+    return sections
+
+
+def plots_of_report(report: Report) -> list[Plot]:
+    """Return all figures of a report."""
+    plots = []
+    for _, section in sections_of_report(report):
+        plots += section
     return plots
 
 
 def plots_of_log(report: Report, log: LogReport, stem: str) -> list[Plot]:
     """Return the figures of one log: both signals, the error, the loop and the spectrum."""
     first, second = report.labels
-    name = ""
-    if len(report.logs) > 1:
-        name = f", {short_name(log.name)}"
     error = "Residual of the model" if first == "model" else "Error"
     loop = "Hysteresis loop"
     if log.pair.voltage is None:
@@ -220,9 +227,7 @@ def plots_of_log(report: Report, log: LogReport, stem: str) -> list[Plot]:
         painted.append(("spectrum", "Spectrum of the error", WIDE, _paint_spectrum))
     plots = []
     for key, title, size, paint in painted:
-        plots.append(
-            Plot(f"{stem}-{key}", title + name, size, partial(paint, report, log))
-        )
+        plots.append(Plot(f"{stem}-{key}", title, size, partial(paint, report, log)))
     return plots
 
 
@@ -319,11 +324,12 @@ def _paint_loop(report: Report, log: LogReport, axes: Axes) -> None:
             xlabel=x_label, ylabel=axis_label("Measured displacement", report.unit)
         )
         return
-    axes.plot(pair.voltage, measured, rasterized=as_picture, label=second, **SOLID)
+    drive = pair.voltage
     if first == "model":
-        axes.plot(
-            pair.voltage, pair.desired, rasterized=as_picture, label=first, **DASHED
-        )
+        axes.plot(drive, measured, rasterized=as_picture, label=second, **SOLID)
+        axes.plot(drive, pair.desired, rasterized=as_picture, label=first, **DASHED)
+    else:
+        axes.plot(drive, measured, rasterized=as_picture, **SOLID)
     axes.set(xlabel=axis_label("Drive voltage", report.voltage_unit), ylabel=length)
 
 
@@ -341,7 +347,7 @@ def spectrum_of(log: LogReport) -> tuple[Floats, Floats] | None:
         return None
     from scipy.signal import welch
 
-    rows = min(len(error), max(64, 2 ** int(math.log2(len(error) / 4.0))))
+    rows = 2 ** int(math.log2(len(error) / 2.0))
     frequency, power = welch(error, 1.0 / step, nperseg=rows)
     return frequency[1:], np.sqrt(power[1:])
 

@@ -6,6 +6,7 @@ import csv
 import io
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from html import escape
 from importlib import resources
 from string import Template
@@ -206,9 +207,13 @@ def headline(report: Report) -> str:
 
 def to_html(report: Report) -> str:
     """Return a page that needs no other file: verdict, table, figures, footer."""
-    from dbo_cli.report.plots import plots_of_report
+    from dbo_cli.report.plots import sections_of_report
 
     unit = shown_unit(report.unit)
+    verdicts = []
+    for verdict in report.verdicts:
+        verdicts.append(replace(verdict, unit=verdict.unit.replace(" um", " µm")))
+    report = replace(report, unit=unit or None, verdicts=tuple(verdicts))
     head = []
     for column in columns_of(report):
         title = column.title
@@ -224,7 +229,8 @@ def to_html(report: Report) -> str:
     parts.append(html_table(head, rows, chief=2))
     parts.append(f'<p class="muted">{escape(settings_line(report))}</p>')
     parts += [f'<p class="muted">{escape(note)}</p>' for note in report.notes]
-    parts.append(html_figures(plots_of_report(report)))
+    for title, plots in sections_of_report(report):
+        parts.append(f"<h2>{escape(title)}</h2>{html_figures(plots)}")
     parts.append(f"<footer>{'<br>'.join(map(escape, footer_lines(report)))}</footer>")
     return page("Tracking report", parts)
 

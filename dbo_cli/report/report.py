@@ -16,6 +16,7 @@ from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.report.expected import Expected
 from dbo_cli.report.merits import Merits, merits, percent_of, root_mean_square
 from dbo_cli.report.pair import Pair, RowRange, predict, scored
+from dbo_cli.report.render import short_name
 
 if TYPE_CHECKING:
     import pandas
@@ -147,13 +148,12 @@ class Verdict:
 
     def words(self) -> str:
         """Say what came of it."""
+        name = short_name(self.name)
         if self.value is None:
-            return (
-                f"{self.name}: the move has no range, so `max_{self.figure}` is missed"
-            )
+            return f"{name}: the move has no range, so `max_{self.figure}` is missed"
         relation = "is within" if self.passed else "is above"
         return (
-            f"{self.name}: RMSE {self.value:.4g}{self.unit} {relation} the limit of "
+            f"{name}: RMSE {self.value:.4g}{self.unit} {relation} the limit of "
             f"{self.limit:g}{self.unit}"
         )
 

@@ -17,8 +17,10 @@ OWN_LAG = 0.05
 """Seconds that an actuator, its amplifier and its sensor may be late; more is a recorder's start."""
 CLEARLY_BETTER = 0.5
 """Part of the error that must be left at most for another start of the clock to be believed."""
-SEARCHED = 1 << 18
+SEARCHED = 1 << 17
 """Rows of the longer signal at most in the search for the start of a clock."""
+STEPS, FURTHEST = 8, 20.0
+"""Steps of the refinement at most, and rows that one may go."""
 PLAYS = (0.02, 0.05, 0.1, 0.2, 0.4)
 """Half widths, in parts of the range, of the plays that explain a loop beside a lag."""
 
@@ -213,7 +215,7 @@ def _clock_ahead(recording: Pair, wanted: Floats, clock: Floats) -> float | None
         return None
     rows = _rows_ahead(desired, measured)
     offset = float(seen[0] - grid[0] + rows * step)
-    for _ in range(3):
+    for _ in range(STEPS):
         change = _refined(seen - offset, measured, clock, wanted, step)
         offset += change
         if abs(change) < 1e-3 * step:
@@ -257,7 +259,7 @@ def _refined(
     gain = float(weights[1] + weights[3:].sum())
     if not gain:
         return 0.0
-    return -float(np.clip(weights[2] / gain, -5.0 * step, 5.0 * step))
+    return -float(np.clip(weights[2] / gain, -FURTHEST * step, FURTHEST * step))
 
 
 def _play(x: Floats, radius: float) -> Floats:
