@@ -139,8 +139,13 @@ class Source:
         All of its columns.
     rate
         The sample rate (Hz) that the file states, or None.
+    rate_problem, rate_remarks
+        Why a stated rate cannot be used, and what was assumed for it; told only where
+        the rate is needed.
     start
         The time (s) of the first row where the rate is used.
+    hint
+        What is appended to a refusal about columns (`` (or run.h5::/run1)``).
     remarks
         What the user is to be told, without the file's name in front.
     """
@@ -148,7 +153,10 @@ class Source:
     name: str
     columns: list[Column]
     rate: float | None = None
+    rate_problem: str = ""
+    rate_remarks: Sequence[str] = ()
     start: float = 0.0
+    hint: str = ""
     remarks: list[str]
 
     def blocks(self, chosen: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
@@ -162,6 +170,10 @@ class Source:
     def where(self, row: int, column: Column) -> str:
         """Say where a row (from 1) of the last block is, and what stands in a column of it."""
         raise NotImplementedError
+
+    def find(self, name: str) -> Column | None:
+        """Find what the user names and no column is called; None where there is nothing."""
+        return None
 
     def close(self) -> None:
         """Close the file."""

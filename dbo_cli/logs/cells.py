@@ -1,0 +1,144 @@
+"""Cells of a text log: split, numbers and time stamps; one line at a time, without any library.
+
+``text.py`` reads whole blocks by polars and comes here for what polars refuses.
+"""
+
+from __future__ import annotations
+
+import re
+from datetime import date
+
+import numpy as np
+
+from dbo_cli.logs.source import NOT_A_TIME
+
+_POINT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?", re.ASCII)
+_COMMA = re.compile(r"[-+]?(\d+,?\d*|,\d+)([eEdD][-+]?\d+)?", re.ASCII)
+# thousands apart, where the mark can be nothing else: 1.000,5 and 1.234.567 and 1'000
+_GROUPED = {
+    ".": re.compile(
+        r"[-+]?\d{1,3}(,\d{3})+\.\d*|[-+]?\d{1,3}(,\d{3}){2,}|[-+]?\d{1,3}(['’ ]\d{3})+(\.\d*)?",
+        re.ASCII,
+    ),
+    ",": re.compile(
+        r"[-+]?\d{1,3}(\.\d{3})+,\d*|[-+]?\d{1,3}(\.\d{3}){2,}|[-+]?\d{1,3}(['’ ]\d{3})+(,\d*)?",
+        re.ASCII,
+    ),
+}
+_NOT_FINITE = ("nan", "inf", "infinity", "∞", "1.#qnan", "1.#ind", "1.#inf")
+MISSING = ("", "na", "n/a", "null", "none", "-", "--", *_NOT_FINITE)
+"""Cells that stand where a number is missing, in lower case."""
+
+_DATES = {
+    "%Y-%m-%d": r"(?P<Y>\d{4})-(?P<m>\d\d?)-(?P<d>\d\d?)",
+    "%Y/%m/%d": r"(?P<Y>\d{4})/(?P<m>\d\d?)/(?P<d>\d\d?)",
+    "%d.%m.%Y": r"(?P<d>\d\d?)\.(?P<m>\d\d?)\.(?P<Y>\d{4})",
+}
+_CLOCK = r"(?P<H>\d\d?):(?P<M>\d\d):(?P<S>\d\d)(?:[.,](?P<f>\d{1,9}))?"
+_ZONE = r"(?P<z>Z|[+-]\d\d:?\d\d)"
+
+
+def _stamp_patterns() -> dict[str, re.Pattern[str]]:
+    patterns = {}
+    for form, pattern in _DATES.items():
+        for between in "T ":
+            stamp = pattern + between + _CLOCK
+            patterns[f"{form}{between}%H:%M:%S%.f"] = re.compile(stamp, re.ASCII)
+            zoned = stamp + _ZONE
+            patterns[f"{form}{between}%H:%M:%S%.f%z"] = re.compile(zoned, re.ASCII)
+    patterns["%H:%M:%S%.f"] = re.compile(_CLOCK, re.ASCII)
+    return patterns
+
+
+STAMPS = _stamp_patterns()
+"""The formats of time stamps that are read, and how their cells look."""
+
+
+def split_cells(line: str, delimiter: str) -> list[str]:
+    """Split a line at the delimiter; a blank stands for any run of blanks and tabs.
+
+    Quotes around a cell are taken off; inside them the delimiter is a character like
+    any other.
+    """
+    if '"' in line:
+        return _split_quoted(line, delimiter)
+    if delimiter == " ":
+        return line.split()
+    return [cell.strip() for cell in line.split(delimiter)]
+
+
+def _split_quoted(line: str, delimiter: str) -> list[str]:
+    """Split a line in which cells may stand in quotes."""
+    cells, cell, inside = [], "", False
+    if delimiter == " ":
+        line = line.replace("\t", " ").strip()
+    for letter in line:
+        if letter == '"':
+            inside = not inside
+        elif letter == delimiter and not inside:
+            cells.append(cell.strip())
+            cell = ""
+        else:
+            cell += letter
+    cells.append(cell.strip())
+    if delimiter == " ":
+        cells = [cell for cell in cells if cell]
+    return cells
+
+
+def is_number(cell: str, decimal: str) -> bool:
+    """Return whether a cell is written as a number, or as one that is not finite."""
+    pattern = _POINT if decimal == "." else _COMMA
+    if pattern.fullmatch(cell) or _GROUPED[decimal].fullmatch(cell):
+        return True
+    return cell.lstrip("+-").lower() in _NOT_FINITE
+
+
+def to_number(cell: str, decimal: str) -> float:
+    """Read a cell as a number; NaN for whatever is none."""
+    pattern = _POINT if decimal == "." else _COMMA
+    if not pattern.fullmatch(cell):
+        if not _GROUPED[decimal].fullmatch(cell):
+            return np.inf if "inf" in cell.lower() or "∞" in cell else np.nan
+        whole, sign, rest = cell.partition(decimal)
+        cell = re.sub(r"[^-+\d]", "", whole) + sign + rest
+    if decimal == ",":
+        cell = cell.replace(",", ".")
+    try:
+        return float(cell)
+    except ValueError:  # Fortran's 1.0D+00
+        return float(cell.replace("D", "e").replace("d", "e"))
+
+
+def stamp_format(cells: list[str]) -> str | None:
+    """Return the format in which all filled cells are time stamps; None where there is none."""
+    filled = [cell for cell in cells if cell]
+    for form, pattern in STAMPS.items():
+        if filled and all(pattern.fullmatch(cell) for cell in filled):
+            return form
+    return None
+
+
+def to_stamp(cell: str, form: str) -> int:
+    """Read a time stamp as nanoseconds since 1970, or since midnight where it has no date."""
+    match = STAMPS[form].fullmatch(cell)
+    if match is None:
+        return NOT_A_TIME
+    part = match.groupdict()
+    seconds = int(part["H"]) * 3600 + int(part["M"]) * 60 + int(part["S"])
+    if int(part["H"]) > 23 or int(part["M"]) > 59 or int(part["S"]) > 59:
+        return NOT_A_TIME
+    if "Y" in part:
+        try:
+            day = date(int(part["Y"]), int(part["m"]), int(part["d"]))
+        except ValueError:
+            return NOT_A_TIME
+        if not 1700 < day.year < 2250:  # int64 counts nanoseconds so far
+            return NOT_A_TIME
+        seconds += (day.toordinal() - date(1970, 1, 1).toordinal()) * 86400
+    zone = part.get("z") or "Z"
+    if zone != "Z":
+        minutes = int(zone[1:3]) * 60 + int(zone[-2:])
+        seconds -= minutes * 60 if zone[0] == "+" else -minutes * 60
+    fraction = (part["f"] or "").ljust(9, "0")
+    return seconds * 10**9 + int(fraction)

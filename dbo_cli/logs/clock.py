@@ -1,0 +1,497 @@
+"""The clock of a log: the time of every row in seconds, from a column, a stated rate, or none.
+
+Gaps and repeated stamps are said. Time that goes back is refused, and so are figures
+without a unit that can hardly be seconds.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.errors import InputError, UsageError, warn
+from dbo_cli.logs.columns import listed, named, words
+from dbo_cli.logs.source import NOT_A_TIME, Column, FloatArray, Reading, Source
+from dbo_cli.units import kind_of, multiplied, ratio, time_unit
+
+_NAMES = frozenset("time t x_value zeit".split())
+_MORE_NAMES = frozenset(
+    "timestamp time_stamp timestamps elapsed seconds millis micros milliseconds microseconds nanoseconds msec "
+    "usec datetime zeitstempel uhrzeit temps tiempo tempo date datum datenum tijd tid czas čas cas время 时间 "
+    "時間 x-axis utc ts epoch clock".split()
+)
+# behind the name of a time column they show that it counts something else
+_COUNTED = frozenset(
+    "tick ticks sample samples frame frames count counts cycle cycles index idx step steps point points pulses "
+    "clocks jiffies row rows number no".split()
+)
+# what stands in the brackets of a time column where other columns have their unit
+_NO_UNIT = frozenset(
+    "relative rel absolute abs raw local utc gmt elapsed iso start -".split()
+)
+_DAY = 86400 * 10**9  # ns
+# s; whoever logs a hysteresis loop at one sample a second or slower states the unit
+_LONG_STEP = 1.0
+_LONGEST_STEP = 3600.0  # s; no loop is recorded at less than a sample an hour
+_LATEST = (
+    1e8  # s, three years; a clock that counts the seconds of a run never gets there
+)
+_EPOCH = (1e9, 4.1e9)  # s since 1970: the years 2001 to 2100
+_SHORTEST = 1e-3  # s; no piezo under load passes its range in less
+_LONG_LOG = 3600.0  # s
+# steps are even where they differ by no more than this part of a step, or by the
+# rounding of the file's decimals
+_EVEN = 1e-6
+_GAP = 1.5  # usual steps
+
+
+@dataclass
+class Clock:
+    """Where the times of a log's rows come from.
+
+    Attributes
+    ----------
+    name
+        The file, for messages.
+    kind
+        ``column``, ``stamps``, ``rate`` or ``none``.
+    column
+        The time column.
+    factor
+        By what its figures become seconds.
+    unit
+        The unit that is stated; None where nothing states it.
+    rate, start
+        Samples a second (Hz) and the time (s) of the first row, without a column.
+    step
+        Seconds between rows, where they are even so far.
+    origin
+        What time 0 is in seconds since 1970, where dates say it.
+    """
+
+    name: str
+    kind: str = "none"
+    column: Column | None = None
+    factor: Fraction = Fraction(1)
+    unit: str | None = None
+    given: bool = False
+    rate: float | None = None
+    start: float = 0.0
+    step: float | None = None
+    origin: float | None = None
+    remarks: list[str] = field(default_factory=list)
+    rows: int = 0
+    first: float = 0.0
+    last: float = 0.0
+    usual_step: float = 0.0
+    repeats: int = 0
+    gaps: int = 0
+    largest_gap: float = 0.0
+    first_stamp: int | None = None
+    last_stamp: int = 0
+    days: int = 0
+    digits: float = 0.0
+
+    def times(
+        self, numbers: NDArray[np.int64], stored: NDArray[Any] | None
+    ) -> FloatArray | None:
+        """Return the times (s) of rows, by their numbers (from 1) or by what the column holds.
+
+        Raises
+        ------
+        InputError
+            Time goes back, or the figures can hardly be what they are taken for.
+        """
+        if self.kind == "none":
+            return None
+        if self.kind == "rate":
+            assert self.rate is not None
+            time = self.start + (numbers - 1.0) / self.rate
+            self._count(time)
+            return time
+        assert stored is not None
+        if self.kind == "stamps":
+            time = self._since_first(stored)
+        else:
+            time = multiplied(stored, self.factor)
+        if len(time):
+            self._watch(time, numbers)
+        return time
+
+    def _since_first(self, stamps: NDArray[np.int64]) -> FloatArray:
+        """Turn stamps (ns) into seconds since the first; a clock without dates goes on past midnight."""
+        if not len(stamps):
+            return stamps.astype(np.float64)
+        if self.first_stamp is None:
+            self.first_stamp = int(stamps[0])
+            self.last_stamp = int(stamps[0])
+            if self.first_stamp >= _DAY:
+                self.origin = self.first_stamp / 1e9
+        if self.origin is None:
+            steps = np.diff(stamps, prepend=self.last_stamp)
+            self.last_stamp = int(stamps[-1])
+            passed = self.days + np.cumsum(steps < -_DAY // 2)
+            if passed[-1] and not self.days:
+                self.remarks.append("the clock passes midnight and goes on")
+            self.days = int(passed[-1])
+            stamps = stamps + passed * _DAY
+        return (stamps - self.first_stamp) / 1e9
+
+    def _count(self, time: FloatArray) -> None:
+        if len(time):
+            self.first = float(time[0]) if not self.rows else self.first
+            self.last = float(time[-1])
+            self.rows += len(time)
+
+    def _watch(self, time: FloatArray, numbers: NDArray[np.int64]) -> None:
+        """Refuse a time that goes back; count repeats and gaps, and find the usual step."""
+        steps = np.diff(time, prepend=time[0] if not self.rows else self.last)
+        if (steps < 0.0).any():
+            at = int(np.argmax(steps < 0.0))
+            before = time[at] - steps[at]
+            raise InputError(
+                f"{self.called}: row {numbers[at]}: time goes back from {before:.9g} to {time[at]:.9g} s "
+                "(`rows` A:B cuts the log there, or `sample_rate` HZ gives the time instead)"
+            )
+        known = steps[1:] if not self.rows else steps
+        fresh = self.rows < 3
+        self._count(time)
+        if fresh and len(known):
+            self.usual_step = float(np.median(known))
+            self._require_seconds()
+        self.repeats += int(np.count_nonzero(known == 0.0))
+        if self.usual_step > 0.0:
+            gaps = known > _GAP * self.usual_step
+            self.gaps += int(np.count_nonzero(gaps))
+            self.largest_gap = max(self.largest_gap, float(known.max(initial=0.0)))
+
+    @property
+    def called(self) -> str:
+        """How messages call the time column."""
+        assert self.column is not None
+        return f"{self.name}: the time {self.column.label}"
+
+    def steps(
+        self, time: FloatArray | None, before: float | None
+    ) -> float | FloatArray | None:
+        """Return the seconds since the sample before for each row of a block: a number where they are even.
+
+        Parameters
+        ----------
+        time
+            The times of the block.
+        before
+            The time of the row before it; None at the start of the log.
+        """
+        if time is None or not len(time):
+            return None
+        if self.kind == "rate" and self.rate is not None:
+            contiguous = (
+                len(time) < 2 or time[-1] - time[0] < (len(time) - 0.5) / self.rate
+            )
+            late = before is not None and time[0] - before > 1.5 / self.rate
+            if contiguous and not late:
+                self.step = 1.0 / self.rate
+                return self.step
+        steps = np.diff(time, prepend=time[0] if before is None else before)
+        if before is None and len(steps) > 1:
+            steps[0] = steps[1]
+        even = self._even_step(steps if before is not None else steps[1:], time)
+        if even is None:
+            self.step = None
+            return steps
+        return even
+
+    def _even_step(self, steps: FloatArray, time: FloatArray) -> float | None:
+        """Return the one step of rows that are even to rounding; None where they are not."""
+        if not len(steps):
+            return self.step
+        mean = float(steps.mean())
+        rounding = 4.0 * np.spacing(abs(time).max()) + self._resolution(time)
+        if mean <= 0.0 or np.abs(steps - mean).max() > _EVEN * mean + rounding:
+            return None
+        if self.step is None and self.rows > len(time):
+            return None
+        if self.step is None:
+            self.step = mean
+        if abs(mean - self.step) > _EVEN * self.step + rounding:
+            return None
+        return self.step
+
+    def _resolution(self, time: FloatArray) -> float:
+        """Return the step of the decimals that the times are rounded to, where it is a small part of a step."""
+        if not self.digits and len(time) > 2:
+            span = time[: min(len(time), 50)]
+            for power in range(1, 13):
+                rounded = np.round(span, power)
+                if np.abs(span - rounded).max() < 10.0 ** (
+                    -power - 3
+                ) + 4.0 * np.spacing(span.max()):
+                    self.digits = 10.0**-power
+                    break
+        usual = self.usual_step or (1.0 / self.rate if self.rate else 0.0)
+        return 1.01 * self.digits if self.digits < 0.05 * usual else 0.0
+
+    def _require_seconds(self) -> None:
+        """Refuse figures without a unit that can hardly be seconds."""
+        if self.kind != "column" or self.unit is not None or self.given:
+            return
+        step = self.usual_step
+        is_epoch = _EPOCH[0] < self.first < _EPOCH[1] and step < _LONG_STEP
+        if step >= _LONG_STEP:
+            odd = f"read as seconds, its usual step would be {step:.6g} s"
+        elif max(abs(self.first), abs(self.last)) > _LATEST and not is_epoch:
+            odd = f"read as seconds, its stamps would reach {self.last:.6g} s"
+        else:
+            return
+        raise InputError(
+            f"{self.called} has no unit: {odd} (`time_unit` s, ms, us or ns says what it counts; `sample_rate` "
+            "HZ gives the time instead)"
+        )
+
+    def close(self) -> None:
+        """Say what is doubtful once all rows went by.
+
+        Raises
+        ------
+        InputError
+            Figures without a unit end before any piezo has moved.
+        """
+        if self.kind not in ("column", "stamps") or self.rows < 2:
+            return
+        span = self.last - self.first
+        if 2 * self.repeats > self.rows:
+            warn(
+                f"{self.called} repeats its stamps in {self.repeats:,} of {self.rows:,} rows: they have too few "
+                "digits (`sample_rate` HZ gives the time instead)"
+            )
+        elif self.repeats:
+            self.remarks.append(f"{self.repeats:,} time stamps are repeated")
+        if self.gaps and 2 * self.repeats <= self.rows:
+            self.remarks.append(
+                f"{self.gaps:,} gaps in time, the largest {self.largest_gap:.4g} s"
+            )
+        if self.given or self.kind == "stamps":
+            return
+        if 0.0 < span < _SHORTEST and self.unit is None:
+            raise InputError(
+                f"{self.called} has no unit: read as seconds, the whole log would last {span:.3g} s (`time_unit` s, "
+                "ms, min or h says what it counts)"
+            )
+        odd = ""
+        if 0.0 < span < _SHORTEST:
+            odd = f"the whole log would last {span:.3g} s"
+        elif self.usual_step > _LONGEST_STEP:
+            odd = f"its usual step would be {self.usual_step:.3g} s"
+        elif self.unit == "s" and self.usual_step >= _LONG_STEP and span >= _LONG_LOG:
+            odd = f"its usual step would be {self.usual_step:.6g} s and the log {span / 3600.0:.3g} h long"
+        if odd:
+            warn(
+                f"{self.called} is stated in {self.unit}, but {odd} (`time_unit` ms if it counts milliseconds, "
+                f"`time_unit` {self.unit} if it is right)"
+            )
+
+    def describe(self) -> str:
+        """Return how long a log lasts and at which rate: ``12 s at 2 kHz``."""
+        if self.kind == "none" or self.rows < 1:
+            return "no clock"
+        if self.rows < 2:
+            return "one time"
+        step = self.step or (self.last - self.first) / (self.rows - 1)
+        if step <= 0.0:
+            return "no span of time"
+        about = "" if self.step else "about "
+        return f"{self.last - self.first + step:.4g} s at {about}{hertz(1.0 / step)}"
+
+
+def hertz(rate: float) -> str:
+    """Return a rate with its unit: ``2 kHz``."""
+    for size, unit in ((1e6, "MHz"), (1e3, "kHz")):
+        if rate >= size:
+            return f"{rate / size:.5g} {unit}"
+    return f"{rate:.5g} Hz"
+
+
+def find_clock(
+    source: Source, reading: Reading, selector: str | None, used: Sequence[Column]
+) -> Clock:
+    """Find the time column, or the rate that the user or the file states.
+
+    Parameters
+    ----------
+    source
+        The file.
+    reading
+        ``sample_rate`` and ``time_unit`` as the user gave them.
+    selector
+        What the user typed for the time, or None.
+    used
+        Columns that the user named for other roles.
+
+    Raises
+    ------
+    InputError
+        Several columns may be meant, or the unit is none of time.
+    UsageError
+        ``time`` and ``sample_rate`` are both given.
+    """
+    rate = reading.sample_rate
+    if rate is not None:
+        if selector is not None:
+            raise UsageError(
+                "`time` and `sample_rate` exclude each other: leave one out"
+            )
+        if not 0.0 < rate < np.inf:
+            raise UsageError(
+                f"`sample_rate` {rate:g}: give a positive number of samples a second"
+            )
+    if selector is not None:
+        found = [named(source, selector, "time")]
+    else:
+        found = _time_columns(source, used)
+    if rate is not None:
+        clock = Clock(source.name, "rate", rate=rate)
+        if len(found) == 1:
+            clock.column = found[0]
+            clock.remarks.append(f"`sample_rate` replaces {found[0].label}")
+        return clock
+    if len(found) > 1:
+        which = " or ".join(
+            f"`time` {column.number} ('{column.name}')" for column in found
+        )
+        raise InputError(f"{source.name}: which column is the time? ({which})")
+    if found:
+        return _clock_of(source.name, found[0], reading.time_unit)
+    return _stated_clock(source, reading)
+
+
+def _stated_clock(source: Source, reading: Reading) -> Clock:
+    """Return the clock of a file without a time column."""
+    if reading.time_unit is not None:
+        raise InputError(
+            f"{source.name}: `time_unit` {reading.time_unit}: there is no time column: {listed(source.columns)} "
+            "(`time` NAME or NUMBER)"
+        )
+    if source.rate_problem:
+        raise InputError(f"{source.name}: {source.rate_problem}")
+    if source.rate is None:
+        return Clock(source.name)
+    remarks = list(source.rate_remarks)
+    return Clock(
+        source.name, "rate", rate=source.rate, start=source.start, remarks=remarks
+    )
+
+
+def _time_columns(source: Source, used: Sequence[Column]) -> list[Column]:
+    """Return the columns that may hold the time, by the surest reason that there is."""
+    free = [column for column in source.columns if column not in used]
+    fitting = []
+    for column in free:
+        kind = kind_of(column.unit)
+        if column.kind == "number" and kind not in (
+            None,
+            "time",
+            "count",
+            "number of samples",
+        ):
+            if not time_unit(column.unit):
+                continue  # a temperature called T
+        fitting.append(column)
+    called: list[Column] = []
+    for names in (_NAMES, _MORE_NAMES):
+        for whole in (True, False):
+            called = called or [c for c in fitting if _is_called(c, names, whole)]
+    figures = [c for c in called if c.kind == "number"]
+    stamps = [c for c in called if c.kind == "stamp"]
+    stamps = stamps or [c for c in free if c.kind == "stamp"]
+    if figures or stamps:
+        return figures or stamps
+    first = fitting[:1]
+    return [c for c in first if c.kind == "number" and time_unit(c.unit)]
+
+
+def _is_called(column: Column, names: frozenset[str], whole: bool) -> bool:
+    if whole:
+        return column.quantity.lower() in names
+    return bool(words(column.quantity) & names)
+
+
+def _clock_of(name: str, column: Column, given: str | None) -> Clock:
+    """Return the clock of a time column.
+
+    Raises
+    ------
+    InputError
+        Its figures count something that is no known unit of time.
+    """
+    if column.kind == "stamp":
+        if given is not None:
+            raise InputError(
+                f"{name}: {column.label} holds time stamps, which say themselves what they count (leave out "
+                "`time_unit`)"
+            )
+        return Clock(name, "stamps", column, unit="s")
+    if given is not None:
+        return Clock(
+            name, "column", column, parse_time_unit(given), given.strip(), given=True
+        )
+    unit = _stated_unit(name, column)
+    factor = Fraction(1) if unit is None else ratio(unit, "s")
+    return Clock(name, "column", column, factor, unit)
+
+
+def _stated_unit(name: str, column: Column) -> str | None:
+    """Return the unit that a time column states; None where it states none."""
+    stated = column.unit
+    if stated is not None and stated.lower() not in _NO_UNIT:
+        since = re.fullmatch(r"(\S+) since .*", stated)
+        unit = time_unit(since[1] if since else stated)
+        if unit is None:
+            _refuse_unit(name, column, stated)
+        return unit
+    parts = words(column.quantity)
+    units = {time_unit(part) for part in parts if len(part) > 1} - {None, "min"}
+    if len(units) == 1:
+        return units.pop()
+    counted = sorted(parts & _COUNTED) or sorted(unit for unit in units if unit)
+    if counted:
+        _refuse_unit(name, column, counted[0])
+    return None
+
+
+def _refuse_unit(name: str, column: Column, stated: str) -> None:
+    raise InputError(
+        f"{name}: the time {column.label} counts '{stated}', which is no known unit of time (`time_unit` s, ms, "
+        "us, ns, min or a number of them such as 10us; or `sample_rate` HZ)"
+    )
+
+
+def parse_time_unit(text: str) -> Fraction:
+    """Read ``time_unit``: a unit of time, or a number of them (``10us``), in seconds.
+
+    Raises
+    ------
+    UsageError
+        It is none.
+    """
+    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)?\s*([^\d\s].*?)\s*", text)
+    unit = time_unit(match[2]) if match else None
+    count = Fraction((match[1] if match else None) or 1)
+    if unit is None or not count:
+        raise UsageError(
+            f"`time_unit` {text}: give s, ms, us, ns, min, h or a number of them such as 10us"
+        )
+    return count * ratio(unit, "s")
+
+
+def is_bad(array: NDArray[Any], column: Column) -> NDArray[np.bool_]:
+    """Return which rows of a column hold no number or no stamp."""
+    if column.kind == "stamp":
+        return np.asarray(array == NOT_A_TIME)
+    return ~np.isfinite(array)

@@ -1,0 +1,378 @@
+"""Which column has which role: the one that the user names, else by its name, else by its unit.
+
+Where none or several may be meant, all columns are listed with the complete option to
+type.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs.source import Column, Source
+from dbo_cli.units import DRIVING_KINDS, MOVED_KINDS, kind_of
+
+_LISTED = 20  # names of columns that a message holds at most
+_HEAT = "temperature temp temperatur température temperatura temperatuur teplota 温度 thermocouple thermistor"
+_ORDERS = (
+    "desired target setpoint commanded wanted demand demanded reference soll sollwert sollposition consigne "
+    "command nominal trajectory"
+)
+_PLACES = frozenset(("length", "angle", "voltage", "share", "count"))
+
+
+def _set(words: str) -> frozenset[str]:
+    return frozenset(words.split())
+
+
+@dataclass(frozen=True)
+class Role:
+    """What is known of the columns of a role.
+
+    Attributes
+    ----------
+    names
+        Names that are enough.
+    lesser
+        Names that need a unit of the proving kinds beside them.
+    against
+        Words that give a column another role.
+    proving
+        What its unit measures where the unit alone may be enough.
+    more
+        What it may measure where no column of the proving kinds is there.
+    allowed
+        What the unit of a column with a known name may measure.
+    preferred
+        Names that go before all others.
+    """
+
+    names: frozenset[str]
+    lesser: frozenset[str]
+    against: frozenset[str]
+    proving: frozenset[str]
+    more: frozenset[str]
+    allowed: frozenset[str]
+    preferred: frozenset[str] = frozenset()
+
+
+_VOLTAGE = Role(
+    names=_set(
+        "voltage drive command u v volt volts spannung steuerspannung piezospannung stellspannung voltaje "
+        "tensione tensão tensao spanning spänning napięcie napiecie napětí напряжение 电压 電圧 vpiezo upiezo "
+        "vdrive vpzt"
+    ),
+    lesser=_set("tension piezo pzt control vin uin hv"),
+    against=_set(
+        "sensor position displacement feedback photodiode interferometer supply "
+        + _HEAT
+    ),
+    proving=frozenset(("voltage",)),
+    more=DRIVING_KINDS,
+    allowed=frozenset(("voltage", "share", "count")),
+)
+_DISPLACEMENT = Role(
+    names=_set(
+        "displacement position measured sensor y disp pos weg auslenkung verschiebung hub istposition "
+        "deplacement déplacement desplazamiento spostamento posición posizione verplaatsing przemieszczenie "
+        "перемещение 位移 変位 deflection stroke elongation interferometer encoder capacitive lvdt"
+    ),
+    lesser=_set(
+        "x z actual current ist istwert feedback readback laser ldv vibrometer meas travel height"
+    ),
+    against=_set(_ORDERS + " " + _HEAT),
+    proving=frozenset(("length", "angle")),
+    more=MOVED_KINDS,
+    allowed=_PLACES,
+)
+_DESIRED = Role(
+    names=_set(
+        "desired reference setpoint target trajectory wanted ref soll sollwert sollposition sollweg consigne "
+        "demand commanded"
+    ),
+    lesser=_set("command"),
+    against=_set(_HEAT),
+    proving=frozenset(),
+    more=frozenset(),
+    allowed=_PLACES,
+)
+ROLES = {
+    "voltage": _VOLTAGE,
+    "displacement": _DISPLACEMENT,
+    "measured": _DISPLACEMENT,
+    "desired": _DESIRED,
+    "trajectory": replace(
+        _DISPLACEMENT,
+        names=_DISPLACEMENT.names | _DESIRED.names,
+        against=_DESIRED.against,
+        preferred=_DESIRED.names,
+    ),
+}
+"""``trajectory`` is a displacement that may be called desired."""
+
+
+def role_of(role: str, unit: str | None) -> Role:
+    """Return what is known of a role's columns; a unit of a model says what they measure.
+
+    ``input`` is a voltage, or a trajectory where the unit is one of length or angle.
+    """
+    kind = kind_of(unit)
+    if role == "input":
+        role = "trajectory" if kind in ("length", "angle", *MOVED_KINDS) else "voltage"
+    known = ROLES.get(role)
+    if known is None:
+        raise UsageError(
+            f"`{role}`: there is no such role (voltage, displacement, desired, measured)"
+        )
+    if kind is None or kind in known.allowed:
+        return known
+    return replace(
+        known,
+        names=known.names | {kind},
+        proving=frozenset((kind,)),
+        more=frozenset(),
+        allowed=frozenset((kind,)),
+    )
+
+
+def words(name: str) -> set[str]:
+    """Return the words of a name in lower case; ``driveVoltage`` has two."""
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
+    return {word.lower() for word in re.findall(r"[^\W\d_]+", spaced)}
+
+
+def listed(columns: Sequence[Column]) -> str:
+    """List columns as messages do."""
+    if not any(column.name for column in columns):
+        s = "" if len(columns) == 1 else "s"
+        return f"it has {len(columns)} column{s} without names"
+    shown = [f"{column.number} {column.name}".strip() for column in columns[:_LISTED]]
+    more = f", ... ({len(columns)} in all)" if len(columns) > _LISTED else ""
+    return f"it has {', '.join(shown)}{more}"
+
+
+def named(source: Source, selector: str, option: str) -> Column:
+    """Return the column that the user names: by its header, its quantity, its path or its number.
+
+    Raises
+    ------
+    InputError
+        There is none, or there are several.
+    UsageError
+        The number is not above 0.
+    """
+    name, columns = source.name, source.columns
+    selector = str(selector)
+    how, separator, rest = selector.partition("=")
+    if separator and how in ("number", "name"):
+        selector = rest
+    else:
+        how = ""
+    by_name = _by_name(columns, selector) if how != "number" else []
+    by_number: list[Column] = []
+    if how != "name" and re.fullmatch(r"[-+]?\d{1,9}", selector):
+        if int(selector) < 1:
+            raise UsageError(f"`{option}` {selector}: columns are counted from 1")
+        by_number = [column for column in columns if column.number == int(selector)]
+        if not by_number and not by_name:
+            raise InputError(
+                f"{name}: there is no column {selector}: {listed(columns)}{source.hint}"
+            )
+    if by_name and by_number and by_name != by_number:
+        raise InputError(
+            f"{name}: `{option}` {selector}: {by_number[0].label}, or {by_name[0].number}, which is named "
+            f"'{selector}'? (`{option}` number={selector} or `{option}` name={selector})"
+        )
+    found = by_number or by_name
+    if len(found) > 1:
+        numbers = " or ".join(f"`{option}` {column.number}" for column in found)
+        raise InputError(
+            f"{name}: column '{selector}' occurs more than once ({numbers})"
+        )
+    if not found:
+        elsewhere = source.find(selector)
+        if elsewhere is None:
+            raise InputError(
+                f"{name}: there is no column '{selector}': {listed(columns)}{source.hint}"
+            )
+        return elsewhere
+    if found[0].kind == "text":
+        raise InputError(
+            f"{name}: {found[0].label} holds neither numbers nor known time stamps: {listed(columns)}"
+        )
+    return found[0]
+
+
+def _by_name(columns: Sequence[Column], selector: str) -> list[Column]:
+    """Return the columns that have a name, tried from the strictest way of comparing it."""
+    plain = " ".join(selector.split())
+    lower = plain.lower()
+    tail = lower.lstrip("/")
+    ways = (
+        lambda column: " ".join(column.name.split()) == plain,
+        lambda column: " ".join(column.name.split()).lower() == lower,
+        lambda column: column.name.lower().lstrip("/") == tail,
+        lambda column: column.name.lower().rsplit("/", 1)[-1] == tail,
+        lambda column: column.quantity.lower() == lower,
+    )
+    for is_meant in ways:
+        found = [column for column in columns if column.name and is_meant(column)]
+        if found:
+            return found
+    return []
+
+
+def choose(
+    source: Source,
+    selectors: Mapping[str, str | None],
+    taken: Sequence[Column],
+    units: Mapping[str, str],
+    optional: Sequence[str],
+) -> dict[str, Column]:
+    """Give every role its column.
+
+    Parameters
+    ----------
+    source
+        The file.
+    selectors
+        What the user typed for each role, or None.
+    taken
+        The columns of the clock.
+    units
+        What roles are wanted in.
+    optional
+        Roles that may be absent.
+
+    Raises
+    ------
+    InputError
+        Several columns may be meant for a role, or none; or two roles share one.
+    """
+    name, columns = source.name, source.columns
+    chosen: dict[str, Column] = {}
+    for role, selector in selectors.items():
+        if selector is not None:
+            chosen[role] = named(source, selector, role)
+            if chosen[role].kind == "stamp":
+                raise InputError(
+                    f"{name}: `{role}`: {chosen[role].label} holds time stamps"
+                )
+    used = {column.number for column in (*taken, *chosen.values())}
+    free = [column for column in columns if column.number not in used]
+    unclear: dict[str, list[Column]] = {}
+    for role in selectors:
+        if role in chosen:
+            continue
+        found = candidates(free, role_of(role, units.get(role)))
+        if len(found) == 1:
+            chosen[role] = found[0]
+        elif role not in optional:
+            unclear[role] = found
+    _refuse_shared(name, columns, chosen)
+    if unclear:
+        raise InputError(f"{name}: {_question(unclear, columns, chosen)}{source.hint}")
+    return {role: chosen[role] for role in selectors if role in chosen}
+
+
+def _refuse_shared(
+    name: str, columns: Sequence[Column], chosen: Mapping[str, Column]
+) -> None:
+    roles: dict[int, str] = {}
+    for role, column in chosen.items():
+        other = roles.setdefault(column.number, role)
+        if other != role:
+            raise InputError(
+                f"{name}: {column.label} cannot be both {other} and {role}: {listed(columns)} "
+                f"(`{other}` and `{role}` NAME or NUMBER)"
+            )
+
+
+def _question(
+    unclear: Mapping[str, Sequence[Column]],
+    columns: Sequence[Column],
+    chosen: Mapping[str, Column],
+) -> str:
+    """Ask for all roles that are not clear, with the options to type."""
+    asked = []
+    for role, found in unclear.items():
+        which = " or ".join(
+            column.label.removeprefix("column ") for column in found[:_LISTED]
+        )
+        asked.append(f"which column is the {role}{', ' + which if which else ''}?")
+    numbers = [c for c in columns if c.kind == "number" and c not in chosen.values()]
+    options = []
+    for role in unclear:
+        examples = list(unclear[role]) or numbers
+        example = examples[min(len(options), len(examples) - 1)] if examples else None
+        options.append(f"`{role}` {_typed(example, columns)}")
+    return f"{' '.join(asked)} {listed(columns)} (for example {' '.join(options)})"
+
+
+def _typed(column: Column | None, columns: Sequence[Column]) -> str:
+    """Return how a column is typed in the shell: its name, or its number where that is not enough."""
+    if column is None:
+        return "NAME"
+    same = [other for other in columns if other.name == column.name]
+    if not column.name or len(same) > 1 or column.name.isdigit():
+        return str(column.number)
+    return shlex.quote(column.name)
+
+
+def candidates(columns: Sequence[Column], role: Role) -> list[Column]:
+    """Return the columns that may have a role, by the surest reason that there is.
+
+    A preferred name; a whole name; a word of the name; a lesser name with a unit that
+    fits; the unit alone. Beside a word or a letter, every column counts whose unit fits
+    and whose name may be meant as well.
+    """
+    fitting = [column for column in columns if _may_be(column, role)]
+    preferred = [c for c in fitting if words(c.quantity) & role.preferred]
+    if preferred:
+        return preferred
+    proved = [c for c in fitting if kind_of(c.unit) in role.proving]
+    whole = [c for c in fitting if c.quantity.lower() in role.names]
+    if whole and not all(len(c.quantity) == 1 for c in whole):
+        return whole
+    part = [c for c in fitting if words(c.quantity) & role.names]
+    if whole or part:
+        found = whole or part
+        rivals = [
+            c for c in proved if c not in found and _is_rival(c, role, bool(whole))
+        ]
+        return [*found, *rivals]
+    if any(words(c.quantity) & role.names and not _clashes(c, role) for c in columns):
+        return []  # the column of that name is in a unit that cannot be meant
+    lesser = [c for c in proved if words(c.quantity) & role.lesser]
+    if lesser:
+        return proved if len(lesser) == 1 and len(proved) > 1 else lesser
+    if proved:
+        return proved
+    return [
+        c
+        for c in columns
+        if c.kind == "number" and kind_of(c.unit) in role.more and not _clashes(c, role)
+    ]
+
+
+def _clashes(column: Column, role: Role) -> bool:
+    return bool(words(column.name) & role.against)
+
+
+def _may_be(column: Column, role: Role) -> bool:
+    """Return whether nothing in a column's unit and words speaks against a role."""
+    kind = kind_of(column.unit)
+    if column.kind != "number" or _clashes(column, role):
+        return False
+    return kind is None or kind in role.allowed or kind in role.proving
+
+
+def _is_rival(column: Column, role: Role, beside_letter: bool) -> bool:
+    """Return whether a column with a fitting unit may be meant beside one with a better name."""
+    called = words(column.quantity)
+    if beside_letter and len(column.quantity) != 1:
+        return bool(called & role.names)
+    return bool(called & (role.names | role.lesser)) or len(called) <= 1

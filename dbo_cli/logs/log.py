@@ -1,0 +1,635 @@
+"""A log: opened by what its first bytes say, a column for every role, and its rows in blocks.
+
+The story: a reader makes a ``Source`` of the file; the clock and the columns of the
+roles are chosen; blocks come as arrays by role, in seconds and in the units asked for.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs.clock import Clock, find_clock, is_bad
+from dbo_cli.logs.columns import choose, named
+from dbo_cli.logs.source import (
+    BLOCK_ROWS,
+    Block,
+    Column,
+    FloatArray,
+    Reading,
+    Source,
+    Table,
+)
+from dbo_cli.units import multiplied, ratio, spell, split_header
+
+_TEXT_ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".lvm", ".gz", ".asc", ".prn")
+_SCALE = re.compile(
+    r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?:([^\s/\d.][^\s/]*)\s*/\s*([^\s/]+))?\s*",
+    re.ASCII,
+)
+
+
+class Log:
+    """An open log.
+
+    Attributes
+    ----------
+    name
+        The file as it was typed.
+    columns
+        By role, the column; its unit is that of the values, after all conversions.
+    clock
+        Where the times come from.
+    remarks
+        What was assumed, skipped or noticed; complete after the last block.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        columns: Mapping[str, Column],
+        clock: Clock,
+        stream: Callable[[], Iterator[Block]],
+        remarks: list[str],
+        close: Callable[[], object] = lambda: None,
+    ) -> None:
+        self.name = name
+        self.columns = dict(columns)
+        self.clock = clock
+        self.remarks = remarks
+        self.origin: float | None = None
+        self._stream = stream
+        self._close = close
+        self._rows = 0
+
+    @classmethod
+    def of_table(
+        cls,
+        name: str,
+        columns: Mapping[str, Column],
+        table: Table,
+        clock: Clock,
+        remarks: list[str],
+    ) -> Log:
+        """Make a log of arrays in memory, as a joined or resampled one is."""
+        log = cls(name, columns, clock, lambda: iter([_block_of(table)]), remarks)
+        log.origin = table.origin
+        return log
+
+    def provided(self, role: str) -> bool:
+        """Return whether the log has a column for a role, or a clock for ``time``."""
+        if role == "time":
+            return self.clock.kind != "none"
+        return role in self.columns
+
+    def blocks(self, rows: int = BLOCK_ROWS) -> Iterator[Block]:
+        """Return the log once, in blocks of at most so many rows.
+
+        Raises
+        ------
+        InputError
+            A row holds no number, time goes back, or there is no row.
+        """
+        for block in self._stream():
+            self._rows += len(block)
+            for start in range(0, len(block), rows):
+                yield _part(block, start, start + rows)
+
+    def read(self) -> Table:
+        """Return the whole log.
+
+        Raises
+        ------
+        InputError
+            As for ``blocks``.
+        """
+        blocks = list(self.blocks(rows=1 << 40))
+        values = {}
+        for role in self.columns:
+            values[role] = _joined([block.values[role] for block in blocks])
+        times = [block.time for block in blocks if block.time is not None]
+        time = _joined(times) if times else None
+        self.origin = self.clock.origin if self.origin is None else self.origin
+        return Table(time, values, _joined_dt(blocks), self.origin)
+
+    def line(self) -> str:
+        """Return one line on what was read; complete after the last block."""
+        names = []
+        for role, column in self.columns.items():
+            names.append(column.name or f"column {column.number} ({role})")
+        s = "" if self._rows == 1 else "s"
+        return f"{self.name}: {self._rows:,} row{s}, {self.clock.describe()}; {', '.join(names)}"
+
+    def close(self) -> None:
+        """Close the file."""
+        self._close()
+
+    def __enter__(self) -> Log:
+        """Use the log as a context manager."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        problem: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the file."""
+        self.close()
+
+
+def _block_of(table: Table) -> Block:
+    return Block(table.time, table.values, 1, table.dt)
+
+
+def _part(block: Block, start: int, stop: int) -> Block:
+    """Return rows of a block."""
+    if start == 0 and stop >= len(block):
+        return block
+    values = {role: array[start:stop] for role, array in block.values.items()}
+    time = None if block.time is None else block.time[start:stop]
+    dt = block.dt[start:stop] if isinstance(block.dt, np.ndarray) else block.dt
+    return Block(time, values, block.first_row + start, dt)
+
+
+def _joined(arrays: Sequence[FloatArray]) -> FloatArray:
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+
+
+def _joined_dt(blocks: Sequence[Block]) -> float | FloatArray | None:
+    """Return the steps of all blocks: one number where all have the same."""
+    steps = [block.dt for block in blocks]
+    first = steps[0]
+    if first is None:
+        return None
+    if all(isinstance(dt, float) and dt == first for dt in steps):
+        return first
+    parts = []
+    for block, dt in zip(blocks, steps, strict=True):
+        parts.append(np.broadcast_to(np.asarray(dt, dtype=np.float64), (len(block),)))
+    return _joined(parts)
+
+
+# --- opening ---
+
+
+def open_log(
+    path: str | os.PathLike[str],
+    roles: Mapping[str, str | None],
+    reading: Reading | None = None,
+    units: Mapping[str, str] | None = None,
+    optional: Sequence[str] = ("time",),
+) -> Log:
+    """Open a log and give every role its column.
+
+    Parameters
+    ----------
+    path
+        A file, ``FILE::PART``, or ``-`` for standard input.
+    roles
+        ``time``, ``voltage``, ``displacement``, ``input``, ``trajectory``, ``desired`` or
+        ``measured``, each with what the user typed (a header name, a path, a number from
+        1, or ``FILE::COLUMN``), or None.
+    reading
+        How the file is to be read.
+    units
+        By role, the unit that the values are wanted in.
+    optional
+        Roles that may be absent.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or it is not clear which columns are meant.
+    UsageError
+        The options contradict each other or are malformed.
+    """
+    reading = reading or Reading()
+    units = units or {}
+    name = os.fspath(path)
+    elsewhere = {
+        role: text for role, text in roles.items() if text and "::" in str(text)
+    }
+    if "time" in elsewhere:
+        raise UsageError(
+            f"`time` {elsewhere['time']}: the time stands in the log itself"
+        )
+    own = {role: text for role, text in roles.items() if role not in elsewhere}
+    log = _open_file(name, own, reading, units, optional)
+    if elsewhere:
+        log = _with_others(log, elsewhere, reading, units)
+    if reading.resample is not None:
+        log = _resampled(log, reading.resample)
+    return log
+
+
+def _with_others(
+    log: Log, elsewhere: Mapping[str, str], reading: Reading, units: Mapping[str, str]
+) -> Log:
+    """Join columns of other files to a log, one file after the other."""
+    from dbo_cli.logs.join import joined
+
+    logs = [log]
+    try:
+        by_file: dict[str, dict[str, str | None]] = {}
+        for role, text in elsewhere.items():
+            file, _, column = text.rpartition("::")
+            by_file.setdefault(file, {})[role] = column
+        for file, roles in by_file.items():
+            other = replace(reading, rows=None, resample=None)
+            logs.append(_open_file(file, roles, other, units, ()))
+        return joined(logs, replace(reading, resample=None))
+    finally:
+        for one in logs:
+            one.close()
+
+
+def columns_of(
+    path: str | os.PathLike[str], reading: Reading | None = None
+) -> list[Column]:
+    """Return all columns of a log.
+
+    Raises
+    ------
+    InputError
+        It cannot be read.
+    """
+    source = open_source(os.fspath(path), reading or Reading())
+    source.close()
+    return source.columns
+
+
+def columns_of_names(
+    names: Sequence[str],
+    roles: Mapping[str, str | None],
+    units: Mapping[str, str] | None = None,
+) -> dict[str, Column]:
+    """Return the columns of a frame by its header names; the time is left out where there is none.
+
+    Raises
+    ------
+    InputError
+        It is not clear which columns are meant.
+    """
+    source = Source()
+    source.name = "the frame"
+    source.columns = []
+    for number, name in enumerate(names, start=1):
+        source.columns.append(Column(number, name, split_header(name)[1]))
+    clock, picks = _chosen(source, roles, Reading(), units or {}, ("time",))
+    if clock.column is not None:
+        picks["time"] = clock.column
+    return picks
+
+
+def open_source(name: str, reading: Reading) -> Source:
+    """Open a file with the reader that its first bytes ask for.
+
+    Raises
+    ------
+    InputError
+        It cannot be read.
+    """
+    path, _, part = name.partition("::")
+    if path != "-" and not _is_text(path):
+        from dbo_cli.logs.formats import reader_of
+
+        reader = reader_of(path, _start_of(path))
+        if reader is not None:
+            return reader(path, part, reading)
+    from dbo_cli.logs.text import open_text
+
+    return open_text(path, part, reading)
+
+
+def _start_of(path: str) -> bytes:
+    """Return the first bytes of a file; none where it cannot be read, which the reader says."""
+    try:
+        if not os.path.isfile(path):
+            return b""
+        with open(path, "rb") as file:
+            return file.read(512)
+    except OSError:
+        return b""
+
+
+def _is_text(path: str) -> bool:
+    """Return whether a file is text by its ending, and nothing in its first bytes speaks against it."""
+    if not path.lower().endswith(_TEXT_ENDINGS):
+        return False
+    start = _start_of(path)
+    return b"\0" not in start or start.startswith(b"\x1f\x8b")
+
+
+def _open_file(
+    name: str,
+    roles: Mapping[str, str | None],
+    reading: Reading,
+    units: Mapping[str, str],
+    optional: Sequence[str],
+) -> Log:
+    """Open one file as a log."""
+    rows = parse_rows(reading.rows)
+    source = open_source(name, reading)
+    try:
+        clock, picks = _chosen(source, roles, reading, units, optional)
+        scales = _scales(source.name, picks, reading.scale, units, source.remarks)
+    except BaseException:
+        source.close()
+        raise
+    stream = _Rows(source, clock, picks, scales, rows, reading.skip_bad)
+    columns = {role: replace(picks[role], unit=scales[role].unit) for role in picks}
+    return Log(source.name, columns, clock, stream.blocks, source.remarks, source.close)
+
+
+def _chosen(
+    source: Source,
+    roles: Mapping[str, str | None],
+    reading: Reading,
+    units: Mapping[str, str],
+    optional: Sequence[str],
+) -> tuple[Clock, dict[str, Column]]:
+    """Choose the clock and the columns of the roles."""
+    selectors = {role: text for role, text in roles.items() if role != "time"}
+    used = []
+    for role, text in selectors.items():
+        if text is not None:
+            used.append(named(source, text, role))
+    clock = find_clock(source, reading, roles.get("time"), used)
+    taken = [] if clock.column is None else [clock.column]
+    return clock, choose(source, selectors, taken, units, optional)
+
+
+# --- rows ---
+
+
+@dataclass
+class _Rows:
+    """The rows of one file as blocks by role."""
+
+    source: Source
+    clock: Clock
+    picks: Mapping[str, Column]
+    scales: Mapping[str, Scale]
+    rows: tuple[int, int | None]
+    skip_bad: bool
+    dropped: int = 0
+    first_dropped: str = ""
+
+    def blocks(self) -> Iterator[Block]:
+        """Read the file once."""
+        stamped = self.clock.kind in ("column", "stamps")
+        chosen = list(self.picks.values())
+        if stamped and self.clock.column is not None:
+            chosen.append(self.clock.column)
+        first, last = self.rows
+        row, kept = 1, 0
+        before: float | None = None
+        for arrays in self.source.blocks(chosen):
+            count = len(arrays[0])
+            part = slice(
+                max(0, first - row), None if last is None else max(0, last - row + 1)
+            )
+            numbers = np.arange(row, row + count)[part]
+            good = self._good(numbers, chosen, [array[part] for array in arrays])
+            row += count
+            if good is not None:
+                block = self._block(numbers[good[0]], good[1], stamped, before)
+                kept += len(block)
+                if block.time is not None:
+                    before = float(block.time[-1])
+                yield block
+            if last is not None and row > last:
+                break
+        self._finish(kept, row)
+
+    def _good(
+        self,
+        numbers: NDArray[np.int64],
+        chosen: Sequence[Column],
+        arrays: list[NDArray[Any]],
+    ) -> tuple[Any, list[NDArray[Any]]] | None:
+        """Return which rows hold numbers, and their arrays; None where none does."""
+        bad = np.zeros(len(numbers), dtype=bool)
+        for column, array in zip(chosen, arrays, strict=True):
+            bad |= is_bad(array, column)
+        if not bad.any():
+            return (slice(None), arrays) if len(numbers) else None
+        at = int(np.argmax(bad))
+        place = ""
+        for column, array in zip(chosen, arrays, strict=True):
+            if not place and is_bad(array[at : at + 1], column)[0]:
+                place = self.source.where(int(numbers[at]), column)
+        if not self.skip_bad:
+            others = int(np.count_nonzero(bad)) - 1
+            more = f", and {others:,} more such rows near it" if others else ""
+            raise InputError(f"{place}{more} (`skip_bad` leaves such rows out)")
+        self.first_dropped = self.first_dropped or place
+        self.dropped += int(np.count_nonzero(bad))
+        if bad.all():
+            return None
+        return ~bad, [array[~bad] for array in arrays]
+
+    def _block(
+        self,
+        numbers: NDArray[np.int64],
+        arrays: list[NDArray[Any]],
+        stamped: bool,
+        before: float | None,
+    ) -> Block:
+        """Turn arrays into a block: times in seconds, values in the units asked for."""
+        time = self.clock.times(numbers, arrays[-1] if stamped else None)
+        values = {}
+        for role, array in zip(self.picks, arrays, strict=False):
+            values[role] = multiplied(array, self.scales[role].factor)
+        return Block(time, values, int(numbers[0]), self.clock.steps(time, before))
+
+    def _finish(self, kept: int, row: int) -> None:
+        """Tell what was skipped, and refuse a log without a row."""
+        if self.dropped:
+            s = "" if self.dropped == 1 else "s"
+            self.source.remarks.append(
+                f"{self.dropped:,} row{s} left out, the first: {self.first_dropped}"
+            )
+        if not kept and self.rows[0] >= row > 1:
+            raise InputError(
+                f"{self.source.name}: `rows` {self.rows[0]}: the log has {row - 1:,} data rows"
+            )
+        if not kept:
+            raise InputError(f"{self.source.name}: no good data row")
+        self.clock.close()
+        self.source.remarks.extend(self.clock.remarks)
+
+
+# --- options ---
+
+
+def parse_rows(rows: str | tuple[int, int | None] | None) -> tuple[int, int | None]:
+    """Read ``rows``: the first and the last data row, counted from 1; either may be left out.
+
+    Raises
+    ------
+    UsageError
+        It is no range.
+    """
+    if rows is None:
+        return 1, None
+    if isinstance(rows, str):
+        match = re.fullmatch(r"\s*(\d{0,15})\s*:\s*(\d{0,15})\s*", rows, re.ASCII)
+        if match is None:
+            raise UsageError(
+                f"`rows` {rows}: give A:B, data rows counted from 1, both ends included"
+            )
+        first = int(match[1] or 1)
+        last = int(match[2]) if match[2] else None
+    else:
+        first, last = rows
+    if first < 1 or (last is not None and last < first):
+        raise UsageError(
+            f"`rows` {first}:{last}: rows are counted from 1, and the last is not before the first"
+        )
+    return first, last
+
+
+def parse_scale(text: str) -> tuple[str, str]:
+    """Read ``ROLE=FACTOR`` or ``ROLE=FACTORUNIT/UNIT``.
+
+    Raises
+    ------
+    UsageError
+        It is not of that form.
+    """
+    role, sign, factor = text.partition("=")
+    if not sign or not role.strip() or _SCALE.fullmatch(factor) is None:
+        raise UsageError(
+            f"`scale` {text}: give ROLE=FACTOR or ROLE=FACTORUNIT/UNIT, such as voltage=20 or "
+            "displacement=10um/V"
+        )
+    return role.strip().lower(), factor.strip()
+
+
+@dataclass(frozen=True)
+class Scale:
+    """By what the figures of a column are multiplied, and the unit that they then have."""
+
+    factor: Fraction = Fraction(1)
+    unit: str | None = None
+
+
+def _scales(
+    name: str,
+    picks: Mapping[str, Column],
+    wishes: Mapping[str, str | float],
+    units: Mapping[str, str],
+    remarks: list[str],
+) -> dict[str, Scale]:
+    """Return the scale of every role: what the user gives, then the unit that is wanted.
+
+    Raises
+    ------
+    InputError
+        A unit cannot be converted.
+    UsageError
+        A scale is given for a role that is not there.
+    """
+    for role in wishes:
+        if role not in picks:
+            raise UsageError(f"`scale` {role}=...: give one of {', '.join(picks)}")
+    scales = {}
+    for role, column in picks.items():
+        factor, unit = Fraction(1), column.unit
+        if role in wishes:
+            factor, unit = _wished(name, role, column, str(wishes[role]))
+        wanted = units.get(role)
+        if wanted is not None and unit is None:
+            remarks.append(f"{column.label} has no unit: {wanted} is assumed")
+        if wanted is not None:
+            try:
+                factor *= ratio(unit, wanted)
+            except InputError:
+                raise InputError(
+                    f"{name}: {column.label} is in {unit}, and {wanted} is needed (`scale` "
+                    f"{role}=FACTOR{wanted}/{unit})"
+                ) from None
+            unit = spell(wanted)
+        scales[role] = Scale(factor, unit)
+    return scales
+
+
+def _wished(
+    name: str, role: str, column: Column, text: str
+) -> tuple[Fraction, str | None]:
+    """Return the factor of a scale and the unit after it."""
+    match = _SCALE.fullmatch(text)
+    if match is None or float(match[1]) == 0.0 or not abs(float(match[1])) < 1e250:
+        raise UsageError(
+            f"`scale` {role}={text}: give a factor that is not 0, or one with units such as 10um/V"
+        )
+    factor = Fraction(match[1])
+    if match[2] is None:
+        return factor, column.unit
+    try:
+        factor *= ratio(column.unit, match[3])
+    except InputError:
+        raise InputError(
+            f"{name}: {column.label} is in {column.unit}, but `scale` {role}={text} takes {match[3]}"
+        ) from None
+    return factor, spell(match[2])
+
+
+def _resampled(log: Log, rate: float) -> Log:
+    """Return a log at an even rate, by linear interpolation between its rows.
+
+    Raises
+    ------
+    InputError
+        It has no clock, repeats stamps, or lasts less than a step.
+    UsageError
+        The rate is not positive.
+    """
+    if not 0.0 < rate < np.inf:
+        raise UsageError(
+            f"`resample` {rate:g}: give a positive number of samples a second"
+        )
+    with log:
+        table = log.read()
+    if table.time is None:
+        raise InputError(
+            f"{log.name}: `resample` needs a clock (`time` COLUMN or `sample_rate` HZ)"
+        )
+    span = float(table.time[-1] - table.time[0])
+    count = int(np.floor(span * rate * (1.0 + 1e-12))) + 1
+    if count < 2 or count > 1_000_000_000:
+        raise InputError(f"{log.name}: `resample` {rate:g}: the log lasts {span:.4g} s")
+    time = table.time[0] + np.arange(count) / rate
+    values = {}
+    for role, array in table.values.items():
+        values[role] = np.interp(time, table.time, array)
+    clock = Clock(
+        log.name, "rate", rate=rate, start=float(table.time[0]), step=1.0 / rate
+    )
+    clock.rows, clock.first, clock.last = count, float(time[0]), float(time[-1])
+    log.remarks.append(
+        f"{table.rows:,} rows are interpolated to {count:,} at {rate:g} Hz"
+    )
+    even = Table(time, values, 1.0 / rate, table.origin)
+    return Log.of_table(log.name, log.columns, even, clock, log.remarks)
+
+
+__all__ = [
+    "Log",
+    "columns_of",
+    "columns_of_names",
+    "open_log",
+    "parse_rows",
+    "parse_scale",
+]

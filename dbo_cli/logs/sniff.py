@@ -1,0 +1,292 @@
+"""How a text log is written, found on its first lines as a person would find it.
+
+The last of these lines decide the delimiter, the decimal sign and the columns; the
+first line that is written as they are is the first row; names and units stand right
+above it. What is not clear is refused with the option that says it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs.cells import MISSING, STAMPS, is_number, split_cells, stamp_format
+from dbo_cli.logs.headers import Header, find_header
+from dbo_cli.logs.source import Column, Reading
+from dbo_cli.units import parse_unit, spell, split_header
+
+COMMENTS = "#%"
+"""A line that begins with one of these is a comment."""
+
+_SAMPLE = 60  # rows from which the dialect is found
+DELIMITERS = {
+    "comma": ",", "semicolon": ";", "tab": "\t", "blanks": " ", "space": " ", "pipe": "|",
+}  # fmt: skip
+_DECIMALS = {"point": ".", "comma": ",", ".": ".", ",": ","}
+_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}", re.ASCII)
+
+
+@dataclass
+class Layout:
+    """How a text log is written.
+
+    Attributes
+    ----------
+    delimiter, decimal
+        The signs; ``decimal`` is None while no cell shows it.
+    width
+        The number of columns.
+    numeric
+        The columns of numbers (from 0).
+    stamps
+        The format of the columns of time stamps.
+    first
+        The index of the line of the first row.
+    """
+
+    delimiter: str
+    decimal: str | None
+    width: int = 0
+    numeric: frozenset[int] = frozenset()
+    stamps: dict[int, str] = field(default_factory=dict)
+    first: int = 0
+    header: Header = field(default_factory=Header)
+
+    def cells(self, line: str) -> list[str]:
+        """Split a line."""
+        return split_cells(line, self.delimiter)
+
+    def fits(self, cells: Sequence[str]) -> bool:
+        """Return whether cells are written as those of the rows."""
+        if len(cells) != self.width:
+            return False
+        sign = self.decimal or "."
+        for n in self.numeric:
+            if not is_number(cells[n], sign) and not is_number(
+                cells[n], self.decimal or ","
+            ):
+                return False
+        return all(STAMPS[form].fullmatch(cells[n]) for n, form in self.stamps.items())
+
+    def partly_fits(self, cells: Sequence[str]) -> bool:
+        """Return whether half of the numbers stand where the rows have theirs."""
+        sign = self.decimal or "."
+        places = [n for n in self.numeric if n < len(cells)]
+        numbers = [n for n in places if is_number(cells[n], sign)]
+        return bool(numbers) and 2 * len(numbers) >= len(self.numeric)
+
+
+def is_comment(line: str) -> bool:
+    """Return whether a line is blank or a comment."""
+    plain = line.strip()
+    return not plain or plain[0] in COMMENTS
+
+
+def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
+    """Find out how a log is written; what the user says is not looked for.
+
+    Parameters
+    ----------
+    name
+        The file, for messages.
+    lines
+        The first lines, without their ends.
+    reading
+        ``delimiter``, ``decimal`` and ``skip_lines`` as the user gave them.
+
+    Raises
+    ------
+    InputError
+        There are no rows of numbers, or it is not clear how they are written.
+    """
+    skipped = reading.skip_lines or 0
+    if not any(line.strip() for line in lines):
+        raise InputError(f"{name}: the file is empty")
+    rows = [n for n in range(skipped, len(lines)) if not is_comment(lines[n])]
+    sample = [lines[n] for n in rows[-_SAMPLE:]]
+    layout = _best_layout(sample, reading)
+    if layout is None:
+        raise InputError(
+            f"{name}: no data rows: no line holds numbers (`delimiter`, `decimal` or `skip_lines` if it has any)"
+        )
+    _refuse_thousands(name, layout, sample, reading)
+    layout.first = _first_row(layout, lines, rows)
+    _refuse_other_rows(name, layout, lines, rows)
+    layout.header = find_header(
+        name,
+        list(lines),
+        skipped,
+        layout.first,
+        layout.delimiter,
+        layout.numeric,
+        layout.width,
+    )
+    return layout
+
+
+def delimiter_of(text: str) -> str:
+    """Read the option ``delimiter``.
+
+    Raises
+    ------
+    UsageError
+        It is neither a known name nor a single character.
+    """
+    mark = DELIMITERS.get(text, "\t" if text == "\\t" else text)
+    if len(mark) != 1 or not mark.isascii() or mark.isalnum() or mark in '"\n\r+-.':
+        raise UsageError(
+            f"`delimiter` {text}: give a single character or one of {', '.join(DELIMITERS)}"
+        )
+    return mark
+
+
+def decimal_of(text: str) -> str:
+    """Read the option ``decimal``.
+
+    Raises
+    ------
+    UsageError
+        It is neither point nor comma.
+    """
+    if text not in _DECIMALS:
+        raise UsageError(f"`decimal` {text}: give point or comma")
+    return _DECIMALS[text]
+
+
+def _best_layout(sample: Sequence[str], reading: Reading) -> Layout | None:
+    """Return the layout under which most of the cells are numbers in rows of one width."""
+    marks = list(dict.fromkeys(DELIMITERS.values()))
+    if reading.delimiter is not None:
+        marks = [delimiter_of(reading.delimiter)]
+    signs = [".", ","]
+    if reading.decimal is not None:
+        signs = [decimal_of(reading.decimal)]
+    quoted = any('"' in line for line in sample)
+    best, layout = (0.0, False, False), None
+    for mark in marks:
+        for sign in signs:
+            if mark == sign and not quoted:
+                continue
+            share, found = _judged(sample, mark, sign)
+            score = (round(share, 9), found.width > 1, mark != " ")
+            if share > 0.0 and score > best:
+                best, layout = score, found
+    if layout is not None and reading.decimal is None:
+        cells = [cell for line in sample for cell in layout.cells(line)]
+        numbers = [cell for cell in cells if is_number(cell, layout.decimal or ".")]
+        if layout.delimiter != "," and not any("," in c or "." in c for c in numbers):
+            layout.decimal = None
+    return layout
+
+
+def _judged(sample: Sequence[str], mark: str, sign: str) -> tuple[float, Layout]:
+    """Split lines with a delimiter: the share of cells that are numbers, and the layout."""
+    layout = Layout(mark, sign)
+    table = [split_cells(line, mark) for line in sample]
+    shares: dict[int, float] = {}
+    for cells in table:
+        filled = [cell for cell in cells if cell.lower() not in MISSING]
+        numbers = [cell for cell in filled if is_number(cell, sign)]
+        if numbers:
+            share = len(numbers) / len(filled)
+            shares[len(cells)] = shares.get(len(cells), 0.0) + share
+    if not shares:
+        return 0.0, layout
+    layout.width = max(shares, key=lambda width: (shares[width], width))
+    rows = [cells for cells in table if len(cells) == layout.width]
+    numeric = []
+    for n in range(layout.width):
+        column = [row[n] for row in rows]
+        numbers = [cell for cell in column if is_number(cell, sign)]
+        if 2 * len(numbers) >= len(column):
+            numeric.append(n)
+            continue
+        # the rows are the last lines: a header does not hide the stamps' format
+        form = stamp_format(column[len(column) // 2 :])
+        if form is not None:
+            layout.stamps[n] = form
+    layout.numeric = frozenset(numeric)
+    return (shares[layout.width] / len(sample) if numeric else 0.0), layout
+
+
+def _refuse_thousands(
+    name: str, layout: Layout, sample: Sequence[str], reading: Reading
+) -> None:
+    """Refuse commas that may stand between thousands as well as before decimals."""
+    if reading.decimal is not None or layout.decimal != ",":
+        return
+    cells = [cell for line in sample for cell in layout.cells(line)]
+    commas = [cell for cell in cells if re.search(r"\d,\d|,\d|\d,", cell)]
+    if commas and all(_THOUSANDS.fullmatch(cell) for cell in commas):
+        cell = commas[0]
+        raise InputError(
+            f"{name}: '{cell}' may be {cell.replace(',', '')} or {cell.replace(',', '.')} "
+            "(`decimal` point or `decimal` comma)"
+        )
+
+
+def _first_row(layout: Layout, lines: Sequence[str], rows: Sequence[int]) -> int:
+    """Find the first line that is written as the last ones are.
+
+    Lines right above it with numbers in their places are rows, too: they are to be
+    refused, not passed over.
+    """
+    fitting = (k for k, n in enumerate(rows) if layout.fits(layout.cells(lines[n])))
+    place = next(fitting, None)
+    if place is None:
+        partly = (
+            k for k, n in enumerate(rows) if layout.partly_fits(layout.cells(lines[n]))
+        )
+        place = next(partly, 0)
+    while place > 0 and layout.partly_fits(layout.cells(lines[rows[place - 1]])):
+        place -= 1
+    return rows[place]
+
+
+def _refuse_other_rows(
+    name: str, layout: Layout, lines: Sequence[str], rows: Sequence[int]
+) -> None:
+    """Refuse lines of numbers above the rows: they may be rows of another width."""
+    for n in rows:
+        if n >= layout.first:
+            return
+        cells = [cell for cell in layout.cells(lines[n]) if cell]
+        if cells and all(is_number(cell, layout.decimal or ".") for cell in cells):
+            raise InputError(
+                f"{name}:{n + 1}: {len(cells)} numbers above the rows of {layout.width} columns that begin in "
+                f"line {layout.first + 1} (`skip_lines` {n + 1} leaves them out)"
+            )
+
+
+def describe_columns(name: str, layout: Layout) -> list[Column]:
+    """Describe every column by its name, its unit and what its cells hold.
+
+    Raises
+    ------
+    InputError
+        A column's name and its units line state different units.
+    """
+    columns = []
+    for n in range(layout.width):
+        kind = "text"
+        if n in layout.numeric:
+            kind = "number"
+        elif n in layout.stamps:
+            kind = "stamp"
+        header, unit = layout.header.names[n], spell(layout.header.units[n])
+        stated = split_header(header)[1]
+        if (
+            stated
+            and unit
+            and parse_unit(stated)
+            and parse_unit(unit)
+            and stated != unit
+        ):
+            raise InputError(
+                f"{name}: column '{header}' is in {unit} by the line of units (`skip_lines` "
+                f"{layout.first} leaves out the header)"
+            )
+        columns.append(Column(n + 1, header, unit or stated, kind))
+    return columns

@@ -1,0 +1,419 @@
+"""Delimited text: bytes to blocks of whole lines, and these to arrays.
+
+polars reads a block at once, fenced: it makes null rows of blank lines and nulls of
+short rows, takes ``2.5`` under a decimal comma, passes long rows where it reads some
+columns only, and panics at a lone quote. A block that is not regular is read line by
+line. A small file is read line by line at once, and does without polars.
+"""
+
+from __future__ import annotations
+
+import codecs
+import gzip
+import io
+import os
+import re
+import select
+import stat
+import sys
+import zlib
+from collections.abc import Iterator, Sequence
+from typing import IO, Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs.cells import split_cells, to_number, to_stamp
+from dbo_cli.logs.record_end import cut_record
+from dbo_cli.logs.sniff import COMMENTS, describe_columns, is_comment, sniff
+from dbo_cli.logs.source import NOT_A_TIME, Column, Reading, Source
+
+_HEAD = 1 << 18  # bytes from which the layout is found
+_BLOCK = 1 << 23  # bytes of text at a time
+_LONGEST_LINE = 1 << 24  # what is longer has no line ends
+_SMALL = 1 << 16  # bytes that are read faster than polars is imported
+_MARKS = {
+    codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be",
+}  # fmt: skip
+_UNREAD = {
+    b"BZh": "compressed with bzip2: unpack it, or compress it with gzip",
+    b"\xfd7zXZ": "compressed with xz: unpack it, or compress it with gzip",
+    b"(\xb5/\xfd": "compressed with zstd: unpack it, or compress it with gzip",
+    b"PK\x03\x04": "a zip archive: unpack it",
+    b"%PDF": "a PDF document: give the measured data as CSV",
+}
+
+
+class ByteStream:
+    """The bytes of a file, of a gzip file or of standard input."""
+
+    def __init__(self, name: str, content: bytes | None = None) -> None:
+        """Open a file; ``-`` is standard input, and content in memory needs no file.
+
+        Raises
+        ------
+        InputError
+            It cannot be opened, or its first bytes are those of no text.
+        """
+        self.name = name
+        self._pipe: int | None = None
+        self._file = self._opened(name) if content is None else io.BytesIO(content)
+        start = self._first_bytes()
+        for magic, what in _UNREAD.items():
+            if start.startswith(magic):
+                raise InputError(f"{name}: this is not a text log but {what}")
+        self.is_stream = self._pipe is not None
+        if start.startswith(b"\x1f\x8b"):
+            self._file = cast(IO[bytes], gzip.GzipFile(fileobj=self._file))
+            self._pipe = None
+            self.is_stream = True
+
+    def _opened(self, name: str) -> IO[bytes]:
+        if name == "-":
+            stream = sys.stdin.buffer
+        else:
+            try:
+                stream = open(name, "rb")  # type: ignore[assignment]  # noqa: SIM115
+            except FileNotFoundError:
+                raise InputError(f"{name}: no such file") from None
+            except IsADirectoryError:
+                raise InputError(f"{name}: this is a folder, not a log") from None
+            except (OSError, ValueError) as problem:
+                reason = getattr(problem, "strerror", None) or problem
+                raise InputError(f"{name}: cannot be read: {reason}") from None
+        try:
+            if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
+                self._pipe = stream.fileno()
+        except (OSError, ValueError, io.UnsupportedOperation):
+            pass  # text in memory
+        return cast(IO[bytes], stream)
+
+    def _first_bytes(self) -> bytes:
+        if not hasattr(self._file, "peek"):
+            self._file = cast(IO[bytes], io.BufferedReader(cast(Any, self._file)))
+        return cast(bytes, self._file.peek(8)[:8])  # type: ignore[attr-defined]
+
+    def read(self, size: int) -> bytes:
+        """Read up to a size; from a pipe what has arrived, and empty at the end.
+
+        Raises
+        ------
+        InputError
+            The file cannot be read, or packed data are damaged.
+        """
+        try:
+            if self._pipe is None:
+                return self._file.read(size)
+            return self._arrived(size)
+        except (EOFError, zlib.error, gzip.BadGzipFile):
+            raise InputError(
+                f"{self.name}: the gzip data are damaged or end early"
+            ) from None
+        except OSError as problem:
+            raise InputError(
+                f"{self.name}: cannot be read: {problem.strerror}"
+            ) from None
+
+    def _arrived(self, size: int) -> bytes:
+        """Read what a pipe has; wait for the first byte only."""
+        assert self._pipe is not None
+        pieces = [self._file.read1(size)]  # type: ignore[attr-defined]
+        while pieces[-1] and sum(map(len, pieces)) < size and self.has_more():
+            pieces.append(self._file.read1(size))  # type: ignore[attr-defined]
+        return b"".join(pieces)
+
+    def has_more(self) -> bool:
+        """Return whether a pipe has bytes (or its end) to be read now."""
+        if self._pipe is None:
+            return True
+        return bool(select.select([self._pipe], [], [], 0.0)[0])
+
+    def close(self) -> None:
+        """Close the file (never standard input)."""
+        if self.name != "-":
+            self._file.close()
+
+
+def open_text(
+    name: str, part: str, reading: Reading, content: bytes | None = None
+) -> TextSource:
+    """Open a text log, or one that is in memory already; see ``Source``.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or it is not clear how it is written.
+    """
+    if part and content is None:
+        raise UsageError(
+            f"{name}::{part}: '::' names a part of a file, and this is a text file"
+        )
+    stream = ByteStream(name, content)
+    try:
+        return TextSource(name, stream, reading)
+    except BaseException:
+        stream.close()
+        raise
+
+
+class TextSource(Source):
+    """A text log: its columns at once, its rows in blocks."""
+
+    def __init__(self, name: str, stream: ByteStream, reading: Reading) -> None:
+        self.name = name
+        self.remarks = []
+        self._stream = stream
+        self._encoding = ""
+        self._mac = False
+        self._reading = reading
+        self._ended = False
+        self._pending = b""  # bytes of an unfinished line or letter
+        self._head = self._read_head()
+        lines = self._lines_of(self._head)
+        if not self._ended and len(lines) > 2:
+            lines.pop()  # perhaps not whole
+        self.layout = sniff(name, lines, reading)
+        self.columns = describe_columns(name, self.layout)
+        header = self.layout.header
+        self.rate, self.start = header.rate, header.start
+        self.rate_problem = header.rate_problem
+        self.rate_remarks = header.remarks
+        self._text = b""  # the last block, and the number of its first line
+        self._line = 1
+        self._row = 1
+
+    # --- bytes to whole lines ---
+
+    def _read_head(self) -> bytes:
+        """Read the first lines; from a pipe what has arrived once it holds a row."""
+        head = b""
+        while len(head) < _HEAD:
+            data = self._stream.read(_HEAD - len(head))
+            self._ended = not data
+            head += data
+            if self._ended or (self._stream.is_stream and self._is_enough(head)):
+                break
+        self._encoding = self._find_encoding(head)
+        for mark in _MARKS:
+            if head.startswith(mark):
+                head = head.removeprefix(mark)
+        self._mac = b"\r" in head[:-1] and b"\n" not in head
+        return self._plain(head)
+
+    def _is_enough(self, head: bytes) -> bool:
+        """Return whether a pipe has paused behind a row."""
+        if self._stream.has_more() or not head.endswith(b"\n"):
+            return False
+        try:
+            self._encoding = self._find_encoding(head)
+            sniff(self.name, self._lines_of(head), self._reading)
+        except InputError:
+            return False
+        return True
+
+    def _find_encoding(self, head: bytes) -> str:
+        """Return the encoding: by a mark, by NULs (UTF-16), UTF-8, else Western.
+
+        Raises
+        ------
+        InputError
+            The file is binary.
+        UsageError
+            The encoding that the user names is not known.
+        """
+        if self._reading.encoding is not None:
+            try:
+                return codecs.lookup(self._reading.encoding).name
+            except LookupError:
+                raise UsageError(
+                    f"`encoding` {self._reading.encoding}: there is no such text encoding"
+                ) from None
+        for mark, name in _MARKS.items():
+            if head.startswith(mark):
+                return name
+        even, odd = head[0:200:2].count(0), head[1:200:2].count(0)
+        if even or odd:
+            if min(even, odd) == 0 and max(even, odd) > 0.4 * len(head[0:200:2]):
+                return "utf-16-be" if even else "utf-16-le"
+            raise InputError(
+                f"{self.name}: this is a binary file, not a text log: export it as CSV or HDF5"
+            )
+        try:
+            codecs.getincrementaldecoder("utf-8")().decode(head)
+        except UnicodeDecodeError:
+            return "cp1252"
+        return "utf-8"
+
+    def _plain(self, data: bytes) -> bytes:
+        """Turn bytes into an ASCII superset with plain line ends; odd bytes wait for the next."""
+        data = self._pending + data
+        self._pending = b""
+        if self._encoding.startswith(("utf-16", "utf-32")):
+            rest = 0 if self._ended else len(data) % 4
+            if rest:
+                data, self._pending = data[:-rest], data[-rest:]
+            data = data.decode(self._encoding, errors="replace").encode()
+        elif self._encoding not in ("utf-8", "cp1252", "ascii", "latin-1", "iso8859-1"):
+            data = data.decode(self._encoding, errors="replace").encode()
+        if b"\r" in data:
+            data = data.replace(b"\r\n", b"\n")
+            if self._mac:
+                data = data.replace(b"\r", b"\n")
+        return data
+
+    def _lines_of(self, text: bytes) -> list[str]:
+        encoding = self._encoding if self._encoding == "cp1252" else "utf-8"
+        return text.decode(encoding, errors="replace").split("\n")
+
+    def _texts(self) -> Iterator[bytes]:
+        """Return the whole text in blocks of whole lines."""
+        data, tail = self._head, b""
+        self._head = b""
+        while True:
+            end = len(data) if self._ended else data.rfind(b"\n") + 1
+            if end:
+                yield tail + data[:end]
+                tail = data[end:]
+            else:
+                tail += data
+            if self._ended:
+                if tail and end == 0:
+                    yield tail
+                return
+            if len(tail) > _LONGEST_LINE:
+                raise InputError(
+                    f"{self.name}: a line is longer than 16 MB: no text log?"
+                )
+            data = self._stream.read(_BLOCK)
+            self._ended = not data
+            data = self._plain(data)
+
+    # --- lines to arrays ---
+
+    def blocks(self, chosen: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
+        """Return all rows of the chosen columns; see ``Source``."""
+        line = 1
+        above = b""
+        for text in self._texts():
+            self._line = line
+            line += text.count(b"\n")
+            if self._line <= self.layout.first:
+                parts = text.split(b"\n", self.layout.first - self._line + 1)
+                self._line = self.layout.first + 1
+                text = parts[-1]
+            if not text:
+                continue
+            if self._ended and not text.endswith(b"\n"):
+                self._look_at_end(text, above, chosen)
+            above = text[-4096:]
+            self._text = text
+            arrays = self._read_block(text, chosen)
+            rows = len(arrays[0])
+            if rows:
+                yield arrays
+            self._row += rows
+
+    def _read_block(self, text: bytes, chosen: Sequence[Column]) -> list[NDArray[Any]]:
+        """Read a block by polars, or line by line where it is small or not regular."""
+        self._decide_decimal(text)
+        if len(text) > _SMALL:
+            from dbo_cli.logs.fast_text import read_fast
+
+            arrays = read_fast(text, self.layout, chosen)
+            if arrays is not None:
+                return arrays
+        return self._read_lines(text, chosen)
+
+    def _decide_decimal(self, text: bytes) -> None:
+        """Find the decimal sign in the first cell that shows one, where the head has shown none."""
+        if self.layout.decimal is not None or (b"," not in text and b"." not in text):
+            return
+        for line in self._data_lines(text):
+            cells = split_cells(line, self.layout.delimiter)
+            for n in sorted(self.layout.numeric):
+                match = (
+                    re.fullmatch(r"[-+\d]*([.,])[\deE+-]*", cells[n])
+                    if n < len(cells)
+                    else None
+                )
+                if match is None:
+                    continue
+                if re.fullmatch(r"[-+]?[1-9]\d{0,2},\d{3}", cells[n]):
+                    raise InputError(
+                        f"{self.name}: '{cells[n]}' may be {cells[n].replace(',', '')} or "
+                        f"{cells[n].replace(',', '.')} (`decimal` point or `decimal` comma)"
+                    )
+                self.layout.decimal = match[1]
+                return
+
+    def _data_lines(self, text: bytes) -> list[str]:
+        return [line for line in self._lines_of(text) if not is_comment(line)]
+
+    def _read_lines(self, text: bytes, chosen: Sequence[Column]) -> list[NDArray[Any]]:
+        """Read a block in Python; what is no number is NaN, whatever the reason."""
+        sign = self.layout.decimal or "."
+        width, delimiter = self.layout.width, self.layout.delimiter
+        lines = self._data_lines(text)
+        arrays: list[NDArray[Any]] = []
+        rows = [split_cells(line, delimiter) for line in lines]
+        for column in chosen:
+            n = column.number - 1
+            if column.kind == "stamp":
+                form = self.layout.stamps[n]
+                values = np.full(len(rows), NOT_A_TIME, dtype=np.int64)
+                for k, cells in enumerate(rows):
+                    if len(cells) == width:
+                        values[k] = to_stamp(cells[n], form)
+            else:
+                values = np.full(len(rows), np.nan)
+                for k, cells in enumerate(rows):
+                    if len(cells) == width:
+                        values[k] = to_number(cells[n], sign)
+            arrays.append(values)
+        return arrays
+
+    def where(self, row: int, column: Column) -> str:
+        """Say in which line a row of the last block is, and what stands in a column of it."""
+        lines = self._lines_of(self._text)
+        places = [k for k, line in enumerate(lines) if not is_comment(line)]
+        place = places[row - self._row]
+        at = f"{self.name}:{self._line + place}"
+        cells = split_cells(lines[place], self.layout.delimiter)
+        if len(cells) != self.layout.width:
+            s = "" if len(cells) == 1 else "s"
+            return f"{at}: {len(cells)} cell{s} where the other rows have {self.layout.width}"
+        cell = cells[column.number - 1]
+        shown = cell if len(cell) < 40 else cell[:37] + "..."
+        if not cell:
+            return f"{at}: {column.label} is empty"
+        if column.kind == "stamp":
+            return (
+                f"{at}: {column.label} is not a time stamp like the others: '{shown}'"
+            )
+        return f"{at}: {column.label} is not a finite number: '{shown}'"
+
+    def _look_at_end(self, text: bytes, above: bytes, chosen: Sequence[Column]) -> None:
+        """Refuse a last line that was cut in a cell; say that it has no line end."""
+        lines = self._data_lines(above + b"\n" + text if above else text)
+        last = self._lines_of(text)[-1]
+        if is_comment(last) or len(lines) < 2:
+            return
+        number = self._line + text.count(b"\n")
+        rows = [split_cells(line, self.layout.delimiter) for line in lines[-60:]]
+        problem = cut_record(rows, self.layout.decimal or ".")
+        if problem and not self._reading.skip_bad:
+            raise InputError(
+                f"{self.name}:{number}: the last line has no line end, and {problem}: the record was cut there "
+                f"(end the line if it is whole, or leave it out: `rows` :{self._row + len(lines) - 2})"
+            )
+        self.remarks.append(
+            f"line {number}, the last one, has no line end: was the record cut there?"
+        )
+
+    def close(self) -> None:
+        """Close the file."""
+        self._stream.close()
+
+
+__all__ = ["COMMENTS", "TextSource", "open_text"]
