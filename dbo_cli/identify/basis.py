@@ -1,0 +1,289 @@
+"""What follows from the drive alone: columns that the output is a weighted sum of.
+
+A log's drive is brought to 0..1 (``PreparedLog``). Its columns are the engaged part of
+each slope cell (the difference of neighbouring plays: a cell is some gears that share a
+slope), the lags L_j of the drive, and what is left of it, x - L_j. Cells are finer for
+small distances since the turn. Everything may be delayed, and the drive may be bent
+before it by ``bend * x * (1 - x)``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.identify.recording import Floats
+from dbo_cli.model import kernel
+from dbo_cli.model.relaxation import Relaxation
+
+Integers = NDArray[np.int64]
+Section = object
+
+GEARS = 2048  # of a model, all of one width
+CELLS = 96  # different slopes among them
+CELL_GROWTH = 1.5  # a cell's upper edge grows with its number to this power
+BEND_SEGMENTS = 32  # of the points before the gears
+TAU_RATIO = 3.0  # of neighbouring time constants
+BLOCK_ROWS = 4096  # of the full rate that are held at once
+LANES = 8  # plays in a group of the kernel
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What is not linear, or not fitted: chosen on parts left out.
+
+    Attributes
+    ----------
+    slopes : "growing", "falling" or "free", over the distance since the turn
+    memories : "", "t" (lags) or "tr" (lags, and the drive less its lags)
+    smooth_slopes, smooth_curve : weights of squared second differences; an infinite
+        ``smooth_curve`` is a straight line
+    delay : seconds
+    bend : of the drive
+    drift : order of the polynomial in time fitted beside the model
+    sections : dynamics behind the gears
+    """
+
+    slopes: str = "growing"
+    memories: str = "t"
+    smooth_slopes: float = 1e-4
+    smooth_curve: float = np.inf
+    delay: float = 0.0
+    bend: float = 0.0
+    drift: int = 0
+    sections: tuple[Section, ...] = ()
+
+
+@dataclass(frozen=True)
+class PreparedLog:
+    """A cleaned log in units of the fit.
+
+    Attributes
+    ----------
+    drive, output : shape (n,), 0 to 1 over the range of all logs; the output rises with
+        the drive
+    time : shape (n,), seconds (rows where there is no clock)
+    steps : seconds since the sample before, a number where the clock is even
+    start : "empty", "full" or "settled": where the gears stand at the first row
+    rows : the rows that are fitted
+    """
+
+    name: str
+    drive: Floats
+    output: Floats
+    time: Floats
+    steps: float | Floats
+    start: str
+    rows: Integers
+
+    @property
+    def dt(self) -> float:
+        """The usual step in seconds."""
+        return float(np.median(self.steps))
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Gears of one width that share slopes in groups.
+
+    Attributes
+    ----------
+    gears : shape (cells,), how many gears each cell holds
+    """
+
+    gears: Integers
+
+    @staticmethod
+    def of(gears: int = GEARS, cells: int = CELLS) -> Cells:
+        """Return at most ``cells`` groups of ``gears`` gears, finer for small distances."""
+        part = np.linspace(0.0, 1.0, min(cells, gears) + 1) ** CELL_GROWTH
+        edges = np.unique(np.round(gears * part).astype(np.int64))
+        return Cells(np.diff(edges))
+
+    @property
+    def count(self) -> int:
+        """How many slopes there are."""
+        return len(self.gears)
+
+    @property
+    def widths(self) -> Floats:
+        """Width of each cell as a share of the drive's range; shape (cells,)."""
+        widths: Floats = self.gears / float(self.gears.sum())
+        return widths
+
+    @property
+    def reach(self) -> Floats:
+        """Reach of the plays at the cells' edges: half the distance; shape (cells + 1,)."""
+        reach: Floats = np.concatenate(([0.0], np.cumsum(self.gears))) / (
+            2.0 * float(self.gears.sum())
+        )
+        return reach
+
+
+def plays_at_start(first: float, reach: Floats, start: str) -> Floats:
+    """Return where plays of these reaches stand before the first drive value.
+
+    "settled" is what an oscillation leaves that decays from the whole range to
+    ``first``.
+    """
+    if start == "empty":
+        return np.maximum(reach, first - reach)
+    if start == "full":
+        return np.minimum(1.0 - reach, first + reach)
+    if first <= 0.5:
+        return np.maximum(reach, first)
+    return np.minimum(1.0 - reach, first)
+
+
+def start_of(first: float) -> str:
+    """Return the start that a model takes by itself."""
+    return "empty" if first <= 0.0 else "settled"
+
+
+def bent(drive: Floats, bend: float) -> Floats:
+    """Return the drive bent by ``bend * x * (1 - x)``, straight between 33 points and beyond them."""
+    if not bend:
+        return drive
+    grid = np.linspace(0.0, 1.0, BEND_SEGMENTS + 1)
+    curve = grid + bend * grid * (1.0 - grid)
+    inside: Floats = np.interp(drive, grid, curve)
+    slope = np.diff(curve) * BEND_SEGMENTS
+    below, above = np.minimum(drive, 0.0), np.maximum(drive - 1.0, 0.0)
+    return inside + slope[0] * below + slope[-1] * above
+
+
+def time_constants(logs: Sequence[PreparedLog]) -> Floats:
+    """Return the time constants (s) from the shortest step in threes to half the longest log."""
+    shortest = min(log.dt for log in logs)
+    longest = max(float(log.time[-1] - log.time[0]) for log in logs) / 2.0
+    count = max(int(np.ceil(np.log(longest / shortest) / np.log(TAU_RATIO))), 0)
+    return np.append(shortest * TAU_RATIO ** np.arange(count), longest)
+
+
+@dataclass
+class Basis:
+    """Columns of one log at the rows wanted, for one delay, bend and set of sections.
+
+    Attributes
+    ----------
+    cells : the slope cells
+    taus : shape (terms,), time constants in seconds
+    """
+
+    cells: Cells
+    taus: Floats
+    _kept: dict[object, Floats] = field(default_factory=dict)
+
+    def columns(
+        self, log: PreparedLog, structure: Structure, rows: Integers
+    ) -> Floats:
+        """Return the table (rows, cells + 2 terms): engaged parts, lags, and drive less its lags."""
+        wanted, weights = _delayed_rows(log, structure.delay, rows)
+        needed, place = np.unique(wanted, return_inverse=True)
+        table = self._at_rows(log, structure, needed)
+        picked = table[place.reshape(wanted.shape)]
+        late = np.einsum("krc,kr->rc", picked, weights)
+        plays = self.cells.count + 1
+        drive, lags = late[:, :1], late[:, plays:-1]
+        engaged = late[:, : plays - 1] - late[:, 1:plays]
+        engaged[:, -1] += late[:, -1]
+        return np.hstack((engaged, lags, drive + late[:, -1:] - lags))
+
+    def _at_rows(
+        self, log: PreparedLog, structure: Structure, rows: Integers
+    ) -> Floats:
+        """Return plays, lags and what the drive is beyond its range, at these rows in order."""
+        drive = bent(log.drive, structure.bend)
+        parts = []
+        filters = Filters(structure.sections, log.dt)
+        for first, table in self._full_rate(log, drive):
+            last = first + len(table)
+            begin, end = np.searchsorted(rows, (first, last))
+            parts.append(filters.run(table)[rows[begin:end] - first])
+        return np.vstack(parts)
+
+    def _full_rate(
+        self, log: PreparedLog, drive: Floats
+    ) -> Iterator[tuple[int, Floats]]:
+        """Yield the first row of each block and its table, all rows in order."""
+        compiled = kernel.require("identification")
+        reach = self.cells.reach
+        inside = np.clip(drive, 0.0, 1.0)
+        table, state = _play_table(reach, float(inside[0]), log.start)
+        taus = tuple(self.taus.tolist()) or (1.0,)  # the kernel wants one at least
+        lag = Relaxation(0.0, taus, (0.0,) * len(taus))
+        memory: Sequence[float] | None = None
+        for first in range(0, len(drive), BLOCK_ROWS):
+            part = slice(first, first + BLOCK_ROWS)
+            x = np.ascontiguousarray(inside[part])
+            plays = np.empty((len(x), len(reach)))
+            compiled.plays_rows(len(reach), table, state, x, plays)
+            steps = log.steps
+            if not isinstance(steps, float):
+                steps = steps[part]
+            lags, memory = lag.lags(drive[part], steps, memory)
+            beyond = (drive[part] - x)[:, None]
+            yield first, np.hstack((plays, lags[:, : len(self.taus)], beyond))
+
+
+def _play_table(reach: Floats, first: float, start: str) -> tuple[Floats, Floats]:
+    """Return the kernel's table of plays, and their state."""
+    padded = -(-len(reach) // LANES) * LANES
+    table = np.zeros((3, padded))
+    table[:2] = np.inf
+    table[:2, : len(reach)] = reach
+    state = np.zeros(padded)
+    state[: len(reach)] = plays_at_start(first, reach, start)
+    return table, state
+
+
+def _delayed_rows(
+    log: PreparedLog, delay: float, rows: Integers
+) -> tuple[Integers, Floats]:
+    """Return the rows to take for each row wanted, and their weights: a cubic through four samples.
+
+    Both have shape (points, rows).
+    """
+    if delay == 0.0:
+        return rows[None, :], np.ones((1, len(rows)))
+    position = np.interp(
+        log.time[rows] - delay, log.time, np.arange(len(log.time), dtype=float)
+    )
+    whole = np.floor(position).astype(np.int64)
+    f = position - whole
+    weights = np.stack(
+        (
+            -f * (f - 1.0) * (f - 2.0) / 6.0,
+            (f + 1.0) * (f - 1.0) * (f - 2.0) / 2.0,
+            -(f + 1.0) * f * (f - 2.0) / 2.0,
+            (f + 1.0) * f * (f - 1.0) / 6.0,
+        )
+    )
+    taken = whole[None, :] + np.arange(-1, 3)[:, None]
+    return np.clip(taken, 0, len(log.time) - 1), weights
+
+
+class Filters:
+    """Dynamics that run over every column, block after block, from rest at the first row."""
+
+    def __init__(self, sections: tuple[Section, ...], dt: float) -> None:
+        self._dynamics = Dynamics(sections) if sections else None
+        self._dt = dt
+        self._states: list[object] | None = None
+
+    def run(self, table: Floats) -> Floats:
+        """Return a block of columns (rows, columns) behind the sections."""
+        if self._dynamics is None:
+            return table
+        states = self._states or [None] * table.shape[1]
+        behind = np.empty_like(table)
+        for place in range(table.shape[1]):
+            column = np.ascontiguousarray(table[:, place])
+            behind[:, place], states[place] = self._dynamics.run(
+                column, self._dt, states[place]
+            )
+        self._states = states
+        return behind

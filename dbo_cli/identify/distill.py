@@ -1,0 +1,122 @@
+"""One model of the class, nearest to the weighted mean of the fits that can be averaged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dbo_cli.identify.basis import Basis, PreparedLog, Structure
+from dbo_cli.identify.problem import Problem
+from dbo_cli.identify.recording import Floats
+from dbo_cli.identify.solve import Fit, Rows, solve
+
+WIDTH = 0.15  # of the score: a fit that is worse by so much weighs exp(-1)
+LEAST_WEIGHT = 1e-3
+MOST_FITS = 60
+INVENTED_ROWS = 1500
+INVENTED_WEIGHT = 0.5  # of a row, beside one of the logs
+BEYOND = 0.05  # of the range: the invented drive goes so far beyond the logs'
+REST = 0.25  # of a swing
+CURVES = (np.inf, 1e-1, 1e-3, 1e-5, 1e-7)
+SMOOTH_SLOPES = 2e-6
+GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
+
+
+@dataclass(frozen=True)
+class Average:
+    """Fits and their weights, which have the sum 1."""
+
+    fits: tuple[Fit, ...]
+    weights: Floats
+
+    @staticmethod
+    def of(fits: Sequence[Fit]) -> Average:
+        """Weigh fits by their scores."""
+        scores = np.asarray([fit.score for fit in fits])
+        weights = np.exp(-(scores - scores.min()) / WIDTH)
+        weights /= weights.sum()
+        order = np.argsort(-weights, kind="stable")[:MOST_FITS]
+        order = order[weights[order] > LEAST_WEIGHT]
+        some = weights[order] / weights[order].sum()
+        return Average(tuple(fits[place] for place in order), some)
+
+    def in_one_frame(self) -> Average:
+        """Return the fits of the delay, bend, slopes and dynamics that have most of the weight."""
+        total: dict[object, float] = {}
+        for fit, weight in zip(self.fits, self.weights, strict=True):
+            total[frame(fit.structure)] = total.get(frame(fit.structure), 0.0) + weight
+        heaviest = max(total, key=lambda key: total[key])
+        mine = [frame(fit.structure) == heaviest for fit in self.fits]
+        fits = tuple(fit for fit, yes in zip(self.fits, mine, strict=True) if yes)
+        weights = self.weights[mine]
+        return Average(fits, weights / weights.sum())
+
+
+def frame(structure: Structure) -> tuple[object, ...]:
+    """Return what fits must share to be averaged."""
+    return structure.delay, structure.bend, structure.slopes, structure.sections
+
+
+def distill(problem: Problem, average: Average) -> Fit:
+    """Return the fit nearest to the mean prediction on the logs' drives and on an invented one."""
+    average = average.in_one_frame()
+    if len(average.fits) == 1:
+        return average.fits[0]
+    structure = replace(
+        average.fits[0].structure, memories=_memories(average), smooth_slopes=SMOOTH_SLOPES, drift=0
+    )
+    invented = invented_log(problem)
+    basis = Basis(problem.cells, problem.taus)
+    table = np.vstack(
+        (problem.columns(structure), basis.columns(invented, structure, invented.rows))
+    )
+    mean = np.zeros(len(table))
+    for fit, weight in zip(average.fits, average.weights, strict=True):
+        mean += weight * fit.predict(_columns_of(fit, table, problem))
+    weights = np.full(len(table), INVENTED_WEIGHT)
+    weights[: len(table) - len(invented.rows)] = 1.0
+    rows = Rows(
+        table,
+        mean,
+        weights / weights.sum(),
+        np.zeros((len(table), 0)),
+        problem.cells.count,
+        len(problem.taus),
+    )
+    found = [solve(rows, replace(structure, smooth_curve=CURVES[0]))]
+    for smooth in CURVES[1:]:
+        found.append(solve(rows, replace(structure, smooth_curve=smooth), found[-1]))
+    return min(found, key=lambda fit: float(rows.weights @ fit.error**2))
+
+
+def _memories(average: Average) -> str:
+    """Return the largest set of memories among the fits."""
+    return max((fit.structure.memories for fit in average.fits), key=len)
+
+
+def _columns_of(fit: Fit, table: Floats, problem: Problem) -> Floats:
+    """Return the columns that a fit uses."""
+    return table[:, : problem.cells.count + len(fit.gains)]
+
+
+def invented_log(problem: Problem) -> PreparedLog:
+    """Return a drive of nested turns over the range, as fast as the logs' usual swings, resting at times."""
+    dt, steps = problem.dt, max(int(problem.swing / problem.dt), 4)
+    stride = max(steps // 40, 1)
+    here, parts, turn, rows = 0.0, [np.zeros(1)], 0, 1
+    while rows < INVENTED_ROWS * stride:
+        turn += 1
+        there = 1.0 if turn == 1 else (turn * GOLDEN) % 1.0
+        speed = np.exp(1.4 * ((turn * GOLDEN**2 * 2.0) % 1.0) - 0.7)
+        count = max(int(steps * abs(there - here) * speed), 3)
+        parts.append(here + (there - here) * np.arange(1, count + 1) / count)
+        if turn % 5 == 0:
+            parts.append(np.full(max(int(REST * steps), 1), there))
+        rows += len(parts[-1])
+        here = there
+    drive = (1.0 + 2.0 * BEYOND) * np.concatenate(parts) - BEYOND
+    time = dt * np.arange(len(drive))
+    every = np.arange(0, len(drive), stride)
+    return PreparedLog("invented", drive, drive, time, dt, "empty", every)

@@ -1,0 +1,109 @@
+"""How well a fit predicts parts of the logs that it was made without."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from dbo_cli.errors import FitError
+from dbo_cli.identify.problem import Part, Problem
+from dbo_cli.identify.recording import Booleans, Floats
+from dbo_cli.identify.solve import Equations, Fit, Rows, products
+
+WORSE_ALLOWED = 1.3  # mean square on the rows kept, over that of the whole fit
+SHORTENED = (1.0, 0.5, 0.25, 0.1)
+FLOOR = 1e-4  # of the output's standard deviation: a smaller error is as good
+PRICES = {"t": 0.1, "r": 0.25, "free": 0.25}
+"""What a family of terms must gain in the logarithm of the error left out."""
+
+
+def judge(problem: Problem, fit: Fit) -> Fit:
+    """Return the fit with what it leaves of each part left out, and its score.
+
+    A fit without a part is one step from the fit to all rows.
+    """
+    rows = problem.rows(fit.structure)
+    equations = Equations(rows, fit.structure)
+    table = equations.table(fit)
+    groups, grams = _grams(table, [part.mask for part in problem.parts])
+    total = np.add.reduce(grams)
+    try:
+        equations.step(total, fit)
+    except FitError:
+        return fit
+    states = equations.states
+    left = []
+    for number, part in enumerate(problem.parts):
+        equations.states = states.copy()
+        rest = total - np.add.reduce(grams[groups[:, number]])
+        kept = rest / (1.0 - float(rows.weights[part.mask].sum()))
+        left.append(_left_out(equations, fit, part.mask, kept, problem))
+    judged = replace(fit, left=tuple(left))
+    return replace(judged, score=score(problem, judged))
+
+
+def _grams(table: Floats, masks: list[Booleans]) -> tuple[Booleans, Floats]:
+    """Return the products over rows of the same parts: the parts of each group, and its products."""
+    labels = np.column_stack(masks)
+    groups, of_row = np.unique(labels, axis=0, return_inverse=True)
+    of_row = of_row.reshape(-1)
+    grams = [products(table[of_row == place]) for place in range(len(groups))]
+    return groups, np.stack(grams)
+
+
+def _left_out(
+    equations: Equations, fit: Fit, mask: Booleans, gram: Floats, problem: Problem
+) -> Floats:
+    """Return what a step without a part leaves of it, shortened where it spoils the rows kept."""
+    whole = float(np.mean(fit.error[~mask] ** 2))
+    error = fit.error
+    try:
+        goal = equations.fit_of(equations.step(gram, fit))
+        for part in SHORTENED:
+            trial = equations.between(fit, goal, part)
+            if float(np.mean(trial.error[~mask] ** 2)) <= WORSE_ALLOWED * whole:
+                error = trial.error
+                break
+    except FitError:
+        pass
+    return _without_lost_offsets(error, mask, problem)[mask]
+
+
+def _without_lost_offsets(error: Floats, mask: Booleans, problem: Problem) -> Floats:
+    """Return errors less their mean over each log that was left out as a whole."""
+    owner, error = problem.owner, error.copy()
+    for place in range(len(problem.logs)):
+        mine = owner == place
+        if len(problem.logs) > 1 and not (mine & ~mask).any():
+            error[mine] -= error[mine].mean()
+    return error
+
+
+def rms(values: Floats) -> float:
+    """Return the root mean square."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def kind_errors(parts: tuple[Part, ...], left: tuple[Floats, ...]) -> dict[str, float]:
+    """Return the RMS over the parts of each kind of their RMS errors."""
+    squares: dict[str, list[float]] = {}
+    for part, values in zip(parts, left, strict=True):
+        squares.setdefault(part.kind, []).append(float(np.mean(values**2)))
+    return {kind: float(np.sqrt(np.mean(some))) for kind, some in squares.items()}
+
+
+def score(problem: Problem, fit: Fit) -> float:
+    """Return the mean over kinds of the logarithm of the error left out, and the price of the terms."""
+    floor = FLOOR * float(problem.output.std())
+    errors = kind_errors(problem.parts, fit.left)
+    together = float(np.mean([np.log(max(error, floor)) for error in errors.values()]))
+    return together + price(fit)
+
+
+def price(fit: Fit) -> float:
+    """Return what the families of terms of a structure cost."""
+    cost = sum(PRICES[family] for family in fit.structure.memories)
+    if fit.structure.slopes == "free":
+        cost += PRICES["free"]
+    return cost

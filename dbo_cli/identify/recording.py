@@ -1,0 +1,221 @@
+"""A recording of an actuator as arrays, what the user may fix, and the swings of a drive."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.errors import FitError, InputError, UsageError
+
+if TYPE_CHECKING:
+    from dbo_cli.model import Model
+
+Floats = NDArray[np.float64]
+Booleans = NDArray[np.bool_]
+Integers = NDArray[np.int64]
+
+FEWEST_ROWS = 20  # fewer tell nothing of a loop
+MOST_EXTREMES = 20_000  # rows that turning points are looked for in
+SMALLEST_SWING = 0.05  # of the drive's range
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Drive voltage and displacement of one log.
+
+    Attributes
+    ----------
+    name : what messages call it
+    voltage, displacement : shape (n,)
+    time : shape (n,), seconds, or None without a clock
+    input, output : quantity and unit of each
+    good : shape (n,), which rows count; None: all
+    """
+
+    name: str
+    voltage: Floats
+    displacement: Floats
+    time: Floats | None = None
+    input: tuple[str, str] = ("voltage", "V")
+    output: tuple[str, str] = ("displacement", "um")
+    good: Booleans | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse (InputError, FitError) arrays that hold no recording."""
+        rows = len(self.voltage)
+        columns = {"displacement": self.displacement}
+        if self.time is not None:
+            columns["time"] = self.time
+        if self.good is not None:
+            columns["good"] = self.good
+        for name, values in columns.items():
+            if len(values) != rows:
+                raise InputError(
+                    f"{self.name}: {name} has {len(values)} rows and voltage {rows}; give arrays of one length"
+                )
+        columns["voltage"] = self.voltage
+        for name, values in columns.items():
+            wrong = np.flatnonzero(~np.isfinite(values))
+            if wrong.size:
+                raise InputError(
+                    f"{self.name}: row {wrong[0] + 1}: {name} is {values[wrong[0]]}; leave such rows out"
+                )
+        if self.time is not None and rows > 1 and float(np.diff(self.time).min()) < 0.0:
+            row = int(np.argmin(np.diff(self.time))) + 2
+            raise InputError(f"{self.name}: row {row}: time goes backwards; sort the log")
+        if rows < FEWEST_ROWS:
+            raise FitError(
+                f"{self.name}: {rows} rows are too few to identify from; record at least {FEWEST_ROWS}"
+            )
+        if float(np.ptp(self.voltage)) == 0.0:
+            raise FitError(
+                f"{self.name}: voltage never changes; record a drive that goes up and down"
+            )
+        if float(np.ptp(self.displacement)) == 0.0:
+            raise FitError(
+                f"{self.name}: displacement never changes; check the sensor"
+            )
+
+    @property
+    def dt(self) -> float | None:
+        """The usual step in seconds, None without a clock."""
+        if self.time is None:
+            return None
+        steps = np.diff(self.time)
+        return float(np.median(steps[steps > 0.0]))
+
+    @property
+    def usable(self) -> Booleans:
+        """Which rows count; shape (n,)."""
+        if self.good is None:
+            return np.ones(len(self.voltage), bool)
+        return self.good
+
+
+Slopes = Literal["auto", "growing", "falling", "free"]
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the user fixed of an identification; see DESIGN, ``identify``."""
+
+    prior: Model | None = None
+    sign: Literal["rising", "falling"] | None = None
+    skip: float = 0.0
+    zero: float | Literal["none", "mean", "first"] = "none"
+    sensor_delay: float = 0.0
+    gears: int | Literal["auto"] = "auto"
+    points: int | Literal["auto"] = "auto"
+    relaxation: tuple[float, ...] | Literal["auto"] = "auto"
+    delay: float | Literal["auto"] = "auto"
+    dynamics: int | Literal["auto"] = "auto"
+    slopes: Slopes = "auto"
+    method: Literal["least-squares", "paper"] = "least-squares"
+    force: bool = False
+    rating: tuple[float | None, float | None] = (None, None)
+
+    def __post_init__(self) -> None:
+        """Refuse (UsageError) what makes no sense."""
+        for name in ("skip", "sensor_delay"):
+            value = getattr(self, name)
+            if not value >= 0.0:
+                raise UsageError(f"`{name}` {value:g}: give seconds, 0 or more")
+        if self.gears != "auto" and self.gears < 1:
+            raise UsageError(f"`gears` {self.gears}: give 1 or more, or auto")
+        if self.points != "auto" and self.points < 0:
+            raise UsageError(f"`points` {self.points}: give 0 or more, or auto")
+        if self.delay != "auto" and not self.delay >= 0.0:
+            raise UsageError(f"`delay` {self.delay:g}: give seconds, 0 or more, or auto")
+        if self.dynamics not in ("auto", 0, 1, 2):
+            raise UsageError(f"`dynamics` {self.dynamics}: give auto, 0, 1 or 2")
+        if self.relaxation != "auto" and not all(tau >= 0.0 for tau in self.relaxation):
+            raise UsageError("`relaxation`: give time constants in seconds, 0 or auto")
+
+    @property
+    def taus(self) -> tuple[float, ...] | None:
+        """The time constants that the user gave, () for none, None where they are looked for."""
+        if self.relaxation == "auto":
+            return None
+        return tuple(sorted(tau for tau in self.relaxation if tau > 0.0))
+
+
+def turning_points(drive: Floats, least: float) -> Integers:
+    """Return the rows where the drive turns by more than ``least``, the first and the last row included."""
+    rows = _extremes(drive)
+    turns = [0]
+    extreme, direction = 0, 0
+    values = drive[rows].tolist()
+    for place, value in enumerate(values):
+        if direction == 0:
+            if abs(value - values[0]) > least:
+                direction = 1 if value > values[0] else -1
+                extreme = place
+        elif direction * (value - values[extreme]) >= 0.0:
+            extreme = place
+        elif direction * (values[extreme] - value) > least:
+            turns.append(int(rows[extreme]))
+            direction, extreme = -direction, place
+    if len(drive) - 1 > turns[-1]:
+        turns.append(len(drive) - 1)
+    return np.asarray(turns, dtype=np.int64)
+
+
+def _extremes(drive: Floats) -> Integers:
+    """Return some rows that hold all turning points but those of neighbouring rows of a long log."""
+    size = max(len(drive) // (MOST_EXTREMES // 2), 1)
+    if size == 1:
+        return np.arange(len(drive))
+    whole = len(drive) // size * size
+    blocks = drive[:whole].reshape(-1, size)
+    begins = np.arange(0, whole, size)
+    rows = [begins + blocks.argmin(axis=1), begins + blocks.argmax(axis=1)]
+    rows += [np.asarray([0]), np.arange(whole, len(drive))]
+    return np.unique(np.concatenate(rows))
+
+
+@dataclass(frozen=True)
+class Swings:
+    """The monotone ways of a drive.
+
+    Attributes
+    ----------
+    turns : rows where it turns, the first and the last row included
+    sizes : shape (swings,), in units of the drive
+    number : shape (n,), the swing of each row
+    """
+
+    turns: Integers
+    sizes: Floats
+    number: Integers
+
+    @staticmethod
+    def of(drive: Floats) -> Swings:
+        """Return the swings of a drive, those below 5 % of its range passed over."""
+        turns = turning_points(drive, SMALLEST_SWING * float(np.ptp(drive)))
+        sizes = np.abs(np.diff(drive[turns]))
+        number = np.searchsorted(turns[1:-1], np.arange(len(drive)), side="right")
+        return Swings(turns, sizes, number.astype(np.int64))
+
+    @property
+    def rows(self) -> Integers:
+        """How many rows each swing takes."""
+        return np.diff(self.turns)
+
+    @property
+    def usual_rows(self) -> float:
+        """Rows that a swing takes, the mean weighted by rows."""
+        return float(np.average(self.rows, weights=self.rows))
+
+
+def usual_swing(drives: Sequence[Floats], steps: Sequence[float]) -> float:
+    """Return the seconds that a swing takes, the mean over all logs weighted by rows."""
+    total = weight = 0.0
+    for drive, dt in zip(drives, steps, strict=True):
+        swings = Swings.of(drive)
+        total += swings.usual_rows * dt * len(drive)
+        weight += len(drive)
+    return total / weight

@@ -1,0 +1,139 @@
+"""A short list of structures, then neighbours of the best."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dbo_cli.errors import FitError
+from dbo_cli.identify.basis import Structure
+from dbo_cli.identify.judge import judge
+from dbo_cli.identify.problem import Problem
+from dbo_cli.identify.recording import Options
+from dbo_cli.identify.solve import Fit, solve
+
+CURVES = (np.inf, 1e-1, 1e-3, 1e-5, 1e-7)
+SLOPE_SMOOTHNESS = (2e-1, 2e-4)
+BENDS = (-0.4, -0.15, 0.15, 0.4)
+DRIFTS = (1, 3)
+DELAYS = (0.003, 0.01, 0.03, 0.08)  # of a swing
+FINER_DELAYS = ((0.6, 0.8, 1.25, 1.6), (0.92, 1.08))
+WITHIN_REACH = 0.7  # of the score: worse delays are not refined
+FEWEST_FOR_DRIFT = 4  # swings
+SLOWEST = 3.0  # swings: the slowest memory that a log of one amplitude can tell
+REFINED = 2  # kinds of structures whose neighbours are tried
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What is offered to the search."""
+
+    slopes: tuple[str, ...] = ("growing", "falling", "free")
+    memories: tuple[str, ...] = ("", "t", "tr")
+    smoothness: tuple[float, ...] = SLOPE_SMOOTHNESS
+    curves: tuple[float, ...] = CURVES
+    bends: tuple[float, ...] = BENDS
+    drifts: tuple[int, ...] = DRIFTS
+    delay: float | None = None
+
+
+def choices_for(problem: Problem, options: Options) -> tuple[Problem, Choices]:
+    """Return what a log can tell, and the problem without memories that it cannot."""
+    small, swings = problem.smaller_swings, problem.swings
+    choices = Choices(drifts=DRIFTS if swings >= FEWEST_FOR_DRIFT and problem.clock else ())
+    if not len(problem.taus):
+        choices = replace(choices, memories=("",))
+    if small == 0 and swings >= 2:
+        rules = ("growing", "falling")
+        errors = [
+            solve(problem.rows(trial), trial).rmse
+            for trial in (Structure(rule, "", SLOPE_SMOOTHNESS[0], 1e-1) for rule in rules)
+        ]
+        problem = problem.without_memories_from(SLOWEST * problem.swing)
+        choices = replace(
+            choices,
+            slopes=(rules[int(np.argmin(errors))],),
+            memories=("", "t"),
+            smoothness=SLOPE_SMOOTHNESS[:1],
+            curves=(np.inf, 1e-1, 1e-3),
+        )
+    elif small == 1:
+        choices = replace(choices, slopes=("growing", "falling"))
+    if options.slopes != "auto":
+        choices = replace(choices, slopes=(options.slopes,))
+    if options.delay != "auto":
+        choices = replace(choices, delay=options.delay)
+    return problem, choices
+
+
+class Search:
+    """The fits of one identification, all judged."""
+
+    def __init__(self, problem: Problem, choices: Choices) -> None:
+        self.problem, self.choices = problem, choices
+        self.fits: list[Fit] = []
+
+    def run(self) -> list[Fit]:
+        """Return all fits."""
+        choices = self.choices
+        for memories in choices.memories:
+            for slopes in choices.slopes:
+                for smooth in choices.smoothness:
+                    base = Structure(slopes, memories, smooth, delay=choices.delay or 0.0)
+                    self._path(base, choices.curves)
+        for fit in self._best_kinds():
+            self._neighbours(fit)
+        if choices.delay is None and self.problem.clock:
+            for factors in FINER_DELAYS:
+                self._finer_delay(factors)
+        return self.fits
+
+    def _path(self, base: Structure, curves: Iterable[float]) -> None:
+        """Fit a structure with rougher and rougher curves, each begun at the one before."""
+        first = None
+        for smooth in curves:
+            structure = replace(base, smooth_curve=smooth)
+            try:
+                first = solve(self.problem.rows(structure), structure, first)
+            except FitError:
+                continue
+            self.fits.append(judge(self.problem, first))
+
+    def _best_kinds(self) -> Sequence[Fit]:
+        """Return the best fit of each of the best kinds of slopes and memories."""
+        best: dict[tuple[str, str], Fit] = {}
+        for fit in sorted(self.fits, key=lambda fit: fit.score):
+            best.setdefault((fit.structure.slopes, fit.structure.memories), fit)
+        return list(best.values())[:REFINED]
+
+    def _neighbours(self, fit: Fit) -> None:
+        """Fit what differs from a good fit in one thing."""
+        structure, choices = fit.structure, self.choices
+        curves = [structure.smooth_curve]
+        if np.isfinite(structure.smooth_curve):
+            curves.insert(0, min(structure.smooth_curve * 100.0, 1e9))
+        for bend in choices.bends:
+            self._path(replace(structure, bend=bend), curves)
+        for order in choices.drifts:
+            self._path(replace(structure, drift=order), curves)
+        if choices.delay is None and self.problem.clock:
+            for delay in self._delays():
+                self._path(replace(structure, delay=delay), curves)
+
+    def _delays(self) -> list[float]:
+        """Return the delays tried first, in seconds: whole steps."""
+        dt, swing = self.problem.dt, self.problem.swing
+        steps = {max(round(swing * part / dt), 1) for part in DELAYS}
+        return [step * dt for step in sorted(steps)]
+
+    def _finer_delay(self, factors: Sequence[float]) -> None:
+        """Try delays around the best one."""
+        late = [fit for fit in self.fits if fit.structure.delay > 0.0]
+        best = min(late, key=lambda fit: fit.score)
+        if best.score > min(fit.score for fit in self.fits) + WITHIN_REACH:
+            return
+        for factor in factors:
+            delay = best.structure.delay * factor
+            self._path(replace(best.structure, delay=delay), [best.structure.smooth_curve])

@@ -1,0 +1,349 @@
+"""One regularised output-error problem: Gauss-Newton steps, each a bounded least-squares problem.
+
+The output is y = S(u) + drift with u = u0 + sum p_i E_i + sum c_j L_j + sum d_j (x - L_j).
+S goes from 0 at 0 with slopes s over equal segments of [0, 1], whose mean is 1, and on
+beyond. Bounds: p by the rule for the slopes, c and d >= 0, floors of p and s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.errors import FitError
+from dbo_cli.identify.basis import Structure
+from dbo_cli.identify.recording import Floats, Integers
+from dbo_cli.model import kernel
+
+SEGMENTS = 24  # of the curve
+LEAST_SLOPE = 1e-3  # of the mean slope of the cells
+LEAST_WITH_NEGATIVE = 0.03  # the same beside negative gains: what a model must have
+LEAST_CURVE = 0.03  # of the mean slope of the curve
+HOLD = 1e2  # weight of the curve's mean slope: the scale is nobody's
+RIDGE = 1e-9
+STEPS = 12
+ENOUGH = 1e-4  # relative gain of a step that ends the iteration
+HALVINGS = 5
+MOST_EXCHANGES = 300
+AT_ZERO, POSITIVE, FREE = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The rows that are fitted: columns, output and drift.
+
+    Attributes
+    ----------
+    columns : shape (rows, cells + 2 terms)
+    output, weights : shape (rows,); weights have the sum 1
+    drift : shape (rows, k), free columns beside the model
+    cells, terms : how many slopes and time constants there are
+    """
+
+    columns: Floats
+    output: Floats
+    weights: Floats
+    drift: Floats
+    cells: int
+    terms: int
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Unknowns of one structure, in normalised units.
+
+    Attributes
+    ----------
+    slopes : shape (cells,)
+    gains : shape (memories,) >= 0, of lags and then of drives less their lags
+    curve : shape (segments,)
+    offset : u0
+    drift : shape (k,)
+    error : shape (rows,), what it leaves
+    penalised : what was minimised
+    left : what is left of each part where that was left out (``judge``)
+    score : mean logarithm of that, and the price of the terms (``judge``)
+    """
+
+    structure: Structure
+    slopes: Floats
+    gains: Floats
+    curve: Floats
+    offset: float
+    drift: Floats
+    error: Floats
+    penalised: float = np.inf
+    left: tuple[Floats, ...] = ()
+    score: float = np.inf
+
+    @property
+    def rmse(self) -> float:
+        """What the fit leaves, RMS."""
+        return float(np.sqrt(np.mean(self.error**2)))
+
+    def inner(self, columns: Floats) -> Floats:
+        """Return u for a table of columns."""
+        weights = np.concatenate((self.slopes, self.gains))
+        u: Floats = columns[:, : len(weights)] @ weights + self.offset
+        return u
+
+    def predict(self, columns: Floats) -> Floats:
+        """Return the output without drift."""
+        predicted: Floats = travelled(self.inner(columns), len(self.curve)) @ self.curve
+        return predicted
+
+
+def travelled(u: Floats, segments: int) -> Floats:
+    """Return the part of each segment of [0, 1] that lies below u; the outer ones go on; (rows, segments)."""
+    width = 1.0 / segments
+    part = np.clip(u[:, None] - width * np.arange(segments), 0.0, width)
+    part[:, 0] += np.minimum(u, 0.0)
+    part[:, -1] += np.maximum(u - 1.0, 0.0)
+    return part
+
+
+def used_columns(rows: Rows, structure: Structure) -> int:
+    """Return how many of the columns a structure uses."""
+    return rows.cells + rows.terms * len(structure.memories)
+
+
+def bending(count: int) -> Floats:
+    """Return the matrix of squared second differences."""
+    if count < 3:
+        return np.zeros((count, count))
+    second = np.diff(np.eye(count), 2, axis=0)
+    products: Floats = second.T @ second
+    return products
+
+
+def minimum(
+    matrix: Floats, right: Floats, states: NDArray[np.uint8]
+) -> tuple[Floats, NDArray[np.uint8]]:
+    """Minimise x'Hx/2 - g'x with x >= 0 but for free unknowns; return x and the states it ends in.
+
+    Raises
+    ------
+    FitError
+        The exchange of unknowns does not end.
+    """
+    compiled = kernel.require("identification")
+    scale = 1.0 / np.sqrt(np.diag(matrix))
+    scaled = np.ascontiguousarray(matrix * scale * scale[:, None])
+    goal = right * scale
+    tolerance = 1e-10 * float(np.abs(goal).max())
+    for ridge in (0.0, 1e-12, 1e-10, 1e-8):
+        tried, x = states.copy(), np.zeros(len(right))
+        damped = scaled
+        if ridge:
+            damped = scaled + ridge * np.eye(len(right))
+            tried[tried == AT_ZERO] = POSITIVE
+        if compiled.minimise(damped, goal, tried, x, tolerance, MOST_EXCHANGES) > 0:
+            return x * scale, tried
+    raise FitError("the least-squares solver did not converge; leave out bad rows")
+
+
+def products(table: Floats) -> Floats:
+    """Return the products of all pairs of columns, summed over rows in one fixed order."""
+    size = table.shape[1]
+    gram = np.zeros((size, size))
+    kernel.require("identification").add_products(
+        np.ascontiguousarray(table), size, gram
+    )
+    return np.triu(gram) + np.triu(gram, 1).T
+
+
+class Equations:
+    """The least-squares problem of one structure: tables, penalties and bounds.
+
+    Unknowns in order: slopes (steps where they grow or fall), gains, curve, u0, drift.
+    """
+
+    def __init__(self, rows: Rows, structure: Structure) -> None:
+        self.rows, self.structure = rows, structure
+        self.inner = used_columns(rows, structure)
+        self.segments = SEGMENTS if np.isfinite(structure.smooth_curve) else 1
+        self.curved = self.segments > 1
+        self.free = self.inner + self.segments * self.curved
+        self.size = self.free + 1 + rows.drift.shape[1]
+        self.columns = rows.columns[:, : self.inner]
+        self.roots = np.sqrt(rows.weights)
+        centre = float(rows.weights @ rows.output)
+        self.variance = max(float(rows.weights @ (rows.output - centre) ** 2), 1e-24)
+        self._stepped = self._in_steps(self.columns)
+        self.penalty = self._penalty()
+        self.states = np.full(self.size, POSITIVE, np.uint8)
+        self.states[self.free :] = FREE
+
+    # --- unknowns ---
+
+    def _in_steps(self, table: Floats) -> Floats:
+        """Return the columns of the steps of slopes for those of the slopes."""
+        cells, stepped = self.rows.cells, table.copy()
+        if self.structure.slopes == "growing":
+            stepped[:, :cells] = np.cumsum(table[:, cells - 1 :: -1], axis=1)[:, ::-1]
+        elif self.structure.slopes == "falling":
+            stepped[:, :cells] = np.cumsum(table[:, :cells], axis=1)
+        return stepped
+
+    def _slopes(self, steps: Floats) -> Floats:
+        """Return slopes for their steps."""
+        if self.structure.slopes == "growing":
+            return np.cumsum(steps)
+        if self.structure.slopes == "falling":
+            return np.cumsum(steps[::-1])[::-1]
+        return steps
+
+    def _penalty(self) -> Floats:
+        """Return the matrix of what smoothness costs, in units of the output's variance."""
+        cells = self.rows.cells
+        matrix = np.zeros((self.size, self.size))
+        bend = self.structure.smooth_slopes * bending(cells)
+        steps = self._in_steps(np.eye(self.inner))
+        matrix[:cells, :cells] = steps[:cells, :cells].T @ bend @ steps[:cells, :cells]
+        if self.curved:
+            place = slice(self.inner, self.free)
+            matrix[place, place] = self.structure.smooth_curve * bending(self.segments)
+            matrix[place, place] += HOLD / self.segments**2
+        matrix[np.diag_indices(self.size)] += RIDGE
+        return matrix
+
+    def floors(self, mean: float) -> Floats:
+        """Return the least value of each unknown; ``mean`` is the mean slope."""
+        cells, least = self.rows.cells, np.zeros(self.size)
+        floor = LEAST_SLOPE * mean
+        if "r" in self.structure.memories:
+            floor = LEAST_WITH_NEGATIVE * mean
+        if self.structure.slopes == "growing":
+            least[0] = floor
+        elif self.structure.slopes == "falling":
+            least[cells - 1] = floor
+        else:
+            least[:cells] = floor
+        least[self.inner : self.free] = LEAST_CURVE
+        return least
+
+    # --- fits ---
+
+    def fit_of(self, x: Floats) -> Fit:
+        """Return the unknowns with their names, and what they leave."""
+        cells, rows = self.rows.cells, self.rows
+        curve = x[self.inner : self.free] if self.curved else np.ones(1)
+        fit = Fit(
+            self.structure,
+            self._slopes(x[:cells]),
+            x[cells : self.inner],
+            curve,
+            float(x[self.free]),
+            x[self.free + 1 :],
+            np.zeros(0),
+        )
+        return self._measured(fit)
+
+    def _measured(self, fit: Fit) -> Fit:
+        """Return the fit with what it leaves."""
+        error = self.left_by(fit)
+        squares = float(self.rows.weights @ error**2) / self.variance
+        return replace(fit, error=error, penalised=squares + self._cost(fit))
+
+    def left_by(self, fit: Fit) -> Floats:
+        """Return what a fit leaves of every row."""
+        left: Floats = self.rows.output - fit.predict(self.columns)
+        return left - self.rows.drift @ fit.drift
+
+    def _cost(self, fit: Fit) -> float:
+        """Return what smoothness adds to the squares."""
+        cost = self.structure.smooth_slopes * _bent(fit.slopes)
+        if self.curved:
+            cost += self.structure.smooth_curve * _bent(fit.curve)
+        return cost
+
+    def between(self, fit: Fit, goal: Fit, part: float) -> Fit:
+        """Return a fit a part of the way to another one."""
+        values = {}
+        for name in ("slopes", "gains", "curve", "offset", "drift"):
+            here, there = getattr(fit, name), getattr(goal, name)
+            values[name] = here + part * (there - here)
+        return self._measured(replace(fit, **values))
+
+    def start(self, first: Fit | None) -> Fit:
+        """Return where Gauss-Newton begins: at a straight line, or at another fit's unknowns."""
+        drift = np.zeros(self.rows.drift.shape[1])
+        if first is None:
+            slopes = np.ones(self.rows.cells)
+            gains = np.zeros(self.inner - self.rows.cells)
+            curve, offset = np.ones(self.segments), 0.5
+        else:
+            slopes, gains, offset = first.slopes, first.gains, first.offset
+            curve = np.ones(self.segments)
+            if len(first.curve) == self.segments:
+                curve = first.curve
+            if len(first.drift) == len(drift):
+                drift = first.drift
+        fit = Fit(
+            self.structure, slopes, gains, curve, offset, drift, np.zeros(0)
+        )
+        return self._measured(fit)
+
+    def table(self, fit: Fit) -> Floats:
+        """Return the linearised rows at a fit, weighted, the target last: (rows, unknowns + 1)."""
+        u = fit.inner(self.columns)
+        table = np.empty((len(u), self.size + 1))
+        place = np.clip((u * self.segments).astype(np.int64), 0, self.segments - 1)
+        steepness = fit.curve[place]
+        table[:, : self.inner] = self._stepped * steepness[:, None]
+        if self.curved:
+            table[:, self.inner : self.free] = travelled(u, self.segments)
+        table[:, self.free] = steepness
+        table[:, self.free + 1 : -1] = self.rows.drift
+        table[:, -1] = self.rows.output + steepness * u
+        if not self.curved:
+            table[:, -1] = self.rows.output
+        table *= self.roots[:, None]
+        return table
+
+    def step(self, gram: Floats, fit: Fit) -> Floats:
+        """Return the unknowns of least penalised squares of linearised rows near a fit."""
+        matrix = gram[:-1, :-1] / self.variance + self.penalty
+        right = gram[:-1, -1] / self.variance
+        if self.curved:
+            right[self.inner : self.free] += HOLD / self.segments
+        least = self.floors(float(fit.slopes.mean()))
+        x, self.states = minimum(matrix, right - matrix @ least, self.states)
+        x[self.states == AT_ZERO] = 0.0
+        found: Floats = np.where(self.states == FREE, x, np.maximum(x, 0.0)) + least
+        return found
+
+    def solve(self, first: Fit | None = None, steps: int = STEPS) -> Fit:
+        """Return the fit at the least penalised squares that Gauss-Newton reaches."""
+        fit = self.start(first)
+        for number in range(steps):
+            goal = self.fit_of(self.step(products(self.table(fit)), fit))
+            before = fit.penalised
+            fit = self._shortened(fit, goal, forced=number == 0 and first is None)
+            if not fit.penalised < before * (1.0 - ENOUGH) and number:
+                break
+            if not self.curved and number:
+                break
+        return fit
+
+    def _shortened(self, fit: Fit, goal: Fit, forced: bool) -> Fit:
+        """Return the first fit on the way back from a goal that is better than where it began."""
+        if forced or goal.penalised < fit.penalised:
+            return goal
+        for halving in range(1, HALVINGS):
+            trial = self.between(fit, goal, 0.5**halving)
+            if trial.penalised < fit.penalised:
+                return trial
+        return fit
+
+
+def _bent(values: Floats) -> float:
+    """Return the sum of squared second differences."""
+    return float(np.sum(np.diff(values, 2) ** 2)) if len(values) > 2 else 0.0
+
+
+def solve(rows: Rows, structure: Structure, first: Fit | None = None) -> Fit:
+    """Fit one structure; ``first`` is a fit of the same slopes and memories to begin at."""
+    return Equations(rows, structure).solve(first)
