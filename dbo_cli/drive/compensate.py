@@ -12,11 +12,11 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dbo_cli.drive import loops
 from dbo_cli.drive.drive import Drive
 from dbo_cli.drive.lead import Around, Seconds
 from dbo_cli.drive.learning import Lesson, PassRecord, Tracked, lesson_of
 from dbo_cli.drive.limits import Limits
+from dbo_cli.drive.loops import Loop
 from dbo_cli.drive.stream import Block, OnLimit, Rows, Stream
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.model import Model, State, ZeroPhaseLowPass
@@ -104,31 +104,121 @@ def plan(
     time, step = read_clock(clock, values.size, name)
     request = values
     lesson: Lesson | None = None
-    if tracked or periodic or bandwidth is not None:
-        step = _require_step(step, name, "`tracked`, `periodic` and `bandwidth` need an even clock")
+    if not (tracked or periodic or bandwidth is not None):
+        blocks = [Block(time, values, values)]
+        return _whole(Stream(model, blocks, step, limits, around, on_limit, name, keeps=True))
+    even = _require_step(step, name, "`tracked`, `periodic` and `bandwidth` need an even clock")
     if tracked:
-        assert step is not None
         begin = 0.0 if time is None else float(time[0])
         lesson = lesson_of(
-            model, values, begin, step, tracked, history, around.state, bandwidth, periodic, absolute
+            model, values, begin, even, tracked, history, state, bandwidth, periodic, absolute
         )
         request = lesson.request
+    rounds = bandwidth is not None and lesson is None
     if periodic:
-        assert step is not None
-        if bandwidth is not None and lesson is None:
-            request = ZeroPhaseLowPass(bandwidth, step).loop(values)
-        loop = loops.Loop(model, values, request, time, step, limits, around, on_limit, name)
+        if rounds:
+            request = ZeroPhaseLowPass(bandwidth, even).loop(values)
+        loop = Loop(model, values, request, time, even, limits, around, on_limit, name)
         return _learned(loop.plan(passes), lesson)
     blocks = [Block(time, values, request)]
-    if bandwidth is not None and lesson is None:
-        assert step is not None
-        blocks = _rounded(time, values, ZeroPhaseLowPass(bandwidth, step))
-    rows = Stream(model, blocks, step, limits, around, on_limit, name, keeps=True)
-    return _learned(_whole(rows), lesson)
+    if rounds:
+        blocks = _rounded(time, values, ZeroPhaseLowPass(bandwidth, even))
+    return _learned(_whole(Stream(model, blocks, even, limits, around, on_limit, name, keeps=True)), lesson)
 
 
-class stream:
-    """Placeholder."""
+def stream(
+    model: Model,
+    blocks: Iterable[tuple[Floats | None, Floats]],
+    step: float | None,
+    limits: Limits,
+    *,
+    state: str | State = "auto",
+    start: float | None = None,
+    approach: Seconds = None,
+    condition: bool = False,
+    lead: Seconds = None,
+    return_to: float | None = None,
+    on_limit: OnLimit = "auto",
+    block_rows: int | None = None,
+    name: str = "trajectory",
+) -> Stream:
+    """Return the drive of a trajectory that comes in blocks; iterate over it once.
+
+    Parameters
+    ----------
+    blocks
+        Pairs of times (s; None without a clock) and displacements.
+    step
+        Seconds a row of an even clock; None: uneven, or no clock.
+    block_rows
+        Cut the blocks again, to so many rows; the values stay the same to rounding.
+
+    The other parameters are those of ``plan``. With ``on_limit`` auto a move that loses
+    more than one percent is refused at the end of the iteration.
+    """
+    around = Around(state, start, approach, condition, lead, return_to)
+    moves = (Block(time, desired, desired) for time, desired in _cut(blocks, block_rows))
+    return Stream(model, moves, step, limits, around, on_limit, name)
+
+
+def _cut(
+    blocks: Iterable[tuple[Floats | None, Floats]], rows: int | None
+) -> Iterator[tuple[Floats | None, Floats]]:
+    """Yield the same rows in blocks of so many at most."""
+    for time, desired in blocks:
+        size = rows or max(desired.size, 1)
+        for begin in range(0, desired.size, size):
+            part = slice(begin, begin + size)
+            yield (None if time is None else time[part]), desired[part]
+
+
+def _whole(stream: Stream) -> Drive:
+    """Return all rows of a stream, with its figures."""
+    parts = list(stream)
+    drive = stream.drive
+    assert drive is not None
+    before = drive.lead.rows
+    time = None
+    if all(part.time is not None for part in parts):
+        time = np.concatenate([part.time for part in parts])
+    return dataclasses.replace(
+        drive,
+        time=time,
+        desired=np.concatenate([part.desired for part in parts]),
+        voltage=np.concatenate([part.voltage for part in parts]),
+        move=slice(before, before + stream.loss.move.rows),
+    )
+
+
+def _learned(drive: Drive, lesson: Lesson | None) -> Drive:
+    """Return a drive with what a lesson said and the history with its pass."""
+    if lesson is None:
+        return drive
+    return dataclasses.replace(
+        drive,
+        history=lesson.history,
+        notes=(*lesson.notes, *drive.notes),
+        warnings=(*lesson.warnings, *drive.warnings),
+        expected_error=None,
+        expected_known=None,
+    )
+
+
+def _rounded(
+    time: Floats | None, desired: Floats, low_pass: ZeroPhaseLowPass
+) -> list[Block]:
+    """Return a rounded trajectory, and behind it the rows in which it comes to rest, to be read ahead."""
+    rest = np.full(low_pass.reach, desired[-1])
+    rounded = low_pass.whole(np.concatenate([desired, rest]))
+    tail = rounded[desired.size :]
+    return [Block(time, desired, rounded[: desired.size]), Block(None, tail, tail, "tail")]
+
+
+def _require_step(step: float | None, name: str, why: str) -> float:
+    """Return the step of an even clock (InputError: there is none)."""
+    if step is None:
+        raise InputError(f"{name}: {why} (`sample_rate` HZ, or `resample` HZ)")
+    return step
 
 
 def read_clock(clock: Clock, count: int, name: str) -> tuple[Floats | None, float | None]:

@@ -1,8 +1,66 @@
-"""Learning (placeholder, being written)."""
+"""Learning a move that is repeated: the next drive from the recordings of the last pass.
+
+r is what the model believes of the drive that was played: what was asked for. The next
+request is r' = d + Q(r - measured): d the trajectory, Q a steep zero-phase low-pass; the
+next drive is the inverse of r'. With M, the actuator times the inverse model, what was
+learned is multiplied by Q(1 - M) a pass. Q is steep, so that this stays below 1 for a
+resonance that is 25 % off, while what is left below the cut-off is small.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import hashlib
+import json
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.drive.lead import soft_rise
+from dbo_cli.errors import InputError, warn
+from dbo_cli.model import Model, Resonance, State, ZeroPhaseLowPass
+
+Floats = NDArray[np.float64]
+FORMAT, VERSION = "dbo-history", 1
+
+ORDER = 4  # of Q, run both ways; at 4 what is learned neither grows nor is lost (measured in benchmarks)
+GROWTH = 1.2  # times the error of the last pass: beyond, learning diverges; chosen
+FROM_BEST = 2.0  # times the best pass's error: growth by less a pass shows after a few
+LEARNED_BEFORE = 2e-3  # of the move (RMS): a smaller request beyond the move was not learned
+START_PROBLEM = 8.0  # times the expected error: a mean beyond it is no sensor's zero
+SAME_DRIVE = 0.02  # of the drive's range (RMS): recordings further apart are not of one drive
+SAME_RATE = 1e-3  # of a step
+ANOTHER_MOVE = 0.5  # of the move (RMS): a drive that asks for something further away is of another
+TRUSTED_ERROR = 1.0 / 3.0  # of what was asked, in a third of an octave: a pass takes two thirds off
+ENERGY = 1e-3  # of the strongest third of an octave (amplitude): with less a band says nothing
+RESONANCE_PART = 3.0  # a model is trusted to its lowest resonance over this
+MISTUNED = 0.25  # how far off a resonance may be: a payload of half the moving mass does that
+SHARPER = 0.25  # of the model's damping: that of the mistuned resonance; chosen
+FACTOR = 0.9  # most that |Q(1 - M)| may be at any frequency for such a resonance; chosen
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """One recording of a drive played, in the units of the model.
+
+    Attributes
+    ----------
+    name : str
+        Of the file, for messages.
+    voltage, measured : array
+        Drive and displacement, row by row.
+    time : array, optional
+        Seconds on the drive's clock; rows before the trajectory's first are its lead.
+    """
+
+    name: str
+    voltage: Floats
+    measured: Floats
+    time: Floats | None = None
 
 
 class PassRecord(NamedTuple):
@@ -10,3 +68,366 @@ class PassRecord(NamedTuple):
 
     drive_sha256: str
     rmse: float
+
+
+class Lesson(NamedTuple):
+    """What to ask for next, the cut-off of Q (Hz), the history with this pass, and what was said."""
+
+    request: Floats
+    cutoff: float
+    history: tuple[PassRecord, ...]
+    notes: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+class _Pass(NamedTuple):
+    voltage: Floats
+    believed: Floats
+    measured: Floats
+
+
+@dataclass(frozen=True)
+class RepeatedMove:
+    """A trajectory that is played again and again.
+
+    Attributes
+    ----------
+    model
+        The forward model.
+    desired, begin, step
+        The trajectory, its first time and its even step (s).
+    state
+        In which the drives began.
+    periodic, absolute
+        Whether recordings are of whole periods, and whether the mean is learned.
+    """
+
+    model: Model
+    desired: Floats
+    begin: float
+    step: float
+    state: str | State = "auto"
+    periodic: bool = False
+    absolute: bool = False
+
+    @property
+    def unit(self) -> str:
+        """The displacement's unit behind a blank."""
+        return self.model.output.suffix
+
+    def lesson(
+        self,
+        recordings: Sequence[Tracked],
+        history: Sequence[PassRecord],
+        bandwidth: float | None,
+    ) -> Lesson:
+        """Return what to ask of the model for the next pass.
+
+        Parameters
+        ----------
+        recordings
+            Of the last pass, one or more of the same drive.
+        history
+            The passes so far, the oldest first; from one with this very drive on they
+            are forgotten.
+        bandwidth
+            Cut-off of Q (Hz); None: as far as the model can be trusted.
+
+        Raises
+        ------
+        InputError
+            A recording is not of this trajectory, or the error grew.
+        """
+        name = recordings[0].name
+        passes = [self._rows_of(recording) for recording in recordings]
+        self._require_same_drive(recordings, passes)
+        believed = np.mean([played.believed for played in passes], axis=0)
+        self._require_same_move(name, believed)
+        error = self.desired - np.mean([played.measured for played in passes], axis=0)
+        zero = 0.0 if self.absolute else float(error.mean())
+        error = error - zero
+        passed = PassRecord(_digest(passes[0].voltage), rms(error))
+        before = _passes_before(history, passed)
+        self._require_no_growth(name, passed, before, believed)
+        cutoff = bandwidth or self._trusted(name, believed, self.desired - error)
+        low_pass = ZeroPhaseLowPass(cutoff, self.step, ORDER)
+        smooth = low_pass.loop if self.periodic else low_pass.whole
+        learned = smooth(believed - self.desired + error)
+        if not self.absolute:
+            learned = learned - learned.mean()
+        if self.model.dynamics is not None and not self.periodic:
+            learned = _resting_ends(learned, cutoff * self.step)
+        percent = 100.0 * passed.rmse / float(np.ptp(self.desired))
+        note = (
+            f"{name}: the last pass was {passed.rmse:.3g}{self.unit} off (RMS, {percent:.2g} % of the move); "
+            f"learned below {cutoff:.4g} Hz"
+        )
+        warnings = self._start_problem(name, zero)
+        return Lesson(self.desired + learned, cutoff, (*before, passed), (note,), warnings)
+
+    def _rows_of(self, recording: Tracked) -> _Pass:
+        """Return drive, belief and measurement of the rows that belong to the trajectory."""
+        count = self.desired.size
+        begin = 0
+        if recording.time is not None:
+            begin = self._first_row(recording.name, recording.time)
+        rows = recording.voltage.size - begin
+        if rows > count and not self.periodic and recording.time is not None:
+            rows = count  # what stands behind is a return
+        fits = rows % count == 0 if self.periodic else rows == count
+        if rows < count or not fits:
+            whole = " or whole periods of it" if self.periodic else ""
+            raise InputError(
+                f"{recording.name}: {rows:,} rows from the trajectory's first on, the trajectory has "
+                f"{count:,}{whole} (give the recording of this trajectory, row by row)"
+            )
+        if self.periodic:
+            return self._period_of(recording, begin, rows)
+        state: str | State = self.state if begin == 0 else "auto"
+        if not isinstance(state, State):
+            state = self.model.start(float(recording.voltage[0]), state)
+        believed = self.model.run(recording.voltage, state, self.step).y
+        own = slice(begin, begin + count)
+        return _Pass(recording.voltage[own], believed[own], recording.measured[own])
+
+    def _period_of(self, recording: Tracked, begin: int, rows: int) -> _Pass:
+        """Return one period: the mean of those recorded, the first of several left out."""
+        from dbo_cli.drive.loops import settled_run
+
+        count = self.desired.size
+        if rows > count:
+            begin += count  # not settled yet
+        voltage = recording.voltage[begin:].reshape(-1, count).mean(axis=0)
+        measured = recording.measured[begin:].reshape(-1, count).mean(axis=0)
+        state = self.state
+        if not isinstance(state, State):
+            state = self.model.start(float(voltage[0]), state)
+        return _Pass(voltage, settled_run(self.model, voltage, self.step, state), measured)
+
+    def _first_row(self, name: str, time: Floats) -> int:
+        """Return the recording's row of the trajectory's first; what stands before is its lead."""
+        steps = np.diff(time)
+        step = float(np.median(steps)) if steps.size else self.step
+        if abs(step / self.step - 1.0) > SAME_RATE:
+            raise InputError(
+                f"{name}: has {1.0 / max(step, 1e-300):.6g} samples a second where the trajectory has "
+                f"{1.0 / self.step:.6g} (record at the rate of the drive, or `resample` HZ)"
+            )
+        return int(np.searchsorted(time, self.begin - 0.5 * self.step))
+
+    def _require_same_drive(
+        self, recordings: Sequence[Tracked], passes: Sequence[_Pass]
+    ) -> None:
+        """Refuse to average recordings of different drives (InputError)."""
+        for recording, played in zip(recordings, passes, strict=True):
+            away = rms(played.voltage - passes[0].voltage)
+            if away > SAME_DRIVE * self.model.input.span:
+                raise InputError(
+                    f"{recording.name}: its drive differs from that of {recordings[0].name}; only recordings "
+                    "of one drive can be averaged"
+                )
+
+    def _require_same_move(self, name: str, believed: Floats) -> None:
+        """Refuse a drive that asks for another shape, whatever its size, or for another mean (InputError)."""
+        shape = believed - believed.mean()
+        wanted = self.desired - self.desired.mean()
+        square = float(np.sum(wanted * wanted))
+        size = 1.0
+        if square > 0.0:
+            size = max(float(np.sum(shape * wanted)) / square, 0.0)
+        mean = 0.0
+        if not self.absolute:
+            mean = float(believed.mean() - self.desired.mean())
+        away = math.hypot(rms(shape - size * wanted), mean)
+        if away > ANOTHER_MOVE * rms(wanted):
+            raise InputError(
+                f"{name}: its drive belongs to another trajectory: the model expects something {away:.3g}"
+                f"{self.unit} away from this one (RMS; the move has {rms(wanted):.3g}{self.unit})"
+            )
+
+    def _require_no_growth(
+        self,
+        name: str,
+        passed: PassRecord,
+        before: Sequence[PassRecord],
+        believed: Floats,
+    ) -> None:
+        """Refuse to go on when the error grew (InputError).
+
+        Without a history, what was learned before stands for the error of the last
+        pass.
+        """
+        errors = [record.rmse for record in before]
+        if not errors:
+            learned = rms(believed - self.desired - float(np.mean(believed - self.desired)))
+            wanted = rms(self.desired - self.desired.mean())
+            errors = [learned if learned > LEARNED_BEFORE * wanted else math.inf]
+        best = min(errors)
+        if passed.rmse <= min(GROWTH * errors[-1], FROM_BEST * best):
+            return
+        number = 1 + errors.index(best)
+        raise InputError(
+            f"{name}: the error grew: this pass is {passed.rmse:.3g}{self.unit} off (RMS), the last one was "
+            f"{errors[-1]:.3g}{self.unit}, and the best, pass {number}, {best:.3g}{self.unit} (learn from pass "
+            f"{number} again, with a lower `bandwidth` or a better model)"
+        )
+
+    def _start_problem(self, name: str, zero: float) -> tuple[str, ...]:
+        """Warn where the mean of the error is too large for a sensor's zero."""
+        expected = self.model.fit.get("expected_rmse")
+        if not isinstance(expected, float) or abs(zero) <= START_PROBLEM * expected:
+            return ()
+        text = (
+            f"{name}: the mean of the error, {zero:.3g}{self.unit}, is {abs(zero) / expected:.2g} times the "
+            "expected error: the actuator did not start where the drive assumes (`condition` sweeps it there, "
+            "or `absolute` learns it)"
+        )
+        warn(text)
+        return (text,)
+
+    def _trusted(self, name: str, believed: Floats, measured: Floats) -> float:
+        """Return the frequency (Hz) up to which a pass takes most of the error off, and nothing grows."""
+        resonances = () if self.model.dynamics is None else self.model.dynamics.resonances
+        if resonances:
+            frequency = resonances[0].frequency / RESONANCE_PART
+        else:
+            frequency = _trusted_by_bands(name, believed, measured, self.step)
+        return min(frequency, 0.45 / self.step, _safe(resonances))
+
+
+def lesson_of(
+    model: Model,
+    desired: Floats,
+    begin: float,
+    step: float,
+    recordings: Sequence[Tracked],
+    history: Sequence[PassRecord] = (),
+    state: str | State = "auto",
+    bandwidth: float | None = None,
+    periodic: bool = False,
+    absolute: bool = False,
+) -> Lesson:
+    """Return what to ask of a model for the next pass; see ``RepeatedMove``."""
+    move = RepeatedMove(model, desired, begin, step, state, periodic, absolute)
+    return move.lesson(recordings, history, bandwidth)
+
+
+def rms(values: Floats) -> float:
+    """Return the root of the mean square."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _digest(voltage: Floats) -> str:
+    return hashlib.sha256(np.ascontiguousarray(voltage).tobytes()).hexdigest()
+
+
+def _passes_before(
+    history: Sequence[PassRecord], passed: PassRecord
+) -> tuple[PassRecord, ...]:
+    """Return the passes before this one: what came of learning from it before is forgotten."""
+    drives = [record.drive_sha256 for record in history]
+    if passed.drive_sha256 in drives:
+        history = history[: drives.index(passed.drive_sha256)]
+    return tuple(history)
+
+
+def _resting_ends(learned: Floats, per_sample: float) -> Floats:
+    """Return what was learned with rests at its ends, which it leaves within a period of the cut-off.
+
+    The inverse of dynamics takes the move to begin and end at rest. What does not asks
+    for a jump at the first row, which the next belief contains: it grew fourfold a pass
+    (800 Hz, 20 kHz).
+    """
+    weight = soft_rise(np.clip(np.arange(learned.size) * per_sample, 0.0, 1.0))
+    begun = learned[0] + weight * (learned - learned[0])
+    rested: Floats = begun[-1] + weight[::-1] * (begun - begun[-1])
+    return rested
+
+
+def _safe(resonances: Sequence[Resonance]) -> float:
+    """Return the highest cut-off (Hz) at which no mistuned resonance makes what was learned grow.
+
+    From |Q(1 - M)| <= FACTOR with Q = 1/(1 + (f/f_c)^2n), solved for f_c at every
+    frequency.
+    """
+    highest = math.inf
+    for resonance in resonances:
+        plain = Resonance(resonance.frequency, resonance.damping)
+        for part in (1.0 - MISTUNED, 1.0 + MISTUNED):
+            frequency = resonance.frequency * np.linspace(0.5, 2.0, 3001)
+            actual = Resonance(resonance.frequency * part, SHARPER * resonance.damping)
+            away = np.abs(1.0 - actual.response(frequency) / plain.response(frequency))
+            growing = away > FACTOR
+            bound = frequency[growing] / (away[growing] / FACTOR - 1.0) ** (0.5 / ORDER)
+            highest = min(highest, float(bound.min(initial=math.inf)))
+    return highest
+
+
+def _trusted_by_bands(
+    name: str, believed: Floats, measured: Floats, step: float
+) -> float:
+    """Return the upper end (Hz) of the last third of an octave in which the measured follows the believed.
+
+    From the strongest one on: in those below, what a wrong loop makes of it exceeds the
+    little that was asked there.
+    """
+    window = np.hanning(believed.size)
+    asked = np.fft.rfft((believed - believed.mean()) * window)[1:]
+    came = np.fft.rfft((measured - measured.mean()) * window)[1:]
+    frequency = np.fft.rfftfreq(believed.size, step)[1:]
+    band = np.floor(3.0 * np.log2(frequency / frequency[0])).astype(int)
+    energy = np.sqrt(np.bincount(band, np.abs(asked) ** 2))
+    off = np.sqrt(np.bincount(band, np.abs(came - asked) ** 2))
+    strongest = int(np.argmax(energy))
+    good = -1
+    for k in range(strongest, energy.size):
+        if energy[k] <= ENERGY * energy[strongest]:
+            continue
+        if off[k] > TRUSTED_ERROR * energy[k]:
+            break
+        good = k
+    if good < 0:
+        raise InputError(
+            f"{name}: does not follow the model of the drive at any frequency, so that nothing can be learned "
+            "(check columns, units and delay, or give `bandwidth` HZ)"
+        )
+    return float(frequency[0] * 2.0 ** ((good + 1) / 3.0))
+
+
+# --- the history ---
+
+
+def parse_history(text: str, name: str) -> list[PassRecord]:
+    """Return the passes of a history file, the oldest first.
+
+    Raises
+    ------
+    InputError
+        It is no history.
+    """
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError):
+        raise InputError(f"{name}: is no history: it is not JSON") from None
+    known = isinstance(content, dict) and content.get("format") == FORMAT
+    if not known or content.get("version") != VERSION or not isinstance(content.get("passes"), list):
+        raise InputError(f'{name}: is no history ("format": "{FORMAT}", "version": {VERSION})')
+    return [_record(name, place, record) for place, record in enumerate(content["passes"])]
+
+
+def _record(name: str, place: int, values: Any) -> PassRecord:
+    rmse = values.get("rmse") if isinstance(values, dict) else None
+    is_number = isinstance(rmse, int | float) and not isinstance(rmse, bool)
+    if not is_number or not 0.0 <= rmse <= sys.float_info.max:
+        raise InputError(f"{name}: passes[{place}].rmse: is not a number of at least 0")
+    return PassRecord(str(values.get("drive_sha256", "")), float(rmse))
+
+
+def dumps_history(passes: Sequence[PassRecord]) -> str:
+    """Return a history as the text of its file."""
+    content = {
+        "format": FORMAT,
+        "version": VERSION,
+        "passes": [record._asdict() for record in passes],
+    }
+    return json.dumps(content, indent=2) + "\n"

@@ -111,8 +111,8 @@ class Loss:
             f"{reach.suffix}: check unit, column and zero of the trajectory"
         )
 
-    def require_little(self) -> None:
-        """Refuse to cut off more than a hundredth of the move (LimitError)."""
+    def require_little(self, period: float | None = None) -> None:
+        """Refuse to cut off more than a hundredth of the move (LimitError); ``period``: see ``would_fit``."""
         size, what = self.move.span, "the move"
         if not size > 0.0:
             size, what = self.model.output.span, "the model's range"
@@ -121,7 +121,7 @@ class Loss:
         unit = self.model.output.suffix
         raise LimitError(
             f"{self.clipping()}: it would miss {self.rms:.3g}{unit} RMS, {100.0 * self.rms / size:.2g} % of "
-            f"{what}{self.would_fit()} (`on_limit` clip writes it)"
+            f"{what}{self.would_fit(period)} (`on_limit` clip writes it)"
         )
 
     def clipping(self) -> str:
