@@ -1,6 +1,6 @@
 """Development table of identification: error, what was stated of it, and seconds, case by case.
 
-    python benchmarks/identification.py RECORDINGS [--paper FOLDER] [--before FILE|PROGRAM] [--save FILE] [CASE...]
+    python benchmarks/identification.py RECORDINGS [--before FILE|PROGRAM] [--save FILE] [CASE...]
 
 RECORDINGS holds a folder a case (``case.json``, logs as CSV); the authors' logs are
 looked for in ``../paper`` beside it; invented plants come from ``plants.py``. Columns:
@@ -182,8 +182,9 @@ Way = Callable[[Case], Predicted]
 
 def by_library(case: Case) -> Predicted:
     """Identify and predict with this package."""
-    from dbo_cli.identify import Options, Recording, identify
     from dbo_cli.model.expect import expected_error
+
+    from dbo_cli.identify import Options, Recording, identify
 
     options = Options(skip=case.skip)
     if case.delay is not None:

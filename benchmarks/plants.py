@@ -1,4 +1,4 @@
-"""Invented plants and their logs: actuators that are no backlash operators, on which identification is judged.
+"""Invented plants and their logs: no backlash operators, and what identification is judged on.
 
 A plant takes a drive of 0 to 1 with ``RATE`` rows a second and returns a displacement
 of about 0 to 1. It was at rest at 0 before the first row. Everything follows from
@@ -7,6 +7,7 @@ seeds.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -289,7 +290,7 @@ def ramps() -> Floats:
     turns = [0.0, 1.0, 0.0, 1.0, 0.2, 0.8, 0.3, 0.7, 0.4, 1.0, 0.0, 0.6, 0.3, 0.5, 0.1]
     turns += [0.9, 0.0, 1.0, 0.5, 0.75, 0.0]
     parts = []
-    for begin, end in zip(turns[:-1], turns[1:], strict=True):
+    for begin, end in itertools.pairwise(turns):
         parts.append(np.linspace(begin, end, 150, endpoint=False))
     return np.concatenate(parts)
 

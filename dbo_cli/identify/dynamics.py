@@ -65,7 +65,7 @@ STUDENT = 2.0  # standard errors of a 95 % interval
 
 @dataclass(frozen=True)
 class Form:
-    """How many resonances, whether the highest has an antiresonance, and whether a delay stands behind all."""
+    """How many resonances, an antiresonance of the highest or none, and a delay behind all or none."""
 
     resonances: int
     antiresonance: bool = False
@@ -345,7 +345,7 @@ def _is_inside(resonance: Resonance, band: Band) -> bool:
 def fitted(
     signals: Sequence[Signals], starts: Sequence[Floats], form: Form, band: Band
 ) -> Fitted:
-    """Return the best of several refinements, and its error on blocks left out, one step from the whole fit."""
+    """Return the best of several refinements, judged (see ``_judged``)."""
     low, high = _bounds(signals, form, band)
 
     def error(parameters: Floats) -> Floats:
@@ -385,8 +385,9 @@ def _bounds(
 def _judged(signals: Sequence[Signals], parameters: Floats, form: Form) -> Fitted:
     """Return a fit with its error on blocks left out and the standard errors of its parameters.
 
-    The errors hold where what is left is no white noise, too: (J'J)^-1 (sum of g g')
-    (J'J)^-1 with g = J'r of each block (Liang and Zeger, Biometrika 73, 13, 1986).
+    A fit without some blocks is one step from the whole fit. The standard errors hold
+    where what is left is no white noise, too: (J'J)^-1 (sum of g g') (J'J)^-1 with g =
+    J'r of each block (Liang and Zeger, Biometrika 73, 13, 1986).
     """
     left = np.concatenate([part.left(parameters, form) for part in signals])
     columns = []
@@ -476,7 +477,7 @@ def _band(fast: Sequence[FastPart]) -> Band:
 def _spectra(
     before: Floats, after: Floats, dt: float, band: Band
 ) -> tuple[Floats, Floats, NDArray[np.complex128]]:
-    """Return, where the drive has energy within the band: Hz, its power, and its cross power with what comes out."""
+    """Return Hz, power and cross power of two signals, where the first has energy within the band."""
     size = min(before.size, max(256, round(8.0 / (band[0] * dt))))
     frequency, power = welch(before, 1.0 / dt, nperseg=size)
     both = csd(before, after, 1.0 / dt, nperseg=size)[1]

@@ -65,7 +65,9 @@ def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[FastPa
     for log, sweep, rest, half in zip(recordings, sweeps, rests, halves, strict=True):
         step = even_step(log)
         if step is not None and half is not None and FASTER * half <= slowest:
-            fast.append(FastPart(log, slice(0, log.rows), step, _band(log, span, step)))
+            fast.append(
+                FastPart(log, slice(0, len(log.voltage)), step, _band(log, span, step))
+            )
             continue
         if sweep is not None:
             fast.append(sweep)
@@ -140,8 +142,8 @@ def _sweep(log: Recording, span: float) -> FastPart | None:
         return None
     wider = round(WIDER * slowest / step)
     begin = max(int(rows[first]) - wider, 0)
-    end = min(int(rows[last + 1]) + wider, log.rows)
-    if max(begin, log.rows - end) < FEWEST_ROWS:
+    end = min(int(rows[last + 1]) + wider, len(log.voltage))
+    if max(begin, len(log.voltage) - end) < FEWEST_ROWS:
         return None  # nothing else is left to tell the gears from
     band = 1.0 / slowest, 1.0 / float(periods.min())
     return FastPart(log, slice(begin, end), step, band)
@@ -160,8 +162,8 @@ def _longest_run(mask: NDArray[np.bool_]) -> tuple[int, int]:
 def _without(log: Recording, rows: slice) -> Recording:
     """Return a log up to its fast rows, or from behind them where that is the longer part."""
     kept = slice(0, rows.start)
-    if rows.start < log.rows - rows.stop:
-        kept = slice(rows.stop, log.rows)
+    if rows.start < len(log.voltage) - rows.stop:
+        kept = slice(rows.stop, len(log.voltage))
     return dataclasses.replace(
         log,
         voltage=log.voltage[kept],

@@ -28,7 +28,7 @@ Floats = NDArray[np.float64]
 GEARS = 25  # the paper's
 FINE_GEARS, GROUP = 1280, 20  # gears of the fine operator, and how many share a slope
 SEGMENTS = 2
-"""Of the curve behind the gears. On the authors' cycle 1, 2 and 4 leave 0.89, 0.90, 1.04 um on the other log."""
+"""Of the curve behind the gears: 1, 2 and 4 leave 0.89, 0.90, 1.04 um on the authors' other log."""
 SHRUNK = tuple(part / 20 for part in range(20, 5, -1))  # amplitudes, over the cycle's
 CYCLE_WEIGHT = 10.0  # of the cycle's own amplitude, over each smaller one
 LEAST_SLOPE = 0.3  # of a gear, of the mean slope
@@ -102,7 +102,7 @@ def zero_shift(displacement: Floats, zero: str | float) -> float:
 def _with_figures(
     model: Model, recording: Recording, displacement: Floats, count: int
 ) -> Model:
-    """Return the model with what is left on its cycle, which is played twice: the first only sets the state."""
+    """Return the model with what it leaves on its cycle, played twice: the first only sets the state."""
     twice = np.tile(recording.voltage, 2)
     played, _ = model.simulate(twice, state="empty")
     left = displacement - played[recording.voltage.size :]

@@ -87,7 +87,7 @@ class Beside:
 
 @dataclass(frozen=True)
 class Change:
-    """What moved: the gain's factor, the offset about ``middle``, the delay (s); and their standard errors."""
+    """The gain's factor, the offset about ``middle`` and the delay (s) that are new; their errors."""
 
     gain: float
     offset: float

@@ -74,7 +74,7 @@ def test_the_inverse_is_exact_and_gears_are_as_asked_for() -> None:
 
 def test_a_falling_displacement_is_refused() -> None:
     recording = Recording("cycle.csv", sine(), -played(sine()))
-    with pytest.raises(FitError, match="cycle.csv"):
+    with pytest.raises(FitError, match=r"cycle\.csv"):
         identify_paper(recording, Options())
 
 
