@@ -193,7 +193,14 @@ def choose(groups: Sequence[Group]) -> tuple[list[Group], bool]:
     The shallowest groups with columns count; of several the only one that has more than
     one column. Where that does not decide, all of them are returned.
     """
-    holding = [group for group in groups if group.columns]
+    longest = 0
+    for group in groups:
+        longest = max([longest, *(column.length for column in group.columns)])
+    holding = []
+    for group in groups:
+        rows = max((column.length for column in group.columns), default=0)
+        if rows > min(1, longest - 1):  # single values beside longer columns are none
+            holding.append(group)
     if not holding:
         return [], True
     depth = min(group.depth for group in holding)

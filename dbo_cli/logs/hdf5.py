@@ -8,6 +8,7 @@ because a file says so. MATLAB's files of version 7.3 and netCDF-4 are HDF5, too
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import h5py
@@ -162,11 +163,17 @@ class _Tree:
         if address in seen:
             return  # a circle of hard links
         seen.add(address)
+        if "pandas_type" in group.attrs:
+            raise InputError(
+                f"{self.path}: pandas' to_hdf wrote it: df.to_parquet(OUT), or dbo.identify(df)"
+            )
         found = Group(path, depth, statements=self.statements(group))
         below = []
         for name, node in self._members(group):
             if _is_dataset(node):
-                found.columns += self.columns(node, name)
+                beside = _stored_text(_own_member(group, f"{name}_unit"))
+                for column in self.columns(node, name):
+                    found.columns.append(replace(column, unit=column.unit or beside))
                 if node.size and node.size > 1:
                     found.statements += _statements(node)
             elif isinstance(node, h5py.Group):
@@ -199,14 +206,10 @@ class _Tree:
         """Return what a group's attributes and single values state of the sample rate."""
         stated = _statements(group)
         for name in group:
-            if (
-                is_clock_key(name)
-                and group.get(name, getclass=True, getlink=True) is h5py.HardLink
-            ):
-                node = group[name]
-                if _is_dataset(node) and node.size == 1 and not _leads_out(node):
-                    value = np.ravel(node[()])[0]
-                    stated.append((name, _plain(value), _attribute_text(node, _UNITS)))
+            node = _own_member(group, name) if is_clock_key(name) else None
+            if _is_dataset(node) and node.size == 1 and not _leads_out(node):
+                value = np.ravel(node[()])[0]
+                stated.append((name, _plain(value), _attribute_text(node, _UNITS)))
         return stated
 
     def columns(self, dataset: Any, name: str) -> list[Found]:
@@ -335,6 +338,21 @@ class _Tree:
 
 def _is_dataset(node: Any) -> bool:
     return isinstance(node, h5py.Dataset)
+
+
+def _own_member(group: Any, name: str) -> Any:
+    """Return what a group holds itself, not behind a link, or None."""
+    is_own = group.get(name, getclass=True, getlink=True) is h5py.HardLink
+    return group[name] if is_own else None
+
+
+def _stored_text(node: Any) -> str | None:
+    """Return a text of MATLAB's, which is a short array of character codes."""
+    if not _is_dataset(node) or _attribute_text(node, ("MATLAB_class",)) != "char":
+        return None
+    if _leads_out(node) or not 0 < node.size <= LONGEST_STAMP:
+        return None
+    return "".join(chr(int(code)) for code in np.ravel(node[()]))
 
 
 def _leads_out(dataset: Any) -> bool:
