@@ -1,0 +1,126 @@
+"""Models of invented actuators, for the tests of drives."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from hypothesis import strategies as st
+
+from dbo_cli.model import (
+    Delay,
+    Dynamics,
+    Gears,
+    Lag,
+    Model,
+    Points,
+    Quantity,
+    Relaxation,
+    Resonance,
+    Scale,
+)
+
+
+def actuator(
+    gears: int = 200,
+    low: float = 0.0,
+    high: float = 100.0,
+    stroke: float = 10.0,
+    growth: float = 3.0,
+    tau: tuple[float, ...] = (),
+    gain: tuple[float, ...] = (),
+    bend: tuple[float, ...] = (),
+    curve: tuple[float, ...] = (),
+    scale: float = 1.0,
+    sections: tuple[Any, ...] = (),
+    delay: float = 0.0,
+    fit: dict[str, Any] | None = None,
+) -> Model:
+    """Return a forward model; ``bend`` and ``curve`` are slopes of points before and behind the gears."""
+    dx = np.full(gears, (high - low) / gears)
+    slopes = np.linspace(1.0, growth, gears)
+    dy = slopes * dx * stroke / float((slopes * dx).sum())
+    stages: list[Any] = []
+    if bend:
+        stages.append(_points(bend, low, high))
+    relaxation = Relaxation(low, tau, gain) if tau else None
+    stages.append(Gears(dx, dy, low, 0.0, relaxation))
+    if curve:
+        stages.append(_points(curve, 0.0, stroke))
+    if scale != 1.0:
+        stages.append(Scale(scale, 1.0))
+    if sections:
+        stages.append(Dynamics(sections))
+    if delay:
+        stages.append(Delay(delay))
+    voltage = Quantity("voltage", "V", low, high)
+    guess = Quantity("displacement", "um", -1e3, 1e3)
+    model = Model("forward", voltage, guess, tuple(stages), fit or {})
+    ends = reach(model, low, high)
+    reached = Quantity("displacement", "um", min(ends), max(ends))
+    return Model("forward", voltage, reached, tuple(stages), fit or {})
+
+
+def _points(slopes: tuple[float, ...], low: float, high: float) -> Points:
+    """Return a curve from ``low`` to ``high`` whose ends are where they were."""
+    dx = np.full(len(slopes), (high - low) / len(slopes))
+    dy = np.array(slopes) * dx
+    return Points(dx, dy * (high - low) / dy.sum(), low, low)
+
+
+def reach(model: Model, low: float, high: float) -> tuple[float, float]:
+    """Return the displacement at rest at two voltages."""
+    static = model.static
+    bottom = static.run(np.array([low]), static.start(low, "empty"), 1.0).y[0]
+    top = static.run(np.array([high]), static.start(high, "full"), 1.0).y[0]
+    return float(bottom), float(top)
+
+
+def ripple(
+    model: Model, rows: int, part: float = 0.8, cycles: float = 3.0, phase: float = 0.0
+) -> np.ndarray:
+    """Return a sine over a part of what a model reaches."""
+    middle = 0.5 * (model.output.min + model.output.max)
+    t = np.arange(rows) / rows
+    swing = 0.5 * part * model.output.span
+    return middle + swing * np.sin(2.0 * math.pi * (cycles * t + phase))
+
+
+def gentle(model: Model, rows: int, part: float = 0.3) -> np.ndarray:
+    """Return a hump that begins and ends at rest."""
+    t = np.clip((np.arange(rows) / rows - 0.2) / 0.6, 0.0, 1.0)
+    base = model.output.min + 0.4 * model.output.span
+    return base + part * model.output.span * np.sin(math.pi * t) ** 4
+
+
+MEMORIES = st.sampled_from(
+    [((), ()), ((0.05,), (0.004,)), ((0.01, 0.3, 5.0), (0.003, 0.002, 0.004)), ((0.2,), (-0.004,))]
+)
+SECTIONS = st.sampled_from(
+    [(), (Lag(4e-4),), (Resonance(60.0, 0.02),), (Lag(1e-3), Resonance(120.0, 0.05))]
+)
+
+
+@st.composite
+def actuators(draw: st.DrawFn, static: bool = False) -> Model:
+    """Draw a model of any kind."""
+    tau, gain = draw(MEMORIES)
+    low = draw(st.sampled_from([0.0, -20.0, 0.236]))
+    span = draw(st.sampled_from([3.5, 100.0, 150.0]))
+    stroke = draw(st.sampled_from([0.5, 10.0]))
+    gain = tuple(value * stroke / span * 10.0 for value in gain)
+    return actuator(
+        gears=draw(st.sampled_from([1, 2, 7, 64])),
+        low=low,
+        high=low + span,
+        stroke=stroke,
+        growth=draw(st.sampled_from([1.0, 1.5, 4.0])),
+        tau=tau,
+        gain=gain,
+        bend=draw(st.sampled_from([(), (1.0, 1.3)])),
+        curve=draw(st.sampled_from([(), (1.0, 0.7, 1.2)])),
+        scale=draw(st.sampled_from([1.0, -3.0])),
+        sections=() if static else draw(SECTIONS),
+        delay=0.0 if static else draw(st.sampled_from([0.0, 0.002, 0.00137])),
+    )

@@ -1,0 +1,262 @@
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dbo_cli.drive import Limits, plan, stream
+from dbo_cli.errors import DboWarning, InputError, LimitError, UsageError
+from dbo_cli.model import Lag, Model, Resonance
+
+from .actuators import actuator, actuators, gentle, reach, ripple
+
+pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
+RATE = 1000.0
+DT = 1.0 / RATE
+
+
+def limits_of(model: Model, *typed: Any, **named: Any) -> Limits:
+    return Limits.within(model.input, *typed, **named)
+
+
+def played(model: Model, voltage: np.ndarray, dt: float | None = DT, state: Any = "auto") -> np.ndarray:
+    """Return what a model makes of a whole drive."""
+    if isinstance(state, str):
+        state = model.start(float(voltage[0]), state)
+    return np.asarray(model.run(voltage, state, dt).y)
+
+
+@given(actuators(static=True), st.sampled_from(["auto", "empty", "settled"]))
+@settings(max_examples=60, deadline=None, derandomize=True)
+def test_compensate_then_simulate_is_the_identity(model: Model, state: str) -> None:
+    wanted = ripple(model, 700, 0.9)
+    if state == "empty":
+        wanted[:100] = np.linspace(model.output.min, wanted[100], 100)
+        if model.sign == "falling":
+            wanted[:100] = np.linspace(model.output.max, wanted[100], 100)
+    drive = plan(model, wanted, DT, limits_of(model), state=state, on_limit="clip")
+    y = played(model, drive.voltage, state=state)
+    unclipped = drive.clipped == 0
+    if unclipped:
+        begin = 0 if state == "empty" else 1  # a settled start may step over the first value
+        assert np.abs(y - wanted)[begin:].max() <= 1e-11 * model.output.span
+    else:
+        assert drive.lost_most == pytest.approx(np.abs(y - wanted).max(), rel=1e-6)
+
+
+def test_dynamics_and_delay_are_undone() -> None:
+    model = actuator(sections=(Lag(4e-4), Resonance(60.0, 0.02)), delay=0.003)
+    wanted = gentle(model, 2000)
+    drive = plan(model, wanted, DT, limits_of(model), state="empty")
+    y = played(model, drive.voltage, state="empty")
+    assert np.abs(y - wanted)[10:].max() <= 2e-3 * np.ptp(wanted)
+
+
+@given(actuators(), st.integers(1, 400), st.booleans())
+@settings(max_examples=60, deadline=None, derandomize=True)
+def test_values_do_not_depend_on_blocks(model: Model, rows: int, slow: bool) -> None:
+    wanted = gentle(model, 1200, 0.5)
+    slew = 3.0 * model.input.span if slow else None
+    limits = limits_of(model, max_slew=slew)
+    whole = plan(model, wanted, DT, limits, on_limit="clip")
+    parts = stream(model, [(None, wanted)], DT, limits, block_rows=rows, on_limit="clip")
+    voltage = np.concatenate([part.voltage for part in parts])
+    assert parts.drive is not None
+    assert np.abs(voltage - whole.voltage).max() <= 1e-12 * model.input.span
+    assert (parts.drive.clipped, parts.drive.first_clipped) == (whole.clipped, whole.first_clipped)
+    assert parts.drive.lost_rms == pytest.approx(whole.lost_rms, rel=1e-9, abs=1e-15)
+
+
+def test_a_state_goes_on() -> None:
+    model = actuator(tau=(0.05, 2.0), gain=(0.01, 0.01), sections=(Lag(1e-3), Resonance(80.0, 0.05)))
+    wanted = gentle(model, 2000)
+    limits = limits_of(model)
+    whole = plan(model, wanted, DT, limits)
+    cut = 1900  # at rest again
+    first = plan(model, wanted[:cut], np.arange(cut) * DT, limits)
+    second = plan(model, wanted[cut:], np.arange(cut, 2000) * DT, limits, state=first.state)
+    assert np.abs(second.voltage - whole.voltage[cut:]).max() < 1e-6 * model.input.span
+    assert second.past_known
+
+
+def test_a_pause_lets_memory_go_on() -> None:
+    model = actuator(tau=(0.5,), gain=(0.02,))
+    wanted = ripple(model, 500, 0.4)
+    first = plan(model, wanted, np.arange(500) * DT, limits_of(model))
+    hold = np.full(2000, first.voltage[-1])
+    y = played(model, np.concatenate([first.voltage, hold]))
+    time = 2.5 + np.arange(500) * DT
+    later = plan(model, wanted, time, limits_of(model), state=first.state)
+    back = played(model, np.concatenate([first.voltage, hold, later.voltage]))
+    assert np.abs(back[2500:] - wanted).max() < 1e-9
+    assert abs(y[-1] - wanted[-1]) > 1e-3  # it crept meanwhile
+
+
+# --- limits ---
+
+
+def test_auto_clips_little_and_refuses_much() -> None:
+    model = actuator()
+    little = ripple(model, 1000, 0.9)
+    top = reach(model, 0.0, 91.0)[1]
+    little = little - little.max() + top
+    limits = limits_of(model, 0, 90)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        drive = plan(model, little, DT, limits)
+    assert 0 < drive.clipped < 200
+    assert 0.0 < drive.lost_rms < 0.01 * np.ptp(little)
+    assert any("clipped" in str(warning.message) for warning in caught)
+    assert drive.voltage.max() == 90.0
+    with pytest.raises(LimitError, match="60 V reaches"):
+        plan(model, little, DT, limits_of(model, 0, 60))
+    assert plan(model, little, DT, limits_of(model, 0, 60), on_limit="clip").voltage.max() == 60.0
+    with pytest.raises(LimitError, match="row"):
+        plan(model, little, DT, limits, on_limit="error")
+
+
+def test_the_number_that_would_fit_fits() -> None:
+    model = actuator()
+    wanted = ripple(model, 1000, 0.9)
+    with pytest.raises(LimitError, match="times slower") as refused:
+        plan(model, wanted, DT, limits_of(model, max_slew=300))
+    slower = float(str(refused.value).split("allows it ")[1].split(" ")[0])
+    assert slower > 1.5
+    assert plan(model, wanted, slower * DT, limits_of(model, max_slew=300)).clipped == 0
+
+
+def test_a_stream_counts_its_loss_and_refuses_in_the_end() -> None:
+    model = actuator()
+    wanted = ripple(model, 1000, 0.9)
+    limits = limits_of(model, 0, 60)
+    parts = stream(model, [(None, wanted)], DT, limits, block_rows=100)
+    voltage = []
+    with pytest.raises(LimitError):
+        for part in parts:
+            voltage.append(part.voltage)
+    assert sum(rows.size for rows in voltage) == 1000
+    clipping = stream(model, [(None, wanted)], DT, limits, block_rows=100, on_limit="clip")
+    list(clipping)
+    assert clipping.drive is not None
+    assert clipping.drive.clipped > 100
+    assert clipping.drive.lost_rms > 0.1
+
+
+def test_extrapolation() -> None:
+    model = actuator()
+    wanted = ripple(model, 500, 1.1)
+    with pytest.raises(LimitError):
+        plan(model, wanted, DT, limits_of(model, -20, 120))
+    drive = plan(model, wanted, DT, limits_of(model, -20, 120, extrapolate=True))
+    assert drive.voltage.max() > 100.0
+    assert any("identified" in text for text in drive.warnings)
+
+
+def test_what_cannot_be_driven() -> None:
+    model = actuator()
+    limits = limits_of(model)
+    with pytest.raises(InputError, match="unit"):
+        plan(model, np.full(10, 1e4), DT, limits)
+    with pytest.raises(InputError, match="row 3"):
+        plan(model, [1.0, 2.0, np.nan, 2.0], DT, limits)
+    with pytest.raises(InputError, match="backwards in row 3"):
+        plan(model, [1.0, 2.0, 3.0, 4.0], [0.0, 0.2, 0.1, 0.3], limits)
+    with pytest.raises(InputError):
+        plan(model, [], DT, limits)
+    with pytest.raises(InputError):
+        plan(model, [1.0, 2.0], [0.0], limits)
+    with pytest.raises(InputError, match="sample_rate"):
+        plan(model, [1.0, 2.0], None, limits_of(model, max_slew=1))
+    with pytest.raises(InputError, match="sample_rate"):
+        plan(model, [1.0, 2.0], None, limits, condition=True)
+    with pytest.raises(UsageError):
+        plan(model, [1.0, 2.0], DT, limits, on_limit="maybe")  # type: ignore[arg-type]
+    late = actuator(delay=0.1)
+    with pytest.raises(LimitError, match="delay"):
+        plan(late, ripple(late, 20, 0.1), DT, limits)
+    uneven = np.cumsum(np.r_[0.0, 1e-3, 5e-3, 1e-3, 1e-3])
+    with pytest.raises(InputError, match="resample"):
+        plan(late, ripple(late, 5, 0.1), uneven, limits)
+
+
+def test_uneven_clocks_of_static_models() -> None:
+    model = actuator(tau=(0.02,), gain=(0.02,))
+    time = np.cumsum(np.random.default_rng(1).uniform(5e-4, 5e-3, 400))
+    wanted = ripple(model, 400, 0.7)
+    drive = plan(model, wanted, time, limits_of(model, max_slew=5000))
+    y = model.simulate(drive.voltage, time=time)[0]
+    assert np.abs(y - wanted)[1:].max() < 1e-10
+    slow = plan(model, wanted, time, limits_of(model, max_slew=500), on_limit="clip")
+    assert (np.abs(np.diff(slow.voltage)) / np.diff(time)).max() <= 500 * (1 + 1e-12)
+
+
+def test_bandwidth_rounds_corners() -> None:
+    model = actuator(sections=(Resonance(60.0, 0.02),))
+    t = np.arange(2000) * DT
+    wanted = model.output.min + 0.5 * model.output.span * np.abs((t * 2.0) % 2.0 - 1.0)
+    drive = plan(model, wanted, DT, limits_of(model), bandwidth=15.0, on_limit="clip")
+    assert np.array_equal(drive.desired, wanted)
+    sharp = plan(model, wanted, DT, limits_of(model), on_limit="clip")
+    assert np.ptp(np.diff(drive.voltage)) < 0.5 * np.ptp(np.diff(sharp.voltage))
+    with pytest.raises(UsageError):
+        plan(model, wanted, DT, limits_of(model), bandwidth=600.0)
+
+
+def test_first_row_from_where_the_amplifier_stands() -> None:
+    model = actuator()
+    wanted = ripple(model, 500, 0.5)
+    limits = limits_of(model, max_slew=500)
+    drive = plan(model, wanted, DT, limits, start=0.0, on_limit="clip")
+    assert drive.voltage[0] <= 0.5 * (1 + 1e-12)
+    with pytest.raises(LimitError, match="approach"):
+        plan(model, wanted, DT, limits_of(model, -20, 120, 500), start=-10.0)
+    with pytest.raises(LimitError, match="outside the limits"):
+        plan(model, wanted, DT, limits, start=1000.0)
+    with pytest.raises(LimitError, match="state"):
+        outside = plan(model, wanted, DT, limits_of(model, -20, 120), return_to=-10.0).state
+        plan(model, wanted, DT, limits, state=outside)
+
+
+def test_summary_is_complete() -> None:
+    import json
+
+    model = actuator(fit={"expected_rmse": 0.01})
+    drive = plan(model, ripple(model, 500), DT, limits_of(model, 0, 120, 5000), start=0.0, approach="auto")
+    summary = json.loads(json.dumps(drive.summary()))
+    assert (summary["format"], summary["version"]) == ("dbo-summary", 1)
+    assert summary["model"] == model.digest
+    assert summary["limits"]["rating"] == [0.0, 120.0]
+    assert summary["limits"]["move"] == [0.0, 100.0]
+    assert summary["limits"]["max_slew"] == 5000.0
+    assert summary["rows"] == drive.voltage.size == 500 + summary["lead"]["rows"]
+    assert summary["unit"] == "um"
+    assert summary["move_range"] == pytest.approx([drive.desired[drive.move].min(), drive.desired[drive.move].max()])
+    assert drive.line().startswith(f"{drive.rows:,} rows")
+
+
+def test_holding_with_negative_gains_is_looked_at() -> None:
+    model = actuator(tau=(1.0,), gain=(-0.015,))
+    top = model.static.run(np.array([95.0]), model.start(95.0, "full"), 1.0).y[0]
+    rise = np.linspace(model.output.min, 0.99 * top, 200)
+    drive = plan(model, rise, DT, limits_of(model), state="empty", on_limit="clip")
+    held = plan(model, np.full(20000, rise[-1]), 0.01, limits_of(model), state=drive.state, on_limit="clip")
+    warned = any("holding" in text for text in drive.warnings)
+    assert warned == (held.clipped > 0)
+
+
+def test_warnings_are_dbo_warnings() -> None:
+    model = actuator()
+    with pytest.warns(DboWarning, match="clipped"):
+        plan(model, ripple(model, 500), DT, limits_of(model, 0, 60), on_limit="clip")
+
+
+def test_drive_is_frozen() -> None:
+    model = actuator()
+    drive = plan(model, ripple(model, 100, 0.5), DT, limits_of(model))
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        drive.rows = 3  # type: ignore[misc]

@@ -1,0 +1,204 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dbo_cli.drive import Limits, plan
+from dbo_cli.drive.lead import Around, swings
+from dbo_cli.errors import LimitError, UsageError
+from dbo_cli.model import Lag, Model, Resonance
+
+from .actuators import actuator, actuators, gentle, ripple
+
+pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
+DT = 2e-4
+
+
+def limits_of(model: Model, *typed: float | None, **named: float | bool) -> Limits:
+    return Limits.within(model.input, *typed, **named)  # type: ignore[arg-type]
+
+
+def played(model: Model, voltage: np.ndarray, dt: float = DT, start: str = "auto") -> np.ndarray:
+    return np.asarray(model.run(voltage, model.start(float(voltage[0]), start), dt).y)
+
+
+def test_way_begins_where_the_amplifier_stands() -> None:
+    model = actuator(tau=(0.05,), gain=(0.01,))
+    wanted = ripple(model, 3000, 0.6)
+    drive = plan(model, wanted, DT, limits_of(model, max_slew=2000.0), start=20.0, approach="auto")
+    assert drive.voltage[0] == 20.0
+    assert drive.time is not None
+    assert drive.time[drive.move.start] == 0.0
+    assert (drive.time[: drive.move.start] < 0.0).all()
+    assert np.allclose(np.diff(drive.time), DT)
+    assert drive.lead_seconds >= 0.1
+    assert np.abs(np.diff(drive.voltage)).max() <= 2000.0 * DT * (1 + 1e-12)
+    y = played(model, drive.voltage)
+    assert np.abs(y - drive.desired).max() < 1e-10
+
+
+def test_way_in_uses_the_rating() -> None:
+    model = actuator(low=0.236, high=3.424)
+    wanted = ripple(model, 500, 0.5)
+    drive = plan(model, wanted, DT, limits_of(model, 0, 5), start=0.0, approach="auto", return_to=4.5)
+    assert drive.voltage[0] == 0.0
+    move = drive.voltage[drive.move]
+    assert 0.236 <= move.min() and move.max() <= 3.424
+    assert drive.voltage[-1] == 4.5
+    assert drive.rows == drive.voltage.size == drive.desired.size
+    with pytest.raises(LimitError):
+        plan(model, wanted, DT, limits_of(model, 0, 5), return_to=5.1)
+    with pytest.raises(LimitError):
+        plan(model, wanted, DT, limits_of(model), start=0.0, approach="auto")
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+@pytest.mark.parametrize("slew", [None, 2000.0, 1e6])
+def test_auto_takes_a_tenth_of_a_second(periodic: bool, slew: float | None) -> None:
+    model = actuator()
+    wanted = ripple(model, 1000, 0.6, cycles=1.0)
+    drive = plan(
+        model, wanted, DT, limits_of(model, max_slew=slew), start=0.0, approach="auto", periodic=periodic
+    )
+    assert drive.lead_seconds >= 0.1
+
+
+def test_typed_seconds() -> None:
+    model = actuator()
+    wanted = ripple(model, 1000, 0.6)
+    limits = limits_of(model, max_slew=100.0)
+    drive = plan(model, wanted, 0.01, limits_of(model), start=0.0, approach=2.0)
+    assert drive.lead_seconds == pytest.approx(2.0, abs=0.03)
+    with pytest.raises(LimitError, match="at least") as refused:
+        plan(model, wanted, 0.01, limits, start=0.0, approach=0.2, on_limit="clip")
+    fits = float(str(refused.value).split("at least ")[1].split(" ")[0])
+    plan(model, wanted, 0.01, limits, start=0.0, approach=fits, on_limit="clip")
+    rest = plan(model, wanted, 0.01, limits_of(model), lead=0.5)
+    assert rest.move.start == 50
+    assert np.ptp(rest.desired[:51]) == 0.0
+
+
+def test_lead_auto_is_what_is_read_ahead() -> None:
+    model = actuator(sections=(Resonance(60.0, 0.02),), delay=0.002)
+    drive = plan(model, ripple(model, 1000, 0.5), DT, limits_of(model), lead="auto", on_limit="clip")
+    assert drive.move.start == model.ahead(DT)
+
+
+def test_sweep_makes_the_past_known() -> None:
+    model = actuator(tau=(0.02, 0.5), gain=(0.004, 0.004))
+    wanted = ripple(model, 2000, 0.3)
+    drive = plan(model, wanted, DT, limits_of(model), condition=True)
+    assert drive.past_known
+    assert drive.voltage[: drive.move.start].max() == 100.0
+    move = drive.move
+    errors = []
+    for past in ("empty", "full", "settled"):
+        y = played(model, drive.voltage, start=past)
+        errors.append(np.abs(y[move] - wanted).max())
+    # gears forget; relaxation as far as its time constants are over
+    assert max(errors) < 0.03
+    assert np.abs(played(model, drive.voltage)[move] - wanted).max() < 1e-9
+
+
+def test_sweep_stays_in_the_moves_range() -> None:
+    model = actuator(low=0.0, high=100.0)
+    drive = plan(
+        model, ripple(model, 200, 0.3), DT, limits_of(model, -20, 150), start=-10.0, condition=True
+    )
+    swept = drive.voltage[: drive.move.start]
+    assert swept[0] == -10.0
+    assert swept.max() == 100.0
+    typed = plan(model, ripple(model, 200, 0.3), DT, limits_of(model, 5, 80), condition=True)
+    assert (typed.voltage.min(), typed.voltage.max()) == (5.0, 80.0)
+
+
+@pytest.mark.parametrize("start", [0.15, 0.5, 0.8])
+@pytest.mark.parametrize("slew", [None, 600.0])
+def test_sweep_joins_the_move(start: float, slew: float | None) -> None:
+    model = actuator(
+        tau=(0.01, 0.3, 4.0),
+        gain=(0.003, 0.004, 0.004),
+        curve=(1.0, 0.8, 1.1),
+        sections=(Lag(4e-4), Resonance(250.0, 0.02)),
+    )
+    t = np.arange(10000) * DT
+    hump = np.sin(np.pi * np.clip((t - 0.3) / 1.2, 0, 1)) ** 2
+    wanted = model.output.min + model.output.span * (start + 0.1 * hump)
+    drive = plan(model, wanted, DT, limits_of(model, max_slew=slew), condition=True)
+    steps = np.abs(np.diff(drive.voltage))
+    join = drive.move.start
+    around = steps[join - 3 : join + 3].max()
+    elsewhere = np.r_[steps[: join - 3], steps[join + 3 :]].max()
+    assert around <= elsewhere
+    y = played(model, drive.voltage)
+    assert np.abs(y - wanted_rows(drive.desired, y))[join:].max() < 2e-3
+
+
+def wanted_rows(desired: np.ndarray, y: np.ndarray) -> np.ndarray:
+    assert desired.size == y.size
+    return desired
+
+
+def test_a_lead_is_never_long_beside_its_move() -> None:
+    model = actuator()
+    wanted = ripple(model, 200, 0.3)
+    with pytest.raises(LimitError, match="would fit") as refused:
+        plan(model, wanted, 0.01, limits_of(model, max_slew=1.0), condition=True, on_limit="clip")
+    fits = float(str(refused.value).split("`max_slew` ")[1].split(" ")[0])
+    drive = plan(model, wanted, 0.01, limits_of(model, max_slew=fits), condition=True, on_limit="clip")
+    assert 50.0 < drive.lead_seconds <= 60.0
+    longer = ripple(model, 4000, 0.3)
+    drive = plan(model, longer, 0.01, limits_of(model, max_slew=1.0), condition=True, on_limit="clip")
+    assert drive.lead_seconds > 300.0
+
+
+def test_options_that_are_none() -> None:
+    model = actuator()
+    limits = limits_of(model)
+    for wrong in (0.0, -1.0, math.nan, math.inf, "soon", True):
+        with pytest.raises(UsageError):
+            Around(approach=wrong)  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match="exclude"):
+        Around(condition=True, state="empty")
+    with pytest.raises(UsageError, match="start"):
+        plan(model, [1.0, 2.0, 3.0], DT, limits, approach="auto")
+    state = plan(model, [1.0, 2.0, 3.0], DT, limits).state
+    with pytest.raises(UsageError, match="contradicts"):
+        plan(model, [1.0, 2.0, 3.0], DT, limits, start=77.0, state=state)
+
+
+@given(
+    st.lists(st.floats(-100, 100), min_size=2, max_size=5),
+    st.integers(1, 50),
+)
+def test_swings_stay_between_their_turns(turns: list[float], rows: int) -> None:
+    voltage = swings(turns, [rows] * (len(turns) - 1))
+    assert voltage.size == 1 + rows * (len(turns) - 1)
+    assert voltage.min() == min(turns) and voltage.max() == max(turns)
+    assert voltage[0] == turns[0] and voltage[-1] == turns[-1]
+
+
+@given(actuators(), st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.sampled_from([None, 1.0, 20.0]))
+@settings(max_examples=60, deadline=None, derandomize=True)
+def test_the_way_joins_the_move(
+    model: Model, stands: float, begins: float, slew: float | None
+) -> None:
+    """Where the move is at rest, the way ends without a step larger than those within."""
+    start = model.input.min + stands * model.input.span
+    rest = model.output.min + (0.1 + 0.8 * begins) * model.output.span
+    wanted = np.full(400, rest)
+    typed = None if slew is None else slew * model.input.span
+    drive = plan(
+        model, wanted, 1e-3, limits_of(model, max_slew=typed), start=start, approach="auto", on_limit="clip"
+    )
+    assert drive.voltage[0] == start
+    steps = np.abs(np.diff(drive.voltage))
+    join = drive.move.start
+    assert steps[join - 2 :].max(initial=0.0) <= max(steps.max(), 1e-9)
+    # gentle: no step of the way is larger than a soft rise in a tenth of a second makes it
+    most = 1.9 / 100 * model.input.span * 4.0
+    assert steps.max(initial=0.0) <= most

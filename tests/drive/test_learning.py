@@ -1,0 +1,145 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from dbo_cli.drive import Limits, PassRecord, Tracked, dumps_history, parse_history, plan
+from dbo_cli.errors import DboWarning, InputError, UsageError
+from dbo_cli.model import Model, Resonance
+
+from .actuators import actuator
+
+pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
+RATE = 20000.0
+DT = 1.0 / RATE
+
+
+def move(rows: int = 6000) -> np.ndarray:
+    t = np.arange(rows) / rows
+    u = np.clip((t - 0.1) / 0.8, 0.0, 1.0)
+    return 5.0 + 2.5 * np.sin(2 * np.pi * 19 * u) * np.sin(np.pi * u) ** 2
+
+
+def learned(model: Model, plant: Model, passes: int, noise: float = 0.0) -> list[float]:
+    """Return the error of each pass in % of the move, the model being wrong about the plant."""
+    wanted, limits = move(), Limits.within(model.input)
+    rng = np.random.default_rng(1)
+    history: list[PassRecord] = []
+    tracked: list[Tracked] = []
+    errors = []
+    for _ in range(passes):
+        drive = plan(
+            model, wanted, DT, limits, state="empty", tracked=tracked, history=history, on_limit="clip"
+        )
+        history = list(drive.history)
+        y = plant.run(drive.voltage, plant.start(float(drive.voltage[0]), "empty"), DT).y
+        error = (y - wanted)[700:-700]
+        errors.append(100.0 * float(np.sqrt(np.mean(error**2))) / float(np.ptp(wanted)))
+        measured = y + noise * rng.standard_normal(y.size)
+        tracked = [Tracked("pass.csv", drive.voltage, measured)]
+    return errors
+
+
+@pytest.mark.parametrize(("frequency", "damping"), [(760.0, 0.02), (700.0, 0.005), (600.0, 0.01), (900.0, 0.005)])
+def test_learning_converges_with_a_mistuned_model(frequency: float, damping: float) -> None:
+    model = actuator(256, growth=1.5, tau=(0.5, 20.0), gain=(0.002, 0.002), sections=(Resonance(800.0, 0.02),))
+    plant = actuator(
+        256, growth=1.7, tau=(0.5, 20.0), gain=(0.002, 0.002), sections=(Resonance(frequency, damping),)
+    )
+    errors = learned(model, plant, 12, noise=0.005)
+    assert errors[0] > 0.5
+    assert errors[3] < 0.5 * errors[0]
+    assert max(errors[6:]) < 0.35 * errors[0]
+
+
+def test_learning_without_dynamics_finds_its_own_band() -> None:
+    model = actuator(256, growth=1.5)
+    plant = actuator(256, growth=1.8, stroke=10.4)
+    errors = learned(model, plant, 5)
+    assert errors[-1] < 0.2 * errors[0]
+
+
+def test_growth_is_refused() -> None:
+    model, plant = actuator(growth=1.5), actuator(growth=1.8)
+    wanted, limits = move(), Limits.within(model.input)
+    first = plan(model, wanted, DT, limits, state="empty")
+    y = plant.run(first.voltage, plant.start(0.0, "empty"), DT).y
+    tracked = [Tracked("pass.csv", first.voltage, y)]
+    small = [PassRecord("earlier", 1e-6)]
+    with pytest.raises(InputError, match="grew"):
+        plan(model, wanted, DT, limits, state="empty", tracked=tracked, history=small)
+    lesson = plan(model, wanted, DT, limits, state="empty", tracked=tracked)
+    again = [*lesson.history, PassRecord("what came of it", 9.0)]
+    repeated = plan(model, wanted, DT, limits, state="empty", tracked=tracked, history=again)
+    assert repeated.history == lesson.history
+
+
+def test_the_mean_is_the_sensors_zero_unless_absolute() -> None:
+    model = actuator(growth=1.5, fit={"expected_rmse": 0.01})
+    wanted, limits = move(), Limits.within(model.input)
+    drive = plan(model, wanted, DT, limits, state="empty")
+    y = model.run(drive.voltage, model.start(0.0, "empty"), DT).y
+    shifted = [Tracked("pass.csv", drive.voltage, y + 0.3)]
+    with pytest.warns(DboWarning, match="start"):
+        same = plan(model, wanted, DT, limits, state="empty", tracked=shifted)
+    assert np.abs(same.voltage - drive.voltage).max() < 0.05
+    lower = plan(model, wanted, DT, limits, state="empty", tracked=shifted, absolute=True)
+    assert lower.voltage.mean() < drive.voltage.mean() - 1.0
+    assert np.array_equal(lower.desired, wanted)
+
+
+def test_periods_are_learned() -> None:
+    model, plant = actuator(growth=1.5), actuator(growth=1.8)
+    wanted = 5.0 + 3.0 * np.sin(2 * np.pi * np.arange(1000) / 1000)
+    limits = Limits.within(model.input)
+    tracked: list[Tracked] = []
+    errors = []
+    for _ in range(4):
+        drive = plan(model, wanted, 1e-3, limits, periodic=True, tracked=tracked)
+        voltage = np.tile(drive.voltage[drive.move], 4)
+        y = plant.run(voltage, plant.start(float(voltage[0])), 1e-3).y
+        errors.append(float(np.abs(y[-1000:] - wanted).max()))
+        tracked = [Tracked("loop.csv", voltage, y)]
+    assert errors[-1] < 0.2 * errors[0]
+
+
+def test_rows_before_the_move_are_found_by_time() -> None:
+    model, plant = actuator(growth=1.5), actuator(growth=1.8)
+    wanted, limits = move(), Limits.within(model.input)
+    options = {"condition": True, "return_to": 0.0}
+    drive = plan(model, wanted, DT, limits, **options)  # type: ignore[arg-type]
+    y = plant.run(drive.voltage, plant.start(0.0, "empty"), DT).y
+    tracked = [Tracked("pass.csv", drive.voltage, y, drive.time)]
+    again = plan(model, wanted, DT, limits, tracked=tracked, **options)  # type: ignore[arg-type]
+    y2 = plant.run(again.voltage, plant.start(0.0, "empty"), DT).y
+    before, after = (np.std((got - wanted)) for got in (y[drive.move], y2[again.move]))
+    assert after < 0.5 * before
+
+
+def test_recordings_that_do_not_belong() -> None:
+    model = actuator(growth=1.5)
+    wanted, limits = move(), Limits.within(model.input)
+    drive = plan(model, wanted, DT, limits, state="empty")
+    y = model.run(drive.voltage, model.start(0.0, "empty"), DT).y
+    good = Tracked("pass.csv", drive.voltage, y)
+    short = dataclasses.replace(good, voltage=good.voltage[:-1], measured=y[:-1])
+    other = dataclasses.replace(good, voltage=100.0 - good.voltage)
+    slow = dataclasses.replace(good, time=2 * DT * np.arange(y.size))
+    for wrong in ([short], [other], [slow], [good, other]):
+        with pytest.raises(InputError, match=r"pass\.csv"):
+            plan(model, wanted, DT, limits, state="empty", tracked=wrong)
+    with pytest.raises(UsageError):
+        plan(model, wanted, DT, limits, history=[PassRecord("", 1.0)])
+
+
+def test_history_file() -> None:
+    passes = [PassRecord("ab", 0.5), PassRecord("cd", 0.25)]
+    assert parse_history(dumps_history(passes), "h.json") == passes
+    for text in ("", "[]", "{}", '{"format": "dbo-history", "version": 2, "passes": []}'):
+        with pytest.raises(InputError, match=r"h\.json"):
+            parse_history(text, "h.json")
+    broken = '{"format": "dbo-history", "version": 1, "passes": [{"rmse": -1}]}'
+    with pytest.raises(InputError, match=r"passes\[0\]"):
+        parse_history(broken, "h.json")
