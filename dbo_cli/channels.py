@@ -51,11 +51,12 @@ def names(
         The log is a stream, which cannot be read once for every channel.
     """
     from dbo_cli.logs import columns_of
+    from dbo_cli.units import split_header
 
     path = paths[0]
     if path == "-":
         raise UsageError("-: channels are read one after the other; give a file")
-    headers = [column.name for column in columns_of(path, reading)]
+    headers = [split_header(column.name)[0] for column in columns_of(path, reading)]
     found: dict[str, list[str]] = {}
     for role, typed in columns.items():
         if typed is not None and PLACE in typed:

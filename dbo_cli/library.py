@@ -389,7 +389,7 @@ def columns_by_role(frame: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, str | 
     InputError
         It is not clear which column is which.
     """
-    from dbo_cli.logs.columns import columns_of_names
+    from dbo_cli.logs import columns_of_names
 
     if {"voltage", "displacement"} <= set(frame.columns):
         return frame, dict(
