@@ -17,7 +17,7 @@ from dbo_cli.drive.lead import Around, Seconds
 from dbo_cli.drive.learning import Lesson, PassRecord, Tracked, lesson_of
 from dbo_cli.drive.limits import Limits
 from dbo_cli.drive.loops import Loop
-from dbo_cli.drive.stream import Block, OnLimit, Rows, Stream
+from dbo_cli.drive.stream import Block, OnLimit, Stream
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.model import Model, State, ZeroPhaseLowPass
 
@@ -99,19 +99,32 @@ def plan(
     if passes and not periodic:
         raise UsageError("`passes` is the run-in of a loop (`periodic`)")
     if history and not tracked:
-        raise UsageError("`history` keeps the passes that `tracked` recorded: give both")
+        raise UsageError(
+            "`history` keeps the passes that `tracked` recorded: give both"
+        )
     values = np.ascontiguousarray(desired, dtype=np.float64).reshape(-1)
     time, step = read_clock(clock, values.size, name)
     request = values
     lesson: Lesson | None = None
     if not (tracked or periodic or bandwidth is not None):
         blocks = [Block(time, values, values)]
-        return _whole(Stream(model, blocks, step, limits, around, on_limit, name, keeps=True))
-    even = _require_step(step, name, "`tracked`, `periodic` and `bandwidth` need an even clock")
+        return _whole(Stream(model, blocks, step, limits, around, on_limit, name))
+    even = _require_step(
+        step, name, "`tracked`, `periodic` and `bandwidth` need an even clock"
+    )
     if tracked:
         begin = 0.0 if time is None else float(time[0])
         lesson = lesson_of(
-            model, values, begin, even, tracked, history, state, bandwidth, periodic, absolute
+            model,
+            values,
+            begin,
+            even,
+            tracked,
+            history,
+            state,
+            bandwidth,
+            periodic,
+            absolute,
         )
         request = lesson.request
     rounds = bandwidth is not None and lesson is None
@@ -123,7 +136,10 @@ def plan(
     blocks = [Block(time, values, request)]
     if rounds:
         blocks = _rounded(time, values, ZeroPhaseLowPass(bandwidth, even))
-    return _learned(_whole(Stream(model, blocks, even, limits, around, on_limit, name, keeps=True)), lesson)
+    return _learned(
+        _whole(Stream(model, blocks, even, limits, around, on_limit, name)),
+        lesson,
+    )
 
 
 def stream(
@@ -157,7 +173,9 @@ def stream(
     more than one percent is refused at the end of the iteration.
     """
     around = Around(state, start, approach, condition, lead, return_to)
-    moves = (Block(time, desired, desired) for time, desired in _cut(blocks, block_rows))
+    moves = (
+        Block(time, desired, desired) for time, desired in _cut(blocks, block_rows)
+    )
     return Stream(model, moves, step, limits, around, on_limit, name)
 
 
@@ -211,7 +229,10 @@ def _rounded(
     rest = np.full(low_pass.reach, desired[-1])
     rounded = low_pass.whole(np.concatenate([desired, rest]))
     tail = rounded[desired.size :]
-    return [Block(time, desired, rounded[: desired.size]), Block(None, tail, tail, "tail")]
+    return [
+        Block(time, desired, rounded[: desired.size]),
+        Block(None, tail, tail, "tail"),
+    ]
 
 
 def _require_step(step: float | None, name: str, why: str) -> float:
@@ -221,7 +242,9 @@ def _require_step(step: float | None, name: str, why: str) -> float:
     return step
 
 
-def read_clock(clock: Clock, count: int, name: str) -> tuple[Floats | None, float | None]:
+def read_clock(
+    clock: Clock, count: int, name: str
+) -> tuple[Floats | None, float | None]:
     """Return the time of each row (None: not given) and the step of an even clock (None: uneven).
 
     Raises

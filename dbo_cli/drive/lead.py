@@ -28,7 +28,8 @@ SWEEP_SECONDS = 1.0
 SHORTEST_WAY = 0.1
 """s that a way or ramp takes at least where nobody typed its seconds: whatever it excites stays small."""
 QUIET = 14.0  # time constants: what rings is down to a millionth
-LONGEST_REST = 10.0  # s; a resonance that rings longer was hardly excited by swings of a second
+# s; a resonance that rings longer was hardly excited by swings of a second
+LONGEST_REST = 10.0
 SLEW_SPARE = 0.9
 """Of the slew limit: what dynamics add to a swing that was planned without them, and what the digits of time
 stamps take away (since 1970, 0.2 us each).
@@ -78,9 +79,13 @@ class Around:
         for name in ("approach", "lead"):
             _check_seconds(name, getattr(self, name))
         if self.condition and self.state != "auto":
-            raise UsageError("`condition` and `state` exclude each other: the sweep makes its own state")
+            raise UsageError(
+                "`condition` and `state` exclude each other: the sweep makes its own state"
+            )
         if self.start is not None and not math.isfinite(self.start):
-            raise UsageError(f"`start` {self.start}: give the voltage at which the amplifier stands")
+            raise UsageError(
+                f"`from` {self.start}: give the voltage at which the amplifier stands"
+            )
 
     @property
     def needs_time(self) -> str:
@@ -153,7 +158,9 @@ def plan_lead(
     moves = around.condition or around.approach is not None
     rest = _rest_at_first(model, first, dt, around)
     if last is None and around.approach is not None and not around.condition:
-        raise UsageError("`approach` needs `start` VOLT (where the amplifier stands) or a `state`")
+        raise UsageError(
+            "`approach` needs `from` VOLT (where the amplifier stands) or a `state`"
+        )
     if not moves:
         return _standing(model, last, known, rest, dt, around)
     return _moving(model, first, dt, limits, around, last, known, rest)
@@ -177,7 +184,9 @@ def standing_at(model: Model, limits: Limits, around: Around) -> float | None:
     limits.require_start(left_at, "`state`: the voltage at which it was left,")
     span = limits.rating[1] - limits.rating[0]
     if around.start is not None and abs(around.start - left_at) > 1e-9 * span:
-        raise UsageError(f"`start` {around.start:g} contradicts `state`, which was left at {left_at:g}")
+        raise UsageError(
+            f"`from` {around.start:g} contradicts `state`, which was left at {left_at:g}"
+        )
     return left_at
 
 
@@ -208,7 +217,9 @@ def _moving(
     rest: Floats,
 ) -> Lead:
     """Return the lead of a drive that goes to the first value: ramp, sweep, rest, way."""
-    inside = sweep_range(model, limits)[0] if around.condition else _inside(last, limits)
+    inside = (
+        sweep_range(model, limits)[0] if around.condition else _inside(last, limits)
+    )
     seconds: Seconds = around.approach if around.condition else "auto"
     inwards = NOTHING
     if last is not None:
@@ -233,7 +244,9 @@ def _moving(
         chosen += path.size * dt
     if not isinstance(around.lead, float | int):
         chosen += rest.size * dt
-    return Lead(voltage, expected, np.concatenate([path, rest]), state, chosen, slewed, dt)
+    return Lead(
+        voltage, expected, np.concatenate([path, rest]), state, chosen, slewed, dt
+    )
 
 
 def _inside(last: float | None, limits: Limits) -> float:
@@ -352,7 +365,9 @@ def way(
     if isinstance(seconds, float | int):
         duration = float(seconds)
     elif limits.slew is None:
-        duration = max(SWEEP_SECONDS * min(abs(distance) / model.input.span, 1.0), duration)
+        duration = max(
+            SWEEP_SECONDS * min(abs(distance) / model.input.span, 1.0), duration
+        )
     most = math.inf
     if limits.slew is not None:
         most = SLEW_SPARE * limits.slew * dt
@@ -417,8 +432,8 @@ def return_ramp(begin: float, dt: float, limits: Limits, around: Around) -> Floa
     """
     if around.return_to is None:
         return NOTHING
-    limits.require_start(around.return_to, "`return_to`")
-    return ramp("return_to", begin, around.return_to, dt, "auto", limits)
+    limits.require_start(around.return_to, "`return`")
+    return ramp("return", begin, around.return_to, dt, "auto", limits)
 
 
 def require_short(lead: Lead, move_seconds: float, limits: Limits) -> None:

@@ -27,20 +27,28 @@ from dbo_cli.model import Model, Resonance, State, ZeroPhaseLowPass
 Floats = NDArray[np.float64]
 FORMAT, VERSION = "dbo-history", 1
 
-ORDER = 4  # of Q, run both ways; at 4 what is learned neither grows nor is lost (measured in benchmarks)
+# of Q, run both ways; at 4 what is learned neither grows nor is lost (measured in benchmarks)
+ORDER = 4
 GROWTH = 1.2  # times the error of the last pass: beyond, learning diverges; chosen
 FROM_BEST = 2.0  # times the best pass's error: growth by less a pass shows after a few
-LEARNED_BEFORE = 2e-3  # of the move (RMS): a smaller request beyond the move was not learned
+# of the move (RMS): a smaller request beyond the move was not learned
+LEARNED_BEFORE = 2e-3
 START_PROBLEM = 8.0  # times the expected error: a mean beyond it is no sensor's zero
-SAME_DRIVE = 0.02  # of the drive's range (RMS): recordings further apart are not of one drive
+# of the drive's range (RMS): recordings further apart are not of one drive
+SAME_DRIVE = 0.02
 SAME_RATE = 1e-3  # of a step
-ANOTHER_MOVE = 0.5  # of the move (RMS): a drive that asks for something further away is of another
-TRUSTED_ERROR = 1.0 / 3.0  # of what was asked, in a third of an octave: a pass takes two thirds off
-ENERGY = 1e-3  # of the strongest third of an octave (amplitude): with less a band says nothing
+# of the move (RMS): a drive that asks for something further away is of another
+ANOTHER_MOVE = 0.5
+# of what was asked, in a third of an octave: a pass takes two thirds off
+TRUSTED_ERROR = 1.0 / 3.0
+# of the strongest third of an octave (amplitude): with less a band says nothing
+ENERGY = 1e-3
 RESONANCE_PART = 3.0  # a model is trusted to its lowest resonance over this
-MISTUNED = 0.25  # how far off a resonance may be: a payload of half the moving mass does that
+# how far off a resonance may be: a payload of half the moving mass does that
+MISTUNED = 0.25
 SHARPER = 0.25  # of the model's damping: that of the mistuned resonance; chosen
-FACTOR = 0.9  # most that |Q(1 - M)| may be at any frequency for such a resonance; chosen
+# most that |Q(1 - M)| may be at any frequency for such a resonance; chosen
+FACTOR = 0.9
 
 
 @dataclass(frozen=True)
@@ -163,7 +171,9 @@ class RepeatedMove:
             f"learned below {cutoff:.4g} Hz"
         )
         warnings = self._start_problem(name, zero)
-        return Lesson(self.desired + learned, cutoff, (*before, passed), (note,), warnings)
+        return Lesson(
+            self.desired + learned, cutoff, (*before, passed), (note,), warnings
+        )
 
     def _rows_of(self, recording: Tracked) -> _Pass:
         """Return drive, belief and measurement of the rows that belong to the trajectory."""
@@ -202,7 +212,9 @@ class RepeatedMove:
         state = self.state
         if not isinstance(state, State):
             state = self.model.start(float(voltage[0]), state)
-        return _Pass(voltage, settled_run(self.model, voltage, self.step, state), measured)
+        return _Pass(
+            voltage, settled_run(self.model, voltage, self.step, state), measured
+        )
 
     def _first_row(self, name: str, time: Floats) -> int:
         """Return the recording's row of the trajectory's first; what stands before is its lead."""
@@ -259,7 +271,9 @@ class RepeatedMove:
         """
         errors = [record.rmse for record in before]
         if not errors:
-            learned = rms(believed - self.desired - float(np.mean(believed - self.desired)))
+            learned = rms(
+                believed - self.desired - float(np.mean(believed - self.desired))
+            )
             wanted = rms(self.desired - self.desired.mean())
             errors = [learned if learned > LEARNED_BEFORE * wanted else math.inf]
         best = min(errors)
@@ -268,8 +282,8 @@ class RepeatedMove:
         number = 1 + errors.index(best)
         raise InputError(
             f"{name}: the error grew: this pass is {passed.rmse:.3g}{self.unit} off (RMS), the last one was "
-            f"{errors[-1]:.3g}{self.unit}, and the best, pass {number}, {best:.3g}{self.unit} (learn from pass "
-            f"{number} again, with a lower `bandwidth` or a better model)"
+            f"{errors[-1]:.3g}{self.unit}, and the best, pass {number}, {best:.3g}{self.unit} (learn from that "
+            "one again, with a lower `bandwidth` or a better model)"
         )
 
     def _start_problem(self, name: str, zero: float) -> tuple[str, ...]:
@@ -279,15 +293,17 @@ class RepeatedMove:
             return ()
         text = (
             f"{name}: the mean of the error, {zero:.3g}{self.unit}, is {abs(zero) / expected:.2g} times the "
-            "expected error: the actuator did not start where the drive assumes (`condition` sweeps it there, "
-            "or `absolute` learns it)"
+            "expected error: the actuator did not start where the drive assumes (`condition` sweeps it "
+            "there, or `absolute` learns it)"
         )
         warn(text)
         return (text,)
 
     def _trusted(self, name: str, believed: Floats, measured: Floats) -> float:
         """Return the frequency (Hz) up to which a pass takes most of the error off, and nothing grows."""
-        resonances = () if self.model.dynamics is None else self.model.dynamics.resonances
+        resonances = (
+            () if self.model.dynamics is None else self.model.dynamics.resonances
+        )
         if resonances:
             frequency = resonances[0].frequency / RESONANCE_PART
         else:
@@ -388,7 +404,7 @@ def _trusted_by_bands(
         good = k
     if good < 0:
         raise InputError(
-            f"{name}: does not follow the model of the drive at any frequency, so that nothing can be learned "
+            f"{name}: does not follow the drive's model at any frequency, so that nothing can be learned "
             "(check columns, units and delay, or give `bandwidth` HZ)"
         )
     return float(frequency[0] * 2.0 ** ((good + 1) / 3.0))
@@ -410,9 +426,17 @@ def parse_history(text: str, name: str) -> list[PassRecord]:
     except (ValueError, RecursionError):
         raise InputError(f"{name}: is no history: it is not JSON") from None
     known = isinstance(content, dict) and content.get("format") == FORMAT
-    if not known or content.get("version") != VERSION or not isinstance(content.get("passes"), list):
-        raise InputError(f'{name}: is no history ("format": "{FORMAT}", "version": {VERSION})')
-    return [_record(name, place, record) for place, record in enumerate(content["passes"])]
+    if (
+        not known
+        or content.get("version") != VERSION
+        or not isinstance(content.get("passes"), list)
+    ):
+        raise InputError(
+            f'{name}: is no history ("format": "{FORMAT}", "version": {VERSION})'
+        )
+    return [
+        _record(name, place, record) for place, record in enumerate(content["passes"])
+    ]
 
 
 def _record(name: str, place: int, values: Any) -> PassRecord:

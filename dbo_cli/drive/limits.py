@@ -93,7 +93,9 @@ class Limits:
         if max_slew is not None:
             slew = slew_in("max_slew", max_slew, quantity)
         if extrapolate and v_min is None and v_max is None:
-            raise UsageError("`extrapolate` goes as far as `v_min` and `v_max` say: give one of them")
+            raise UsageError(
+                "`extrapolate` goes as far as `v_min` and `v_max` say: give one of them"
+            )
         if not extrapolate:
             _require_overlap(quantity, low, high)
         if not low < high:
@@ -133,10 +135,12 @@ class Limits:
         if self.slew is None:
             return None
         if dt is None:
-            raise InputError("`max_slew` needs the time between samples (a time column, or `sample_rate`)")
+            raise InputError(
+                "`max_slew` needs the time between samples (a time column, or `sample_rate`)"
+            )
         return self.slew * dt * INWARDS
 
-    def require_start(self, voltage: float, name: str = "`start`") -> None:
+    def require_start(self, voltage: float, name: str = "`from`") -> None:
         """Refuse an amplifier that stands outside the rating.
 
         Raises
@@ -148,7 +152,9 @@ class Limits:
         if low <= voltage <= high:
             return
         if not math.isfinite(voltage):
-            raise LimitError(f"{name} {voltage}: give the voltage at which the amplifier stands")
+            raise LimitError(
+                f"{name} {voltage}: give the voltage at which the amplifier stands"
+            )
         raise LimitError(
             f"{name} {voltage:.6g}{self.suffix} is outside the limits, {low:.6g} to {high:.6g}{self.suffix}: "
             "bring the amplifier inside first, or give its rating with `v_min` and `v_max`"

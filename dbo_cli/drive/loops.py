@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.drive.drive import Drive, Extent
+from dbo_cli.drive.drive import Drive
 from dbo_cli.drive.gate import Gate
 from dbo_cli.drive.lead import (
     Around,
@@ -36,14 +36,21 @@ from dbo_cli.model import Model, State, VoltageWindow
 Floats = NDArray[np.float64]
 NOTHING = np.zeros(0)
 
-MOST_PASSES = 200  # relaxation settles within 60; limits that bind now and then take longer
-SETTLED = 1e-12  # of the drive's range, by which a settled drive changes from pass to pass
-SAME_DRIVE = 1e-9  # of the drive's range: drives that agree to this are one; far above rounding
-MOST_STARTS = 20  # tries for a start, ramp or run-in that leads to the loop it ends on; two are usual
-LOOP_ERROR = 1e-6  # of the move: a loop that the model repeats further off than this is none
+# relaxation settles within 60; limits that bind now and then take longer
+MOST_PASSES = 200
+# of the drive's range, by which a settled drive changes from pass to pass
+SETTLED = 1e-12
+# of the drive's range: drives that agree to this are one; far above rounding
+SAME_DRIVE = 1e-9
+# tries for a start, ramp or run-in that leads to the loop it ends on; two are usual
+MOST_STARTS = 20
+# of the move: a loop that the model repeats further off than this is none
+LOOP_ERROR = 1e-6
 FEWEST_ROWS = 4  # of a period: fewer have no shape
-SEAM = 3.0  # times the largest step inside a period, from which on its last row does not meet its first
-FADE = 0.5, 0.1  # where the run-in fades over, in parts of it before its end (begin, end); measured before 1.0
+# times the largest step inside a period, from which on its last row does not meet its first
+SEAM = 3.0
+# where the run-in fades over, in parts of it before its end (begin, end); measured before 1.0
+FADE = 0.5, 0.1
 
 
 class Settled(NamedTuple):
@@ -180,13 +187,15 @@ class Loop:
         if passes < 0:
             raise UsageError(f"`passes` {passes}: give a whole number of passes")
         if around.condition:
-            raise UsageError("`periodic` and `condition` exclude each other (`passes` N runs a loop in)")
+            raise UsageError(
+                "`periodic` and `condition` exclude each other (`passes` N runs a loop in)"
+            )
         if around.return_to is not None:
-            raise UsageError("`periodic` and `return_to` exclude each other: a loop goes on")
+            raise UsageError(
+                "`periodic` and `return` exclude each other: a loop goes on"
+            )
         if around.lead is not None and not passes:
             raise UsageError("`lead` rests before the run-in of a loop: give `passes`")
-        if self.limits.slew is not None and self.limits.slew * self.dt <= 0.0:
-            raise InputError(f"{self.name}: the step of the clock is too small")
         require_closed(self.name, self.request)
 
     # --- what stands before the period ---
@@ -215,7 +224,9 @@ class Loop:
         for _ in range(MOST_STARTS):
             closed = self._closed(settled.voltage)
             run_in = self._faded_over(followed, closed, passes)
-            state = model.run(run_in, dataclasses.replace(begun, undoing=None), dt).state
+            state = model.run(
+                run_in, dataclasses.replace(begun, undoing=None), dt
+            ).state
             again = self._settled(undone, state)
             away = float(np.abs(again.voltage - settled.voltage).max())
             settled = again
@@ -236,7 +247,9 @@ class Loop:
         undone = model.undo(signal, undoing, dt)[0]
         if state is None:
             assert isinstance(self.around.state, str)
-            state = model.start_drive(float(undone[0]), self.around.state, *self.limits.move)
+            state = model.start_drive(
+                float(undone[0]), self.around.state, *self.limits.move
+            )
         return model.static.drive(undone, state, dt, self.limits.window).voltage
 
     def _faded_over(self, followed: Floats, settled: Floats, passes: int) -> Floats:
@@ -266,7 +279,9 @@ class Loop:
         last = standing_at(self.model, self.limits, self.around)
         approach = self.around.approach
         if approach is not None and last is None:
-            raise UsageError("`approach` needs `start` VOLT (where the amplifier stands) or a `state`")
+            raise UsageError(
+                "`approach` needs `from` VOLT (where the amplifier stands) or a `state`"
+            )
         if approach is None or last is None:
             return self._own_start(undone, last)
         begun = self._start(last)
@@ -280,7 +295,10 @@ class Loop:
             run = self.model.run(voltage, begun, self.dt) if voltage.size else None
             state = begun if run is None else run.state
             settled = self._settled(undone, state)
-            if abs(float(settled.voltage[0]) - end) <= SAME_DRIVE * self.model.input.span:
+            if (
+                abs(float(settled.voltage[0]) - end)
+                <= SAME_DRIVE * self.model.input.span
+            ):
                 expected = NOTHING if run is None else run.y
                 return Before(expected, voltage, begun), settled
         raise LimitError(
@@ -293,7 +311,9 @@ class Loop:
             begun = self._start(last)
             return Before(NOTHING, NOTHING, begun), self._settled(undone, begun)
         assert isinstance(self.around.state, str)
-        state = self.model.start_drive(float(undone[0]), self.around.state, *self.limits.move)
+        state = self.model.start_drive(
+            float(undone[0]), self.around.state, *self.limits.move
+        )
         settled = self._settled(undone, state)
         for _ in range(MOST_STARTS):
             begun = self._start(float(settled.voltage[0]))
@@ -338,7 +358,7 @@ class Loop:
 
     def _loss(self, settled: Settled, undone: Floats) -> Loss:
         """Count what the limits cut off the period, or refuse it."""
-        loss = Loss(self.model, self.limits, self.name, keeps=True)
+        loss = Loss(self.model, self.limits, self.name)
         loss.keep(undone, self.dt, settled.before)
         loss.see(self.desired, settled.clipped, settled.first_clipped)
         if self.on_limit == "error":
@@ -352,7 +372,9 @@ class Loop:
             loss.require_little(self.dt * self.desired.size)
         return loss
 
-    def _require_settled(self, settled: Settled, undone: Floats, before: Before) -> None:
+    def _require_settled(
+        self, settled: Settled, undone: Floats, before: Before
+    ) -> None:
         """Warn of a loop that the model does not repeat, or refuse it where it costs too much."""
         model, dt, size = self.model, self.dt, float(np.ptp(undone))
         state = before.begun
@@ -360,7 +382,9 @@ class Loop:
             state = model.run(before.voltage, state, dt).state
         looped = looped_state(model, settled.voltage, dt, state)
         aim = slow_output(model, settled.voltage, dt, settled.before)
-        away = float(np.abs(slow_output(model, settled.voltage, dt, looped) - aim).max())
+        away = float(
+            np.abs(slow_output(model, settled.voltage, dt, looped) - aim).max()
+        )
         if settled.converged and away <= LOOP_ERROR * size:
             return
         text = (
@@ -369,7 +393,9 @@ class Loop:
         )
         if away <= LOOP_ERROR * size:
             text = f"{self.name}: the drive still changes from pass to pass within its limits"
-        if self.on_limit == "error" or (self.on_limit == "auto" and away > ALLOWED_PART * size):
+        if self.on_limit == "error" or (
+            self.on_limit == "auto" and away > ALLOWED_PART * size
+        ):
             raise LimitError(f"{text}; `on_limit` clip writes it all the same")
         warn(text)
 
@@ -385,42 +411,22 @@ class Loop:
         if period is None:
             period = dt * np.arange(voltage.size)
         time = np.concatenate([period[0] - dt * np.arange(count, 0.0, -1.0), period])
-        outlook = Outlook(model, self.limits, self.name)
-        outlook.see(before.voltage if count else voltage, dt, "lead")
+        outlook = Outlook(model, loss)
+        outlook.see(before.voltage, dt, "lead")
         outlook.see(voltage, dt, "move")
-        knows = isinstance(self.around.state, State)
-        expected = outlook.expected(knows, loss.rms)
-        whole, led = Extent(), Extent()
-        whole.see(played)
-        led.see(before.voltage)
         state = dataclasses.replace(run.state, time=float(time[-1]))
-        warnings = outlook.warn(loss, None, whole, expected)
+        known = isinstance(self.around.state, State)
+        drive = outlook.drive(state, count * dt, known)
         settled_y = settled_run(model, voltage, dt, settled.before)
         away = float(np.sqrt(np.mean((run.y[count:] - settled_y) ** 2)))
-        return Drive(
-            self.limits,
-            model.digest,
-            model.output.unit,
+        note = f"the first pass is {away:.3g}{model.output.suffix} off the settled one (RMS)"
+        return dataclasses.replace(
+            drive,
             time=time,
             desired=np.concatenate([before.desired, self.desired]),
             voltage=played,
             move=slice(count, count + voltage.size),
-            rows=whole.rows,
-            least=whole.least,
-            greatest=whole.greatest,
-            clipped=loss.clipped,
-            first_clipped=loss.first_clipped,
-            lost_rms=loss.rms,
-            lost_most=loss.most,
-            expected_error=expected.error,
-            expected_known=expected.known,
-            past_known=knows,
-            state=state,
-            lead=led,
-            lead_seconds=count * dt,
-            move_range=loss.move.range,
-            notes=(f"{self.name}: the first pass is {away:.3g}{model.output.suffix} off the settled one (RMS)",),
-            warnings=tuple(warnings),
+            notes=(f"{self.name}: {note}",),
         )
 
     def _admit(self, before: Floats, voltage: Floats) -> None:
@@ -439,8 +445,8 @@ class Loop:
         if most is not None and abs(first - last) > most:
             unit = self.limits.suffix
             raise LimitError(
-                f"{self.name}: the amplifier stands at {last:.6g}{unit}, and {self.limits.slew:g}{unit}/s does "
-                f"not bring it to {first:.6g}{unit} in one row (`approach` auto ramps there)"
+                f"the amplifier stands at {last:.6g}{unit}, and {self.limits.slew:g}{unit}/s does not bring it "
+                f"to {first:.6g}{unit} in one row (`approach` auto ramps there)"
             )
 
 
@@ -453,7 +459,9 @@ def _rise(count: int, passes: int) -> Floats:
 def require_closed(name: str, period: Floats) -> None:
     """Refuse a period that is too short, or jumps from its last row to its first (InputError)."""
     if period.size < FEWEST_ROWS:
-        raise InputError(f"{name}: {period.size} rows are no period of a loop (at least {FEWEST_ROWS})")
+        raise InputError(
+            f"{name}: {period.size} rows are no period of a loop (at least {FEWEST_ROWS})"
+        )
     if not np.isfinite(period).all():
         raise InputError(f"{name}: a row of the period holds no number")
     seam = abs(float(period[0] - period[-1]))

@@ -20,7 +20,10 @@ Steps = float | Floats | None
 
 ALLOWED_PART = 0.01
 """Of the move: so much of it (RMS) may be cut off unasked; the order of a good model's error; chosen."""
-REACH_SLACK = 0.01  # of the range: a trajectory this little outside is clipped like any other
+# of the range: a trajectory this little outside is clipped like any other
+# of the range: a trajectory this little outside is clipped like any other
+REACH_SLACK = 0.01
+KEPT_ROWS = 131_072  # rows that a refusal looks at again; a longer move is not kept
 
 
 @dataclass
@@ -31,8 +34,6 @@ class Loss:
     ----------
     model, limits, name
         The forward model, what its drive may do, and the trajectory's name.
-    keeps : bool
-        Whether the move is kept, so that a refusal can look at it again.
     move : Extent
         The displacements of the move.
     clipped, first_clipped : int
@@ -44,11 +45,11 @@ class Loss:
     model: Model
     limits: Limits
     name: str
-    keeps: bool = False
     move: Extent = field(default_factory=Extent)
     clipped: int = 0
     first_clipped: int = 0
     most: float = 0.0
+    _rows: int = 0
     _unreachable: int = 0
     _squares: float = 0.0
     _sections: Any = None
@@ -56,10 +57,13 @@ class Loss:
     _begun: State | None = None
 
     def keep(self, wanted: Floats, dt: Steps, before: State) -> None:
-        """Keep rows of the drive, those before the move too."""
-        if self.keeps:
-            self._begun = self._begun or before
-            self._kept.append((wanted, dt))
+        """Keep rows of the static part, so that a refusal can look at them again; not of a long move."""
+        self._rows += wanted.size
+        if self.limits.slew is None or self._rows > KEPT_ROWS:
+            self._kept = []
+            return
+        self._begun = self._begun or before
+        self._kept.append((wanted, dt))
 
     def see(self, desired: Floats, clipped: int, first: int) -> None:
         """See rows of the move, of which ``clipped`` were clipped, the first at index ``first``."""
@@ -99,7 +103,9 @@ class Loss:
     def require_none(self) -> None:
         """Refuse any clipped row (LimitError)."""
         if self.clipped:
-            raise LimitError(f"{self.clipping()}{self.would_fit()} (`on_limit` clip goes on)")
+            raise LimitError(
+                f"{self.clipping()}{self.would_fit()} (`on_limit` clip goes on)"
+            )
 
     def require_reachable(self) -> None:
         """Refuse a trajectory of which no row can be reached (InputError)."""
@@ -142,10 +148,10 @@ class Loss:
         texts = self._reach_texts()
         slower = self._times_slower()
         if not texts and slower > 1.0:
-            allows = f"{self.limits.slew:g}{self.limits.suffix}/s allows it {_rounded_up(slower):g} times slower"
+            what = f"it {_rounded_up(slower):g} times slower"
             if period is not None:
-                allows = f"{self.limits.slew:g}{self.limits.suffix}/s allows {1.0 / (slower * period):.2g} Hz"
-            texts.append(allows)
+                what = f"{1.0 / (slower * period):.2g} Hz"
+            texts.append(f"{self.limits.slew:g}{self.limits.suffix}/s allows {what}")
         return f"; {', '.join(texts)}" if texts else ""
 
     def _reach_texts(self) -> list[str]:
@@ -160,7 +166,9 @@ class Loss:
             above = end == max(ends) and self.move.greatest > end
             below = end == min(ends) and self.move.least < end
             if above or below:
-                texts.append(f"{voltage:.6g}{self.limits.suffix} reaches {end:.4g}{unit}")
+                texts.append(
+                    f"{voltage:.6g}{self.limits.suffix} reaches {end:.4g}{unit}"
+                )
         return texts
 
     def _times_slower(self) -> float:
@@ -174,7 +182,9 @@ class Loss:
             done = self.model.drive(wanted, state, dt, window)
             state = done.state
             steps = np.abs(np.diff(done.voltage))
-            seconds = np.broadcast_to(np.asarray(dt, dtype=np.float64), wanted.shape)[1:]
+            seconds = np.broadcast_to(np.asarray(dt, dtype=np.float64), wanted.shape)[
+                1:
+            ]
             rates = steps[seconds > 0.0] / seconds[seconds > 0.0]
             fastest = max(fastest, float(rates.max(initial=0.0)))
         return fastest / self.limits.slew

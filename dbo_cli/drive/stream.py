@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.drive.drive import Drive, Extent
+from dbo_cli.drive.drive import Drive
 from dbo_cli.drive.gate import Gate
 from dbo_cli.drive.lead import (
     Around,
@@ -83,8 +83,6 @@ class Stream:
         What the drive may do, what stands around the move, and what happens at a limit.
     name
         Of the trajectory, for messages.
-    keeps : bool
-        Whether the whole move is kept, so that a refusal can say what would fit.
 
     Attributes
     ----------
@@ -101,20 +99,18 @@ class Stream:
         around: Around,
         on_limit: OnLimit = "auto",
         name: str = "trajectory",
-        keeps: bool = False,
     ) -> None:
         model.require("forward")
         check_on_limit(on_limit)
         self.model, self.limits, self.around = model, limits, around
         self.on_limit, self.name, self.step = on_limit, name, step
         self.drive: Drive | None = None
-        self.loss = Loss(model, limits, name, keeps)
-        self.outlook = Outlook(model, limits, name)
+        self.loss = Loss(model, limits, name)
+        self.outlook = Outlook(model, self.loss)
         self._blocks = blocks
         self._gate = Gate(limits, standing_at(model, limits, around))
         self._state: State | None = None
         self._lead = Lead()
-        self._led, self._whole = Extent(), Extent()
         self._time = math.nan
 
     def __iter__(self) -> Iterator[Rows]:
@@ -161,7 +157,9 @@ class Stream:
             bad = ~np.isfinite(block.wanted)
             if bad.any():
                 row = rows + int(np.argmax(bad)) + 1
-                raise InputError(f"{self.name}: row {row:,} holds no number (`skip_bad` leaves such rows out)")
+                raise InputError(
+                    f"{self.name}: row {row:,} holds no number (`skip_bad` leaves such rows out)"
+                )
             time, dt = block.time, self.step
             if time is not None:
                 if last is None:
@@ -185,8 +183,13 @@ class Stream:
         """Return time steps, as one number where they are even."""
         if (steps < 0.0).any():
             row = rows + int(np.argmax(steps < 0.0)) + 1
-            raise InputError(f"{self.name}: time goes backwards in row {row:,} (`rows` A:B cuts the log)")
-        if self.step is not None and (np.abs(steps - self.step) <= EVEN * self.step).all():
+            raise InputError(
+                f"{self.name}: time goes backwards in row {row:,} (`rows` A:B cuts the log)"
+            )
+        if (
+            self.step is not None
+            and (np.abs(steps - self.step) <= EVEN * self.step).all()
+        ):
             return self.step
         return steps
 
@@ -201,8 +204,12 @@ class Stream:
                 f"{self.name}: `{needs}` needs the time between samples (a time column, or `sample_rate`)"
             )
         if isinstance(around.state, State):
-            around = dataclasses.replace(around, state=self._aged(around.state, first, step))
-        lead = plan_lead(self.model, float(first.wanted[0]), step or 0.0, self.limits, around)
+            around = dataclasses.replace(
+                around, state=self._aged(around.state, first, step)
+            )
+        lead = plan_lead(
+            self.model, float(first.wanted[0]), step or 0.0, self.limits, around
+        )
         self._state = lead.state
         if not lead.rows:
             self._require_start(first)
@@ -210,7 +217,12 @@ class Stream:
 
     def _aged(self, state: State, first: Block, step: float | None) -> State:
         """Return a state after the pause between its last row and the first one: the voltage was held."""
-        if state.time is None or state.drive is None or first.time is None or step is None:
+        if (
+            state.time is None
+            or state.drive is None
+            or first.time is None
+            or step is None
+        ):
             return state
         pause = float(first.time[0]) - state.time - step
         if pause <= EVEN * step:
@@ -251,9 +263,6 @@ class Stream:
     def _admit(self, voltage: Floats, dt: Steps, part: str) -> None:
         """Let rows pass the gate, and note what they span."""
         self._gate.admit(voltage, dt, part)
-        self._whole.see(voltage)
-        if part == "lead":
-            self._led.see(voltage)
         self.outlook.see(voltage, dt, part)
 
     def _follow(self, blocks: Iterator[Block]) -> Iterator[Rows]:
@@ -345,28 +354,8 @@ class Stream:
         if state is not None and not math.isnan(self._time):
             state = dataclasses.replace(state, time=self._time)
         past_known = self.around.condition or isinstance(self.around.state, State)
-        expected = self.outlook.expected(past_known, self.loss.rms)
-        warnings = self.outlook.warn(self.loss, state, self._whole, expected)
-        return Drive(
-            self.limits,
-            self.model.digest,
-            self.model.output.unit,
-            rows=self._whole.rows,
-            least=self._whole.least,
-            greatest=self._whole.greatest,
-            clipped=self.loss.clipped,
-            first_clipped=self.loss.first_clipped,
-            lost_rms=self.loss.rms,
-            lost_most=self.loss.most,
-            expected_error=expected.error,
-            expected_known=expected.known,
-            past_known=past_known,
-            state=state,
-            lead=self._led,
-            lead_seconds=self._lead.rows * self._lead.dt,
-            move_range=self.loss.move.range,
-            warnings=tuple(warnings),
-        )
+        seconds = self._lead.rows * self._lead.dt
+        return self.outlook.drive(state, seconds, past_known)
 
 
 def check_on_limit(on_limit: str) -> None:

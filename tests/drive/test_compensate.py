@@ -24,7 +24,9 @@ def limits_of(model: Model, *typed: Any, **named: Any) -> Limits:
     return Limits.within(model.input, *typed, **named)
 
 
-def played(model: Model, voltage: np.ndarray, dt: float | None = DT, state: Any = "auto") -> np.ndarray:
+def played(
+    model: Model, voltage: np.ndarray, dt: float | None = DT, state: Any = "auto"
+) -> np.ndarray:
     """Return what a model makes of a whole drive."""
     if isinstance(state, str):
         state = model.start(float(voltage[0]), state)
@@ -43,7 +45,9 @@ def test_compensate_then_simulate_is_the_identity(model: Model, state: str) -> N
     y = played(model, drive.voltage, state=state)
     unclipped = drive.clipped == 0
     if unclipped:
-        begin = 0 if state == "empty" else 1  # a settled start may step over the first value
+        begin = (
+            0 if state == "empty" else 1
+        )  # a settled start may step over the first value
         assert np.abs(y - wanted)[begin:].max() <= 1e-11 * model.output.span
     else:
         assert drive.lost_most == pytest.approx(np.abs(y - wanted).max(), rel=1e-6)
@@ -64,22 +68,31 @@ def test_values_do_not_depend_on_blocks(model: Model, rows: int, slow: bool) -> 
     slew = 3.0 * model.input.span if slow else None
     limits = limits_of(model, max_slew=slew)
     whole = plan(model, wanted, DT, limits, on_limit="clip")
-    parts = stream(model, [(None, wanted)], DT, limits, block_rows=rows, on_limit="clip")
+    parts = stream(
+        model, [(None, wanted)], DT, limits, block_rows=rows, on_limit="clip"
+    )
     voltage = np.concatenate([part.voltage for part in parts])
     assert parts.drive is not None
     assert np.abs(voltage - whole.voltage).max() <= 1e-12 * model.input.span
-    assert (parts.drive.clipped, parts.drive.first_clipped) == (whole.clipped, whole.first_clipped)
+    assert (parts.drive.clipped, parts.drive.first_clipped) == (
+        whole.clipped,
+        whole.first_clipped,
+    )
     assert parts.drive.lost_rms == pytest.approx(whole.lost_rms, rel=1e-9, abs=1e-15)
 
 
 def test_a_state_goes_on() -> None:
-    model = actuator(tau=(0.05, 2.0), gain=(0.01, 0.01), sections=(Lag(1e-3), Resonance(80.0, 0.05)))
+    model = actuator(
+        tau=(0.05, 2.0), gain=(0.01, 0.01), sections=(Lag(1e-3), Resonance(80.0, 0.05))
+    )
     wanted = gentle(model, 2000)
     limits = limits_of(model)
     whole = plan(model, wanted, DT, limits)
     cut = 1900  # at rest again
     first = plan(model, wanted[:cut], np.arange(cut) * DT, limits)
-    second = plan(model, wanted[cut:], np.arange(cut, 2000) * DT, limits, state=first.state)
+    second = plan(
+        model, wanted[cut:], np.arange(cut, 2000) * DT, limits, state=first.state
+    )
     assert np.abs(second.voltage - whole.voltage[cut:]).max() < 1e-6 * model.input.span
     assert second.past_known
 
@@ -115,7 +128,10 @@ def test_auto_clips_little_and_refuses_much() -> None:
     assert drive.voltage.max() == 90.0
     with pytest.raises(LimitError, match="60 V reaches"):
         plan(model, little, DT, limits_of(model, 0, 60))
-    assert plan(model, little, DT, limits_of(model, 0, 60), on_limit="clip").voltage.max() == 60.0
+    assert (
+        plan(model, little, DT, limits_of(model, 0, 60), on_limit="clip").voltage.max()
+        == 60.0
+    )
     with pytest.raises(LimitError, match="row"):
         plan(model, little, DT, limits, on_limit="error")
 
@@ -140,7 +156,9 @@ def test_a_stream_counts_its_loss_and_refuses_in_the_end() -> None:
         for part in parts:
             voltage.append(part.voltage)
     assert sum(rows.size for rows in voltage) == 1000
-    clipping = stream(model, [(None, wanted)], DT, limits, block_rows=100, on_limit="clip")
+    clipping = stream(
+        model, [(None, wanted)], DT, limits, block_rows=100, on_limit="clip"
+    )
     list(clipping)
     assert clipping.drive is not None
     assert clipping.drive.clipped > 100
@@ -218,7 +236,9 @@ def test_first_row_from_where_the_amplifier_stands() -> None:
     with pytest.raises(LimitError, match="outside the limits"):
         plan(model, wanted, DT, limits, start=1000.0)
     with pytest.raises(LimitError, match="state"):
-        outside = plan(model, wanted, DT, limits_of(model, -20, 120), return_to=-10.0).state
+        outside = plan(
+            model, wanted, DT, limits_of(model, -20, 120), return_to=-10.0
+        ).state
         plan(model, wanted, DT, limits, state=outside)
 
 
@@ -226,7 +246,14 @@ def test_summary_is_complete() -> None:
     import json
 
     model = actuator(fit={"expected_rmse": 0.01})
-    drive = plan(model, ripple(model, 500), DT, limits_of(model, 0, 120, 5000), start=0.0, approach="auto")
+    drive = plan(
+        model,
+        ripple(model, 500),
+        DT,
+        limits_of(model, 0, 120, 5000),
+        start=0.0,
+        approach="auto",
+    )
     summary = json.loads(json.dumps(drive.summary()))
     assert (summary["format"], summary["version"]) == ("dbo-summary", 1)
     assert summary["model"] == model.digest
@@ -235,7 +262,9 @@ def test_summary_is_complete() -> None:
     assert summary["limits"]["max_slew"] == 5000.0
     assert summary["rows"] == drive.voltage.size == 500 + summary["lead"]["rows"]
     assert summary["unit"] == "um"
-    assert summary["move_range"] == pytest.approx([drive.desired[drive.move].min(), drive.desired[drive.move].max()])
+    assert summary["move_range"] == pytest.approx(
+        [drive.desired[drive.move].min(), drive.desired[drive.move].max()]
+    )
     assert drive.line().startswith(f"{drive.rows:,} rows")
 
 
@@ -244,7 +273,14 @@ def test_holding_with_negative_gains_is_looked_at() -> None:
     top = model.static.run(np.array([95.0]), model.start(95.0, "full"), 1.0).y[0]
     rise = np.linspace(model.output.min, 0.99 * top, 200)
     drive = plan(model, rise, DT, limits_of(model), state="empty", on_limit="clip")
-    held = plan(model, np.full(20000, rise[-1]), 0.01, limits_of(model), state=drive.state, on_limit="clip")
+    held = plan(
+        model,
+        np.full(20000, rise[-1]),
+        0.01,
+        limits_of(model),
+        state=drive.state,
+        on_limit="clip",
+    )
     warned = any("holding" in text for text in drive.warnings)
     assert warned == (held.clipped > 0)
 

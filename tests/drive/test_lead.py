@@ -12,7 +12,7 @@ from dbo_cli.drive.lead import Around, swings
 from dbo_cli.errors import LimitError, UsageError
 from dbo_cli.model import Lag, Model, Resonance
 
-from .actuators import actuator, actuators, gentle, ripple
+from .actuators import actuator, actuators, ripple
 
 pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 DT = 2e-4
@@ -22,14 +22,23 @@ def limits_of(model: Model, *typed: float | None, **named: float | bool) -> Limi
     return Limits.within(model.input, *typed, **named)  # type: ignore[arg-type]
 
 
-def played(model: Model, voltage: np.ndarray, dt: float = DT, start: str = "auto") -> np.ndarray:
+def played(
+    model: Model, voltage: np.ndarray, dt: float = DT, start: str = "auto"
+) -> np.ndarray:
     return np.asarray(model.run(voltage, model.start(float(voltage[0]), start), dt).y)
 
 
 def test_way_begins_where_the_amplifier_stands() -> None:
     model = actuator(tau=(0.05,), gain=(0.01,))
     wanted = ripple(model, 3000, 0.6)
-    drive = plan(model, wanted, DT, limits_of(model, max_slew=2000.0), start=20.0, approach="auto")
+    drive = plan(
+        model,
+        wanted,
+        DT,
+        limits_of(model, max_slew=2000.0),
+        start=20.0,
+        approach="auto",
+    )
     assert drive.voltage[0] == 20.0
     assert drive.time is not None
     assert drive.time[drive.move.start] == 0.0
@@ -44,7 +53,15 @@ def test_way_begins_where_the_amplifier_stands() -> None:
 def test_way_in_uses_the_rating() -> None:
     model = actuator(low=0.236, high=3.424)
     wanted = ripple(model, 500, 0.5)
-    drive = plan(model, wanted, DT, limits_of(model, 0, 5), start=0.0, approach="auto", return_to=4.5)
+    drive = plan(
+        model,
+        wanted,
+        DT,
+        limits_of(model, 0, 5),
+        start=0.0,
+        approach="auto",
+        return_to=4.5,
+    )
     assert drive.voltage[0] == 0.0
     move = drive.voltage[drive.move]
     assert 0.236 <= move.min() and move.max() <= 3.424
@@ -62,7 +79,13 @@ def test_auto_takes_a_tenth_of_a_second(periodic: bool, slew: float | None) -> N
     model = actuator()
     wanted = ripple(model, 1000, 0.6, cycles=1.0)
     drive = plan(
-        model, wanted, DT, limits_of(model, max_slew=slew), start=0.0, approach="auto", periodic=periodic
+        model,
+        wanted,
+        DT,
+        limits_of(model, max_slew=slew),
+        start=0.0,
+        approach="auto",
+        periodic=periodic,
     )
     assert drive.lead_seconds >= 0.1
 
@@ -84,7 +107,14 @@ def test_typed_seconds() -> None:
 
 def test_lead_auto_is_what_is_read_ahead() -> None:
     model = actuator(sections=(Resonance(60.0, 0.02),), delay=0.002)
-    drive = plan(model, ripple(model, 1000, 0.5), DT, limits_of(model), lead="auto", on_limit="clip")
+    drive = plan(
+        model,
+        ripple(model, 1000, 0.5),
+        DT,
+        limits_of(model),
+        lead="auto",
+        on_limit="clip",
+    )
     assert drive.move.start == model.ahead(DT)
 
 
@@ -107,12 +137,19 @@ def test_sweep_makes_the_past_known() -> None:
 def test_sweep_stays_in_the_moves_range() -> None:
     model = actuator(low=0.0, high=100.0)
     drive = plan(
-        model, ripple(model, 200, 0.3), DT, limits_of(model, -20, 150), start=-10.0, condition=True
+        model,
+        ripple(model, 200, 0.3),
+        DT,
+        limits_of(model, -20, 150),
+        start=-10.0,
+        condition=True,
     )
     swept = drive.voltage[: drive.move.start]
     assert swept[0] == -10.0
     assert swept.max() == 100.0
-    typed = plan(model, ripple(model, 200, 0.3), DT, limits_of(model, 5, 80), condition=True)
+    typed = plan(
+        model, ripple(model, 200, 0.3), DT, limits_of(model, 5, 80), condition=True
+    )
     assert (typed.voltage.min(), typed.voltage.max()) == (5.0, 80.0)
 
 
@@ -147,12 +184,33 @@ def test_a_lead_is_never_long_beside_its_move() -> None:
     model = actuator()
     wanted = ripple(model, 200, 0.3)
     with pytest.raises(LimitError, match="would fit") as refused:
-        plan(model, wanted, 0.01, limits_of(model, max_slew=1.0), condition=True, on_limit="clip")
+        plan(
+            model,
+            wanted,
+            0.01,
+            limits_of(model, max_slew=1.0),
+            condition=True,
+            on_limit="clip",
+        )
     fits = float(str(refused.value).split("`max_slew` ")[1].split(" ")[0])
-    drive = plan(model, wanted, 0.01, limits_of(model, max_slew=fits), condition=True, on_limit="clip")
+    drive = plan(
+        model,
+        wanted,
+        0.01,
+        limits_of(model, max_slew=fits),
+        condition=True,
+        on_limit="clip",
+    )
     assert 50.0 < drive.lead_seconds <= 60.0
     longer = ripple(model, 4000, 0.3)
-    drive = plan(model, longer, 0.01, limits_of(model, max_slew=1.0), condition=True, on_limit="clip")
+    drive = plan(
+        model,
+        longer,
+        0.01,
+        limits_of(model, max_slew=1.0),
+        condition=True,
+        on_limit="clip",
+    )
     assert drive.lead_seconds > 300.0
 
 
@@ -182,7 +240,12 @@ def test_swings_stay_between_their_turns(turns: list[float], rows: int) -> None:
     assert voltage[0] == turns[0] and voltage[-1] == turns[-1]
 
 
-@given(actuators(), st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.sampled_from([None, 1.0, 20.0]))
+@given(
+    actuators(),
+    st.floats(0.0, 1.0),
+    st.floats(0.0, 1.0),
+    st.sampled_from([None, 1.0, 20.0]),
+)
 @settings(max_examples=60, deadline=None, derandomize=True)
 def test_the_way_joins_the_move(
     model: Model, stands: float, begins: float, slew: float | None
@@ -193,7 +256,13 @@ def test_the_way_joins_the_move(
     wanted = np.full(400, rest)
     typed = None if slew is None else slew * model.input.span
     drive = plan(
-        model, wanted, 1e-3, limits_of(model, max_slew=typed), start=start, approach="auto", on_limit="clip"
+        model,
+        wanted,
+        1e-3,
+        limits_of(model, max_slew=typed),
+        start=start,
+        approach="auto",
+        on_limit="clip",
     )
     assert drive.voltage[0] == start
     steps = np.abs(np.diff(drive.voltage))

@@ -5,7 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from dbo_cli.drive import Limits, PassRecord, Tracked, dumps_history, parse_history, plan
+from dbo_cli.drive import (
+    Limits,
+    PassRecord,
+    Tracked,
+    dumps_history,
+    parse_history,
+    plan,
+)
 from dbo_cli.errors import DboWarning, InputError, UsageError
 from dbo_cli.model import Model, Resonance
 
@@ -31,10 +38,19 @@ def learned(model: Model, plant: Model, passes: int, noise: float = 0.0) -> list
     errors = []
     for _ in range(passes):
         drive = plan(
-            model, wanted, DT, limits, state="empty", tracked=tracked, history=history, on_limit="clip"
+            model,
+            wanted,
+            DT,
+            limits,
+            state="empty",
+            tracked=tracked,
+            history=history,
+            on_limit="clip",
         )
         history = list(drive.history)
-        y = plant.run(drive.voltage, plant.start(float(drive.voltage[0]), "empty"), DT).y
+        y = plant.run(
+            drive.voltage, plant.start(float(drive.voltage[0]), "empty"), DT
+        ).y
         error = (y - wanted)[700:-700]
         errors.append(100.0 * float(np.sqrt(np.mean(error**2))) / float(np.ptp(wanted)))
         measured = y + noise * rng.standard_normal(y.size)
@@ -42,11 +58,26 @@ def learned(model: Model, plant: Model, passes: int, noise: float = 0.0) -> list
     return errors
 
 
-@pytest.mark.parametrize(("frequency", "damping"), [(760.0, 0.02), (700.0, 0.005), (600.0, 0.01), (900.0, 0.005)])
-def test_learning_converges_with_a_mistuned_model(frequency: float, damping: float) -> None:
-    model = actuator(256, growth=1.5, tau=(0.5, 20.0), gain=(0.002, 0.002), sections=(Resonance(800.0, 0.02),))
+@pytest.mark.parametrize(
+    ("frequency", "damping"),
+    [(760.0, 0.02), (700.0, 0.005), (600.0, 0.01), (900.0, 0.005)],
+)
+def test_learning_converges_with_a_mistuned_model(
+    frequency: float, damping: float
+) -> None:
+    model = actuator(
+        256,
+        growth=1.5,
+        tau=(0.5, 20.0),
+        gain=(0.002, 0.002),
+        sections=(Resonance(800.0, 0.02),),
+    )
     plant = actuator(
-        256, growth=1.7, tau=(0.5, 20.0), gain=(0.002, 0.002), sections=(Resonance(frequency, damping),)
+        256,
+        growth=1.7,
+        tau=(0.5, 20.0),
+        gain=(0.002, 0.002),
+        sections=(Resonance(frequency, damping),),
     )
     errors = learned(model, plant, 12, noise=0.005)
     assert errors[0] > 0.5
@@ -72,7 +103,9 @@ def test_growth_is_refused() -> None:
         plan(model, wanted, DT, limits, state="empty", tracked=tracked, history=small)
     lesson = plan(model, wanted, DT, limits, state="empty", tracked=tracked)
     again = [*lesson.history, PassRecord("what came of it", 9.0)]
-    repeated = plan(model, wanted, DT, limits, state="empty", tracked=tracked, history=again)
+    repeated = plan(
+        model, wanted, DT, limits, state="empty", tracked=tracked, history=again
+    )
     assert repeated.history == lesson.history
 
 
@@ -85,7 +118,9 @@ def test_the_mean_is_the_sensors_zero_unless_absolute() -> None:
     with pytest.warns(DboWarning, match="start"):
         same = plan(model, wanted, DT, limits, state="empty", tracked=shifted)
     assert np.abs(same.voltage - drive.voltage).max() < 0.05
-    lower = plan(model, wanted, DT, limits, state="empty", tracked=shifted, absolute=True)
+    lower = plan(
+        model, wanted, DT, limits, state="empty", tracked=shifted, absolute=True
+    )
     assert lower.voltage.mean() < drive.voltage.mean() - 1.0
     assert np.array_equal(lower.desired, wanted)
 
@@ -114,7 +149,7 @@ def test_rows_before_the_move_are_found_by_time() -> None:
     tracked = [Tracked("pass.csv", drive.voltage, y, drive.time)]
     again = plan(model, wanted, DT, limits, tracked=tracked, **options)  # type: ignore[arg-type]
     y2 = plant.run(again.voltage, plant.start(0.0, "empty"), DT).y
-    before, after = (np.std((got - wanted)) for got in (y[drive.move], y2[again.move]))
+    before, after = (np.std(got - wanted) for got in (y[drive.move], y2[again.move]))
     assert after < 0.5 * before
 
 
@@ -137,7 +172,12 @@ def test_recordings_that_do_not_belong() -> None:
 def test_history_file() -> None:
     passes = [PassRecord("ab", 0.5), PassRecord("cd", 0.25)]
     assert parse_history(dumps_history(passes), "h.json") == passes
-    for text in ("", "[]", "{}", '{"format": "dbo-history", "version": 2, "passes": []}'):
+    for text in (
+        "",
+        "[]",
+        "{}",
+        '{"format": "dbo-history", "version": 2, "passes": []}',
+    ):
         with pytest.raises(InputError, match=r"h\.json"):
             parse_history(text, "h.json")
     broken = '{"format": "dbo-history", "version": 1, "passes": [{"rmse": -1}]}'

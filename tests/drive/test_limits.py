@@ -74,7 +74,9 @@ def test_start_inside_the_rating_and_outside_the_move() -> None:
         Limits.within(RANGE).require_start(0.0)
 
 
-def broken(voltage: list[float], limits: Limits, last: float | None = None, part: str = "move") -> list[bool]:
+def broken(
+    voltage: list[float], limits: Limits, last: float | None = None, part: str = "move"
+) -> list[bool]:
     return Gate(limits, last).broken(np.array(voltage), 0.1, part).tolist()
 
 
@@ -82,7 +84,15 @@ def test_gate_of_ranges() -> None:
     limits = Limits.within(RANGE, 0, 5)
     rows = [0.0, 0.236, 3.424, 3.4241, math.nan, math.inf, -math.inf]
     assert broken(rows, limits) == [True, False, False, True, True, True, True]
-    assert broken(rows, limits, part="lead") == [False, False, False, False, True, True, True]
+    assert broken(rows, limits, part="lead") == [
+        False,
+        False,
+        False,
+        False,
+        True,
+        True,
+        True,
+    ]
     assert broken([5.0, 5.0001, -1e-9], limits, part="return") == [False, True, True]
 
 

@@ -19,7 +19,9 @@ def limits_of(model: Model, slew: float | None = None) -> Limits:
     return Limits.within(model.input, max_slew=slew)
 
 
-def passes_of(model: Model, drive: np.ndarray, lead: int, passes: int, start: str = "auto") -> np.ndarray:
+def passes_of(
+    model: Model, drive: np.ndarray, lead: int, passes: int, start: str = "auto"
+) -> np.ndarray:
     """Return what a model makes of a lead and so many passes of the period, a row a pass."""
     period = drive[lead:]
     voltage = np.concatenate([drive[:lead], np.tile(period, passes)])
@@ -29,7 +31,9 @@ def passes_of(model: Model, drive: np.ndarray, lead: int, passes: int, start: st
 
 @given(actuators(static=True), st.floats(0.0, 1.0), st.sampled_from([0, 1, 2]))
 @settings(max_examples=40, deadline=None, derandomize=True)
-def test_a_loop_is_a_fixed_point_of_the_pass(model: Model, phase: float, passes: int) -> None:
+def test_a_loop_is_a_fixed_point_of_the_pass(
+    model: Model, phase: float, passes: int
+) -> None:
     wanted = ripple(model, 250, 0.6, 1.0, phase)
     drive = plan(model, wanted, DT, limits_of(model), periodic=True, passes=passes)
     lead = drive.move.start
@@ -44,7 +48,9 @@ def test_a_loop_is_a_fixed_point_of_the_pass(model: Model, phase: float, passes:
 
 
 def test_a_run_in_leads_to_the_loop() -> None:
-    model = actuator(tau=(0.02,), gain=(0.01,), sections=(Resonance(60.0, 0.03),), delay=0.002)
+    model = actuator(
+        tau=(0.02,), gain=(0.01,), sections=(Resonance(60.0, 0.03),), delay=0.002
+    )
     wanted = ripple(model, 500, 0.6, 1.0)
     settled = plan(model, wanted, DT, limits_of(model), periodic=True, passes=2)
     first, later = passes_of(model, settled.voltage, settled.move.start, 30)[[0, -1]]
@@ -56,7 +62,12 @@ def test_a_run_in_leads_to_the_loop() -> None:
     assert settled.time is not None and settled.time[settled.move.start] == 0.0
 
 
-@given(actuators(), st.floats(0.0, 1.0), st.integers(0, 3), st.sampled_from([6.5, 9.0, 30.0]))
+@given(
+    actuators(),
+    st.floats(0.0, 1.0),
+    st.integers(0, 3),
+    st.sampled_from([6.5, 9.0, 30.0]),
+)
 @settings(max_examples=60, deadline=None, derandomize=True)
 def test_a_loop_and_its_run_in_keep_the_slew(
     model: Model, phase: float, passes: int, spans: float
@@ -65,7 +76,13 @@ def test_a_loop_and_its_run_in_keep_the_slew(
     slew = spans * model.input.span
     try:
         drive = plan(
-            model, wanted, DT, limits_of(model, slew), periodic=True, passes=passes, on_limit="clip"
+            model,
+            wanted,
+            DT,
+            limits_of(model, slew),
+            periodic=True,
+            passes=passes,
+            on_limit="clip",
         )
     except LimitError:
         return
@@ -81,7 +98,9 @@ def test_a_slew_limit_says_which_frequency_it_allows() -> None:
         plan(model, wanted, DT, limits_of(model, 150.0), periodic=True)
     allowed = float(str(refused.value).split("V/s allows ")[1].split(" ")[0])
     assert 0.2 < allowed < 2.0
-    drive = plan(model, wanted, 1.0 / (500 * allowed), limits_of(model, 150.0), periodic=True)
+    drive = plan(
+        model, wanted, 1.0 / (500 * allowed), limits_of(model, 150.0), periodic=True
+    )
     assert drive.lost_rms < 2e-3 * np.ptp(wanted)
 
 
@@ -109,7 +128,12 @@ def test_what_is_no_loop() -> None:
         plan(model, wanted[:3], DT, limits, periodic=True)
     with pytest.raises(InputError):
         plan(model, wanted, None, limits, periodic=True)
-    for options in ({"condition": True}, {"return_to": 0.0}, {"passes": -1}, {"lead": 1.0}):
+    for options in (
+        {"condition": True},
+        {"return_to": 0.0},
+        {"passes": -1},
+        {"lead": 1.0},
+    ):
         with pytest.raises(UsageError):
             plan(model, wanted, DT, limits, periodic=True, **options)  # type: ignore[arg-type]
     with pytest.raises(UsageError):

@@ -31,7 +31,11 @@ def moves(draw: st.DrawFn, model: Model) -> np.ndarray:
     t = np.arange(rows) / max(rows, 1)
     if kind == "sine":
         cycles = draw(st.sampled_from([1.0, 2.0, 7.3]))
-        return low + span * (0.5 + seed.uniform(0.1, 0.6) * np.sin(2 * np.pi * cycles * t + seed.uniform(0, 6)))
+        return low + span * (
+            0.5
+            + seed.uniform(0.1, 0.6)
+            * np.sin(2 * np.pi * cycles * t + seed.uniform(0, 6))
+        )
     if kind == "walk":
         return low + 0.5 * span + np.cumsum(seed.normal(0, 0.05 * span, rows))
     if kind == "jumps":
@@ -68,7 +72,11 @@ def wishes(draw: st.DrawFn) -> tuple[Model, np.ndarray, Any, Limits, dict[str, A
         "lead": draw(st.sampled_from([None, "auto", 0.02])),
         "return_to": draw(st.sampled_from([None, voltage.min, stands])),
     }
-    kind = draw(st.sampled_from(["plain", "condition", "periodic", "empty", "full", "bandwidth"]))
+    kind = draw(
+        st.sampled_from(
+            ["plain", "condition", "periodic", "empty", "full", "bandwidth"]
+        )
+    )
     if kind == "condition":
         options["condition"] = True
     if kind in ("empty", "full"):
@@ -76,7 +84,11 @@ def wishes(draw: st.DrawFn) -> tuple[Model, np.ndarray, Any, Limits, dict[str, A
     if kind == "bandwidth":
         options["bandwidth"] = 20.0
     if kind == "periodic":
-        options |= {"periodic": True, "passes": draw(st.integers(0, 2)), "return_to": None}
+        options |= {
+            "periodic": True,
+            "passes": draw(st.integers(0, 2)),
+            "return_to": None,
+        }
         options["lead"] = None
     return model, desired, clock, limits, options
 
@@ -102,7 +114,11 @@ def require_kept(
     max_examples=MANY,
     deadline=None,
     derandomize=MANY <= 1000,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much, HealthCheck.data_too_large],
+    suppress_health_check=[
+        HealthCheck.too_slow,
+        HealthCheck.filter_too_much,
+        HealthCheck.data_too_large,
+    ],
 )
 @given(st.data())
 def test_no_row_is_beyond_a_limit(data: st.DataObject) -> None:
@@ -122,7 +138,11 @@ def test_no_row_is_beyond_a_limit(data: st.DataObject) -> None:
     if limits.slew is not None:
         steps = clock
         if np.ndim(clock):
-            usual = np.median(np.diff(clock)[np.diff(clock) > 0]) if desired.size > 1 else 0.0
+            usual = (
+                np.median(np.diff(clock)[np.diff(clock) > 0])
+                if desired.size > 1
+                else 0.0
+            )
             steps = np.diff(drive.time, prepend=drive.time[0] - usual)
             steps = steps + 1e-12
     require_kept(drive.voltage, drive.move, limits, steps, options["start"])
@@ -130,11 +150,19 @@ def test_no_row_is_beyond_a_limit(data: st.DataObject) -> None:
         period = drive.voltage[drive.move]
         assert abs(period[0] - period[-1]) <= limits.slew * clock * (1 + 1e-9) + 1e-12
     if drive.clipped and options["on_limit"] == "auto":
-        assert drive.lost_rms <= 0.01 * max(np.ptp(desired), 1e-300) or np.ptp(desired) == 0.0
+        assert (
+            drive.lost_rms <= 0.01 * max(np.ptp(desired), 1e-300)
+            or np.ptp(desired) == 0.0
+        )
     assert options["on_limit"] != "error" or drive.clipped == 0
 
 
-@settings(max_examples=150, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(
+    max_examples=150,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=list(HealthCheck),
+)
 @given(st.data(), st.integers(1, 100))
 def test_a_stream_keeps_limits_row_by_row(data: st.DataObject, rows: int) -> None:
     """What has left before a refusal keeps the limits, too."""
@@ -148,7 +176,9 @@ def test_a_stream_keeps_limits_row_by_row(data: st.DataObject, rows: int) -> Non
         clock = 1e-3
     sent: list[np.ndarray] = []
     try:
-        for part in stream(model, [(None, desired)], clock, limits, block_rows=rows, **options):
+        for part in stream(
+            model, [(None, desired)], clock, limits, block_rows=rows, **options
+        ):
             sent.append(part.voltage)
     except GateError:
         raise
@@ -169,7 +199,24 @@ def test_a_typing_error_in_start_writes_nothing(start: float) -> None:
     for options in ({}, {"approach": 1.0}, {"approach": "auto"}, {"condition": True}):
         for on_limit in ("auto", "clip", "error"):
             with pytest.raises((LimitError, UsageError)):
-                plan(model, ripple(model, 100), 1e-3, limits, start=start, on_limit=on_limit, **options)  # type: ignore[arg-type]
+                plan(
+                    model,
+                    ripple(model, 100),
+                    1e-3,
+                    limits,
+                    start=start,
+                    on_limit=on_limit,
+                    **options,
+                )  # type: ignore[arg-type]
     for passes in (0, 1):
         with pytest.raises((LimitError, UsageError)):
-            plan(model, ripple(model, 100), 1e-3, limits, start=start, approach="auto", periodic=True, passes=passes)
+            plan(
+                model,
+                ripple(model, 100),
+                1e-3,
+                limits,
+                start=start,
+                approach="auto",
+                periodic=True,
+                passes=passes,
+            )
