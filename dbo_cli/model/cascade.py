@@ -1,0 +1,108 @@
+"""The order of the stages of a model, and a name for what they are."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Sequence
+from typing import Literal
+
+from dbo_cli.errors import ModelError
+from dbo_cli.model.delay import Delay
+from dbo_cli.model.dynamics import Dynamics
+from dbo_cli.model.gears import Gears
+from dbo_cli.model.points import Curve, Scale
+
+Stage = Gears | Curve | Dynamics | Delay
+Direction = Literal["forward", "inverse"]
+
+
+def turned(stages: Sequence[Stage], direction: Direction) -> tuple[Stage, ...]:
+    """Return the stages with gears whose drive is on the side that the direction tells.
+
+    Raises
+    ------
+    ModelError
+        They relax, and follow the other side.
+    """
+    on: Literal["input", "output"] = "input" if direction == "forward" else "output"
+    result: list[Stage] = []
+    for place, stage in enumerate(stages):
+        if isinstance(stage, Gears) and stage.on != on:
+            if stage.relaxation is not None:
+                raise ModelError(
+                    f"stages[{place}].relaxation.on: must be {on!r} in this direction"
+                )
+            stage = Gears(stage.dx, stage.dy, stage.x0, stage.y0, None, on)
+        result.append(stage)
+    return tuple(result)
+
+
+def check_order(stages: Sequence[Stage], direction: Direction) -> None:
+    """See that stages stand as a model has them.
+
+    That is: points and scales around one stage of gears, then at most one dynamics and
+    at most one delay; in an inverse model mirrored.
+
+    Raises
+    ------
+    ModelError
+        They do not; the message begins with the key.
+    """
+    gears = [place for place, stage in enumerate(stages) if isinstance(stage, Gears)]
+    if not gears:
+        raise ModelError("stages: no backlash stage is among them")
+    if len(gears) > 1:
+        raise ModelError(f"stages[{gears[1]}]: only one backlash stage is possible")
+    places = list(range(len(stages)))
+    if direction == "inverse":
+        places.reverse()
+    rank = 0
+    for place in places:
+        stage = stages[place]
+        if isinstance(stage, Dynamics):
+            if rank >= 1:
+                raise ModelError(
+                    f"stages[{place}]: dynamics stand once, and with nothing but a delay beyond them"
+                )
+            rank = 1
+        elif isinstance(stage, Delay):
+            _check_delay(stage, place, direction)
+            if rank >= 2:
+                raise ModelError(f"stages[{place}]: a delay stands once")
+            rank = 2
+        elif rank == 1:
+            raise ModelError(
+                f"stages[{place}]: only a delay may stand beyond the dynamics"
+            )
+        elif rank == 2:
+            raise ModelError(f"stages[{place}]: nothing may stand beyond the delay")
+
+
+def _check_delay(stage: Delay, place: int, direction: Direction) -> None:
+    """Refuse a delay of the other direction's sign."""
+    seconds = stage.seconds
+    if direction == "inverse":
+        seconds = -seconds
+    if seconds < 0.0:
+        raise ModelError(
+            f"stages[{place}].seconds: {stage.seconds!r} has the wrong sign in this direction"
+        )
+
+
+def digest_of(stages: Sequence[Stage]) -> str:
+    """Return a name for a forward cascade; a gain inverted twice may differ in its last digits."""
+    parts: list[object] = []
+    for stage in stages:
+        if isinstance(stage, Scale):
+            parts.append([f"{stage.gain:.9e}", f"{stage.offset:.9e}"])
+        elif isinstance(stage, Delay):
+            parts.append(stage.seconds)
+        elif isinstance(stage, Dynamics):
+            parts.append([dataclasses.asdict(section) for section in stage.sections])
+        else:
+            parts.append([stage.dx.tolist(), stage.dy.tolist(), stage.x0, stage.y0])
+            if isinstance(stage, Gears) and stage.relaxation is not None:
+                parts.append(dataclasses.asdict(stage.relaxation))
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()

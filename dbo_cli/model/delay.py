@@ -1,0 +1,233 @@
+"""A pure delay of the output, and reading ahead by it.
+
+A value between two samples is taken from six of them: a cubic whose slope at a sample
+is that of the polynomial through five samples, limited as in H. T. Huynh, "Accurate
+Monotone Cubic Interpolation", SIAM J. Numer. Anal. 30 (1993), scheme M3-A. Where the
+samples rise, what is between them rises, so a step or a corner is not overshot, and a
+smooth peak keeps its height (``dbo_interpolation.h``). Half a step between the samples
+of a sine, the error (RMS, in percent of peak to peak) is 1.3 with 5 samples a period,
+0.05 with 10 and 0.002 with 20; linearly it is 6.8, 1.7 and 0.44.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.errors import InputError, ModelError
+from dbo_cli.model import kernel
+
+Floats = NDArray[np.float64]
+
+WINDOW = 6
+"""Samples that a value between two samples is made of."""
+AFTER = 3
+"""Samples of the window that come after the time wanted, where they are known."""
+BEFORE = WINDOW - 1 - AFTER
+"""Samples of the window before the one that comes just before the time wanted."""
+WHOLE = 1e-9
+"""Steps: a time this close to a sample's is that sample's; rounding leaves less."""
+MOST_DELAYED = 10_000_000  # samples: 80 MB; a delay of 100 s at 100 kHz
+
+
+class Held(NamedTuple):
+    """What a delay holds back: the samples still needed, each with its time (s); the last is the newest."""
+
+    times: tuple[float, ...]
+    values: tuple[float, ...]
+
+
+def whole_and_part(samples: float) -> tuple[int, float]:
+    """Return whole samples and the part beyond; within a billionth of a whole number there is none."""
+    whole = math.floor(samples + WHOLE)
+    part = samples - whole
+    if part <= WHOLE:
+        part = 0.0
+    return whole, part
+
+
+def between_even(values: Floats, place: int, part: float) -> Floats:
+    """Return values between even samples: the ``part`` of a step behind sample ``place`` of each six.
+
+    ``values`` has five more than come out. ``place`` is 0 to 4: 2 has as many samples of
+    the six before the step as behind it, 4 none behind it.
+    """
+    out = np.empty(values.size - (WINDOW - 1))
+    kernel.recursions().between_even(np.ascontiguousarray(values), out, place, part)
+    return out
+
+
+def _place_of(whole: int) -> int:
+    """Return which step of six samples a delay of ``whole`` samples and a part lies in.
+
+    Three of the six come after the time wanted (place 2) where they have come already,
+    else two or one.
+    """
+    return max(BEFORE, WINDOW - 2 - whole)
+
+
+@dataclass(frozen=True)
+class Delay:
+    """A pure delay of the output, in seconds; negative in an inverse model, which reads ahead by it.
+
+    A value between two samples is made of those alone that have come: a delay of less
+    than two samples has fewer of them behind the time wanted.
+
+    Raises
+    ------
+    ModelError
+        ``seconds`` is not a finite number.
+    """
+
+    seconds: float
+
+    def __post_init__(self) -> None:
+        """Refuse what is not a time."""
+        if not math.isfinite(self.seconds):
+            raise ModelError(f"seconds: {self.seconds!r} is not a finite number")
+
+    def inverse(self) -> Delay:
+        """Return the stage that undoes this one."""
+        return Delay(-self.seconds)
+
+    def run(
+        self, x: Floats, dt: float | Floats, held: Held | None = None
+    ) -> tuple[Floats, Held | None]:
+        """Return one block delayed, and what is held back after it.
+
+        Before the first sample ever the first value holds. With a single ``dt`` (s) the
+        delay is counted in samples, so that a whole number of them shifts exactly; with
+        one step a sample (that of the very first does not matter) it is looked up by
+        time.
+
+        Raises
+        ------
+        InputError
+            The clock stands still, or the delay is more samples than can be held back.
+        """
+        if x.size == 0 or self.seconds == 0.0:
+            return x, held
+        past = held or Held((0.0,), (float(x[0]),))
+        now = len(past.times) - 1
+        times = np.concatenate([past.times, np.broadcast_to(dt, x.shape)])
+        if held is None:
+            times[1] = 0.0
+        times[now:] = np.cumsum(times[now:])
+        values = np.concatenate([past.values, x])
+        if isinstance(dt, np.ndarray):
+            return self._by_time(times, values, x.size)
+        return self._by_count(dt, times, values, x.size)
+
+    def _by_time(
+        self, times: Floats, values: Floats, count: int
+    ) -> tuple[Floats, Held]:
+        """Delay the last ``count`` samples, looked up by time."""
+        times, values = _with_rest_before(times, values, count)
+        wanted = np.ascontiguousarray(times[-count:] - self.seconds)
+        y = np.empty(count)
+        newest = values.size - count
+        before = kernel.recursions().between(times, values, wanted, y, newest, WHOLE)
+        begin = max(before - (WINDOW - 1), 0)
+        return y, Held(tuple(times[begin:].tolist()), tuple(values[begin:].tolist()))
+
+    def _by_count(
+        self, step: float, times: Floats, values: Floats, count: int
+    ) -> tuple[Floats, Held]:
+        """Delay the last ``count`` samples, counted in steps."""
+        if not step > 0.0:
+            raise InputError(f"time step: {step!r} s is not greater than 0")
+        whole, part = whole_and_part(self.seconds / step)
+        if whole > MOST_DELAYED:
+            raise InputError(
+                f"time step: {step:g} s is {whole:,} times in the delay of {self.seconds:g} s, and at most"
+                f" {MOST_DELAYED:,} samples are held back (lower the sample rate)"
+            )
+        needed = whole  # samples before the one that has just come
+        if part:
+            needed = whole + 1 + _place_of(whole)
+        missing = needed - (values.size - count)
+        if missing > 0:
+            earlier = times[0] - step * np.arange(missing, 0, -1)
+            times = np.concatenate([earlier, times])
+            values = np.concatenate([np.full(missing, values[0]), values])
+        begin = values.size - count - needed
+        if part:
+            six = values[begin : begin + count + WINDOW - 1]
+            y = between_even(six, _place_of(whole), 1.0 - part)
+        else:
+            y = values[begin : begin + count].copy()
+        kept = max(needed, 1)
+        return y, Held(tuple(times[-kept:].tolist()), tuple(values[-kept:].tolist()))
+
+    def rows_ahead(self, dt: float) -> int:
+        """Return how many rows of an even clock reading ahead by this delay takes."""
+        whole, part = whole_and_part(abs(self.seconds) / dt)
+        if not part:
+            return whole
+        return max(whole + AFTER, WINDOW - 1)
+
+    def read_ahead(
+        self, x: Floats, dt: float, past: tuple[float, ...] | None
+    ) -> Floats:
+        """Return an even signal earlier by the delay, for all rows but the last ``rows_ahead``.
+
+        ``past`` are the two values before the block; without them the signal begins, and
+        its first rows are made of its first six samples.
+        """
+        ahead = self.rows_ahead(dt)
+        count = x.size - ahead
+        whole, part = whole_and_part(abs(self.seconds) / dt)
+        if not part:
+            return x[whole : whole + count]
+        signal = np.concatenate([past or (), x])
+        first = len(past or ()) + whole - BEFORE  # begin of the first row's six
+        early = min(max(-first, 0), count)
+        parts = [
+            between_even(signal[:WINDOW], BEFORE + first + row, part)
+            for row in range(early)
+        ]
+        begin = first + early
+        parts.append(
+            between_even(signal[begin : begin + count - early + WINDOW - 1], BEFORE, part)
+        )
+        return np.concatenate(parts)
+
+    def late_loop(self, x: Floats, dt: float) -> Floats:
+        """Return one period of a signal that repeats, late by the delay."""
+        whole, part = whole_and_part(abs(self.seconds) / dt)
+        if not part:
+            return np.roll(x, whole)
+        return _six_of_loop(x, -whole - 1, _place_of(whole), 1.0 - part)
+
+    def early_loop(self, x: Floats, dt: float) -> Floats:
+        """Return one period of a signal that repeats, earlier by the delay."""
+        whole, part = whole_and_part(abs(self.seconds) / dt)
+        if not part:
+            return np.roll(x, -whole)
+        return _six_of_loop(x, whole, BEFORE, part)
+
+
+def _six_of_loop(x: Floats, first: int, place: int, part: float) -> Floats:
+    """Return the values of a loop a part behind the samples from ``first`` on, one for each sample."""
+    rows = np.arange(first - place, first - place + x.size + WINDOW - 1)
+    return between_even(x[rows % x.size], place, part)
+
+
+def _with_rest_before(
+    times: Floats, values: Floats, count: int
+) -> tuple[Floats, Floats]:
+    """Put five samples of the first value before a signal that has just begun, at its first step."""
+    past = values.size - count
+    if past > 1 or values.size < 2:
+        return times, values
+    moving = times
+    if times.size > 2 and times[1] == times[0]:
+        moving = times[1:]
+    step = float(moving[1] - moving[0])
+    rest_times = moving[0] - step * np.arange(WINDOW - 1.0, 0.0, -1.0)
+    rest = np.full(rest_times.size, values[0])
+    return np.concatenate([rest_times, times]), np.concatenate([rest, values])

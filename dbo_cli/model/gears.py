@@ -1,0 +1,428 @@
+"""The Discrete Backlash Operator: gears, their states, and their inverse.
+
+Gears are a value: they hold no state and are never changed. A state goes in and a new
+one comes out, and the output does not depend on how a signal is cut into blocks.
+
+Source: Y. N. Aye and W. T. Ang (2018), "A Discrete Backlash Operator for Identification
+and Compensation of Hysteresis and Non-linearity for Piezoelectric Actuator"; equation
+numbers are the paper's.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dbo_cli.errors import ModelError
+from dbo_cli.model import kernel
+from dbo_cli.model.relaxation import Relaxation
+from dbo_cli.model.widths import (
+    checked_pair,
+    equal_run,
+    gear_table,
+    kernel_table,
+    on_binary_grid,
+)
+
+Floats = NDArray[np.float64]
+Words = NDArray[np.uint64]
+Axis = Literal["input", "output"]
+
+_WORD = 64  # bits of a uint64, in which the kernel keeps the states of gears
+_NO_NUMBERS = np.empty(0)
+
+
+@dataclass(frozen=True)
+class Window:
+    """Limits on the output of inverse gears, the drive.
+
+    Attributes
+    ----------
+    low, high : float
+        The range of the output; it wins over the largest step.
+    step : float, array, or None
+        Largest change of the output since the sample before, one number or one a sample.
+    slack : float
+        A sample counts as clipped when clipping moved it by more than this.
+    """
+
+    low: float = -math.inf
+    high: float = math.inf
+    step: float | Floats | None = None
+    slack: float = 0.0
+
+
+_OPEN = Window()
+
+
+class GearsRun(NamedTuple):
+    """The output of one block, the state after it, and what was unusual.
+
+    Attributes
+    ----------
+    y : array
+        The output.
+    bits : int
+        B = b_{n-1} ... b_0 after the block.
+    memory : tuple of float, or None
+        L_j after the block.
+    outside, first_outside : int
+        How many samples lie beyond the gears, and the first of them.
+    clipped, first_clipped : int
+        How many samples the window clipped, and the first of them.
+    """
+
+    y: Floats
+    bits: int
+    memory: tuple[float, ...] | None
+    outside: int = 0
+    first_outside: int = 0
+    clipped: int = 0
+    first_clipped: int = 0
+
+
+class Gears:
+    """The Discrete Backlash Operator of n gears, (1)-(12), with relaxation beside the gears.
+
+    Parameters
+    ----------
+    dx, dy : array_like
+        Widths dX_i and dY_i of (10), > 0, gear 0 first.
+    x0, y0 : float
+        X_0 and Y_0, the coordinates of B = 0.
+    relaxation : Relaxation, optional
+        Lag and creep; they follow the voltage.
+    on : {"input", "output"}
+        Which of the two signals is the voltage: the input of forward gears, the output
+        of inverse ones.
+
+    Raises
+    ------
+    ModelError
+        Lengths differ, a width is not > 0, or too narrow beside the others, or negative
+        gains leave too little of a slope; the message begins with the key.
+
+    Notes
+    -----
+    Outside [X_0, X_0 + sum dX_i] the paper says nothing. ``extend`` goes on with the
+    slope of gear n - 1, the last one engaged on the way there; without it Y_B is kept.
+    """
+
+    def __init__(
+        self,
+        dx: ArrayLike,
+        dy: ArrayLike,
+        x0: float = 0.0,
+        y0: float = 0.0,
+        relaxation: Relaxation | None = None,
+        on: Axis = "input",
+    ) -> None:
+        self.dx, self.dy = checked_pair(dx, dy, x0, y0)
+        self.x0 = float(x0)
+        self.y0 = float(y0)
+        self.relaxation = relaxation
+        self.on: Axis = on
+        self.n = int(self.dx.size)
+        widths = on_binary_grid("dx", self.dx)
+        heights = on_binary_grid("dy", self.dy)
+        self.width = math.fsum(widths.tolist())
+        self.height = math.fsum(heights.tolist())
+        gains: tuple[float, ...] = ()
+        if relaxation is not None:
+            gains = relaxation.gain
+        self.gain = np.array(gains, dtype=np.float64)
+        self._check_slopes(widths, heights)
+        self.table = gear_table(widths, heights, self._rounding(widths, heights))
+        for key, (low, high) in (("x0", self.x_range), ("y0", self.y_range)):
+            if not low < high:
+                raise ModelError(
+                    f"{key}: rounding leaves nothing of the gears beside {low:.6g}, where they begin"
+                )
+
+    def __repr__(self) -> str:
+        """Return a short description for debugging."""
+        return f"Gears(n={self.n}, x_range={self.x_range}, y_range={self.y_range})"
+
+    def _check_slopes(self, widths: Floats, heights: Floats) -> None:
+        """See that negative gains leave enough of every slope, displacement over voltage."""
+        if self.relaxation is None:
+            return
+        if self.on == "input":
+            self.relaxation.require_slopes(heights / widths, self.height / self.width)
+        else:
+            self.relaxation.require_slopes(widths / heights, self.width / self.height)
+
+    def _rounding(self, widths: Floats, heights: Floats) -> Floats:
+        """Return the largest numbers of an axis over what is told apart of each gear, the greater of both."""
+        scale_x = max(abs(self.x0), abs(self.x0 + self.width), self.width)
+        scale_y = max(abs(self.y0), abs(self.y0 + self.height), self.height)
+        apart_x, apart_y = widths, heights
+        terms = self.relaxation
+        if terms is not None and self.on == "input":
+            scale_y += terms.most(scale_x)
+            apart_y = heights + terms.negative * widths
+        elif terms is not None:
+            scale_x += terms.most(scale_y)
+            apart_x = widths + terms.negative * heights
+        with np.errstate(over="ignore", divide="ignore"):
+            rounding: Floats = np.maximum(scale_x / apart_x, scale_y / apart_y)
+        return rounding
+
+    def _at_rest(self, voltage: float) -> float:
+        """Return what the relaxation terms add up to after a long rest at ``voltage``."""
+        if self.relaxation is None:
+            return 0.0
+        return self.relaxation.at_rest(voltage)
+
+    @property
+    def x_range(self) -> tuple[float, float]:
+        """The input at B = 0 and at B = 2^n - 1, after a rest."""
+        low, high = self.x0, self.x0 + self.width
+        if self.on == "output":
+            low += self._at_rest(self.y0)
+            high += self._at_rest(self.y0 + self.height)
+        return low, high
+
+    @property
+    def y_range(self) -> tuple[float, float]:
+        """The output at B = 0 and at B = 2^n - 1, after a rest."""
+        low, high = self.y0, self.y0 + self.height
+        if self.on == "input":
+            low += self._at_rest(self.x0)
+            high += self._at_rest(self.x0 + self.width)
+        return low, high
+
+    @property
+    def drive_range(self) -> tuple[float, float]:
+        """The voltage at B = 0 and at B = 2^n - 1."""
+        if self.on == "input":
+            return self.x_range
+        return self.y_range
+
+    def inverse(self) -> Gears:
+        """Return the inverse (17)-(18): dX and dY exchanged in every gear, and the origins."""
+        return self._inverse
+
+    @functools.cached_property
+    def _inverse(self) -> Gears:
+        on: Axis = "output" if self.on == "input" else "input"
+        return Gears(self.dy, self.dx, self.y0, self.x0, self.relaxation, on)
+
+    @property
+    def all_bits(self) -> int:
+        """B = 2^n - 1: the actuator has been at or above its upper end."""
+        return (1 << self.n) - 1
+
+    @property
+    def equal_run(self) -> int:
+        """How many neighbouring gears are equal, from every multiple of that number on."""
+        return equal_run(self.table)
+
+    @functools.cached_property
+    def kernel_rows(self) -> tuple[Floats, NDArray[np.uint32]]:
+        """The kernel's table and its guide, a row for each gear."""
+        return kernel_table(self.table)
+
+    def constants(self, extend: bool) -> tuple[Any, ...]:
+        """Return the kernel's first arguments, the same for all blocks."""
+        reference = 0.0
+        if self.relaxation is not None:
+            reference = self.relaxation.reference
+        table = *self.kernel_rows, self.n, 1, self.x0, self.y0
+        return *table, extend, self.gain, reference, self.on == "output"
+
+    def words(self, bits: int) -> Words:
+        """Return the kernel's buffer with the bits of a state in it (ModelError where they are too many)."""
+        if bits < 0 or bits >> self.n:
+            raise ModelError(f"state: has bits beyond the {self.n} gears of this model")
+        size = (self.n + _WORD - 1) // _WORD
+        content = bits.to_bytes(8 * size, "little")
+        return np.frombuffer(content, dtype="<u8").astype(np.uint64)
+
+    def settled(self, voltage: float) -> int:
+        """Return the bits after an oscillation that decays from the whole range to ``voltage``.
+
+        The oscillation turns at ``voltage + A`` and ``voltage - A``, both cut off at
+        the ends of the range; A falls arbitrarily slowly to 0 and the first turn is the
+        upper one. The gears stop flipping from the highest to the lowest. With the
+        gears up to k spanning [low, high], gear k stops when A no longer reaches high
+        (it stays 0) or low (it stays 1), whichever comes first: the end that is farther
+        from ``voltage``. A tie, as with even gears halfway, stays 1; a tolerance
+        decides that, not rounding.
+        """
+        low, high = self.x0, self.x0 + self.width
+        if self.on == "output":
+            low, high = self.y0, self.y0 + self.height
+        if voltage <= low:
+            return 0
+        if voltage >= high:
+            return self.all_bits
+        words = self.words(0)
+        kernel.recursions().backlash_decay(
+            *self.constants(True), words, float(voltage)
+        )
+        return bits_of(words)
+
+    def coordinates(self, bits: int) -> tuple[float, float]:
+        """Return X_B and Y_B, (2)-(3)."""
+        content = self.words(bits).astype("<u8").view(np.uint8)
+        crossed = np.flatnonzero(np.unpackbits(content, bitorder="little")[: self.n])
+        x = self.x0 + math.fsum(self.table[crossed, 0].tolist())
+        y = self.y0 + math.fsum(self.table[crossed, 1].tolist())
+        return x, y
+
+    def run(
+        self,
+        x: ArrayLike,
+        bits: int,
+        memory: tuple[float, ...] | None = None,
+        decay: Floats | None = None,
+        *,
+        extend: bool = True,
+        window: Window | None = None,
+        last: float | None = None,
+    ) -> GearsRun:
+        """Return the output of (1)-(12) for one block, the state after it, and what was unusual.
+
+        Parameters
+        ----------
+        x : array_like
+            One block of the input.
+        bits, memory
+            The state before it; without memory the actuator rests at the first sample.
+        decay : array, optional
+            ``Relaxation.decay`` of the time steps: one row, or one a sample. Needed with
+            relaxation and more than one sample.
+        extend : bool
+            Beyond the gears go on with the last slope; else keep Y_B.
+        window : Window, optional
+            Clip the output of inverse gears; the state is then that of the forward gears
+            driven by the clipped output.
+        last : float, optional
+            The output before this block, for the largest step.
+
+        Raises
+        ------
+        ModelError
+            The state is not of these gears, or ``decay`` is missing.
+        """
+        x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
+        if x.size == 0:
+            return GearsRun(x, bits, memory)
+        if self.relaxation is not None and memory is None:
+            return self._from_rest(x, bits, decay, extend, window, last)
+        y = np.empty_like(x)
+        words = self.words(bits)
+        memories = self._memories(memory)
+        factors = self._factors(decay, x.size)
+        bound = window or _OPEN
+        steps = _NO_NUMBERS
+        if bound.step is not None:
+            steps = np.array(bound.step, dtype=np.float64).reshape(-1)
+        before = math.nan if last is None else last
+        counts = kernel.recursions().backlash_run(
+            *self.constants(extend), words, memories, before, x, y, factors,
+            window is not None, bound.low, bound.high, bound.slack, steps,
+        )  # fmt: skip
+        if self.relaxation is not None:
+            memory = tuple(memories.tolist())
+        return GearsRun(y, bits_of(words), memory, *counts)
+
+    def _from_rest(
+        self,
+        x: Floats,
+        bits: int,
+        decay: Floats | None,
+        extend: bool,
+        window: Window | None,
+        last: float | None,
+    ) -> GearsRun:
+        """Run a block whose first sample is at rest: no decay factor there, so nothing of the past."""
+        rest = np.zeros((1, self.gain.size))
+        nothing = (0.0,) * self.gain.size
+        first = self.run(
+            x[:1], bits, nothing, rest, extend=extend, window=_rows_of(window, 0, 1), last=last
+        )  # fmt: skip
+        if x.size == 1:
+            return first
+        if decay is not None and len(decay) > 1:
+            decay = decay[1:]
+        others = self.run(
+            x[1:],
+            first.bits,
+            first.memory,
+            decay,
+            extend=extend,
+            window=_rows_of(window, 1, x.size),
+            last=float(first.y[0]),
+        )
+        y = np.concatenate([first.y, others.y])
+        outside = _added(first.outside, others.outside, others.first_outside)
+        clipped = _added(first.clipped, others.clipped, others.first_clipped)
+        return GearsRun(y, others.bits, others.memory, *outside, *clipped)
+
+    def _memories(self, memory: tuple[float, ...] | None) -> Floats:
+        """Return the kernel's buffer of what relaxation remembers."""
+        memories = np.array(memory or (), dtype=np.float64)
+        if memories.size != self.gain.size:
+            raise ModelError(
+                f"state: remembers {memories.size} relaxation terms where this model has {self.gain.size}"
+            )
+        return memories
+
+    def _factors(self, decay: Floats | None, count: int) -> Floats:
+        """Return the decay factors of a block, one row or ``count``."""
+        if self.relaxation is None:
+            return _NO_NUMBERS
+        if decay is None:
+            raise ModelError(
+                "this model needs the time between samples (`sample_rate`, or a time column)"
+            )
+        if len(decay) not in (1, count):
+            raise ModelError(f"{len(decay)} time steps for {count} samples")
+        return np.ascontiguousarray(decay)
+
+    def engagement(
+        self, x: ArrayLike, bits: int = 0, group_size: int = 1
+    ) -> tuple[Floats, int]:
+        """Return the part of the gears that is in the output of every sample, and the bits after.
+
+        The rows phi (len(x) x n) fulfil y - y0 = phi @ dy: 1 for a crossed gear, 0 for
+        an open one, a fraction for the engaged one, so that heights are linear unknowns
+        of the output. With ``group_size`` > 1 that many neighbours share one column
+        (len(x) x ceil(n / group_size)), their mean. Relaxation is not in them (see
+        ``Relaxation.lags``). Needs the compiled part (DboError).
+        """
+        x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
+        words = self.words(bits)
+        crossed = np.empty(-(-self.n // group_size))
+        rows = np.empty((x.size, crossed.size))
+        kernel.require("identification").backlash_engagement(
+            *self.kernel_rows, self.n, 1, self.x0, True, words, x, rows, crossed, group_size
+        )  # fmt: skip
+        return rows, bits_of(words)
+
+
+def bits_of(words: Words) -> int:
+    """Return B out of the kernel's buffer."""
+    return int.from_bytes(words.astype("<u8").tobytes(), "little")
+
+
+def _rows_of(window: Window | None, begin: int, end: int) -> Window | None:
+    """Return the window of some rows of a block."""
+    if window is None or not isinstance(window.step, np.ndarray):
+        return window
+    steps = np.ascontiguousarray(window.step[begin:end])
+    return Window(window.low, window.high, steps, window.slack)
+
+
+def _added(first: int, others: int, first_other: int) -> tuple[int, int]:
+    """Return the count of a sample and those behind it, and the place of the first that counts."""
+    if first or not others:
+        return first + others, 0
+    return others, first_other + 1

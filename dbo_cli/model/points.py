@@ -1,0 +1,138 @@
+"""Stages without memory: the Discrete Point Operator (13)-(16), and a scale."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dbo_cli.errors import ModelError
+from dbo_cli.model import kernel
+from dbo_cli.model.widths import checked_pair, on_binary_grid
+
+Floats = NDArray[np.float64]
+
+
+class Points:
+    """The Discrete Point Operator of m segments, (13)-(16): memory-free, increasing, piecewise linear.
+
+    Parameters
+    ----------
+    dx, dy : array_like
+        dX_i and dY_i of (15), > 0, lowest segment first.
+    x0, y0 : float
+        X_0 and Y_0, where the first segment begins. The end segments extend beyond the
+        range.
+
+    Raises
+    ------
+    ModelError
+        Lengths differ or a width is not > 0; the message begins with the key.
+    """
+
+    def __init__(
+        self, dx: ArrayLike, dy: ArrayLike, x0: float = 0.0, y0: float = 0.0
+    ) -> None:
+        self.dx, self.dy = checked_pair(dx, dy, x0, y0)
+        self.x0, self.y0 = float(x0), float(y0)
+        self.m = int(self.dx.size)
+        widths = on_binary_grid("dx", self.dx)
+        heights = on_binary_grid("dy", self.dy)
+        x = np.concatenate([[0.0], np.cumsum(widths)])
+        y = np.concatenate([[0.0], np.cumsum(heights)])
+        self.x_range = (self.x0, self.x0 + float(x[-1]))
+        self.y_range = (self.y0, self.y0 + float(y[-1]))
+        rows = np.column_stack([x[:-1], y[:-1], heights / widths])
+        self.segments: Floats = np.ascontiguousarray(rows)
+        self.segments.flags.writeable = False
+
+    def __repr__(self) -> str:
+        """Return a short description for debugging."""
+        return (
+            f"Points(m={self.m}, x_range={self.x_range}, y_range={self.y_range})"
+        )
+
+    def inverse(self) -> Points:
+        """Return the inverse (17)-(18): dX and dY exchanged in every segment, and the origins."""
+        return self._inverse
+
+    @functools.cached_property
+    def _inverse(self) -> Points:
+        return Points(self.dy, self.dx, self.y0, self.x0)
+
+    @property
+    def least_slope(self) -> float:
+        """The least slope of the segments."""
+        return float(np.min(self.dy / self.dx))
+
+    def run(self, x: ArrayLike) -> Floats:
+        """Return the output of (13)-(16) for one block."""
+        x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
+        y = np.empty_like(x)
+        kernel.recursions().point_run(self.segments, self.x0, self.y0, x, y)
+        return y
+
+
+@dataclass(frozen=True)
+class Scale:
+    """A gain and an offset: y = gain x + offset, as K and Y_0 in the paper's Section V.
+
+    Raises
+    ------
+    ModelError
+        The gain is 0, or a number is not finite; the message begins with the key.
+    """
+
+    gain: float
+    offset: float
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be inverted."""
+        if not math.isfinite(self.gain) or self.gain == 0.0:
+            raise ModelError(f"gain: {self.gain!r} is not a finite number other than 0")
+        if not math.isfinite(1.0 / self.gain):
+            raise ModelError(f"gain: {self.gain!r} is too small to be inverted")
+        if not math.isfinite(self.offset) or not math.isfinite(self.offset / self.gain):
+            raise ModelError(f"offset: {self.offset!r} is not a finite number")
+
+    def run(self, x: ArrayLike) -> Floats:
+        """Return the output for one block."""
+        y: Floats = np.multiply(self.gain, x, dtype=np.float64)
+        y += self.offset
+        return y
+
+    def inverse(self) -> Scale:
+        """Return the stage that undoes this one, to rounding."""
+        return Scale(1.0 / self.gain, -self.offset / self.gain)
+
+    @property
+    def least_slope(self) -> float:
+        """The gain without its sign."""
+        return abs(self.gain)
+
+
+Curve = Points | Scale
+Curves = tuple[Curve, ...]
+
+
+def through(curves: Sequence[Curve], x: Floats) -> Floats:
+    """Pass a block through stages without memory."""
+    for curve in curves:
+        x = curve.run(x)
+    return x
+
+
+def value_through(curves: Sequence[Curve], x: float) -> float:
+    """Pass one number through stages without memory."""
+    if not curves:
+        return x
+    return float(through(curves, np.array([x]))[0])
+
+
+def inverse_curves(curves: Sequence[Curve]) -> Curves:
+    """Return what undoes stages without memory."""
+    return tuple(curve.inverse() for curve in reversed(curves))

@@ -1,0 +1,150 @@
+"""Relaxation: lag and creep beside the gears, and what negative gains must leave of the slopes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dbo_cli.errors import InputError, ModelError
+from dbo_cli.model import kernel
+
+Floats = NDArray[np.float64]
+
+LEAST_SLOPE = 0.03
+"""Of the mean slope: what the negative gains must leave of every slope. At 0.1 % a wish with 1e-4 um of noise
+becomes 0.8 V of it; round trips do not show that.
+"""
+
+
+def checked_steps(dt: float | ArrayLike) -> Floats:
+    """Return time steps (s) as an array; InputError where one is negative or not a number."""
+    steps = np.asarray(dt, dtype=np.float64).reshape(-1)
+    wrong = np.flatnonzero(~(steps >= 0.0))
+    if wrong.size:
+        row = int(wrong[0])
+        raise InputError(
+            f"time step {row + 1}: {float(steps[row])!r} s; time must not go backwards"
+        )
+    return steps
+
+
+@dataclass(frozen=True)
+class Relaxation:
+    """Lag and creep beside the gears: sum_j gain_j L_j, each L_j a first-order lag of the voltage.
+
+    L_j,k = a_j L_j,k-1 + (1 - a_j)(v_k - reference), a_j = exp(-dt_k/tau_j). Beyond the
+    paper.
+
+    Attributes
+    ----------
+    reference : float
+        Voltage at which nothing is remembered.
+    tau : tuple of float
+        Time constants in seconds, > 0.
+    gain : tuple of float
+        Output per volt, one for each time constant; may be negative (``Gears`` checks how
+        much the slopes of the gears allow).
+    """
+
+    reference: float
+    tau: tuple[float, ...]
+    gain: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse what no actuator has, naming the key."""
+        if not math.isfinite(self.reference):
+            raise ModelError(
+                f"relaxation.reference: {self.reference!r} is not a finite number"
+            )
+        if not self.tau:
+            raise ModelError("relaxation.tau: is empty; leave relaxation out instead")
+        if len(self.tau) != len(self.gain):
+            raise ModelError(
+                f"relaxation.gain: has {len(self.gain)} entries where relaxation.tau has {len(self.tau)}"
+            )
+        for place, tau in enumerate(self.tau):
+            if not (math.isfinite(tau) and tau > 0.0):
+                raise ModelError(
+                    f"relaxation.tau[{place}]: {tau!r} is not a finite time greater than 0"
+                )
+        for place, gain in enumerate(self.gain):
+            if not math.isfinite(gain):
+                raise ModelError(
+                    f"relaxation.gain[{place}]: {gain!r} is not a finite number"
+                )
+
+    @property
+    def negative(self) -> float:
+        """The sum of the negative gains, at most 0: the least that kappa = sum c_j (1 - a_j) can be."""
+        return math.fsum(gain for gain in self.gain if gain < 0.0)
+
+    def at_rest(self, voltage: float) -> float:
+        """Return what the terms add up to after a long rest at ``voltage``."""
+        return math.fsum(self.gain) * (voltage - self.reference)
+
+    def most(self, voltage: float) -> float:
+        """Return what the terms add up to at most while the voltage is no larger than ``voltage``."""
+        return math.fsum(map(abs, self.gain)) * (voltage + abs(self.reference))
+
+    def require_slopes(self, slopes: Floats, mean: float) -> None:
+        """Refuse negative gains that leave too little of a slope (output per volt) of the gears.
+
+        Every slope and the sum of the negative gains must be at least 3 % of the mean
+        slope: the inverse is then exact for every time step, and well conditioned.
+        """
+        negative = self.negative
+        if negative == 0.0:
+            return
+        gear = int(np.argmin(slopes))
+        left = float(slopes[gear]) + negative
+        if left < LEAST_SLOPE * mean:
+            raise ModelError(
+                f"relaxation.gain: the negative gains add up to {negative:.6g} and leave {left:.6g} of the"
+                f" slope of gear {gear}; at least 3 % of the mean slope, {LEAST_SLOPE * mean:.6g}, must be"
+                " left"
+            )
+
+    def decay(self, dt: float | ArrayLike) -> Floats:
+        """Return a_j = exp(-dt/tau_j) as rows: one for a single time step (s), else one a sample.
+
+        Raises
+        ------
+        InputError
+            A time step is negative or not a number.
+        """
+        steps = checked_steps(dt)
+        factors: Floats = np.exp(-steps[:, np.newaxis] / np.array(self.tau))
+        return factors
+
+    def lags(
+        self,
+        voltage: ArrayLike,
+        dt: float | ArrayLike,
+        memory: Sequence[float] | None = None,
+    ) -> tuple[Floats, tuple[float, ...]]:
+        """Return L_j after each sample (rows x terms), and after the last.
+
+        Without ``memory`` the actuator rests at the first sample. Needs the compiled
+        part (DboError).
+        """
+        drive = np.ascontiguousarray(voltage, dtype=np.float64)
+        memories = np.zeros(len(self.tau))
+        rows = np.empty((drive.size, len(self.tau)))
+        start = 0
+        if memory is not None:
+            memories[:] = memory
+        elif drive.size:
+            memories[:] = drive[0] - self.reference
+            rows[0] = memories
+            start = 1
+        decay = self.decay(dt)
+        if len(decay) > 1:
+            decay = np.ascontiguousarray(decay[start:])
+        kernel.require("identification").memory_run(
+            self.reference, memories, drive[start:], rows[start:], decay
+        )
+        return rows, tuple(memories.tolist())

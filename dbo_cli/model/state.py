@@ -1,0 +1,217 @@
+"""Values that go into and come out of a model: quantities, states, limits, and blocks of output."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dbo_cli.errors import InputError, ModelError
+from dbo_cli.model.delay import Held
+from dbo_cli.model.dynamics import SectionStates
+from dbo_cli.model.undoing import Undoing
+
+Floats = NDArray[np.float64]
+StartName = Literal["auto", "empty", "full", "settled"]
+START_NAMES: tuple[StartName, ...] = ("auto", "empty", "full", "settled")
+
+NEGLIGIBLE = 1e-9
+"""Clipping, and missing a first value, count from this fraction of the range on."""
+
+_EVEN = 1e-6  # of a step: stamps this near to an even clock are one
+
+_INWARDS = 1.0 - 2.0**-51
+"""Three roundings (the step in time, the product, this factor) of one part in 2^53 each stay inside it."""
+
+
+class OutsideError(InputError):
+    """A sample lies outside the model's range, and that was to be refused.
+
+    Attributes
+    ----------
+    index : int
+        Position of the first such sample in the block, from 0.
+    """
+
+    def __init__(self, index: int, value: float, low: float, high: float) -> None:
+        super().__init__(
+            f"sample {index + 1}: {value:.6g} is outside the model's range, {low:.6g} to {high:.6g}"
+            " (`outside` extend or hold)"
+        )
+        self.index = index
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What a signal is: its name, its unit (None: not known), and the range the model covers.
+
+    Raises
+    ------
+    ModelError
+        The range is not finite, or its ends are not in order; the message begins with
+        the key.
+    """
+
+    quantity: str
+    unit: str | None
+    min: float
+    max: float
+
+    def __post_init__(self) -> None:
+        """Check the range."""
+        for key, value in (("min", self.min), ("max", self.max)):
+            if not math.isfinite(value):
+                raise ModelError(f"{key}: {value!r} is not a finite number")
+        if not self.min < self.max:
+            raise ModelError(f"max: {self.max!r} is not greater than min, {self.min!r}")
+
+    @property
+    def span(self) -> float:
+        """The length of the range."""
+        return self.max - self.min
+
+    @property
+    def suffix(self) -> str:
+        """The unit behind a blank, as messages write it; nothing where there is none."""
+        if self.unit is None:
+            return ""
+        return f" {self.unit}"
+
+
+@dataclass(frozen=True)
+class State:
+    """Everything that one sample leaves behind for the next; the same for a model and its inverse.
+
+    Attributes
+    ----------
+    bits : int
+        B = b_{n-1} ... b_0 of the gears.
+    memory : tuple of float, or None
+        L_j of the relaxation; None: at rest at the sample to come.
+    drive : float, or None
+        The last voltage, for the slew limit.
+    time : float, or None
+        When the last sample was (s); kept for the caller.
+    sections : tuple, or None
+        (p, q, u) of each section of the dynamics; None: at rest at the sample to come.
+    delay : Held, or None
+        What a delay still holds back.
+    undoing : Undoing, or None
+        What undoing dynamics and delay remembers; put there by the caller of ``undo``.
+    first : float, or None
+        Of a drive about to start: its first voltage.
+    model : str, or None
+        The digest of the model that it belongs to, where it was handed out.
+    """
+
+    bits: int
+    memory: tuple[float, ...] | None = None
+    drive: float | None = None
+    time: float | None = None
+    sections: SectionStates | None = None
+    delay: Held | None = None
+    undoing: Undoing | None = None
+    first: float | None = None
+    model: str | None = None
+
+
+@dataclass(frozen=True)
+class VoltageWindow:
+    """What a drive may do: its range (V) and its change (V/s); the range wins over the slew.
+
+    Raises
+    ------
+    ModelError
+        The range is empty, or the slew is not above 0.
+    """
+
+    low: float = -math.inf
+    high: float = math.inf
+    slew: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse an empty range and a slew that forbids every move."""
+        if not self.low < self.high:
+            raise ModelError(
+                f"the lower voltage limit, {self.low!r}, is not below the upper, {self.high!r}"
+            )
+        if self.slew is not None and not self.slew > 0.0:
+            raise ModelError(f"the largest slew, {self.slew!r}, is not greater than 0")
+
+    def largest_step(self, dt: float | Floats | None) -> float | Floats | None:
+        """Return the largest change of the drive in a time step (s), rounded down; None where any is."""
+        if self.slew is None or self.slew == math.inf or dt is None:
+            return None
+        return self.slew * dt * _INWARDS
+
+
+class Run(NamedTuple):
+    """One block of output and the state after it.
+
+    Attributes
+    ----------
+    y : array
+        The output.
+    state : State
+        After the block.
+    outside, first_outside : int
+        How many samples lie outside the model's range, and the first of them, from 0.
+    """
+
+    y: Floats
+    state: State
+    outside: int = 0
+    first_outside: int = 0
+
+
+class Driven(NamedTuple):
+    """One block of a drive and the state after it; places count from 0 in the block.
+
+    Attributes
+    ----------
+    voltage : array
+        The drive.
+    state : State
+        After the block.
+    clipped, first_clipped : int
+        How many rows the window clipped, and the first of them.
+    outside, first_outside : int
+        How many rows lie outside the model's range, and the first of them.
+    missed : float
+        How far the first row is from the first value wanted, in its unit, because the
+        settled curve steps over it; 0 where it does not.
+    """
+
+    voltage: Floats
+    state: State
+    clipped: int = 0
+    first_clipped: int = 0
+    outside: int = 0
+    first_outside: int = 0
+    missed: float = 0.0
+
+
+def steps_of(time: ArrayLike) -> float | Floats:
+    """Return the step (s) of time stamps that are even to a millionth of it, else one a row (0 first).
+
+    Raises
+    ------
+    InputError
+        Time goes backwards.
+    """
+    stamps = np.asarray(time, dtype=np.float64).reshape(-1)
+    steps = np.diff(stamps)
+    if not steps.size:
+        return np.zeros(stamps.size)
+    wrong = np.flatnonzero(~(steps >= 0.0))
+    if wrong.size:
+        row = int(wrong[0]) + 2
+        raise InputError(f"row {row}: time goes backwards, to {stamps[row - 1]:.9g} s")
+    mean = float(stamps[-1] - stamps[0]) / steps.size
+    rounding = 4.0 * np.finfo(np.float64).eps * float(np.abs(stamps).max())
+    if mean > 0.0 and float(np.abs(steps - mean).max()) <= _EVEN * mean + rounding:
+        return mean
+    return np.concatenate([[0.0], steps])

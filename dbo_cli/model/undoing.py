@@ -1,0 +1,326 @@
+"""Dynamics undone on an even clock, reading ahead; and a low-pass without phase.
+
+With the output of a section given, u - p and q follow a recursion of two eigenvalues,
+the zeros of the discretised section. For a resonance one lies near -0.268 and is run
+forward; the other near -3.73 and is run backward, as a sum over the next samples. Both
+are driven by differences of the signal alone, so that the inverse of a rest is the same
+rest. The zeros of an antiresonance are both inside, and run forward.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections import deque
+from collections.abc import Iterable, Iterator
+from itertools import chain
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.errors import InputError, UsageError
+from dbo_cli.model import kernel
+from dbo_cli.model.dynamics import (
+    Dynamics,
+    Lag,
+    Resonance,
+    Section,
+    SectionStates,
+    repeated,
+)
+
+Floats = NDArray[np.float64]
+Payload = TypeVar("Payload")
+
+HIGHEST_PART = 0.3
+"""Of the sample rate: a resonance above it is not undone; its inverse would ring."""
+LEFT_OVER = 1e-17  # of the whole sum over the future: less than rounding does to it
+# samples; beyond, the zero is so near the unit circle that the inverse rings
+LONGEST_AHEAD = 2000
+# of a low-pass's weight in the middle, at which its weights are cut off
+LOW_PASS_LEFT_OVER = 1e-10
+# samples of a low-pass on either side; the work of a sample grows with them
+LONGEST_REACH = 20_000
+
+
+class SectionInverse(NamedTuple):
+    """The inverse of one section on an even clock.
+
+    Attributes
+    ----------
+    numbers : array of 8
+        See ``dbo_section_inverse``.
+    weight : array
+        Of the changes of the signal 1, 2, ... samples ahead.
+    from_state : array of shape (2, 2)
+        What the recursion remembers, from (u - p, q) of the forward section.
+    """
+
+    numbers: Floats
+    weight: Floats
+    from_state: Floats
+
+
+class _Recursion(NamedTuple):
+    """(u - p, q) after a sample: matrix @ before + drive * change of the output; the input is output + out @ it."""
+
+    matrix: Floats
+    drive: Floats
+    out: Floats
+
+
+def _recursion(section: Section, dt: float) -> _Recursion:
+    """Return how u - p and q follow a given output of a section."""
+    row = section.step(np.array([dt]))[0].tolist()
+    p_q, p_lead, p_change, q_q, q_lead, q_change = row
+    by_lead, by_q = section.output
+    by_drive = (1.0 - by_lead) * p_change + by_lead + by_q * q_change
+    # the change of the input that gives a wanted change of the output, by u - p and q
+    from_lead = -((1.0 - by_lead) * p_lead + by_q * q_lead) / by_drive
+    from_q = -((1.0 - by_lead) * p_q + by_q * (q_q - 1.0)) / by_drive
+    lead_row = [1.0 - p_lead + (1.0 - p_change) * from_lead]
+    lead_row.append(-p_q + (1.0 - p_change) * from_q)
+    rate_row = [q_lead + q_change * from_lead, q_q + q_change * from_q]
+    drive = np.array([(1.0 - p_change) / by_drive, q_change / by_drive])
+    return _Recursion(
+        np.array([lead_row, rate_row]), drive, np.array([1.0 - by_lead, -by_q])
+    )
+
+
+def section_inverse(section: Section, dt: float) -> SectionInverse:
+    """Return the inverse of a section on an even clock of ``dt`` (s).
+
+    Raises
+    ------
+    InputError
+        The clock does not resolve the section; the message names the rate that does.
+    """
+    recursion = _recursion(section, dt)
+    matrix, drive, out = recursion
+    if isinstance(section, Lag):
+        numbers = np.array([matrix[0, 0], 0.0, 0.0, 0.0, drive[0], 0.0, out[0], 0.0])
+        return SectionInverse(numbers, np.zeros(0), np.array([[1.0, 0.0], [0.0, 0.0]]))
+    if section.highest * dt > HIGHEST_PART:
+        raise _unresolved(section, dt)
+    half = 0.5 * (matrix[0, 0] + matrix[1, 1])
+    det = float(np.linalg.det(matrix))
+    root = half * half - det
+    if root <= 0.0:
+        return _forward_only(section, dt, recursion, math.sqrt(det))
+    far = half + math.copysign(math.sqrt(root), half)
+    near = det / far
+    near, far = sorted([near, far], key=abs)
+    if abs(far) < 1.0:
+        return _forward_only(section, dt, recursion, abs(far))
+    count = math.ceil(math.log(LEFT_OVER) / -math.log(abs(far)))
+    if abs(near) >= 1.0 or count > LONGEST_AHEAD:
+        raise _unresolved(section, dt)
+    inside_row, inside_drive = _eigenpart(recursion, near)
+    _, outside_drive = _eigenpart(recursion, far)
+    weight = -outside_drive * far ** -np.arange(1.0, count + 1.0)
+    numbers = np.array([near, 0.0, 0.0, 0.0, inside_drive, 0.0, 1.0, 0.0])
+    return SectionInverse(numbers, weight, np.array([inside_row, [0.0, 0.0]]))
+
+
+def _eigenpart(recursion: _Recursion, zero: float) -> tuple[Floats, float]:
+    """Return the part of the inverse that belongs to one eigenvalue: as seen in the result, and its drive."""
+    matrix, drive, out = recursion
+    left = np.array([matrix[1, 0], zero - matrix[0, 0]])
+    right = np.array([matrix[0, 1], zero - matrix[0, 0]])
+    row = left * (float(out @ right) / float(left @ right))
+    return row, float(row @ drive)
+
+
+def _forward_only(
+    section: Resonance, dt: float, recursion: _Recursion, largest: float
+) -> SectionInverse:
+    """Return an inverse without a look ahead: both zeros are inside the unit circle."""
+    if not largest < 1.0 or section.antiresonance is None:
+        raise _unresolved(section, dt)
+    numbers = np.concatenate([recursion.matrix.reshape(-1), recursion.drive])
+    numbers = np.concatenate([numbers, recursion.out])
+    return SectionInverse(numbers, np.zeros(0), np.eye(2))
+
+
+def _unresolved(section: Resonance, dt: float) -> InputError:
+    """Return the refusal of a clock that does not resolve a section, with the rate that does."""
+    name = f"resonance at {section.frequency:.6g} Hz"
+    if section.antiresonance is not None:
+        name += f" with its antiresonance at {section.antiresonance.frequency:.6g} Hz"
+    return InputError(
+        f"the model's {name} is too fast to be undone at {1.0 / dt:.6g} Hz"
+        f" (`resample` {6.0 * section.highest:.6g} or more)"
+    )
+
+
+class Undoing(NamedTuple):
+    """What undoing dynamics and delay remembers between blocks, on an even clock of ``dt`` (s).
+
+    Attributes
+    ----------
+    sections : tuple
+        (y, a, b) of each section.
+    past : tuple of float, or None
+        The last two values wanted before the block, for the delay.
+    """
+
+    dt: float
+    sections: SectionStates
+    past: tuple[float, ...] | None = None
+
+
+class Inverter:
+    """Undoes dynamics on an even clock of ``dt`` (s), reading ahead by ``ahead`` samples.
+
+    Raises
+    ------
+    InputError
+        The clock does not resolve a section.
+    """
+
+    def __init__(self, dynamics: Dynamics, dt: float) -> None:
+        self.dynamics = dynamics
+        self.parts = [section_inverse(part, dt) for part in dynamics.sections]
+        self.ahead = sum(part.weight.size for part in self.parts)
+
+    def rest(self, value: float) -> SectionStates:
+        """Return the memory after a long rest at ``value``."""
+        return ((value, 0.0, 0.0),) * len(self.parts)
+
+    def memory_of(self, states: SectionStates) -> SectionStates:
+        """Return the memory with which the inverse goes on from a state of the forward dynamics."""
+        memories = []
+        for part, (p, q, u), section in zip(
+            self.parts, states, self.dynamics.sections, strict=True
+        ):
+            by_lead, by_q = section.output
+            a, b = (part.from_state @ np.array([u - p, q])).tolist()
+            memories.append((p + (by_lead * (u - p) + by_q * q), a, b))
+        return tuple(memories)
+
+    def run(self, y: Floats, memory: SectionStates) -> tuple[Floats, SectionStates]:
+        """Return the input for all but the last ``ahead`` samples of an output, and the memory after them."""
+        count = y.size - self.ahead
+        undo = kernel.recursions().dynamics_undo
+        signal = np.ascontiguousarray(y)
+        states = list(memory)
+        for place, part in reversed(list(enumerate(self.parts))):
+            ahead = part.weight.size
+            state = np.array(states[place])
+            out = np.empty(signal.size - ahead)
+            undo(part.numbers, part.weight, state, signal[: count + ahead], out[:count])
+            states[place] = (float(state[0]), float(state[1]), float(state[2]))
+            # what the next section reads ahead, without going on from there
+            if out.size > count:
+                undo(part.numbers, part.weight, state, signal[count:], out[count:])
+            signal = out
+        return signal, tuple(states)
+
+    def loop(self, y: Floats) -> Floats:
+        """Return the input of one period of an output that is repeated for ever."""
+        undo = kernel.recursions().dynamics_undo
+        signal = np.ascontiguousarray(y)
+        for part in reversed(self.parts):
+
+            def after(
+                a: float, b: float, part: SectionInverse = part, y: Floats = signal
+            ) -> tuple[Floats, Floats]:
+                wrapped = np.pad(y, (0, part.weight.size), mode="wrap")
+                memory = np.array([y[-1], a, b])
+                u = np.empty(y.size)
+                undo(part.numbers, part.weight, memory, wrapped, u)
+                return u, memory[1:]
+
+            signal = repeated(after)
+        return signal
+
+
+def read_ahead(
+    blocks: Iterable[tuple[Payload, Floats]], rows: int
+) -> Iterator[tuple[Payload, Floats]]:
+    """Yield each block with ``rows`` samples of those after it; at the end the last value holds.
+
+    Empty blocks are dropped.
+    """
+    waiting: deque[tuple[Payload, int]] = deque()
+    values = np.empty(0)  # of the blocks that wait, and what is known of those after
+    for block in chain(blocks, [None]):
+        if block is not None:
+            payload, part = block
+            if part.size:
+                waiting.append((payload, part.size))
+            values = np.concatenate([values, part])
+        elif values.size:  # at the end
+            values = np.concatenate([values, np.full(rows, values[-1])])
+        while waiting and values.size - waiting[0][1] >= rows:
+            payload, count = waiting.popleft()
+            yield payload, values[: count + rows]
+            values = values[count:]
+
+
+class ZeroPhaseLowPass:
+    """A symmetric low-pass of gain 1/(1 + (f/f_c)^2n): a Butterworth filter of order n, run both ways.
+
+    Its weights are the two-sided impulse response, the sum over the stable poles s of
+    Re(-s e^(s|t|)), taken at the samples and made to add up to 1. A constant comes
+    through unchanged, to the last bit. Of order 2 nothing overshoots a step by more
+    than 3.4 % of it.
+
+    Parameters
+    ----------
+    cutoff : float
+        f_c in Hz, where half of the amplitude is left.
+    dt : float
+        Seconds between samples.
+    order : int
+        n, an even number.
+
+    Raises
+    ------
+    UsageError
+        The cut-off is above half the sampling rate, or so low that a sample would need
+        20,000 neighbours.
+    """
+
+    def __init__(self, cutoff: float, dt: float, order: int = 2) -> None:
+        rate = 1.0 / dt
+        if not 0.0 < cutoff <= 0.5 * rate:
+            raise UsageError(
+                f"`bandwidth` {cutoff:g}: must be above 0 and at most half the sample rate, {0.5 * rate:.6g}"
+            )
+        turn = 2.0 * math.pi * cutoff * dt
+        poles = []
+        for k in range(order // 2):
+            angle = math.pi * (2 * k + 1 + order) / (2 * order)
+            poles.append(turn * cmath.exp(1j * angle))
+        slowest = max(pole.real for pole in poles)
+        self.reach = math.ceil(math.log(LOW_PASS_LEFT_OVER) / slowest)
+        if self.reach > LONGEST_REACH:
+            lowest = cutoff * self.reach / LONGEST_REACH
+            raise UsageError(
+                f"`bandwidth` {cutoff:g}: too low for a sample rate of {rate:.6g} Hz (at least {lowest:.3g},"
+                " or a lower rate)"
+            )
+        samples = np.arange(1.0, self.reach + 1.0)
+        middle = -sum(pole.real for pole in poles)
+        response = np.zeros(self.reach)
+        for pole in poles:
+            response = response + (-pole * np.exp(pole * samples)).real
+        weight = response / middle
+        self.cutoff = cutoff
+        self.weight = weight / (1.0 + 2.0 * math.fsum(weight.tolist()))
+
+    def run(self, x: Floats) -> Floats:
+        """Return all but the first and the last ``reach`` samples, smoothed."""
+        y = np.empty(x.size - 2 * self.reach)
+        kernel.recursions().smooth(self.weight, np.ascontiguousarray(x), y)
+        return y
+
+    def whole(self, x: Floats) -> Floats:
+        """Return a whole signal smoothed; the first and the last value hold beyond its ends."""
+        return self.run(np.pad(x, self.reach, mode="edge"))
+
+    def loop(self, x: Floats) -> Floats:
+        """Return one period of a signal that repeats, smoothed."""
+        return self.run(np.pad(x, self.reach, mode="wrap"))

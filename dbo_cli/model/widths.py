@@ -1,0 +1,159 @@
+"""Widths of gears and segments: what is refused, and the grid that makes their sums exact."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dbo_cli.errors import ModelError
+
+Floats = NDArray[np.float64]
+
+CROSSING_TOLERANCE = 1e-9
+"""A gear counts as crossed when all but this fraction of it is travelled (more where rounding is coarse)."""
+
+# chosen: more than the additions of a signal's way lose
+_ROUNDING_STEPS = 64.0 * np.finfo(np.float64).eps
+# of the sum: the grid of 2^-53 then moves no width by more than 2^-12 of itself
+_NARROWEST = 2.0**-42
+_LARGEST_TOLERANCE = 1.0 / 16.0  # what 64 steps of rounding are of such a width
+
+
+def checked_widths(key: str, widths: ArrayLike) -> Floats:
+    """Return a read-only copy of ``widths``; raise ModelError naming the key of what is wrong in it."""
+    values = np.array(widths, dtype=np.float64).reshape(-1)
+    if values.size == 0:
+        raise ModelError(f"{key}: is empty; at least one width is needed")
+    wrong = np.flatnonzero(~(np.isfinite(values) & (values > 0.0)))
+    if wrong.size:
+        place = int(wrong[0])
+        raise ModelError(
+            f"{key}[{place}]: {float(values[place])!r} is not a finite width greater than 0"
+        )
+    values.flags.writeable = False
+    return values
+
+
+def checked_pair(
+    dx: ArrayLike, dy: ArrayLike, x0: float, y0: float
+) -> tuple[Floats, Floats]:
+    """Return both axes' widths, checked against each other and the origins."""
+    widths = checked_widths("dx", dx)
+    heights = checked_widths("dy", dy)
+    if widths.size != heights.size:
+        raise ModelError(f"dy: has {heights.size} entries where dx has {widths.size}")
+    for key, value in (("x0", x0), ("y0", y0)):
+        if not math.isfinite(value):
+            raise ModelError(f"{key}: {value!r} is not a finite number")
+    return widths, heights
+
+
+def on_binary_grid(key: str, widths: Floats) -> Floats:
+    """Round widths to multiples of the power of two that makes every sum of them exact in float64.
+
+    The grid is 2^-53 of the power of two above their sum, so no width moves by more
+    than 2^-53 of the sum. Adding and subtracting them, (6)-(9), then never rounds: X_B
+    and Y_B equal (2)-(3) exactly after any number of transitions. Rounding what is
+    rounded changes nothing.
+
+    Raises
+    ------
+    ModelError
+        A width is smaller than 2^-42 of the sum, or the sum is beyond what float64
+        holds.
+    """
+    while True:
+        total = math.fsum(widths.tolist())
+        if not 1e-280 < total < 1e280:
+            raise ModelError(
+                f"{key}: the widths add up to {total!r}, beyond the range of the arithmetic"
+            )
+        grid = math.ldexp(1.0, math.frexp(total)[1] - 53)
+        rounded: Floats = np.rint(widths / grid) * grid
+        narrow = np.flatnonzero(rounded < _NARROWEST * total)
+        if narrow.size:
+            place = int(narrow[0])
+            raise ModelError(
+                f"{key}[{place}]: {float(widths[place])!r} is less than 2^-42 of the sum of all widths,"
+                f" {total!r}"
+            )
+        if np.array_equal(rounded, widths):
+            return rounded
+        widths = rounded
+
+
+def gear_table(dx: Floats, dy: Floats, rounding: Floats) -> Floats:
+    """Return a row (dx, dy, slope, crossing_fraction) for each gear, of widths on the binary grid.
+
+    ``crossing_fraction`` is where a gear counts as crossed: all but 1e-9 of it, since a
+    drive that turns on a breakpoint is the usual case and one unit in the last place
+    must not decide which gear engages on the way back. Where a gear is so narrow beside
+    the numbers that are added and subtracted that rounding exceeds that, the tolerance
+    is 64 rounding steps. Exchanging the axes leaves it as it is, so an operator and its
+    inverse decide alike.
+
+    Parameters
+    ----------
+    dx, dy : array
+        Widths and heights.
+    rounding : array
+        The largest numbers of an axis over what of a gear is told apart there, the
+        greater of both axes.
+
+    Raises
+    ------
+    ModelError
+        A slope is beyond what float64 holds.
+    """
+    tolerance = np.clip(
+        _ROUNDING_STEPS * rounding, CROSSING_TOLERANCE, _LARGEST_TOLERANCE
+    )
+    with np.errstate(over="ignore", under="ignore", divide="ignore"):
+        slope = dy / dx
+        inverse_slope = dx / dy
+    wrong = np.flatnonzero(~np.isfinite(slope) | ~np.isfinite(inverse_slope))
+    if wrong.size:
+        place = int(wrong[0])
+        raise ModelError(
+            f"dy[{place}]: {float(dy[place])!r} over dx[{place}], {float(dx[place])!r}, is beyond the range"
+            " of the arithmetic"
+        )
+    gears: Floats = np.ascontiguousarray(
+        np.column_stack([dx, dy, slope, 1.0 - tolerance])
+    )
+    gears.flags.writeable = False
+    return gears
+
+
+def equal_run(gears: Floats) -> int:
+    """Return how many neighbours are equal from every multiple of that number on.
+
+    The last run may be shorter. Identification gives many gears one slope, so that runs
+    are long; 1 where nothing repeats.
+    """
+    starts = np.flatnonzero(np.any(gears[1:] != gears[:-1], axis=1)) + 1
+    run = math.gcd(*starts.tolist()) or len(gears)
+    # the kernel divides by a 32-bit multiplication
+    if run * len(gears) >= 2**32:
+        return 1
+    return run
+
+
+def kernel_table(gears: Floats, run: int = 1) -> tuple[Floats, NDArray[np.uint32]]:
+    """Return the kernel's table, a row for each ``run`` of equal gears, and its guide.
+
+    To the row of its gears, each row adds where the first of them begins; one more
+    stands behind the last and begins where the last gear ends. The guide cuts the range
+    of the input into as many equal parts as there are rows, and says in which row each
+    begins.
+    """
+    ends = np.cumsum(gears[:, :2], axis=0)  # exact: the widths lie on one binary grid
+    begins = np.vstack([[0.0, 0.0], ends[run - 1 : -1 : run], ends[-1]])
+    rows = np.vstack([gears[::run], gears[-1]])
+    table: Floats = np.ascontiguousarray(np.hstack([rows, begins]))
+    parts = np.linspace(0.0, ends[-1, 0], 2 * len(table) - 1)
+    guide = np.searchsorted(begins[:-1, 0], parts, side="right") - 1
+    table.flags.writeable = False
+    return table, guide.astype(np.uint32)
