@@ -206,7 +206,7 @@ class _Tree:
         """Return what a group's attributes and single values state of the sample rate."""
         stated = _statements(group)
         for name in group:
-            node = _own_member(group, name) if is_clock_key(name) else None
+            node: Any = _own_member(group, name) if is_clock_key(name) else None
             if _is_dataset(node) and node.size == 1 and not _leads_out(node):
                 value = np.ravel(node[()])[0]
                 stated.append((name, _plain(value), _attribute_text(node, _UNITS)))
