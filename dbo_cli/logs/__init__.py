@@ -2,14 +2,8 @@
 
 from __future__ import annotations
 
-from dbo_cli.logs.log import (
-    Log,
-    columns_of,
-    columns_of_names,
-    open_log,
-    parse_rows,
-    parse_scale,
-)
+from dbo_cli.logs.log import Log, columns_of, columns_of_names, open_log
+from dbo_cli.logs.rows import parse_rows, parse_scale
 from dbo_cli.logs.source import Block, Column, Reading, Table
 from dbo_cli.logs.write import create, write_text
 

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from datetime import date
 
 import numpy as np
@@ -110,11 +111,12 @@ def to_number(cell: str, decimal: str) -> float:
         return float(cell.replace("D", "e").replace("d", "e"))
 
 
-def stamp_format(cells: list[str]) -> str | None:
-    """Return the format in which all filled cells are time stamps; None where there is none."""
-    filled = [cell for cell in cells if cell]
+def stamp_format(cells: Sequence[tuple[str, float]]) -> str | None:
+    """Return the format in which most cells, each with its weight, are time stamps; else None."""
+    total = sum(weight for cell, weight in cells if cell)
     for form, pattern in STAMPS.items():
-        if filled and all(pattern.fullmatch(cell) for cell in filled):
+        fitting = sum(weight for cell, weight in cells if pattern.fullmatch(cell))
+        if 2.0 * fitting > total:
             return form
     return None
 

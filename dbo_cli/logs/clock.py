@@ -6,8 +6,6 @@ without a unit that can hardly be seconds.
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any
@@ -15,26 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.errors import InputError, UsageError, warn
-from dbo_cli.logs.columns import listed, named, words
-from dbo_cli.logs.source import NOT_A_TIME, Column, FloatArray, Reading, Source
-from dbo_cli.units import kind_of, multiplied, ratio, time_unit
+from dbo_cli.errors import InputError, warn
+from dbo_cli.logs.source import NOT_A_TIME, Column, FloatArray
+from dbo_cli.units import multiplied
 
-_NAMES = frozenset("time t x_value zeit".split())
-_MORE_NAMES = frozenset(
-    "timestamp time_stamp timestamps elapsed seconds millis micros milliseconds microseconds nanoseconds msec "
-    "usec datetime zeitstempel uhrzeit temps tiempo tempo date datum datenum tijd tid czas čas cas время 时间 "
-    "時間 x-axis utc ts epoch clock".split()
-)
-# behind the name of a time column they show that it counts something else
-_COUNTED = frozenset(
-    "tick ticks sample samples frame frames count counts cycle cycles index idx step steps point points pulses "
-    "clocks jiffies row rows number no".split()
-)
-# what stands in the brackets of a time column where other columns have their unit
-_NO_UNIT = frozenset(
-    "relative rel absolute abs raw local utc gmt elapsed iso start -".split()
-)
 _DAY = 86400 * 10**9  # ns
 # s; whoever logs a hysteresis loop at one sample a second or slower states the unit
 _LONG_STEP = 1.0
@@ -112,7 +94,9 @@ class Clock:
             return None
         if self.kind == "rate":
             assert self.rate is not None
-            time = self.start + (numbers - 1.0) / self.rate
+            time = np.asarray(
+                self.start + (numbers - 1.0) / self.rate, dtype=np.float64
+            )
             self._count(time)
             return time
         assert stored is not None
@@ -225,7 +209,7 @@ class Clock:
         return self.step
 
     def _resolution(self, time: FloatArray) -> float:
-        """Return the step of the decimals that the times are rounded to, where it is a small part of a step."""
+        """Return the last decimal place of the times, where it is a small part of a step."""
         if not self.digits and len(time) > 2:
             span = time[: min(len(time), 50)]
             for power in range(1, 13):
@@ -240,19 +224,22 @@ class Clock:
 
     def _require_seconds(self) -> None:
         """Refuse figures without a unit that can hardly be seconds."""
-        if self.kind != "column" or self.unit is not None or self.given:
+        if self.kind != "column" or self.unit is not None:
             return
-        step = self.usual_step
-        is_epoch = _EPOCH[0] < self.first < _EPOCH[1] and step < _LONG_STEP
+        step, reach = self.usual_step, max(abs(self.first), abs(self.last))
+        is_epoch = _EPOCH[0] < self.first < _EPOCH[1]
         if step >= _LONG_STEP:
-            odd = f"read as seconds, its usual step would be {step:.6g} s"
-        elif max(abs(self.first), abs(self.last)) > _LATEST and not is_epoch:
-            odd = f"read as seconds, its stamps would reach {self.last:.6g} s"
+            odd = f"its usual step would be {step:.6g} s"
+        elif reach > _LATEST and not is_epoch:
+            odd = f"its stamps would reach {self.last:.6g} s"
         else:
             return
+        self._refuse_bare(odd)
+
+    def _refuse_bare(self, odd: str) -> None:
         raise InputError(
-            f"{self.called} has no unit: {odd} (`time_unit` s, ms, us or ns says what it counts; `sample_rate` "
-            "HZ gives the time instead)"
+            f"{self.called} has no unit: read as seconds, {odd} (`time_unit` s, ms, us or ns says what it "
+            "counts; `sample_rate` HZ gives the time instead)"
         )
 
     def close(self) -> None:
@@ -265,37 +252,36 @@ class Clock:
         """
         if self.kind not in ("column", "stamps") or self.rows < 2:
             return
-        span = self.last - self.first
         if 2 * self.repeats > self.rows:
             warn(
-                f"{self.called} repeats its stamps in {self.repeats:,} of {self.rows:,} rows: they have too few "
-                "digits (`sample_rate` HZ gives the time instead)"
+                f"{self.called} repeats its stamps in {self.repeats:,} of {self.rows:,} rows: they have too "
+                "few digits (`sample_rate` HZ gives the time instead)"
             )
         elif self.repeats:
             self.remarks.append(f"{self.repeats:,} time stamps are repeated")
         if self.gaps and 2 * self.repeats <= self.rows:
-            self.remarks.append(
-                f"{self.gaps:,} gaps in time, the largest {self.largest_gap:.4g} s"
-            )
-        if self.given or self.kind == "stamps":
-            return
-        if 0.0 < span < _SHORTEST and self.unit is None:
-            raise InputError(
-                f"{self.called} has no unit: read as seconds, the whole log would last {span:.3g} s (`time_unit` s, "
-                "ms, min or h says what it counts)"
-            )
-        odd = ""
+            largest = f"the largest {self.largest_gap:.4g} s"
+            self.remarks.append(f"{self.gaps:,} gaps in time, {largest}")
+        if self.kind == "column" and not self.given:
+            self._doubt_unit()
+
+    def _doubt_unit(self) -> None:
+        """Warn of a stated unit that can hardly be right; refuse seconds that nobody stated."""
+        span, step = self.last - self.first, self.usual_step
         if 0.0 < span < _SHORTEST:
             odd = f"the whole log would last {span:.3g} s"
-        elif self.usual_step > _LONGEST_STEP:
-            odd = f"its usual step would be {self.usual_step:.3g} s"
-        elif self.unit == "s" and self.usual_step >= _LONG_STEP and span >= _LONG_LOG:
-            odd = f"its usual step would be {self.usual_step:.6g} s and the log {span / 3600.0:.3g} h long"
-        if odd:
-            warn(
-                f"{self.called} is stated in {self.unit}, but {odd} (`time_unit` ms if it counts milliseconds, "
-                f"`time_unit` {self.unit} if it is right)"
-            )
+            if self.unit is None:
+                self._refuse_bare(odd)
+        elif step > _LONGEST_STEP:
+            odd = f"its usual step would be {step:.3g} s"
+        elif self.unit == "s" and step >= _LONG_STEP and span >= _LONG_LOG:
+            odd = f"its usual step would be {step:.6g} s, and the log {span / 3600.0:.3g} h long"
+        else:
+            return
+        warn(
+            f"{self.called} is stated in {self.unit}, but {odd} (`time_unit` ms if it counts milliseconds, "
+            f"`time_unit` {self.unit} if that is right)"
+        )
 
     def describe(self) -> str:
         """Return how long a log lasts and at which rate: ``12 s at 2 kHz``."""
@@ -318,180 +304,8 @@ def hertz(rate: float) -> str:
     return f"{rate:.5g} Hz"
 
 
-def find_clock(
-    source: Source, reading: Reading, selector: str | None, used: Sequence[Column]
-) -> Clock:
-    """Find the time column, or the rate that the user or the file states.
-
-    Parameters
-    ----------
-    source
-        The file.
-    reading
-        ``sample_rate`` and ``time_unit`` as the user gave them.
-    selector
-        What the user typed for the time, or None.
-    used
-        Columns that the user named for other roles.
-
-    Raises
-    ------
-    InputError
-        Several columns may be meant, or the unit is none of time.
-    UsageError
-        ``time`` and ``sample_rate`` are both given.
-    """
-    rate = reading.sample_rate
-    if rate is not None:
-        if selector is not None:
-            raise UsageError(
-                "`time` and `sample_rate` exclude each other: leave one out"
-            )
-        if not 0.0 < rate < np.inf:
-            raise UsageError(
-                f"`sample_rate` {rate:g}: give a positive number of samples a second"
-            )
-    if selector is not None:
-        found = [named(source, selector, "time")]
-    else:
-        found = _time_columns(source, used)
-    if rate is not None:
-        clock = Clock(source.name, "rate", rate=rate)
-        if len(found) == 1:
-            clock.column = found[0]
-            clock.remarks.append(f"`sample_rate` replaces {found[0].label}")
-        return clock
-    if len(found) > 1:
-        which = " or ".join(
-            f"`time` {column.number} ('{column.name}')" for column in found
-        )
-        raise InputError(f"{source.name}: which column is the time? ({which})")
-    if found:
-        return _clock_of(source.name, found[0], reading.time_unit)
-    return _stated_clock(source, reading)
-
-
-def _stated_clock(source: Source, reading: Reading) -> Clock:
-    """Return the clock of a file without a time column."""
-    if reading.time_unit is not None:
-        raise InputError(
-            f"{source.name}: `time_unit` {reading.time_unit}: there is no time column: {listed(source.columns)} "
-            "(`time` NAME or NUMBER)"
-        )
-    if source.rate_problem:
-        raise InputError(f"{source.name}: {source.rate_problem}")
-    if source.rate is None:
-        return Clock(source.name)
-    remarks = list(source.rate_remarks)
-    return Clock(
-        source.name, "rate", rate=source.rate, start=source.start, remarks=remarks
-    )
-
-
-def _time_columns(source: Source, used: Sequence[Column]) -> list[Column]:
-    """Return the columns that may hold the time, by the surest reason that there is."""
-    free = [column for column in source.columns if column not in used]
-    fitting = []
-    for column in free:
-        kind = kind_of(column.unit)
-        if column.kind == "number" and kind not in (
-            None,
-            "time",
-            "count",
-            "number of samples",
-        ):
-            if not time_unit(column.unit):
-                continue  # a temperature called T
-        fitting.append(column)
-    called: list[Column] = []
-    for names in (_NAMES, _MORE_NAMES):
-        for whole in (True, False):
-            called = called or [c for c in fitting if _is_called(c, names, whole)]
-    figures = [c for c in called if c.kind == "number"]
-    stamps = [c for c in called if c.kind == "stamp"]
-    stamps = stamps or [c for c in free if c.kind == "stamp"]
-    if figures or stamps:
-        return figures or stamps
-    first = fitting[:1]
-    return [c for c in first if c.kind == "number" and time_unit(c.unit)]
-
-
-def _is_called(column: Column, names: frozenset[str], whole: bool) -> bool:
-    if whole:
-        return column.quantity.lower() in names
-    return bool(words(column.quantity) & names)
-
-
-def _clock_of(name: str, column: Column, given: str | None) -> Clock:
-    """Return the clock of a time column.
-
-    Raises
-    ------
-    InputError
-        Its figures count something that is no known unit of time.
-    """
-    if column.kind == "stamp":
-        if given is not None:
-            raise InputError(
-                f"{name}: {column.label} holds time stamps, which say themselves what they count (leave out "
-                "`time_unit`)"
-            )
-        return Clock(name, "stamps", column, unit="s")
-    if given is not None:
-        return Clock(
-            name, "column", column, parse_time_unit(given), given.strip(), given=True
-        )
-    unit = _stated_unit(name, column)
-    factor = Fraction(1) if unit is None else ratio(unit, "s")
-    return Clock(name, "column", column, factor, unit)
-
-
-def _stated_unit(name: str, column: Column) -> str | None:
-    """Return the unit that a time column states; None where it states none."""
-    stated = column.unit
-    if stated is not None and stated.lower() not in _NO_UNIT:
-        since = re.fullmatch(r"(\S+) since .*", stated)
-        unit = time_unit(since[1] if since else stated)
-        if unit is None:
-            _refuse_unit(name, column, stated)
-        return unit
-    parts = words(column.quantity)
-    units = {time_unit(part) for part in parts if len(part) > 1} - {None, "min"}
-    if len(units) == 1:
-        return units.pop()
-    counted = sorted(parts & _COUNTED) or sorted(unit for unit in units if unit)
-    if counted:
-        _refuse_unit(name, column, counted[0])
-    return None
-
-
-def _refuse_unit(name: str, column: Column, stated: str) -> None:
-    raise InputError(
-        f"{name}: the time {column.label} counts '{stated}', which is no known unit of time (`time_unit` s, ms, "
-        "us, ns, min or a number of them such as 10us; or `sample_rate` HZ)"
-    )
-
-
-def parse_time_unit(text: str) -> Fraction:
-    """Read ``time_unit``: a unit of time, or a number of them (``10us``), in seconds.
-
-    Raises
-    ------
-    UsageError
-        It is none.
-    """
-    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)?\s*([^\d\s].*?)\s*", text)
-    unit = time_unit(match[2]) if match else None
-    count = Fraction((match[1] if match else None) or 1)
-    if unit is None or not count:
-        raise UsageError(
-            f"`time_unit` {text}: give s, ms, us, ns, min, h or a number of them such as 10us"
-        )
-    return count * ratio(unit, "s")
-
-
 def is_bad(array: NDArray[Any], column: Column) -> NDArray[np.bool_]:
     """Return which rows of a column hold no number or no stamp."""
     if column.kind == "stamp":
         return np.asarray(array == NOT_A_TIME)
-    return ~np.isfinite(array)
+    return np.asarray(~np.isfinite(array))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from dbo_cli.errors import InputError, UsageError
@@ -62,8 +62,8 @@ class Role:
 _VOLTAGE = Role(
     names=_set(
         "voltage drive command u v volt volts spannung steuerspannung piezospannung stellspannung voltaje "
-        "tensione tensão tensao spanning spänning napięcie napiecie napětí напряжение 电压 電圧 vpiezo upiezo "
-        "vdrive vpzt"
+        "tensione tensão tensao spanning spänning napięcie napiecie napětí напряжение 电压 電圧 vpiezo "
+        "upiezo vdrive vpzt"
     ),
     lesser=_set("tension piezo pzt control vin uin hv"),
     against=_set(
@@ -199,7 +199,7 @@ def named(source: Source, selector: str, option: str) -> Column:
                 f"{name}: there is no column '{selector}': {listed(columns)}{source.hint}"
             )
         return elsewhere
-    if found[0].kind == "text":
+    if found[0].kind in ("text", "empty"):
         raise InputError(
             f"{name}: {found[0].label} holds neither numbers nor known time stamps: {listed(columns)}"
         )
@@ -274,7 +274,7 @@ def choose(
             unclear[role] = found
     _refuse_shared(name, columns, chosen)
     if unclear:
-        raise InputError(f"{name}: {_question(unclear, columns, chosen)}{source.hint}")
+        raise InputError(f"{name}: {_question(unclear, columns, used)}{source.hint}")
     return {role: chosen[role] for role in selectors if role in chosen}
 
 
@@ -294,7 +294,7 @@ def _refuse_shared(
 def _question(
     unclear: Mapping[str, Sequence[Column]],
     columns: Sequence[Column],
-    chosen: Mapping[str, Column],
+    used: Collection[int],
 ) -> str:
     """Ask for all roles that are not clear, with the options to type."""
     asked = []
@@ -303,11 +303,13 @@ def _question(
             column.label.removeprefix("column ") for column in found[:_LISTED]
         )
         asked.append(f"which column is the {role}{', ' + which if which else ''}?")
-    numbers = [c for c in columns if c.kind == "number" and c not in chosen.values()]
-    options = []
+    free = [c for c in columns if c.kind == "number" and c.number not in used]
+    options: list[str] = []
     for role in unclear:
-        examples = list(unclear[role]) or numbers
-        example = examples[min(len(options), len(examples) - 1)] if examples else None
+        likely = [column for column in unclear[role] if column in free]
+        example = next(iter(likely or free), None)
+        if example is not None:
+            free.remove(example)
         options.append(f"`{role}` {_typed(example, columns)}")
     return f"{' '.join(asked)} {listed(columns)} (for example {' '.join(options)})"
 

@@ -151,7 +151,7 @@ def _unquoted(text: bytes, delimiter: str) -> bytes:
 
 def _cleaned(text: bytes, delimiter: str) -> bytes:
     """Leave out comments, blank lines, and blanks around cells."""
-    text = re.sub(rb"(?m)^[ \t]*[#%].*\n?", b"", text)
+    text = re.sub(rb"(?m)^[ \t]*(?:[#%].*|EOF[ \t]*$)\n?", b"", text)
     if delimiter != " " and b" " in text:
         mark = re.escape(delimiter.encode())
         text = re.sub(rb" *" + mark + rb" *", lambda _: delimiter.encode(), text)

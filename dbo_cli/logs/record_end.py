@@ -1,4 +1,4 @@
-"""A last line without its line end: was the record cut in a cell of it?"""
+"""A last line without its line end: whether the record was cut in a cell of it."""
 
 from __future__ import annotations
 

@@ -13,14 +13,23 @@ from dataclasses import dataclass, field
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.cells import MISSING, STAMPS, is_number, split_cells, stamp_format
-from dbo_cli.logs.headers import Header, find_header
+from dbo_cli.logs.headers import (
+    StatedClock,
+    is_setting,
+    plain_key,
+    read_settings,
+    stated_clock,
+)
+from dbo_cli.logs.names import Names, Table, find_names
 from dbo_cli.logs.source import Column, Reading
 from dbo_cli.units import parse_unit, spell, split_header
 
 COMMENTS = "#%"
 """A line that begins with one of these is a comment."""
 
-_SAMPLE = 60  # rows from which the dialect is found
+_SAMPLE = 40  # rows from which the dialect is found
+_BLANKS = 0.9
+_FADING = 0.7  # a line counts so much less than the one below it
 DELIMITERS = {
     "comma": ",", "semicolon": ";", "tab": "\t", "blanks": " ", "space": " ", "pipe": "|",
 }  # fmt: skip
@@ -40,19 +49,25 @@ class Layout:
         The number of columns.
     numeric
         The columns of numbers (from 0).
+    empty
+        The columns in which hardly a cell is filled.
     stamps
         The format of the columns of time stamps.
     first
         The index of the line of the first row.
+    names, clock
+        What the lines above the rows say.
     """
 
     delimiter: str
     decimal: str | None
     width: int = 0
     numeric: frozenset[int] = frozenset()
+    empty: frozenset[int] = frozenset()
     stamps: dict[int, str] = field(default_factory=dict)
     first: int = 0
-    header: Header = field(default_factory=Header)
+    names: Names = field(default_factory=lambda: Names([], []))
+    clock: StatedClock = field(default_factory=StatedClock)
 
     def cells(self, line: str) -> list[str]:
         """Split a line."""
@@ -60,7 +75,9 @@ class Layout:
 
     def fits(self, cells: Sequence[str]) -> bool:
         """Return whether cells are written as those of the rows."""
-        if len(cells) != self.width:
+        if len(cells) != self.width or any(cells[n] for n in self.empty):
+            return False
+        if 0 not in self.numeric and is_setting(cells[0]):
             return False
         sign = self.decimal or "."
         for n in self.numeric:
@@ -81,7 +98,7 @@ class Layout:
 def is_comment(line: str) -> bool:
     """Return whether a line is blank or a comment."""
     plain = line.strip()
-    return not plain or plain[0] in COMMENTS
+    return not plain or plain[0] in COMMENTS or plain == "EOF"  # TwinCAT's end
 
 
 def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
@@ -109,21 +126,42 @@ def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
     layout = _best_layout(sample, reading)
     if layout is None:
         raise InputError(
-            f"{name}: no data rows: no line holds numbers (`delimiter`, `decimal` or `skip_lines` if it has any)"
+            f"{name}: no data rows: no line holds numbers (if it has any: `delimiter`, `decimal` or "
+            "`skip_lines`)"
         )
     _refuse_thousands(name, layout, sample, reading)
     layout.first = _first_row(layout, lines, rows)
     _refuse_other_rows(name, layout, lines, rows)
-    layout.header = find_header(
-        name,
-        list(lines),
-        skipped,
-        layout.first,
-        layout.delimiter,
-        layout.numeric,
-        layout.width,
-    )
+    _read_header(name, layout, lines, skipped)
     return layout
+
+
+def _read_header(name: str, layout: Layout, lines: Sequence[str], skipped: int) -> None:
+    """Read what stands above the rows."""
+    above = list(lines[skipped : layout.first])
+    beside = _beside_rows(lines[layout.first : layout.first + _SAMPLE], layout)
+    settings = read_settings([*above, *beside], layout.delimiter)
+    if settings.get("X_Columns", [""])[0].lower() == "multi":
+        raise InputError(
+            f"{name}: every channel has its own X column: write it with X_Columns One or No"
+        )
+    layout.clock = stated_clock(settings)
+    for key, values in settings.items():
+        if plain_key(key) == "scalefactor" and set(values) - {"", "1", key}:
+            layout.clock.remarks.append(
+                f"'{key}' {values[0]}: it is not known whether the values are scaled already"
+            )
+    first_row = layout.cells(lines[layout.first])
+    table = Table(layout.delimiter, layout.numeric, layout.width, first_row)
+    layout.names = find_names(name, above, settings, table)
+
+
+def _beside_rows(rows: Sequence[str], layout: Layout) -> list[str]:
+    """Return the settings that stand left of the first rows (Tektronix)."""
+    place = min(layout.numeric)
+    if place < 2 or layout.delimiter == " ":
+        return []
+    return [layout.delimiter.join(layout.cells(row)[:place]) for row in rows]
 
 
 def delimiter_of(text: str) -> str:
@@ -170,6 +208,8 @@ def _best_layout(sample: Sequence[str], reading: Reading) -> Layout | None:
             if mark == sign and not quoted:
                 continue
             share, found = _judged(sample, mark, sign)
+            if mark == " ":
+                share *= _BLANKS  # stand around other delimiters, too
             score = (round(share, 9), found.width > 1, mark != " ")
             if share > 0.0 and score > best:
                 best, layout = score, found
@@ -182,33 +222,38 @@ def _best_layout(sample: Sequence[str], reading: Reading) -> Layout | None:
 
 
 def _judged(sample: Sequence[str], mark: str, sign: str) -> tuple[float, Layout]:
-    """Split lines with a delimiter: the share of cells that are numbers, and the layout."""
+    """Split lines with a delimiter: the share of cells that are numbers, and the layout.
+
+    The table is at the end: each line counts less than the one below it.
+    """
     layout = Layout(mark, sign)
     table = [split_cells(line, mark) for line in sample]
+    weights = [_FADING**k for k in range(len(table))][::-1]
     shares: dict[int, float] = {}
-    for cells in table:
+    for cells, weight in zip(table, weights, strict=True):
         filled = [cell for cell in cells if cell.lower() not in MISSING]
         numbers = [cell for cell in filled if is_number(cell, sign)]
         if numbers:
-            share = len(numbers) / len(filled)
+            share = weight * len(numbers) / len(filled)
             shares[len(cells)] = shares.get(len(cells), 0.0) + share
     if not shares:
         return 0.0, layout
     layout.width = max(shares, key=lambda width: (shares[width], width))
-    rows = [cells for cells in table if len(cells) == layout.width]
-    numeric = []
+    rows = [k for k in range(len(table)) if len(table[k]) == layout.width]
+    total = sum(weights[k] for k in rows)
+    numeric, empty = [], []
     for n in range(layout.width):
-        column = [row[n] for row in rows]
-        numbers = [cell for cell in column if is_number(cell, sign)]
-        if 2 * len(numbers) >= len(column):
+        column = [(table[k][n], weights[k]) for k in rows]
+        if 2.0 * sum(w for cell, w in column if is_number(cell, sign)) >= total:
             numeric.append(n)
-            continue
-        # the rows are the last lines: a header does not hide the stamps' format
-        form = stamp_format(column[len(column) // 2 :])
-        if form is not None:
-            layout.stamps[n] = form
-    layout.numeric = frozenset(numeric)
-    return (shares[layout.width] / len(sample) if numeric else 0.0), layout
+        elif sum(w for cell, w in column if not cell) > 0.5 * total:
+            empty.append(n)
+        else:
+            form = stamp_format(column)
+            if form is not None:
+                layout.stamps[n] = form
+    layout.numeric, layout.empty = frozenset(numeric), frozenset(empty)
+    return (shares[layout.width] / sum(weights) if numeric else 0.0), layout
 
 
 def _refuse_thousands(
@@ -255,8 +300,8 @@ def _refuse_other_rows(
         cells = [cell for cell in layout.cells(lines[n]) if cell]
         if cells and all(is_number(cell, layout.decimal or ".") for cell in cells):
             raise InputError(
-                f"{name}:{n + 1}: {len(cells)} numbers above the rows of {layout.width} columns that begin in "
-                f"line {layout.first + 1} (`skip_lines` {n + 1} leaves them out)"
+                f"{name}:{n + 1}: {len(cells)} numbers above the rows of {layout.width} columns that begin "
+                f"in line {layout.first + 1} (`skip_lines` {n + 1} leaves them out)"
             )
 
 
@@ -275,7 +320,9 @@ def describe_columns(name: str, layout: Layout) -> list[Column]:
             kind = "number"
         elif n in layout.stamps:
             kind = "stamp"
-        header, unit = layout.header.names[n], spell(layout.header.units[n])
+        elif n in layout.empty:
+            kind = "empty"
+        header, unit = layout.names.names[n], spell(layout.names.units[n])
         stated = split_header(header)[1]
         if (
             stated

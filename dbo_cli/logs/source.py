@@ -22,8 +22,8 @@ NOT_A_TIME = int(np.iinfo(np.int64).min)
 class Column:
     """A column: its number (from 1), and the name and the unit that the file gives it.
 
-    ``kind`` is ``number``, ``stamp`` (a date or a clock time) or ``text``, which cannot
-    be read.
+    ``kind`` is ``number``, ``stamp`` (a date or a clock time), or ``text`` or ``empty``,
+    which cannot be read.
     """
 
     number: int

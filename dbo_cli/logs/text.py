@@ -26,11 +26,13 @@ from numpy.typing import NDArray
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.cells import split_cells, to_number, to_stamp
 from dbo_cli.logs.record_end import cut_record
-from dbo_cli.logs.sniff import COMMENTS, describe_columns, is_comment, sniff
+from dbo_cli.logs.sniff import describe_columns, is_comment, sniff
 from dbo_cli.logs.source import NOT_A_TIME, Column, Reading, Source
 
 _HEAD = 1 << 18  # bytes from which the layout is found
 _BLOCK = 1 << 23  # bytes of text at a time
+_ABOVE = 1 << 14  # bytes that are kept of a block, for a look back from the last line
+_COMPARED = 60  # rows that a last line is compared with
 _LONGEST_LINE = 1 << 24  # what is longer has no line ends
 _SMALL = 1 << 16  # bytes that are read faster than polars is imported
 _MARKS = {
@@ -74,7 +76,7 @@ class ByteStream:
             stream = sys.stdin.buffer
         else:
             try:
-                stream = open(name, "rb")  # type: ignore[assignment]  # noqa: SIM115
+                stream = open(name, "rb")
             except FileNotFoundError:
                 raise InputError(f"{name}: no such file") from None
             except IsADirectoryError:
@@ -175,10 +177,10 @@ class TextSource(Source):
             lines.pop()  # perhaps not whole
         self.layout = sniff(name, lines, reading)
         self.columns = describe_columns(name, self.layout)
-        header = self.layout.header
-        self.rate, self.start = header.rate, header.start
-        self.rate_problem = header.rate_problem
-        self.rate_remarks = header.remarks
+        stated = self.layout.clock
+        self.rate, self.start = stated.rate, stated.start
+        self.rate_problem = stated.problem
+        self.rate_remarks = stated.remarks
         self._text = b""  # the last block, and the number of its first line
         self._line = 1
         self._row = 1
@@ -305,8 +307,12 @@ class TextSource(Source):
             if not text:
                 continue
             if self._ended and not text.endswith(b"\n"):
-                self._look_at_end(text, above, chosen)
-            above = text[-4096:]
+                text = self._without_cut_record(text, above)
+            above = (
+                text[text.rfind(b"\n", 0, -_ABOVE) + 1 :]
+                if len(text) > _ABOVE
+                else text
+            )
             self._text = text
             arrays = self._read_block(text, chosen)
             rows = len(arrays[0])
@@ -393,27 +399,28 @@ class TextSource(Source):
             )
         return f"{at}: {column.label} is not a finite number: '{shown}'"
 
-    def _look_at_end(self, text: bytes, above: bytes, chosen: Sequence[Column]) -> None:
-        """Refuse a last line that was cut in a cell; say that it has no line end."""
-        lines = self._data_lines(above + b"\n" + text if above else text)
+    def _without_cut_record(self, text: bytes, above: bytes) -> bytes:
+        """Refuse (or leave out) a last line that was cut in a cell; say that it has no line end."""
         last = self._lines_of(text)[-1]
+        lines = self._data_lines(above + text)
         if is_comment(last) or len(lines) < 2:
-            return
+            return text
         number = self._line + text.count(b"\n")
-        rows = [split_cells(line, self.layout.delimiter) for line in lines[-60:]]
+        rows = [split_cells(line, self.layout.delimiter) for line in lines[-_COMPARED:]]
         problem = cut_record(rows, self.layout.decimal or ".")
-        if problem and not self._reading.skip_bad:
-            raise InputError(
-                f"{self.name}:{number}: the last line has no line end, and {problem}: the record was cut there "
-                f"(end the line if it is whole, or leave it out: `rows` :{self._row + len(lines) - 2})"
+        if not problem:
+            self.remarks.append(
+                f"line {number}, the last one, has no line end: was the record cut there?"
             )
-        self.remarks.append(
-            f"line {number}, the last one, has no line end: was the record cut there?"
-        )
+            return text
+        cut = f"the last line has no line end, and {problem}: the record was cut there"
+        if not self._reading.skip_bad:
+            raise InputError(
+                f"{self.name}:{number}: {cut} (end the line if it is whole; `skip_bad` leaves it out)"
+            )
+        self.remarks.append(f"line {number}: {cut}: it is left out")
+        return text[: text.rfind(b"\n") + 1]
 
     def close(self) -> None:
         """Close the file."""
         self._stream.close()
-
-
-__all__ = ["COMMENTS", "TextSource", "open_text"]

@@ -1,0 +1,256 @@
+"""Names and units of the columns, from the lines above the rows.
+
+The line nearest to the rows that has a cell for each column holds the names; a line of
+units may stand below or in the place of it. Where there is none, makers' settings by
+channel are asked.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from dbo_cli.errors import InputError
+from dbo_cli.logs.cells import is_number, split_cells
+from dbo_cli.logs.headers import (
+    NAME_KEYS,
+    STARTS,
+    TIME_UNIT_KEYS,
+    UNIT_KEYS,
+    is_channel_key,
+    is_clock_key,
+    plain_key,
+)
+from dbo_cli.units import parse_unit, split_header, time_unit
+
+_LINES = 3  # names, units and a remark stand above the rows at most
+_PASSED = 3  # comments that may stand between the names and the rows
+_LABEL = re.compile(
+    r"(?:column[ _]?(?:names|headers)?|columns|names|fields|header|units?)\s*[:=]\s*",
+    re.IGNORECASE,
+)
+
+
+@dataclass
+class Names:
+    """What each column is called, and the unit that stands apart from its name."""
+
+    names: list[str]
+    units: list[str]
+
+
+@dataclass(frozen=True)
+class Table:
+    """How the rows are written: delimiter, columns of numbers, number of columns, and the first row."""
+
+    delimiter: str
+    numeric: frozenset[int]
+    width: int
+    first_row: Sequence[str]
+
+
+def find_names(
+    name: str, above: Sequence[str], settings: dict[str, list[str]], table: Table
+) -> Names:
+    """Find names and units above the rows.
+
+    Parameters
+    ----------
+    name
+        The file, for messages.
+    above
+        The lines above the rows.
+    settings
+        What these lines state by key.
+    table
+        How the rows are written.
+
+    Raises
+    ------
+    InputError
+        The last line above the rows has another number of cells than they have.
+    """
+    names = Names([""] * table.width, [""] * table.width)
+    found = _header_lines(above, table)
+    units = next((k for k, cells in enumerate(found) if _are_units(cells)), None)
+    if units is not None:
+        names.units = found[units]
+        if units + 1 < len(found):
+            names.names = found[units + 1]
+        else:
+            names.names = found[0]  # units in the place of names, or below them
+    elif found:
+        names.names = found[0]
+    else:
+        _refuse_other_width(name, above, table)
+    _fill_from_settings(names, settings, sorted(table.numeric), bool(found))
+    return names
+
+
+def _header_lines(above: Sequence[str], table: Table) -> list[list[str]]:
+    """Return the lines right above the rows that have a cell for each column, the nearest first."""
+    found: list[list[str]] = []
+    passed = 0
+    for line in reversed(above):
+        plain = line.strip("\r\n ")
+        if not plain.strip("#%,;\t| "):
+            if found and not plain.strip("#%"):
+                break  # what stands above a blank line is no header
+            continue
+        if is_channel_key(split_cells(plain, table.delimiter)[0]):
+            break
+        cells = _as_header(plain, table, bool(found) and _are_units(found[-1]))
+        if cells is not None:
+            found.append(cells)
+            if len(found) == _LINES:
+                break
+            continue
+        passed += 1
+        if found or plain[0] not in "#%" or passed > _PASSED:
+            break
+    return found
+
+
+def _as_header(line: str, table: Table, above_units: bool) -> list[str] | None:
+    """Split a line above the rows into as many cells as they have; None where that cannot be done.
+
+    Names above a line of units may be numbers (an oscilloscope's channels).
+    """
+    is_comment = line[0] in "#%"
+    if is_comment:
+        line = line.lstrip("#% \t")
+    label = _LABEL.match(line)
+    if label:
+        line = line[label.end() :]
+    elif re.fullmatch(r"[\w ]+:[\s,;]*", line):
+        return None  # "Data:"
+    elif is_comment and re.match(r"[\w .]+=", line):
+        return None  # a setting
+    for cells in _ways_to_split(line, table.delimiter, is_comment):
+        cells = _fitted([cell.strip("'") for cell in cells], table)
+        words = [cell for cell in cells if cell and not is_number(cell, ".")]
+        if len(cells) != table.width or not words:
+            continue
+        if above_units or not _is_row(cells, table.numeric):
+            return cells
+    return None
+
+
+def _ways_to_split(line: str, delimiter: str, is_comment: bool) -> list[list[str]]:
+    """Return how a line may be split: as the rows, and in other ways beside blanks or in a comment."""
+    ways = [split_cells(line, delimiter)]
+    if is_comment or delimiter == " ":
+        ways = [split_cells(line, mark) for mark in ";," if mark in line] + ways
+        ways.append([cell.strip() for cell in re.split(r"\s{2,}|\t", line)])
+        ways.append(re.findall(r"[^\s(\[]+(?:\s*[(\[][^)\]]*[)\]])?", line))
+    if is_comment:
+        ways.append(line.split())
+    return ways
+
+
+def _fitted(cells: list[str], table: Table) -> list[str]:
+    """Leave out cells that belong to no column, and put in those that have no name."""
+    while len(cells) > table.width and _is_beside(cells[-1]):
+        cells.pop()
+    for n, cell in enumerate(cells[: table.width]):
+        is_key = "=" in cell or n not in table.numeric
+        if is_key and _is_clock_setting(cell.split("=")[0]):
+            cells[n] = ""
+    if len(cells) == table.width - 1 and cells:
+        if not table.first_row[-1]:
+            return [*cells, ""]  # the rows end in a delimiter
+        if table.first_row[0] in ("0", "1") and len(cells) > 1:
+            return ["", *cells]  # the rows are numbered by a column without a name
+    return cells
+
+
+def _is_beside(cell: str) -> bool:
+    return (
+        cell.lower() in ("", "comment")
+        or _is_clock_setting(cell)
+        or is_number(cell, ".")
+    )
+
+
+def _is_clock_setting(key: str) -> bool:
+    return is_clock_key(key) or plain_key(key) in STARTS
+
+
+def _is_row(cells: Sequence[str], numeric: frozenset[int]) -> bool:
+    """Return whether most of the columns of numbers have one."""
+    numbers = [n for n in numeric if is_number(cells[n], ".")]
+    return 2 * len(numbers) > max(2, len(numeric))
+
+
+def _are_units(cells: Sequence[str]) -> bool:
+    """Return whether every filled cell is a known unit (a label in front and numbers aside)."""
+    filled = [cell for cell in cells if cell.strip("()[]- ")]
+    if filled and re.fullmatch(r"units?:?|sequence", filled[0].lower()):
+        filled = filled[1:]
+    words = [cell for cell in filled if not is_number(cell, ".")]
+    return bool(words) and all(parse_unit(cell) or time_unit(cell) for cell in words)
+
+
+def _refuse_other_width(name: str, above: Sequence[str], table: Table) -> None:
+    """Refuse a last line above the rows that names another number of columns than they have."""
+    number = len(above)
+    while number and not above[number - 1].strip():
+        number -= 1
+    if not number or above[number - 1].strip()[0] in "#%":
+        return
+    cells = split_cells(above[number - 1], table.delimiter)
+    while cells and not cells[-1]:
+        cells.pop()
+    words = not any(is_number(cell, ".") for cell in cells)
+    if len(cells) > 1 and len(cells) != table.width and words:
+        raise InputError(
+            f"{name}: {len(cells)} cells in the last line above the rows, which have {table.width} "
+            f"(`delimiter` or `decimal`, or `skip_lines` of all lines above to go by column numbers)"
+        )
+
+
+def _fill_from_settings(
+    names: Names, settings: dict[str, list[str]], places: Sequence[int], named: bool
+) -> None:
+    """Take names and units that are stated by channel where no line above the rows has them."""
+    numbered: list[str] = []
+    stated: list[str] = []
+    units: list[str] = []
+    time = ""
+    for key, values in settings.items():
+        plain = plain_key(key)
+        filled = [value for value in values if value and value != key]
+        if not filled:
+            continue
+        if re.fullmatch(r"name\d+", plain):
+            numbered.append(filled[0])
+        elif plain in NAME_KEYS:
+            stated = _by_place(key, values, len(names.names)) or filled
+        elif plain in UNIT_KEYS:
+            units = _by_place(key, values, len(names.names)) or filled
+        elif plain in TIME_UNIT_KEYS:
+            time = filled[0]
+    if numbered or not named:
+        _give(names.names, numbered or stated, places)
+    if not any(names.units) and not any(split_header(cell)[1] for cell in names.names):
+        _give(names.units, units, places)
+        if len(units) == len(places) - 1 and time_unit(time):
+            names.units[places[0]] = time
+
+
+def _by_place(key: str, values: Sequence[str], width: int) -> list[str]:
+    """Return the values of a line that repeats its key, in the places of the columns; else nothing."""
+    cells = [key, *values]
+    if len(cells) != width or cells.count(key) < 2:
+        return []
+    return ["" if cell == key else cell for cell in cells]
+
+
+def _give(cells: list[str], stated: Sequence[str], places: Sequence[int]) -> None:
+    """Give what is stated by channel to the columns of numbers; the first may be the time."""
+    if len(stated) == len(cells):
+        cells[:] = stated
+    elif stated and len(stated) in (len(places), len(places) - 1):
+        for place, text in zip(places[-len(stated) :], stated, strict=True):
+            cells[place] = text

@@ -1,0 +1,217 @@
+"""Which column is the time, and what its figures count; or the rate that is stated instead."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from fractions import Fraction
+
+import numpy as np
+
+from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs.clock import Clock
+from dbo_cli.logs.columns import listed, named, words
+from dbo_cli.logs.source import Column, Reading, Source
+from dbo_cli.units import kind_of, ratio, time_unit
+
+_NAMES = frozenset("time t x_value zeit".split())
+_MORE_NAMES = frozenset(
+    "timestamp time_stamp timestamps elapsed seconds millis micros milliseconds microseconds nanoseconds "
+    "msec usec datetime zeitstempel uhrzeit temps tiempo tempo date datum datenum tijd tid czas čas cas "
+    "время 时间 時間 x-axis utc ts epoch clock".split()
+)
+# behind the name of a time column they show that it counts something else
+_COUNTED = frozenset(
+    "tick ticks sample samples frame frames count counts cycle cycles index idx step steps point points "
+    "pulses clocks jiffies row rows number no".split()
+)
+# what stands in the brackets of a time column where other columns have their unit
+_NO_UNIT = frozenset(
+    "relative rel absolute abs raw local utc gmt elapsed iso start -".split()
+)
+
+
+def find_clock(
+    source: Source, reading: Reading, selector: str | None, used: Sequence[Column]
+) -> Clock:
+    """Find the time column, or the rate that the user or the file states.
+
+    Parameters
+    ----------
+    source
+        The file.
+    reading
+        ``sample_rate`` and ``time_unit`` as the user gave them.
+    selector
+        What the user typed for the time, or None.
+    used
+        Columns that the user named for other roles.
+
+    Raises
+    ------
+    InputError
+        Several columns may be meant, or the unit is none of time.
+    UsageError
+        ``time`` and ``sample_rate`` are both given.
+    """
+    rate = reading.sample_rate
+    if rate is not None:
+        if selector is not None:
+            raise UsageError(
+                "`time` and `sample_rate` exclude each other: leave one out"
+            )
+        if not 0.0 < rate < np.inf:
+            raise UsageError(
+                f"`sample_rate` {rate:g}: give a positive number of samples a second"
+            )
+    if selector is not None:
+        found = [named(source, selector, "time")]
+    else:
+        found = _time_columns(source, used)
+    if rate is not None:
+        clock = Clock(source.name, "rate", rate=rate)
+        if len(found) == 1:
+            clock.column = found[0]
+            clock.remarks.append(f"`sample_rate` replaces {found[0].label}")
+        return clock
+    if len(found) > 1:
+        which = " or ".join(
+            f"`time` {column.number} ('{column.name}')" for column in found
+        )
+        raise InputError(f"{source.name}: which column is the time? ({which})")
+    if found:
+        return _clock_of(source.name, found[0], reading.time_unit)
+    return _stated_clock(source, reading)
+
+
+def _stated_clock(source: Source, reading: Reading) -> Clock:
+    """Return the clock of a file without a time column."""
+    if reading.time_unit is not None:
+        raise InputError(
+            f"{source.name}: `time_unit` {reading.time_unit}: there is no time column: "
+            f"{listed(source.columns)} (`time` NAME or NUMBER)"
+        )
+    if source.rate_problem:
+        raise InputError(f"{source.name}: {source.rate_problem}")
+    if source.rate is None:
+        return Clock(source.name)
+    remarks = list(source.rate_remarks)
+    return Clock(
+        source.name, "rate", rate=source.rate, start=source.start, remarks=remarks
+    )
+
+
+def _time_columns(source: Source, used: Sequence[Column]) -> list[Column]:
+    """Return the columns that may hold the time, by the surest reason that there is."""
+    free = [column for column in source.columns if column not in used]
+    for column in free:
+        if column.kind == "text" and _is_called(column, _NAMES, whole=True):
+            raise InputError(
+                f"{source.name}: {column.label} holds neither numbers nor time stamps such as "
+                "2026-01-02T03:04:05.678 (`time` names another column, `sample_rate` HZ gives the time)"
+            )
+    free = [column for column in free if column.kind in ("number", "stamp")]
+    fitting = []
+    for column in free:
+        kind = kind_of(column.unit)
+        if column.kind == "number" and kind not in (
+            None,
+            "time",
+            "count",
+            "number of samples",
+        ):
+            if not time_unit(column.unit):
+                continue  # a temperature called T
+        fitting.append(column)
+    called: list[Column] = []
+    for names in (_NAMES, _MORE_NAMES):
+        for whole in (True, False):
+            called = called or [c for c in fitting if _is_called(c, names, whole)]
+    figures = [c for c in called if c.kind == "number"]
+    stamps = [c for c in called if c.kind == "stamp"]
+    stamps = stamps or [c for c in free if c.kind == "stamp"]
+    if figures or stamps:
+        return figures or stamps
+    if fitting and fitting[0] is source.columns[0] and time_unit(fitting[0].unit):
+        return fitting[:1]
+    return [c for c in fitting if _last_unit(c)]
+
+
+def _last_unit(column: Column) -> str | None:
+    """Return the unit of time that a name ends in: ``stamp.sec``."""
+    word = re.split(r"[._/ ]", column.name.strip().lower())[-1]
+    return time_unit(word) if len(word) > 2 else None
+
+
+def _is_called(column: Column, names: frozenset[str], whole: bool) -> bool:
+    if whole:
+        return column.quantity.lower() in names
+    return bool(words(column.quantity) & names)
+
+
+def _clock_of(name: str, column: Column, given: str | None) -> Clock:
+    """Return the clock of a time column.
+
+    Raises
+    ------
+    InputError
+        Its figures count something that is no known unit of time.
+    """
+    if column.kind == "stamp":
+        if given is not None:
+            raise InputError(
+                f"{name}: {column.label} holds time stamps, which say themselves what they count (leave out "
+                "`time_unit`)"
+            )
+        return Clock(name, "stamps", column, unit="s")
+    if given is not None:
+        return Clock(
+            name, "column", column, parse_time_unit(given), given.strip(), given=True
+        )
+    unit = _stated_unit(name, column)
+    factor = Fraction(1) if unit is None else ratio(unit, "s")
+    return Clock(name, "column", column, factor, unit)
+
+
+def _stated_unit(name: str, column: Column) -> str | None:
+    """Return the unit that a time column states; None where it states none."""
+    stated = column.unit
+    if stated is not None and stated.lower() not in _NO_UNIT:
+        since = re.fullmatch(r"(\S+) since .*", stated)
+        unit = time_unit(since[1] if since else stated)
+        if unit is None:
+            _refuse_unit(name, column, stated)
+        return unit
+    parts = words(column.quantity)
+    units = {time_unit(part) for part in parts if len(part) > 1} - {None, "min"}
+    if len(units) == 1:
+        return units.pop()
+    counted = sorted(parts & _COUNTED) or sorted(unit for unit in units if unit)
+    if counted:
+        _refuse_unit(name, column, counted[0])
+    return None
+
+
+def _refuse_unit(name: str, column: Column, stated: str) -> None:
+    raise InputError(
+        f"{name}: the time {column.label} counts '{stated}', which is no known unit of time (`time_unit` s, "
+        "ms, us, ns, min or a number of them such as 10us; or `sample_rate` HZ)"
+    )
+
+
+def parse_time_unit(text: str) -> Fraction:
+    """Read ``time_unit``: a unit of time, or a number of them (``10us``), in seconds.
+
+    Raises
+    ------
+    UsageError
+        It is none.
+    """
+    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)?\s*([^\d\s].*?)\s*", text)
+    unit = time_unit(match[2]) if match else None
+    count = Fraction((match[1] if match else None) or 1)
+    if unit is None or not count:
+        raise UsageError(
+            f"`time_unit` {text}: give s, ms, us, ns, min, h or a number of them such as 10us"
+        )
+    return count * ratio(unit, "s")
