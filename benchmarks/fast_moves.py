@@ -111,7 +111,9 @@ def main() -> int:
         begun = time.perf_counter()
         models = models_of(p, asked.seconds)
         took = time.perf_counter() - begun
-        print(f"{name}: modes {p.modes}, amplifier lag {p.amplifier_lag} s; {took:.0f} s")
+        print(
+            f"{name}: modes {p.modes}, amplifier lag {p.amplifier_lag} s; {took:.0f} s"
+        )
         print(f"  found {models[1].dynamics and models[1].dynamics.sections}")
         low, high = models[0].output.min, models[0].output.max
         for shape in SHAPES:

@@ -13,7 +13,8 @@ four times, or as one where no rival is better than a line.
 ``simulate`` are measured first (and saved as ``--save-before``). ``--set
 search.PRICE=0`` switches a rule off: another value for a constant of
 ``dbo_cli.identify``. ``--copies`` identifies again from each log rounded to five
-digits, with 1 % noise, and cut by 5 %, and prints how far the test error moves.
+digits, with 1 % noise, and without its last 5 %, and prints how far the test error
+moves; noise counts only where the error is larger than it.
 """
 
 from __future__ import annotations
@@ -167,7 +168,7 @@ def copied(case: Case, kind: str) -> Case:
             noise = np.random.default_rng(1).standard_normal(displacement.size)
             displacement = displacement + 0.01 * np.std(displacement) * noise
         else:
-            rows = slice(displacement.size // 20, None)
+            rows = slice(0, displacement.size - displacement.size // 20)
         logs.append(
             Log(log.name, log.time[rows], log.voltage[rows], displacement[rows])
         )
@@ -386,9 +387,11 @@ def copies(cases: Sequence[Case], way: Way) -> None:
         if errors[0] is None:
             continue
         cells = ""
-        for error in errors[1:]:
+        noise = 0.01 * max(float(np.std(log.displacement)) for log in case.logs)
+        for kind, error in zip(COPIES, errors[1:], strict=True):
             change = WORST if error is None else error / errors[0]
-            moved.append(abs(math.log(change)))
+            if "noise" not in kind or errors[0] > noise:
+                moved.append(abs(math.log(change)))
             cells += f"{100.0 * (change - 1.0):+13.0f}%"
         print(f"{case.name[:49]:50}{errors[0]:10.4g}{cells}", flush=True)
     small = np.mean(np.array(moved) < math.log(1.2))

@@ -136,4 +136,7 @@ def test_what_cannot_be_refreshed_is_refused() -> None:
     without_clock = Recording("new.csv", log.voltage, log.displacement)
     with pytest.raises(UsageError, match="`time`"):
         rescale(actuator().with_stages((slow,)), [without_clock], Options())
-    assert rescale(actuator(delay=0.0), [without_clock], Options()).delay_seconds == 0.0
+    prior = actuator(delay=0.0)
+    log = recorded(prior, waves(0.0, 100.0))
+    without_clock = Recording("new.csv", log.voltage, log.displacement)
+    assert rescale(prior, [without_clock], Options()).delay_seconds == 0.0
