@@ -215,6 +215,10 @@ def lag_left(desired: Floats, measured: Floats) -> float | None:
     h = slope_spacing(desired)
     if h is None or len(desired) < 2 * h + 4:
         return None
+    # in parts of the range, lest squares overflow
+    span = float(np.ptp(desired))
+    desired = (desired - desired[0]) / span
+    measured = (measured - measured[0]) / span
     d = desired[h:-h] - np.mean(desired[h:-h])
     m = measured[h:-h] - np.mean(measured[h:-h])
     slope = 0.5 * (desired[2 * h :] - desired[: -2 * h])

@@ -1,0 +1,177 @@
+"""Rows that count, and recordings matched to a trajectory in another file."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dbo_cli.errors import InputError, UsageError
+from dbo_cli.report import Pair, Report, match
+
+RATE = 1000.0
+
+
+def move(time):
+    """A move of 10 s at 50 um; before it two seconds of way in."""
+    inside = np.clip(time, 0.0, 10.0)
+    fading = 40.0 * np.sin(2.0 * np.pi * 0.7 * inside) * np.exp(-inside / 8.0)
+    return 50.0 * np.clip((time + 2.0) / 1.5, 0.0, 1.0) + fading
+
+
+def play(x, radius):
+    """Follow at a distance."""
+    y = np.empty_like(x)
+    state = x[0]
+    for place, value in enumerate(x):
+        state = min(max(state, value - radius), value + radius)
+        y[place] = state
+    return y
+
+
+def rmse(pair, **options):
+    return Report.of([pair], unit="um", **options).rmse
+
+
+def test_lengths_must_agree():
+    with pytest.raises(InputError, match="run: measured has 3 rows"):
+        Pair("run", np.zeros(4), np.zeros(3))
+    with pytest.raises(InputError, match="dimensions"):
+        Pair("run", np.zeros((2, 2)), np.zeros(2))
+
+
+def test_lag_takes_measured_later():
+    desired = np.arange(100.0)
+    pair = Pair("run", desired, desired - 3.0)
+    assert rmse(pair) == 3.0
+    assert rmse(pair, lag=3) == 0.0
+    assert rmse(pair, lag=-2) == 5.0
+    with pytest.raises(InputError, match="`lag`"):
+        rmse(pair, lag=100)
+    with pytest.raises(UsageError):
+        rmse(pair, lag=1.5)
+
+
+@pytest.mark.parametrize("rows", [(41, 60), (None, 60), (41, None)])
+def test_rows_are_those_of_desired(rows):
+    error = np.arange(1.0, 101.0)
+    report = Report.of([Pair("run", np.zeros(100), error, rows=rows)])
+    low, high = rows[0] or 1, rows[1] or 100
+    assert report.logs[0].merits.samples == high - low + 1
+    assert report.logs[0].largest_row == high
+    # with a lag the measured rows lie beyond them
+    late = Report.of([Pair("run", np.zeros(100), error, rows=(41, 60))], lag=5)
+    assert late.logs[0].merits.samples == 20
+    assert late.logs[0].merits.max_abs == 65.0
+    assert late.logs[0].largest_row == 60
+
+
+def test_rows_outside_are_refused():
+    with pytest.raises(InputError, match="`rows`"):
+        rmse(Pair("run", np.zeros(9), np.zeros(9), rows=(20, 30)))
+
+
+def test_rows_without_numbers_are_counted():
+    desired = np.array([0.0, np.nan, 2.0, 3.0])
+    measured = np.array([1.0, 1.0, np.inf, 4.0])
+    report = Report.of([Pair("run", desired, measured)])
+    assert report.logs[0].merits.samples == 2
+    assert report.rmse == 1.0
+    assert report.logs[0].record()["not_finite"] == 2
+    assert any("2 rows" in note for note in report.notes)
+    with pytest.raises(InputError):
+        rmse(Pair("run", np.full(3, np.nan), np.zeros(3)))
+
+
+def test_rows_before_time_0_take_no_part():
+    time = np.arange(-50, 100) / 100.0
+    error = np.where(time < 0.0, 9.0, 1.0)
+    pair = Pair("run", np.zeros(150), error, time=time)
+    assert rmse(pair) == 1.0
+    assert rmse(Pair("run", np.zeros(150), error, time=time, rows=(1, 50))) == 9.0
+    # where all are before 0, they are the move
+    assert rmse(Pair("run", np.zeros(50), error[:50], time=time[:50])) == 9.0
+
+
+def test_match_by_rows_takes_the_trajectory_s_time():
+    wanted_time = np.arange(-20, 80) / 100.0
+    pair = match(
+        "run",
+        np.ones(90),
+        np.zeros(100),
+        dt=0.01,
+        desired_time=wanted_time,
+        match="rows",
+    )
+    assert len(pair) == 90
+    assert pair.time[0] == -0.2
+    assert any("10 rows fewer" in note for note in pair.notes)
+
+
+def test_match_by_rows_at_two_rates_is_refused():
+    with pytest.raises(InputError, match=r"1000 Hz.*500 Hz.*`match` time"):
+        match("run", np.ones(9), np.ones(9), dt=1e-3, desired_dt=2e-3, match="rows")
+
+
+def test_match_needs_clocks_for_time():
+    with pytest.raises(InputError, match="run: has no time"):
+        match("run", np.ones(9), np.ones(9), desired_dt=1e-3, match="time")
+    with pytest.raises(UsageError):
+        match("run", np.ones(9), np.ones(9), match="speed")
+    with pytest.raises(InputError, match="no row lies within"):
+        match("run", np.ones(9), np.arange(9.0), measured_time=np.arange(50.0, 59.0),
+              desired_time=np.arange(9.0), match="time")  # fmt: skip
+
+
+def test_match_by_time_interpolates():
+    wanted_time = np.arange(11.0)
+    recorded = np.arange(0.5, 12.0, 0.5)
+    pair = match(
+        "run", 2.0 * recorded, 2.0 * wanted_time, measured_time=recorded,
+        desired_time=wanted_time, match="time",
+    )  # fmt: skip
+    assert len(pair) == 20
+    assert np.abs(pair.desired - pair.measured).max() < 1e-12
+    assert any("3 rows outside" in note for note in pair.notes)
+
+
+@pytest.mark.parametrize("ahead", [0.3, -0.3, 1.7])
+@pytest.mark.parametrize("rate", [1000.0, 777.0, 500.0])
+@pytest.mark.parametrize("loop", [0.0, 0.18])
+def test_another_start_of_the_clock_is_found(ahead, rate, loop):
+    """A recorder that was started 0.3 s early read as 29 % of error."""
+    rng = np.random.default_rng(17)
+    drive_time = np.arange(-2000, 12000) / RATE
+    time = np.arange(-2.5, 13.0, 1.0 / rate)
+    ideal = move(time)
+    measured = (1.0 - loop) * ideal + loop * play(ideal, 16.0)
+    measured += 0.02 * rng.standard_normal(len(time))
+    # both clocks agree: nothing is taken off
+    same = match("run", measured, move(drive_time), measured_time=time,
+                 desired_time=drive_time)  # fmt: skip
+    assert same.clock_offset is None
+    pair = match("run", measured, move(drive_time), measured_time=time + ahead,
+                 desired_time=drive_time)  # fmt: skip
+    assert pair.clock_offset == pytest.approx(ahead, abs=1e-3)
+    assert rmse(pair) == pytest.approx(rmse(same), rel=0.05, abs=0.02)
+    assert any("`match` time" in note for note in pair.notes)
+    as_it_is = match("run", measured, move(drive_time), measured_time=time + ahead,
+                     desired_time=drive_time, match="time")  # fmt: skip
+    assert rmse(as_it_is) > 5.0
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.002, 0.03])
+def test_a_lag_of_the_actuator_stays(lag):
+    drive_time = np.arange(-2000, 12000) / RATE
+    pair = match("run", move(drive_time - lag), move(drive_time),
+                 measured_time=drive_time, desired_time=drive_time)  # fmt: skip
+    assert pair.clock_offset is None
+    assert rmse(pair) == pytest.approx(69.4 * lag, rel=0.02, abs=1e-9)
+
+
+def test_a_wide_loop_is_no_clock():
+    drive_time = np.arange(0, 40000) / RATE
+    desired = 50.0 - 40.0 * np.cos(2.0 * np.pi * drive_time / 10.0)
+    measured = 0.7 * desired + 0.3 * play(desired, 20.0)
+    pair = match("run", measured, desired, measured_time=drive_time,
+                 desired_time=drive_time)  # fmt: skip
+    assert pair.clock_offset is None

@@ -1,0 +1,338 @@
+"""Reports as values, JSON, CSV, text, page and figures."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from dbo_cli.errors import InputError, LimitError, UsageError
+from dbo_cli.report import Expected, Pair, Report, expected_in, report
+from dbo_cli.report.plots import SCHEME, draw, envelope, file_stems, plots_of_report
+from dbo_cli.report.render import digits, no_formula, short_name
+
+LOG_KEYS = """name samples rmse nrmse_percent max_abs max_abs_row max_abs_time_s mean p95_abs
+loop_width loop_width_percent lag_left_samples lag_left_s desired_min desired_max lag_samples lag_s
+offset_removed sample_period_s not_finite clock_offset_s ratio_to_first rmse_percent_of_range
+expected_rmse""".split()
+VOID = {"meta", "link", "br", "path", "use", "rect", "line", "image"}
+
+
+def signals(rows=2000):
+    rng = np.random.default_rng(19)
+    time = np.arange(rows) / 500.0
+    desired = 40.0 + 30.0 * np.sin(2.0 * np.pi * time)
+    first = desired + 2.0 * np.cos(2.0 * np.pi * time) + 0.5
+    second = desired + 0.1 * rng.standard_normal(rows)
+    return time, desired, first, second
+
+
+def two_logs(**options):
+    time, desired, first, second = signals()
+    drive = 1.2 * desired
+    pairs = [
+        Pair("runs/without.csv", desired, first, time=time, voltage=drive),
+        Pair("runs/with <b>&.csv", desired, second, time=time, voltage=drive),
+    ]
+    return Report.of(pairs, unit="um", voltage_unit="V", **options)
+
+
+def one_log():
+    pair = two_logs().logs[1].pair
+    return Report.of([pair], unit="um", voltage_unit="V")
+
+
+@pytest.fixture(scope="module")
+def page_text():
+    """The page of two logs, one of them above its limit."""
+    return two_logs(
+        max_rmse=0.5, command="dbo report a.csv -o r.html", limits={"v_max": "100 V"}
+    ).html()
+
+
+class Page(HTMLParser):
+    """Checks that every element is closed, and collects texts, ids and references."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.texts, self.ids, self.used, self.sources = [], [], [], [], []
+        self.cells = []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        values = dict(attrs)
+        if "id" in values:
+            self.ids.append(values["id"])
+        for key in ("href", "xlink:href", "src"):
+            if key in values:
+                self.sources.append(values[key])
+        if tag == "td":
+            self.cells.append("")
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        if tag not in VOID:
+            assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.texts.append(data)
+        if self.open and self.open[-1] == "td":
+            self.cells[-1] += data
+
+
+def test_library_function():
+    time, desired, measured, _ = signals()
+    found = report(desired, measured, time, unit="um")
+    error = measured - desired
+    assert found.rmse == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-14)
+    frame = found.to_frame()
+    assert list(frame.columns) == LOG_KEYS[1:]
+    assert frame.loc["log", "rmse"] == found.rmse
+    assert report(desired, measured, sample_rate=500.0).logs[0].pair.step() == 0.002
+    with pytest.raises(UsageError):
+        report(desired, measured, time, sample_rate=500.0)
+
+
+def test_json_form():
+    content = json.loads(two_logs().json())
+    assert list(content) == [
+        "format", "version", "unit", "compared", "offset_removed", "logs", "notes",
+        "limits", "passed", "warnings",
+    ]  # fmt: skip
+    assert (content["format"], content["version"]) == ("dbo-report", 1)
+    assert content["unit"] == "um"
+    assert content["compared"] == ["desired", "measured"]
+    assert content["passed"] is None and content["limits"] == []
+    for log in content["logs"]:
+        assert list(log) == LOG_KEYS
+    first, second = content["logs"]
+    assert first["ratio_to_first"] == 1.0
+    assert second["ratio_to_first"] == pytest.approx(second["rmse"] / first["rmse"])
+    assert first["sample_period_s"] == pytest.approx(0.002)
+    row = first["max_abs_row"]
+    assert first["max_abs_time_s"] == pytest.approx((row - 1) * 0.002)
+    assert first["lag_left_s"] == pytest.approx(0.002 * first["lag_left_samples"])
+    # numbers read back exactly
+    assert first["rmse"] == two_logs().rmse
+
+
+def test_csv_form():
+    rows = list(csv.DictReader(io.StringIO(two_logs().csv())))
+    assert list(rows[0]) == [*LOG_KEYS, "unit"]
+    assert float(rows[0]["rmse"]) == two_logs().rmse
+    assert rows[0]["expected_rmse"] == "" and rows[0]["unit"] == "um"
+
+
+def test_names_are_no_formulas():
+    assert no_formula("=1+1") == "'=1+1"
+    assert no_formula("-") == "-" and no_formula("-x") == "'-x"
+    assert no_formula("run.csv") == "run.csv"
+
+
+def test_text_is_a_table_and_few_lines():
+    text = two_logs().text()
+    lines = text.splitlines()
+    head = lines[0].split()
+    assert head[0] == "log" and "RMSE" in head
+    width = lines[0].index("RMSE") + 4
+    for line in lines[1:3]:
+        assert line[width - 1] != " " and line[width] == " "
+    assert len(lines) == 5
+    assert max(map(len, lines)) <= 120
+
+
+def test_digits():
+    cases = {1.679: "1.679", 0.0: "0", 12345.678: "12346", 0.012343: "0.01234",
+             1.2e-5: "1.200e-05", 3e9: "3.000e+09", -2.5: "-2.500"}  # fmt: skip
+    for value, text in cases.items():
+        assert digits(value) == text
+    assert digits(None) == "-"
+
+
+def test_limits():
+    found = two_logs(max_rmse=0.5, max_nrmse_percent=1.0)
+    assert found.passed is False
+    verdicts = json.loads(found.json())["limits"]
+    assert [verdict["passed"] for verdict in verdicts] == [False, False, True, True]
+    assert [verdict["figure"] for verdict in verdicts[:2]] == ["rmse", "nrmse_percent"]
+    assert found.text().startswith("FAILED\n")
+    with pytest.raises(LimitError) as caught:
+        found.require_passed()
+    assert caught.value.exit_code == 3
+    kept = two_logs(max_rmse=5.0)
+    assert kept.passed is True
+    kept.require_passed()
+    with pytest.raises(UsageError):
+        two_logs(max_rmse=-1.0)
+
+
+def test_a_limit_at_the_value_is_kept_and_an_undefined_one_is_missed():
+    at = two_logs()
+    assert two_logs(max_rmse=at.rmse).verdicts[0].passed
+    still = Report.of([Pair("run", np.ones(5), np.ones(5))], max_nrmse_percent=1.0)
+    assert still.passed is False
+
+
+def test_nothing_to_compare():
+    with pytest.raises(InputError):
+        Report.of([Pair("run", np.empty(0), np.empty(0))])
+    with pytest.raises(UsageError):
+        Report.of([])
+
+
+def test_the_mean_is_pointed_out():
+    notes = Report.of([Pair("run", np.arange(9.0), np.arange(9.0) + 5.0)]).notes
+    assert any("`remove_offset`" in note for note in notes)
+    shell = Report.of(
+        [Pair("run", np.arange(9.0), np.arange(9.0) + 5.0)],
+        spell=lambda text: text.replace("`remove_offset`", "--remove-offset"),
+    )
+    assert "--remove-offset" in shell.text() and "`" not in shell.text()
+
+
+def test_more_than_expected_is_a_warning():
+    _, desired, first, second = signals()
+    expected = Expected(0.15, 60.0, "model.json")
+    near, far = Pair("near", desired, second), Pair("far", desired, first)
+    assert not Report.of([near], expected=expected).warnings
+    found = Report.of([far], expected=expected)
+    times = found.rmse / 0.15
+    assert f"{times:.2g} times the expected" in found.warnings[0]
+    record = found.logs[0].record()
+    assert record["expected_rmse"] == 0.15
+    assert record["rmse_percent_of_range"] == pytest.approx(100.0 * found.rmse / 60.0)
+    assert "expected" in found.text()
+
+
+def test_expected_of_another_move_is_a_warning():
+    _, desired, _, second = signals()
+    summary = {"format": "dbo-summary", "unit": "um", "expected_rmse": 0.1,
+               "move_range": [10.0, 70.0]}  # fmt: skip
+    pair = Pair("run", desired, second)
+    assert not Report.of([pair], expected=expected_in(summary, "um")).warnings
+    summary["move_range"] = [0.0, 20.0]
+    warning = Report.of([pair], expected=expected_in(summary, "um")).warnings[0]
+    assert "0 to 20" in warning
+
+
+def test_expected_in_files(tmp_path):
+    model = {"format": "dbo-model", "output": {"unit": "um", "min": -5.0, "max": 15.0},
+             "fit": {"expected_rmse": 0.2}}  # fmt: skip
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps(model))
+    expected = expected_in(path, "um")
+    assert (expected.rmse, expected.span, expected.move) == (0.2, 20.0, None)
+    with pytest.raises(InputError, match="is in um"):
+        expected_in(path, "nm")
+    for text in ("[1]", "{", '{"format": "other"}'):
+        path.write_text(text)
+        with pytest.raises(InputError, match=r"model\.json"):
+            expected_in(path)
+    with pytest.raises(InputError):
+        expected_in(tmp_path / "missing.json")
+    for value in (-1.0, 0, "x", True):
+        with pytest.raises(InputError, match="expected_rmse"):
+            expected_in(model | {"fit": {"expected_rmse": value}})
+
+
+def test_page_holds_the_numbers_and_needs_no_other_file(page_text):
+    text, found = page_text, two_logs()
+    page = Page(text)
+    assert page.open == []
+    assert len(page.ids) == len(set(page.ids))
+    for source in page.sources:
+        assert source.startswith(("#", "data:"))
+        if source.startswith("#"):
+            assert source[1:] in page.ids
+    for log in found.logs:
+        assert digits(log.merits.rmse) in page.cells
+        assert digits(log.merits.max_abs) in page.cells
+    assert "with <b>&.csv" in "".join(page.texts)
+    body = "".join(page.texts)
+    assert body.index("Failed") < body.index("error 0.")
+    assert "dbo report a.csv -o r.html" in body and "v_max 100 V" in body
+    assert "<script" not in text and "http" not in text.replace("http://www.w3.org", "")
+    assert "prefers-color-scheme: dark" in text
+
+
+def test_page_and_figures_follow_the_colour_scheme(page_text):
+    text = page_text
+    body = text[text.index("<body>") :]
+    for color, name in SCHEME.items():
+        assert color not in body
+        assert f"--{name}: {color}" in text
+
+
+def test_same_input_same_bytes(tmp_path):
+    first, second = one_log(), one_log()
+    for form in ("text", "json", "csv", "html"):
+        assert first.render(form) == second.render(form)
+    one = first.figures(tmp_path / "one")
+    two = second.figures(tmp_path / "two")
+    assert [path.name for path in one] == [path.name for path in two]
+    for a, b in zip(one, two, strict=True):
+        assert a.read_bytes() == b.read_bytes()
+    names = {path.name for path in one}
+    for key in ("follow", "error", "loop", "spectrum"):
+        assert {f"with_b-{key}.png", f"with_b-{key}.svg"} <= names
+    with pytest.raises(UsageError):
+        first.render("pdf")
+
+
+def test_figures_name_quantity_and_unit():
+    labels = {}
+    plots = plots_of_report(two_logs())
+    assert plots[0].key == "errors"
+    for plot in plots[1:5]:
+        labels[plot.key] = draw(plot, "inline").decode()
+    assert "Drive voltage (V)" in labels["without-loop"]
+    assert "Displacement (µm)" in labels["without-loop"]
+    assert "Time (s)" in labels["without-follow"]
+    assert "Error density (µm/√Hz)" in labels["without-spectrum"]
+    assert "± RMSE" in labels["without-error"]
+
+
+def test_a_user_s_own_style_changes_nothing():
+    import matplotlib
+
+    plot = plots_of_report(two_logs())[1]
+    before = draw(plot, "png")
+    with matplotlib.rc_context({"lines.linewidth": 9.0, "font.size": 20.0}):
+        assert draw(plot, "png") == before
+        assert matplotlib.rcParams["font.size"] == 20.0
+
+
+def test_without_a_clock_rows_are_shown():
+    found = Report.of([Pair("run", np.sin(np.arange(200.0) / 9.0), np.zeros(200))])
+    keys = [plot.key for plot in plots_of_report(found)]
+    assert keys == ["run-follow", "run-error", "run-loop"]
+    assert "Row" in draw(plots_of_report(found)[0], "inline").decode()
+    assert found.logs[0].record()["max_abs_time_s"] is None
+
+
+def test_envelope_keeps_every_spike():
+    y = np.zeros(100_000)
+    y[[777, 54_321]] = 5.0, -3.0
+    x, shown = envelope(np.arange(100_000.0), y)
+    assert len(x) == len(shown) == 2000
+    assert (shown.max(), shown.min()) == (5.0, -3.0)
+
+
+def test_file_stems_differ():
+    names = ["a/run.csv", "b/run.csv", "x.h5::/g/one", "", "../../etc", "run.csv.gz"]
+    stems = file_stems(names)
+    assert len(set(stems)) == len(stems)
+    for stem in stems:
+        assert stem and "/" not in stem and not stem.startswith(".")
+    assert short_name("x" * 100).count("x") < 40
+
+
+def test_ipython_shows_the_page():
+    shown = one_log()._repr_html_()
+    assert shown.startswith("<iframe") and "&lt;!DOCTYPE" in shown
