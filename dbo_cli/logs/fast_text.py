@@ -19,7 +19,7 @@ from dbo_cli.logs.source import NOT_A_TIME, Column
 
 
 def read_fast(
-    text: bytes, layout: Layout, chosen: Sequence[Column]
+    text: bytes, layout: Layout, chosen: Sequence[Column], cleaned: bool = False
 ) -> list[NDArray[Any]] | None:
     """Read whole lines; None where a line or a cell of them is not regular.
 
@@ -31,6 +31,8 @@ def read_fast(
         How they are written.
     chosen
         The columns that are wanted.
+    cleaned
+        Whether to leave out comments, blank lines and blanks first.
 
     Returns
     -------
@@ -45,12 +47,9 @@ def read_fast(
         text = _unquoted(text, layout.delimiter)
         if b'"' in text:
             return None  # polars panics at a lone quote
-    arrays = _parsed(text, layout, chosen)
-    if arrays is None:
-        cleaned = _cleaned(text, layout.delimiter)
-        if cleaned != text:
-            arrays = _parsed(cleaned, layout, chosen)
-    return arrays
+    if cleaned:
+        text = _cleaned(text, layout.delimiter)
+    return _parsed(text, layout, chosen)
 
 
 def _parsed(

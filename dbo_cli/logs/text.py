@@ -29,7 +29,7 @@ from dbo_cli.logs.record_end import cut_record
 from dbo_cli.logs.sniff import describe_columns, is_comment, sniff
 from dbo_cli.logs.source import NOT_A_TIME, Column, Reading, Source
 
-_HEAD = 1 << 18  # bytes from which the layout is found
+_HEAD = 1 << 16  # bytes from which the layout is found; longer than any header
 _BLOCK = 1 << 23  # bytes of text at a time
 _ABOVE = 1 << 14  # bytes that are kept of a block, for a look back from the last line
 _COMPARED = 60  # rows that a last line is compared with
@@ -38,6 +38,7 @@ _SMALL = 1 << 16  # bytes that are read faster than polars is imported
 _MARKS = {
     codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be",
 }  # fmt: skip
+_ASCII = ("utf-8", "cp1252", "ascii", "iso8859-1")  # their digits and signs are ASCII's
 _UNREAD = {
     b"BZh": "compressed with bzip2: unpack it, or compress it with gzip",
     b"\xfd7zXZ": "compressed with xz: unpack it, or compress it with gzip",
@@ -167,10 +168,10 @@ class TextSource(Source):
         self.remarks = []
         self._stream = stream
         self._encoding = ""
+        self._decoder: Any = None
         self._mac = False
         self._reading = reading
         self._ended = False
-        self._pending = b""  # bytes of an unfinished line or letter
         self._head = self._read_head()
         lines = self._lines_of(self._head)
         if not self._ended and len(lines) > 2:
@@ -200,6 +201,10 @@ class TextSource(Source):
         for mark in _MARKS:
             if head.startswith(mark):
                 head = head.removeprefix(mark)
+        if self._encoding not in _ASCII:
+            self._decoder = codecs.getincrementaldecoder(self._encoding)(
+                errors="replace"
+            )
         self._mac = b"\r" in head[:-1] and b"\n" not in head
         return self._plain(head)
 
@@ -248,16 +253,9 @@ class TextSource(Source):
         return "utf-8"
 
     def _plain(self, data: bytes) -> bytes:
-        """Turn bytes into an ASCII superset with plain line ends; odd bytes wait for the next."""
-        data = self._pending + data
-        self._pending = b""
-        if self._encoding.startswith(("utf-16", "utf-32")):
-            rest = 0 if self._ended else len(data) % 4
-            if rest:
-                data, self._pending = data[:-rest], data[-rest:]
-            data = data.decode(self._encoding, errors="replace").encode()
-        elif self._encoding not in ("utf-8", "cp1252", "ascii", "latin-1", "iso8859-1"):
-            data = data.decode(self._encoding, errors="replace").encode()
+        """Turn bytes into a superset of ASCII with plain line ends."""
+        if self._decoder is not None:
+            data = self._decoder.decode(data, final=self._ended).encode()
         if b"\r" in data:
             data = data.replace(b"\r\n", b"\n")
             if self._mac:
@@ -272,64 +270,71 @@ class TextSource(Source):
         """Return the whole text in blocks of whole lines."""
         data, tail = self._head, b""
         self._head = b""
+        if not self._ended and not self._stream.is_stream:
+            data += self._next(_BLOCK)
         while True:
-            end = len(data) if self._ended else data.rfind(b"\n") + 1
-            if end:
-                yield tail + data[:end]
+            end = data.rfind(b"\n") + 1
+            if self._ended:
+                end = len(data)
+            if end or self._ended:
+                yield b"".join((tail, memoryview(data)[:end]))
                 tail = data[end:]
             else:
                 tail += data
             if self._ended:
-                if tail and end == 0:
-                    yield tail
                 return
             if len(tail) > _LONGEST_LINE:
                 raise InputError(
                     f"{self.name}: a line is longer than 16 MB: no text log?"
                 )
-            data = self._stream.read(_BLOCK)
-            self._ended = not data
-            data = self._plain(data)
+            data = self._next(_BLOCK)
+
+    def _next(self, size: int) -> bytes:
+        data = self._stream.read(size)
+        self._ended = not data
+        return self._plain(data)
 
     # --- lines to arrays ---
 
     def blocks(self, chosen: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
         """Return all rows of the chosen columns; see ``Source``."""
-        line = 1
         above = b""
         for text in self._texts():
-            self._line = line
-            line += text.count(b"\n")
             if self._line <= self.layout.first:
-                parts = text.split(b"\n", self.layout.first - self._line + 1)
-                self._line = self.layout.first + 1
-                text = parts[-1]
+                text = self._below_header(text)
             if not text:
                 continue
             if self._ended and not text.endswith(b"\n"):
                 text = self._without_cut_record(text, above)
-            above = (
-                text[text.rfind(b"\n", 0, -_ABOVE) + 1 :]
-                if len(text) > _ABOVE
-                else text
-            )
+            above = text[-_ABOVE:]
             self._text = text
-            arrays = self._read_block(text, chosen)
-            rows = len(arrays[0])
-            if rows:
+            arrays, lines = self._read_block(text, chosen)
+            if len(arrays[0]):
                 yield arrays
-            self._row += rows
+            self._row += len(arrays[0])
+            self._line += lines
 
-    def _read_block(self, text: bytes, chosen: Sequence[Column]) -> list[NDArray[Any]]:
-        """Read a block by polars, or line by line where it is small or not regular."""
+    def _below_header(self, text: bytes) -> bytes:
+        """Return the rows of a text that begins above them."""
+        parts = text.split(b"\n", self.layout.first + 1 - self._line)
+        self._line += len(parts) - 1
+        return parts[-1] if self._line > self.layout.first else b""
+
+    def _read_block(
+        self, text: bytes, chosen: Sequence[Column]
+    ) -> tuple[list[NDArray[Any]], int]:
+        """Read a block by polars, or line by line where it is small or not regular; count its lines."""
         self._decide_decimal(text)
         if len(text) > _SMALL:
             from dbo_cli.logs.fast_text import read_fast
 
             arrays = read_fast(text, self.layout, chosen)
             if arrays is not None:
-                return arrays
-        return self._read_lines(text, chosen)
+                return arrays, len(arrays[0])
+            arrays = read_fast(text, self.layout, chosen, cleaned=True)
+            if arrays is not None:
+                return arrays, text.count(b"\n")
+        return self._read_lines(text, chosen), text.count(b"\n")
 
     def _decide_decimal(self, text: bytes) -> None:
         """Find the decimal sign in the first cell that shows one, where the head has shown none."""
@@ -402,7 +407,7 @@ class TextSource(Source):
     def _without_cut_record(self, text: bytes, above: bytes) -> bytes:
         """Refuse (or leave out) a last line that was cut in a cell; say that it has no line end."""
         last = self._lines_of(text)[-1]
-        lines = self._data_lines(above + text)
+        lines = self._data_lines(above[above.find(b"\n") + 1 :] + text)
         if is_comment(last) or len(lines) < 2:
             return text
         number = self._line + text.count(b"\n")
