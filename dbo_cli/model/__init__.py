@@ -3,6 +3,15 @@
 from dbo_cli.model.cascade import Direction, Stage
 from dbo_cli.model.delay import Delay, Held
 from dbo_cli.model.dynamics import Dynamics, Lag, Mode, Resonance, Section
+from dbo_cli.model.file import (
+    dumps_model,
+    dumps_set,
+    is_set,
+    model_values,
+    parse_model,
+    read_model,
+    read_models,
+)
 from dbo_cli.model.gears import Gears, GearsRun, Window
 from dbo_cli.model.model import Candidate, Model, Outside, Sign, Steps
 from dbo_cli.model.points import Points, Scale
@@ -18,6 +27,7 @@ from dbo_cli.model.state import (
     VoltageWindow,
     steps_of,
 )
+from dbo_cli.model.state_file import dumps_state, read_state
 from dbo_cli.model.undoing import Inverter, Undoing, ZeroPhaseLowPass, read_ahead
 
 __all__ = [
@@ -52,6 +62,15 @@ __all__ = [
     "VoltageWindow",
     "Window",
     "ZeroPhaseLowPass",
+    "dumps_model",
+    "dumps_set",
+    "dumps_state",
+    "is_set",
+    "model_values",
+    "parse_model",
     "read_ahead",
+    "read_model",
+    "read_models",
+    "read_state",
     "steps_of",
 ]

@@ -96,7 +96,7 @@ def digest_of(stages: Sequence[Stage]) -> str:
     parts: list[object] = []
     for stage in stages:
         if isinstance(stage, Scale):
-            parts.append([f"{stage.gain:.9e}", f"{stage.offset:.9e}"])
+            parts.append([f"{stage.gain:.9e}", f"{stage.offset + 0.0:.9e}"])
         elif isinstance(stage, Delay):
             parts.append(stage.seconds)
         elif isinstance(stage, Dynamics):
