@@ -28,6 +28,7 @@ from dbo_cli.model.state import (
     steps_of,
 )
 from dbo_cli.model.state_file import dumps_state, read_state
+from dbo_cli.model.stepper import Stepper
 from dbo_cli.model.undoing import Inverter, Undoing, ZeroPhaseLowPass, read_ahead
 
 __all__ = [
@@ -57,6 +58,7 @@ __all__ = [
     "Stage",
     "StartName",
     "State",
+    "Stepper",
     "Steps",
     "Undoing",
     "VoltageWindow",
