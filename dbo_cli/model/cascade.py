@@ -58,26 +58,21 @@ def check_order(stages: Sequence[Stage], direction: Direction) -> None:
     places = list(range(len(stages)))
     if direction == "inverse":
         places.reverse()
-    rank = 0
+    beyond = 0
     for place in places:
         stage = stages[place]
+        rank = 0
         if isinstance(stage, Dynamics):
-            if rank >= 1:
-                raise ModelError(
-                    f"stages[{place}]: dynamics stand once, and with nothing but a delay beyond them"
-                )
             rank = 1
         elif isinstance(stage, Delay):
-            _check_delay(stage, place, direction)
-            if rank >= 2:
-                raise ModelError(f"stages[{place}]: a delay stands once")
             rank = 2
-        elif rank == 1:
+            _check_delay(stage, place, direction)
+        if rank < beyond or rank == beyond > 0:
             raise ModelError(
-                f"stages[{place}]: only a delay may stand beyond the dynamics"
+                f"stages[{place}]: the order is points and scales around the gears, one dynamics, one delay"
+                " (an inverse model has it mirrored)"
             )
-        elif rank == 2:
-            raise ModelError(f"stages[{place}]: nothing may stand beyond the delay")
+        beyond = rank
 
 
 def _check_delay(stage: Delay, place: int, direction: Direction) -> None:

@@ -192,7 +192,9 @@ class Delay:
         ]
         begin = first + early
         parts.append(
-            between_even(signal[begin : begin + count - early + WINDOW - 1], BEFORE, part)
+            between_even(
+                signal[begin : begin + count - early + WINDOW - 1], BEFORE, part
+            )
         )
         return np.concatenate(parts)
 

@@ -111,9 +111,7 @@ class Resonance(Mode):
         cosine = fade * np.cos(root * angle)
         slow = angle < _SERIES
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            step = np.where(
-                slow, _series(angle, zeta, 0), 1.0 - (cosine + zeta * sine)
-            )
+            step = np.where(slow, _series(angle, zeta, 0), 1.0 - (cosine + zeta * sine))
             late = 1.0 - (2.0 * zeta * step + sine) / angle
             ramp = np.where(slow, _series(angle, zeta, 1), late)
             rate = np.where(angle > 0.0, step / angle, 0.0)

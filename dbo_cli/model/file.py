@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
-from typing import Any, cast
+from typing import cast
 
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model.cascade import Direction, Stage
@@ -137,7 +137,9 @@ def _model_of(root: Node) -> Model:
     _refuse_old(root)
     direction = root.text("direction")
     if direction not in ("forward", "inverse"):
-        raise root.refuse("direction", f"{direction!r} is neither 'forward' nor 'inverse'")
+        raise root.refuse(
+            "direction", f"{direction!r} is neither 'forward' nor 'inverse'"
+        )
     stages = _stages(root)
     fit = root.notes("fit")
     if fit:
@@ -153,7 +155,13 @@ def _model_of(root: Node) -> Model:
     provenance = root.notes("provenance")
     return root.build(
         lambda: Model(
-            cast(Direction, direction), source, result, stages, fit, candidates, provenance
+            cast(Direction, direction),
+            source,
+            result,
+            stages,
+            fit,
+            candidates,
+            provenance,
         )
     )
 
@@ -165,7 +173,9 @@ def _refuse_old(root: Node) -> None:
         return
     for stage in stages:
         if isinstance(stage, dict) and "plays" in str(stage.get("type")):
-            raise root.refuse("stages", "plays are no model any more: identify the model again")
+            raise root.refuse(
+                "stages", "plays are no model any more: identify the model again"
+            )
 
 
 def _check_fit(fit: Node) -> None:
@@ -279,7 +289,9 @@ def _section(node: Node) -> Section:
     if "antiresonance" in node.values:
         below = node.node("antiresonance")
         below.only(("frequency", "damping"))
-        beside = below.build(lambda: Mode(below.time("frequency"), below.length("damping")))
+        beside = below.build(
+            lambda: Mode(below.time("frequency"), below.length("damping"))
+        )
     frequency, damping = node.time("frequency"), node.length("damping")
     return node.build(lambda: Resonance(frequency, damping, beside))
 
@@ -321,7 +333,10 @@ def model_values(model: Model) -> Json:
         values["fit"] = dict(model.fit)
     if model.candidates:
         values["candidates"] = [
-            {"weight": float(part.weight), "stages": [stage_values(stage) for stage in part.stages]}
+            {
+                "weight": float(part.weight),
+                "stages": [stage_values(stage) for stage in part.stages],
+            }
             for part in model.candidates
         ]
     if model.provenance:

@@ -263,9 +263,7 @@ class Gears:
         if voltage >= high:
             return self.all_bits
         words = self.words(0)
-        kernel.recursions().backlash_decay(
-            *self.constants(True), words, float(voltage)
-        )
+        kernel.recursions().backlash_decay(*self.constants(True), words, float(voltage))
         return bits_of(words)
 
     def coordinates(self, bits: int) -> tuple[float, float]:

@@ -45,12 +45,16 @@ from dbo_cli.model.state import (
 from dbo_cli.model.undoing import Inverter, Undoing
 
 Floats = NDArray[np.float64]
-Steps = float | Floats | None  # seconds since the sample before: one number, or one each
+Steps = (
+    float | Floats | None
+)  # seconds since the sample before: one number, or one each
 Outside = Literal["extend", "hold", "error"]
 Sign = Literal["rising", "falling"]
 
 MOST_CANDIDATES = 5
-_TIME_IS_NEEDED = "this needs the time between samples (a time column, or `sample_rate`)"
+_TIME_IS_NEEDED = (
+    "this needs the time between samples (a time column, or `sample_rate`)"
+)
 
 
 @dataclass(frozen=True)
@@ -232,7 +236,9 @@ class Model:
         """The same model without dynamics and delay: gears, relaxation and curves."""
         if self.dynamics is None and self.delay is None:
             return self
-        kept = [stage for stage in self.stages if isinstance(stage, Gears | Points | Scale)]
+        kept = [
+            stage for stage in self.stages if isinstance(stage, Gears | Points | Scale)
+        ]
         return self.with_stages(tuple(kept))
 
     def with_stages(self, stages: tuple[Stage, ...]) -> Model:
@@ -242,7 +248,9 @@ class Model:
     def candidate_models(self) -> list[tuple[float, Model]]:
         """Return weight and model of every candidate; ModelError for an inverse model."""
         self.require("forward")
-        return [(part.weight, self.with_stages(part.stages)) for part in self.candidates]
+        return [
+            (part.weight, self.with_stages(part.stages)) for part in self.candidates
+        ]
 
     # ---- starts ----
 
@@ -306,8 +314,8 @@ class Model:
         ends = [
             forward.gears.run([inner], bits).y for bits in (0, forward.gears.all_bits)
         ]
-        empty, full = through(forward.tail, np.concatenate(ends)).tolist()
-        return abs(full - empty)
+        empty, full = through(forward.tail, np.concatenate(ends))
+        return abs(float(full) - float(empty))
 
     # ---- simulation ----
 

@@ -120,7 +120,9 @@ class Node(NamedTuple):
     def times(self, key: str) -> tuple[float, ...]:
         """Return a list of times in seconds."""
         numbers = self.numbers(key)
-        return tuple(self._as_time(f"{key}[{k}]", item) for k, item in enumerate(numbers))
+        return tuple(
+            self._as_time(f"{key}[{k}]", item) for k, item in enumerate(numbers)
+        )
 
     def widths(self, key: str) -> list[float]:
         """Return widths, of which a run of equal ones may stand once (``repeat`` and ``value``)."""
@@ -155,7 +157,9 @@ class Node(NamedTuple):
         if not isinstance(value, str):
             raise self.refuse(key, f"{json.dumps(value)[:60]} is not a text")
         if not value.isprintable():
-            raise self.refuse(key, f"{json.dumps(value)} holds characters that cannot be shown")
+            raise self.refuse(
+                key, f"{json.dumps(value)} holds characters that cannot be shown"
+            )
         return value
 
     def node(self, key: str) -> Node:

@@ -106,7 +106,8 @@ def _memory(root: Node, model: Model) -> tuple[float, ...] | None:
     terms = model.gears.gain.size
     if len(memory) != terms:
         raise root.refuse(
-            "memory", f"has {len(memory)} entries where the model has {terms} relaxation terms"
+            "memory",
+            f"has {len(memory)} entries where the model has {terms} relaxation terms",
         )
     return memory
 

@@ -63,7 +63,7 @@ class SectionInverse(NamedTuple):
 
 
 class _Recursion(NamedTuple):
-    """(u - p, q) after a sample: matrix @ before + drive * change of the output; the input is output + out @ it."""
+    """How the state (u - p, q) follows the output y: it becomes matrix @ it + drive (y' - y); u = y + out @ it."""
 
     matrix: Floats
     drive: Floats

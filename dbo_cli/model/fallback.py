@@ -1,0 +1,346 @@
+"""The recursions of a model in Python, for an installation without the compiled part.
+
+The paper's procedure, one gear after the other: some hundred times slower than the
+kernel, whose functions these have the names and arguments of (``dbo_kernel.h`` says
+what they are), and within 1e-9 of the range of it. Equation numbers are the paper's.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Words = NDArray[np.uint64]
+
+
+class _Walk:
+    """The state of the gears on its way through a block: B, and X_B, Y_B relative to X_0, Y_0 (1)-(3)."""
+
+    def __init__(self, table: Floats, n: int, words: Words) -> None:
+        self.rows: list[list[float]] = table[:n, :4].tolist()
+        self.n = n
+        self.bits = int.from_bytes(words.astype("<u8").tobytes(), "little")
+        self.x = self.y = 0.0
+        for gear, (dx, dy, _, _) in enumerate(self.rows):
+            if self.bits >> gear & 1:
+                self.x += dx
+                self.y += dy
+
+    def next_gear(self, rising: bool) -> int:
+        """Return Z, the lowest zero bit (5), or S, the lowest one bit (4); n where there is none."""
+        wanted = ~self.bits & ((1 << self.n) - 1) if rising else self.bits
+        if not wanted:
+            return self.n
+        return (wanted & -wanted).bit_length() - 1
+
+    def left(self, u: float, kappa: float) -> float:
+        """Return how far the input u is above X_B, the memory's part kappa of the output included."""
+        return u - (self.x + kappa * self.y)
+
+    def travel(
+        self, u: float, kappa: float, low: float, high: float, rising: bool
+    ) -> int:
+        """Cross gears (6)-(9) towards u as long as the output stays in [low, high]; return the engaged gear.
+
+        A sample that crosses a gear by the tolerance falls short of the new X_B and
+        keeps that gear's own slope.
+        """
+        sign = 1.0 if rising else -1.0
+        last = self.n
+        gear = self.next_gear(rising)
+        while gear < self.n:
+            dx, dy, _, fraction = self.rows[gear]
+            room = high - self.y if rising else self.y - low
+            travelled = sign * self.left(u, kappa)
+            if travelled < (dx + kappa * dy) * fraction or room < dy * fraction:
+                break
+            self.bits ^= 1 << gear
+            self.x += sign * dx
+            self.y += sign * dy
+            last = gear
+            gear = self.next_gear(rising)
+        if last < self.n and sign * self.left(u, kappa) < 0.0:
+            return last
+        return gear
+
+    def solve(
+        self, u: float, kappa: float, low: float, high: float, extend: bool
+    ) -> tuple[float, bool]:
+        """Return the relative output for the relative input u, (11)-(12), and whether it lies outside."""
+        rising = self.left(u, kappa) >= 0.0
+        gear = self.travel(u, kappa, low, high, rising)
+        d = self.left(u, kappa)
+        dx, dy, _, fraction = self.rows[min(gear, self.n - 1)]
+        width = dx + kappa * dy
+        outside = gear == self.n and abs(d) >= width * (1.0 - fraction)
+        if gear == self.n and not extend:
+            return self.y, outside
+        return self.y + d * (dy / width), outside
+
+    def follow(self, y: float, rising: bool) -> None:
+        """Drive the operator with exchanged axes one way, to the relative output y."""
+        self.travel(math.inf if rising else -math.inf, 0.0, y, y, rising)
+
+    def solve_within(
+        self, u: float, kappa: float, low: float, high: float, extend: bool
+    ) -> tuple[float, float, bool]:
+        """Return the output within [low, high], by how much it was clipped, and whether it lies outside.
+
+        The state becomes that of the operator with exchanged axes driven by the output.
+        """
+        rising = self.left(u, kappa) >= 0.0
+        # the output may stand beyond the limit that it moves towards
+        if rising and high < self.y:
+            self.follow(high, False)
+            return high, math.inf, False
+        if not rising and low > self.y:
+            self.follow(low, True)
+            return low, math.inf, False
+        y, outside = self.solve(u, kappa, low, high, extend)
+        if y > high:
+            if not rising:
+                self.follow(high, False)
+            return high, y - high, outside
+        if y < low:
+            if rising:
+                self.follow(low, True)
+            return low, low - y, outside
+        return y, 0.0, outside
+
+
+def backlash_run(
+    table: Floats, guide: Words, n: int, run: int, x0: float, y0: float, extend: bool,
+    gain: Floats, reference: float, on_output: bool, words: Words, memory: Floats,
+    last: float, x: Floats, y: Floats, decay: Floats, limited: bool, low: float,
+    high: float, slack: float, step: Floats,
+) -> tuple[int, int, int, int]:  # fmt: skip
+    """Fill ``y`` by (1)-(12) from ``x``; ``words`` and ``memory`` become the state after the block.
+
+    With memory on the output its part kappa = sum gain_j (1 - a_j) of the present output
+    widens every gear from dx to dx + kappa dy, and the rest is known.
+    """
+    walk = _Walk(table, n, words)
+    factors = decay.reshape(-1, gain.size) if gain.size else np.empty((1, 0))
+    outsides, clips = [], []
+    for k, value in enumerate(x.tolist()):
+        a = factors[k if len(factors) > 1 else 0]
+        known = kappa = excess = 0.0
+        u = value - x0
+        if on_output:
+            known = float(gain @ (a * memory))
+            kappa = float(gain @ (1.0 - a))
+            u = (u - known) - kappa * (y0 - reference)
+        else:
+            memory[:] = a * memory + (1.0 - a) * (value - reference)
+            known = float(gain @ memory)
+        if limited:
+            least, most = low, high
+            if step.size and not math.isnan(last):
+                change = float(step[k if step.size > 1 else 0])
+                least, most = _window(last, change, low, high)
+            part, excess, outside = walk.solve_within(
+                u, kappa, least - y0, most - y0, extend
+            )
+            last = min(max(y0 + part, least), most)
+        else:
+            part, outside = walk.solve(u, kappa, -math.inf, math.inf, extend)
+            last = y0 + (part if on_output else part + known)
+        y[k] = last
+        outsides.append(outside)
+        clips.append(excess > slack)
+        if on_output:
+            memory[:] = a * memory + (1.0 - a) * (last - reference)
+    _put_bits(words, walk.bits)
+    return *_counted(outsides), *_counted(clips)
+
+
+def _window(last: float, change: float, low: float, high: float) -> tuple[float, float]:
+    """Return the limits of one sample; the range wins over the largest change."""
+    least = math.nextafter(last - change, last)
+    most = math.nextafter(last + change, last)
+    return min(max(least, low), high), max(min(most, high), low)
+
+
+def _counted(flags: list[bool]) -> tuple[int, int]:
+    """Return how many flags are set, and the place of the first."""
+    if not any(flags):
+        return 0, 0
+    return sum(flags), flags.index(True)
+
+
+def _put_bits(words: Words, bits: int) -> None:
+    words[:] = np.frombuffer(bits.to_bytes(8 * words.size, "little"), dtype="<u8")
+
+
+def backlash_decay(
+    table: Floats, guide: Words, n: int, run: int, x0: float, y0: float, extend: bool,
+    gain: Floats, reference: float, on_output: bool, words: Words, drive: float,
+) -> None:  # fmt: skip
+    """Fill ``words`` with the state after an oscillation of the drive that decays to ``drive``."""
+    widths = table[:n, 1 if on_output else 0].tolist()
+    target = drive - (y0 if on_output else x0)
+    low, high = 0.0, math.fsum(widths)
+    slack = 1e-9 * high
+    bits = 0
+    for gear in range(n - 1, -1, -1):
+        if target > 0.0 and target - low >= (high - target) - slack:
+            bits |= 1 << gear
+            low += widths[gear]
+        else:
+            high -= widths[gear]
+    _put_bits(words, bits)
+
+
+def point_run(segments: Floats, x0: float, y0: float, x: Floats, y: Floats) -> None:
+    """Fill ``y`` by (13)-(16); rows of ``segments`` are (X_C - X_0, Y_C - Y_0, slope)."""
+    u = x - x0
+    place = np.searchsorted(segments[1:, 0], u, side="right")
+    start, height, slope = segments[place].T
+    y[:] = y0 + (height + slope * (u - start))
+
+
+def dynamics_run(
+    output: Floats, state: Floats, x: Floats, y: Floats, step: Floats
+) -> None:
+    """Fill ``y`` with ``x`` behind all sections; ``state`` (p, q, u) becomes that after the block."""
+    rows = step.reshape(len(step), -1, 6)
+    for k, value in enumerate(x.tolist()):
+        numbers = rows[k if len(rows) > 1 else 0]
+        for section, (by_lead, by_q), c in zip(state, output, numbers, strict=True):
+            p, q, before = section
+            lead, change = before - p, value - before
+            p = p + (c[0] * q + c[1] * lead + c[2] * change)
+            q = c[3] * q + c[4] * lead + c[5] * change
+            section[:] = p, q, value
+            value = p + (by_lead * (value - p) + by_q * q)
+        y[k] = value
+
+
+def dynamics_undo(
+    numbers: Floats, weight: Floats, state: Floats, y: Floats, u: Floats
+) -> None:
+    """Fill ``u`` with the input of one section whose output is ``y``; ``state`` is (y, a, b)."""
+    changes = np.diff(y)
+    aa, ab, ba, bb, a_in, b_in, a_out, b_out = numbers.tolist()
+    last, a, b = state.tolist()
+    for k in range(u.size):
+        change = y[k] - last
+        a, b = aa * a + ab * b + a_in * change, ba * a + bb * b + b_in * change
+        last = y[k]
+        ahead = float(weight @ changes[k : k + weight.size])
+        u[k] = y[k] + (a_out * a + b_out * b + ahead)
+    state[:] = last, a, b
+
+
+def smooth(weight: Floats, x: Floats, y: Floats) -> None:
+    """Fill ``y`` with a symmetric weighted mean of ``x``, which has ``len(weight)`` more at either end."""
+    middle = x[weight.size : weight.size + y.size]
+    both = np.concatenate([weight[::-1], [0.0], weight])
+    y[:] = middle + np.convolve(x, both, "valid") - 2.0 * weight.sum() * middle
+
+
+def between_even(values: Floats, out: Floats, place: int, part: float) -> None:
+    """Fill ``out`` with values the ``part`` of a step behind sample ``place`` of each six."""
+    times = np.arange(6.0)
+    for k in range(out.size):
+        out[k] = _between(times, values[k : k + 6], place, part)
+
+
+def between(
+    times: Floats,
+    values: Floats,
+    wanted: Floats,
+    out: Floats,
+    newest: int,
+    whole: float,
+) -> int:
+    """Fill ``out`` with a signal at other times, of samples up to ``newest`` and one more for each.
+
+    Before the first sample the first value holds, after the last one the last. Where
+    fewer than six samples are known, or two of them have one stamp, it is linear.
+    """
+    last = times.size - 1
+    before = 0
+    for k, at in enumerate(wanted.tolist()):
+        before = int(np.searchsorted(times, at, side="right")) - 1
+        before = max(before, 0)
+        after = min(before + 1, last)
+        gap = times[after] - times[before]
+        part = (at - times[before]) / gap if gap > 0.0 else 0.0
+        known = max(min(newest + k, last), after)
+        begin = max(min(before - 2, known - 5), 0)
+        six = slice(begin, begin + 6)
+        if part < whole:
+            out[k] = values[before]
+        elif part > 1.0 - whole:
+            out[k] = values[after]
+        elif begin + 5 <= known and (np.diff(times[six]) > 0.0).all():
+            out[k] = _between(times[six], values[six], before - begin, part)
+        else:
+            out[k] = values[before] + part * (values[after] - values[before])
+    return before
+
+
+def _between(times: Floats, values: Floats, place: int, part: float) -> float:
+    """Return the cubic with limited slopes the ``part`` of a step behind one of six samples."""
+    step = float(times[place + 1] - times[place])
+    rise = float(values[place + 1] - values[place])
+    begins = _slope(times, values, place) * step - rise
+    ends = _slope(times, values, place + 1) * step - rise
+    rest = 1.0 - part
+    return float(values[place]) + part * (rise + rest * (rest * begins - part * ends))
+
+
+def _slope(times: Floats, values: Floats, at: int) -> float:
+    """Return the slope at one of six samples, limited (Huynh's scheme M3-A)."""
+    secant = np.diff(values) / np.diff(times)
+    bends = np.diff(secant) / (times[2:] - times[:-2])
+    curve = [
+        bends[0],
+        *bends,
+        bends[-1],
+    ]  # around each sample; at the ends the neighbour's
+    start = 0 if at < 3 else 1
+    slope = _slope_of_five(
+        times[start : start + 5], values[start : start + 5], at - start
+    )
+    sides = []
+    if at > 0:
+        bend = _nearer(curve[at - 1], curve[at])
+        sides.append(
+            (secant[at - 1], secant[at - 1] + bend * (times[at] - times[at - 1]))
+        )
+    if at < 5:
+        bend = _nearer(curve[at], curve[at + 1])
+        sides.append((secant[at], secant[at] - bend * (times[at + 1] - times[at])))
+    chord = _nearer(sides[0][0], sides[-1][0])
+    parabola = _nearer(sides[0][1], sides[-1][1])
+    low = min(0.0, 3.0 * chord, 1.5 * parabola)
+    high = max(0.0, 3.0 * chord, 1.5 * parabola)
+    return float(min(max(slope, low), high))
+
+
+def _slope_of_five(times: Floats, values: Floats, at: int) -> float:
+    """Return the slope at one of five samples of the polynomial through them (Lagrange)."""
+    slope = 0.0
+    for k in range(5):
+        others = [j for j in range(5) if j != k]
+        below = math.prod(float(times[k] - times[j]) for j in others)
+        above = 0.0
+        for gone in others:
+            rest = [j for j in others if j != gone]
+            above += math.prod(float(times[at] - times[j]) for j in rest)
+        slope += float(values[k]) * above / below
+    return slope
+
+
+def _nearer(a: float, b: float) -> float:
+    """Return the number of two that is nearer to zero; zero where their signs differ."""
+    if a > 0.0 and b > 0.0:
+        return min(a, b)
+    if a < 0.0 and b < 0.0:
+        return max(a, b)
+    return 0.0
