@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,7 @@ from dbo_cli.compare.fitting import RIVALS, Design, Problem, Rival, Solution
 from dbo_cli.compare.plays import NOTHING, Floats, Plays
 from dbo_cli.errors import DboError
 from dbo_cli.identify import Options, Recording, identify
-from dbo_cli.model import Model, kernel
+from dbo_cli.model import Model, Points, kernel
 from dbo_cli.report.render import digits, json_text, text_table
 
 if TYPE_CHECKING:
@@ -186,8 +186,8 @@ class DboModel:
         if gears.relaxation is not None:
             count += len(gears.relaxation.tau)
         for stage in self.model.stages:
-            if hasattr(stage, "segments"):
-                count += int(stage.segments) - 1
+            if isinstance(stage, Points):
+                count += stage.dx.size - 1
         if self.model.dynamics is not None:
             for section in self.model.dynamics.sections:
                 count += sum(value is not None for value in vars(section).values())
@@ -263,7 +263,7 @@ def compare(
     recordings: Recording | Sequence[Recording],
     validation: Recording | Sequence[Recording] = (),
     *,
-    options: Options | None = None,
+    options: Mapping[str, Any] | None = None,
     timings: bool = True,
 ) -> Comparison:
     """Fit the DBO and its relatives to the same logs, and judge them alike.
@@ -273,7 +273,7 @@ def compare(
     recordings, validation
         Logs to fit, and logs that take no part.
     options
-        Of ``identify``, for the DBO; ``skip`` is everyone's.
+        Of ``identify`` (fields of ``Options``), for the DBO; ``skip`` is everyone's.
     timings
         Measure times; without them the same logs give the same bytes.
 
@@ -287,8 +287,10 @@ def compare(
     kernel.require("compare")
     logs = [recordings] if isinstance(recordings, Recording) else list(recordings)
     checks = [validation] if isinstance(validation, Recording) else list(validation)
-    options = options or Options()
-    judge = _Judge(logs, checks, fitting.prepare(logs, options.skip), options, timings)
+    # a DBO that is no better than a line is compared, too
+    chosen = Options(**{"force": True, **(options or {})})
+    problem = fitting.prepare(logs, chosen.skip)
+    judge = _Judge(logs, checks, problem, chosen, timings)
     rows = [judge.dbo()]
     for rival in RIVALS:
         rows.append(judge.rival(rival))

@@ -355,17 +355,18 @@ def bounded_minimum(
     from scipy.optimize import nnls
 
     bound = np.isfinite(least)
-    floor = np.where(bound, least, 0.0)
+    floor: Floats = np.where(bound, least, 0.0)
     free = np.hstack([matrix[:, ~bound], drift])
-    base = np.linalg.qr(free)[0]
+    base = np.linalg.qr(free).Q
     table = np.column_stack([matrix[:, bound], right - matrix @ floor])
     table = table - base @ (base.T @ table)
-    triangle: Floats = np.linalg.qr(table, mode="r")
+    triangle = np.linalg.qr(table).R
     scale = np.maximum(np.linalg.norm(triangle[:, :-1], axis=0), 1e-300)
     above, _ = nnls(triangle[:, :-1] / scale, triangle[:, -1], maxiter=50 * len(scale))
-    x = floor.copy()
+    x: Floats = np.array(floor)
     x[bound] += above / scale
-    rest = np.linalg.lstsq(free, right - matrix[:, bound] @ x[bound], rcond=None)[0]
+    missing = right - matrix[:, bound] @ x[bound]
+    rest = np.linalg.lstsq(free, missing, rcond=None)[0].astype(np.float64)
     alone = np.count_nonzero(~bound)
     x[~bound] = rest[:alone]
     return x, rest[alone:]

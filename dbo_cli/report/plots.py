@@ -199,7 +199,7 @@ def sections_of_report(report: Report) -> list[tuple[str, list[Plot]]]:
     for log, stem in zip(report.logs, stems, strict=True):
         sections.append((log.name, plots_of_log(report, log, stem)))
     if report.model is not None:
-        sections.append(("The model", plots_of_model(report.model)))
+        sections.append(("The model", model_plots(report.model)))
     return sections
 
 
@@ -391,7 +391,7 @@ def _between(axis: Any, value: float, _: float = 0.0) -> str:
 # --- a model ---
 
 
-def plots_of_model(model: Model) -> list[Plot]:
+def model_plots(model: Model) -> list[Plot]:
     """Return the figures of a model: its loop, and the response of its dynamics where it has any."""
     drive = model.input if model.is_forward else model.output
     title = f"The model's loop, {quantity_range(drive)}"
@@ -455,13 +455,16 @@ def _paint_hysteresis(model: Model, axes: Axes) -> None:
 
 
 def _paint_response(model: Model, what: str, axes: Axes) -> None:
+    from dbo_cli.model import Lag
+
     dynamics = model.forward().dynamics
     assert dynamics is not None
     corners = []
     for section in dynamics.sections:
-        seconds = getattr(section, "seconds", None)
-        corner = 0.5 / (math.pi * seconds) if seconds else section.frequency
-        corners.append(float(corner))
+        if isinstance(section, Lag):
+            corners.append(0.5 / (math.pi * section.seconds))
+        else:
+            corners.append(section.frequency)
     at = np.geomspace(0.03 * min(corners), 3.0 * max(corners), 600)
     near = [corner * np.linspace(0.9, 1.1, 101) for corner in corners]
     at = np.unique(np.concatenate([at, *near]))
@@ -474,6 +477,7 @@ def _paint_response(model: Model, what: str, axes: Axes) -> None:
     else:
         axes.plot(at, np.degrees(np.unwrap(np.angle(response))), **SOLID)
         axes.set(ylabel="Phase (degrees)")
+        axes.locator_params(axis="y", steps=[1, 1.5, 3, 4.5, 9])
         label_decades(axes, "x")
     axes.set(xlabel="Frequency (Hz)")
 
@@ -481,4 +485,4 @@ def _paint_response(model: Model, what: str, axes: Axes) -> None:
 def plot_model(model: Model) -> Figure:
     """Return the model's loop as a figure of matplotlib, for a notebook."""
     with style():
-        return figure_of(plots_of_model(model)[0])
+        return figure_of(model_plots(model)[0])

@@ -473,12 +473,12 @@ def _evaluated(pair: Pair, lag: int, remove_offset: bool) -> LogReport:
     notes = list(chosen.notes)
     if figures.nrmse_percent is None:
         notes.append(f"{pair.name}: the move has no range, so no percentage is known")
+    warnings = [*chosen.warnings, *_beyond_expected(chosen, figures)]
     left = math.sqrt(max(figures.rmse**2 - figures.mean**2, 0.0))
-    if left < OFFSET_ALONE * figures.rmse:
+    if left < OFFSET_ALONE * figures.rmse and not warnings:
         notes.append(
             f"{pair.name}: most of the error is its mean: `remove_offset` takes a sensor's zero off"
         )
-    warnings = [*chosen.warnings, *_beyond_expected(chosen, figures)]
     chosen = replace(chosen, notes=tuple(notes), warnings=tuple(warnings))
     return LogReport(pair.name, figures, chosen, lag)
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from dbo_cli.report.render import digits, json_text
 
 if TYPE_CHECKING:
-    from dbo_cli.model import Model, Quantity
+    from dbo_cli.model import Model, Quantity, Section
 
 WIDTH = 96  # characters of a line
 APART = ("logs", "validation", "warnings", "notes")
@@ -97,9 +97,9 @@ class Shown:
 
     def figures(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Draw the model's figures into a folder, PNG and SVG; return the files."""
-        from dbo_cli.report.plots import plots_of_model, save
+        from dbo_cli.report.plots import model_plots, save
 
-        return save(plots_of_model(self.model), folder)
+        return save(model_plots(self.model), folder)
 
 
 def _quantity(quantity: Quantity) -> dict[str, Any]:
@@ -122,21 +122,26 @@ def _range(quantity: Quantity) -> str:
 
 def _segments(model: Model) -> list[int]:
     """Return the number of straight pieces of each point operator."""
+    from dbo_cli.model import Points
+
     counts = []
     for stage in model.stages:
-        if hasattr(stage, "segments"):
-            counts.append(int(stage.segments))
+        if isinstance(stage, Points):
+            counts.append(stage.dx.size)
     return counts
 
 
-def _section(section: Any) -> dict[str, Any]:
+def _section(section: Section) -> dict[str, Any]:
     """Return a section of the dynamics as the model file has it."""
-    if hasattr(section, "seconds"):
-        values = {"lag": section.seconds}
+    from dbo_cli.model import Lag
+
+    values: dict[str, Any] = {}
+    if isinstance(section, Lag):
+        values["lag"] = section.seconds
         if section.lead:
             values["lead"] = section.lead
         return values
-    values = {"frequency": section.frequency, "damping": section.damping}
+    values |= {"frequency": section.frequency, "damping": section.damping}
     zero = section.antiresonance
     if zero is not None:
         values["antiresonance"] = {"frequency": zero.frequency, "damping": zero.damping}
