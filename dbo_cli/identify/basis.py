@@ -16,11 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.identify.recording import Floats
-from dbo_cli.model import kernel
-from dbo_cli.model.relaxation import Relaxation
+from dbo_cli.model import Dynamics, Relaxation, Section, kernel
+from dbo_cli.model.dynamics import SectionStates
 
 Integers = NDArray[np.int64]
-Section = object
 
 GEARS = 2048  # of a model, all of one width
 CELLS = 96  # different slopes among them
@@ -272,7 +271,7 @@ class Filters:
     def __init__(self, sections: tuple[Section, ...], dt: float) -> None:
         self._dynamics = Dynamics(sections) if sections else None
         self._dt = dt
-        self._states: list[object] | None = None
+        self._states: list[SectionStates | None] = []
 
     def run(self, table: Floats) -> Floats:
         """Return a block of columns (rows, columns) behind the sections."""

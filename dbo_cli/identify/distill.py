@@ -56,7 +56,7 @@ class Average:
 
 def frame(structure: Structure) -> tuple[object, ...]:
     """Return what fits must share to be averaged."""
-    return structure.delay, structure.bend, structure.slopes, structure.sections
+    return structure.delay, structure.bend, structure.sections
 
 
 def distill(problem: Problem, average: Average) -> Fit:
@@ -64,8 +64,13 @@ def distill(problem: Problem, average: Average) -> Fit:
     average = average.in_one_frame()
     if len(average.fits) == 1:
         return average.fits[0]
+    slopes = {fit.structure.slopes for fit in average.fits}
     structure = replace(
-        average.fits[0].structure, memories=_memories(average), smooth_slopes=SMOOTH_SLOPES, drift=0
+        average.fits[0].structure,
+        slopes=slopes.pop() if len(slopes) == 1 else "free",
+        memories=_memories(average),
+        smooth_slopes=SMOOTH_SLOPES,
+        drift=0,
     )
     invented = invented_log(problem)
     basis = Basis(problem.cells, problem.taus)
@@ -82,7 +87,7 @@ def distill(problem: Problem, average: Average) -> Fit:
         mean,
         weights / weights.sum(),
         np.zeros((len(table), 0)),
-        problem.cells.count,
+        problem.cells.widths,
         len(problem.taus),
     )
     found = [solve(rows, replace(structure, smooth_curve=CURVES[0]))]

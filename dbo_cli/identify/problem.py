@@ -121,7 +121,7 @@ class Problem:
             output,
             weights,
             self.drift(structure.drift),
-            self.cells.count,
+            self.cells.widths,
             len(self.taus),
         )
 
@@ -141,11 +141,21 @@ class Problem:
         return len(self.swing_sizes)
 
     @property
+    def swings_of_log(self) -> int:
+        """How many swings the log with the fewest has."""
+        return min(len(Swings.of(log.drive[log.rows]).sizes) for log in self.logs)
+
+    @property
     def smaller_swings(self) -> int:
         """How many swings are clearly smaller than the largest; 0 where they are rare."""
         sizes = self.swing_sizes
         small = int(((sizes < SMALL * sizes.max()) & (sizes > SMALLEST_SWING)).sum())
         return small if small > LEAST_PART * len(sizes) else 0
+
+    @property
+    def one_amplitude(self) -> bool:
+        """Whether all swings go over one range, so that other amplitudes cannot be judged."""
+        return self.smaller_swings == 0 and self.swings >= 2
 
     def without_memories_from(self, slowest: float) -> Problem:
         """Return the problem without time constants (s) from ``slowest`` on."""

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError, InputError, UsageError
-
-if TYPE_CHECKING:
-    from dbo_cli.model import Model
+from dbo_cli.model import Model
 
 Floats = NDArray[np.float64]
 Booleans = NDArray[np.bool_]

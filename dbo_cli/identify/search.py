@@ -21,7 +21,7 @@ DRIFTS = (1, 3)
 DELAYS = (0.003, 0.01, 0.03, 0.08)  # of a swing
 FINER_DELAYS = ((0.6, 0.8, 1.25, 1.6), (0.92, 1.08))
 WITHIN_REACH = 0.7  # of the score: worse delays are not refined
-FEWEST_FOR_DRIFT = 4  # swings
+SWINGS_FOR_DRIFT = 4  # of each log, for each order
 SLOWEST = 3.0  # swings: the slowest memory that a log of one amplitude can tell
 REFINED = 2  # kinds of structures whose neighbours are tried
 
@@ -41,11 +41,11 @@ class Choices:
 
 def choices_for(problem: Problem, options: Options) -> tuple[Problem, Choices]:
     """Return what a log can tell, and the problem without memories that it cannot."""
-    small, swings = problem.smaller_swings, problem.swings
-    choices = Choices(drifts=DRIFTS if swings >= FEWEST_FOR_DRIFT and problem.clock else ())
+    drifts = [order for order in DRIFTS if problem.swings_of_log >= SWINGS_FOR_DRIFT * order]
+    choices = Choices(drifts=tuple(drifts) if problem.clock else ())
     if not len(problem.taus):
         choices = replace(choices, memories=("",))
-    if small == 0 and swings >= 2:
+    if problem.one_amplitude:
         rules = ("growing", "falling")
         errors = [
             solve(problem.rows(trial), trial).rmse
@@ -59,7 +59,7 @@ def choices_for(problem: Problem, options: Options) -> tuple[Problem, Choices]:
             smoothness=SLOPE_SMOOTHNESS[:1],
             curves=(np.inf, 1e-1, 1e-3),
         )
-    elif small == 1:
+    elif problem.smaller_swings == 1:
         choices = replace(choices, slopes=("growing", "falling"))
     if options.slopes != "auto":
         choices = replace(choices, slopes=(options.slopes,))

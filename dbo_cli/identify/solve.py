@@ -19,7 +19,7 @@ from dbo_cli.model import kernel
 
 SEGMENTS = 24  # of the curve
 LEAST_SLOPE = 1e-3  # of the mean slope of the cells
-LEAST_WITH_NEGATIVE = 0.03  # the same beside negative gains: what a model must have
+LEAST_WITH_NEGATIVE = 0.031  # the same beside negative gains: a model must have 0.03
 LEAST_CURVE = 0.03  # of the mean slope of the curve
 HOLD = 1e2  # weight of the curve's mean slope: the scale is nobody's
 RIDGE = 1e-9
@@ -39,15 +39,21 @@ class Rows:
     columns : shape (rows, cells + 2 terms)
     output, weights : shape (rows,); weights have the sum 1
     drift : shape (rows, k), free columns beside the model
-    cells, terms : how many slopes and time constants there are
+    widths : shape (cells,), of each slope cell as a share of the drive's range
+    terms : how many time constants there are
     """
 
     columns: Floats
     output: Floats
     weights: Floats
     drift: Floats
-    cells: int
+    widths: Floats
     terms: int
+
+    @property
+    def cells(self) -> int:
+        """How many slopes there are."""
+        return len(self.widths)
 
 
 @dataclass(frozen=True)
@@ -133,7 +139,7 @@ def minimum(
     scaled = np.ascontiguousarray(matrix * scale * scale[:, None])
     goal = right * scale
     tolerance = 1e-10 * float(np.abs(goal).max())
-    for ridge in (0.0, 1e-12, 1e-10, 1e-8):
+    for ridge in (0.0, 1e-12, 1e-10, 1e-8, 1e-6):
         tried, x = states.copy(), np.zeros(len(right))
         damped = scaled
         if ridge:
@@ -208,6 +214,11 @@ class Equations:
             matrix[place, place] += HOLD / self.segments**2
         matrix[np.diag_indices(self.size)] += RIDGE
         return matrix
+
+    def mean_slope(self, fit: Fit) -> float:
+        """Return the mean slope of the gears, the drive that memories leave included."""
+        rests = fit.gains[self.rows.terms :]
+        return float(fit.slopes @ self.rows.widths) + float(rests.sum())
 
     def floors(self, mean: float) -> Floats:
         """Return the least value of each unknown; ``mean`` is the mean slope."""
@@ -309,7 +320,7 @@ class Equations:
         right = gram[:-1, -1] / self.variance
         if self.curved:
             right[self.inner : self.free] += HOLD / self.segments
-        least = self.floors(float(fit.slopes.mean()))
+        least = self.floors(self.mean_slope(fit))
         x, self.states = minimum(matrix, right - matrix @ least, self.states)
         x[self.states == AT_ZERO] = 0.0
         found: Floats = np.where(self.states == FREE, x, np.maximum(x, 0.0)) + least

@@ -1,0 +1,194 @@
+"""Faults of sensors and loggers, mended or left out before anything is fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dbo_cli.errors import FitError, UsageError
+from dbo_cli.identify.recording import (
+    FEWEST_ROWS,
+    Booleans,
+    Floats,
+    Integers,
+    Options,
+    Recording,
+)
+
+SPIKE_WINDOW = 7  # rows: longer ones have turns of the drive in them
+SPIKE_SIGMAS = 8.0
+SPIKE_SPREAD = 2.0  # a spike leaves its neighbours by so many times their spread
+LEAST_SPIKE = 1e-3  # of the range
+MOST_SPIKES = 0.2  # of the rows: more are no spikes
+OF_NORMAL = 1.4826  # standard deviation over the median distance, of normal noise
+STUCK_PATH = 0.08  # of the drive's range: a working sensor of 5 bits repeats itself so far
+CLIPPED_ROWS = 5  # at the sensor's extreme
+CLIPPED_STEEPNESS = 0.35  # of the mean slope: an actuator comes to rest before it stands
+GLITCH = 3.0  # times the largest other step of the drive
+
+
+def clean(
+    recordings: Sequence[Recording], options: Options
+) -> tuple[list[Recording], list[str]]:
+    """Return the logs without what sensors and loggers did to them, and what was done in words.
+
+    Raises
+    ------
+    FitError
+        Too few rows are left.
+    """
+    notes: list[str] = []
+    logs = []
+    for log in recordings:
+        log = without_sensor_delay(log, options.sensor_delay)
+        log = without_glitches(log, notes)
+        good = log.usable & not_skipped(log, options.skip)
+        good &= ~faulty_rows(log, notes)
+        if int(good.sum()) < FEWEST_ROWS:
+            raise FitError(
+                f"{log.name}: {int(good.sum())} usable rows are too few to identify from; record longer, or"
+                " skip less"
+            )
+        logs.append(replace(log, good=good))
+    return logs, notes
+
+
+def without_sensor_delay(log: Recording, delay: float) -> Recording:
+    """Return the log as a sensor without delay (s) would have made it; its last rows are cut off."""
+    if delay == 0.0:
+        return log
+    if log.time is None:
+        raise UsageError(
+            "`sensor_delay` needs a clock: name the time column (`time`) or give `sample_rate`"
+        )
+    displacement = np.interp(log.time + delay, log.time, log.displacement)
+    known = log.time <= log.time[-1] - delay
+    return replace(log, displacement=displacement, good=log.usable & known)
+
+
+def not_skipped(log: Recording, seconds: float) -> Booleans:
+    """Return the rows from ``seconds`` after the first one on."""
+    if seconds == 0.0:
+        return np.ones(len(log.voltage), bool)
+    if log.time is None:
+        raise FitError(
+            f"{log.name}: `skip` needs a clock: name the time column (`time`) or give `sample_rate`"
+        )
+    return log.time - log.time[0] >= seconds
+
+
+def without_glitches(log: Recording, notes: list[str]) -> Recording:
+    """Replace single voltages that jump away and back by the mean of their neighbours."""
+    v = log.voltage
+    middle = np.median((v[:-2], v[1:-1], v[2:]), axis=0)
+    usual = float(np.abs(np.diff(middle)).max())
+    least = max(GLITCH * usual, 0.05 * float(np.ptp(middle)))
+    rows = np.flatnonzero(np.abs(v[1:-1] - middle) > least) + 1
+    if not rows.size or usual == 0.0:
+        return log
+    repaired = v.copy()
+    repaired[rows] = (v[rows - 1] + v[rows + 1]) / 2.0
+    notes.append(
+        f"{log.name}: {rows.size} single voltages that jump away and back were replaced, the first in row"
+        f" {rows[0] + 1}"
+    )
+    return replace(log, voltage=repaired)
+
+
+def faulty_rows(log: Recording, notes: list[str]) -> Booleans:
+    """Return the rows in which the sensor did not measure."""
+    kinds = {
+        "spikes of the displacement": spiked_rows(log.displacement),
+        "the displacement stands still while the drive moves": stuck_rows(log),
+        "the sensor is at the end of its range (clipped)": clipped_rows(log),
+    }
+    faulty = np.zeros(len(log.voltage), bool)
+    for words, rows in kinds.items():
+        new = rows & log.usable & ~faulty
+        if new.any():
+            notes.append(
+                f"{log.name}: {int(new.sum())} rows left out, the first is row {int(np.argmax(new)) + 1}:"
+                f" {words}"
+            )
+        faulty |= rows
+    return faulty
+
+
+def spiked_rows(displacement: Floats, window: int = SPIKE_WINDOW) -> Booleans:
+    """Return rows that leave their neighbours and come back, further than these differ among themselves."""
+    spiked = np.zeros(len(displacement), bool)
+    if len(displacement) < 4 * window:
+        return spiked
+    half = window // 2
+    padded = np.pad(displacement, half, mode="edge")
+    around = np.sort(np.lib.stride_tricks.sliding_window_view(padded, window), axis=1)
+    away = np.abs(displacement - around[:, half])
+    spread = around[:, -1 - window // 3] - around[:, window // 3]
+    sigma = 0.0
+    if (away > 0.0).any():
+        sigma = OF_NORMAL * float(np.median(away[away > 0.0]))
+    spiked = (away > SPIKE_SIGMAS * sigma) & (away > SPIKE_SPREAD * spread)
+    low, high = np.percentile(displacement, [1.0, 99.0])
+    spiked &= away > LEAST_SPIKE * float(high - low)
+    if spiked.mean() > MOST_SPIKES:
+        return np.zeros(len(displacement), bool)
+    return spiked
+
+
+def runs(rows: Booleans) -> Integers:
+    """Return begin and end of each run of true rows; shape (runs, 2)."""
+    edges = np.diff(np.concatenate(([False], rows, [False])).astype(np.int8))
+    return np.column_stack((np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)))
+
+
+def stuck_rows(log: Recording) -> Booleans:
+    """Return rows of runs of one displacement, away from its extremes, over which the drive travels far."""
+    y = log.displacement
+    stuck = np.zeros(len(y), bool)
+    edges = np.flatnonzero(np.diff(y) != 0.0) + 1
+    begins = np.concatenate(([0], edges))
+    ends = np.concatenate((edges, [len(y)]))
+    path = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(log.voltage)))))
+    travelled = path[ends - 1] - path[begins]
+    usual = float(np.percentile(travelled, 90.0))
+    far = travelled > max(STUCK_PATH * float(np.ptp(log.voltage)), 4.0 * usual)
+    for begin, end in zip(begins[far], ends[far], strict=True):
+        if y.min() < y[begin] < y.max():
+            stuck[begin:end] = True
+    return stuck
+
+
+def clipped_rows(log: Recording) -> Booleans:
+    """Return rows where the displacement stands at its own extreme while the drive moves on.
+
+    An actuator may stand still there, too, but it comes to rest by and by; a clipped
+    sensor is cut off in full motion.
+    """
+    y, v = log.displacement, log.voltage
+    clipped = np.zeros(len(y), bool)
+    moving = np.abs(np.diff(v, prepend=v[0])) > 0.0
+    usual = _steepness(y, v)
+    for extreme in (y.min(), y.max()):
+        spans, before = [], []
+        for begin, end in runs((y == extreme) & moving):
+            long = end - begin >= CLIPPED_ROWS
+            if not long or np.ptp(v[begin:end]) <= 0.01 * np.ptp(v):
+                continue
+            spans.append((begin, end))
+            near = slice(max(begin - max((end - begin) // 5, 3), 0), begin + 1)
+            if begin - near.start >= 3:
+                before.append(_steepness(y[near], v[near]))
+        if spans and (not before or np.median(before) > CLIPPED_STEEPNESS * usual):
+            for begin, end in spans:
+                clipped[begin:end] = True
+    return clipped
+
+
+def _steepness(displacement: Floats, voltage: Floats) -> float:
+    """Return the displacement travelled for each volt travelled."""
+    path = float(np.abs(np.diff(voltage)).sum())
+    if path == 0.0:
+        return 0.0
+    return float(np.abs(np.diff(displacement)).sum()) / path

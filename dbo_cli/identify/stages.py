@@ -1,0 +1,135 @@
+"""The stages of a model from a fit in normalised units."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dbo_cli.identify.basis import BEND_SEGMENTS, bent
+from dbo_cli.identify.problem import Problem
+from dbo_cli.identify.recording import Floats, Options, Recording
+from dbo_cli.identify.solve import LEAST_WITH_NEGATIVE, Fit
+from dbo_cli.model import (
+    Candidate,
+    Delay,
+    Dynamics,
+    Gears,
+    Model,
+    Points,
+    Quantity,
+    Relaxation,
+    Scale,
+    Stage,
+)
+
+
+def stages_of(problem: Problem, fit: Fit, zero: float = 0.0) -> tuple[Stage, ...]:
+    """Return the stages of a fit; ``zero`` is taken off the displacement.
+
+    The gears' output is in the displacement's unit, but for sign and offset.
+    """
+    stages: list[Stage] = []
+    structure, height = fit.structure, abs(problem.scale)
+    offset = problem.offset - zero
+    rising = problem.scale > 0.0
+    straight = len(fit.curve) == 1
+    base = offset if rising else 0.0
+    if structure.bend:
+        stages.append(_bend_of(problem, structure.bend))
+    stages.append(_gears_of(problem, fit, height, base if straight else 0.0))
+    if not straight:
+        width = height / len(fit.curve)
+        widths = np.full(len(fit.curve), width)
+        stages.append(Points(widths, width * fit.curve, 0.0, base))
+    if not rising:
+        stages.append(Scale(-1.0, offset))
+    if structure.sections:
+        stages.append(Dynamics(structure.sections))
+    if structure.delay > 0.0:
+        stages.append(Delay(structure.delay))
+    return tuple(stages)
+
+
+def _bend_of(problem: Problem, bend: float) -> Points:
+    """Return the points before the gears that bend the drive."""
+    grid = np.linspace(0.0, 1.0, BEND_SEGMENTS + 1)
+    span = problem.high - problem.low
+    widths = np.full(BEND_SEGMENTS, span / BEND_SEGMENTS)
+    return Points(widths, span * np.diff(bent(grid, bend)), problem.low, problem.low)
+
+
+def _gears_of(problem: Problem, fit: Fit, height: float, base: float) -> Gears:
+    """Return the gears and their relaxation: output is ``base + height * u``."""
+    cells, span = problem.cells, problem.high - problem.low
+    terms = len(problem.taus)
+    lags, rests = np.zeros(terms), np.zeros(terms)
+    if fit.gains.size:
+        lags = fit.gains[:terms]
+    if fit.gains.size > terms:
+        rests = fit.gains[terms:]
+    gears = int(cells.gears.sum())
+    mean = float(fit.slopes @ cells.widths) + float(rests.sum())
+    least = float(rests.sum()) + LEAST_WITH_NEGATIVE * mean * bool(rests.any())
+    slopes = np.maximum(np.repeat(fit.slopes + rests.sum(), cells.gears), least)
+    empty = fit.offset - float(fit.slopes @ cells.widths) / 2.0
+    gains = height * (lags - rests) / span
+    used = gains != 0.0
+    relaxation = None
+    if used.any():
+        taus = tuple(problem.taus[used].tolist())
+        relaxation = Relaxation(problem.low, taus, tuple(gains[used].tolist()))
+    return Gears(
+        np.full(gears, span / gears),
+        slopes * (height / gears),
+        problem.low,
+        base + height * empty,
+        relaxation,
+    )
+
+
+def model_of(
+    problem: Problem,
+    fit: Fit,
+    log: Recording,
+    options: Options,
+    others: Sequence[tuple[float, Fit]] = (),
+) -> Model:
+    """Return the forward model of a fit, with ``others`` (weight and fit) as candidates."""
+    zero = zero_of(log, options)
+    candidates = []
+    for weight, other in others:
+        candidates.append(Candidate(float(weight), stages_of(problem, other, zero)))
+    model = Model(
+        "forward",
+        Quantity(*log.input, problem.low, problem.high),
+        Quantity(*log.output, 0.0, 1.0),
+        stages_of(problem, fit, zero),
+        candidates=tuple(candidates),
+    )
+    low, high = reached_at_rest(model)
+    output = Quantity(*log.output, min(low, high), max(low, high))
+    return replace(model, output=output)
+
+
+def reached_at_rest(model: Model) -> tuple[float, float]:
+    """Return the displacement at rest at both ends of the drive, empty below and full above."""
+    static = model.static
+    ends: list[float] = []
+    for voltage, name in ((model.input.min, "empty"), (model.input.max, "full")):
+        reached, _ = static.simulate(np.asarray([voltage]), dt=1.0, state=name)
+        ends.append(float(reached[0]))
+    return ends[0], ends[1]
+
+
+def zero_of(log: Recording, options: Options) -> float:
+    """Return what the user wants to be zero, in the log's unit."""
+    rows: Floats = log.displacement[log.usable]
+    if options.zero == "none":
+        return 0.0
+    if options.zero == "mean":
+        return float(rows.mean())
+    if options.zero == "first":
+        return float(rows[0])
+    return float(options.zero)
