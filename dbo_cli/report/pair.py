@@ -214,6 +214,7 @@ def predict(
     """
     from dbo_cli.report.expected import expected_of_drive
 
+    model.require("forward", model_name)
     drive = np.asarray(voltage, dtype=np.float64)
     clock = None if time is None else np.asarray(time, dtype=np.float64)
     predicted, _ = model.simulate(drive, time=clock, dt=dt, state=state)
