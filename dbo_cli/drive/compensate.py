@@ -127,15 +127,17 @@ def plan(
             absolute,
         )
         request = lesson.request
-    rounds = bandwidth is not None and lesson is None
+    low_pass = None
+    if bandwidth is not None and lesson is None:
+        low_pass = ZeroPhaseLowPass(bandwidth, even)
     if periodic:
-        if rounds:
-            request = ZeroPhaseLowPass(bandwidth, even).loop(values)
+        if low_pass is not None:
+            request = low_pass.loop(values)
         loop = Loop(model, values, request, time, even, limits, around, on_limit, name)
         return _learned(loop.plan(passes), lesson)
     blocks = [Block(time, values, request)]
-    if rounds:
-        blocks = _rounded(time, values, ZeroPhaseLowPass(bandwidth, even))
+    if low_pass is not None:
+        blocks = _rounded(time, values, low_pass)
     return _learned(
         _whole(Stream(model, blocks, even, limits, around, on_limit, name)),
         lesson,

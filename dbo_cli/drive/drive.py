@@ -103,7 +103,7 @@ class Drive:
     time: Floats | None = None
     desired: Floats = field(default_factory=lambda: NOTHING, repr=False)
     voltage: Floats = field(default_factory=lambda: NOTHING, repr=False)
-    move: slice = slice(0)
+    move: slice = field(default_factory=lambda: slice(0))
     rows: int = 0
     least: float = math.inf
     greatest: float = -math.inf

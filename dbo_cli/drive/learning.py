@@ -441,8 +441,7 @@ def parse_history(text: str, name: str) -> list[PassRecord]:
 
 def _record(name: str, place: int, values: Any) -> PassRecord:
     rmse = values.get("rmse") if isinstance(values, dict) else None
-    is_number = isinstance(rmse, int | float) and not isinstance(rmse, bool)
-    if not is_number or not 0.0 <= rmse <= sys.float_info.max:
+    if not isinstance(rmse, int | float) or not 0.0 <= rmse <= sys.float_info.max:
         raise InputError(f"{name}: passes[{place}].rmse: is not a number of at least 0")
     return PassRecord(str(values.get("drive_sha256", "")), float(rmse))
 

@@ -104,10 +104,7 @@ def settled_drive(
 def looped_state(model: Model, voltage: Floats, dt: float, state: State) -> State:
     """Return gears and memory before a pass of a drive that was repeated for ever, begun in a state."""
     static = model.static
-    begun = dataclasses.replace(state, sections=None, delay=None, undoing=None)
-    if begun.first is not None:
-        begun = dataclasses.replace(begun, first=None, drive=None)
-    begun = static.run(voltage, begun, dt).state
+    begun = static.run(voltage, state, dt).state
     relaxation = model.gears.relaxation
     if relaxation is None or begun.memory is None:
         return begun
@@ -407,9 +404,7 @@ class Loop:
         self._admit(before.voltage, voltage)
         played = np.concatenate([before.voltage, voltage])
         run = model.run(played, before.begun, dt)
-        period = self.time
-        if period is None:
-            period = dt * np.arange(voltage.size)
+        period = dt * np.arange(voltage.size) if self.time is None else self.time
         time = np.concatenate([period[0] - dt * np.arange(count, 0.0, -1.0), period])
         outlook = Outlook(model, loss)
         outlook.see(before.voltage, dt, "lead")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass, field
 from typing import Any
@@ -78,9 +77,9 @@ class Loss:
 
     def add(self, wanted: Floats, voltage: Floats, before: State, dt: Steps) -> None:
         """Add up what rows miss: what was wanted of the static part, less what the voltage reaches."""
-        if before.first is not None:
-            before = dataclasses.replace(before, first=None, drive=None)
         lost = wanted - self.model.static.run(voltage, before, dt).y
+        begin = self.first_clipped - 1 - (self.move.rows - wanted.size)
+        lost[: max(begin, 0)] = 0.0  # a settled start may step over the first value: no limit does
         dynamics = self.model.dynamics
         if dynamics is not None and dt is not None:
             if self._sections is None:

@@ -160,14 +160,15 @@ class Stream:
                 raise InputError(
                     f"{self.name}: row {row:,} holds no number (`skip_bad` leaves such rows out)"
                 )
-            time, dt = block.time, self.step
+            time = block.time
+            dt: Steps = self.step
             if time is not None:
                 if last is None:
                     last = float(time[0]) - (self._usual_step(time) or 0.0)
                 dt = self._even(np.diff(time, prepend=last), rows)
                 last = float(time[-1])
             elif self.step is not None:
-                time = self.step * np.arange(rows, rows + count)
+                time = np.asarray(self.step * np.arange(rows, rows + count))
             rows += count
             yield block._replace(time=time, dt=dt)
 
