@@ -366,12 +366,11 @@ def _paint_spectrum(report: Report, log: LogReport, axes: Axes) -> None:
     label_decades(axes)
 
 
-def label_decades(axes: Axes, sides: str = "xy") -> None:
+def label_decades(axes: Axes) -> None:
     """Label logarithmic axes in plain letters: decades, and 2 and 5 where there are few decades."""
-    for axis, side in ((axes.xaxis, "x"), (axes.yaxis, "y")):
-        if side in sides:
-            axis.set_major_formatter(_decade)
-            axis.set_minor_formatter(partial(_between, axis))
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter(_decade)
+        axis.set_minor_formatter(partial(_between, axis))
 
 
 def _decade(value: float, _: float = 0.0) -> str:
@@ -392,19 +391,14 @@ def _between(axis: Any, value: float, _: float = 0.0) -> str:
 
 
 def model_plots(model: Model) -> list[Plot]:
-    """Return the figures of a model: its loop, and the response of its dynamics where it has any."""
+    """Return the figures of a model: its loop, and what is bent and wide in it."""
     drive = model.input if model.is_forward else model.output
     title = f"The model's loop, {quantity_range(drive)}"
     straight = "The same less a straight line"
-    plots = [
+    return [
         Plot("model-loop", title, TALL, partial(_paint_model_loop, model)),
         Plot("model-hysteresis", straight, WIDE, partial(_paint_hysteresis, model)),
     ]
-    if model.dynamics is not None:
-        for key, what in (("gain", "Gain"), ("phase", "Phase")):
-            paint = partial(_paint_response, model, what)
-            plots.append(Plot(f"model-{key}", f"{what} of the dynamics", WIDE, paint))
-    return plots
 
 
 def quantity_range(quantity: Quantity) -> str:
@@ -452,34 +446,6 @@ def _paint_hysteresis(model: Model, axes: Axes) -> None:
     axes.set(
         xlabel=_quantity(forward.input), ylabel=axis_label(name, forward.output.unit)
     )
-
-
-def _paint_response(model: Model, what: str, axes: Axes) -> None:
-    from dbo_cli.model import Lag
-
-    dynamics = model.forward().dynamics
-    assert dynamics is not None
-    corners = []
-    for section in dynamics.sections:
-        if isinstance(section, Lag):
-            corners.append(0.5 / (math.pi * section.seconds))
-        else:
-            corners.append(section.frequency)
-    at = np.geomspace(0.03 * min(corners), 3.0 * max(corners), 600)
-    near = [corner * np.linspace(0.9, 1.1, 101) for corner in corners]
-    at = np.unique(np.concatenate([at, *near]))
-    response = dynamics.response(at)
-    axes.set_xscale("log")
-    if what == "Gain":
-        axes.plot(at, np.abs(response), **SOLID)
-        axes.set(yscale="log", ylabel="Gain")
-        label_decades(axes)
-    else:
-        axes.plot(at, np.degrees(np.unwrap(np.angle(response))), **SOLID)
-        axes.set(ylabel="Phase (degrees)")
-        axes.locator_params(axis="y", steps=[1, 1.5, 3, 4.5, 9])
-        label_decades(axes, "x")
-    axes.set(xlabel="Frequency (Hz)")
 
 
 def plot_model(model: Model) -> Figure:

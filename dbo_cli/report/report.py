@@ -326,15 +326,15 @@ class Report:
         """Return the report as ``text``, ``json``, ``csv`` or ``html``."""
         from dbo_cli.report import render
 
-        forms = {
-            "text": render.to_text,
-            "json": render.to_json,
-            "csv": render.to_csv,
-            "html": render.to_html,
-        }
-        if form not in forms:
-            raise UsageError(f"`format` {form}: give text, json, csv or html")
-        return forms[form](self)
+        if form == "text":
+            return render.to_text(self)
+        if form == "json":
+            return render.to_json(self)
+        if form == "csv":
+            return render.to_csv(self)
+        if form == "html":
+            return render.to_html(self)
+        raise UsageError(f"`format` {form}: give text, json, csv or html")
 
     def text(self) -> str:
         """Return a verdict and an aligned table."""

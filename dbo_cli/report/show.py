@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from dbo_cli.report.render import digits, json_text
 
 if TYPE_CHECKING:
-    from dbo_cli.model import Model, Quantity, Section
+    from dbo_cli.model import Model, Quantity
 
 WIDTH = 96  # characters of a line
 APART = ("logs", "validation", "warnings", "notes")
@@ -36,8 +36,6 @@ class Shown:
         model, forward = self.model, self.model.forward()
         gears, fit, provenance = forward.gears, model.fit, model.provenance
         relaxation = gears.relaxation
-        dynamics = forward.dynamics
-        sections = [] if dynamics is None else dynamics.sections
         return {
             "format": "dbo-show",
             "version": 1,
@@ -50,7 +48,7 @@ class Shown:
             "segments": _segments(forward),
             "relaxation_seconds": [] if relaxation is None else list(relaxation.tau),
             "delay_seconds": model.delay_seconds,
-            "dynamics": [_section(section) for section in sections],
+            "dynamics": _sections(forward),
             "candidates": len(model.candidates),
             "fit": {key: fit[key] for key in fit if key not in APART},
             "logs": list(fit.get("logs", [])),
@@ -131,21 +129,14 @@ def _segments(model: Model) -> list[int]:
     return counts
 
 
-def _section(section: Section) -> dict[str, Any]:
-    """Return a section of the dynamics as the model file has it."""
-    from dbo_cli.model import Lag
+def _sections(model: Model) -> list[dict[str, Any]]:
+    """Return the sections of the dynamics as the model file has them."""
+    from dbo_cli.model import model_values
 
-    values: dict[str, Any] = {}
-    if isinstance(section, Lag):
-        values["lag"] = section.seconds
-        if section.lead:
-            values["lead"] = section.lead
-        return values
-    values |= {"frequency": section.frequency, "damping": section.damping}
-    zero = section.antiresonance
-    if zero is not None:
-        values["antiresonance"] = {"frequency": zero.frequency, "damping": zero.damping}
-    return values
+    for stage in model_values(model)["stages"]:
+        if stage["type"] == "dynamics":
+            return list(stage["sections"])
+    return []
 
 
 def _operator(values: Mapping[str, Any]) -> str:
