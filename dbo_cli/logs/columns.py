@@ -179,7 +179,8 @@ def named(source: Source, selector: str, option: str) -> Column:
         by_number = [column for column in columns if column.number == int(selector)]
         if not by_number and not by_name:
             raise InputError(
-                f"{name}: there is no column {selector}: {listed(columns)}{source.hint}"
+                f"{name}: there is no column {selector}: {listed(columns)}{source.hint} "
+                f"(`{option}` NAME or NUMBER)"
             )
     if by_name and by_number and by_name != by_number:
         raise InputError(
@@ -196,7 +197,8 @@ def named(source: Source, selector: str, option: str) -> Column:
         elsewhere = source.find(selector)
         if elsewhere is None:
             raise InputError(
-                f"{name}: there is no column '{selector}': {listed(columns)}{source.hint}"
+                f"{name}: there is no column '{selector}': {listed(columns)}{source.hint} "
+                f"(`{option}` NAME or NUMBER)"
             )
         return elsewhere
     if found[0].kind in ("text", "empty"):
@@ -274,6 +276,7 @@ def choose(
             unclear[role] = found
     _refuse_shared(name, columns, chosen)
     if unclear:
+        used |= {column.number for column in chosen.values()}
         raise InputError(f"{name}: {_question(unclear, columns, used)}{source.hint}")
     return {role: chosen[role] for role in selectors if role in chosen}
 

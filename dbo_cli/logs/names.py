@@ -20,6 +20,7 @@ from dbo_cli.logs.headers import (
     UNIT_KEYS,
     is_channel_key,
     is_clock_key,
+    is_setting,
     plain_key,
 )
 from dbo_cli.units import parse_unit, split_header, time_unit
@@ -83,7 +84,7 @@ def find_names(
     elif found:
         names.names = found[0]
     else:
-        _refuse_other_width(name, above, table)
+        _refuse_unclear(name, above, table)
     _fill_from_settings(names, settings, sorted(table.numeric), bool(found))
     return names
 
@@ -132,7 +133,7 @@ def _as_header(line: str, table: Table, above_units: bool) -> list[str] | None:
         words = [cell for cell in cells if cell and not is_number(cell, ".")]
         if len(cells) != table.width or not words:
             continue
-        if above_units or not _is_row(cells, table.numeric):
+        if above_units or not any(_is_figure(cells[n]) for n in table.numeric):
             return cells
     return None
 
@@ -151,10 +152,11 @@ def _ways_to_split(line: str, delimiter: str, is_comment: bool) -> list[list[str
 
 def _fitted(cells: list[str], table: Table) -> list[str]:
     """Leave out cells that belong to no column, and put in those that have no name."""
-    while len(cells) > table.width and _is_beside(cells[-1]):
+    are_units = _are_units(cells[: table.width])
+    while len(cells) > table.width and _is_beside(cells[-1], are_units):
         cells.pop()
     for n, cell in enumerate(cells[: table.width]):
-        is_key = "=" in cell or n not in table.numeric
+        is_key = "=" in cell or not "".join(table.first_row[n : n + 1])
         if is_key and _is_clock_setting(cell.split("=")[0]):
             cells[n] = ""
     if len(cells) == table.width - 1 and cells:
@@ -165,22 +167,15 @@ def _fitted(cells: list[str], table: Table) -> list[str]:
     return cells
 
 
-def _is_beside(cell: str) -> bool:
-    return (
-        cell.lower() in ("", "comment")
-        or _is_clock_setting(cell)
-        or is_number(cell, ".")
-    )
+def _is_beside(cell: str, beside_units: bool) -> bool:
+    """Return whether a cell belongs to no column: blank, a remark, a key, or its value beside units."""
+    if cell.lower() in ("", "comment") or _is_clock_setting(cell):
+        return True
+    return beside_units and is_number(cell, ".")
 
 
 def _is_clock_setting(key: str) -> bool:
     return is_clock_key(key) or plain_key(key) in STARTS
-
-
-def _is_row(cells: Sequence[str], numeric: frozenset[int]) -> bool:
-    """Return whether most of the columns of numbers have one."""
-    numbers = [n for n in numeric if is_number(cells[n], ".")]
-    return 2 * len(numbers) > max(2, len(numeric))
 
 
 def _are_units(cells: Sequence[str]) -> bool:
@@ -192,21 +187,27 @@ def _are_units(cells: Sequence[str]) -> bool:
     return bool(words) and all(parse_unit(cell) or time_unit(cell) for cell in words)
 
 
-def _refuse_other_width(name: str, above: Sequence[str], table: Table) -> None:
-    """Refuse a last line above the rows that names another number of columns than they have."""
-    number = len(above)
-    while number and not above[number - 1].strip():
-        number -= 1
-    if not number or above[number - 1].strip()[0] in "#%":
+def _is_figure(cell: str) -> bool:
+    return is_number(cell, ".") or is_number(cell, ",")
+
+
+def _refuse_unclear(name: str, above: Sequence[str], table: Table) -> None:
+    """Refuse a last line above the rows that may be names for other columns, or a torn row."""
+    blank = 0
+    while blank < len(above) and not above[-1 - blank].strip():
+        blank += 1
+    if blank == len(above) or above[-1 - blank].strip()[0] in "#%":
         return
-    cells = split_cells(above[number - 1], table.delimiter)
+    cells = split_cells(above[-1 - blank], table.delimiter)
     while cells and not cells[-1]:
         cells.pop()
-    words = not any(is_number(cell, ".") for cell in cells)
-    if len(cells) > 1 and len(cells) != table.width and words:
+    if len(cells) < 2 or is_setting(cells[0]) or cells[0].endswith((":", "=")):
+        return
+    figures = any(_is_figure(cell) for cell in cells)
+    if (figures and not blank) or (not figures and len(cells) != table.width):
         raise InputError(
-            f"{name}: {len(cells)} cells in the last line above the rows, which have {table.width} "
-            f"(`delimiter` or `decimal`, or `skip_lines` of all lines above to go by column numbers)"
+            f"{name}: {len(cells)} cells in the last line above the rows, which have {table.width}: names, or "
+            "a row? (`skip_lines` leaves lines out; `delimiter` and `decimal` say how the rows are written)"
         )
 
 

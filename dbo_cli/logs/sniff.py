@@ -300,8 +300,8 @@ def _refuse_other_rows(
         cells = [cell for cell in layout.cells(lines[n]) if cell]
         if cells and all(is_number(cell, layout.decimal or ".") for cell in cells):
             raise InputError(
-                f"{name}:{n + 1}: {len(cells)} numbers above the rows of {layout.width} columns that begin "
-                f"in line {layout.first + 1} (`skip_lines` {n + 1} leaves them out)"
+                f"{name}:{n + 1}: numbers above the rows of {layout.width} columns that begin in line "
+                f"{layout.first + 1} (`skip_lines` {n + 1} leaves them out)"
             )
 
 

@@ -39,7 +39,8 @@ class Column:
     @property
     def quantity(self) -> str:
         """The name without its unit, and without the path above it."""
-        return split_header(self.name.rsplit("::", 1)[-1])[0].rsplit("/", 1)[-1].strip()
+        name = split_header(self.name.rsplit("::", 1)[-1])[0]
+        return name.strip(" /_").rsplit("/", 1)[-1].strip()
 
 
 @dataclass(frozen=True)
