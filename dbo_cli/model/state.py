@@ -22,6 +22,9 @@ NEGLIGIBLE = 1e-9
 """Clipping, and missing a first value, count from this fraction of the range on."""
 
 _EVEN = 1e-6  # of a step: stamps this near to an even clock are one
+# of a step: decimals no coarser than this are the rounding of an even clock
+_COARSE = 0.05
+_LOOKED_AT = 50  # stamps that tell in how many decimals they are written
 
 _INWARDS = 1.0 - 2.0**-51
 """Three roundings (the step in time, the product, this factor) of one part in 2^53 each stay inside it."""
@@ -195,7 +198,7 @@ class Driven(NamedTuple):
 
 
 def steps_of(time: ArrayLike) -> float | Floats:
-    """Return the step (s) of time stamps that are even to a millionth of it, else one a row (0 first).
+    """Return the step (s) of time stamps that are even to rounding, else one a row (0 first).
 
     Raises
     ------
@@ -211,7 +214,20 @@ def steps_of(time: ArrayLike) -> float | Floats:
         row = int(wrong[0]) + 2
         raise InputError(f"row {row}: time goes backwards, to {stamps[row - 1]:.9g} s")
     mean = float(stamps[-1] - stamps[0]) / steps.size
-    rounding = 4.0 * np.finfo(np.float64).eps * float(np.abs(stamps).max())
-    if mean > 0.0 and float(np.abs(steps - mean).max()) <= _EVEN * mean + rounding:
+    slack = _EVEN * mean + 4.0 * float(np.spacing(np.abs(stamps).max()))
+    slack += _last_decimal(stamps[:_LOOKED_AT], _COARSE * mean)
+    if mean > 0.0 and float(np.abs(steps - mean).max()) <= slack:
         return mean
     return np.concatenate([[0.0], steps])
+
+
+def _last_decimal(stamps: Floats, coarsest: float) -> float:
+    """Return the last decimal place of numbers written in decimals; 0 where that is above ``coarsest``."""
+    for places in range(1, 13):
+        unit = 10.0**-places
+        if unit > coarsest:
+            continue
+        off = np.abs(stamps - np.round(stamps, places)).max()
+        if off < 1e-3 * unit + 4.0 * float(np.spacing(np.abs(stamps).max())):
+            return 1.01 * unit
+    return 0.0

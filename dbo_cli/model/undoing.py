@@ -63,7 +63,7 @@ class SectionInverse(NamedTuple):
 
 
 class _Recursion(NamedTuple):
-    """How the state (u - p, q) follows the output y: it becomes matrix @ it + drive (y' - y); u = y + out @ it."""
+    """How (u - p, q) follows the output y: it becomes matrix @ it + drive (y' - y), and u = y + out @ it."""
 
     matrix: Floats
     drive: Floats

@@ -1,0 +1,172 @@
+"""The kernel against the paper's procedure in exact rationals, gear by gear."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dbo_cli.errors import InputError, ModelError
+from dbo_cli.model import Gears, Relaxation, Window
+from tests import reference
+from tests.model.random_models import random_drive, random_gears, random_points
+
+ROWS = 40  # exact rationals grow with every sample of a memory
+widths = st.lists(st.integers(1, 6).map(lambda k: k / 4), min_size=1, max_size=9)
+signals = st.lists(st.integers(-8, 60).map(lambda k: k / 8), min_size=1, max_size=40)
+
+
+def both(dx: list[float]) -> list[float]:
+    return [0.25 + 0.5 * ((3 * k) % 5) for k in range(len(dx))]
+
+
+@settings(max_examples=300, derandomize=True, deadline=None)
+@given(widths, signals, st.integers(0, 2**9 - 1))
+def test_gears_are_the_papers(dx: list[float], signal: list[float], state: int) -> None:
+    """Widths and inputs lie on one grid, so that most samples turn on a breakpoint."""
+    dy = both(dx)
+    bits = state & (1 << len(dx)) - 1
+    paper = reference.Backlash(dx, dy, -0.5, 1.25, bits)
+    expected = [float(paper.step(value)) for value in signal]
+    done = Gears(dx, dy, -0.5, 1.25).run(signal, bits)
+    np.testing.assert_allclose(done.y, expected, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_gears_with_memory_are_the_papers(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    gears = random_gears(rng)
+    drive = random_drive(rng, *gears.x_range, ROWS)
+    steps = rng.uniform(1e-4, 1e-2, ROWS)
+    gain: tuple[float, ...] = ()
+    decay = np.empty((ROWS, 0))
+    reference_voltage = 0.0
+    if gears.relaxation is not None:
+        gain, reference_voltage = gears.relaxation.gain, gears.relaxation.reference
+        decay = gears.relaxation.decay(steps)
+    paper = reference.Relaxed(
+        reference.Backlash(
+            gears.table[:, 0].tolist(), gears.table[:, 1].tolist(), gears.x0, gears.y0
+        ),
+        reference_voltage,
+        gain,
+    )
+    expected = [
+        float(paper.step(value, row))
+        for value, row in zip(drive.tolist(), decay.tolist(), strict=True)
+    ]
+    done = gears.run(drive, 0, None, decay if gain else None)
+    low, high = gears.y_range
+    np.testing.assert_allclose(done.y, expected, rtol=0, atol=1e-9 * (high - low))
+    assert done.bits == paper.gears.state
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_points_are_the_papers(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points = random_points(rng, -1.0, 3.0)
+    signal = rng.uniform(-2.0, 4.0, 50)
+    expected = reference.point(
+        points.dx.tolist(), points.dy.tolist(), points.x0, points.y0, signal.tolist()
+    )
+    got = points.run(signal)
+    np.testing.assert_allclose(got, [float(y) for y in expected], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(points.inverse().run(got), signal, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_blocks_change_nothing(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    gears = random_gears(rng)
+    if seed % 2:
+        gears = gears.inverse()
+    signal = random_drive(rng, *gears.x_range, 500)
+    decay = None
+    if gears.relaxation is not None:
+        decay = gears.relaxation.decay(1e-3)
+    window = None
+    if gears.on == "output":
+        low, high = gears.y_range
+        window = Window(low + 0.2, high - 0.1, 0.1 * (high - low), 1e-9)
+    whole = gears.run(signal, 0, None, decay, window=window)
+    bits, memory, last, parts, clipped = 0, None, None, [], 0
+    begin = 0
+    while begin < 500:
+        end = begin + int(rng.integers(1, 90))
+        part = gears.run(
+            signal[begin:end], bits, memory, decay, window=window, last=last
+        )
+        bits, memory, last = part.bits, part.memory, float(part.y[-1])
+        parts.append(part.y)
+        clipped += part.clipped
+        begin = end
+    assert np.array_equal(np.concatenate(parts), whole.y)
+    assert (bits, memory, clipped) == (whole.bits, whole.memory, whole.clipped)
+
+
+def test_a_settled_state_is_a_decaying_oscillation() -> None:
+    gears = Gears([0.25] * 64, np.linspace(0.1, 0.3, 64))
+    swings = 9.3 + np.exp(-np.arange(4000) / 400) * 16.0 * np.cos(
+        np.pi * np.arange(4000)
+    )
+    swung = gears.run(np.clip(swings, 0.0, 16.0), 0)
+    settled = gears.run([9.3], gears.settled(9.3))
+    swung_there = gears.run([9.3], swung.bits)
+    assert abs(settled.y[0] - swung_there.y[0]) < 2 * 0.3
+    assert gears.settled(-1.0) == 0
+    assert gears.settled(99.0) == gears.all_bits
+
+
+def test_engagement_gives_the_output_back() -> None:
+    rng = np.random.default_rng(4)
+    gears = Gears(rng.uniform(0.1, 1, 60), rng.uniform(0.1, 1, 60), 0.3, -2.0)
+    drive = random_drive(rng, *gears.x_range, 400)
+    rows, bits = gears.engagement(drive)
+    done = gears.run(drive, 0)
+    np.testing.assert_allclose(-2.0 + rows @ gears.dy, done.y, atol=1e-12)
+    assert bits == done.bits
+
+
+def test_lags_are_those_of_the_model() -> None:
+    terms = Relaxation(0.5, (1e-3, 0.1), (1.0, 2.0))
+    gears = Gears([1.0] * 8, [1.0] * 8, 0.0, 0.0, terms)
+    drive = np.linspace(0.0, 8.0, 50)
+    rows, memory = terms.lags(drive, 1e-3)
+    done = gears.run(drive, 0, None, terms.decay(1e-3))
+    bare = Gears([1.0] * 8, [1.0] * 8).run(drive, 0)
+    np.testing.assert_allclose(rows @ [1.0, 2.0], done.y - bare.y, atol=1e-12)
+    assert memory == pytest.approx(done.memory)
+
+
+@pytest.mark.parametrize(
+    ("dx", "dy", "text"),
+    [
+        ([], [], "dx: is empty"),
+        ([1.0, -0.1], [1.0, 1.0], "dx[1]: -0.1"),
+        ([1.0, 1.0], [1.0], "dy: has 1 entries"),
+        ([1.0, 1e-15], [1.0, 1.0], "dx[1]: 1e-15"),
+        ([1.0, float("nan")], [1.0, 1.0], "dx[1]: nan"),
+    ],
+)
+def test_bad_widths_are_named(dx: list[float], dy: list[float], text: str) -> None:
+    with pytest.raises(ModelError) as problem:
+        Gears(dx, dy)
+    assert str(problem.value).startswith(text)
+
+
+def test_negative_gains_must_leave_three_percent_of_the_mean_slope() -> None:
+    dx, dy = [1.0, 1.0], [1.0, 3.0]  # mean slope 2, least 1
+    Gears(dx, dy, 0, 0, Relaxation(0.0, (1.0, 1.0), (-0.5, -0.43)))
+    with pytest.raises(ModelError) as problem:
+        Gears(dx, dy, 0, 0, Relaxation(0.0, (1.0, 1.0, 2.0), (-0.5, -0.45, 9.0)))
+    assert str(problem.value).startswith("relaxation.gain: ")
+    assert "gear 0" in str(problem.value)
+    # the same from the other side
+    with pytest.raises(ModelError):
+        Gears(dy, dx, 0, 0, Relaxation(0.0, (1.0,), (-0.95,)), "output")
+
+
+def test_time_must_not_go_backwards() -> None:
+    with pytest.raises(InputError, match="time step 2"):
+        Relaxation(0.0, (1.0,), (1.0,)).decay([0.1, -0.1])

@@ -1,0 +1,387 @@
+"""Models: the exact inverse, blocks, starts, limits, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dbo_cli.errors import InputError, ModelError
+from dbo_cli.model import (
+    Candidate,
+    Delay,
+    Dynamics,
+    Gears,
+    Lag,
+    Mode,
+    Model,
+    OutsideError,
+    Points,
+    Quantity,
+    Relaxation,
+    Resonance,
+    Scale,
+    Stage,
+    State,
+    VoltageWindow,
+    read_ahead,
+    steps_of,
+)
+from tests.model.random_models import DT, Floats, random_drive, random_model
+
+VOLTAGE = Quantity("voltage", "V", 0.0, 10.0)
+DISPLACEMENT = Quantity("displacement", "um", 0.0, 20.0)
+TERMS = Relaxation(1.0, (1e-3, 0.05, 2.0), (0.2, -0.3, 0.1))
+
+
+def plant(*behind: Stage, relaxation: Relaxation | None = TERMS) -> Model:
+    """A scanner of 100 gears, a few curves, and what stands behind them."""
+    gears = Gears([0.1] * 100, np.linspace(0.1, 0.3, 100), 0.0, 0.0, relaxation)
+    low, high = gears.y_range
+    curve = Points([1.0, high - low - 1.0], [1.2, high - low - 1.2], low, low)
+    return Model("forward", VOLTAGE, DISPLACEMENT, (gears, curve, *behind))
+
+
+@pytest.mark.parametrize("batch", range(10))
+def test_the_inverse_is_exact(batch: int) -> None:
+    """1,000 random models, half of them with negative gains."""
+    for seed in range(100 * batch, 100 * batch + 100):
+        rng = np.random.default_rng(seed)
+        assert round_trip_error(rng, random_model(rng, negative=seed % 2 == 0)) <= 1e-12
+
+
+def round_trip_error(rng: np.random.Generator, model: Model) -> float:
+    """The worst error of the drive after the model and its inverse, over the range."""
+    low, high = model.input.min, model.input.max
+    drive = random_drive(rng, low, high, 300)
+    drive[:25], drive[-25:] = drive[0], drive[-1]  # a delay holds back what was before
+    displacement, _ = model.simulate(drive, dt=DT)
+    begun = model.start(float(drive[0]))
+    back, _ = model.inverse().simulate(displacement, dt=DT, state=begun)
+    return float(np.abs(back - drive)[:-25].max()) / (high - low)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_inverse_is_exact_on_any_clock(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    model = random_model(rng, delays=False, negative=True)
+    low, high = model.input.min, model.input.max
+    drive = random_drive(rng, low, high, 300)
+    time = np.cumsum(10.0 ** rng.uniform(-5, 1, 300))
+    displacement, _ = model.simulate(drive, time=time)
+    begun = model.start(float(drive[0]))
+    back, _ = model.inverse().simulate(displacement, time=time, state=begun)
+    np.testing.assert_allclose(back, drive, rtol=0, atol=1e-12 * (high - low))
+
+
+def in_blocks(rng: np.random.Generator, x: Floats) -> list[Floats]:
+    """A signal cut at random."""
+    edges = np.sort(rng.integers(0, x.size, 12))
+    return np.split(x, edges)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_blocks_change_nothing(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    sections = (
+        Resonance(80.0, 0.03, Mode(95.0, 0.05)),
+        Lag(4e-3, 1e-3),
+        Resonance(150.0, 0.1),
+    )
+    delay = Delay(float(rng.choice([0.0, 3e-3, 0.4e-3, 2.3e-3, 17.7e-3])))
+    model = plant(Dynamics(sections), delay)
+    drive = random_drive(rng, 0.0, 10.0, 600)
+    whole, after = model.simulate(drive, dt=DT)
+    state, parts = model.start(float(drive[0])), []
+    for block in in_blocks(rng, drive):
+        done = model.run(block, state, DT)
+        state = done.state
+        parts.append(done.y)
+    assert np.array_equal(np.concatenate(parts), whole)
+    assert state == after
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_a_drive_in_blocks_is_the_drive(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    seconds = float(rng.choice([0.0, 3e-3, 0.4e-3, 1.5e-3, 17.7e-3]))
+    model = plant(Dynamics((Resonance(80.0, 0.03), Lag(4e-3))), Delay(seconds))
+    wanted = 8.0 + np.cumsum(np.cumsum(rng.normal(size=600))) * 1e-3
+    window = VoltageWindow(1.0, 9.0, 4000.0)
+
+    def driven(blocks: list[Floats]) -> tuple[Floats, State]:
+        undoing, state, parts = None, None, []
+        named = ((None, block) for block in blocks)
+        for _, known in read_ahead(named, model.ahead(DT)):
+            u, undoing = model.undo(known, undoing, DT)
+            if state is None:
+                state = model.start_drive(float(u[0]), "auto", 1.0, 9.0)
+            done = model.drive(u, state, DT, window)
+            state = done.state
+            parts.append(done.voltage)
+        assert state is not None
+        return np.concatenate(parts), replace(state, undoing=undoing)
+
+    voltage, state = driven([wanted])
+    cut, cut_state = driven(in_blocks(rng, wanted))
+    np.testing.assert_allclose(cut, voltage, rtol=0, atol=1e-12)
+    assert cut_state.bits == state.bits
+    assert cut_state.undoing is not None and state.undoing is not None
+    assert cut_state.undoing.past == state.undoing.past
+
+
+def smooth_move(model: Model, rows: int) -> Floats:
+    """A sine that grows out of a rest at the lower end, where the start is known."""
+    lowest = model.simulate([0.0], dt=DT)[0][0]
+    k = np.maximum(np.arange(rows) - 100, 0)
+    grown = np.minimum(1.0, k / 1000) ** 2
+    return np.asarray(lowest + 7.0 * grown * (1.0 - np.cos(2.0 * np.pi * k * 4.0 * DT)))
+
+
+@pytest.mark.parametrize("seconds", [0.0, 2e-3, 1.37e-3])
+@pytest.mark.parametrize("damping", [0.02, 0.3])
+def test_dynamics_and_delay_are_undone(seconds: float, damping: float) -> None:
+    """A smooth move from the lower end comes out as wanted; a part of a sample leaves interpolation."""
+    model = plant(Dynamics((Resonance(60.0, damping), Lag(2e-3))), Delay(seconds))
+    wanted = smooth_move(model, 3000)
+    known = np.concatenate([wanted, np.full(model.ahead(DT), wanted[-1])])
+    u, _ = model.undo(known, None, DT)
+    state = model.start_drive(float(u[0]))
+    voltage = model.drive(u, state, DT).voltage
+    reached, _ = model.simulate(voltage, dt=DT)
+    error = np.abs(reached - wanted)[50:-50].max()
+    assert error < (1e-12 if seconds != 1.37e-3 else 2e-6) * 8.0
+
+
+def test_a_resonance_too_fast_for_the_rate_is_refused() -> None:
+    model = plant(Dynamics((Resonance(301.0, 0.02),)))
+    with pytest.raises(InputError, match="resample"):
+        model.ahead(DT)
+    plant(Dynamics((Resonance(299.0, 0.02),))).ahead(DT)
+
+
+def test_dynamics_are_the_continuous_ones() -> None:
+    """A ramp and a rest between samples: the recursion against the exact solution."""
+    section = Resonance(50.0, 0.1)
+    time = np.arange(400) * DT
+    x = np.minimum(time, 0.1)
+    y, _ = Dynamics((section,)).run(x, DT)
+    omega, zeta = 2 * np.pi * 50.0, 0.1
+    damped = omega * np.sqrt(1 - zeta**2)
+
+    def ramp(t: Floats) -> Floats:
+        late = 2 * zeta / omega
+        swing = late * np.cos(damped * t) + (2 * zeta**2 - 1) / damped * np.sin(
+            damped * t
+        )
+        return np.where(t > 0, t - late + np.exp(-zeta * omega * t) * swing, 0.0)
+
+    np.testing.assert_allclose(y, ramp(time) - ramp(time - 0.1), rtol=0, atol=1e-12)
+
+
+def test_loops_are_settled() -> None:
+    model = plant(Dynamics((Resonance(60.0, 0.02, Mode(90.0, 0.01)),)), Delay(1.3e-3))
+    period = 5.0 + np.sin(2 * np.pi * np.arange(200) / 200)
+    undone = model.undo_loop(period, DT)
+    back = model.follow_loop(undone, DT)
+    np.testing.assert_allclose(back, period, rtol=0, atol=2e-5)
+    many, _ = model.dynamics.run(np.tile(undone, 200), DT)  # type: ignore[union-attr]
+    late, _ = model.delay.run(many, DT)  # type: ignore[union-attr]
+    np.testing.assert_allclose(late[-200:], back, rtol=0, atol=1e-9)
+
+
+# ---- limits ----
+
+
+moves = st.lists(st.floats(-50.0, 80.0), min_size=1, max_size=60)
+
+
+@settings(max_examples=300, derandomize=True, deadline=None)
+@given(
+    moves,
+    st.floats(0.0, 9.0),
+    st.floats(0.01, 5.0),
+    st.floats(0.1, 1e5),
+    st.integers(0, 3),
+)
+def test_no_voltage_leaves_the_window(
+    wanted: list[float], low: float, width: float, slew: float, kind: int
+) -> None:
+    model = plant()
+    if kind == 1:
+        model = plant(relaxation=None)
+    if kind == 2:
+        bend = Points([4.0, 6.0], [6.0, 4.0])
+        model = model.with_stages((bend, *model.stages))
+    if kind == 3:
+        model = model.with_stages((Scale(-1.0, 10.0), *model.stages))
+    window = VoltageWindow(low, low + width, slew)
+    state = model.start_drive(wanted[0], "auto", window.low, window.high)
+    done = model.drive(wanted, state, DT, window)
+    assert (done.voltage >= window.low).all()
+    assert (done.voltage <= window.high).all()
+    steps = np.abs(np.diff(done.voltage))
+    rounding = 8 * 2.0**-52 * np.abs(done.voltage).max()
+    assert (steps <= slew * DT + rounding).all()
+    # the state is that of the actuator driven by what was left
+    begun = replace(state, first=None)
+    driven = model.run(done.voltage, begun, DT)
+    assert driven.state.bits == done.state.bits
+    assert driven.state.memory == pytest.approx(done.state.memory, abs=1e-12)
+
+
+def test_a_drive_without_clipping_reaches_what_is_wanted() -> None:
+    model = plant(relaxation=None)
+    wanted = 9.0 + 6.0 * np.sin(np.arange(500) * 0.05)
+    state = model.start_drive(9.0)
+    done = model.drive(wanted, state, DT, VoltageWindow(0.0, 10.0))
+    reached, _ = model.simulate(done.voltage, dt=DT)
+    assert done.clipped == 0
+    np.testing.assert_allclose(reached[1:], wanted[1:], rtol=0, atol=1e-12)
+    assert wanted[0] - reached[0] == pytest.approx(done.missed, abs=1e-8)
+    assert abs(done.missed) < 0.3  # one gear
+
+
+def test_clipped_rows_are_counted() -> None:
+    done = plant(relaxation=None).drive(
+        [5.0, 6.0, 50.0, 7.0, -9.0],
+        State(0, drive=1.0),
+        DT,
+        VoltageWindow(0.0, 10.0),
+    )
+    assert (done.clipped, done.first_clipped) == (2, 2)
+    assert done.voltage[2] == 10.0
+    assert done.voltage[4] == 0.0
+
+
+# ---- starts ----
+
+
+def test_starts() -> None:
+    model = plant()
+    assert model.start(-1.0).bits == 0
+    assert model.start(5.0, "empty").bits == 0
+    assert model.start(5.0, "full").bits == model.gears.all_bits
+    assert model.start(5.0).bits == model.gears.settled(5.0)
+    with pytest.raises(ModelError, match="auto, empty, full, settled"):
+        model.start(5.0, "sideways")
+    assert model.start_drive(5.0, "full").drive == pytest.approx(10.0)
+    assert model.start_drive(5.0, "full", 0.0, 9.0).drive == 9.0
+    assert model.start_spread(5.0) > 100 * model.start_spread(1e-9)
+
+
+@pytest.mark.parametrize("wanted", np.linspace(-3.0, 22.0, 21))
+def test_a_drive_starts_as_the_model_driven_by_it(wanted: float) -> None:
+    model = plant()
+    begun = model.start_drive(float(wanted), "auto", 0.0, 10.0)
+    assert begun.first is not None
+    assert model.start(begun.first).bits == begun.bits
+    reached = model.simulate([begun.first], dt=DT)[0]
+    if 0.0 < begun.first < 10.0:
+        assert abs(reached[0] - wanted) < 0.4
+
+
+def test_a_state_goes_on_where_it_was_left() -> None:
+    model = plant(Dynamics((Resonance(60.0, 0.02),)), Delay(2e-3))
+    drive = random_drive(np.random.default_rng(1), 0.0, 10.0, 400)
+    whole, _ = model.simulate(drive, dt=DT)
+    _, middle = model.simulate(drive[:150], dt=DT)
+    assert middle.drive == drive[149]
+    rest, _ = model.simulate(drive[150:], dt=DT, state=middle)
+    assert np.array_equal(rest, whole[150:])
+
+
+def test_undoing_goes_on_behind_played_voltages() -> None:
+    """What undoing remembers follows from the state of the forward dynamics."""
+    model = plant(Dynamics((Resonance(60.0, 0.05, Mode(80.0, 0.1)), Lag(3e-3))))
+    u, undoing = model.undo(smooth_move(model, 800), None, DT)
+    done = model.drive(u, model.start_drive(float(u[0])), DT)
+    again = model.undoing_of(done.state, DT)
+    assert undoing is not None and again is not None
+    np.testing.assert_allclose(again.sections, undoing.sections, rtol=0, atol=1e-8)
+    kept = replace(done.state, undoing=undoing)
+    assert model.undoing_of(kept, DT) is undoing
+    assert model.undoing_of(State(0), DT) is None
+
+
+# ---- what is outside, and what is refused ----
+
+
+def test_outside() -> None:
+    model = plant(relaxation=None)
+    done = model.run([1.0, 11.0, 12.0, -1.0], model.start(1.0))
+    assert (done.outside, done.first_outside) == (3, 1)
+    slope = 0.3 * (done.y[2] - done.y[1]) / (done.y[2] - done.y[1])
+    assert done.y[2] > done.y[1] and slope == pytest.approx(0.3)
+    held = model.run([1.0, 11.0, 12.0, -1.0], model.start(1.0), outside="hold")
+    assert held.y[1] == held.y[2]
+    with pytest.raises(OutsideError) as problem:
+        model.run([1.0, 11.0], model.start(1.0), outside="error")
+    assert problem.value.index == 1
+
+
+def test_time_is_asked_for() -> None:
+    with pytest.raises(ModelError, match="sample_rate"):
+        plant().simulate([1.0, 2.0])
+    model = plant(relaxation=None)
+    model.simulate([1.0, 2.0])
+    with pytest.raises(ModelError, match="sample_rate"):
+        model.drive([1.0], State(0), None, VoltageWindow(0.0, 1.0, 1.0))
+    uneven = np.array([0.0, 1e-3, 3e-3])
+    with pytest.raises(InputError, match="resample"):
+        plant(Delay(1e-3)).inverse().simulate([1.0, 2.0, 3.0], time=uneven)
+
+
+def test_clocks() -> None:
+    assert steps_of(np.round(np.arange(1000) / 3000, 9)) == pytest.approx(1 / 3000)
+    assert steps_of(1.7e9 + np.arange(50) * 0.001) == pytest.approx(1e-3)
+    uneven = steps_of([0.0, 1.0, 3.0])
+    assert isinstance(uneven, np.ndarray)
+    assert uneven.tolist() == [0.0, 1.0, 2.0]
+    with pytest.raises(InputError, match="row 3"):
+        steps_of([0.0, 1.0, 0.5])
+
+
+def test_signs_and_digests() -> None:
+    model = plant()
+    falling = model.with_stages((*model.stages, Scale(-2.0, 1.0)))
+    assert (model.sign, falling.sign) == ("rising", "falling")
+    assert falling.inverse().digest == falling.digest != model.digest
+    assert falling.inverse().sign == "falling"
+    with pytest.raises(ModelError, match="invert"):
+        falling.require("inverse")
+
+
+@pytest.mark.parametrize(
+    ("stages", "place"),
+    [
+        ((Scale(1.0, 0.0),), "stages: no backlash"),
+        ((Gears([1], [1]), Gears([1], [1])), "stages[1]: only one"),
+        ((Gears([1], [1]), Delay(1.0), Scale(1.0, 0.0)), "stages[2]: the order"),
+        ((Dynamics((Lag(1.0),)), Gears([1], [1])), "stages[1]: the order"),
+        ((Gears([1], [1]), Delay(-1.0)), "stages[1].seconds"),
+        (
+            (Gears([1], [1], 0, 0, Relaxation(0.0, (1.0,), (1.0,)), "output"),),
+            "stages[0].relaxation.on",
+        ),
+    ],
+)
+def test_bad_cascades_are_named(stages: tuple[Stage, ...], place: str) -> None:
+    with pytest.raises(ModelError) as problem:
+        Model("forward", VOLTAGE, DISPLACEMENT, stages)
+    assert str(problem.value).startswith(place)
+
+
+def test_candidates_are_models_of_the_same_quantities() -> None:
+    model = plant()
+    other = Candidate(0.4, (Gears([10.0], [20.0]),))
+    both = replace(model, candidates=(other,))
+    ((weight, candidate),) = both.candidate_models()
+    assert weight == 0.4
+    assert candidate.input == model.input
+    assert both.inverse().candidates == ()
+    with pytest.raises(ModelError, match="candidates"):
+        replace(model, candidates=(other,) * 6)

@@ -1,0 +1,118 @@
+"""The paper's procedures line by line, in exact rationals: slow, obvious, and right.
+
+Every fast path must equal these. Inputs are floats, taken at their exact value. Outside
+the range, which the paper leaves open, the slope of gear n - 1 goes on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+
+
+def find_first_one(bits: list[int]) -> int:
+    """S = f1(B) (4); n where there is none."""
+    for i, bit in enumerate(bits):
+        if bit == 1:
+            return i
+    return len(bits)
+
+
+def find_first_zero(bits: list[int]) -> int:
+    """Z = f0(B) (5); n where there is none."""
+    for i, bit in enumerate(bits):
+        if bit == 0:
+            return i
+    return len(bits)
+
+
+class Backlash:
+    """A discrete backlash operator, (1)-(12); ``bits[i]`` is b_i."""
+
+    def __init__(
+        self,
+        dx: Sequence[float],
+        dy: Sequence[float],
+        x0: float,
+        y0: float,
+        state: int = 0,
+    ) -> None:
+        self.dx = [Fraction(width) for width in dx]
+        self.dy = [Fraction(width) for width in dy]
+        self.x0, self.y0 = Fraction(x0), Fraction(y0)
+        self.bits = [state >> i & 1 for i in range(len(self.dx))]
+
+    @property
+    def state(self) -> int:
+        """B (1)."""
+        return sum(bit << i for i, bit in enumerate(self.bits))
+
+    def coordinates(self) -> tuple[Fraction, Fraction]:
+        """X_B (2) and Y_B (3)."""
+        crossed = [i for i, bit in enumerate(self.bits) if bit == 1]
+        x_b = sum((self.dx[i] for i in crossed), self.x0)
+        y_b = sum((self.dy[i] for i in crossed), self.y0)
+        return x_b, y_b
+
+    def step(self, value: float) -> Fraction:
+        """Steps 1 to 4 of the procedure, repeated until there is an output."""
+        x = Fraction(value)
+        n = len(self.bits)
+        while True:
+            x_b, y_b = self.coordinates()
+            s, z = find_first_one(self.bits), find_first_zero(self.bits)
+            if (z == n and x >= x_b) or (s == n and x < x_b):  # beyond the range
+                return y_b + self.dy[n - 1] / self.dx[n - 1] * (x - x_b)
+            if z < n and x_b <= x < x_b + self.dx[z]:
+                return y_b + self.dy[z] / self.dx[z] * (x - x_b)  # (11)
+            if z < n and x >= x_b + self.dx[z]:
+                self.bits[z] = 1  # (6)-(7)
+                continue
+            if s < n and x_b - self.dx[s] < x < x_b:
+                return y_b + self.dy[s] / self.dx[s] * (x - x_b)  # (12)
+            self.bits[s] = 0  # (8)-(9)
+
+
+class Relaxed:
+    """Gears with memories beside them: u = Gamma(v) + sum c_j L_j; the decays a_j are taken as they are."""
+
+    def __init__(
+        self, gears: Backlash, reference: float, gain: Sequence[float]
+    ) -> None:
+        self.gears = gears
+        self.reference = Fraction(reference)
+        self.gain = [Fraction(c) for c in gain]
+        self.memory: list[Fraction] | None = None  # at rest at the first sample
+
+    def step(self, value: float, decay: Sequence[float]) -> Fraction:
+        """One sample of the voltage."""
+        drive = Fraction(value) - self.reference
+        if self.memory is None:
+            self.memory = [drive for _ in self.gain]
+        for j, a in enumerate(decay):
+            self.memory[j] = Fraction(a) * self.memory[j] + (1 - Fraction(a)) * drive
+        known = sum(
+            (c * m for c, m in zip(self.gain, self.memory, strict=True)), Fraction(0)
+        )
+        return self.gears.step(value) + known
+
+
+def point(
+    dx: Sequence[float], dy: Sequence[float], x0: float, y0: float, values: list[float]
+) -> list[Fraction]:
+    """A discrete point operator, (13)-(16), over a signal, its state C starting at 0."""
+    widths, heights = [Fraction(w) for w in dx], [Fraction(w) for w in dy]
+    c, outputs = 0, []
+    for value in values:
+        x = Fraction(value)
+        while True:
+            x_c = Fraction(x0) + sum(widths[:c], Fraction(0))  # (13)
+            y_c = Fraction(y0) + sum(heights[:c], Fraction(0))  # (14)
+            if x > x_c + widths[c] and c < len(widths) - 1:
+                c += 1
+            elif x < x_c and c > 0:
+                c -= 1
+            else:
+                outputs.append(y_c + heights[c] / widths[c] * (x - x_c))  # (16)
+                break
+    return outputs
