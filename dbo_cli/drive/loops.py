@@ -319,6 +319,7 @@ class Loop:
             settled = again
             if away <= SAME_DRIVE * self.model.input.span:
                 break
+        begun = self._start(float(settled.voltage[0]))
         return Before(NOTHING, NOTHING, begun), settled
 
     # --- the period ---

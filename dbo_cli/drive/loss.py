@@ -79,7 +79,9 @@ class Loss:
         """Add up what rows miss: what was wanted of the static part, less what the voltage reaches."""
         lost = wanted - self.model.static.run(voltage, before, dt).y
         begin = self.first_clipped - 1 - (self.move.rows - wanted.size)
-        lost[: max(begin, 0)] = 0.0  # a settled start may step over the first value: no limit does
+        lost[: max(begin, 0)] = (
+            0.0  # a settled start may step over the first value: no limit does
+        )
         dynamics = self.model.dynamics
         if dynamics is not None and dt is not None:
             if self._sections is None:

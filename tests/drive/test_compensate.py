@@ -13,7 +13,7 @@ from dbo_cli.drive import Limits, plan, stream
 from dbo_cli.errors import DboWarning, InputError, LimitError, UsageError
 from dbo_cli.model import Lag, Model, Resonance
 
-from .actuators import actuator, actuators, gentle, reach, ripple
+from .actuators import actuator, actuators, gentle, ripple
 
 pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 RATE = 1000.0
@@ -116,7 +116,7 @@ def test_a_pause_lets_memory_go_on() -> None:
 def test_auto_clips_little_and_refuses_much() -> None:
     model = actuator()
     little = ripple(model, 1000, 0.9)
-    top = reach(model, 0.0, 91.0)[1]
+    top = float(model.run(np.array([91.0]), model.start(91.0, "empty")).y[0])
     little = little - little.max() + top
     limits = limits_of(model, 0, 90)
     with warnings.catch_warnings(record=True) as caught:

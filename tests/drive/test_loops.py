@@ -35,7 +35,11 @@ def test_a_loop_is_a_fixed_point_of_the_pass(
     model: Model, phase: float, passes: int
 ) -> None:
     wanted = ripple(model, 250, 0.6, 1.0, phase)
-    drive = plan(model, wanted, DT, limits_of(model), periodic=True, passes=passes)
+    try:
+        drive = plan(model, wanted, DT, limits_of(model), periodic=True, passes=passes)
+    except LimitError as refused:  # few gears: no start leads to the loop
+        assert "does not settle" in str(refused) and model.gears.n <= 7
+        return
     lead = drive.move.start
     assert drive.move.stop - lead == 250
     assert drive.clipped == 0
