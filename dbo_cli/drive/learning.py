@@ -282,8 +282,8 @@ class RepeatedMove:
         number = 1 + errors.index(best)
         raise InputError(
             f"{name}: the error grew: this pass is {passed.rmse:.3g}{self.unit} off (RMS), the last one was "
-            f"{errors[-1]:.3g}{self.unit}, and the best, pass {number}, {best:.3g}{self.unit} (learn from that "
-            "one again, with a lower `bandwidth` or a better model)"
+            f"{errors[-1]:.3g}{self.unit}, and the best, pass {number}, {best:.3g}{self.unit} (learn from "
+            "that again, with a lower `bandwidth` or a better model)"
         )
 
     def _start_problem(self, name: str, zero: float) -> tuple[str, ...]:

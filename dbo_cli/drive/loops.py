@@ -441,8 +441,8 @@ class Loop:
         if most is not None and abs(first - last) > most:
             unit = self.limits.suffix
             raise LimitError(
-                f"the amplifier stands at {last:.6g}{unit}, and {self.limits.slew:g}{unit}/s does not bring it "
-                f"to {first:.6g}{unit} in one row (`approach` auto ramps there)"
+                f"the amplifier stands at {last:.6g}{unit}, and {self.limits.slew:g}{unit}/s does not bring "
+                f"it to {first:.6g}{unit} in one row (`approach` auto ramps there)"
             )
 
 

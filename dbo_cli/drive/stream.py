@@ -212,7 +212,7 @@ class Stream:
             self.model, float(first.wanted[0]), step or 0.0, self.limits, around
         )
         self._state = lead.state
-        if not lead.rows:
+        if not lead.voltage.size:
             self._require_start(first)
         return lead
 
