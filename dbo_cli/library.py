@@ -396,7 +396,7 @@ def columns_by_role(frame: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, str | 
             frame.attrs.get("units", {"voltage": "V", "displacement": "um"})
         )
     found = columns_of_names(
-        [str(name) for name in frame.columns], ("time", "voltage", "displacement")
+        [str(name) for name in frame.columns], dict.fromkeys(("time", "voltage", "displacement"))
     )
     names = {frame.columns[column.number - 1]: role for role, column in found.items()}
     units = {role: column.unit for role, column in found.items()}

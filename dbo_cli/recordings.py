@@ -83,7 +83,7 @@ def provenance(recordings: Sequence[Recording], logs: Sequence[Log]) -> dict[str
 
     sources = []
     for recording, log in zip(recordings, logs, strict=True):
-        source: dict[str, Any] = {"name": Path(log.name).name, "rows": recording.rows}
+        source: dict[str, Any] = {"name": Path(log.name).name, "rows": len(recording.voltage)}
         for role, column in log.columns.items():
             source[role] = column.name
         sources.append(source)

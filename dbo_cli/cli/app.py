@@ -51,7 +51,7 @@ class Command(TyperCommand):
             if record is None:
                 continue
             if parameter.param_type_name == "argument":
-                groups["Arguments"].append((parameter.metavar, parameter.help))
+                groups["Arguments"].append((str(parameter.metavar), getattr(parameter, "help", "")))
             else:
                 groups.setdefault(_heading(parameter), []).append(record)
         groups[OUTPUT] = groups.pop(OUTPUT)  # last

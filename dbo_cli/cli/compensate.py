@@ -293,7 +293,7 @@ def drive_columns(actuator: Model, clocked: bool) -> list[tuple[str, str | None]
     return columns
 
 
-def about(actuator: Model, limits: Limits) -> dict[str, str]:
+def about(actuator: Model, limits: Limits) -> dict[str, str | float]:
     """Return what an HDF5 drive says of itself: its model and its limits."""
     return {"model": actuator.digest, "limits": json.dumps(limits.as_dict())}
 

@@ -252,7 +252,7 @@ def _with_options(
     for name, (kind, option) in options.items():
         option.rich_help_panel = panel
         default = False if kind is bool else None
-        annotation = Annotated[kind, option]
+        annotation = Annotated[kind, option]  # type: ignore[valid-type]
         parameters.append(
             inspect.Parameter(
                 name,

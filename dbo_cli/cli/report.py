@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -20,7 +21,7 @@ from dbo_cli.cli.options import (
     quantity,
     reads_logs,
 )
-from dbo_cli.cli.say import detail, say
+from dbo_cli.cli.say import detail, say, shell_line
 from dbo_cli.cli.simulate import START_NAMES
 from dbo_cli.errors import UsageError, warn
 
@@ -121,6 +122,8 @@ def report(
     Examples: dbo report uncompensated.csv compensated.csv -o report.html;
     dbo report tracked.csv --trajectory drive.csv --max-nrmse-percent 1
     """
+    import dataclasses
+
     from dbo_cli.logs import write_text
     from dbo_cli.model import read_model
     from dbo_cli.report import Report, expected_in
@@ -136,7 +139,9 @@ def report(
         "measured": measured,
         "voltage": voltage,
     }
-    pairs, units = [], {}
+    names = dict(zip(logs, short_names(logs), strict=True))
+    pairs: list[Pair] = []
+    units: dict[str, str] = {}
     for log in logs:
         if actuator is not None and model is not None:
             pair, found = predicted(log, reading, columns, actuator, model, state)
@@ -145,7 +150,7 @@ def report(
         else:
             pair, found = beside(log, reading, columns, units)
         units = units or found
-        pairs.append(pair)
+        pairs.append(dataclasses.replace(pair, name=names[log]))
     unit = units.get("measured")
     result = Report.of(
         pairs,
@@ -160,6 +165,7 @@ def report(
         max_rmse=quantity("max_rmse", max_rmse, unit),
         max_nrmse_percent=number("max_nrmse_percent", max_nrmse_percent),
         command=command_line(),
+        spell=shell_line,
     )
     write_text(output, result.render(form or form_of(output)))
     if figures is not None:
@@ -173,6 +179,12 @@ def report(
     result.require_passed()
 
 
+def short_names(logs: list[str]) -> list[str]:
+    """Return the names of files without their folders, where those differ."""
+    short = [os.path.basename(log) or log for log in logs]
+    return short if len(set(short)) == len(logs) else logs
+
+
 def beside(
     path: str, reading: Reading, columns: dict[str, str | None], units: dict[str, str]
 ) -> tuple[Pair, dict[str, str]]:
@@ -180,7 +192,8 @@ def beside(
     from dbo_cli.logs import open_log
     from dbo_cli.report import Pair
 
-    with open_log(path, columns, reading, units, optional=("time", "voltage")) as log:
+    whole, rows = without_rows(reading)
+    with open_log(path, columns, whole, units, optional=("time", "voltage")) as log:
         table = log.read()
         found = units_of(log)
         if "measured" in found:
@@ -191,9 +204,20 @@ def beside(
         table["measured"],
         time=table.time,
         voltage=table["voltage"] if log.provided("voltage") else None,
+        rows=rows,
         notes=tuple(log.remarks),
     )
     return pair, found
+
+
+def without_rows(reading: Reading) -> tuple[Reading, Any]:
+    """Return how a log is read whole, and the rows of it that count."""
+    import dataclasses
+
+    from dbo_cli.logs import parse_rows
+
+    rows = None if reading.rows is None else parse_rows(reading.rows)
+    return dataclasses.replace(reading, rows=None), rows
 
 
 def followed(
@@ -207,10 +231,10 @@ def followed(
     """Read a measured log and the trajectory that it should have followed."""
     import dataclasses
 
-    from dbo_cli.logs import open_log, parse_rows
+    from dbo_cli.logs import open_log
     from dbo_cli.report import match
 
-    whole = dataclasses.replace(reading, rows=None)
+    whole, rows = without_rows(reading)
     roles = {
         "time": columns["time"],
         "measured": columns["measured"],
@@ -237,7 +261,7 @@ def followed(
         match=match_by,
         trajectory_name=trajectory,
         voltage=table["voltage"] if log.provided("voltage") else None,
-        rows=None if reading.rows is None else parse_rows(reading.rows),
+        rows=rows,
     )
     return pair, found
 
@@ -251,9 +275,7 @@ def predicted(
     state: str,
 ) -> tuple[Pair, dict[str, str]]:
     """Read a log of drive and displacement, and run the model over the drive."""
-    import dataclasses
-
-    from dbo_cli.logs import open_log, parse_rows
+    from dbo_cli.logs import open_log
     from dbo_cli.model import read_state
     from dbo_cli.report import predict
 
@@ -268,7 +290,8 @@ def predicted(
         "voltage": columns["voltage"],
         "measured": columns["measured"],
     }
-    with open_log(path, roles, dataclasses.replace(reading, rows=None), units) as log:
+    whole, rows = without_rows(reading)
+    with open_log(path, roles, whole, units) as log:
         table = log.read()
         found = units_of(log)
     pair = predict(
@@ -278,7 +301,7 @@ def predicted(
         name=path,
         time=table.time,
         state=state if state in START_NAMES else read_state(state, actuator),
-        rows=None if reading.rows is None else parse_rows(reading.rows),
+        rows=rows,
         model_name=model_name,
     )
     return pair, found

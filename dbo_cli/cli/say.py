@@ -66,7 +66,7 @@ def show_warnings() -> None:
     """Print each ``DboWarning`` as a line; what libraries warn programmers of stays unsaid."""
     warnings.simplefilter("ignore")
     warnings.simplefilter("always", DboWarning)
-    warnings.showwarning = _show
+    warnings.showwarning = _show  # type: ignore[assignment]
 
 
 def _show(message: Any, category: Any, *_: Any) -> None:

@@ -1,0 +1,275 @@
+"""The drive from which a model is identified well: random turns over the whole range at many speeds.
+
+It is made of half-cosine swings between turning points: the speed is zero at each turn,
+so a drive turns exactly where it says, and a slew limit only makes a swing longer. A
+small sweep about the middle of the range may follow, from which an actuator's dynamics
+are identified.
+
+Why this shape. (1) It begins at the lower end and goes over the whole range: that wipes
+out the past, so the state of every gear is known. (2) It turns at random levels, some
+at the ends: loops of every size, so that gears and asymmetry come apart. (3) Every
+swing has a speed of its own, from eight times that of the first swing to a quarter, and
+some turns are held: lag, creep and loop width come apart. (4) It returns and rests
+where it began, so that the sensor's drift shows as a difference between equal voltages.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.errors import LimitError, UsageError
+
+Floats = NDArray[np.float64]
+Leg = tuple[
+    float, int
+]  # a turning point as a part of the range, and the rows on the way there
+
+SAMPLE_RATE = 1000.0  # Hz, where nothing is said
+FREQUENCY = (
+    1.0  # Hz: swings over the whole range and back; less where the slew is limited
+)
+CYCLES = 30.0  # of that frequency, where no duration is given
+FEWEST_CYCLES = (
+    6  # two swings over the range, the return and the rest leave four for the turns
+)
+ROWS_A_CYCLE = (
+    20  # with fewer, interpolation between rows no longer shows where a swing turns
+)
+MOST_ROWS = 100_000_000
+FASTEST, SLOWEST = (
+    -0.9,
+    0.6,
+)  # log10 of a swing's time in that of a swing over the range
+AT_AN_END = 0.12  # chance that a turn lies at an end of the range
+HOLD_CHANCE, HOLD = 0.15, 0.4  # chance that a turn is held, and for how many periods
+REST = 0.5  # periods at rest at the end
+SEED = 1
+SWEEP_FASTER = 10.0  # a sweep's highest frequency over that of the swings, at least
+SWEEP_SECONDS, SWEEP_PERIODS = 2.0, 120.0  # a sweep lasts the longer of both
+SWEEP_FROM = 100.0  # a sweep begins at its end over this
+SWEEP_AMPLITUDE = 0.01  # of the range, middle to crest, at its lower end
+SWEEP_FADED = 0.25  # of that amplitude at its upper end
+SWEEP_ROWS_A_PERIOD = 10.0
+SWEEP_TAPER = 0.05  # of the sweep at either end, over which it rises and falls
+SETTLE = 0.3  # s at rest before and after a sweep
+
+
+@dataclass(frozen=True)
+class Swings:
+    """What the random part is made of: range, rate, duration, frequency, slew."""
+
+    v_min: float
+    v_max: float
+    sample_rate: float
+    duration: float
+    frequency: float
+    max_slew: float | None
+
+    @property
+    def span(self) -> float:
+        """Length of the range."""
+        return self.v_max - self.v_min
+
+
+def excite(
+    v_min: float,
+    v_max: float,
+    *,
+    sample_rate: float = SAMPLE_RATE,
+    duration: float | None = None,
+    max_slew: float | None = None,
+    sweep_to: float | None = None,
+    sweep_amplitude: float | None = None,
+) -> tuple[Floats, Floats]:
+    """Return time (s) and voltage of a drive that identifies well.
+
+    Parameters
+    ----------
+    v_min, v_max : float
+        The drive's range; it is never left.
+    sample_rate : float
+        Rows a second.
+    duration : float, optional
+        Seconds of the swings; 30 periods where not given.
+    max_slew : float, optional
+        Fastest change, per second.
+    sweep_to : float, optional
+        Highest frequency (Hz) of a small sweep that follows in the middle of the range.
+    sweep_amplitude : float, optional
+        Of the sweep, middle to crest; 1 % of the range where not given.
+
+    Returns
+    -------
+    time, voltage : array of shape (rows,)
+        The same arguments give the same rows.
+
+    Raises
+    ------
+    UsageError
+        The values contradict each other; the message says which would do.
+    LimitError
+        The slew limit does not allow the sweep.
+    """
+    if not v_min < v_max:
+        raise UsageError(f"`v_min` {v_min:g} must be below `v_max` {v_max:g}")
+    for name, value in (
+        ("sample_rate", sample_rate),
+        ("duration", duration),
+        ("max_slew", max_slew),
+    ):
+        if value is not None and not 0.0 < value < math.inf:
+            raise UsageError(f"`{name}` {value:g}: give a number above 0")
+    if sweep_amplitude is not None and sweep_to is None:
+        raise UsageError("`sweep_amplitude` is that of a sweep (`sweep_to` HZ)")
+    plan = _paced(v_min, v_max, sample_rate, duration, max_slew, sweep_to)
+    legs = _legs(plan, round(plan.duration * sample_rate) - 1)
+    part = swings([0.0, *(turn for turn, _ in legs)], [rows for _, rows in legs])
+    voltage = np.clip(v_min + plan.span * part, v_min, v_max)
+    voltage[part == 1.0] = v_max
+    if sweep_to is not None:
+        voltage = np.concatenate([voltage, _sweep(plan, sweep_to, sweep_amplitude)])
+    return np.arange(voltage.size) / sample_rate, voltage
+
+
+def _paced(
+    v_min: float,
+    v_max: float,
+    sample_rate: float,
+    duration: float | None,
+    max_slew: float | None,
+    sweep_to: float | None,
+) -> Swings:
+    """Return the swings with a frequency that rate, slew limit and sweep allow."""
+    frequency = min(FREQUENCY, sample_rate / ROWS_A_CYCLE)
+    if sweep_to is not None:
+        frequency = min(frequency, sweep_to / SWEEP_FASTER)
+    if max_slew is not None:
+        frequency = min(frequency, max_slew / (math.pi * (v_max - v_min)))
+    if duration is None:
+        duration = CYCLES / frequency
+    if duration * frequency < FEWEST_CYCLES * (1.0 - 1e-9):
+        least = math.ceil(FEWEST_CYCLES / frequency)
+        raise UsageError(
+            f"`duration` {duration:g}: too short for {FEWEST_CYCLES} swings over the range at the speed allowed"
+            f" (`duration` {least})"
+        )
+    if duration * sample_rate > MOST_ROWS:
+        raise UsageError(
+            f"`duration` {duration:g} at `sample_rate` {sample_rate:g}: more than {MOST_ROWS:,} rows"
+        )
+    return Swings(v_min, v_max, sample_rate, duration, frequency, max_slew)
+
+
+def swings(turns: Sequence[float], rows: Sequence[int]) -> Floats:
+    """Return half-cosine swings through ``turns``, in order; swing i takes ``rows[i]`` steps."""
+    out = np.empty(1 + sum(rows))
+    out[0] = turns[0]
+    place = 1
+    for begin, end, count in zip(turns[:-1], turns[1:], rows, strict=True):
+        part = out[place : place + count]
+        phase = np.pi * np.arange(1, count + 1) / count
+        part[:] = begin + (end - begin) * (0.5 - 0.5 * np.cos(phase))
+        np.clip(part, min(begin, end), max(begin, end), out=part)
+        part[-1:] = end
+        place += count
+    return out
+
+
+def swing_rows(
+    distance: float, step: float, seconds: float, max_slew: float | None = None
+) -> int:
+    """Return how many rows a half-cosine swing takes: ``seconds``, or longer where the slew is limited.
+
+    The steepest part of the swing rises by pi/2 times its mean slope.
+    """
+    if max_slew is not None:
+        seconds = max(seconds, 0.5 * math.pi * abs(distance) / max_slew)
+    return max(math.ceil(seconds / step - 1e-9), 1)
+
+
+def _legs(plan: Swings, rows: int) -> list[Leg]:
+    """Return two swings over the range, random turns and holds, the return and the rest: ``rows`` in all."""
+    step, period = 1.0 / plan.sample_rate, 1.0 / plan.frequency
+    slew = None if plan.max_slew is None else plan.max_slew / plan.span
+    chance = random.Random(
+        SEED
+    ).random  # the one generator whose numbers Python never changes
+
+    def swing(distance: float, slowness: float = 1.0) -> int:
+        count = swing_rows(distance, step, 0.5 * period * distance * slowness, slew)
+        return max(count, ROWS_A_CYCLE // 2)
+
+    first, rest = swing(1.0), round(REST * period / step)
+    turns: list[Leg] = []
+    level, used = 0.0, 0
+    while True:
+        turn = float(chance() < 0.5) if chance() < AT_AN_END else chance()
+        slowness = 10.0 ** (FASTEST + (SLOWEST - FASTEST) * chance())
+        legs = [(turn, swing(abs(turn - level), slowness))]
+        if chance() < HOLD_CHANCE:
+            legs.append((turn, round(HOLD * period / step)))
+        used += sum(count for _, count in legs)
+        if turns and used + swing(turn) > rows - 2 * first - rest:
+            break
+        turns += legs
+        level = turn
+    back = swing(turns[-1][0])
+    turns = _stretched(turns, rows - 2 * first - back - rest)
+    return [(1.0, first), (0.0, first), *turns, (0.0, back), (0.0, rest)]
+
+
+def _stretched(legs: list[Leg], rows: int) -> list[Leg]:
+    """Return the same legs, each longer by the same part, so that they take ``rows``."""
+    ends = np.cumsum([count for _, count in legs])
+    ends = ends * rows // ends[-1]
+    stretched = []
+    for (turn, _), count in zip(legs, np.diff(ends, prepend=0), strict=True):
+        stretched.append((turn, int(count)))
+    return stretched
+
+
+def _sweep(plan: Swings, sweep_to: float, amplitude: float | None) -> Floats:
+    """Return the way up to the middle, a logarithmic sweep there, and the way back to ``v_min``."""
+    rate, span = plan.sample_rate, plan.span
+    crest = SWEEP_AMPLITUDE * span if amplitude is None else amplitude
+    _check_sweep(plan, sweep_to, crest)
+    middle = plan.v_min + 0.5 * span
+    seconds = max(SWEEP_SECONDS, SWEEP_PERIODS / sweep_to)
+    count = round(seconds * rate)
+    part = np.arange(count) / count
+    grown = math.log(SWEEP_FROM)
+    periods = sweep_to / SWEEP_FROM * seconds / grown * np.expm1(grown * part)
+    edge = np.clip(np.minimum(part, 1.0 - part) / SWEEP_TAPER, 0.0, 1.0)
+    size = crest * SWEEP_FADED**part * (0.5 - 0.5 * np.cos(np.pi * edge))
+    ramp = swing_rows(0.5 * span, 1.0 / rate, SETTLE, plan.max_slew)
+    rest = round(SETTLE * rate)
+    up = swings([plan.v_min, middle, middle], [ramp, rest])
+    down = swings([middle, middle, plan.v_min, plan.v_min], [rest, ramp, rest])
+    return np.concatenate([up[1:], middle + size * np.sin(2.0 * np.pi * periods), down])
+
+
+def _check_sweep(plan: Swings, sweep_to: float, crest: float) -> None:
+    """Refuse a sweep that the rate does not resolve, or that range or slew do not allow."""
+    if not 0.0 < sweep_to < math.inf:
+        raise UsageError(f"`sweep_to` {sweep_to:g}: give a frequency in Hz above 0")
+    if plan.sample_rate < SWEEP_ROWS_A_PERIOD * sweep_to * (1.0 - 1e-9):
+        raise UsageError(
+            f"`sweep_to` {sweep_to:g}: {plan.sample_rate:g} rows a second do not resolve it"
+            f" (`sample_rate` {SWEEP_ROWS_A_PERIOD * sweep_to:g})"
+        )
+    if not 0.0 < crest <= 0.5 * plan.span:
+        raise UsageError(
+            f"`sweep_amplitude` {crest:g}: give one above 0, at most {0.5 * plan.span:g}"
+        )
+    fastest = 2.0 * math.pi * sweep_to * crest * SWEEP_FADED
+    if plan.max_slew is not None and fastest > plan.max_slew:
+        raise LimitError(
+            f"`sweep_amplitude` {crest:g}: at {sweep_to:g} Hz it needs {fastest:.6g}/s, `max_slew` allows"
+            f" {plan.max_slew:g} (`sweep_amplitude` {crest * plan.max_slew / fastest:.3g})"
+        )
