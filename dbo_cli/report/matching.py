@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.report.merits import Floats, root_mean_square
-from dbo_cli.report.pair import Pair, RowRange, mean_step
+from dbo_cli.report.pair import Pair, RowRange, mean_step, rows_text
 
 SAME_RATE = 1e-3
 """Part by which two rates may differ: clocks of two recorders do, by some 1e-4."""
@@ -117,10 +117,12 @@ def _by_rows(
         pair = replace(pair, time=wanted_time[:count])
     if len(recording) > count:
         return _noted(
-            pair, f"{len(recording) - count:,} rows more than in {trajectory}"
+            pair, f"{rows_text(len(recording) - count)} more than in {trajectory}"
         )
     if len(wanted) > count:
-        return _noted(pair, f"{len(wanted) - count:,} rows fewer than in {trajectory}")
+        return _noted(
+            pair, f"{rows_text(len(wanted) - count)} fewer than in {trajectory}"
+        )
     return pair
 
 
@@ -146,7 +148,7 @@ def _by_time(recording: Pair, wanted: Floats, clock: Floats, trajectory: str) ->
     if not left_out:
         return pair
     return _noted(
-        pair, f"{left_out:,} rows outside the time of {trajectory} take no part"
+        pair, f"{rows_text(left_out)} outside the time of {trajectory} left out"
     )
 
 

@@ -111,6 +111,13 @@ class Pair:
         return mean_step(self.time)
 
 
+def rows_text(count: int) -> str:
+    """Return a number of rows in words."""
+    if count == 1:
+        return "1 row"
+    return f"{count:,} rows"
+
+
 def mean_step(time: Floats | None) -> float | None:
     """Return the seconds from row to row of a clock; None where it tells none."""
     if time is None or len(time) < 2:
@@ -149,7 +156,7 @@ def scored(pair: Pair, lag: int) -> Pair:
     missing = int(len(chosen) - np.count_nonzero(finite))
     if not missing:
         return chosen
-    note = f"{pair.name}: {missing:,} rows without a number take no part"
+    note = f"{pair.name}: {rows_text(missing)} without a number left out"
     return replace(chosen.taken(finite), missing=missing, notes=(*chosen.notes, note))
 
 
@@ -172,7 +179,7 @@ def _chosen_rows(pair: Pair) -> Pair:
     count = int(np.count_nonzero(before))
     if count in (0, len(pair)):
         return pair
-    note = f"{pair.name}: {count:,} rows before time 0 take no part (`rows` 1: counts them)"
+    note = f"{pair.name}: {rows_text(count)} before time 0 left out (`rows` 1: counts them)"
     return replace(pair.taken(~before), notes=(*pair.notes, note))
 
 

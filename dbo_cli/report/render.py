@@ -91,7 +91,9 @@ def shown_unit(unit: str | None) -> str:
 
 
 def short_name(name: str) -> str:
-    """Return a name cut in its middle where it is long; the end tells more than the start."""
+    """Return a long name without its folders, and cut in its middle where it is still too long."""
+    if len(name) > LONGEST_NAME:
+        name = name.rsplit("/", 1)[-1] or name
     if len(name) <= LONGEST_NAME:
         return name
     return f"{name[:12]}…{name[-(LONGEST_NAME - 13) :]}"
