@@ -1,0 +1,290 @@
+"""Model, set and state files: round trips, the schema, and refusals that name file and key."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+
+from dbo_cli.errors import DboError, InputError, ModelError
+from dbo_cli.model import (
+    Candidate,
+    Delay,
+    Dynamics,
+    Gears,
+    Lag,
+    Mode,
+    Model,
+    Points,
+    Quantity,
+    Relaxation,
+    Resonance,
+    Scale,
+    dumps_model,
+    dumps_set,
+    dumps_state,
+    is_set,
+    model_values,
+    parse_model,
+    read_model,
+    read_models,
+    read_state,
+)
+from tests.model.random_models import random_model
+
+DT = 1e-4
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+SCHEMA = jsonschema.Draft202012Validator(
+    json.loads((DOCS / "model-file.schema.json").read_text())
+)
+Change = Callable[[dict[str, Any]], object]
+
+
+def full_model() -> Model:
+    """A model that has everything."""
+    gears = Gears(
+        [0.1] * 50,
+        np.linspace(0.1, 0.3, 50),
+        0.0,
+        -1.0,
+        Relaxation(0.0, (0.006, 0.5), (0.3, -0.9)),
+    )
+    sections = (Resonance(800.0, 0.02, Mode(900.0, 0.03)), Lag(2e-4), Lag(3e-4, 1e-4))
+    stages = (
+        Points([1.0, 4.0], [1.2, 3.8]),
+        gears,
+        Points([5.0, 6.0], [6.0, 7.0], -1.0),
+        Scale(-1.5, 1.0 / 3.0),
+        Dynamics(sections),
+        Delay(0.00207),
+    )
+    return Model(
+        "forward",
+        Quantity("voltage", "V", 0.0, 5.0),
+        Quantity("displacement", None, -20.0, 5.0),
+        stages,
+        {"sign": "falling", "rmse": 0.1, "logs": [{"name": "µ.csv"}]},
+        (Candidate(0.4, stages[1:]), Candidate(0.6, (gears,))),
+        {"program": "dbo"},
+    )
+
+
+def written(tmp_path: Path, text: str, name: str = "model.json") -> str:
+    path = tmp_path / name
+    path.write_text(text, encoding="utf-8")
+    return str(path)
+
+
+def test_a_model_comes_back(tmp_path: Path) -> None:
+    model = full_model()
+    for each in (model, model.inverse()):
+        text = dumps_model(each)
+        back = read_model(written(tmp_path, text))
+        assert dumps_model(back) == text
+        assert back.digest == model.digest
+        SCHEMA.validate(json.loads(text))
+    back = read_model(written(tmp_path, dumps_model(model)))
+    drive = np.linspace(0.0, 5.0, 300)
+    assert np.array_equal(
+        model.simulate(drive, dt=DT)[0], back.simulate(drive, dt=DT)[0]
+    )
+    assert len(dumps_model(model).splitlines()) < 120
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_random_models_come_back(seed: int, tmp_path: Path) -> None:
+    model = random_model(np.random.default_rng(seed))
+    text = dumps_model(model)
+    SCHEMA.validate(json.loads(text))
+    assert dumps_model(read_model(written(tmp_path, text))) == text
+
+
+def test_the_example_of_the_page_is_a_model() -> None:
+    page = (DOCS / "model-file.md").read_text()
+    begin = page.index('    {\n      "format": "dbo-model"')
+    example = page[begin : page.index("\n\n", begin)]
+    SCHEMA.validate(json.loads(example))
+    model = parse_model(json.loads(example))
+    assert model.gears.n == 5
+
+
+def test_sets(tmp_path: Path) -> None:
+    model = full_model()
+    path = written(tmp_path, dumps_set({"x": model, "y": model.inverse()}))
+    SCHEMA.validate(json.loads(Path(path).read_text()))
+    assert is_set(path)
+    assert list(read_models(path)) == ["x", "y"]
+    assert read_model(f"{path}::y").direction == "inverse"
+    with pytest.raises(InputError, match="there are: x, y"):
+        read_model(f"{path}::z")
+    with pytest.raises(ModelError, match="::CHANNEL"):
+        read_model(path)
+    broken = json.loads(Path(path).read_text())
+    broken["models"]["y"]["stages"][0]["seconds"] = "late"
+    with pytest.raises(
+        ModelError, match=r'models\["y"\]\.stages\[0\]\.seconds: "late"'
+    ):
+        read_models(written(tmp_path, json.dumps(broken)))
+
+
+def _drop(values: dict[str, Any], key: str) -> None:
+    del values[key]
+
+
+BROKEN: list[tuple[Change, str, bool]] = [
+    (lambda m: m["stages"][1].update(dx=[-0.1]), "stages[1].dx[0]: -0.1", True),
+    (lambda m: m["stages"][1].update(dx=[{"repeat": 0, "value": 1.0}]), "stages[1].dx[0].repeat", True),
+    (lambda m: m["stages"][1].update(dx=[{"repeat": 10**7, "value": 1.0}]), "stages[1].dx: has more", True),
+    (lambda m: m["stages"][1]["dy"].pop(), "stages[1].dy: has 49", False),
+    (lambda m: m["stages"][1].update(x0=1e99), "stages[1].x0: 1e+99", True),
+    (lambda m: m["stages"][1].update(x0=True), "stages[1].x0: true", True),
+    (lambda m: m["stages"][1].update(colour=1), "stages[1].colour: is not a known key", True),
+    (lambda m: m["stages"][1]["relaxation"].update(tau=[0.1]), "stages[1].relaxation.gain", False),
+    (lambda m: m["stages"][1]["relaxation"].update(tau=[0.1, 0.0]), "stages[1].relaxation.tau[1]", True),
+    (lambda m: m["stages"][1]["relaxation"].update(gain=[0.1, -0.99]), "stages[1].relaxation.gain: ", False),
+    (lambda m: m["stages"][1]["relaxation"].update(on="output"), "stages[1].relaxation.", False),
+    (lambda m: m["stages"][3].update(gain=0), "stages[3].gain", True),
+    (lambda m: m["stages"][4]["sections"][0].update(damping=1.0), "stages[4].sections[0].damping", True),
+    (lambda m: m["stages"][4]["sections"][2].update(lead=1.0), "stages[4].sections[2].lead", False),
+    (lambda m: m["stages"][5].update(type="plays"), "stages", True),
+    (lambda m: m["stages"].reverse(), "stages[", False),
+    (lambda m: m["stages"].extend([m["stages"][3]] * 20), "stages: has more than 16", True),
+    (lambda m: _drop(m, "output"), "output: is missing", True),
+    (lambda m: m["input"].update(max=0.0), "input.max: 0.0", False),
+    (lambda m: m["input"].update(unit=3), "input.unit: 3", True),
+    (lambda m: m.update(version=3), "version: 3", True),
+    (lambda m: m.update(version=True), "version: True", True),
+    (lambda m: m.update(direction="sideways"), "direction: 'sideways'", True),
+    (lambda m: m["fit"].update(rmse=-1.0), "fit.rmse: -1.0", True),
+    (lambda m: m["fit"].update(rmse="small"), 'fit.rmse: "small"', True),
+    (lambda m: m.update(candidates=m["candidates"] * 3), "candidates: has more than 5", True),
+    (lambda m: m["candidates"][1].update(weight=0), "candidates[1].weight: 0", True),
+    (lambda m: m["candidates"][1]["stages"][0].update(y0="a"), "candidates[1].stages[0].y0", True),
+    (lambda m: m["candidates"][1].update(stages=[]), "candidates[1].stages", True),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "place", "in_schema"), BROKEN)
+def test_what_is_wrong_is_named(change: Change, place: str, in_schema: bool) -> None:
+    values = copy.deepcopy(json.loads(dumps_model(full_model())))
+    change(values)
+    with pytest.raises(ModelError) as problem:
+        parse_model(values, "model.json")
+    assert str(problem.value).startswith(f"model.json: {place}")
+    assert "\n" not in str(problem.value)
+    assert SCHEMA.is_valid(values) is not in_schema
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "not a model file"),
+        ("time,voltage\n0,1\n", "identify makes a model"),
+        ('{"format": "dbo-model", "format": "dbo-model"}', "format: occurs twice"),
+        ('{"format": "dbo-model",}', "line 1: not valid JSON"),
+        ('{"format": "dbo-state", "version": 1}', "dbo-model"),
+        ('{"format": "dbo-model", "version": 1, "x": NaN}', "is missing"),
+        ("[" * 100_000, "readable"),
+        ("[1, 2]", "no JSON object"),
+    ],
+)
+def test_no_model_files(text: str, said: str, tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match=said):
+        read_model(written(tmp_path, text))
+
+
+def test_an_incomplete_file_says_where_it_ends(tmp_path: Path) -> None:
+    text = dumps_model(full_model())
+    for end in (40, 300, 777, 1500, len(text) - 3):
+        part = text[:end]
+        with pytest.raises(ModelError) as problem:
+            read_model(written(tmp_path, part))
+        lines = len(part.splitlines())
+        assert str(problem.value).endswith(f"incomplete file (ends at line {lines})")
+    with pytest.raises(InputError, match="cannot be read"):
+        read_model(str(tmp_path / "nothing.json"))
+
+
+def test_mutated_files_are_refused_or_read(tmp_path: Path) -> None:
+    """No mutation of a byte ends in anything but a model or a DboError."""
+    rng = np.random.default_rng(0)
+    content = dumps_model(full_model()).encode()
+    path = tmp_path / "model.json"
+    for _ in range(400):
+        mutated = bytearray(content)
+        for place in rng.integers(0, len(content), int(rng.integers(1, 4))):
+            mutated[place] = int(rng.integers(32, 127))
+        path.write_bytes(bytes(mutated))
+        try:
+            model = read_model(str(path))
+        except DboError as problem:
+            assert "model.json" in str(problem)
+        else:
+            assert parse_model(model_values(model)).digest == model.digest
+
+
+# ---- states ----
+
+
+def test_a_state_comes_back_and_serves_the_inverse(tmp_path: Path) -> None:
+    model = full_model()
+    drive = 2.5 + 2.0 * np.sin(np.arange(700) * 0.03)
+    whole, _ = model.simulate(drive, dt=DT)
+    _, state = model.simulate(drive[:300], dt=DT)
+    _, undoing = model.undo(whole[:300], None, DT)
+    state = replace(state, undoing=undoing, time=0.0299)
+    text = dumps_state(state, model)
+    SCHEMA.validate(json.loads(text))
+    path = written(tmp_path, text, "state.json")
+    back = read_state(path, model.inverse())
+    assert back == replace(state, model=model.digest)
+    assert dumps_state(back, model) == text
+    rest, _ = model.simulate(drive[300:], dt=DT, state=back)
+    assert np.array_equal(rest, whole[300:])
+    bare = dumps_state(model.start(2.0), model)
+    SCHEMA.validate(json.loads(bare))
+    assert (
+        read_state(written(tmp_path, bare, "s.json"), model).bits
+        == model.start(2.0).bits
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "place"),
+    [
+        (
+            lambda s: s.update(model="0" * 64),
+            "model: the state belongs to another model",
+        ),
+        (lambda s: s.update(bits="xyz"), "bits: "),
+        (lambda s: s.update(bits="f" * 99), "bits: "),
+        (lambda s: s.update(gears=49), "gears: "),
+        (lambda s: s.update(memory=[1.0]), "memory: has 1"),
+        (lambda s: s.update(sections=[[0, 0, 0]]), "sections: has 1"),
+        (lambda s: s["sections"].__setitem__(1, [0, 0]), "sections[1]: "),
+        (lambda s: s["delay"]["values"].pop(), "delay.values: "),
+        (lambda s: s["delay"]["times"].reverse(), "delay.times: "),
+        (
+            lambda s: s.update(undoing={"dt": 0, "sections": None, "past": []}),
+            "undoing.dt",
+        ),
+        (lambda s: s.update(version=2), "version: 2"),
+        (lambda s: s.update(extra=2), "extra: is not a known key"),
+    ],
+)
+def test_bad_states_are_named(change: Change, place: str, tmp_path: Path) -> None:
+    model = full_model()
+    _, state = model.simulate(np.linspace(0, 3, 50), dt=DT)
+    values = json.loads(dumps_state(state, model))
+    change(values)
+    path = written(tmp_path, json.dumps(values), "state.json")
+    with pytest.raises(ModelError) as problem:
+        read_state(path, model)
+    assert str(problem.value).startswith(f"{path}: {place}")
