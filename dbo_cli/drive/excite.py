@@ -156,7 +156,7 @@ def _paced(
     if duration * frequency < FEWEST_CYCLES * (1.0 - 1e-9):
         least = math.ceil(FEWEST_CYCLES / frequency)
         raise UsageError(
-            f"`duration` {duration:g}: too short for {FEWEST_CYCLES} swings over the range at the speed allowed"
+            f"`duration` {duration:g}: too short for {FEWEST_CYCLES} swings over the range"
             f" (`duration` {least})"
         )
     if duration * sample_rate > MOST_ROWS:

@@ -1,0 +1,403 @@
+"""Any program's drive against limits, by the gate of this program's own; and what was played."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.drive.gate import Gate
+from dbo_cli.drive.limits import Limits
+from dbo_cli.errors import InputError, LimitError
+
+Floats = NDArray[np.float64]
+
+TOLERANCE = 1e-3
+"""Of the drive's range, by which a recording may differ: a converter of 10 bits rounds to half of it."""
+NOISE = 6.0
+"""Standard deviations of a recording's noise: white noise reaches 5 once in two million rows."""
+GAP = 1.5  # usual steps of the clock from which on a step is a gap
+OPEN_SEAM = 3.0  # times the largest step inside, from which on a loop does not close
+ANOTHER = 0.5  # correlation below which a recording is of another drive
+FEWEST_SHARED = 0.25  # of the shorter of drive and recording that must belong together
+SAME_RATE = 1e-6  # relative difference of two rates that are one
+
+
+@dataclass
+class Played:
+    """How a recording is like the drive that was to be played.
+
+    Attributes
+    ----------
+    rows : int
+        Rows of the drive that the recording holds.
+    lag_rows, lag_seconds
+        By how much the recording is later.
+    gain, offset : float
+        Recording = gain * drive + offset.
+    largest_difference : float
+        Between recording and drive, in the drive's unit.
+    tolerance : float
+        The largest difference allowed.
+    """
+
+    rows: int
+    lag_rows: float
+    lag_seconds: float | None
+    gain: float
+    offset: float
+    largest_difference: float
+    tolerance: float
+
+
+@dataclass
+class Checked:
+    """What a drive asks of an amplifier, and what is wrong with it.
+
+    Attributes
+    ----------
+    rows, least, greatest, first, last
+        Of the drive, in ``unit``.
+    largest_step, fastest : float
+        From row to row, and per second (None without a clock).
+    problems : list of str
+        Each with its first row; empty where the drive passes.
+    played : Played, optional
+        With a recording.
+    """
+
+    name: str
+    unit: str | None
+    rows: int
+    least: float
+    greatest: float
+    first: float
+    last: float
+    largest_step: float
+    fastest: float | None
+    problems: list[str] = field(default_factory=list)
+    played: Played | None = None
+
+    def json(self) -> str:
+        """Return the check as JSON (``dbo-check``)."""
+        values = {
+            "format": "dbo-check",
+            "version": 1,
+            "passed": not self.problems,
+            **asdict(self),
+        }
+        return json.dumps(values, indent=2, ensure_ascii=False) + "\n"
+
+    def text(self) -> str:
+        """Return the check as lines for a terminal."""
+        unit = f" {self.unit}" if self.unit else ""
+        verdict = "NOT PASSED" if self.problems else "passed"
+        speed = "" if self.fastest is None else f", at most {self.fastest:.6g}{unit}/s"
+        lines = [
+            f"{self.name}: {verdict}",
+            f"  {self.rows:,} rows, {self.least:.6g} to {self.greatest:.6g}{unit}{speed};"
+            f" first row {self.first:.6g}{unit}, last row {self.last:.6g}{unit}",
+        ]
+        if self.played is not None:
+            played = self.played
+            late = (
+                ""
+                if not played.lag_seconds
+                else f" ({1e3 * played.lag_seconds:.4g} ms)"
+            )
+            lines.append(
+                f"  played: {played.rows:,} rows, {played.lag_rows:.4g} later{late}, gain {played.gain:.6g},"
+                f" offset {played.offset:.3g}{unit}, largest difference {played.largest_difference:.3g}{unit}"
+            )
+        for problem in self.problems:
+            lines.append(f"  {problem}")
+        return "\n".join(lines) + "\n"
+
+    def require_passed(self) -> None:
+        """Raise LimitError where there is a problem, naming the first."""
+        if self.problems:
+            more = (
+                f" (and {len(self.problems) - 1} more)"
+                if len(self.problems) > 1
+                else ""
+            )
+            raise LimitError(f"{self.name}: {self.problems[0]}{more}")
+
+
+def check_drive(
+    voltage: Floats,
+    time: Floats | None,
+    limits: Limits,
+    *,
+    name: str = "drive",
+    start: float | None = None,
+    loop: bool = False,
+    tolerance: float = 0.0,
+    doubts: Sequence[str] = (),
+) -> Checked:
+    """Return what is wrong with a drive.
+
+    Parameters
+    ----------
+    voltage, time : array of shape (rows,)
+        Voltages, and seconds where they are known.
+    limits : Limits
+        Its rating is what the drive may do.
+    start : float, optional
+        Where the amplifier stands before the first row.
+    loop : bool
+        The drive is looped: the step from its last row to its first counts, too.
+    tolerance : float
+        By how much a row may miss a limit, of a recording.
+    doubts : sequence of str
+        What its reader dropped, guessed or cut: each is a problem.
+
+    Raises
+    ------
+    InputError
+        A slew limit is to be checked and no time is known.
+    """
+    if limits.slew is not None and time is None:
+        raise InputError(
+            f"{name}: no time column, and `max_slew` needs one (`time` or `sample_rate` HZ)"
+        )
+    checked = _figures(voltage, time, name, limits)
+    checked.problems += doubts
+    steps = None
+    if time is not None and time.size > 1:
+        checked.problems += _odd_times(time)
+        steps = np.maximum(np.diff(time, prepend=time[0] - (time[1] - time[0])), 0.0)
+    low, high = limits.rating
+    if start is not None and not low <= start <= high:
+        checked.problems.append(
+            f"the amplifier stands at {start:g}, outside {low:g} to {high:g}"
+        )
+    gate = Gate(replace(limits, rating=(low - tolerance, high + tolerance)), start)
+    waits = steps
+    if tolerance > 0.0 and steps is not None and limits.slew is not None:
+        waits = steps + 2.0 * tolerance / limits.slew  # both rows of a step may miss
+    bad = gate.broken(voltage, waits, "return")
+    if bad.any():
+        row = int(np.argmax(bad))
+        before = (
+            float(voltage[row - 1]) if row else (voltage[0] if start is None else start)
+        )
+        checked.problems.append(
+            _problem(bad, gate.reason(float(voltage[row]), float(before), "return"))
+        )
+    if loop:
+        checked.problems += _seam(voltage, gate, waits)
+    return checked
+
+
+def _figures(
+    voltage: Floats, time: Floats | None, name: str, limits: Limits
+) -> Checked:
+    """Return what a drive asks of an amplifier."""
+    change = np.abs(np.diff(voltage))
+    fastest = None
+    if time is not None and change.size:
+        steps = np.diff(time)
+        forward = steps > 0.0
+        rates = change[forward] / steps[forward]
+        fastest = float(rates.max()) if rates.size else None
+    return Checked(
+        name=name,
+        unit=limits.unit,
+        rows=voltage.size,
+        least=float(voltage.min()),
+        greatest=float(voltage.max()),
+        first=float(voltage[0]),
+        last=float(voltage[-1]),
+        largest_step=float(change.max(initial=0.0)),
+        fastest=fastest,
+    )
+
+
+def _odd_times(time: Floats) -> list[str]:
+    """Return what is odd about time stamps."""
+    steps = np.diff(time)
+    forward = steps[steps > 0.0]
+    usual = float(np.median(forward)) if forward.size else 0.0
+    problems = []
+    for what, odd in (
+        ("time goes backwards", steps < 0.0),
+        ("the time stamp repeats", steps == 0.0),
+        ("a gap in time before it", steps > GAP * usual),
+    ):
+        if odd.any():
+            problems.append(_problem(np.concatenate([[False], odd]), what))
+    return problems
+
+
+def _problem(odd: NDArray[np.bool_], reason: str) -> str:
+    """Name the first odd row, and how many there are."""
+    count = int(np.count_nonzero(odd))
+    more = f" ({count:,} rows in all)" if count > 1 else ""
+    return f"row {int(np.argmax(odd)) + 1:,}: {reason}{more}"
+
+
+def _seam(voltage: Floats, gate: Gate, waits: Floats | None) -> list[str]:
+    """Return what is wrong with the step from the last row of a loop to its first."""
+    last, first = float(voltage[-1]), float(voltage[0])
+    bad = gate.broken(voltage[:1], None if waits is None else waits[:1], "return")
+    if bad.any():
+        return [f"from the last row to the first: {gate.reason(first, last, 'return')}"]
+    inside = float(np.abs(np.diff(voltage)).max(initial=0.0))
+    if abs(first - last) > OPEN_SEAM * inside:
+        return [
+            f"the loop does not close: {last:.6g} to {first:.6g}, and the largest step inside is {inside:.3g}"
+        ]
+    return []
+
+
+# --- what was played ---
+
+
+def noise_of(played: Floats) -> float:
+    """Return the standard deviation of a recording's noise, from its third differences.
+
+    Differences of a smooth drive vanish; those of white noise of variance s^2 have the
+    variance 20 s^2.
+    """
+    if played.size < 16:
+        return 0.0
+    third = np.diff(played, 3)
+    return float(np.median(np.abs(third)) / 0.6745 / math.sqrt(20.0))
+
+
+def tolerance_of(drive: Floats, played: Floats, tolerance: float | None) -> float:
+    """Return by how much a recording may differ: as given, or a thousandth of the range, or its noise."""
+    if tolerance is not None:
+        return tolerance
+    return max(TOLERANCE * float(np.ptp(drive)), NOISE * noise_of(played))
+
+
+def check_played(
+    checked: Checked,
+    drive: Floats,
+    played: Floats,
+    steps: tuple[float | None, float | None],
+    tolerance: float | None = None,
+) -> None:
+    """Compare a recording with the drive that was to be played; problems and figures go to ``checked``.
+
+    Parameters
+    ----------
+    drive, played : array
+        What was computed, and what was recorded (behind the amplifier's gain).
+    steps : (float or None, float or None)
+        Seconds a row of the two. At another rate the drive is interpolated.
+    tolerance : float, optional
+        The largest difference allowed.
+    """
+    most = tolerance_of(drive, played, tolerance)
+    step, played_step = steps
+    if (
+        step is not None
+        and played_step is not None
+        and abs(played_step / step - 1.0) > SAME_RATE
+    ):
+        places = np.arange(0.0, (drive.size - 1) * step, played_step)
+        drive = np.interp(places, step * np.arange(drive.size), drive)
+    lag, shared = lag_of(drive, played)
+    begin = max(0, -lag)
+    ours, theirs = (
+        drive[begin : begin + shared],
+        played[begin + lag : begin + lag + shared],
+    )
+    ours, theirs, part = _between_rows(ours, theirs)
+    gain, offset = (
+        np.polyfit(ours, theirs, 1)
+        if np.ptp(ours) > 0.0
+        else (1.0, float(np.mean(theirs - ours)))
+    )
+    largest = float(np.abs(theirs - ours).max())
+    late = None if played_step is None else (lag + part) * played_step
+    checked.played = Played(
+        shared, lag + part, late, float(gain), float(offset), largest, most
+    )
+    if _alike(ours, theirs) < ANOTHER:
+        checked.problems.append(
+            "what was played is another drive: the two have nothing in common"
+        )
+        return
+    if shared < drive.size:
+        checked.problems.append(
+            f"{drive.size - shared:,} of {drive.size:,} rows were not played"
+        )
+    if largest > most:
+        checked.problems.append(
+            f"what was played differs by up to {largest:.4g}, more than {most:.3g} (gain {gain:.5g},"
+            f" offset {offset:.3g})"
+        )
+
+
+def _alike(a: Floats, b: Floats) -> float:
+    """Return the correlation of two stretches, without its sign."""
+    if np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
+        return float(np.ptp(a) == np.ptp(b))
+    return abs(float(np.corrcoef(a, b)[0, 1]))
+
+
+def _between_rows(drive: Floats, played: Floats) -> tuple[Floats, Floats, float]:
+    """Return both at the same times where the recording is late by a fraction of a row, and that fraction."""
+    if drive.size < 16 or np.ptp(drive) == 0.0:
+        return drive, played, 0.0
+    from scipy.interpolate import CubicSpline
+
+    curve = CubicSpline(np.arange(drive.size), drive)
+    rows = np.arange(1.0, drive.size - 1.0)
+    inner = played[1:-1]
+    part = 0.0
+    for _ in range(2):
+        columns = np.column_stack(
+            [curve(rows - part), np.ones(rows.size), curve(rows - part, 1)]
+        )
+        gain, _, slope = np.linalg.lstsq(columns, inner, rcond=None)[0].tolist()
+        part = float(np.clip(part - slope / gain, -1.0, 1.0)) if gain else 0.0
+    shifted = curve(rows - part)
+    if np.abs(inner - shifted).max() < np.abs(inner - drive[1:-1]).max():
+        return shifted, inner, part
+    return drive, played, 0.0
+
+
+def lag_of(drive: Floats, played: Floats) -> tuple[int, int]:
+    """Return by how many rows a recording is later than a drive, and how many rows belong together.
+
+    The lag is where the rows that belong together tell it best: n log(1/(1 - r^2)) of n
+    rows whose correlation is r, so that a recording may begin late and end early.
+    """
+    a, b = drive - drive.mean(), played - played.mean()
+    lags = np.arange(1 - a.size, b.size)
+    begin, end = np.maximum(0, -lags), np.minimum(a.size, b.size - lags)
+    count = end - begin
+    size = 1 << (a.size + b.size - 2).bit_length()
+    circular = np.fft.irfft(np.fft.rfft(b, size) * np.fft.rfft(a, size).conj(), size)
+    products = np.concatenate([circular[size - a.size + 1 :], circular[: b.size]])
+    sum_a, sum_b = _between(a, begin, end), _between(b, begin + lags, end + lags)
+    spread = (_between(a * a, begin, end) - sum_a**2 / count) * (
+        _between(b * b, begin + lags, end + lags) - sum_b**2 / count
+    )
+    shared = products - sum_a * sum_b / count
+    moving = (spread > 1e-12 * spread.max()) & (
+        count >= FEWEST_SHARED * min(a.size, b.size)
+    )
+    alike = np.divide(shared**2, spread, out=np.zeros(lags.size), where=moving)
+    evidence = -count * np.log(np.maximum(1.0 - alike, 1e-12))
+    near = np.flatnonzero(evidence >= evidence.max() * (1.0 - 1e-9))
+    best = near[np.argmin(np.abs(lags[near]))]
+    return int(lags[best]), int(count[best])
+
+
+def _between(
+    values: Floats, begin: NDArray[np.int64], end: NDArray[np.int64]
+) -> Floats:
+    """Return the sum of the values of each stretch of rows."""
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    sums: Floats = total[end] - total[begin]
+    return sums
