@@ -12,7 +12,7 @@ import contextlib
 import importlib
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
@@ -20,7 +20,7 @@ import numpy as np
 
 from dbo_cli.errors import DboError, InputError
 from dbo_cli.logs.headers import is_clock_key, stated_rate
-from dbo_cli.logs.source import ArraySource, Column, Fetch, Reading, Source
+from dbo_cli.logs.source import NOT_A_TIME, ArraySource, Column, Fetch, Reading, Source
 from dbo_cli.units import spell, split_header
 
 Reader = Callable[[str, str, Reading], Source]
@@ -465,10 +465,15 @@ def _arrow_rows(path: str, scan: Any, name: str) -> Fetch:
         with fenced(path, "Parquet or Feather"):
             part = scan.select(pl.col(name)).slice(number * STRETCH, STRETCH)
             series = part.collect().to_series()
-        if series.dtype == pl.Datetime:
-            return series.dt.cast_time_unit("ns").dt.replace_time_zone(None).to_numpy()
+        if series.dtype == pl.Datetime:  # in UTC, whatever zone it is shown in
+            return (
+                series.dt.cast_time_unit("ns")
+                .to_physical()
+                .fill_null(NOT_A_TIME)
+                .to_numpy()
+            )
         if series.dtype == pl.Time:
-            return series.to_physical().to_numpy()
+            return series.to_physical().fill_null(NOT_A_TIME).to_numpy()
         if series.dtype == pl.Duration:
             return series.dt.total_nanoseconds().to_numpy() / 1e9
         return series.cast(pl.Float64).to_numpy()
@@ -510,7 +515,7 @@ def open_excel(path: str, part: str, reading: Reading) -> Source:
 
     The sheet becomes text with tabs, which is read as any text.
     """
-    from dbo_cli.logs.text import TextSource
+    from dbo_cli.logs.text import ByteStream, TextSource
 
     fastexcel = import_extra("fastexcel", "excel", path)
     with fenced(path, "a workbook"):
@@ -532,23 +537,8 @@ def open_excel(path: str, part: str, reading: Reading) -> Source:
         raise InputError(
             f"{path}: sheets that hold numbers: {listed}: which one? (write {path}::{example})"
         )
-    return TextSource(path, _sheet_stream(path, next(iter(texts.values()))), reading)
-
-
-def _sheet_stream(path: str, text: bytes) -> Any:
-    """Return a sheet's text as a stream of bytes."""
-    import io
-
-    from dbo_cli.logs.text import ByteStream
-
-    class SheetStream(ByteStream):
-        def __init__(self) -> None:
-            self.name = path
-            self.is_stream = False
-            self._pipe = None
-            self._file = io.BytesIO(text)
-
-    return SheetStream()
+    stream = ByteStream(path, next(iter(texts.values())))
+    return TextSource(path, stream, replace(reading, delimiter="tab", encoding=None))
 
 
 def _has_numbers(text: bytes) -> bool:

@@ -105,7 +105,7 @@ class Hdf5Source(LibrarySource):
 
     def _groups(self, node: Any) -> list[Group]:
         if _is_dataset(node):
-            group = Group(node.name, 0, statements=_statements(node))
+            group = Group("", 0, statements=_statements(node))
             group.columns = self._file.columns(node, node.name.rsplit("/", 1)[-1])
             return [group]
         return list(self._file.groups(node, "", 0, set()))
@@ -279,7 +279,7 @@ class _Tree:
         first = [_plain(cell).strip() for cell in dataset[:20]]
         if any(len(cell) > LONGEST_STAMP for cell in first):
             return []
-        form = stamp_format(first)
+        form = stamp_format([(cell, 1.0) for cell in first])
         if form is None:
             return []
 

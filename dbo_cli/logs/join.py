@@ -41,6 +41,7 @@ EXPLAINED = 0.09  # of the displacement's variance may be left unexplained
 ALIKE = (
     1.3  # times the least residual: a second place that explains the records as well
 )
+PERFECT = 1e-6  # of the variance: below that, no place fits better than another
 KNOWN_TO = 0.5  # samples of the slower clock, two standard deviations
 
 
@@ -314,11 +315,9 @@ def _require_sure(
             f"{place}: `clock_offset` auto: {best.offset:.6g} s, but uncertain by "
             f"{2.0 * best.deviation:.2g} s, more than half a sample ({KNOWN_TO * slower:.2g} s): give SECONDS"
         )
+    alike = ALIKE * max(best.residual, PERFECT)
     for fit in others:
-        if (
-            abs(fit.offset - best.offset) > slower
-            and fit.residual < ALIKE * best.residual
-        ):
+        if abs(fit.offset - best.offset) > slower and fit.residual < alike:
             raise InputError(
                 f"{place}: `clock_offset` auto: {best.offset:.6g} s and {fit.offset:.6g} s fit alike, "
                 "since the drive repeats itself: give SECONDS, or a log that begins or ends at rest"

@@ -1,0 +1,380 @@
+"""HDF5 logs: what is found, what is refused, and that nothing leads out of the file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from dbo_cli.errors import InputError
+from dbo_cli.logs.hdf5 import open_hdf5
+from dbo_cli.logs.source import NOT_A_TIME, Reading, Source
+from dbo_cli.logs.write import create
+
+T = np.arange(200.0) / 1000.0
+V = np.sin(40.0 * T)
+D = np.cos(40.0 * T)
+
+
+def made(path: Path, fill: Callable[[Any], None]) -> Path:
+    with h5py.File(path, "w") as file:
+        fill(file)
+    return path
+
+
+def opened(path: Path, fill: Callable[[Any], None], part: str = "") -> Source:
+    return open_hdf5(str(made(path / "run.h5", fill)), part, Reading())
+
+
+def values(source: Source, name: str) -> np.ndarray:
+    (column,) = [column for column in source.columns if column.name == name]
+    return np.concatenate([block[0] for block in source.blocks([column])])
+
+
+def names(source: Source) -> list[str]:
+    return [column.name for column in source.columns]
+
+
+def plain(group: Any) -> None:
+    for name, array, unit in (
+        ("time", T, "s"),
+        ("voltage", V, "V"),
+        ("displacement", D, "µm"),
+    ):
+        group[name] = array
+        group[name].attrs["units"] = unit
+
+
+def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+    path = tmp_path / "a.h5"
+    arrays = [
+        np.arange(100_000) / 1e4,
+        np.sin(np.arange(100_000)),
+        np.cos(np.arange(100_000)),
+    ]
+    with create(path, [("time", "s"), ("desired", "um"), ("voltage", "V")]) as out:
+        out.write(*arrays)
+    source = open_hdf5(str(path), "", Reading())
+    by_name = {column.name: column for column in source.columns}
+    assert {name: column.unit for name, column in by_name.items()} == {
+        "time": "s", "desired": "um", "voltage": "V"}  # fmt: skip
+    blocks = list(source.blocks([by_name["voltage"], by_name["time"]]))
+    assert max(len(block[0]) for block in blocks) <= 65_536
+    np.testing.assert_array_equal(np.concatenate([b[0] for b in blocks]), arrays[2])
+    np.testing.assert_array_equal(np.concatenate([b[1] for b in blocks]), arrays[0])
+
+
+def matrix(file: Any) -> None:
+    file["data"] = np.column_stack([T, V, D])
+    file["data"].attrs["columns"] = "time,voltage,displacement"
+    file["data"].attrs["units"] = ["s", "V", "um"]
+
+
+def wide(file: Any) -> None:
+    matrix(file)
+    attributes = dict(file["data"].attrs)
+    del file["data"]
+    file["data"] = np.vstack([T, V, D])
+    file["data"].attrs.update(attributes)
+
+
+def compound(file: Any) -> None:
+    kind = [("time", "f8"), ("voltage", "f4"), ("displacement", "f8"), ("note", "S4")]
+    rows = np.zeros(T.size, dtype=kind)
+    rows["time"], rows["voltage"], rows["displacement"] = T, V.astype("f4"), D
+    file["data"] = rows
+    file["data"].attrs["units"] = ["s", "V", "um", ""]
+
+
+def column_vectors(file: Any) -> None:
+    for name, array in (("time", T), ("voltage", V), ("displacement", D)):
+        file[name] = array[:, None]
+    file["voltage"].attrs["unit"] = "V"
+    file["displacement"].attrs["unit"] = "um"
+    file["time"].attrs["unit"] = "s"
+
+
+def compressed(file: Any) -> None:
+    for name, array, unit in (
+        ("time", T, "s"),
+        ("voltage", V, "V"),
+        ("displacement", D, "um"),
+    ):
+        file.create_dataset(
+            name, data=array, chunks=(7,), compression="gzip", shuffle=True
+        )
+        file[name].attrs["units"] = unit
+
+
+def deeper(file: Any) -> None:
+    plain(file.create_group("entry/run"))
+    file["entry/note"] = "first"
+    file["entry/camera/frames"] = np.zeros((4, 3, 3))
+
+
+def soft_links(file: Any) -> None:
+    plain(file.create_group("store/raw"))
+    for name in ("time", "voltage", "displacement"):
+        file[name] = h5py.SoftLink(f"/store/raw/{name}")
+    file["gone"] = h5py.SoftLink("/nowhere")
+    file["circle"] = h5py.SoftLink("/circle")
+    file["store/up"] = file["/"]  # a circle of hard links
+
+
+@pytest.mark.parametrize(
+    "fill",
+    [plain, matrix, wide, compound, column_vectors, compressed, deeper, soft_links],
+)
+def test_columns_names_units_and_values(
+    tmp_path: Path, fill: Callable[[Any], None]
+) -> None:
+    source = opened(tmp_path, fill)
+    by_name = {column.name: column.unit for column in source.columns}
+    assert by_name == {"time": "s", "voltage": "V", "displacement": "um"}
+    np.testing.assert_array_equal(values(source, "time"), T)
+    np.testing.assert_allclose(values(source, "voltage"), V, atol=1e-7)
+    np.testing.assert_array_equal(values(source, "displacement"), D)
+    source.close()
+
+
+def test_parts_and_paths(tmp_path: Path) -> None:
+    def fill(file: Any) -> None:
+        plain(file.create_group("a"))
+        plain(file.create_group("b/c"))
+        file["b/c/voltage"][...] = 2.0 * V
+        file["b/camera/voltage"] = V[:50]
+
+    source = opened(tmp_path, fill)
+    assert names(source) == [
+        "displacement",
+        "time",
+        "voltage",
+    ]  # the shallowest group's
+    column = source.find("b/c/voltage")
+    assert column is not None
+    np.testing.assert_array_equal(values(source, "b/c/voltage"), 2.0 * V)
+    assert source.find("/b/c/time") is not None
+    assert source.find("/b/none") is None
+    source.close()
+    for part in ("b/c", "/b/c/"):
+        source = open_hdf5(str(tmp_path / "run.h5"), part, Reading())
+        np.testing.assert_array_equal(values(source, "voltage"), 2.0 * V)
+        source.close()
+    source = open_hdf5(str(tmp_path / "run.h5"), "b/c/voltage", Reading())
+    assert names(source) == ["voltage"]
+    source.close()
+    with pytest.raises(InputError, match=r"there is no 'x'.*/a/voltage"):
+        open_hdf5(str(tmp_path / "run.h5"), "x", Reading())
+
+
+def test_several_groups_are_told_apart_by_their_paths(tmp_path: Path) -> None:
+    def fill(file: Any) -> None:
+        plain(file.create_group("run1"))
+        plain(file.create_group("run2"))
+
+    source = opened(tmp_path, fill)
+    assert "run1/voltage" in names(source)
+    assert "run2/voltage" in names(source)
+    assert "run.h5::run1" in source.hint
+    source.close()
+
+
+@pytest.mark.parametrize(
+    ("attributes", "rate", "problem"),
+    [
+        ({"sample_rate": 2.0, "sample_rate_units": "kHz"}, 2000.0, ""),
+        ({"dt": "0.5 ms"}, 2000.0, ""),
+        ({"fs": "1 kHz", "dt": "2 ms"}, None, "two sample rates"),
+        ({"sample_rate": "10 furlongs"}, None, "unit of a rate"),
+        ({}, None, ""),
+    ],
+)
+def test_a_rate_that_is_stated(
+    tmp_path: Path, attributes: dict[str, Any], rate: float | None, problem: str
+) -> None:
+    def fill(file: Any) -> None:
+        file.attrs.update(attributes)
+        file["run/voltage"], file["run/displacement"] = V, D
+
+    source = opened(tmp_path, fill)
+    assert source.rate == rate
+    assert problem in source.rate_problem
+    assert (source.rate_problem == "") == (problem == "")
+    assert "time" not in names(source)
+    source.close()
+
+
+def test_a_single_value_is_a_statement_and_no_column(tmp_path: Path) -> None:
+    def fill(file: Any) -> None:
+        file["voltage"], file["displacement"] = V, D
+        file["fs"], file["count"] = 4000.0, 3
+
+    source = opened(tmp_path, fill)
+    assert source.rate == 4000.0
+    assert names(source) == ["displacement", "voltage"]
+    source.close()
+
+
+def test_scale_offset_and_missing_values(tmp_path: Path) -> None:
+    def fill(file: Any) -> None:
+        file["packed"] = np.array([0, 100, -32768], dtype="i2")
+        file["packed"].attrs.update(
+            {"scale_factor": 0.125, "add_offset": 10.0, "_FillValue": -32768}
+        )
+        file["scaled"] = np.array([1.0, 2.0, 3.0])
+        file["scaled"].attrs["scale"] = 20.0
+        file["unclear"] = np.array([1.0, 2.0, 3.0])
+        file["unclear"].attrs.update({"scale": 20.0, "offset": 1.0})
+        file["gained"] = np.array([1.0, 2.0, 3.0])
+        file["gained"].attrs["gain"] = 5.0
+
+    source = opened(tmp_path, fill)
+    np.testing.assert_array_equal(values(source, "packed"), [10.0, 22.5, np.nan])
+    np.testing.assert_array_equal(values(source, "scaled"), [20.0, 40.0, 60.0])
+    np.testing.assert_array_equal(values(source, "gained"), [1.0, 2.0, 3.0])
+    told = " ".join(source.remarks)
+    assert "multiplied by its attribute scale, 20" in told
+    assert "gain, 5, which is not applied" in told
+    with pytest.raises(InputError, match="scale_factor and add_offset"):
+        values(source, "unclear")
+    source.close()
+
+
+def test_stamps_are_a_time(tmp_path: Path) -> None:
+    def fill(file: Any) -> None:
+        file["time"] = [f"2026-01-02T03:04:05.00{n}" for n in range(4)]
+        file["voltage"], file["note"] = V[:4], ["a", "b", "c", "d"]
+
+    source = opened(tmp_path, fill)
+    assert [(column.name, column.kind) for column in source.columns] == [
+        ("time", "stamp"), ("voltage", "number")]  # fmt: skip
+    stamps = values(source, "time")
+    assert stamps.dtype == np.int64
+    assert stamps[0] == 1_767_323_045_000_000_000
+    np.testing.assert_array_equal(np.diff(stamps), 1_000_000)
+    assert NOT_A_TIME not in stamps
+    source.close()
+
+
+def test_columns_of_unequal_length_are_refused(tmp_path: Path) -> None:
+    def fill(file: Any) -> None:
+        file["voltage"], file["displacement"] = V, D[:-1]
+
+    source = opened(tmp_path, fill)
+    with pytest.raises(InputError, match=r"unequal length.*199.*200|unequal length"):
+        list(source.blocks(source.columns))
+    source.close()
+
+
+# --- what leads out of the file ---
+
+
+def secret(folder: Path) -> Path:
+    return made(folder / "secret.h5", plain)
+
+
+def external_link(file: Any, other: Path) -> None:
+    file["voltage"] = h5py.ExternalLink(str(other), "/voltage")
+
+
+def external_group(file: Any, other: Path) -> None:
+    file["run"] = h5py.ExternalLink(str(other), "/")
+
+
+def soft_into_external(file: Any, other: Path) -> None:
+    external_group(file, other)
+    file["voltage"] = h5py.SoftLink("/run/voltage")
+
+
+def virtual(file: Any, other: Path) -> None:
+    layout = h5py.VirtualLayout(shape=(T.size,), dtype="f8")
+    layout[:] = h5py.VirtualSource(str(other), "voltage", shape=(T.size,))
+    file.create_virtual_dataset("voltage", layout)
+
+
+def external_storage(file: Any, other: Path) -> None:
+    file.create_dataset(
+        "voltage", (T.size,), "f8", external=[(str(other), 0, 8 * T.size)]
+    )
+
+
+@pytest.mark.parametrize(
+    "fill",
+    [external_link, external_group, soft_into_external, virtual, external_storage],
+)
+def test_no_other_file_is_read(
+    tmp_path: Path, fill: Callable[[Any, Path], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = secret(tmp_path)
+
+    def both(file: Any) -> None:
+        fill(file, other)
+        file["displacement"], file["time"] = D, T
+
+    path = made(tmp_path / "run.h5", both)
+    os.truncate(other, 0)  # whoever opens it fails otherwise than by a refusal
+    with pytest.raises(InputError, match="other file"):
+        source = open_hdf5(str(path), "", Reading())
+        assert len(names(source)) <= 3
+        for name in ("voltage", "run/voltage"):
+            column = source.find(name)
+            if column is not None:
+                list(source.blocks([column]))
+        raise AssertionError("not refused")
+
+
+@pytest.mark.parametrize("part", ["run", "run/voltage", "/run/voltage"])
+def test_a_part_behind_an_external_link_is_refused(tmp_path: Path, part: str) -> None:
+    path = made(
+        tmp_path / "run.h5", lambda file: external_group(file, secret(tmp_path))
+    )
+    with pytest.raises(InputError, match="leads to another file"):
+        open_hdf5(str(path), part, Reading())
+
+
+def test_shapes_that_hold_no_columns(tmp_path: Path) -> None:
+    def fill(file: Any) -> None:
+        file["cube"] = np.zeros((3, 4, 5))
+        file["text"] = "hello"
+        file["empty"] = np.zeros((0,))
+        file["nothing"] = h5py.Empty("f8")
+        file["complex"] = np.zeros(5, dtype=complex)
+        file.create_group("g")
+
+    with pytest.raises(InputError, match=r"no columns of numbers.*/cube"):
+        opened(tmp_path, fill)
+    with pytest.raises(InputError, match="to_parquet"):
+        opened(
+            tmp_path,
+            lambda file: file.create_group("log").attrs.update(
+                {"pandas_type": "frame"}
+            ),
+        )
+
+
+def test_damaged_files_end_in_one_line(tmp_path: Path) -> None:
+    whole = made(tmp_path / "whole.h5", compressed).read_bytes()
+    rng = np.random.default_rng(5)
+    path = tmp_path / "damaged.h5"
+    refused = 0
+    for number in range(300):
+        data = bytearray(
+            whole[: len(whole) if number % 2 else int(rng.integers(8, len(whole)))]
+        )
+        for place in rng.integers(8, len(data), 8):
+            data[place] = int(rng.integers(256))
+        path.write_bytes(data)
+        try:
+            source = open_hdf5(str(path), "", Reading())
+            for column in source.columns:
+                list(source.blocks([column]))
+            source.close()
+        except InputError as problem:
+            refused += 1
+            assert "\n" not in str(problem)
+    assert refused > 100
