@@ -222,6 +222,9 @@ def split_header(text: str) -> tuple[str, str | None]:
         if is_node or _REMARK.fullmatch(inner.lower()):
             return plain, None
         return match["name"].strip().rstrip("_,"), spell(inner)
+    match = _SUFFIX.fullmatch(plain)
+    if match and "/" in match["unit"] and parse_unit(match["unit"]):
+        return match["name"], spell(match["unit"])  # field_kA/m
     for pattern in (_BEHIND, _SUFFIX):
         match = pattern.fullmatch(plain)
         if match is None:

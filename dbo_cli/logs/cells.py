@@ -69,21 +69,19 @@ def split_cells(line: str, delimiter: str) -> list[str]:
 
 
 def _split_quoted(line: str, delimiter: str) -> list[str]:
-    """Split a line in which cells may stand in quotes."""
-    cells, cell, inside = [], "", False
+    """Split a line in which cells may stand in quotes; a quote anywhere else is a letter of its cell."""
     if delimiter == " ":
-        line = line.replace("\t", " ").strip()
-    for letter in line:
-        if letter == '"':
-            inside = not inside
-        elif letter == delimiter and not inside:
-            cells.append(cell.strip())
-            cell = ""
-        else:
-            cell += letter
-    cells.append(cell.strip())
-    if delimiter == " ":
-        cells = [cell for cell in cells if cell]
+        found = re.findall(r'"([^"]*)"(?=\s|$)|(\S+)', line)
+        return [inner or plain for inner, plain in found]
+    mark = re.escape(delimiter)
+    pattern = re.compile(rf'\s*"([^"]*)"\s*(?={mark}|$)|([^{mark}]*)')
+    cells, place = [], 0
+    while place <= len(line):
+        match = pattern.match(line, place)
+        if match is None:
+            break
+        cells.append((match[2] if match[1] is None else match[1]).strip())
+        place = match.end() + 1
     return cells
 
 

@@ -51,8 +51,8 @@ class Clock:
         The unit that is stated; None where nothing states it.
     rate, start
         Samples a second (Hz) and the time (s) of the first row, without a column.
-    step
-        Seconds between rows, where they are even so far.
+    step, uneven
+        Seconds between rows where they are even so far; whether they are not.
     origin
         What time 0 is in seconds since 1970, where dates say it.
     """
@@ -66,6 +66,7 @@ class Clock:
     rate: float | None = None
     start: float = 0.0
     step: float | None = None
+    uneven: bool = False
     origin: float | None = None
     remarks: list[str] = field(default_factory=list)
     rows: int = 0
@@ -186,27 +187,22 @@ class Clock:
         steps = np.diff(time, prepend=time[0] if before is None else before)
         if before is None and len(steps) > 1:
             steps[0] = steps[1]
-        even = self._even_step(steps if before is not None else steps[1:], time)
-        if even is None:
-            self.step = None
-            return steps
-        return even
+        fresh = steps if before is not None else steps[1:]
+        if not len(fresh):
+            return steps if self.step is None else self.step
+        if not self.uneven:
+            self.step = self._even_step(fresh, time)
+            self.uneven = self.step is None
+        return steps if self.step is None else self.step
 
     def _even_step(self, steps: FloatArray, time: FloatArray) -> float | None:
         """Return the one step of rows that are even to rounding; None where they are not."""
-        if not len(steps):
-            return self.step
         mean = float(steps.mean())
         rounding = 4.0 * np.spacing(abs(time).max()) + self._resolution(time)
         if mean <= 0.0 or np.abs(steps - mean).max() > _EVEN * mean + rounding:
             return None
-        if self.step is None and self.rows > len(time):
-            return None
-        if self.step is None:
-            self.step = mean
-        if abs(mean - self.step) > _EVEN * self.step + rounding:
-            return None
-        return self.step
+        step = mean if self.step is None else self.step
+        return step if abs(mean - step) <= _EVEN * step + rounding else None
 
     def _resolution(self, time: FloatArray) -> float:
         """Return the last decimal place of the times, where it is a small part of a step."""
@@ -279,8 +275,8 @@ class Clock:
         else:
             return
         warn(
-            f"{self.called} is stated in {self.unit}, but {odd} (`time_unit` ms if it counts milliseconds, "
-            f"`time_unit` {self.unit} if that is right)"
+            f"{self.called} is stated in {self.unit}, but {odd} (`time_unit` {self.unit} if that is "
+            "right, or what it counts: ms, us, ns)"
         )
 
     def describe(self) -> str:

@@ -225,6 +225,10 @@ def open_log(
         raise UsageError(
             f"`time` {elsewhere['time']}: the time stands in the log itself"
         )
+    if reading.resample is not None and not 0.0 < reading.resample < np.inf:
+        raise UsageError(
+            f"`resample` {reading.resample:g}: give a positive number of samples a second"
+        )
     own = {role: text for role, text in roles.items() if role not in elsewhere}
     log = _open_file(name, own, reading, units, optional)
     if elsewhere:
@@ -377,14 +381,8 @@ def _resampled(log: Log, rate: float) -> Log:
     Raises
     ------
     InputError
-        It has no clock, repeats stamps, or lasts less than a step.
-    UsageError
-        The rate is not positive.
+        It has no clock, or lasts less than a step.
     """
-    if not 0.0 < rate < np.inf:
-        raise UsageError(
-            f"`resample` {rate:g}: give a positive number of samples a second"
-        )
     with log:
         table = log.read()
     if table.time is None:

@@ -31,7 +31,7 @@ JUNK = [
     "Date,2026-01-02", "", "Range\t100\tV", "Sample Interval,1.0E-3,,", "*** header ***", "Gain = 2",
     "#SAMPLE_TIME = 0.001", "Channels\t2\t\t", "Model,MSO54", "!x y z", "1 2", "7",
 ]  # fmt: skip
-DAMAGE = "0159.,;\t\n\r -+eE#%\"'abN\0µ/:"
+DAMAGE = "0159.,;\t\n\r -+eE#%\"'abN\0/:"
 
 
 @dataclass
@@ -98,7 +98,7 @@ def damaged(text: str, rng: random.Random) -> tuple[str, tuple[int, int]]:
     """Change a letter or a few of a text; also give the first and the last line of them."""
     place = rng.randrange(len(text))
     way = rng.randrange(4)
-    last = place
+    last = place + 1
     if way == 0:
         changed = text[:place] + text[place + 1 :]
     elif way == 1:
@@ -108,7 +108,7 @@ def damaged(text: str, rng: random.Random) -> tuple[str, tuple[int, int]]:
     else:
         last = place + rng.randrange(1, 30)
         changed = text[:place] + text[last:]
-    return changed, (text.count("\n", 0, place), text.count("\n", 0, last + 1))
+    return changed, (text.count("\n", 0, place), text.count("\n", 0, last))
 
 
 def read(path: Path, written: Written, rng: random.Random) -> list[list[float]] | None:

@@ -1,0 +1,201 @@
+"""The clock of a log: stamps, units, rates, even and uneven steps, and what is asked or refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dbo_cli.errors import DboWarning, InputError, UsageError
+from dbo_cli.logs import Log, Reading, Table, open_log
+from dbo_cli.logs.headers import stated_rate
+
+VOLTAGE: dict[str, str | None] = {"voltage": None}
+
+
+def write(
+    folder: Path, times: list[str], header: str = "time_s", above: str = ""
+) -> str:
+    path = folder / "run.csv"
+    rows = [f"{time},{number}.5" for number, time in enumerate(times)]
+    path.write_text("\n".join([above + f"{header},voltage_V", *rows]) + "\n")
+    return str(path)
+
+
+def read(path: str, **reading: object) -> tuple[Table, Log]:
+    with open_log(path, VOLTAGE, Reading(**reading)) as log:  # type: ignore[arg-type]
+        return log.read(), log
+
+
+def test_even_time(tmp_path: Path) -> None:
+    table, log = read(write(tmp_path, [f"{n * 0.002:.3f}" for n in range(500)]))
+    assert table.dt == pytest.approx(0.002, rel=1e-12)
+    assert log.clock.kind == "column"
+    assert log.line().endswith("500 rows, 1 s at 500 Hz; voltage_V")
+
+
+def test_even_to_the_decimals_that_are_written(tmp_path: Path) -> None:
+    table, _ = read(write(tmp_path, [f"{n / 3000:.6f}" for n in range(3000)]))
+    assert table.dt == pytest.approx(1 / 3000, rel=1e-6)
+
+
+def test_uneven_time_gives_each_step(tmp_path: Path) -> None:
+    table, log = read(
+        write(tmp_path, ["0", "0.001", "0.003", "0.004", "0.020", "0.020"])
+    )
+    assert isinstance(table.dt, np.ndarray)
+    assert table.dt.tolist() == pytest.approx([0.001, 0.001, 0.002, 0.001, 0.016, 0.0])
+    assert log.remarks == [
+        "1 time stamps are repeated", "2 gaps in time, the largest 0.016 s",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("header", "factor"),
+    [("t_ms", 1e-3), ("Time (us)", 1e-6), ("time [min]", 60.0), ("Zeit/Sekunden", 1.0), ("millis", 1e-3)],
+)  # fmt: skip
+def test_units_of_time(header: str, factor: float, tmp_path: Path) -> None:
+    step = 0.5 if factor >= 1.0 else 1000.0
+    path = write(tmp_path, [str(step * n) for n in range(4)], header)
+    time = read(path)[0].time
+    assert time is not None
+    assert time.tolist() == pytest.approx(
+        [step * factor * n for n in range(4)], rel=1e-15
+    )
+
+
+def test_the_unit_is_given(tmp_path: Path) -> None:
+    path = write(tmp_path, ["0", "1", "2"], "t")
+    with pytest.raises(InputError, match="`time_unit`"):
+        read(path)
+    assert read(path, time_unit="10us")[0].dt == pytest.approx(1e-5)
+    assert read(path, time_unit="s")[0].dt == 1.0
+    with pytest.raises(UsageError, match="`time_unit`"):
+        read(path, time_unit="furlongs")
+
+
+@pytest.mark.parametrize(
+    "times", [["1.7e12", "1.7000000001e12"], ["0", "1e-6", "2e-6"], ["0", "3600"]]
+)
+def test_figures_without_a_unit_that_can_hardly_be_seconds(
+    times: list[str], tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match="`time_unit`"):
+        read(write(tmp_path, times, "time"))
+
+
+def test_time_s_that_may_count_milliseconds_is_asked_about(tmp_path: Path) -> None:
+    with pytest.warns(DboWarning, match="`time_unit` s if"):
+        read(write(tmp_path, [str(n) for n in range(7200)]))
+    read(write(tmp_path, [str(n) for n in range(7200)]), time_unit="s")
+
+
+@pytest.mark.parametrize("header", ["time_ticks", "time (samples)", "Time [furlong]"])
+def test_what_is_no_unit_of_time_is_refused(header: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="`time_unit`"):
+        read(write(tmp_path, ["0", "0.1", "0.2"], header))
+
+
+def test_time_that_goes_back_is_refused_with_its_row(tmp_path: Path) -> None:
+    path = write(tmp_path, ["0", "0.1", "0.2", "0.1", "0.2"])
+    with pytest.raises(InputError, match=r"row 4: time goes back.*`rows`"):
+        read(path)
+    assert read(path, rows=":3")[0].rows == 3
+    assert read(path, rows=(4, None))[0].rows == 2
+
+
+def test_repeated_stamps_of_too_few_digits_are_warned_of(tmp_path: Path) -> None:
+    with pytest.warns(DboWarning, match="`sample_rate`"):
+        read(write(tmp_path, [f"{n / 1000:.2f}" for n in range(100)]))
+
+
+@pytest.mark.parametrize(
+    "stamps",
+    [
+        ["2026-01-02T03:04:05.000", "2026-01-02T03:04:05.500", "2026-01-02T03:04:06.000"],
+        ["2026-01-02 03:04:05Z", "2026-01-02 03:04:05.5Z", "2026-01-02 03:04:06Z"],
+        ["2026-01-02T05:04:05+02:00", "2026-01-02T05:04:05.5+02:00", "2026-01-02T05:04:06+02:00"],
+        ["02.01.2026 03:04:05", "02.01.2026 03:04:05.5", "02.01.2026 03:04:06"],
+    ],
+)  # fmt: skip
+def test_stamps(stamps: list[str], tmp_path: Path) -> None:
+    table, log = read(write(tmp_path, stamps, "when"))
+    assert table.time is not None
+    assert table.time.tolist() == [0.0, 0.5, 1.0]
+    assert table.origin == 1767323045.0
+    assert log.clock.kind == "stamps"
+
+
+def test_clock_times_go_on_past_midnight(tmp_path: Path) -> None:
+    table, _ = read(write(tmp_path, ["23:59:59.9", "00:00:00.0", "00:00:00.1"], "time"))
+    assert table.time is not None
+    assert table.time.tolist() == pytest.approx([0.0, 0.1, 0.2])
+    assert table.origin is None
+
+
+def test_polars_reads_stamps_as_the_cells_are_read(tmp_path: Path) -> None:
+    stamps = np.datetime64("2026-01-02T23:59:30", "us") + np.arange(20_000) * 3000
+    path = write(tmp_path, [str(stamp) + "+01:00" for stamp in stamps], "time")
+    table, _ = read(path)
+    assert table.time is not None
+    np.testing.assert_array_equal(table.time, np.arange(20_000) * 3 / 1000)
+    assert table.origin == 1767394770.0
+
+
+def test_rates(tmp_path: Path) -> None:
+    path = write(tmp_path, ["1", "2", "3"], "current_A", above="# Sample rate: 2 kHz\n")
+    table, log = read(path)
+    assert (table.dt, log.clock.kind) == (1 / 2000, "rate")
+    assert table.time is not None
+    assert table.time.tolist() == [0.0, 0.0005, 0.001]
+    table, log = read(write(tmp_path, ["5", "6", "7"]), sample_rate=100.0)
+    assert table.dt == 0.01
+    assert log.remarks == ["`sample_rate` replaces column 'time_s'"]
+    for rate in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(UsageError, match="`sample_rate`"):
+            read(path, sample_rate=rate)
+    with (
+        pytest.raises(UsageError),
+        open_log(path, {"voltage": None, "time": "1"}, Reading(sample_rate=1.0)),
+    ):
+        pass
+
+
+def test_no_clock(tmp_path: Path) -> None:
+    table, log = read(write(tmp_path, ["1", "2", "3"], "current_A"))
+    assert table.time is None and table.dt is None
+    assert "no clock" in log.line() and not log.provided("time")
+
+
+def test_statements_of_a_rate() -> None:
+    said: list[str] = []
+    assert stated_rate([("fs", "10 kHz", ""), ("dt", 0.1, "ms")], said) == 10_000.0
+    assert said == []
+    assert stated_rate([("Sample Interval", 0.002, "")], said) == 500.0
+    assert said == ["'Sample Interval' 0.002 has no unit: s is assumed"]
+    assert (
+        stated_rate([("SampleTime[ms]", "0,5", ""), ("ts", "2026-01-02", "")], said)
+        == 2000.0
+    )
+    for bad in (
+        [("fs", 1, ""), ("dt", 2, "")],
+        [("fs", "3 rpm", "")],
+        [("fs", "1,000 Hz", "")],
+    ):
+        with pytest.raises(InputError, match="`sample_rate`"):
+            stated_rate(bad, said)
+
+
+def test_resampling_is_linear_and_even(tmp_path: Path) -> None:
+    path = write(tmp_path, ["0", "0.1", "0.4", "0.5"])
+    table, log = read(path, resample=10.0)
+    assert table.dt == pytest.approx(0.1)
+    assert table["voltage"].tolist() == pytest.approx(
+        [0.5, 1.5, 1.5 + 1 / 3, 1.5 + 2 / 3, 2.5, 3.5]
+    )
+    assert any("interpolated" in remark for remark in log.remarks)
+    with pytest.raises(InputError, match="`resample`"):
+        read(path, resample=0.1)
+    with pytest.raises(UsageError, match="`resample`"):
+        read(path, resample=-1.0)

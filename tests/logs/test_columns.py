@@ -1,0 +1,166 @@
+"""Which column has which role, and what is asked where that is not clear."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import pytest
+
+from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs import Reading, columns_of, columns_of_names, open_log
+from dbo_cli.logs.columns import candidates, role_of
+from dbo_cli.logs.source import Column
+from dbo_cli.units import split_header
+
+BOTH: dict[str, str | None] = {"voltage": None, "displacement": None}
+
+
+def columns(*headers: str) -> list[Column]:
+    return [
+        Column(n, header, split_header(header)[1])
+        for n, header in enumerate(headers, 1)
+    ]
+
+
+def found(role: str, *headers: str, unit: str | None = None) -> list[int]:
+    return [
+        column.number for column in candidates(columns(*headers), role_of(role, unit))
+    ]
+
+
+def write(folder: Path, header: str, rows: int = 3) -> str:
+    path = folder / "run.csv"
+    cells = header.count(",") + 1
+    lines = [",".join(str(n / 1000 + k) for k in range(cells)) for n in range(rows)]
+    path.write_text("\n".join([header, *lines]) + "\n")
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("role", "headers", "numbers"),
+    [
+        ("voltage", ["time_s", "voltage_V", "displacement_um"], [2]),
+        ("voltage", ["t", "u", "y"], [2]),
+        ("voltage", ["t", "CH1 [V]", "CH2 [um]"], [2]),
+        ("displacement", ["t", "CH1 [V]", "CH2 [um]"], [3]),
+        ("displacement", ["t", "drive", "sensor_V"], [3]),
+        ("displacement", ["Time", "Piezo Voltage", "Target Position", "Current Position"], [4]),
+        ("displacement", ["desired_um", "measured_um"], [2]),
+        ("desired", ["desired_um", "measured_um"], [1]),
+        ("trajectory", ["desired_um", "position_um"], [1]),
+        ("trajectory", ["position_um"], [1]),
+        ("voltage", ["CH1 [V]", "CH2 [V]"], [1, 2]),
+        ("voltage", ["drive", "u"], [1, 2]),
+        ("voltage", ["sensor_V", "piezo_V"], [2]),
+        ("voltage", ["temperature_degC", "supply voltage"], []),
+        ("displacement", ["x [um]", "y [um]", "z [um]"], [1, 2, 3]),
+        ("displacement", ["temp", "height_nm"], [2]),
+        ("voltage", ["pressure_bar", "stroke_mm"], [1]),
+        ("voltage", ["voltage_um", "CH1 [V]"], []),
+    ],
+)  # fmt: skip
+def test_a_role_is_found(role: str, headers: list[str], numbers: list[int]) -> None:
+    assert sorted(found(role, *headers)) == numbers
+
+
+def test_a_unit_of_a_model_says_what_is_looked_for() -> None:
+    assert found("voltage", "voltage_V", "pressure_bar", unit="bar") == [2]
+    assert found("input", "voltage_V", "position_um", unit="um") == [2]
+    assert found("input", "voltage_V", "position_um", unit="V") == [1]
+    with pytest.raises(UsageError):
+        role_of("colour", None)
+
+
+def test_the_question_lists_columns_and_complete_options(tmp_path: Path) -> None:
+    path = write(tmp_path, "t [s],CH1,Out 2")
+    with pytest.raises(InputError) as raised:
+        open_log(path, BOTH)
+    message = str(raised.value)
+    assert "1 t [s], 2 CH1, 3 Out 2" in message
+    assert f"`voltage` CH1 `displacement` {shlex.quote('Out 2')}" in message
+    with open_log(path, {"voltage": "CH1", "displacement": "Out 2"}) as log:
+        assert log.read()["displacement"].tolist() == [2.0, 2.001, 2.002]
+
+
+@pytest.mark.parametrize(
+    "selector", ["2", "voltage_V", "VOLTAGE_v", "voltage", "number=2", "name=voltage_V"]
+)
+def test_a_column_is_named(selector: str, tmp_path: Path) -> None:
+    path = write(tmp_path, "time_s,voltage_V,displacement_um")
+    with open_log(path, {"voltage": selector, "displacement": None}) as log:
+        assert log.columns["voltage"] == Column(2, "voltage_V", "V")
+        assert log.read()["voltage"].tolist() == [1.0, 1.001, 1.002]
+
+
+@pytest.mark.parametrize("selector", ["4", "0", "-1", "volts", "u", "number=9"])
+def test_no_such_column(selector: str, tmp_path: Path) -> None:
+    path = write(tmp_path, "time_s,u,u")
+    with pytest.raises((InputError, UsageError), match="`voltage`"):
+        open_log(path, {"voltage": selector})
+
+
+def test_a_number_that_is_a_name_is_asked_about(tmp_path: Path) -> None:
+    path = tmp_path / "scope.csv"
+    path.write_text("x-axis,1,2\nsecond,Volt,Volt\n0,1,2\n0.001,3,4\n")
+    with pytest.raises(InputError, match="`voltage` number=1 or `voltage` name=1"):
+        open_log(path, {"voltage": "1"})
+    with open_log(path, {"voltage": "name=1"}) as log:
+        assert log.read()["voltage"].tolist() == [1.0, 3.0]
+
+
+def test_one_column_for_two_roles_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path, "time_s,a,b")
+    with pytest.raises(InputError, match="cannot be both"):
+        open_log(path, {"voltage": "a", "displacement": "a"})
+
+
+def test_units_are_converted_and_kinds_refused(tmp_path: Path) -> None:
+    path = write(tmp_path, "time_s,voltage_kV,displacement_nm,z")
+    units = {"voltage": "V", "displacement": "um"}
+    with open_log(path, BOTH, units=units) as log:
+        table = log.read()
+        assert [column.unit for column in log.columns.values()] == ["V", "um"]
+    assert table["voltage"].tolist() == pytest.approx(
+        [1000.0, 1001.0, 1002.0], rel=1e-15
+    )
+    assert table["displacement"].tolist() == pytest.approx([0.002, 0.002001, 0.002002], rel=1e-15)
+    with pytest.raises(InputError, match="`scale` voltage=FACTORbar/kV"):
+        open_log(path, {"voltage": "2"}, units={"voltage": "bar"})
+    with open_log(path, {"displacement": "z"}, units={"displacement": "um"}) as log:
+        log.read()
+        assert any("has no unit: um is assumed" in remark for remark in log.remarks)
+
+
+def test_scales(tmp_path: Path) -> None:
+    path = write(tmp_path, "time_s,voltage_V,sensor_V")
+    reading = Reading(scale={"voltage": "20", "displacement": "10um/V"})
+    with open_log(path, BOTH, reading, {"displacement": "nm"}) as log:
+        table = log.read()
+        assert [column.unit for column in log.columns.values()] == ["V", "nm"]
+    assert table["voltage"].tolist() == pytest.approx([20.0, 20.02, 20.04], rel=1e-15)
+    assert table["displacement"][0] == 20000.0
+    for scale in (
+        {"voltage": "0"},
+        {"voltage": "x"},
+        {"time": "2"},
+        {"voltage": "1um"},
+    ):
+        with pytest.raises(UsageError, match="`scale`"):
+            open_log(path, BOTH, Reading(scale=scale))
+    with pytest.raises(InputError, match="`scale`"):
+        open_log(path, BOTH, Reading(scale={"voltage": "2um/A"}))
+
+
+def test_optional_roles_and_frames(tmp_path: Path) -> None:
+    path = write(tmp_path, "time_s,voltage_V")
+    with open_log(path, BOTH, optional=("time", "displacement")) as log:
+        assert log.provided("voltage") and log.provided("time")
+        assert not log.provided("displacement")
+    assert [column.name for column in columns_of(path)] == ["time_s", "voltage_V"]
+    picked = columns_of_names(
+        ["t", "drive_V", "x_um"], {"voltage": None, "displacement": "x_um"}
+    )
+    assert {role: column.number for role, column in picked.items()} == {
+        "time": 1, "voltage": 2, "displacement": 3,
+    }  # fmt: skip

@@ -1,0 +1,97 @@
+"""Units: spellings, headers, conversions and figures with units."""
+
+from __future__ import annotations
+
+import pytest
+
+from dbo_cli.errors import InputError, UsageError
+from dbo_cli.units import (
+    conversion,
+    drive_unit,
+    kind_of,
+    parse_quantity,
+    parse_unit,
+    quantity_name,
+    spell,
+    split_header,
+    time_unit,
+)
+
+
+@pytest.mark.parametrize(
+    ("header", "name", "unit"),
+    [
+        ("voltage_V", "voltage", "V"),
+        ("Position [µm]", "Position", "um"),
+        ("Weg/nm", "Weg", "nm"),
+        ("time (ms)", "time", "ms"),
+        ("CH1 in V", "CH1", "V"),
+        ("Drive voltage, V", "Drive voltage", "V"),
+        ("voltage in milli volts", "voltage", "mV"),
+        ("Displacement (microns)", "Displacement", "um"),
+        ("field_kA/m", "field", "kA/m"),
+        ("Voltage (Volts)", "Voltage", "V"),
+        ("U <VDC>", "U", "V"),
+        ("in s", "in s", "s"),
+        ("sine_2", "sine_2", None),
+        ("Channel A", "Channel A", None),
+        ("V(drive)", "V(drive)", None),
+        ("data[2]", "data[2]", None),
+        ("Position (raw)", "Position (raw)", None),
+        ("Posi)tion (mm", "Posi)tion (mm", None),
+        ("", "", None),
+    ],
+)
+def test_a_header_is_split_at_its_unit(
+    header: str, name: str, unit: str | None
+) -> None:
+    assert split_header(header) == (name, unit)
+
+
+def test_spellings() -> None:
+    assert [spell(text) for text in ("μm", "Volts", "мкм", "°C", "", None, "foo")] == [
+        "um", "V", "um", "degC", None, None, "foo",
+    ]  # fmt: skip
+    assert [time_unit(text) for text in ("mS", "Sekunden", "SEC", "milli seconds", "µs", "V")] == [
+        "ms", "s", "s", "ms", "us", None,
+    ]  # fmt: skip
+    assert kind_of("kA/m") == "field"
+    assert kind_of("furlong") is None
+    um = parse_unit("microns")
+    assert um is not None
+    assert (um.text, um.base, um.factor) == ("um", "m", 1e-6)
+
+
+def test_conversions() -> None:
+    assert conversion("um", "nm") == 1000.0
+    assert conversion("ms", "s") == 0.001
+    assert conversion("bar", "kPa") == 100.0
+    assert conversion(None, "V") == conversion("foo", "foo") == 1.0
+    for start, end in (("V", "um"), ("foo", "V"), ("K", "degC"), ("mm", "mV")):
+        with pytest.raises(InputError):
+            conversion(start, end)
+
+
+def test_figures() -> None:
+    assert parse_quantity("4bar", "bar") == parse_quantity(4, "bar") == 4.0
+    assert parse_quantity("2V/ms", "V/s") == 2000.0
+    assert parse_quantity("3kA/m/s", "A/m/s") == 3000.0
+    assert parse_quantity("-1.5e-3 kV", "V") == -1.5
+    assert parse_quantity("7", None) == 7.0
+    for figure, unit in (
+        ("4bar", "V"),
+        ("nan", "V"),
+        ("x", "V"),
+        ("2V", "V/s"),
+        ("1 2", "V"),
+        (float("inf"), "V"),
+    ):
+        with pytest.raises(UsageError, match="`v_max`"):
+            parse_quantity(figure, unit, "v_max")
+
+
+def test_what_a_signal_is_called() -> None:
+    assert quantity_name("voltage", "bar") == "pressure"
+    assert quantity_name("displacement", "um") == "displacement"
+    assert quantity_name("displacement", "ppm") == "strain"
+    assert (drive_unit("4bar"), drive_unit("80"), drive_unit(80.0)) == ("bar", "V", "V")
