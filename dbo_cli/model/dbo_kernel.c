@@ -271,7 +271,7 @@ typedef struct {
 } landing;
 
 /* The first of gears from ... end - 1 that is not crossed, or `end`. Gear `from` begins at (x, y) and is crossed. What
- * is left to travel, and the room, fall with every gear, rounding or not: so the gears crossed are those up to one, and
+ * is left to travel, and the room, fall with every gear (dx + kappa dy is above 0 also where kappa is not): so the gears crossed are those up to one, and
  * any way to find it is right that asks that gear itself and the next. Where neither is below zero behind a gear, it
  * was crossed. */
 INLINE landing first_open(const walk *w, const goal *to, size_t from, size_t end, const int rising, const int plain) {

@@ -58,7 +58,7 @@ typedef struct {
     double y0;
     int extend;           /* outside the range: 1 goes on with the slope of gear n-1, 0 holds Y_B */
     size_t terms;         /* relaxation terms L_j beside the gears */
-    const double *gain;   /* c_j, one per term */
+    const double *gain;   /* c_j, one per term; those below 0 must leave something of every slope of the forward gears */
     double reference;     /* the value of the remembered axis at which nothing is remembered */
     int memory_on_output; /* 0: L_j follows the input (forward); 1: it follows the output (inverse) */
 } dbo_backlash;

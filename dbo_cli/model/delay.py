@@ -140,12 +140,7 @@ class Delay:
         """Delay the last ``count`` samples, counted in steps."""
         if not step > 0.0:
             raise InputError(f"time step: {step!r} s is not greater than 0")
-        whole, part = whole_and_part(self.seconds / step)
-        if whole > MOST_DELAYED:
-            raise InputError(
-                f"time step: {step:g} s is {whole:,} times in the delay of {self.seconds:g} s, and at most"
-                f" {MOST_DELAYED:,} samples are held back (lower the sample rate)"
-            )
+        whole, part = self._samples(step)
         needed = whole  # samples before the one that has just come
         if part:
             needed = whole + 1 + _place_of(whole)
@@ -163,9 +158,19 @@ class Delay:
         kept = max(needed, 1)
         return y, Held(tuple(times[-kept:].tolist()), tuple(values[-kept:].tolist()))
 
+    def _samples(self, dt: float) -> tuple[int, float]:
+        """Return how many samples of a clock of ``dt`` (s) the delay takes, and the part beyond."""
+        samples = abs(self.seconds) / dt
+        if samples > MOST_DELAYED:
+            raise InputError(
+                f"time step: {dt:g} s: the delay of {abs(self.seconds):g} s takes more than"
+                f" {MOST_DELAYED:,} samples of it (lower the sample rate)"
+            )
+        return whole_and_part(samples)
+
     def rows_ahead(self, dt: float) -> int:
         """Return how many rows of an even clock reading ahead by this delay takes."""
-        whole, part = whole_and_part(abs(self.seconds) / dt)
+        whole, part = self._samples(dt)
         if not part:
             return whole
         return max(whole + AFTER, WINDOW - 1)
@@ -180,7 +185,7 @@ class Delay:
         """
         ahead = self.rows_ahead(dt)
         count = x.size - ahead
-        whole, part = whole_and_part(abs(self.seconds) / dt)
+        whole, part = self._samples(dt)
         if not part:
             return x[whole : whole + count]
         signal = np.concatenate([past or (), x])
@@ -200,14 +205,14 @@ class Delay:
 
     def late_loop(self, x: Floats, dt: float) -> Floats:
         """Return one period of a signal that repeats, late by the delay."""
-        whole, part = whole_and_part(abs(self.seconds) / dt)
+        whole, part = self._samples(dt)
         if not part:
             return np.roll(x, whole)
         return _six_of_loop(x, -whole - 1, _place_of(whole), 1.0 - part)
 
     def early_loop(self, x: Floats, dt: float) -> Floats:
         """Return one period of a signal that repeats, earlier by the delay."""
-        whole, part = whole_and_part(abs(self.seconds) / dt)
+        whole, part = self._samples(dt)
         if not part:
             return np.roll(x, -whole)
         return _six_of_loop(x, whole, BEFORE, part)

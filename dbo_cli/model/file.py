@@ -134,7 +134,6 @@ def _model_of(root: Node) -> Model:
     """Return the model that an object describes."""
     keys = ("format", "version", "direction", "input", "output", "stages")
     root.only(keys, ("fit", "candidates", "provenance"))
-    _refuse_old(root)
     direction = root.text("direction")
     if direction not in ("forward", "inverse"):
         raise root.refuse(
@@ -164,18 +163,6 @@ def _model_of(root: Node) -> Model:
             provenance,
         )
     )
-
-
-def _refuse_old(root: Node) -> None:
-    """Say of a file of an unreleased version what to do; it, too, called itself version 1."""
-    stages = root.values["stages"]
-    if not isinstance(stages, list):
-        return
-    for stage in stages:
-        if isinstance(stage, dict) and "plays" in str(stage.get("type")):
-            raise root.refuse(
-                "stages", "plays are no model any more: identify the model again"
-            )
 
 
 def _check_fit(fit: Node) -> None:
@@ -247,7 +234,7 @@ def _relaxation(gears: Node) -> tuple[Relaxation, Axis]:
     if axis not in ("input", "output"):
         raise node.refuse("on", f"{axis!r} is neither 'input' nor 'output'")
     reference = node.number("reference")
-    tau, gain = node.times("tau"), node.numbers("gain")
+    tau, gain = node.numbers("tau"), node.numbers("gain")
     terms = gears.build(lambda: Relaxation(reference, tau, gain))
     return terms, cast(Axis, axis)
 
@@ -266,7 +253,7 @@ def _scale(node: Node) -> Scale:
 
 def _delay(node: Node) -> Delay:
     node.only(("type", "seconds"))
-    seconds = node.time("seconds")
+    seconds = node.number("seconds")
     return node.build(lambda: Delay(seconds))
 
 
@@ -279,10 +266,10 @@ def _dynamics(node: Node) -> Dynamics:
 def _section(node: Node) -> Section:
     if "lag" in node.values:
         node.only(("lag",), ("lead",))
-        seconds = node.time("lag")
+        seconds = node.number("lag")
         lead = 0.0
         if "lead" in node.values:
-            lead = node.time("lead")
+            lead = node.number("lead")
         return node.build(lambda: Lag(seconds, lead))
     node.only(("frequency", "damping"), ("antiresonance",))
     beside: Mode | None = None
@@ -290,9 +277,9 @@ def _section(node: Node) -> Section:
         below = node.node("antiresonance")
         below.only(("frequency", "damping"))
         beside = below.build(
-            lambda: Mode(below.time("frequency"), below.length("damping"))
+            lambda: Mode(below.number("frequency"), below.number("damping"))
         )
-    frequency, damping = node.time("frequency"), node.length("damping")
+    frequency, damping = node.number("frequency"), node.number("damping")
     return node.build(lambda: Resonance(frequency, damping, beside))
 
 

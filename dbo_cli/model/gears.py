@@ -197,13 +197,6 @@ class Gears:
             high += self._at_rest(self.x0 + self.width)
         return low, high
 
-    @property
-    def drive_range(self) -> tuple[float, float]:
-        """The voltage at B = 0 and at B = 2^n - 1."""
-        if self.on == "input":
-            return self.x_range
-        return self.y_range
-
     def inverse(self) -> Gears:
         """Return the inverse (17)-(18): dX and dY exchanged in every gear, and the origins."""
         return self._inverse
@@ -265,14 +258,6 @@ class Gears:
         words = self.words(0)
         kernel.recursions().backlash_decay(*self.constants(True), words, float(voltage))
         return bits_of(words)
-
-    def coordinates(self, bits: int) -> tuple[float, float]:
-        """Return X_B and Y_B, (2)-(3)."""
-        content = self.words(bits).astype("<u8").view(np.uint8)
-        crossed = np.flatnonzero(np.unpackbits(content, bitorder="little")[: self.n])
-        x = self.x0 + math.fsum(self.table[crossed, 0].tolist())
-        y = self.y0 + math.fsum(self.table[crossed, 1].tolist())
-        return x, y
 
     def run(
         self,

@@ -307,16 +307,6 @@ class Model:
         bits = self.gears.settled(value_through(self.head, voltage))
         return State(bits, first=voltage)
 
-    def start_spread(self, voltage: float) -> float:
-        """Return how far the displacement at rest at ``voltage`` depends on the past, in its unit."""
-        forward = self.forward()
-        inner = value_through(forward.head, voltage)
-        ends = [
-            forward.gears.run([inner], bits).y for bits in (0, forward.gears.all_bits)
-        ]
-        empty, full = through(forward.tail, np.concatenate(ends))
-        return abs(float(full) - float(empty))
-
     # ---- simulation ----
 
     def simulate(

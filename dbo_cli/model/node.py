@@ -20,9 +20,6 @@ Json = dict[str, Any]
 Made = TypeVar("Made")
 
 LARGEST = 1e60  # of every number: products of five of them are still within float64
-SMALLEST = 1e-60  # of widths and damping; likewise
-# s; and Hz: what is shorter than a period of light, or takes 30 million years
-SHORTEST = 1e-15
 # a file of some bytes must not ask for more memory than a machine has
 MOST_WIDTHS = 1_000_000
 # equal widths in a row are written once from this many on: two are shorter as they are
@@ -85,26 +82,6 @@ class Node(NamedTuple):
             raise self.refuse(key, f"{number!r} is beyond {LARGEST:g}")
         return number
 
-    def length(self, key: str) -> float:
-        """Return a number that is not too small to be divided by."""
-        return self._not_tiny(key, self.number(key))
-
-    def _not_tiny(self, key: str, number: float) -> float:
-        if 0.0 < abs(number) < SMALLEST:
-            raise self.refuse(key, f"{number!r} is below {SMALLEST:g}")
-        return number
-
-    def time(self, key: str) -> float:
-        """Return a time in seconds, or a frequency in Hz, 0 included."""
-        return self._as_time(key, self.number(key))
-
-    def _as_time(self, key: str, number: float) -> float:
-        if number != 0.0 and not SHORTEST <= abs(number) <= 1.0 / SHORTEST:
-            raise self.refuse(
-                key, f"{number!r} is not from {SHORTEST:g} to {1.0 / SHORTEST:g}"
-            )
-        return number
-
     def listed(self, key: str, what: str) -> list[Any]:
         """Return a list of ``what``."""
         values = self.values[key]
@@ -117,13 +94,6 @@ class Node(NamedTuple):
         items = self.listed(key, "numbers")
         return tuple(self.finite(f"{key}[{k}]", item) for k, item in enumerate(items))
 
-    def times(self, key: str) -> tuple[float, ...]:
-        """Return a list of times in seconds."""
-        numbers = self.numbers(key)
-        return tuple(
-            self._as_time(f"{key}[{k}]", item) for k, item in enumerate(numbers)
-        )
-
     def widths(self, key: str) -> list[float]:
         """Return widths, of which a run of equal ones may stand once (``repeat`` and ``value``)."""
         numbers: list[float] = []
@@ -134,9 +104,9 @@ class Node(NamedTuple):
                 run = self.below(at, item)
                 run.only(("repeat", "value"))
                 count = run.count("repeat")
-                value = run.length("value")
+                value = run.number("value")
             else:
-                value = self._not_tiny(at, self.finite(at, item))
+                value = self.finite(at, item)
             if len(numbers) + count > MOST_WIDTHS:
                 raise self.refuse(key, f"has more than {MOST_WIDTHS:,} entries")
             numbers.extend([value] * count)
