@@ -196,11 +196,9 @@ class Delay:
             for row in range(early)
         ]
         begin = first + early
-        parts.append(
-            between_even(
-                signal[begin : begin + count - early + WINDOW - 1], BEFORE, part
-            )
-        )
+        if early < count:
+            six = signal[begin : begin + count - early + WINDOW - 1]
+            parts.append(between_even(six, BEFORE, part))
         return np.concatenate(parts)
 
     def late_loop(self, x: Floats, dt: float) -> Floats:

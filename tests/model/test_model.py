@@ -141,6 +141,18 @@ def smooth_move(model: Model, rows: int) -> Floats:
     return np.asarray(lowest + 7.0 * grown * (1.0 - np.cos(2.0 * np.pi * k * 4.0 * DT)))
 
 
+@pytest.mark.parametrize("seconds", [0.2e-3, 1.2e-3, 2.2e-3, 9.7e-3])
+def test_one_row_at_a_time_is_read_ahead_as_all(seconds: float) -> None:
+    model = plant(Delay(seconds))
+    wanted = np.cumsum(np.random.default_rng(2).normal(size=60))
+    ahead = model.ahead(DT)
+    whole, _ = model.undo(wanted, None, DT)
+    undoing = None
+    for row in range(60 - ahead):
+        value, undoing = model.undo(wanted[row : row + 1 + ahead], undoing, DT)
+        assert value == pytest.approx([whole[row]], abs=1e-12)
+
+
 @pytest.mark.parametrize("seconds", [0.0, 2e-3, 1.37e-3])
 @pytest.mark.parametrize("damping", [0.02, 0.3])
 def test_dynamics_and_delay_are_undone(seconds: float, damping: float) -> None:
