@@ -32,24 +32,56 @@ SLOWEST = 100.0
 """A clock this many times slower than the model's own logs is taken for another unit."""
 
 
-class Model(room.Model):
-    """A model of an actuator, with what the public library offers on it.
+class Model:
+    """A model of an actuator.
 
-    The attributes are those of ``dbo_cli.model.Model``: ``input``, ``output``,
-    ``stages``, ``fit``.
+    Parameters
+    ----------
+    actuator : dbo_cli.model.Model
+        The cascade of stages that computes.
+
+    Attributes
+    ----------
+    direction, input, output, stages, fit, sign
+        Of the actuator: what goes in and comes out (quantity, unit, range), the stages,
+        and the figures of its identification.
     """
+
+    def __init__(self, actuator: room.Model) -> None:
+        self.actuator = actuator
+
+    def __getattr__(self, name: str) -> Any:
+        """Return what the actuator has under a public name."""
+        if name in (
+            "direction",
+            "input",
+            "output",
+            "stages",
+            "fit",
+            "sign",
+            "provenance",
+            "digest",
+        ):
+            return getattr(self.actuator, name)
+        raise AttributeError(f"a dbo Model has no attribute {name!r}")
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether two models are the same file."""
+        return isinstance(other, Model) and self.actuator == other.actuator
+
+    __hash__ = None  # type: ignore[assignment]
 
     def save(self, path: str | Path) -> None:
         """Write the model file, whole or not at all."""
         from dbo_cli.logs import write_text
 
-        write_text(str(path), room.dumps_model(self))
+        write_text(str(path), room.dumps_model(self.actuator))
 
     def inverse(self) -> Model:
         """Return the exact inverse model."""
-        return _public(super().inverse())
+        return Model(self.actuator.inverse())
 
-    def simulate(  # type: ignore[override]
+    def simulate(
         self,
         x: Any,
         time: Any = None,
@@ -90,7 +122,7 @@ class Model(room.Model):
             and seconds is not None
         ):
             dt = np.diff(seconds, prepend=begun.time)
-        y, after = super().simulate(values, dt=dt, state=begun, outside=outside)
+        y, after = self.actuator.simulate(values, dt=dt, state=begun, outside=outside)
         if not return_state:
             return y
         last = None if seconds is None else float(seconds[-1])
@@ -143,13 +175,13 @@ class Model(room.Model):
         """
         from dbo_cli.drive import Limits, plan
 
-        self.require("forward")
+        self.actuator.require("forward")
         values = floats(wanted, "wanted")
         seconds, step = clock_of(wanted, time, sample_rate, len(values))
         self._require_likely(seconds, step)
         limits = Limits.within(self.input, v_min, v_max, max_slew, extrapolate)
         drive: Drive = plan(
-            self,
+            self.actuator,
             values,
             seconds if step is None else step,
             limits,
@@ -164,19 +196,19 @@ class Model(room.Model):
         """Return a live controller: one sample at a time; see ``Controller``."""
         from dbo_cli.drive.live import Controller
 
-        return Controller(self, sample_rate, **options)
+        return Controller(self.actuator, sample_rate, **options)
 
     def plot(self) -> Figure:
         """Return a figure of the model's loop, with units."""
         from dbo_cli.report.plots import plot_model
 
-        return plot_model(self)
+        return plot_model(self.actuator)
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows."""
         from dbo_cli.report.plots import draw, model_plots
 
-        picture = draw(model_plots(self)[0], "inline").decode()
+        picture = draw(model_plots(self.actuator)[0], "inline").decode()
         return f"<p>{self!r}</p>{picture}"
 
     def __repr__(self) -> str:
@@ -184,14 +216,14 @@ class Model(room.Model):
         into, out = self.input, self.output
         return (
             f"<dbo Model, {self.direction}: {into.quantity} {into.min:g} to {into.max:g}{into.suffix}"
-            f" to {out.quantity} {out.min:g} to {out.max:g}{out.suffix}, {self.gears.n} gears>"
+            f" to {out.quantity} {out.min:g} to {out.max:g}{out.suffix}, {self.actuator.gears.n} gears>"
         )
 
     def save_state(self, state: room.State, path: str | Path) -> None:
         """Write a state file."""
         from dbo_cli.logs import write_text
 
-        write_text(str(path), room.dumps_state(state, self))
+        write_text(str(path), room.dumps_state(state, self.actuator))
 
     def _state(self, state: str | room.State | Path) -> Any:
         """Return a state, or the name of a start."""
@@ -202,7 +234,7 @@ class Model(room.Model):
             "settled",
         ):
             return state
-        return room.read_state(str(state), self)
+        return room.read_state(str(state), self.actuator)
 
     def _require_likely(self, seconds: Floats | None, step: float | None) -> None:
         """Warn where a clock is so slow that another unit is likely."""
@@ -240,7 +272,10 @@ class ModelSet(Mapping[str, Model]):
         """Write all models into one file."""
         from dbo_cli.logs import write_text
 
-        write_text(str(path), room.dumps_set(self._models))
+        write_text(
+            str(path),
+            room.dumps_set({name: one.actuator for name, one in self._models.items()}),
+        )
 
 
 def read_model(path: str | Path) -> Any:
@@ -254,19 +289,9 @@ def read_model(path: str | Path) -> Any:
     name = str(path)
     if "::" not in name and room.is_set(name):
         return ModelSet(
-            {key: _public(one) for key, one in room.read_models(name).items()}
+            {key: Model(one) for key, one in room.read_models(name).items()}
         )
-    return _public(room.read_model(name))
-
-
-def _public(model: room.Model) -> Model:
-    """Return a room's model as one of the public library."""
-    values = {
-        part.name: getattr(model, part.name)
-        for part in dataclasses.fields(model)
-        if part.init
-    }
-    return Model(**values)
+    return Model(room.read_model(name))
 
 
 # --- logs ---
@@ -343,7 +368,7 @@ def recording_of(data: Any, options: Mapping[str, Any]) -> Recording:
         frame, frame.get("time"), options.get("sample_rate"), len(frame)
     )
     if seconds is None and step is not None:
-        seconds = step * np.arange(len(frame))
+        seconds = np.arange(len(frame), dtype=np.float64) * step
     return Recording(
         name=str(data.attrs.get("name", "the frame")),
         voltage=floats(frame["voltage"], "voltage"),
@@ -361,7 +386,7 @@ def _of_arrays(v: Any, x: Any, time: Any, options: Mapping[str, Any]) -> Recordi
     voltage, displacement = floats(v, "voltage"), floats(x, "displacement")
     seconds, step = clock_of(v, time, options.get("sample_rate"), len(voltage))
     if seconds is None and step is not None:
-        seconds = step * np.arange(len(voltage))
+        seconds = np.arange(len(voltage), dtype=np.float64) * step
     return Recording(
         name="the arrays",
         voltage=voltage,
@@ -396,7 +421,8 @@ def columns_by_role(frame: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, str | 
             frame.attrs.get("units", {"voltage": "V", "displacement": "um"})
         )
     found = columns_of_names(
-        [str(name) for name in frame.columns], dict.fromkeys(("time", "voltage", "displacement"))
+        [str(name) for name in frame.columns],
+        dict.fromkeys(("time", "voltage", "displacement")),
     )
     names = {frame.columns[column.number - 1]: role for role, column in found.items()}
     units = {role: column.unit for role, column in found.items()}
@@ -464,9 +490,12 @@ def identify(
         if validate is None
         else [recording_of(one, about) for one in _listed(validate)]
     )
-    if isinstance(prior, (str, Path)):
-        prior = read_model(prior)
-    return _public(fit(recordings, Options(prior=prior, **options), others))
+    shape = None
+    if isinstance(prior, Model):
+        shape = prior.actuator
+    elif prior is not None:
+        shape = read_model(prior).actuator
+    return Model(fit(recordings, Options(prior=shape, **options), others))
 
 
 def _listed(data: Any) -> Sequence[Any]:
@@ -501,8 +530,9 @@ def report(
         desired, time, options.pop("sample_rate", None), len(values)
     )
     rate = None if step is None else 1.0 / step
-    others = None if measured is None else floats(measured, "measured")
-    return compared(values, others, seconds, sample_rate=rate, **options)
+    return compared(
+        values, floats(measured, "measured"), seconds, sample_rate=rate, **options
+    )
 
 
 # --- arrays ---
