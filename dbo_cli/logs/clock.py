@@ -69,12 +69,14 @@ class Clock:
     uneven: bool = False
     origin: float | None = None
     remarks: list[str] = field(default_factory=list)
+    doubtful: list[str] = field(default_factory=list)
     rows: int = 0
     first: float = 0.0
     last: float = 0.0
     usual_step: float = 0.0
     repeats: int = 0
     gaps: int = 0
+    first_gap: int = 0
     largest_gap: float = 0.0
     first_stamp: int | None = None
     last_stamp: int = 0
@@ -123,7 +125,7 @@ class Clock:
             self.last_stamp = int(stamps[-1])
             passed = self.days + np.cumsum(steps < -_DAY // 2)
             if passed[-1] and not self.days:
-                self.remarks.append("the clock passes midnight and goes on")
+                self.doubtful.append("the clock passes midnight and goes on")
             self.days = int(passed[-1])
             stamps = stamps + passed * _DAY
         return (stamps - self.first_stamp) / 1e9
@@ -153,6 +155,10 @@ class Clock:
         self.repeats += int(np.count_nonzero(known == 0.0))
         if self.usual_step > 0.0:
             gaps = known > _GAP * self.usual_step
+            if gaps.any() and not self.gaps:
+                self.first_gap = int(
+                    numbers[len(numbers) - len(known) + int(np.argmax(gaps))]
+                )
             self.gaps += int(np.count_nonzero(gaps))
             self.largest_gap = max(self.largest_gap, float(known.max(initial=0.0)))
 
@@ -254,10 +260,14 @@ class Clock:
                 "few digits (`sample_rate` HZ gives the time instead)"
             )
         elif self.repeats:
-            self.remarks.append(f"{self.repeats:,} time stamps are repeated")
+            s = " is" if self.repeats == 1 else "s are"
+            self.remarks.append(f"{self.repeats:,} time stamp{s} repeated")
         if self.gaps and 2 * self.repeats <= self.rows:
-            largest = f"the largest {self.largest_gap:.4g} s"
-            self.remarks.append(f"{self.gaps:,} gaps in time, {largest}")
+            s = "" if self.gaps == 1 else "s"
+            self.remarks.append(
+                f"{self.gaps:,} gap{s} in time, the first before row {self.first_gap:,}, the largest "
+                f"{self.largest_gap:.4g} s"
+            )
         if self.kind == "column" and not self.given:
             self._doubt_unit()
 

@@ -309,8 +309,10 @@ def _question(
     free = [c for c in columns if c.kind == "number" and c.number not in used]
     options: list[str] = []
     for role in unclear:
+        against = role_of(role, None).against
         likely = [column for column in unclear[role] if column in free]
-        example = next(iter(likely or free), None)
+        others = [column for column in free if not words(column.name) & against]
+        example = next(iter(likely or others), None)
         if example is not None:
             free.remove(example)
         options.append(f"`{role}` {_typed(example, columns)}")

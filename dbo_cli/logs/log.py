@@ -50,6 +50,8 @@ class Log:
         Where the times come from.
     remarks
         What was assumed, skipped or noticed; complete after the last block.
+    doubtful
+        The remarks about rows that were left out, cut or guessed.
     clock_offset
         What was added to the clock of a second file, if any.
     """
@@ -62,11 +64,13 @@ class Log:
         stream: Callable[[], Iterator[Block]],
         remarks: list[str],
         close: Callable[[], object] = lambda: None,
+        doubtful: list[str] | None = None,
     ) -> None:
         self.name = name
         self.columns = dict(columns)
         self.clock = clock
         self.remarks = remarks
+        self.doubtful = doubtful if doubtful is not None else []
         self.origin: float | None = None
         self.clock_offset: ClockOffset | None = None
         self._stream = stream
@@ -354,7 +358,15 @@ def _open_file(
         raise
     stream = Rows(source, clock, picks, scales, rows, reading.skip_bad)
     columns = {role: replace(picks[role], unit=scales[role].unit) for role in picks}
-    return Log(source.name, columns, clock, stream.blocks, source.remarks, source.close)
+    return Log(
+        source.name,
+        columns,
+        clock,
+        stream.blocks,
+        source.remarks,
+        source.close,
+        stream.doubtful,
+    )
 
 
 def _chosen(
@@ -405,4 +417,6 @@ def _resampled(log: Log, rate: float) -> Log:
         f"{table.rows:,} rows are interpolated to {count:,} at {rate:g} Hz"
     )
     even = Table(time, values, 1.0 / rate, table.origin)
-    return Log.of_table(log.name, log.columns, even, clock, log.remarks)
+    resampled = Log.of_table(log.name, log.columns, even, clock, log.remarks)
+    resampled.doubtful, resampled.clock_offset = log.doubtful, log.clock_offset
+    return resampled

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any
 
@@ -32,7 +32,10 @@ class Scale:
 
 @dataclass
 class Rows:
-    """The rows of one file as blocks by role."""
+    """The rows of one file as blocks by role.
+
+    ``doubtful`` holds the remarks about rows that were left out, cut or guessed.
+    """
 
     source: Source
     clock: Clock
@@ -42,6 +45,7 @@ class Rows:
     skip_bad: bool
     dropped: int = 0
     first_dropped: str = ""
+    doubtful: list[str] = field(default_factory=list)
 
     def blocks(self) -> Iterator[Block]:
         """Read the file once."""
@@ -50,7 +54,7 @@ class Rows:
         if stamped and self.clock.column is not None:
             chosen.append(self.clock.column)
         first, last = self.rows
-        row, kept = 1, 0
+        row, kept, told = 1, 0, len(self.source.remarks)
         before: float | None = None
         for arrays in self.source.blocks(chosen):
             count = len(arrays[0])
@@ -68,6 +72,7 @@ class Rows:
                 yield block
             if last is not None and row > last:
                 break
+        self.doubtful += self.source.remarks[told:]
         self._finish(kept, row)
 
     def _good(
@@ -115,9 +120,9 @@ class Rows:
         """Tell what was skipped, and refuse a log without a row."""
         if self.dropped:
             s = "" if self.dropped == 1 else "s"
-            self.source.remarks.append(
-                f"{self.dropped:,} row{s} left out, the first: {self.first_dropped}"
-            )
+            text = f"{self.dropped:,} row{s} left out, the first: {self.first_dropped}"
+            self.source.remarks.append(text)
+            self.doubtful.append(text)
         if not kept and self.rows[0] >= row > 1:
             raise InputError(
                 f"{self.source.name}: `rows` {self.rows[0]}: the log has {row - 1:,} data rows"
@@ -125,7 +130,8 @@ class Rows:
         if not kept:
             raise InputError(f"{self.source.name}: no good data row")
         self.clock.close()
-        self.source.remarks.extend(self.clock.remarks)
+        self.source.remarks += self.clock.doubtful + self.clock.remarks
+        self.doubtful += self.clock.doubtful
 
 
 def parse_rows(rows: str | tuple[int, int | None] | None) -> tuple[int, int | None]:

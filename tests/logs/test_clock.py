@@ -47,7 +47,7 @@ def test_uneven_time_gives_each_step(tmp_path: Path) -> None:
     assert isinstance(table.dt, np.ndarray)
     assert table.dt.tolist() == pytest.approx([0.001, 0.001, 0.002, 0.001, 0.016, 0.0])
     assert log.remarks == [
-        "1 time stamps are repeated", "2 gaps in time, the largest 0.016 s",
+        "1 time stamp is repeated", "2 gaps in time, the first before row 3, the largest 0.016 s",
     ]  # fmt: skip
 
 
@@ -128,10 +128,13 @@ def test_stamps(stamps: list[str], tmp_path: Path) -> None:
 
 
 def test_clock_times_go_on_past_midnight(tmp_path: Path) -> None:
-    table, _ = read(write(tmp_path, ["23:59:59.9", "00:00:00.0", "00:00:00.1"], "time"))
+    table, log = read(
+        write(tmp_path, ["23:59:59.9", "00:00:00.0", "00:00:00.1"], "time")
+    )
     assert table.time is not None
     assert table.time.tolist() == pytest.approx([0.0, 0.1, 0.2])
     assert table.origin is None
+    assert log.doubtful == ["the clock passes midnight and goes on"]
 
 
 def test_polars_reads_stamps_as_the_cells_are_read(tmp_path: Path) -> None:
