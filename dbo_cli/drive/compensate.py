@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.drive.drive import Drive
 from dbo_cli.drive.lead import Around, Seconds
-from dbo_cli.drive.learning import Lesson, PassRecord, Tracked, lesson_of
+from dbo_cli.drive.learning import Lesson, PassRecord, RepeatedMove, Tracked
 from dbo_cli.drive.limits import Limits
 from dbo_cli.drive.loops import Loop
 from dbo_cli.drive.stream import Block, OnLimit, Stream
@@ -114,18 +114,8 @@ def plan(
     )
     if tracked:
         begin = 0.0 if time is None else float(time[0])
-        lesson = lesson_of(
-            model,
-            values,
-            begin,
-            even,
-            tracked,
-            history,
-            state,
-            bandwidth,
-            periodic,
-            absolute,
-        )
+        move = RepeatedMove(model, values, begin, even, state, periodic, absolute)
+        lesson = move.lesson(tracked, history, bandwidth)
         request = lesson.request
     low_pass = None
     if bandwidth is not None and lesson is None:

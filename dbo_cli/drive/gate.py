@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.drive.limits import Limits
-from dbo_cli.errors import DboError
+from dbo_cli.errors import DboError, LimitError
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -116,6 +116,25 @@ class Gate:
             f"from {before:.9g} to {voltage:.9g}{unit} in one row is faster than "
             f"{self.limits.slew:g}{unit} per second"
         )
+
+    def require_reachable(
+        self, low: float, high: float, dt: float | Floats | None
+    ) -> None:
+        """Refuse a first row between ``low`` and ``high`` that one step does not reach (LimitError).
+
+        Nothing is known before the first row where ``last`` is None.
+        """
+        first = float(dt[0]) if isinstance(dt, np.ndarray) else dt
+        most = self.limits.largest_step(first)
+        if self.last is None or most is None:
+            return
+        if max(low - self.last, self.last - high) > most:
+            unit = self.limits.suffix
+            aim = f"{low:.6g}" if low == high else f"{low:.6g} to {high:.6g}"
+            raise LimitError(
+                f"the amplifier stands at {self.last:.6g}{unit}, and {self.limits.slew:g}{unit}/s does not "
+                f"bring it to {aim}{unit} in one row (`approach` auto ramps there)"
+            )
 
     def _before(self, voltage: Floats) -> Floats:
         """Return the row before each row."""

@@ -92,7 +92,7 @@ class Around:
         """The option that needs the time between samples; empty where none does."""
         for name in ("approach", "condition", "lead", "return_to"):
             if getattr(self, name) not in (None, False):
-                return name
+                return name.removesuffix("_to")
         return ""
 
 

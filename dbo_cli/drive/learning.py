@@ -311,23 +311,6 @@ class RepeatedMove:
         return min(frequency, 0.45 / self.step, _safe(resonances))
 
 
-def lesson_of(
-    model: Model,
-    desired: Floats,
-    begin: float,
-    step: float,
-    recordings: Sequence[Tracked],
-    history: Sequence[PassRecord] = (),
-    state: str | State = "auto",
-    bandwidth: float | None = None,
-    periodic: bool = False,
-    absolute: bool = False,
-) -> Lesson:
-    """Return what to ask of a model for the next pass; see ``RepeatedMove``."""
-    move = RepeatedMove(model, desired, begin, step, state, periodic, absolute)
-    return move.lesson(recordings, history, bandwidth)
-
-
 def rms(values: Floats) -> float:
     """Return the root of the mean square."""
     return float(np.sqrt(np.mean(values**2)))

@@ -429,21 +429,11 @@ class Loop:
         """Let the rows pass the gate: those before the period, the period, and its seam."""
         last = standing_at(self.model, self.limits, self.around)
         gate = Gate(self.limits, last)
-        if not before.size and last is not None:
-            self._require_step(last, float(voltage[0]))
+        if not before.size:
+            gate.require_reachable(float(voltage[0]), float(voltage[0]), self.dt)
         gate.admit(before, self.dt, "lead")
         gate.admit(voltage, self.dt)
         gate.admit(voltage[:1], self.dt)
-
-    def _require_step(self, last: float, first: float) -> None:
-        """Refuse a first row that cannot be reached in one step (LimitError)."""
-        most = self.limits.largest_step(self.dt)
-        if most is not None and abs(first - last) > most:
-            unit = self.limits.suffix
-            raise LimitError(
-                f"the amplifier stands at {last:.6g}{unit}, and {self.limits.slew:g}{unit}/s does not bring "
-                f"it to {first:.6g}{unit} in one row (`approach` auto ramps there)"
-            )
 
 
 def _rise(count: int, passes: int) -> Floats:

@@ -16,6 +16,7 @@ from dbo_cli.model import Model, State
 Floats = NDArray[np.float64]
 
 EXPECTED_ROWS = 131_072  # first rows of a move, on which the error to expect is played
+RINGS = 1e-3  # of the range: so far off its first value may a drive begin unsaid
 LONG_HOLD = 100.0  # times the longest time constant: what creeps has come to rest
 
 
@@ -39,6 +40,7 @@ class Outlook:
         self._voltage: list[Floats] = []
         self._steps: list[Floats] = []
         self._rows = 0
+        self._off: float | None = None
 
     def see(self, voltage: Floats, dt: Steps, part: str) -> None:
         """See consecutive rows of a part of the drive (``lead``, ``move``, ``return``)."""
@@ -55,13 +57,20 @@ class Outlook:
             steps = dt[: voltage.size] if isinstance(dt, np.ndarray) else dt
             self._steps.append(np.broadcast_to(steps, voltage.shape))
 
+    def see_undone(self, off: float) -> None:
+        """See by how much the first row of the static part is off what is desired there."""
+        if self._off is None:
+            self._off = off
+
     def drive(
         self, state: State | None, lead_seconds: float, past_known: bool
     ) -> Drive:
         """Return the figures of what was seen, and warn of what is unusual."""
         loss = self.loss
-        error = self._expected(past_known)
-        known = None if past_known else self._expected(True)
+        error = known = None
+        if not self._beyond():
+            error = self._expected(past_known)
+            known = None if past_known else self._expected(True)
         warnings = self._warnings(state, error)
         for text in warnings:
             warn(text)
@@ -121,6 +130,11 @@ class Outlook:
             texts.append(
                 f"{self.name}: the first row starts {abs(self.missed):.3g}{unit} off its value, where an "
                 "actuator that has settled does not stand (`condition`, or `state` empty)"
+            )
+        if abs(self._off or 0.0) > RINGS * self.model.output.span:
+            texts.append(
+                f"{self.name}: begins in motion, which an actuator at rest cannot: it rings at first (`lead` "
+                "auto lets it begin before)"
             )
         texts += self._beyond()
         if self._voltage:

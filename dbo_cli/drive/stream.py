@@ -198,12 +198,9 @@ class Stream:
 
     def _planned_lead(self, first: Block) -> Lead:
         """Return what stands before the move, and note the state that it leaves."""
-        around, needs = self.around, self.around.needs_time
-        step = self._usual_step(first.time)
-        if needs and step is None:
-            raise InputError(
-                f"{self.name}: `{needs}` needs the time between samples (a time column, or `sample_rate`)"
-            )
+        around, step = self.around, self._usual_step(first.time)
+        if step is None:
+            self._require_no_clock()
         if isinstance(around.state, State):
             around = dataclasses.replace(
                 around, state=self._aged(around.state, first, step)
@@ -213,8 +210,23 @@ class Stream:
         )
         self._state = lead.state
         if not lead.voltage.size:
-            self._require_start(first)
+            self._gate.require_reachable(*self.limits.move, first.dt)
         return lead
+
+    def _require_no_clock(self) -> None:
+        """Refuse a trajectory without a clock where something depends on the time (InputError)."""
+        what = ""
+        if self.model.needs_time:
+            what = "the model"
+        if self.limits.slew is not None:
+            what = "`max_slew`"
+        if self.around.needs_time:
+            what = f"`{self.around.needs_time}`"
+        if what:
+            raise InputError(
+                f"{self.name}: {what} needs the time between samples (a time column that advances, or "
+                "`sample_rate`)"
+            )
 
     def _aged(self, state: State, first: Block, step: float | None) -> State:
         """Return a state after the pause between its last row and the first one: the voltage was held."""
@@ -229,21 +241,6 @@ class Stream:
         if pause <= EVEN * step:
             return state
         return self.model.run(np.array([state.drive]), state, pause).state
-
-    def _require_start(self, first: Block) -> None:
-        """Refuse a first row that cannot be reached from where the amplifier stands (LimitError)."""
-        last = self._gate.last
-        dt = first.dt if not isinstance(first.dt, np.ndarray) else float(first.dt[0])
-        most = self.limits.largest_step(dt)
-        if last is None or most is None:
-            return
-        low, high = self.limits.move
-        if max(low - last, last - high) > most:
-            unit = self.limits.suffix
-            raise LimitError(
-                f"the amplifier stands at {last:.6g}{unit}, and {self.limits.slew:g}{unit}/s does not bring "
-                f"it to {low:.6g} to {high:.6g}{unit} in one row (`approach` auto ramps there)"
-            )
 
     def _read_enough(self, blocks: Iterator[Block]) -> Iterator[Block]:
         """Read so much of the move that what stands before it is known not to be long beside it."""
@@ -283,11 +280,13 @@ class Stream:
         undoing: Undoing | None = None
         if self._state is not None:
             undoing = model.undoing_of(self._state, step)
+        late = round(model.delay_seconds / step)
         signal = ((block, block.wanted) for block in blocks)
         for block, wanted in read_ahead(signal, model.ahead(step)):
             if block.part == "tail":
                 return
             undone, undoing = model.undo(wanted, undoing, step)
+            self.outlook.see_undone(float(undone[0] - wanted[late]))
             yield self._driven(block, undone, undoing)
 
     def _driven(self, block: Block, wanted: Floats, undoing: Undoing | None) -> Rows:
