@@ -42,7 +42,7 @@ class Row:
     parameters
         Numbers that were fitted.
     fit_seconds, forward_ns, inverse_ns
-        Time to fit, and of a sample without delay and dynamics.
+        CPU time: to fit, and of a sample without delay and dynamics.
     round_trip
         Largest difference between what is wanted and what the model does with the
         drive of its inverse.
@@ -312,25 +312,25 @@ class _Judge:
     def dbo(self) -> Row:
         """Return the row of the DBO, or of why there is none."""
         name, words = "dbo", "Discrete Backlash Operator"
-        begun = time.perf_counter()
+        begun = time.process_time()
         try:
             model = identify(self.logs, self.options)
         except DboError as problem:
             return Row(name, words, refused=str(problem))
-        seconds = time.perf_counter() - begun
+        seconds = time.process_time() - begun
         dbo = DboModel(model)
         expected = model.fit.get("expected_rmse")
         return self._row(name, words, dbo, expected, dbo.parameters, seconds)
 
     def rival(self, rival: Rival) -> Row:
         """Return the row of a rival, or of why there is none."""
-        begun = time.perf_counter()
+        begun = time.process_time()
         try:
             design, solution, ratio = fitting.fit(rival, self.problem)
             model = PlayModel.of(design, solution, self.problem)
         except (DboError, np.linalg.LinAlgError) as problem:
             return Row(rival.name, rival.words, refused=str(problem))
-        seconds = time.perf_counter() - begun
+        seconds = time.process_time() - begun
         expected = ratio * self._fitted(model)
         count = design.parameters
         return self._row(rival.name, rival.words, model, expected, count, seconds)

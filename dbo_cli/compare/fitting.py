@@ -25,6 +25,7 @@ SWINGS_FOR_DRIFT = 4  # of a log: fewer tell no drift from creep
 SLOPE_FLOOR = 0.03  # of the mean slope: what a slope is at least
 STEEPEST = 10.0  # times the mean slope: the steepest piece of the dead zones' curve
 NORMALISING = 1e3  # times all rows: weight of the row that fixes the curve's mean slope
+RESTING = 1e-9  # of a column's length: what is left of one that rests, by rounding
 WORTH = 0.02  # by which more plays or segments must lower the error on what is left out
 DELAYS = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # rows, to choose from
 FINEST_DELAY = 0.125  # of a row
@@ -359,9 +360,12 @@ def bounded_minimum(
     free = np.hstack([matrix[:, ~bound], drift])
     base = np.linalg.qr(free).Q
     table = np.column_stack([matrix[:, bound], right - matrix @ floor])
+    whole = np.linalg.norm(table[:, :-1], axis=0)
     table = table - base @ (base.T @ table)
     triangle = np.linalg.qr(table).R
-    scale = np.maximum(np.linalg.norm(triangle[:, :-1], axis=0), 1e-300)
+    scale = np.linalg.norm(triangle[:, :-1], axis=0)
+    # a play that does not move in these rows is an offset: nothing tells its weight
+    scale[scale <= RESTING * whole] = np.inf
     above, _ = nnls(triangle[:, :-1] / scale, triangle[:, -1], maxiter=50 * len(scale))
     x: Floats = np.array(floor)
     x[bound] += above / scale

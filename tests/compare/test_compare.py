@@ -1,0 +1,81 @@
+"""The whole table: the DBO and its rivals on one log, judged on another."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from dbo_cli.compare import Comparison, Row, compare
+from dbo_cli.identify import Recording
+
+KEYS = """name words rmse expected_rmse validation_rmse parameters fit_seconds forward_ns inverse_ns
+round_trip invertible refused""".split()
+NAMES = ["dbo", "line", "pi", "modified", "rate", "extended", "asymmetric"]
+
+
+def log(name, decay, clock=True):
+    """Plays under a sine that fades from the whole range, come down to its lower end."""
+    time = np.arange(1500) / 200.0
+    drive = 50.0 - 50.0 * np.exp(-time / decay) * np.cos(2.0 * np.pi * time)
+    places = np.empty((len(drive), 8))
+    for k, radius in enumerate(np.linspace(0.0, 35.0, 8)):
+        state = float(drive[0]) + radius
+        for row, value in enumerate(drive):
+            state = min(max(state, value - radius), value + radius)
+            places[row, k] = state
+    y = 0.5 * drive + places @ np.full(8, 0.06)
+    y = y + 0.01 * np.random.default_rng(7).standard_normal(len(y))
+    return Recording(name, drive, y, time if clock else None)
+
+
+@pytest.fixture(scope="module")
+def table():
+    return compare(log("a.csv", 5.0), log("b.csv", 2.0))
+
+
+def test_every_operator_has_a_row(table):
+    assert [row.name for row in table.rows] == NAMES
+    rows = {row.name: row for row in table.rows}
+    for row in table.rows:
+        assert row.refused is None
+        assert row.rmse > 0.0 and row.expected_rmse > 0.0
+        assert row.validation_rmse > 0.0 and row.parameters > 1
+        assert row.fit_seconds > 0.0 and row.forward_ns > 0.0 and row.inverse_ns > 0.0
+        assert row.invertible is (row.name != "rate")
+    line = rows["line"].validation_rmse
+    assert rows["dbo"].validation_rmse < line
+    # the plant is of plays
+    for name in NAMES[2:]:
+        assert rows[name].validation_rmse < 0.05 * line
+        assert rows[name].rmse == pytest.approx(0.01, rel=0.2)
+        assert rows[name].rmse <= rows[name].expected_rmse < 3.0 * rows[name].rmse
+
+
+def test_json_and_text(table):
+    content = json.loads(table.json())
+    assert (content["format"], content["version"]) == ("dbo-compare", 1)
+    assert (content["logs"], content["validation"]) == (["a.csv"], ["b.csv"])
+    assert content["unit"] == "um"
+    assert [list(row) for row in content["models"]] == [KEYS] * len(NAMES)
+    text = table.text()
+    for name in NAMES:
+        assert f"\n{name} " in text
+    assert "its inverse is not exact" in text
+    assert list(table.to_frame().columns) == KEYS[1:]
+
+
+def test_without_times_the_same_bytes_and_a_row_says_why(tmp_path):
+    logs = [log("a.csv", 5.0, clock=False)]
+    first, second = compare(logs, timings=False), compare(logs, timings=False)
+    assert first.json() == second.json()
+    rate = next(row for row in first.rows if row.name == "rate")
+    assert "clock" in rate.refused and rate.rmse is None
+    assert f"rate: {rate.refused}" in first.text()
+    assert all(row.validation_rmse is None for row in first.rows)
+
+
+def test_a_table_of_refusals_is_a_table():
+    text = Comparison((Row("pi", "plays", refused="no"),), None, ("a",)).text()
+    assert "note: pi: no" in text
