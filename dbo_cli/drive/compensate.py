@@ -7,7 +7,7 @@ blocks, in constant memory. Both run the loop of ``drive/stream.py``.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +17,7 @@ from dbo_cli.drive.lead import Around, Seconds
 from dbo_cli.drive.learning import Lesson, PassRecord, RepeatedMove, Tracked
 from dbo_cli.drive.limits import Limits
 from dbo_cli.drive.loops import Loop
-from dbo_cli.drive.stream import Block, OnLimit, Stream
+from dbo_cli.drive.stream import BLOCK_ROWS, Block, OnLimit, Stream
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.model import Model, State, ZeroPhaseLowPass
 
@@ -147,7 +147,7 @@ def stream(
     lead: Seconds = None,
     return_to: float | None = None,
     on_limit: OnLimit = "auto",
-    block_rows: int | None = None,
+    block_rows: int = BLOCK_ROWS,
     name: str = "trajectory",
 ) -> Stream:
     """Return the drive of a trajectory that comes in blocks; iterate over it once.
@@ -159,27 +159,14 @@ def stream(
     step
         Seconds a row of an even clock; None: uneven, or no clock.
     block_rows
-        Cut the blocks again, to so many rows; the values stay the same to rounding.
+        Blocks are cut to so many rows; the values stay the same to rounding.
 
     The other parameters are those of ``plan``. With ``on_limit`` auto a move that loses
     more than one percent is refused at the end of the iteration.
     """
     around = Around(state, start, approach, condition, lead, return_to)
-    moves = (
-        Block(time, desired, desired) for time, desired in _cut(blocks, block_rows)
-    )
-    return Stream(model, moves, step, limits, around, on_limit, name)
-
-
-def _cut(
-    blocks: Iterable[tuple[Floats | None, Floats]], rows: int | None
-) -> Iterator[tuple[Floats | None, Floats]]:
-    """Yield the same rows in blocks of so many at most."""
-    for time, desired in blocks:
-        size = rows or max(desired.size, 1)
-        for begin in range(0, desired.size, size):
-            part = slice(begin, begin + size)
-            yield (None if time is None else time[part]), desired[part]
+    moves = (Block(time, desired, desired) for time, desired in blocks)
+    return Stream(model, moves, step, limits, around, on_limit, name, block_rows)
 
 
 def _whole(stream: Stream) -> Drive:

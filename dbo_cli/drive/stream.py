@@ -35,6 +35,7 @@ from dbo_cli.model import Model, State, Undoing, read_ahead
 Floats = NDArray[np.float64]
 OnLimit = Literal["auto", "clip", "error"]
 
+BLOCK_ROWS = 65_536  # that are driven at once: what they take stays in caches
 EVEN = 1e-6  # of a step: what rounding of stamps may make of an even step
 
 
@@ -83,6 +84,8 @@ class Stream:
         What the drive may do, what stands around the move, and what happens at a limit.
     name
         Of the trajectory, for messages.
+    block_rows
+        Most rows of a block that comes out.
 
     Attributes
     ----------
@@ -99,6 +102,7 @@ class Stream:
         around: Around,
         on_limit: OnLimit = "auto",
         name: str = "trajectory",
+        block_rows: int = BLOCK_ROWS,
     ) -> None:
         model.require("forward")
         check_on_limit(on_limit)
@@ -107,7 +111,7 @@ class Stream:
         self.drive: Drive | None = None
         self.loss = Loss(model, limits, name)
         self.outlook = Outlook(model, self.loss)
-        self._blocks = blocks
+        self._blocks = _cut(blocks, block_rows)
         self._gate = Gate(limits, standing_at(model, limits, around))
         self._state: State | None = None
         self._lead = Lead()
@@ -362,6 +366,20 @@ def check_on_limit(on_limit: str) -> None:
     """Refuse what is no way to meet a limit (UsageError)."""
     if on_limit not in ("auto", "clip", "error"):
         raise UsageError(f"`on_limit` {on_limit}: give auto, clip or error")
+
+
+def _cut(blocks: Iterable[Block], rows: int) -> Iterator[Block]:
+    """Yield the same rows in blocks of so many at most; a tail is read ahead alone, and stays whole."""
+    for block in blocks:
+        if block.part == "tail":
+            yield block
+            continue
+        for begin in range(0, block.desired.size, rows):
+            part = slice(begin, begin + rows)
+            time = None if block.time is None else block.time[part]
+            yield block._replace(
+                time=time, desired=block.desired[part], wanted=block.wanted[part]
+            )
 
 
 def _times_before(first: Block, lead: Lead) -> Floats:
