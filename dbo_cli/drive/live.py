@@ -256,6 +256,10 @@ class Controller:
     def _planned_first(self, u: float, ahead: Ahead | None) -> Pending:
         """Plan the first row: the start is found for it."""
         begun = self._begun(u)
+        if self._last is not None and self._is_outside(self._last):
+            voltage = self._inwards(self._last)
+            moved = self._model.static.run(np.array([voltage]), begun, self._dt)
+            return Pending(voltage, ahead, moved.state, True)
         done = self._model.drive(np.array([u]), begun, self._dt, self._window)
         return Pending(float(done.voltage[0]), ahead, done.state, bool(done.clipped))
 
@@ -293,20 +297,26 @@ class Controller:
     def _planned(self, u: float, ahead: Ahead | None, stepper: Stepper) -> Pending:
         """Plan a row behind another one."""
         assert self._last is not None
-        low, high = self.limits.move
-        if not low <= self._last <= high:
-            voltage = self._inwards(self._last, low, high)
+        if self._is_outside(self._last):
+            voltage = self._inwards(self._last)
             stepper.follow(value_through(self._back_to_gears, voltage))
             return Pending(voltage, ahead, None, True)
         y = stepper.plan(value_through(self._to_gears, u))
         clipped = stepper.clipped
         voltage = y
         if self._from_gears:
+            low, high = self.limits.move
             voltage = min(max(value_through(self._from_gears, y), low), high)
         return Pending(voltage, ahead, None, clipped)
 
-    def _inwards(self, last: float, low: float, high: float) -> float:
-        """Return the next voltage on the way in from where an applied voltage stands."""
+    def _is_outside(self, voltage: float) -> bool:
+        """Tell whether a voltage lies outside the range of a move."""
+        low, high = self.limits.move
+        return not low <= voltage <= high
+
+    def _inwards(self, last: float) -> float:
+        """Return the next voltage on the way in from where the amplifier stands."""
+        low, high = self.limits.move
         near = low if last < low else high
         if self._step is None or abs(near - last) <= self._step:
             return near

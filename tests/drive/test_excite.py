@@ -1,0 +1,68 @@
+"""A drive that identifies well keeps range and slew, begins and ends at rest, and goes over the range."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dbo_cli.drive.excite import excite
+from dbo_cli.errors import LimitError, UsageError
+
+
+@settings(max_examples=60, derandomize=True, deadline=None)
+@given(
+    low=st.floats(-200, 100),
+    span=st.floats(0.1, 1000),
+    rate=st.sampled_from([100.0, 1000.0, 7321.0]),
+    slew=st.one_of(st.none(), st.floats(0.5, 100)),
+)
+def test_range_slew_and_ends(low, span, rate, slew):
+    high = low + span
+    most = None if slew is None else slew * span
+    time, voltage = excite(low, high, sample_rate=rate, max_slew=most)
+    assert voltage.min() == low and voltage.max() == high
+    assert voltage[0] == voltage[-1] == low
+    np.testing.assert_allclose(np.diff(time), 1 / rate, rtol=1e-6)
+    if most is not None:
+        assert np.abs(np.diff(voltage)).max() * rate <= most * (1 + 1e-9)
+    turns = np.count_nonzero(np.diff(np.sign(np.diff(voltage)[np.diff(voltage) != 0])))
+    assert turns > 20
+
+
+def test_the_same_words_give_the_same_drive():
+    assert np.array_equal(excite(0, 100)[1], excite(0, 100)[1])
+
+
+def test_a_sweep_follows_in_the_middle():
+    _, plain = excite(0, 100, sample_rate=20000)
+    _, voltage = excite(0, 100, sample_rate=20000, sweep_to=1000, max_slew=1e6)
+    sweep = voltage[plain.size :]
+    assert sweep.size > 2 * 20000 and voltage[-1] == 0.0
+    inner = sweep[len(sweep) // 3 : -len(sweep) // 3]
+    assert np.abs(inner - 50).max() <= 1.0
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        {"v_max": -1.0},
+        {"sample_rate": 0.0},
+        {"duration": 1.0},
+        {"duration": math.nan},
+        {"max_slew": -5.0},
+        {"sweep_to": 500.0},
+        {"sweep_to": 50.0, "sweep_amplitude": 60.0},
+        {"sweep_amplitude": 1.0},
+        {"duration": 1e9},
+    ],
+)
+def test_what_cannot_be_is_refused(words):
+    with pytest.raises(UsageError):
+        excite(0.0, **{"v_max": 100.0, **words})
+
+
+def test_a_sweep_too_fast_for_the_amplifier():
+    with pytest.raises(LimitError):
+        excite(0, 100, sample_rate=20000, sweep_to=1000, max_slew=1000)

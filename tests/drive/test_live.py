@@ -1,0 +1,210 @@
+"""Live control: the values of ``compensate``, nothing beyond a limit, nothing half done."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+
+from dbo_cli.drive import Limits, plan
+from dbo_cli.drive.live import Controller
+from dbo_cli.errors import InputError, LimitError, ModelError, UsageError
+from dbo_cli.model import Lag, Resonance
+
+from .actuators import actuator, ripple
+
+RATE = 1000.0
+pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
+
+
+def stepped(live: Controller, wanted: np.ndarray) -> np.ndarray:
+    return np.array([live.step(x) for x in wanted])
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        {},
+        {"tau": (0.01, 1.0), "gain": (0.01, 0.02)},
+        {"tau": (0.05,), "gain": (-0.01,)},
+        {"bend": (1.0, 1.5), "curve": (2.0, 1.0), "scale": -0.5},
+    ],
+)
+def test_live_is_compensate(parts):
+    model = actuator(**parts)
+    wanted = ripple(model, 400)
+    limits = {"v_min": 5.0, "v_max": 80.0, "max_slew": 900.0}
+    live = Controller(model, RATE, **limits)
+    whole = plan(
+        model, wanted, 1 / RATE, Limits.within(model.input, **limits), on_limit="clip"
+    )
+    sent = stepped(live, wanted)
+    np.testing.assert_allclose(sent, whole.voltage, rtol=0, atol=1e-9)
+    assert live.clipped == whole.clipped > 0
+    assert np.abs(np.diff(sent)).max() <= 0.9 * (1 + 1e-12)
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        {"delay": 0.0035},
+        {"sections": (Resonance(80.0, 0.05),)},
+        {"sections": (Lag(0.004),), "delay": 0.002},
+    ],
+)
+def test_lookahead_undoes_what_needs_the_future(parts):
+    model = actuator(**parts)
+    wanted = ripple(model, 600)
+    live = Controller(model, RATE, lookahead="auto")
+    sent = stepped(live, wanted)
+    led = plan(
+        model,
+        wanted,
+        1 / RATE,
+        Limits.within(model.input),
+        lead="auto",
+        on_limit="clip",
+    ).voltage
+    shared = min(len(sent), len(led))
+    np.testing.assert_allclose(sent[:shared], led[:shared], rtol=0, atol=1e-7)
+    later = Controller(model, RATE, lookahead=(live.lookahead + 3) / RATE)
+    np.testing.assert_allclose(
+        stepped(later, wanted)[4:], sent[1:-3], rtol=0, atol=1e-9
+    )
+    with pytest.raises(ModelError):
+        Controller(model, RATE)
+    with pytest.raises(UsageError):
+        Controller(model, RATE, lookahead=0.0)
+
+
+def test_a_state_goes_on_where_it_stopped():
+    model = actuator(tau=(0.02,), gain=(0.02,))
+    wanted = ripple(model, 300)
+    whole = stepped(Controller(model, RATE), wanted)
+    first = Controller(model, RATE)
+    stepped(first, wanted[:120])
+    second = Controller(model, RATE, state=first.state)
+    np.testing.assert_allclose(
+        stepped(second, wanted[120:]), whole[120:], rtol=0, atol=1e-9
+    )
+
+
+def test_a_plan_without_commit_leaves_no_trace():
+    model = actuator(tau=(0.02,), gain=(0.02,))
+    wanted = ripple(model, 50)
+    plain, teased = Controller(model, RATE), Controller(model, RATE)
+    for x in wanted:
+        teased.plan(model.output.max)
+        teased.plan(x)
+        teased.commit()
+        plain.step(x)
+    assert teased.last == plain.last and teased.state == plain.state
+
+
+def test_an_applied_voltage_outside_walks_inwards():
+    live = Controller(actuator(), RATE, v_min=0, v_max=80, max_slew=1000)
+    live.plan(3.0)
+    live.commit(82.5)
+    inwards = [live.step(3.0) for _ in range(4)]
+    np.testing.assert_allclose(inwards, [81.5, 80.5, 80.0, 79.0], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "wrong", [math.nan, math.inf, "3", True, None, 1e99, [1.0, 2.0]]
+)
+def test_what_is_no_number_leaves_nothing_to_commit(wrong):
+    live = Controller(actuator(), RATE)
+    live.plan(3.0)
+    with pytest.raises(InputError):
+        live.plan(wrong)
+    with pytest.raises(UsageError):
+        live.commit()
+    before = live.step(3.0)
+    live.plan(4.0)
+    if wrong is not None:
+        with pytest.raises(InputError):
+            live.commit(wrong)
+    assert live.last == before
+
+
+def test_a_start_outside_the_rating_is_refused():
+    with pytest.raises(LimitError):
+        Controller(actuator(), RATE, v_min=-20, v_max=120, from_=1000)
+    with pytest.raises(LimitError):
+        Controller(actuator(), RATE, v_max=50, from_=50.1)
+    live = Controller(actuator(), RATE, v_min=-20, v_max=120, max_slew=1000, from_=-10)
+    assert live.plan(5.0) <= -9.0 + 1e-12
+
+
+class LiveMachine(RuleBasedStateMachine):
+    """Any order of plans, commits and read-backs: a planned voltage is inside, slow, or on the way in."""
+
+    @initialize(slew=st.sampled_from([None, 300.0, 20000.0]), parts=st.integers(0, 3))
+    def begin(self, slew, parts):
+        kinds = [
+            {},
+            {"tau": (0.03,), "gain": (0.02,)},
+            {"bend": (1.0, 2.0)},
+            {"delay": 0.0021},
+        ]
+        self.model = actuator(**kinds[parts])
+        look = "auto" if parts == 3 else None
+        self.live = Controller(
+            self.model, RATE, v_min=10, v_max=90, max_slew=slew, lookahead=look
+        )
+        self.slew, self.planned = slew, False
+
+    @rule(wanted=st.floats(-20.0, 30.0))
+    def plan(self, wanted):
+        voltage = self.live.plan(wanted)
+        self.planned = True
+        last = self.live.last
+        if last is None:
+            assert 10 <= voltage <= 90
+            return
+        if self.slew is not None:
+            assert abs(voltage - last) <= self.slew / RATE * (1 + 1e-9) + 1e-12
+        assert (
+            10 <= voltage <= 90
+            or (last > 90 and 90 <= voltage < last)
+            or (last < 10 and last < voltage <= 10)
+        )
+
+    @rule()
+    def commit(self):
+        if self.planned:
+            self.live.commit()
+        self.planned = False
+
+    @rule(applied=st.one_of(st.floats(-50.0, 150.0), st.just(math.nan)))
+    def read_back(self, applied):
+        before = self.live.last
+        if not self.planned:
+            with pytest.raises(UsageError):
+                self.live.commit(applied)
+        elif math.isnan(applied):
+            with pytest.raises(InputError):
+                self.live.commit(applied)
+            assert self.live.last == before
+        else:
+            self.live.commit(applied)
+            assert self.live.last == applied
+            self.planned = False
+
+    @invariant()
+    def a_refusal_leaves_nothing(self):
+        if hasattr(self, "live") and not self.planned:
+            with pytest.raises(UsageError):
+                self.live.commit()
+
+
+TestLiveMachine = LiveMachine.TestCase
+TestLiveMachine.settings = settings(
+    max_examples=30,
+    stateful_step_count=40,
+    derandomize=True,
+    deadline=None,
+    suppress_health_check=list(HealthCheck),
+)
