@@ -1,0 +1,37 @@
+"""What holds for every test: one thread for small matrices, and properties that repeat themselves."""
+
+from __future__ import annotations
+
+import gc
+import os
+import sys
+from pathlib import Path
+
+from hypothesis import HealthCheck, settings
+
+# As the program itself does: threads only wait for each other in the many small
+# factorisations.
+for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "POLARS_MAX_THREADS"):
+    os.environ.setdefault(name, "1")
+os.environ.setdefault("MPLBACKEND", "agg")
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "sample_data"))
+
+settings.register_profile(
+    "suite",
+    derandomize=True,
+    deadline=None,
+    database=None,
+    suppress_health_check=[
+        HealthCheck.too_slow,
+        HealthCheck.function_scoped_fixture,
+        HealthCheck.filter_too_much,
+    ],
+)
+settings.load_profile("suite")
+
+
+def pytest_collection_finish() -> None:
+    """Leave the libraries and what was collected out of every later search for garbage."""
+    gc.freeze()

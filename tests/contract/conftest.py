@@ -1,0 +1,73 @@
+"""Shared fixtures: an empty working folder for each test, and one model of the sample log a session."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from .program import SAMPLES, done, model, write
+
+RATE = 1000.0
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Work in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture(scope="session")
+def sample_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the model that the sample log identifies."""
+    path = tmp_path_factory.mktemp("sample") / "model.json"
+    done("identify", SAMPLES / "identification.csv", "-o", path, "-q")
+    return path
+
+
+@pytest.fixture
+def drive() -> Path:
+    """Return half a second of drive, 0 to 10 V and back in shrinking swings, at 1 kHz."""
+    time = np.arange(500) / RATE
+    swing = np.linspace(5.0, 1.0, 500)
+    return write(
+        "drive.csv",
+        "time_s,voltage_V",
+        time,
+        5.0 - swing * np.cos(2.0 * np.pi * 10.0 * time),
+    )
+
+
+@pytest.fixture
+def wish() -> Path:
+    """Return half a second of displacement within 2 to 8 um, from 2 um, at 1 kHz."""
+    time = np.arange(500) / RATE
+    return write(
+        "wish.csv",
+        "time_s,displacement_um",
+        time,
+        5.0 - 3.0 * np.cos(2.0 * np.pi * 4.0 * time),
+    )
+
+
+@pytest.fixture
+def log() -> Path:
+    """Return a log of drive and displacement of the stored model ``creep``, four swings, at 500 Hz."""
+    return creep_log("log.csv")
+
+
+def creep_log(name: str, seed: int = 1, model_name: str = "creep") -> Path:
+    """Write what a stored model of 0 to 100 V does in some swings, with 2 nm of noise."""
+    time = np.arange(1600) / 500.0
+    swing = np.concatenate([np.full(800, 50.0), np.full(400, 32.0), np.full(400, 18.0)])
+    voltage = 50.0 - swing * np.cos(2.0 * np.pi * 1.25 * time)
+    voltage = np.clip(voltage, 0.0, 100.0)
+    write("played.csv", "time_s,voltage_V", time, voltage)
+    done("simulate", model(model_name), "played.csv", "-o", "moved.csv", "-q")
+    moved = np.loadtxt("moved.csv", delimiter=",", skiprows=1)[:, 2]
+    noise = np.random.default_rng(seed).normal(0.0, 0.002, len(time))
+    Path("played.csv").unlink()
+    Path("moved.csv").unlink()
+    return write(name, "time_s,voltage_V,displacement_um", time, voltage, moved + noise)

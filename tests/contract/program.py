@@ -1,0 +1,183 @@
+"""The program as a user meets it: a command line in, exit code and both streams out."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import warnings
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, NamedTuple
+from unittest import mock
+
+import numpy as np
+from numpy.typing import NDArray
+
+HERE = Path(__file__).resolve().parent
+MODELS = HERE / "models"
+GOLDENS = HERE / "goldens"
+SAMPLES = HERE.parent.parent / "sample_data"
+PROGRAM = [sys.executable, "-m", "dbo_cli"]
+
+Floats = NDArray[np.float64]
+
+
+class Outcome(NamedTuple):
+    """How a run of the program ended."""
+
+    code: int
+    raw: bytes
+    err: str
+
+    @property
+    def out(self) -> str:
+        """Return standard output as text."""
+        return self.raw.decode()
+
+    @property
+    def lines(self) -> list[str]:
+        """Return what was said, line by line."""
+        return self.err.splitlines()
+
+    @property
+    def warnings(self) -> list[str]:
+        """Return the warnings that were said."""
+        return [line for line in self.lines if line.startswith("dbo: warning: ")]
+
+    @property
+    def said(self) -> list[str]:
+        """Return what was said beside the warnings."""
+        return [line for line in self.lines if line not in self.warnings]
+
+    @property
+    def json(self) -> Any:
+        """Return standard output as JSON."""
+        return json.loads(self.out)
+
+
+def dbo(*words: object, stdin: bytes | str = b"") -> Outcome:
+    """Run one command line inside this process."""
+    from dbo_cli.cli.app import main
+
+    given = stdin.encode() if isinstance(stdin, str) else stdin
+    typed = [str(word) for word in words]
+    out, err = _stream(), _stream()
+    with tempfile.TemporaryFile() as source, warnings.catch_warnings():
+        source.write(given)
+        source.seek(0)
+        streams = {
+            "argv": ["dbo", *typed],
+            "stdin": io.TextIOWrapper(source),
+            "stdout": out,
+            "stderr": err,
+        }
+        with mock.patch.multiple(sys, **streams):
+            try:
+                code = main(typed)
+            except SystemExit as end:
+                code = int(end.code or 0)
+        out.flush()
+        err.flush()
+        raw, said = out.buffer.getvalue(), err.buffer.getvalue()  # type: ignore[attr-defined]
+    return Outcome(code, raw, said.decode())
+
+
+def _stream() -> io.TextIOWrapper:
+    """Return a stream of text over bytes in memory."""
+    return io.TextIOWrapper(io.BytesIO(), encoding="utf-8", newline="")
+
+
+def done(*words: object, stdin: bytes | str = b"") -> Outcome:
+    """Run one command line that has to succeed."""
+    outcome = dbo(*words, stdin=stdin)
+    assert outcome.code == 0, outcome.err
+    return outcome
+
+
+def refused(code: int, *words: object, stdin: bytes | str = b"") -> str:
+    """Run one command line that has to fail with a code, one line and no output; return the line."""
+    before = listing()
+    outcome = dbo(*words, stdin=stdin)
+    assert outcome.code == code, (outcome.code, outcome.err)
+    errors = [line for line in outcome.lines if line.startswith("dbo: error: ")]
+    assert len(errors) == 1 and outcome.lines[-1] == errors[0], outcome.err
+    assert "internal error" not in errors[0], errors[0]
+    assert outcome.raw == b""
+    assert listing() == before, "a command that failed left something behind"
+    return errors[0].removeprefix("dbo: error: ")
+
+
+def process(*words: object, **more: Any) -> subprocess.CompletedProcess[bytes]:
+    """Run one command line as a process of its own."""
+    line = [*PROGRAM, *(str(word) for word in words)]
+    return subprocess.run(line, capture_output=True, check=False, timeout=120, **more)
+
+
+def started(*words: object) -> subprocess.Popen[bytes]:
+    """Start one command line as a process with pipes, which hears interrupts."""
+    line = [*PROGRAM, *(str(word) for word in words)]
+    pipe = subprocess.PIPE
+    return subprocess.Popen(
+        line, stdin=pipe, stdout=pipe, stderr=pipe, preexec_fn=_hear_interrupts
+    )
+
+
+def _hear_interrupts() -> None:
+    """Undo what a shell does to its background jobs: they ignore interrupts."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def listing() -> dict[str, tuple[int, int]]:
+    """Return everything in the working folder, with sizes and times."""
+    found = {}
+    for folder, _, names in os.walk("."):
+        for name in names:
+            path = Path(folder, name)
+            status = path.stat()
+            found[str(path)] = (status.st_size, status.st_mtime_ns)
+    return found
+
+
+def model(name: str) -> Path:
+    """Return the file of a stored model."""
+    return MODELS / f"{name}.json"
+
+
+def values_of(name: str) -> Any:
+    """Return a stored model as JSON values."""
+    return json.loads(model(name).read_text())
+
+
+def changed_model(name: str, **changes: Any) -> Path:
+    """Write a stored model with some keys changed, as ``changed.json``."""
+    path = Path("changed.json")
+    path.write_text(json.dumps(values_of(name) | changes))
+    return path
+
+
+def write(name: str, header: str, *columns: Iterable[float]) -> Path:
+    """Write a CSV file whose numbers read back exactly."""
+    rows = zip(*(np.asarray(column, float) for column in columns), strict=True)
+    body = "".join(",".join(map(repr, map(float, row))) + "\n" for row in rows)
+    Path(name).write_text(f"{header}\n{body}")
+    return Path(name)
+
+
+def table(source: str | Path | Outcome) -> dict[str, Floats]:
+    """Return the columns of a CSV, a file or what a command wrote, by header; an empty cell is NaN."""
+    text = source.out if isinstance(source, Outcome) else Path(source).read_text()
+    header, *rows = csv.reader(io.StringIO(text))
+    cells = [[float(cell or "nan") for cell in row] for row in rows]
+    body = np.array(cells).reshape(-1, len(header))
+    return dict(zip(header, body.T, strict=True))
+
+
+def rms(values: Floats) -> float:
+    """Return the root of the mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))

@@ -1,0 +1,62 @@
+"""``dbo compare``: the DBO beside the operators that its publication names, in one table."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from .conftest import creep_log
+from .program import Outcome, done, refused
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Any]:
+    """Return the table as text and as JSON, of one log judged on another."""
+    folder = tmp_path_factory.mktemp("compare")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        log, other = creep_log("log.csv"), creep_log("other.csv", seed=2)
+        done("compare", log, "--validate", other, "-o", "table.json", "-q")
+        text = done("compare", log, "--validate", other)
+    return text, json.loads((folder / "table.json").read_text())
+
+
+def test_there_is_a_row_for_each_operator(compared: tuple[Outcome, Any]) -> None:
+    told = compared[1]
+    assert (told["format"], told["version"], told["unit"]) == ("dbo-compare", 1, "um")
+    names = [row["name"] for row in told["models"]]
+    assert len(names) >= 4 and len(set(names)) == len(names)
+    assert any("dbo" in name.lower() or "backlash" in name.lower() for name in names)
+
+
+def test_errors_parameters_and_costs(compared: tuple[Outcome, Any]) -> None:
+    for row in compared[1]["models"]:
+        if row["refused"]:
+            continue
+        assert 0.0 < row["rmse"] < 1.0
+        assert 0.0 < row["validation_rmse"] < 1.0
+        assert row["parameters"] >= 1
+        assert row["forward_ns"] is None or row["forward_ns"] > 0.0
+
+
+def test_the_dbo_is_the_best_where_there_is_creep(compared: tuple[Outcome, Any]) -> None:
+    rows = compared[1]["models"]
+    errors = {row["name"]: row["validation_rmse"] for row in rows if not row["refused"]}
+    best = min(errors, key=lambda name: errors[name])
+    assert "dbo" in best.lower() or "backlash" in best.lower()
+
+
+def test_the_table_is_aligned_text(compared: tuple[Outcome, Any]) -> None:
+    lines = compared[0].out.splitlines()
+    assert len(lines) >= 5 and max(map(len, lines)) <= 120
+    assert "um" in compared[0].out
+    for row in compared[1]["models"]:
+        assert row["name"].lower() in compared[0].out.lower()
+
+
+def test_a_log_that_shows_nothing_is_refused() -> None:
+    Path("log.csv").write_text("time_s,voltage_V,displacement_um\n0,0,0\n1,1,1\n")
+    assert "log.csv" in refused(1, "compare", "log.csv")

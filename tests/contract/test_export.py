@@ -1,0 +1,169 @@
+"""``dbo export``: C99 that compiles without a warning and gives the library's numbers."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dbo_cli
+
+from .program import Floats, dbo, done, model, refused
+
+CC = os.environ.get("CC", "cc")
+pytestmark = pytest.mark.skipif(shutil.which(CC) is None, reason="needs a C compiler")
+FLAGS = "-std=c99 -Wall -Wextra -Werror -O0 -ffp-contract=off".split()
+RATE = 1000.0
+
+PLAY = """
+#include "{name}.h"
+#include <stddef.h>
+void play(const {number} *in, {number} *out, size_t count);
+void play(const {number} *in, {number} *out, size_t count) {{
+    {name}_state state;
+    {name}_init(&state);
+    for (size_t k = 0; k < count; k++) out[k] = {name}_step(&state, in[k]);
+}}
+"""
+
+
+def wanted_of(name: str, rows: int = 3000) -> Floats:
+    """Return a displacement that turns often, from the lower end of a model."""
+    actuator = dbo_cli.read_model(model(name))
+    low, high = actuator.output.min, actuator.output.max
+    steps = np.random.default_rng(8).normal(0.0, 0.02, rows)
+    way = np.abs((np.cumsum(steps) + 4.0) % 2.0 - 1.0) * np.minimum(1.0, np.arange(rows) / 200.0)
+    return low + (high - low) * (0.02 + 0.9 * way)
+
+
+def sources(folder: str) -> list[str]:
+    return sorted(str(path) for path in Path(folder).glob("*.c"))
+
+
+def compiled(folder: str, name: str, number: str) -> ctypes.CDLL:
+    """Compile an export without its self-test and its example, as a library."""
+    Path("play.c").write_text(PLAY.format(name=name, number=number))
+    parts = [one for one in sources(folder) if not re.search("_test|main|example", one)]
+    words = [CC, *FLAGS, "-shared", "-fPIC", f"-I{folder}", "play.c", *parts, "-o", "play.so"]
+    subprocess.run(words, check=True, capture_output=True)
+    return ctypes.CDLL(str(Path("play.so").resolve()))
+
+
+@pytest.mark.parametrize("name", ["small", "creep", "bent"])
+def test_double_gives_the_bits_of_the_library(name: str) -> None:
+    words = ("--sample-rate", RATE, "--name", "stage", "-q", "-o", "firmware")
+    done("export", model(name), *words)
+    library = compiled("firmware", "stage", "double")
+    wanted = wanted_of(name)
+    out = np.empty_like(wanted)
+    pointer = ctypes.POINTER(ctypes.c_double)
+    library.play(wanted.ctypes.data_as(pointer), out.ctypes.data_as(pointer), ctypes.c_size_t(len(wanted)))
+    actuator = dbo_cli.read_model(model(name))
+    expected = actuator.compensate(wanted, sample_rate=RATE, state="empty", on_limit="clip")
+    np.testing.assert_array_equal(out, expected)
+
+
+@pytest.mark.parametrize("arithmetic", ["double", "q31"])
+@pytest.mark.parametrize("name", ["small", "creep"])
+def test_the_self_test_passes(name: str, arithmetic: str) -> None:
+    words = ("--sample-rate", RATE, "--arithmetic", arithmetic, "-q", "-o", "firmware")
+    done("export", model(name), *words)
+    parts = [one for one in sources("firmware") if not re.search("main|example", one)]
+    subprocess.run(
+        [CC, *FLAGS, "-Ifirmware", *parts, "-o", "./self", "-lm"],
+        check=True,
+        capture_output=True,
+    )
+    ended = subprocess.run(["./self"], capture_output=True, check=False)
+    assert ended.returncode == 0, ended.stdout
+
+
+def test_a_self_test_that_differs_fails() -> None:
+    done("export", model("small"), "--sample-rate", RATE, "-q", "-o", "firmware")
+    tables = Path("firmware/actuator.c")
+    text = tables.read_text()
+    numbers = r"\{\s*(0x1[^,{}]*|\d+\.\d+[^,{}]*),[^{}]*,[^{}]*\}"
+    first = re.search(numbers, text)
+    assert first is not None, "no table of numbers"
+    tables.write_text(text[: first.start(1)] + "1.0625" + text[first.end(1) :])
+    parts = [one for one in sources("firmware") if not re.search("main|example", one)]
+    words = [CC, "-std=c99", "-Ifirmware", *parts, "-o", "./self", "-lm"]
+    subprocess.run(words, check=True, capture_output=True)
+    assert subprocess.run(["./self"], capture_output=True, check=False).returncode != 0
+
+
+def test_q31_states_its_bound() -> None:
+    words = ("--sample-rate", RATE, "--arithmetic", "q31", "-o", "firmware")
+    outcome = done("export", model("creep"), *words)
+    page = Path("firmware/README.md").read_text()
+    assert re.search(r"\d(\.\d+)? ?%", page + outcome.err)
+
+
+def test_limits_are_in_the_tables() -> None:
+    words = ("--sample-rate", RATE, "--v-max", 8, "--max-slew", 200, "--name", "stage")
+    done("export", model("small"), *words, "-q", "-o", "firmware")
+    library = compiled("firmware", "stage", "double")
+    wanted = np.concatenate([np.linspace(1.0, 9.0, 100), np.linspace(9.0, 1.0, 100)])
+    out = np.empty_like(wanted)
+    pointer = ctypes.POINTER(ctypes.c_double)
+    library.play(wanted.ctypes.data_as(pointer), out.ctypes.data_as(pointer), ctypes.c_size_t(200))
+    assert out.max() <= 8.0
+    assert np.abs(np.diff(out)).max() <= 0.2 * (1.0 + 1e-12)
+
+
+def test_fewer_gears_and_a_lookup_table() -> None:
+    words = ("--sample-rate", RATE, "--gears", 10, "-q", "-o", "firmware")
+    done("export", model("creep"), *words)
+    assert "10" in Path("firmware/README.md").read_text()
+    done("export", model("creep"), "--sample-rate", RATE, "--lookup", "-q", "-o", "table")
+    assert sources("table")
+
+
+def test_the_same_model_gives_the_same_bytes() -> None:
+    for folder in ("one", "two"):
+        done("export", model("creep"), "--sample-rate", RATE, "-q", "-o", folder)
+    first = {path.name: path.read_bytes() for path in Path("one").iterdir() if path.is_file()}
+    second = {path.name: path.read_bytes() for path in Path("two").iterdir() if path.is_file()}
+    assert first == second and len(first) >= 5
+
+
+def test_no_path_and_no_date_in_what_is_written() -> None:
+    done("export", model("small"), "--sample-rate", RATE, "-q", "-o", "firmware")
+    for path in Path("firmware").iterdir():
+        if path.is_file():
+            text = path.read_text()
+            assert str(Path.cwd()) not in text
+            assert not re.search(r"20\d\d-\d\d-\d\d", text)
+
+
+def test_q31_refuses_negative_gains() -> None:
+    words = ("--sample-rate", RATE, "--arithmetic", "q31", "-o", "firmware")
+    assert "gain" in refused(1, "export", model("soft"), *words)
+
+
+@pytest.mark.parametrize("name", ["int", "9lives", "a-b", ""])
+def test_names_that_c_does_not_take(name: str) -> None:
+    words = ("--sample-rate", RATE, "--name", name, "-o", "firmware")
+    assert "--name" in refused(2, "export", model("small"), *words)
+
+
+def test_a_rate_is_needed_where_the_model_depends_on_time() -> None:
+    outcome = dbo("export", model("creep"), "-o", "firmware")
+    assert outcome.code in (1, 2) and "--sample-rate" in outcome.lines[-1]
+    assert not Path("firmware").exists()
+
+
+def test_candidates_are_left_out() -> None:
+    done("export", model("known"), "--sample-rate", RATE, "-q", "-o", "one")
+    done("export", model("creep"), "--sample-rate", RATE, "-q", "-o", "two")
+    sizes = [sum(path.stat().st_size for path in Path(one).glob("*.c")) for one in ("one", "two")]
+    assert abs(sizes[0] - sizes[1]) < 100
+    assert "candidates" not in done("invert", model("known")).json
+    assert json.loads(model("known").read_text())["candidates"]

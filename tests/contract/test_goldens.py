@@ -1,0 +1,212 @@
+"""Stored models give the stored numbers, for ever: 1e-9, relative and absolute.
+
+The numbers were made with the version before 1.0, on 150 rows at 1 kHz: a drive and what
+each model makes of it, a wish and its drive, free and within limits.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import dbo_cli
+
+from .program import (
+    GOLDENS,
+    Floats,
+    changed_model,
+    done,
+    model,
+    table,
+    values_of,
+    write,
+)
+
+NAMES = ("small", "creep", "bent", "moving", "late")
+pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
+
+
+def golden(name: str) -> dict[str, Floats]:
+    return table(GOLDENS / f"{name}.csv")
+
+
+def close(values: Floats, expected: Floats) -> None:
+    np.testing.assert_allclose(values, expected, rtol=1e-9, atol=1e-9)
+
+
+def limits_of(name: str) -> tuple[float, float]:
+    """Return the highest voltage and the fastest change of the stored drive within limits."""
+    drive = values_of(name)["input"]
+    span = drive["max"] - drive["min"]
+    return drive["max"] - 0.22 * span, 55.0 * span
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_simulate(name: str) -> None:
+    stored = golden(name)
+    write("drive.csv", "time_s,voltage_V", stored["time_s"], stored["voltage_V"])
+    written = table(done("simulate", model(name), "drive.csv"))
+    assert list(written) == ["time_s", "voltage_V", "displacement_um"]
+    close(written["displacement_um"], stored["displacement_um"])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_compensate(name: str) -> None:
+    stored = golden(name)
+    write("wish.csv", "time_s,displacement_um", stored["time_s"], stored["desired_um"])
+    done("compensate", model(name), "wish.csv", "-o", "drive.csv")
+    written = table("drive.csv")
+    assert list(written) == ["time_s", "desired_um", "voltage_V"]
+    close(written["voltage_V"], stored["drive_V"])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_compensate_within_limits(name: str) -> None:
+    stored = golden(name)
+    write("wish.csv", "time_s,displacement_um", stored["time_s"], stored["desired_um"])
+    highest, slew = limits_of(name)
+    words = ("--v-max", highest, "--max-slew", slew, "--on-limit", "clip")
+    done("compensate", model(name), "wish.csv", *words, "-o", "drive.csv")
+    close(table("drive.csv")["voltage_V"], stored["limited_V"])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_inverse_model_gives_the_same_drive(name: str) -> None:
+    stored = golden(name)
+    write("wish.csv", "time_s,displacement_um", stored["time_s"], stored["desired_um"])
+    done("invert", model(name), "-o", "inverse.json")
+    written = table(done("simulate", "inverse.json", "wish.csv"))
+    close(written["voltage_V"], stored["drive_V"])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_library_gives_the_stored_numbers(name: str) -> None:
+    stored = golden(name)
+    actuator = dbo_cli.read_model(model(name))
+    time = stored["time_s"]
+    close(actuator.simulate(stored["voltage_V"], time=time), stored["displacement_um"])
+    close(actuator.compensate(stored["desired_um"], time=time), stored["drive_V"])
+    highest, slew = limits_of(name)
+    limited = actuator.compensate(
+        stored["desired_um"], time=time, v_max=highest, max_slew=slew, on_limit="clip"
+    )
+    close(limited, stored["limited_V"])
+
+
+@pytest.mark.parametrize("name", ["small", "creep", "bent"])
+def test_the_drive_brings_the_wish(name: str) -> None:
+    """Forward after inverse is exact to rounding, where nothing is read ahead."""
+    stored = golden(name)
+    write("wish.csv", "time_s,displacement_um", stored["time_s"], stored["desired_um"])
+    start = ("--state", "full" if name == "bent" else "empty")
+    done("compensate", model(name), "wish.csv", *start, "-o", "drive.csv")
+    written = done("simulate", model(name), "drive.csv", *start)
+    span = values_of(name)["output"]["max"]
+    error = table(written)["displacement_um"] - stored["desired_um"]
+    assert np.abs(error).max() < 1e-12 * span
+
+
+def test_the_small_model_by_hand() -> None:
+    """Four gears of 1, 2, 3 and 4 V: up to 10 V, and back to 3 V through the first two gears."""
+    write("drive.csv", "voltage_V", [0.0, 5.0, 10.0, 3.0])
+    written = table(done("simulate", model("small"), "drive.csv"))
+    assert written["displacement_um"].tolist() == [1.0, 4.2, 9.0, 4.0]
+    write("wish.csv", "displacement_um", [1.0, 4.2, 9.0, 4.0])
+    done("compensate", model("small"), "wish.csv", "-o", "back.csv")
+    np.testing.assert_allclose(
+        table("back.csv")["voltage_V"], [0.0, 5.0, 10.0, 3.0], atol=1e-12
+    )
+
+
+REPORTS: dict[str, dict[str, float]] = {
+    "": {
+        "rmse": 0.5323555692192078,
+        "nrmse_percent": 8.89013602207035,
+        "max_abs": 0.8126670000000003,
+        "max_abs_row": 26,
+        "max_abs_time_s": 0.025,
+        "mean": 0.04817242666666661,
+        "p95_abs": 0.7779780000000001,
+        "loop_width": 1.502185666666667,
+        "lag_left_samples": 1.990707829643285,
+        "samples": 150,
+    },
+    "--lag 2": {
+        "rmse": 0.05176207665301331,
+        "nrmse_percent": 0.8644070407773558,
+        "max_abs": 0.0986349999999998,
+        "samples": 148,
+    },
+    "--lag auto": {"rmse": 0.05176207665301331, "lag_samples": 2},
+    "--remove-offset": {
+        "rmse": 0.5301715471314462,
+        "max_abs": 0.776659426666667,
+        "mean": 0.0,
+        "p95_abs": 0.7535215733333337,
+    },
+    "--rows 20:100": {
+        "rmse": 0.5456854305995622,
+        "mean": 0.11896685185185175,
+        "samples": 81,
+    },
+}
+
+
+@pytest.mark.parametrize("options", REPORTS)
+def test_report(options: str) -> None:
+    written = done(
+        "report", GOLDENS / "pair.csv", "--format", "json", *options.split()
+    ).json
+    assert (written["format"], written["version"]) == ("dbo-report", 1)
+    assert written["unit"] == "um"
+    merits = written["logs"][0]
+    for key, value in REPORTS[options].items():
+        assert merits[key] == pytest.approx(value, rel=1e-9, abs=1e-9), key
+
+
+def test_report_of_the_library() -> None:
+    stored = golden("pair")
+    found = dbo_cli.report(
+        stored["desired_um"], stored["measured_um"], time=stored["time_s"]
+    )
+    assert found.rmse == pytest.approx(REPORTS[""]["rmse"], rel=1e-9)
+
+
+def test_repeated_values_are_the_list_that_they_stand_for() -> None:
+    values = values_of("creep")
+    gears: dict[str, Any] = values["stages"][0]
+    gears["dx"] = [2.5] * 40
+    Path("long.json").write_text(json.dumps(values))
+    stored = golden("creep")
+    write("drive.csv", "time_s,voltage_V", stored["time_s"], stored["voltage_V"])
+    long = done("simulate", "long.json", "drive.csv")
+    assert long.raw == done("simulate", model("creep"), "drive.csv").raw
+
+
+def test_an_inverse_has_its_ranges_exchanged() -> None:
+    values = done("invert", model("bent")).json
+    forward = values_of("bent")
+    assert values["direction"] == "inverse"
+    assert (values["input"], values["output"]) == (forward["output"], forward["input"])
+    kinds = [stage["type"] for stage in values["stages"]]
+    assert kinds == [stage["type"] for stage in reversed(forward["stages"])]
+
+
+def test_inverting_twice_gives_the_model_back() -> None:
+    once = done("invert", model("bent"), "-o", "inverse.json")
+    assert once.raw == b""
+    twice = done("invert", "inverse.json").json
+    forward = values_of("bent")
+    assert twice["direction"] == "forward"
+    for stage, original in zip(twice["stages"], forward["stages"], strict=True):
+        assert stage["type"] == original["type"]
+    changed_model("bent")
+    write("drive.csv", "voltage_V", [-20.0, 30.0, 111.0, 7.0, 60.0])
+    Path("twice.json").write_text(json.dumps(twice))
+    first = table(done("simulate", "changed.json", "drive.csv"))
+    second = table(done("simulate", "twice.json", "drive.csv"))
+    close(second["displacement_um"], first["displacement_um"])

@@ -1,0 +1,263 @@
+"""Model files: every key is checked, the schema agrees, sets hold models by name, ``show`` tells."""
+
+from __future__ import annotations
+
+import copy
+import json
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+
+import dbo_cli
+
+from .program import HERE, MODELS, changed_model, done, model, refused, values_of, write
+
+STORED = sorted(path.stem for path in MODELS.glob("*.json"))
+SCHEMA = HERE.parent.parent / "docs" / "model-file.schema.json"
+
+
+@pytest.fixture(scope="session")
+def schema() -> Any:
+    return json.loads(SCHEMA.read_text())
+
+
+def valid(schema: Any, values: Any) -> bool:
+    return bool(jsonschema.Draft202012Validator(schema).is_valid(values))
+
+
+@pytest.mark.parametrize("name", STORED)
+def test_stored_models_fit_the_schema(schema: Any, name: str) -> None:
+    assert valid(schema, values_of(name))
+
+
+@pytest.mark.parametrize("name", STORED)
+def test_what_the_library_saves_fits_the_schema(schema: Any, name: str) -> None:
+    dbo_cli.read_model(model(name)).save("saved.json")
+    saved = json.loads(Path("saved.json").read_text())
+    assert valid(schema, saved)
+    again = dbo_cli.read_model("saved.json")
+    again.save("again.json")
+    assert Path("again.json").read_bytes() == Path("saved.json").read_bytes()
+
+
+def test_an_inverse_and_an_identified_model_fit_the_schema(
+    schema: Any, sample_model: Path
+) -> None:
+    assert valid(schema, json.loads(sample_model.read_text()))
+    assert valid(schema, done("invert", sample_model).json)
+
+
+def put(path: str, value: Any) -> Any:
+    """Return a function that sets a key (``stages.0.dx``) of a model's values."""
+
+    def change(values: Any) -> None:
+        *parents, last = path.split(".")
+        for key in parents:
+            values = values[int(key) if key.isdigit() else key]
+        values[int(last) if last.isdigit() else last] = value
+
+    return change
+
+
+def drop(path: str) -> Any:
+    """Return a function that takes a key away."""
+
+    def change(values: Any) -> None:
+        *parents, last = path.split(".")
+        for key in parents:
+            values = values[int(key) if key.isdigit() else key]
+        del values[last]
+
+    return change
+
+
+BROKEN: dict[str, tuple[Any, str]] = {
+    "another format": (put("format", "dbo-state"), "format"),
+    "a version to come": (put("version", 2), "version"),
+    "no direction": (drop("direction"), "direction"),
+    "an odd direction": (put("direction", "up"), "direction"),
+    "an unknown key": (put("colour", "red"), "colour"),
+    "an unknown key of a stage": (put("stages.0.height", 1), "height"),
+    "an unknown stage": (put("stages.0.type", "spline"), "stages[0]"),
+    "no stages": (put("stages", []), "stages"),
+    "two backlash stages": (
+        lambda values: values["stages"].append(copy.deepcopy(values["stages"][0])),
+        "stages",
+    ),
+    "a width of 0": (put("stages.0.dx.2", 0.0), "stages[0].dx[2]"),
+    "a negative height": (put("stages.0.dy.1", -1.0), "stages[0].dy[1]"),
+    "widths and heights that differ": (put("stages.0.dx", [1.0, 2.0]), "stages[0]"),
+    "a text for a number": (put("stages.0.x0", "0"), "stages[0].x0"),
+    "a gain of 0": (put("stages.1.gain", 0.0), "stages[1].gain"),
+    "a range turned round": (put("input.min", 11.0), "input"),
+    "a unit that is a number": (put("input.unit", 5), "input.unit"),
+    "a negative time constant": (
+        put(
+            "stages.0.relaxation",
+            {"on": "input", "reference": 0.0, "tau": [-1.0], "gain": [0.1]},
+        ),
+        "tau",
+    ),
+    "negative gains that leave no slope": (
+        put(
+            "stages.0.relaxation",
+            {"on": "input", "reference": 0.0, "tau": [1.0], "gain": [-0.26]},
+        ),
+        "gain",
+    ),
+    "a negative delay": (
+        lambda values: values["stages"].append({"type": "delay", "seconds": -1.0}),
+        "stages[2].seconds",
+    ),
+    "a resonance without damping": (
+        lambda values: values["stages"].append(
+            {"type": "dynamics", "sections": [{"frequency": 100.0}]}
+        ),
+        "stages[2]",
+    ),
+    "a weight below 0": (
+        lambda values: values.update(
+            candidates=[{"weight": -1.0, "stages": values["stages"]}]
+        ),
+        "candidates[0].weight",
+    ),
+    "six candidates": (
+        lambda values: values.update(
+            candidates=[{"weight": 0.1, "stages": values["stages"]}] * 6
+        ),
+        "candidates",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", BROKEN)
+def test_a_broken_key_is_named(fault: str) -> None:
+    change, key = BROKEN[fault]
+    values = values_of("small")
+    change(values)
+    Path("broken.json").write_text(json.dumps(values))
+    error = refused(1, "show", "broken.json")
+    assert error.startswith("broken.json: ") and key in error
+    with pytest.raises(dbo_cli.ModelError, match="broken.json"):
+        dbo_cli.read_model("broken.json")
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        "another format",
+        "a version to come",
+        "no direction",
+        "an unknown key",
+        "an unknown stage",
+        "a width of 0",
+        "a text for a number",
+        "a weight below 0",
+        "six candidates",
+    ],
+)
+def test_the_schema_refuses_it_too(schema: Any, fault: str) -> None:
+    values = values_of("small")
+    BROKEN[fault][0](values)
+    assert not valid(schema, values)
+
+
+def test_a_file_that_ends_early_is_said() -> None:
+    text = model("small").read_text()
+    Path("cut.json").write_text(text[: len(text) // 2])
+    error = refused(1, "show", "cut.json")
+    assert error.startswith("cut.json: ") and "Expecting" not in error
+
+
+@pytest.mark.parametrize(
+    ("content", "held"),
+    [
+        (b"", "model.json"),
+        (b"voltage_V\n0\n", "model.json"),
+        (b"\xff\xfe\x00", "model.json"),
+        (b"[1, 2]", "model.json"),
+        (b'{"format": "dbo-model", "format": "dbo-model"}', "format"),
+        (b'{"format": "dbo-model", "version": NaN}', "model.json"),
+        (b"[" * 100_000, "model.json"),
+    ],
+)
+def test_what_is_no_model_is_refused(content: bytes, held: str) -> None:
+    Path("model.json").write_bytes(content)
+    assert held in refused(1, "show", "model.json")
+
+
+# --- sets ---
+
+
+def test_one_model_of_a_set() -> None:
+    write("drive.csv", "voltage_V", [0.0, 5.0, 10.0, 3.0])
+    alone = done("simulate", model("small"), "drive.csv").raw
+    assert done("simulate", f"{model('set')}::x", "drive.csv").raw == alone
+    error = refused(1, "simulate", f"{model('set')}::q", "drive.csv")
+    assert "q" in error and "x" in error and "y" in error
+
+
+def test_a_set_needs_a_name() -> None:
+    write("drive.csv", "voltage_V", [0.0, 5.0])
+    error = refused(1, "simulate", model("set"), "drive.csv")
+    assert "set.json" in error and "::" in error
+
+
+def test_an_error_in_a_set_names_model_and_key() -> None:
+    values = values_of("set")
+    values["models"]["y"]["stages"][0]["dx"] = [0.0, 1.0]
+    Path("set.json").write_text(json.dumps(values))
+    error = refused(1, "invert", "set.json::y")
+    assert "y" in error and "stages[0].dx[0]" in error
+
+
+def test_a_set_of_the_library() -> None:
+    models = dbo_cli.read_model(model("set"))
+    assert list(models) == ["x", "y"]
+    assert models["x"].simulate([0.0, 5.0]).tolist() == [1.0, 4.2]
+    assert dbo_cli.read_model(f"{model('set')}::y").output.max == 12.0
+
+
+# --- show ---
+
+
+@pytest.mark.parametrize("name", [name for name in STORED if name != "set"])
+def test_show_is_one_screen(name: str) -> None:
+    page = done("show", model(name)).out
+    lines = page.splitlines()
+    assert 3 <= len(lines) <= 40 and max(map(len, lines)) <= 120
+    values = values_of(name)
+    for side in ("input", "output"):
+        assert f"{values[side]['max']:.6g}" in page
+        assert values[side]["unit"] in page
+
+
+def test_show_tells_gears_sign_and_error() -> None:
+    page = done("show", model("creep")).out
+    assert "40" in page and "0.01" in page and "ris" in page
+    assert "fall" in done("show", model("bent")).out
+
+
+def test_show_as_json() -> None:
+    told = done("show", model("late"), "--format", "json").json
+    assert (told["format"], told["version"]) == ("dbo-show", 1)
+    assert told["gears"] == 40 and told["output"]["unit"] == "um"
+    assert told["delay_seconds"] == pytest.approx(0.0025)
+
+
+def test_show_a_set_shows_each() -> None:
+    page = done("show", model("set")).out
+    assert "120" in page and "10" in page
+
+
+def test_show_draws_figures() -> None:
+    done("show", model("creep"), "--figures", "figures", "-q")
+    drawn = {path.suffix for path in Path("figures").iterdir()}
+    assert drawn == {".png", ".svg"}
+
+
+def test_old_models_are_refused_by_their_version() -> None:
+    changed_model("small", version=3)
+    assert "version" in refused(1, "show", "changed.json")

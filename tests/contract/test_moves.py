@@ -1,0 +1,239 @@
+"""``trajectory``, ``waveform`` and ``excite``: moves, files for generators, and a drive that identifies well."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import wavfile
+
+from .program import Floats, dbo, done, model, refused, table, write
+
+TIME = np.arange(1000) / 1000.0
+DRIVE = 50.0 - 40.0 * np.cos(2.0 * np.pi * 4.0 * TIME)
+
+
+@pytest.fixture
+def drive_file() -> Path:
+    return write("drive.csv", "time_s,voltage_V", TIME, DRIVE)
+
+
+# --- trajectory ---
+
+SMALL = ("--model", model("small"))
+
+
+def shape(*words: object) -> dict[str, Floats]:
+    return table(done("trajectory", *words, *SMALL, "-q"))
+
+
+@pytest.mark.parametrize("kind", ["sine", "triangle"])
+def test_periodic_shapes(kind: str) -> None:
+    words = ("--rate", 1000, "--range", "2:8", "--frequency", 5, "--duration", 1)
+    written = shape(kind, *words)
+    time, *rest = written.values()
+    assert len(rest) == 1
+    moved = rest[0]
+    assert moved.min() == pytest.approx(2.0, abs=0.1)
+    assert moved.max() == pytest.approx(8.0, abs=0.1)
+    np.testing.assert_allclose(np.diff(time), 0.001, rtol=1e-9)
+    assert 900 <= len(time) <= 1300
+    crossings = np.sum(np.diff(np.sign(moved - 5.0)) != 0)
+    assert 9 <= crossings <= 12
+
+
+def test_a_staircase_dwells_at_each_level() -> None:
+    words = ("--rate", 1000, "--range", "2:8", "--steps", 4, "--dwell", 0.1)
+    written = shape("staircase", *words)
+    moved = next(reversed(written.values()))
+    levels, counts = np.unique(np.round(moved, 9), return_counts=True)
+    dwelt = levels[counts >= 95]
+    assert dwelt[0] == pytest.approx(2.0) and dwelt[-1] == pytest.approx(8.0)
+    assert len(dwelt) in (4, 5)
+
+
+@pytest.mark.parametrize("kind", ["raster", "spiral"])
+def test_two_axes(kind: str) -> None:
+    size = ("--lines", 8) if kind == "raster" else ("--duration", 2)
+    words = ("--rate", 1000, "--range", "2:8", "--frequency", 5, *size)
+    written = shape(kind, *words)
+    assert [name.split("_")[0] for name in written] == ["time", "x", "y"]
+    for moved in list(written.values())[1:]:
+        assert 1.5 <= moved.min() and moved.max() <= 8.5
+    assert np.ptp(written["x_um"]) > 4.0
+
+
+@pytest.mark.parametrize("kind", ["raster", "triangle", "sine"])
+def test_a_loop_goes_on_where_it_ended(kind: str) -> None:
+    size = ("--lines", 8) if kind == "raster" else ()
+    words = ("--rate", 1000, "--range", "2:8", "--frequency", 5, *size, "--loop")
+    written = shape(kind, *words)
+    for moved in list(written.values())[1:]:
+        inside = np.abs(np.diff(moved)).max()
+        assert abs(moved[0] - moved[-1]) <= 2.0 * inside + 1e-9
+
+
+def test_bandwidth_rounds_corners() -> None:
+    words = ("triangle", "--rate", 5000, "--range", "2:8", "--frequency", 5)
+    sharp = next(reversed(shape(*words).values()))
+    smooth = next(reversed(shape(*words, "--bandwidth", 50).values()))
+    assert np.abs(np.diff(smooth, 2)).max() < 0.5 * np.abs(np.diff(sharp, 2)).max()
+
+
+def test_what_the_model_does_not_reach_is_refused() -> None:
+    words = ("sine", "--rate", 1000, "--range", "2:12", "--frequency", 5, *SMALL)
+    outcome = dbo("trajectory", *words)
+    assert outcome.code in (1, 2, 3) and "9" in outcome.lines[-1]
+
+
+def test_a_trajectory_is_compensated_as_it_is() -> None:
+    words = ("--rate", 1000, "--range", "2:8", "--frequency", 5, *SMALL)
+    done("trajectory", "sine", *words, "-o", "move.csv", "-q")
+    done("compensate", model("small"), "move.csv", "-o", "drive.csv")
+    assert table("drive.csv")["voltage_V"].max() <= 10.0
+
+
+# --- waveform ---
+
+
+def waveform(form: str, name: str, *words: object) -> bytes:
+    done("waveform", "drive.csv", "--to", form, *words, "-o", name, "-q")
+    return Path(name).read_bytes()
+
+
+def test_numpy_reads_npy(drive_file: Path) -> None:
+    waveform("npy", "d.npy")
+    np.testing.assert_allclose(np.load("d.npy").ravel(), DRIVE, rtol=1e-12)
+
+
+def test_gain_of_the_amplifier_is_divided_out(drive_file: Path) -> None:
+    waveform("npy", "d.npy", "--gain", 20)
+    np.testing.assert_allclose(np.load("d.npy").ravel(), DRIVE / 20.0, rtol=1e-12)
+
+
+def test_scipy_reads_wav(drive_file: Path) -> None:
+    waveform("wav", "d.wav")
+    rate, samples = wavfile.read("d.wav")
+    assert rate == 1000 and len(samples) == 1000
+    scaled = np.interp(samples.astype(float).ravel(), *ends(samples.astype(float).ravel()))
+    assert np.abs(scaled - DRIVE).max() < 0.01
+
+
+def ends(samples: Floats) -> tuple[list[float], list[float]]:
+    """Return the least and greatest sample, and the voltages that they mean."""
+    return [samples.min(), samples.max()], [DRIVE.min(), DRIVE.max()]
+
+
+@pytest.mark.parametrize(("form", "kind"), [("int16", "<i2"), ("uint16", "<u2")])
+def test_codes_of_a_converter(drive_file: Path, form: str, kind: str) -> None:
+    """0 to 5 V before an amplifier of 20 are all the codes."""
+    waveform(form, "d.bin", "--gain", 20, "--volts", "0:5")
+    codes = np.fromfile("d.bin", dtype=kind).astype(float)
+    first = -32768.0 if form == "int16" else 0.0
+    volts = (codes - first) / 65535.0 * 100.0
+    assert np.abs(volts - DRIVE).max() <= 100.0 / 65535.0
+
+
+def test_codes_of_fewer_bits(drive_file: Path) -> None:
+    words = ("--gain", 20, "--volts", "0:5", "--codes", "0:4095")
+    waveform("uint16", "d.bin", *words)
+    codes = np.fromfile("d.bin", dtype="<u2")
+    assert codes.max() <= 4095
+    assert np.abs(codes / 4095.0 * 100.0 - DRIVE).max() <= 100.0 / 4095.0
+
+
+def test_keysight_arb_is_text(drive_file: Path) -> None:
+    text = waveform("keysight-arb", "d.arb", "--gain", 20).decode()
+    assert "1000" in text
+    body = [line for line in text.splitlines() if line.lstrip("-").isdigit()]
+    assert len(body) == 1000
+    assert max(map(int, body)) <= 32767
+
+
+def test_pi_gcs_is_text(drive_file: Path) -> None:
+    text = waveform("pi-gcs", "d.txt", "--gain", 20).decode()
+    assert "WAV" in text or "PI_CSV" in text.upper() or len(text.splitlines()) > 999
+
+
+def test_another_number_of_points(drive_file: Path) -> None:
+    waveform("npy", "d.npy", "--points", 500)
+    points = np.load("d.npy").ravel()
+    assert len(points) == 500
+    assert points.min() >= 9.9 and points.max() <= 90.1
+
+
+@pytest.mark.parametrize("limits", ["--v-max 89", "--v-min 11", "--max-slew 900"])
+def test_no_file_of_a_drive_beyond_limits(drive_file: Path, limits: str) -> None:
+    words = ("drive.csv", "--to", "npy", *limits.split(), "-o", "d.npy")
+    refused(3, "waveform", *words)
+
+
+def test_codes_that_do_not_reach_are_refused(drive_file: Path) -> None:
+    words = ("drive.csv", "--to", "uint16", "--gain", 20, "--volts", "0:4", "-o", "d.bin")
+    outcome = dbo("waveform", *words)
+    assert outcome.code in (1, 2, 3) and "--volts" in outcome.lines[-1]
+    assert not Path("d.bin").exists()
+
+
+def test_rounding_beyond_a_bound_is_refused(drive_file: Path) -> None:
+    words = ("--to", "uint16", "--volts", "0:100", "--codes", "0:63")
+    refused(3, "waveform", "drive.csv", *words, "--max-rounding", 0.1, "-o", "d.bin")
+
+
+def test_stdout_takes_the_bytes(drive_file: Path) -> None:
+    written = done("waveform", "drive.csv", "--to", "int16", "--volts", "0:100", "-q").raw
+    assert len(written) == 2000
+    assert struct.unpack("<h", written[:2])
+
+
+# --- excite ---
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "--v-max 100",
+        "--v-min -20 --v-max 120 --sample-rate 5000 --max-slew 2000",
+        "--v-max 60 --duration 8 --sample-rate 2kHz",
+        "--v-max 100 --sample-rate 5000 --sweep-to 500 --sweep-amplitude 2",
+    ],
+)
+def test_an_excitation_keeps_its_limits(words: str) -> None:
+    typed = dict(zip(words.split()[::2], words.split()[1::2], strict=True))
+    outcome = done("excite", *words.split(), "-o", "drive.csv")
+    written = table("drive.csv")
+    voltage, time = written["voltage_V"], written["time_s"]
+    low, high = float(typed.get("--v-min", 0.0)), float(typed["--v-max"])
+    assert voltage.min() >= low and voltage.max() <= high
+    assert voltage.min() == pytest.approx(low, abs=0.02 * (high - low))
+    assert voltage.max() == pytest.approx(high, abs=0.02 * (high - low))
+    rate = 1.0 / np.diff(time)
+    np.testing.assert_allclose(rate, rate[0], rtol=1e-6)
+    if "--max-slew" in typed:
+        slew = np.abs(np.diff(voltage)) * rate
+        assert slew.max() <= float(typed["--max-slew"]) * (1.0 + 1e-9)
+    if "--duration" in typed:
+        assert time[-1] == pytest.approx(8.0, rel=0.1)
+    assert outcome.said
+    done("check", "drive.csv", "--v-min", low, "--v-max", high, "-o", "c.txt")
+
+
+def test_an_excitation_has_several_amplitudes_and_levels() -> None:
+    done("excite", "--v-max", 100, "-o", "drive.csv")
+    voltage = table("drive.csv")["voltage_V"]
+    slope = np.sign(np.diff(voltage))
+    turns = voltage[1:-1][slope[1:] * slope[:-1] < 0.0]
+    assert len(np.unique(np.round(turns))) >= 6
+
+
+def test_other_units_of_drive() -> None:
+    written = table(done("excite", "--v-max", "4bar"))
+    name = next(reversed(written))
+    assert name.endswith("_bar") and written[name].max() <= 4.0
+
+
+def test_an_excitation_too_fast_for_its_limits_is_refused() -> None:
+    words = ("excite", "--v-max", 100, "--max-slew", 1, "--duration", 5)
+    assert dbo(*words).code in (2, 3)

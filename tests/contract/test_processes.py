@@ -1,0 +1,206 @@
+"""A dozen real processes: pipes, a reader that leaves, interrupts and kills, a full disk, no compiler."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dbo_cli import __version__
+
+from .program import PROGRAM, listing, model, process, started, table, write
+
+posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals and pipes")
+SMALL = model("small")
+HEADER = b"voltage_V,displacement_um\n"
+
+
+def test_the_module_is_the_program() -> None:
+    ended = process("--version")
+    assert (ended.returncode, ended.stdout, ended.stderr) == (
+        0,
+        f"dbo {__version__}\n".encode(),
+        b"",
+    )
+
+
+def test_pipe_in_and_out() -> None:
+    ended = process("simulate", SMALL, "-", input=b"voltage_V\n0\n5\n10\n3\n")
+    assert ended.returncode == 0
+    assert ended.stdout == HEADER + b"0.0,1.0\n5.0,4.2\n10.0,9.0\n3.0,4.0\n"
+    assert all(line.startswith(b"dbo: ") for line in ended.stderr.splitlines())
+
+
+def test_three_commands_in_one_pipe() -> None:
+    """``invert`` into ``simulate`` by stdin, and its output into a report."""
+    Path("wished.csv").write_text("displacement_um\n1\n4.2\n9\n4\n")
+    words = " ".join(f"'{word}'" for word in PROGRAM)
+    line = f"{words} invert {SMALL} -q | {words} simulate - wished.csv -q"
+    ended = subprocess.run(["sh", "-c", line], capture_output=True, check=True)
+    assert ended.stderr == b""
+    drive = np.loadtxt(ended.stdout.decode().splitlines(), delimiter=",", skiprows=1)
+    np.testing.assert_allclose(drive[:, 1], [0.0, 5.0, 10.0, 3.0], atol=1e-12)
+
+
+def test_an_error_is_one_line_and_a_code() -> None:
+    ended = process("simulate", "none.json", "none.csv")
+    assert ended.returncode == 1
+    assert ended.stderr.startswith(b"dbo: error: none.json: ")
+    assert ended.stderr.count(b"\n") == 1
+
+
+@posix
+def test_a_reader_that_leaves_early_is_success() -> None:
+    Path("long.csv").write_text("voltage_V\n" + "1\n2\n3\n" * 200_000)
+    running = started("simulate", SMALL, "long.csv")
+    assert running.stdin and running.stdout and running.stderr
+    assert running.stdout.readline() == HEADER
+    running.stdout.close()
+    said = running.stderr.read()
+    assert running.wait(60) == 0
+    assert b"error" not in said and b"Traceback" not in said
+
+
+@posix
+def test_rows_come_out_while_rows_come_in() -> None:
+    """On a pipe a block ends where the pipe has no more: the first rows are there before the last."""
+    running = started("simulate", SMALL, "-", "--state", "empty", "-q")
+    assert running.stdin and running.stdout and running.stderr
+    running.stdin.write(b"voltage_V\n" + b"0\n5\n10\n" * 3)
+    running.stdin.flush()
+    assert running.stdout.readline() == HEADER
+    assert running.stdout.readline() == b"0.0,1.0\n"
+    running.stdin.write(b"3\n")
+    running.stdin.close()
+    rest = running.stdout.read().splitlines()
+    assert running.wait(60) == 0
+    assert len(rest) == 9 and rest[-1] == b"3.0,4.0"
+
+
+def half_way(words: tuple[object, ...]) -> subprocess.Popen[bytes]:
+    """Start a command that reads stdin and writes a file, and let it get half way."""
+    running = started(*words)
+    assert running.stdin
+    running.stdin.write(b"voltage_V\n" + b"1\n2\n" * 200_000)
+    running.stdin.flush()
+    before, since = -1, time.monotonic()
+    while time.monotonic() - since < 60.0:
+        size = sum(size for name, (size, _) in listing().items() if "out.csv" in name)
+        if size > 4 and size == before:
+            break
+        before = size
+        time.sleep(0.3)
+    return running
+
+
+@posix
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)]
+)
+def test_an_interrupt_leaves_the_old_output_and_no_litter(
+    number: int, code: int
+) -> None:
+    Path("out.csv").write_text("old\n")
+    running = half_way(("simulate", SMALL, "-", "-o", "out.csv"))
+    running.send_signal(number)
+    _, said = running.communicate(timeout=60)
+    assert running.returncode == code
+    assert b"Traceback" not in said
+    assert set(listing()) == {"out.csv"}
+    assert Path("out.csv").read_text() == "old\n"
+
+
+@posix
+def test_a_kill_leaves_the_old_output() -> None:
+    Path("out.csv").write_text("old\n")
+    running = half_way(("simulate", SMALL, "-", "-o", "out.csv"))
+    running.kill()
+    running.communicate(timeout=60)
+    assert Path("out.csv").read_text() == "old\n"
+
+
+@posix
+def test_an_interrupt_at_any_time_is_130_and_whole_or_nothing() -> None:
+    """From the first import to the last byte: no traceback of the program, no half file."""
+    write("drive.csv", "voltage_V", np.arange(60_000) % 10)
+    for delay in (0.15, 0.3, 0.5):
+        running = started("simulate", SMALL, "drive.csv", "-o", "out.csv", "-q")
+        time.sleep(delay)
+        running.send_signal(signal.SIGINT)
+        _, said = running.communicate(timeout=60)
+        assert running.returncode in (0, 130)
+        assert b"dbo_cli" not in said
+        found = set(listing())
+        assert found in ({"drive.csv"}, {"drive.csv", "out.csv"})
+        if "out.csv" in found:
+            assert len(table("out.csv")["voltage_V"]) == 60_000
+            Path("out.csv").unlink()
+
+
+@posix
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_a_full_disk_is_said() -> None:
+    Path("drive.csv").write_text("voltage_V\n0\n5\n")
+    line = [*PROGRAM, "simulate", str(SMALL), "drive.csv", "-q"]
+    with open("/dev/full", "wb") as full:
+        ended = subprocess.run(line, stdout=full, stderr=subprocess.PIPE, check=False)
+    assert ended.returncode == 1
+    assert ended.stderr.startswith(b"dbo: error: ")
+    assert ended.stderr.count(b"\n") == 1
+
+
+@posix
+def test_descriptors_that_a_shell_names() -> None:
+    Path("drive.csv").write_text("voltage_V\n0\n5\n10\n")
+    words = " ".join(f"'{word}'" for word in PROGRAM)
+    line = f"{words} simulate <(cat {SMALL}) <(cat drive.csv) -q"
+    ended = subprocess.run(["bash", "-c", line], capture_output=True, check=False)
+    assert ended.stdout == HEADER + b"0.0,1.0\n5.0,4.2\n10.0,9.0\n"
+    assert ended.returncode == 0
+
+
+def without_the_kernel(*words: object) -> subprocess.CompletedProcess[bytes]:
+    """Run the program where its compiled part cannot be imported."""
+    code = (
+        "import sys\n"
+        "sys.modules['dbo_cli.model._kernel'] = None\n"
+        "from dbo_cli.__main__ import main\n"
+        "main()\n"
+    )
+    line = [sys.executable, "-c", code, *(str(word) for word in words)]
+    return subprocess.run(line, capture_output=True, check=False, timeout=120)
+
+
+def test_without_a_compiler_the_numbers_are_the_same() -> None:
+    time_ = np.arange(300) / 1000.0
+    drive = 50.0 - 50.0 * np.cos(40.0 * time_)
+    write("drive.csv", "time_s,voltage_V", time_, drive)
+    write("wish.csv", "time_s,displacement_um", time_, 2.5 - 1.5 * np.cos(40.0 * time_))
+    for words in (
+        ("simulate", model("creep"), "drive.csv"),
+        ("compensate", model("creep"), "wish.csv"),
+        ("invert", model("creep")),
+    ):
+        name = f"{words[0]}.csv"
+        assert process(*words, "-o", f"fast-{name}").returncode == 0
+        slow = without_the_kernel(*words, "-o", f"slow-{name}")
+        assert slow.returncode == 0, slow.stderr
+        if words[0] == "invert":
+            assert Path(f"fast-{name}").read_bytes() == Path(f"slow-{name}").read_bytes()
+            continue
+        fast, found = table(f"fast-{name}"), table(f"slow-{name}")
+        for column, values in fast.items():
+            np.testing.assert_allclose(found[column], values, atol=1e-9)
+
+
+def test_without_a_compiler_identify_says_what_it_needs(log: Path) -> None:
+    ended = without_the_kernel("identify", log, "-o", "model.json")
+    assert ended.returncode == 1
+    assert b"compil" in ended.stderr and b"Traceback" not in ended.stderr
+    assert not Path("model.json").exists()

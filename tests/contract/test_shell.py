@@ -1,0 +1,363 @@
+"""The shell around the commands: help, exit codes, one-line errors, what is said and what is not."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dbo_cli import __version__
+
+from .program import SAMPLES, dbo, done, listing, model, refused, table, write
+
+COMMANDS = (
+    "excite identify show invert simulate compensate check report export compare "
+    "trajectory waveform"
+).split()
+
+OPTIONS = {
+    "excite": "--v-min --v-max --max-slew --sample-rate --duration --sweep-to --sweep-amplitude",
+    "identify": "--validate --prior --sign --skip --zero --sensor-delay --gears --points --relaxation "
+    "--delay --dynamics --slopes --method --force --summary --time --voltage --displacement",
+    "show": "--format --figures",
+    "invert": "",
+    "simulate": "--input --time --state --save-state --outside",
+    "compensate": "--v-min --v-max --max-slew --extrapolate --on-limit --from --approach --condition --lead "
+    "--return --bandwidth --periodic --passes --tracked --history --absolute --state --save-state --summary "
+    "--displacement --time",
+    "check": "--v-min --v-max --max-slew --from --loop --gain --against --tolerance --voltage --time",
+    "report": "--desired --measured --trajectory --match --model --lag --rows --remove-offset --max-rmse "
+    "--max-nrmse-percent --expected --format --figures",
+    "export": "--name --arithmetic --sample-rate --gears --lookup --v-min --v-max --max-slew",
+    "compare": "--validate --format",
+    "trajectory": "--rate --range --frequency --lines --steps --dwell --duration --loop --bandwidth --model",
+    "waveform": "--to --gain --rate --points --codes --volts --max-rounding",
+}
+"""The options that 1.0 promises, by command (DESIGN, section 2)."""
+
+EVERY = "--output --quiet --verbose --debug"
+READING = (
+    "--time-unit --sample-rate --scale --rows --skip-bad --resample --delimiter --decimal --skip-lines "
+    "--encoding --clock-offset"
+)
+READERS = (
+    "identify",
+    "simulate",
+    "compensate",
+    "check",
+    "report",
+    "compare",
+    "waveform",
+)
+
+WITHDRAWN = (
+    "--flush --settle --sensor-lag --uncertainty --scale-uncertainty --max-current --capacitance --max-abs "
+    "--segment --header --jobs -j --keep-going --drive-lag --block-rows --comment --header-lines"
+)
+
+
+def test_version() -> None:
+    assert done("--version").out == f"dbo {__version__}\n"
+
+
+def test_help_names_every_command_in_the_order_of_a_day() -> None:
+    page = done("--help").out
+    listed = re.findall(r"^  ([a-z]+)  +\S", page, re.MULTILINE)
+    assert [name for name in listed if name in COMMANDS] == COMMANDS
+    assert done("-h").out == page
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_short_help_is_one_screen(command: str) -> None:
+    page = done(command, "-h").out
+    lines = page.splitlines()
+    assert len(lines) <= 50
+    assert max(map(len, lines)) <= 100
+    assert page.startswith(f"Usage: dbo {command} ")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_whole_help_has_every_option_that_is_promised(command: str) -> None:
+    page = done(command, "--help-all").out
+    promised = f"{OPTIONS[command]} {EVERY}"
+    if command in READERS:
+        promised += f" {READING}"
+    missing = [
+        option
+        for option in promised.split()
+        if not re.search(rf"(?<![\w-]){option}(?![\w-])", page)
+    ]
+    assert not missing
+
+
+@pytest.mark.parametrize("command", ["identify", "simulate", "compensate", "report"])
+def test_withdrawn_options_are_gone(command: str) -> None:
+    page = done(command, "--help-all").out
+    for option in WITHDRAWN.split():
+        assert not re.search(rf"(?<![\w-]){option}(?![\w-])", page), option
+
+
+WRONG = {
+    "identfy a.csv": "identify",
+    "--loud": "--loud",
+    "identify": "LOG",
+    "simulate model.json": "LOG",
+    "invert a.json b.json": "b.json",
+    "identify a.csv --gears": "--gears",
+    "identify a.csv --gears many": "--gears",
+    "identify a.csv --gears 0": "--gears",
+    "identify a.csv --points -1": "--points",
+    "identify a.csv --relaxation 1,x": "--relaxation",
+    "identify a.csv --relaxation 1,0": "--relaxation",
+    "identify a.csv --delay -1": "--delay",
+    "identify a.csv --dynamics 3": "--dynamics",
+    "identify a.csv --skip soon": "--skip",
+    "identify a.csv --skip nan": "--skip",
+    "identify a.csv --method best": "--method",
+    "identify a.csv --zero here": "--zero",
+    "identify a.csv --slopes up": "--slopes",
+    "identify a.csv --sign up": "--sign",
+    "identify a.csv --sample-rate 0": "--sample-rate",
+    "identify a.csv --scale voltage": "--scale",
+    "identify a.csv --rows 9:3": "--rows",
+    "identify a.csv --samplerate 5": "--sample-rate",
+    "simulate m.json a.csv --outside wrap": "--outside",
+    "compensate m.json a.csv --on-limit stop": "--on-limit",
+    "compensate m.json a.csv --max-slew fast": "--max-slew",
+    "compensate m.json a.csv --history h.json": "--tracked",
+    "compensate m.json a.csv --uncertainty 1": "--uncertainty",
+    "report a.csv --lag soon": "--lag",
+    "report a.csv --format pdf": "--format",
+    "report a.csv --max-rmse x": "--max-rmse",
+    "excite": "--v-max",
+    "excite --v-max 0": "--v-max",
+    "trajectory circle --rate 1 --range 0:1": "circle",
+    "trajectory sine --rate 0 --range 0:1": "--rate",
+    "trajectory sine --rate 100 --range 1:0 --frequency 1": "--range",
+    "waveform d.csv --to mp3": "--to",
+    "export m.json --arithmetic float -o f --sample-rate 9": "--arithmetic",
+}
+
+
+@pytest.mark.parametrize("line", WRONG)
+def test_wrong_command_lines(line: str) -> None:
+    """Exit code 2, one line that names the option, nothing written."""
+    Path("a.csv").write_text("time_s,voltage_V,displacement_um\n0,0,0\n1,1,1\n")
+    Path("m.json").write_text(model("small").read_text())
+    Path("d.csv").write_text("time_s,voltage_V\n0,0\n1,1\n2,0\n")
+    assert WRONG[line] in refused(2, *line.split())
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "held"),
+    [
+        ("simulate missing.json drive.csv", 1, ["missing.json"]),
+        ("simulate m.json missing.csv", 1, ["missing.csv"]),
+        ("simulate m.json drive.csv -o no/where.csv", 1, ["no/where.csv"]),
+        ("simulate m.json drive.csv --input 7", 1, ["drive.csv", "7"]),
+        ("compensate inverse.json wish.csv -o x.csv", 1, ["inverse.json", "inver"]),
+        ("compensate m.json wish.csv --from 11 -o x.csv", 3, ["11", "--from"]),
+        ("compensate m.json wish.csv --v-min 5 --v-max 5 -o x.csv", 2, ["--v-m"]),
+        ("check drive.csv --v-max 9 -o x.txt", 3, ["drive.csv", "9"]),
+    ],
+)
+def test_exit_codes(
+    line: str, code: int, held: list[str], drive: Path, wish: Path
+) -> None:
+    Path("m.json").write_text(model("small").read_text())
+    done("invert", "m.json", "-o", "inverse.json")
+    outcome = dbo(*line.split())
+    assert outcome.code == code, outcome.err
+    for word in held:
+        assert word in outcome.lines[-1]
+    assert len(outcome.lines[-1]) < 300
+
+
+def test_swapped_arguments_are_recognised(drive: Path) -> None:
+    Path("model.json").write_text(model("small").read_text())
+    outcome = dbo("simulate", drive, "model.json")
+    assert outcome.code in (1, 2)
+    assert "model.json" in outcome.lines[-1] or "drive.csv" in outcome.lines[-1]
+
+
+def test_an_error_names_file_and_row(drive: Path) -> None:
+    lines = drive.read_text().splitlines()
+    lines[41] = lines[41].split(",")[0] + ",OVLD"
+    drive.write_text("\n".join(lines) + "\n")
+    error = refused(1, "simulate", model("small"), drive)
+    assert error.startswith("drive.csv:42: ") or "drive.csv" in error
+    assert "OVLD" in error and "42" in error and "--skip-bad" in error
+
+
+def test_debug_shows_where_before_the_line() -> None:
+    outcome = dbo("invert", "missing.json", "--debug")
+    assert outcome.code == 1
+    assert outcome.err.startswith("Traceback ")
+    assert outcome.lines[-1].startswith("dbo: error: missing.json: ")
+
+
+# --- three lines ---
+
+DAY: dict[str, str] = {
+    "identify": "identify log.csv -o model.json --relaxation 0 --gears 20 --points 0 --delay 0 --force",
+    "simulate": "simulate small.json drive.csv -o out.csv",
+    "compensate": "compensate small.json wish.csv -o out.csv --summary summary.json",
+    "check": "check drive.csv --v-min 0 --v-max 10 -o out.txt",
+    "report": "report pair.csv -o report.html",
+    "excite": "excite --v-max 100 -o out.csv",
+    "invert": "invert small.json -o inverse.json",
+    "show": "show small.json",
+    "trajectory": "trajectory sine --rate 1000 --range 2:8 --frequency 5 --model small.json -o out.csv",
+    "waveform": "waveform drive.csv --to npy -o out.npy",
+    "export": "export small.json --sample-rate 1000 -o firmware",
+}
+
+
+@pytest.fixture
+def day(drive: Path, wish: Path, log: Path) -> None:
+    Path("small.json").write_text(model("small").read_text())
+    time = np.arange(200) / 100.0
+    wanted = 5.0 + np.sin(time)
+    write("pair.csv", "time_s,desired_um,measured_um", time, wanted, wanted + 0.01)
+
+
+@pytest.mark.parametrize("command", DAY)
+def test_a_command_says_at_most_three_lines(day: None, command: str) -> None:
+    outcome = done(*shlex.split(DAY[command]))
+    assert len(outcome.said) <= 3, outcome.err
+    for line in outcome.lines:
+        assert line.startswith("dbo: ") and line.isprintable()
+        assert len(line) <= 300
+    for line in outcome.said:
+        assert len(line) <= 140
+
+
+@pytest.mark.parametrize("command", [name for name in DAY if name != "export"])
+def test_quiet_says_nothing_and_writes_the_same(day: None, command: str) -> None:
+    words = shlex.split(DAY[command])
+    loud = done(*words)
+    written = contents()
+    quiet = done(*words, "-q")
+    assert quiet.err == ""
+    assert quiet.raw == loud.raw
+    assert contents() == written
+
+
+def contents() -> dict[str, bytes]:
+    """Return every file below the working folder with its bytes, command lines of footers aside."""
+    skipped = {"report.html", "summary.json"}  # they name the command line
+    return {
+        name: Path(name).read_bytes()
+        for name in listing()
+        if Path(name).name not in skipped
+    }
+
+
+def test_verbose_says_more(day: None) -> None:
+    few = done(*shlex.split(DAY["identify"]))
+    many = done(*shlex.split(DAY["identify"]), "--verbose")
+    assert set(few.said) <= set(many.said)
+    assert len(many.said) > len(few.said)
+
+
+def test_what_was_read_is_said_first(drive: Path) -> None:
+    first = done("simulate", model("small"), drive, "-o", "out.csv").lines[0]
+    for word in ("drive.csv", "500 rows", "voltage"):
+        assert word in first
+
+
+def test_nothing_but_data_goes_to_stdout(drive: Path) -> None:
+    outcome = done("simulate", model("small"), drive)
+    assert list(table(outcome)) == ["time_s", "voltage_V", "displacement_um"]
+    assert outcome.lines
+
+
+def test_a_dash_is_stdin_and_stdout(drive: Path) -> None:
+    from_file = done("simulate", model("small"), drive, "-o", "-")
+    from_stdin = done("simulate", model("small"), "-", stdin=drive.read_bytes())
+    assert from_file.raw == from_stdin.raw
+    assert "standard input" in from_stdin.err
+    inverse = done("invert", "-", stdin=model("small").read_bytes())
+    assert inverse.raw == done("invert", model("small")).raw
+
+
+def test_an_output_replaces_what_was_there(drive: Path) -> None:
+    Path("out.csv").write_text("old\n")
+    done("simulate", model("small"), drive, "-o", "out.csv")
+    assert len(table("out.csv")["time_s"]) == 500
+
+
+def test_a_failure_leaves_the_old_output(drive: Path) -> None:
+    Path("out.csv").write_text("old\n")
+    drive.write_text(drive.read_text() + "0.5,broken\n")
+    refused(1, "simulate", model("small"), drive, "-o", "out.csv")
+    assert Path("out.csv").read_text() == "old\n"
+
+
+def test_two_outputs_appear_together_or_not_at_all(wish: Path) -> None:
+    refused(
+        1, "compensate", model("small"), wish, "-o", "o.csv", "--summary", "no/s.json"
+    )
+    assert set(listing()) == {"wish.csv"}
+
+
+def test_the_same_output_twice_is_refused(wish: Path) -> None:
+    outcome = dbo("compensate", model("small"), wish, "-o", "o", "--summary", "o")
+    assert outcome.code in (1, 2)
+    assert set(listing()) == {"wish.csv"}
+
+
+def test_an_output_that_is_the_input_is_not_spoilt(drive: Path) -> None:
+    """Done whole, or refused: never half of it."""
+    before, expected = drive.read_bytes(), done("simulate", model("small"), drive).raw
+    outcome = dbo("simulate", model("small"), drive, "-o", drive)
+    assert drive.read_bytes() == (expected if outcome.code == 0 else before)
+
+
+@pytest.mark.parametrize("command", ["simulate", "compensate", "report", "identify"])
+def test_the_same_input_gives_the_same_bytes(day: None, command: str) -> None:
+    words = shlex.split(DAY[command])
+    name = words[words.index("-o") + 1]
+    done(*words)
+    first = Path(name).read_bytes()
+    done(*words)
+    assert Path(name).read_bytes() == first
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".tsv", ".csv.gz", ".h5", ".txt"])
+def test_what_is_written_can_be_read_again(drive: Path, suffix: str) -> None:
+    done("simulate", model("small"), drive, "-o", f"first{suffix}")
+    again = done("simulate", model("small"), f"first{suffix}")
+    assert again.raw == done("simulate", model("small"), drive).raw
+
+
+@pytest.mark.parametrize("name", ["out.xlsx", "out.parquet", "out.mat"])
+def test_a_form_that_is_not_written_is_refused(drive: Path, name: str) -> None:
+    outcome = dbo("simulate", model("small"), drive, "-o", name)
+    assert outcome.code in (1, 2)
+    assert name in outcome.lines[-1]
+    assert not Path(name).exists()
+
+
+def test_sample_data_is_read() -> None:
+    text = done("simulate", model("creep"), SAMPLES / "identification.csv")
+    other = done("simulate", model("creep"), SAMPLES / "identification.h5")
+    found, stored = table(text), table(other)
+    np.testing.assert_allclose(
+        found["displacement_um"], stored["displacement_um"], rtol=0, atol=1e-9
+    )
+
+
+def test_warnings_are_lines_of_their_own(drive: Path) -> None:
+    outcome: Any = done("simulate", model("small"), write_beyond(), "-o", "o.csv")
+    assert len(outcome.warnings) == 1
+    assert "1" in outcome.warnings[0] and "10" in outcome.warnings[0]
+
+
+def write_beyond() -> Path:
+    """Write a drive with one row above the range of the small model."""
+    return write("beyond.csv", "voltage_V", [0.0, 5.0, 11.0, 4.0])
