@@ -429,8 +429,8 @@ class Loop:
         """Let the rows pass the gate: those before the period, the period, and its seam."""
         last = standing_at(self.model, self.limits, self.around)
         gate = Gate(self.limits, last)
-        if not before.size:
-            gate.require_reachable(float(voltage[0]), float(voltage[0]), self.dt)
+        first = float(before[0]) if before.size else float(voltage[0])
+        gate.require_reachable(first, first, self.dt)
         gate.admit(before, self.dt, "lead")
         gate.admit(voltage, self.dt)
         gate.admit(voltage[:1], self.dt)
