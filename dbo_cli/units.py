@@ -108,7 +108,18 @@ _REMARK = re.compile(
     r"desired|target|setpoint|command(ed)?|sensor|feedback|monitor|smoothed|mean|avg|average|drive|piezo|pzt|stage"
 )
 _NODE = re.compile(r"[A-SU-Za-su-z]\([^()]*\)")  # V(drive), as simulators write it
-_LETTERED = ("", "channel", "ch", "chan", "input", "probe")  # Channel A: no amperes
+_LETTERED = (
+    "",
+    "channel",
+    "ch",
+    "chan",
+    "kanal",
+    "canal",
+    "canale",
+    "voie",
+    "input",
+    "probe",
+)  # Channel A: no amperes
 _NUMBER = r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 _QUANTITY = re.compile(
     rf"\s*(?P<number>{_NUMBER})\s*(?P<unit>[^\s\d./][^\s\d]*)?\s*", re.ASCII

@@ -205,7 +205,7 @@ def read_settings(lines: Sequence[str], delimiter: str) -> dict[str, list[str]]:
 def _values(text: str, mark: str, delimiter: str) -> list[str]:
     """Split the values of a setting; behind ``:`` and ``=`` a decimal comma separates nothing."""
     if mark in ":=":
-        mark = delimiter if delimiter in text and delimiter != " " else "\t"
+        mark = delimiter if delimiter in text and delimiter != " " else ";"
         if mark == "," and re.fullmatch(r"\s*\d+,\d+\s*[^\d,]*", text):
             return [text.strip()]
     return [cell.strip() for cell in split_cells(text, mark)]

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import UsageError
 from dbo_cli.logs.clock import Clock
 from dbo_cli.logs.columns import choose, named
 from dbo_cli.logs.rows import Rows, parse_rows, scales_of
@@ -238,7 +238,9 @@ def open_log(
     if elsewhere:
         log = _with_others(log, elsewhere, reading, units)
     if reading.resample is not None:
-        log = _resampled(log, reading.resample)
+        from dbo_cli.logs.resample import resampled
+
+        log = resampled(log, reading.resample)
     return log
 
 
@@ -385,38 +387,3 @@ def _chosen(
     clock = find_clock(source, reading, roles.get("time"), used)
     taken = [] if clock.column is None else [clock.column]
     return clock, choose(source, selectors, taken, units, optional)
-
-
-def _resampled(log: Log, rate: float) -> Log:
-    """Return a log at an even rate, by linear interpolation between its rows.
-
-    Raises
-    ------
-    InputError
-        It has no clock, or lasts less than a step.
-    """
-    with log:
-        table = log.read()
-    if table.time is None:
-        raise InputError(
-            f"{log.name}: `resample` needs a clock (`time` COLUMN or `sample_rate` HZ)"
-        )
-    span = float(table.time[-1] - table.time[0])
-    count = int(np.floor(span * rate * (1.0 + 1e-12))) + 1
-    if count < 2 or count > 1_000_000_000:
-        raise InputError(f"{log.name}: `resample` {rate:g}: the log lasts {span:.4g} s")
-    time = table.time[0] + np.arange(count) / rate
-    values = {}
-    for role, array in table.values.items():
-        values[role] = np.interp(time, table.time, array)
-    clock = Clock(
-        log.name, "rate", rate=rate, start=float(table.time[0]), step=1.0 / rate
-    )
-    clock.rows, clock.first, clock.last = count, float(time[0]), float(time[-1])
-    log.remarks.append(
-        f"{table.rows:,} rows are interpolated to {count:,} at {rate:g} Hz"
-    )
-    even = Table(time, values, 1.0 / rate, table.origin)
-    resampled = Log.of_table(log.name, log.columns, even, clock, log.remarks)
-    resampled.doubtful, resampled.clock_offset = log.doubtful, log.clock_offset
-    return resampled

@@ -75,17 +75,20 @@ def find_names(
     names = Names([""] * table.width, [""] * table.width)
     found = _header_lines(above, table)
     units = next((k for k, cells in enumerate(found) if _are_units(cells)), None)
+    only_units = units is not None and len(found) == 1
     if units is not None:
         names.units = found[units]
         if units + 1 < len(found):
             names.names = found[units + 1]
         else:
-            names.names = found[0]  # units in the place of names, or below them
+            names.names = list(found[0])  # units in the place of names, or below them
     elif found:
         names.names = found[0]
     else:
         _refuse_unclear(name, above, table)
-    _fill_from_settings(names, settings, sorted(table.numeric), bool(found))
+    _fill_from_settings(
+        names, settings, sorted(table.numeric), bool(found) and not only_units
+    )
     return names
 
 

@@ -22,7 +22,7 @@ from dbo_cli.logs.headers import (
 )
 from dbo_cli.logs.names import Names, Table, find_names
 from dbo_cli.logs.source import Column, Reading
-from dbo_cli.units import parse_unit, spell, split_header
+from dbo_cli.units import kind_of, spell, split_header
 
 COMMENTS = "#%"
 """A line that begins with one of these is a comment."""
@@ -34,6 +34,7 @@ DELIMITERS = {
     "comma": ",", "semicolon": ";", "tab": "\t", "blanks": " ", "space": " ", "pipe": "|",
 }  # fmt: skip
 _DECIMALS = {"point": ".", "comma": ",", ".": ".", ",": ","}
+_TWO_READINGS = re.compile(r"\s*[-+]?\d+,\d+\s*", re.ASCII)
 _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}", re.ASCII)
 
 
@@ -133,7 +134,46 @@ def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
     layout.first = _first_row(layout, lines, rows)
     _refuse_other_rows(name, layout, lines, rows)
     _read_header(name, layout, lines, skipped)
+    if not any(layout.names.names):
+        _refuse_numbers_as_names(name, layout, lines, reading)
+        _refuse_two_readings(name, layout, sample, reading)
     return layout
+
+
+def _refuse_numbers_as_names(
+    name: str, layout: Layout, lines: Sequence[str], reading: Reading
+) -> None:
+    """Refuse a first row 0, 1, 2 above rows with decimals: it may be the names of a frame."""
+    cells = [cell for cell in layout.cells(lines[layout.first]) if cell]
+    below = lines[layout.first + 1 : layout.first + 3]
+    counted = [str(n) for n in range(len(cells))]
+    named = [str(n) for n in range(1, len(cells) + 1)]
+    decimals = any((layout.decimal or ".") in line for line in below)
+    if (
+        reading.skip_lines is None
+        and len(cells) > 1
+        and decimals
+        and cells in (counted, named)
+    ):
+        raise InputError(
+            f"{name}:{layout.first + 1}: {', '.join(cells)}: names, or a row? (`skip_lines` "
+            f"{layout.first + 1} leaves them out, `skip_lines` 0 takes them as a row)"
+        )
+
+
+def _refuse_two_readings(
+    name: str, layout: Layout, sample: Sequence[str], reading: Reading
+) -> None:
+    """Refuse ``0,5``, which may be two columns or a number, where no header says which."""
+    if reading.delimiter is not None or reading.decimal is not None:
+        return
+    if layout.delimiter == "," and all(
+        _TWO_READINGS.fullmatch(line) for line in sample
+    ):
+        raise InputError(
+            f"{name}: '{sample[-1].strip()}' may be two columns or one number (`delimiter` comma or "
+            "`decimal` comma)"
+        )
 
 
 def _read_header(name: str, layout: Layout, lines: Sequence[str], skipped: int) -> None:
@@ -324,12 +364,14 @@ def describe_columns(name: str, layout: Layout) -> list[Column]:
             kind = "empty"
         header, unit = layout.names.names[n], spell(layout.names.units[n])
         stated = split_header(header)[1]
+        bracketed = header.rstrip().endswith((")", "]", "}", ">"))
+        same_kind = kind_of(stated) == kind_of(unit) is not None
         if (
             stated
             and unit
-            and parse_unit(stated)
-            and parse_unit(unit)
             and stated != unit
+            and kind_of(unit)
+            and (bracketed or same_kind)
         ):
             raise InputError(
                 f"{name}: column '{header}' is in {unit} by the line of units (`skip_lines` "

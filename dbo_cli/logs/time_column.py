@@ -104,12 +104,7 @@ def _stated_clock(source: Source, reading: Reading) -> Clock:
 def _time_columns(source: Source, used: Sequence[Column]) -> list[Column]:
     """Return the columns that may hold the time, by the surest reason that there is."""
     free = [column for column in source.columns if column not in used]
-    for column in free:
-        if column.kind == "text" and _is_called(column, _NAMES, whole=True):
-            raise InputError(
-                f"{source.name}: {column.label} holds neither numbers nor time stamps such as "
-                "2026-01-02T03:04:05.678 (`time` names another column, `sample_rate` HZ gives the time)"
-            )
+    texts = [column for column in free if column.kind == "text"]
     free = [column for column in free if column.kind in ("number", "stamp")]
     fitting = []
     for column in free:
@@ -130,6 +125,14 @@ def _time_columns(source: Source, used: Sequence[Column]) -> list[Column]:
     figures = [c for c in called if c.kind == "number"]
     stamps = [c for c in called if c.kind == "stamp"]
     stamps = stamps or [c for c in free if c.kind == "stamp"]
+    plain = [c for c in texts if _is_called(c, _NAMES, whole=True)]
+    if not figures and not stamps:
+        plain += [c for c in texts if _is_called(c, _MORE_NAMES, whole=True)]
+    if plain:
+        raise InputError(
+            f"{source.name}: {plain[0].label} holds neither numbers nor time stamps such as "
+            "2026-01-02T03:04:05.678 (`time` names another column, `sample_rate` HZ gives the time)"
+        )
     if figures or stamps:
         return figures or stamps
     if fitting and fitting[0] is source.columns[0] and time_unit(fitting[0].unit):
