@@ -94,11 +94,16 @@ def settled_drive(
     for _ in range(MOST_PASSES):
         before = looped_state(model, done.voltage, dt, state)
         again = static.drive(undone, before, dt, window)
-        away = float(np.abs(again.voltage - done.voltage).max())
+        away = apart(again.voltage, done.voltage)
         done = again
         if away <= SETTLED * model.input.span:
             return Settled(done.voltage, before, done.clipped, done.first_clipped, True)
     return Settled(done.voltage, before, done.clipped, done.first_clipped, False)
+
+
+def apart(values: Floats, others: Floats) -> float:
+    """Return the largest difference between two signals."""
+    return float(np.abs(values - others).max())
 
 
 def looped_state(model: Model, voltage: Floats, dt: float, state: State) -> State:
@@ -176,8 +181,9 @@ class Loop:
             before, settled = self._led_to(undone)
             voltage = self._closed(settled.voltage)
         loss = self._loss(settled, undone)
-        self._require_settled(settled, undone, before)
-        return self._drive(before, voltage, loss, settled)
+        warnings = self._require_settled(settled, undone, before)
+        drive = self._drive(before, voltage, loss, settled)
+        return dataclasses.replace(drive, warnings=(*warnings, *drive.warnings))
 
     def _check(self, passes: int) -> None:
         around = self.around
@@ -203,9 +209,7 @@ class Loop:
     def _start(self, voltage: float) -> State:
         """Return the state in which the actuator starts, at a voltage where none is known."""
         state = self.around.state
-        if isinstance(state, State):
-            return dataclasses.replace(state, undoing=None)
-        return self.model.start(voltage, state)
+        return state if isinstance(state, State) else self.model.start(voltage, state)
 
     def _run_in(self, undone: Floats, passes: int) -> tuple[Before, Settled, Floats]:
         """Return the rows before the period, the settled loop that they lead to, and its drive."""
@@ -221,11 +225,9 @@ class Loop:
         for _ in range(MOST_STARTS):
             closed = self._closed(settled.voltage)
             run_in = self._faded_over(followed, closed, passes)
-            state = model.run(
-                run_in, dataclasses.replace(begun, undoing=None), dt
-            ).state
+            state = model.run(run_in, begun, dt).state
             again = self._settled(undone, state)
-            away = float(np.abs(again.voltage - settled.voltage).max())
+            away = apart(again.voltage, settled.voltage)
             settled = again
             if away <= SAME_DRIVE * model.input.span:
                 break
@@ -263,7 +265,7 @@ class Loop:
         drive = np.where(rise < 1.0, followed + rise * (tail - followed), tail)
         drive = np.clip(drive, *self.limits.move)
         drive = self._within_slew(drive, float(drive[0]))
-        off = abs(float(drive[-1] - settled[-1]))
+        off = apart(drive[-1:], settled[-1:])
         if off > 0.0:
             raise LimitError(
                 f"{self.name}: the run-in ends {off:.3g}{self.limits.suffix} off the settled loop (more "
@@ -282,22 +284,15 @@ class Loop:
         if approach is None or last is None:
             return self._own_start(undone, last)
         begun = self._start(last)
-        knows = isinstance(self.around.state, State)
         settled = self._settled(undone, begun)
         for _ in range(MOST_STARTS):
-            end = float(settled.voltage[0])
-            voltage = ramp("approach", last, end, self.dt, approach, self.limits)
-            if not knows:
-                voltage = np.concatenate([[last], voltage])
-            run = self.model.run(voltage, begun, self.dt) if voltage.size else None
-            state = begun if run is None else run.state
-            settled = self._settled(undone, state)
-            if (
-                abs(float(settled.voltage[0]) - end)
-                <= SAME_DRIVE * self.model.input.span
-            ):
-                expected = NOTHING if run is None else run.y
-                return Before(expected, voltage, begun), settled
+            end = settled.voltage[:1]
+            way = ramp("approach", last, float(end[0]), self.dt, approach, self.limits)
+            voltage = np.concatenate([[last], way])
+            run = self.model.run(voltage, begun, self.dt)
+            settled = self._settled(undone, run.state)
+            if apart(settled.voltage[:1], end) <= SAME_DRIVE * self.model.input.span:
+                return Before(run.y, voltage, begun), settled
         raise LimitError(
             f"{self.name}: no ramp was found that ends where the loop begins (`passes` runs it in)"
         )
@@ -315,7 +310,7 @@ class Loop:
         for _ in range(MOST_STARTS):
             begun = self._start(float(settled.voltage[0]))
             again = self._settled(undone, begun)
-            away = abs(float(again.voltage[0] - settled.voltage[0]))
+            away = apart(again.voltage[:1], settled.voltage[:1])
             settled = again
             if away <= SAME_DRIVE * self.model.input.span:
                 break
@@ -331,11 +326,10 @@ class Loop:
         its first row was held behind the last row of that pass.
         """
         closed = self._within_slew(voltage, float(voltage[-1]))
-        away = float(np.abs(closed - voltage).max())
         most = self.limits.largest_step(self.dt)
-        seam = abs(float(closed[0]) - float(closed[-1]))
+        seam = apart(closed[:1], closed[-1:])
         jumps = most is not None and seam > most
-        if away > SAME_DRIVE * self.model.input.span or jumps:
+        if jumps or apart(closed, voltage) > SAME_DRIVE * self.model.input.span:
             raise LimitError(
                 f"{self.name}: the loop does not close within the limits: from its last row, "
                 f"{voltage[-1]:.6g}, to its first, {voltage[0]:.6g}, is a step that `max_slew` forbids"
@@ -372,30 +366,27 @@ class Loop:
 
     def _require_settled(
         self, settled: Settled, undone: Floats, before: Before
-    ) -> None:
+    ) -> tuple[str, ...]:
         """Warn of a loop that the model does not repeat, or refuse it where it costs too much."""
-        model, dt, size = self.model, self.dt, float(np.ptp(undone))
-        state = before.begun
-        if before.voltage.size:
-            state = model.run(before.voltage, state, dt).state
+        model, dt = self.model, self.dt
+        size = max(float(np.ptp(undone)), LOOP_ERROR * model.output.span)
+        state = model.static.run(before.voltage, before.begun, dt).state
         looped = looped_state(model, settled.voltage, dt, state)
         aim = slow_output(model, settled.voltage, dt, settled.before)
-        away = float(
-            np.abs(slow_output(model, settled.voltage, dt, looped) - aim).max()
-        )
+        away = apart(slow_output(model, settled.voltage, dt, looped), aim)
         if settled.converged and away <= LOOP_ERROR * size:
-            return
+            return ()
         text = (
             f"{self.name}: the loop does not settle: however often it is repeated, it ends {away:.3g}"
             f"{model.output.suffix} off (`passes` 1 or `state` empty fixes the start)"
         )
         if away <= LOOP_ERROR * size:
             text = f"{self.name}: the drive still changes from pass to pass within its limits"
-        if self.on_limit == "error" or (
-            self.on_limit == "auto" and away > ALLOWED_PART * size
-        ):
+        costs = self.on_limit == "auto" and away > ALLOWED_PART * size
+        if costs or self.on_limit == "error":
             raise LimitError(f"{text}; `on_limit` clip writes it all the same")
         warn(text)
+        return (text,)
 
     def _drive(
         self, before: Before, voltage: Floats, loss: Loss, settled: Settled
@@ -450,8 +441,8 @@ def require_closed(name: str, period: Floats) -> None:
         )
     if not np.isfinite(period).all():
         raise InputError(f"{name}: a row of the period holds no number")
-    seam = abs(float(period[0] - period[-1]))
-    inside = float(np.abs(np.diff(period)).max())
+    seam = apart(period[:1], period[-1:])
+    inside = apart(period[1:], period[:-1])
     if seam > SEAM * inside:
         raise InputError(
             f"{name}: the period does not close: from the last row, {period[-1]:.6g}, to the first, "
