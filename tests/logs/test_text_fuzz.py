@@ -145,7 +145,7 @@ def misread(
     if (
         lines[0] < written.first_line
     ):  # of a header torn into the rows nothing may be left
-        return got not in (want, after)
+        return got not in (want, after, want[lines[1] - written.first_line :])
     between = len(got) - before - len(after)
     # the damaged rows are one with other numbers, or none: a comment
     return (
