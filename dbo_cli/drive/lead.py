@@ -154,7 +154,6 @@ def plan_lead(
         The amplifier's voltage is not known, or a piece is too long for any memory.
     """
     last = standing_at(model, limits, around)
-    known = around.state if isinstance(around.state, State) else None
     moves = around.condition or around.approach is not None
     rest = _rest_at_first(model, first, dt, around)
     if last is None and around.approach is not None and not around.condition:
@@ -162,8 +161,8 @@ def plan_lead(
             "`approach` needs `from` VOLT (where the amplifier stands) or a `state`"
         )
     if not moves:
-        return _standing(model, last, known, rest, dt, around)
-    return _moving(model, first, dt, limits, around, last, known, rest)
+        return _standing(model, last, rest, dt, around)
+    return _moving(model, first, dt, limits, around, last, rest)
 
 
 def standing_at(model: Model, limits: Limits, around: Around) -> float | None:
@@ -191,17 +190,14 @@ def standing_at(model: Model, limits: Limits, around: Around) -> float | None:
 
 
 def _standing(
-    model: Model,
-    last: float | None,
-    known: State | None,
-    rest: Floats,
-    dt: float,
-    around: Around,
+    model: Model, last: float | None, rest: Floats, dt: float, around: Around
 ) -> Lead:
     """Return the lead of a drive that begins where the amplifier stands: a rest at the first value alone."""
-    state = known
-    if known is None and last is not None:
-        state = _played(model, np.array([last]), None, dt, around.state)[1]
+    state = None
+    if isinstance(around.state, State):
+        state = around.state
+    elif last is not None:
+        state = _played(model, np.array([last]), dt, around)[1]
     chosen = rest.size * dt if around.lead == "auto" else 0.0
     return Lead(NOTHING, NOTHING, rest, state, chosen, 0.0, dt)
 
@@ -213,40 +209,46 @@ def _moving(
     limits: Limits,
     around: Around,
     last: float | None,
-    known: State | None,
     rest: Floats,
 ) -> Lead:
-    """Return the lead of a drive that goes to the first value: ramp, sweep, rest, way."""
-    inside = (
-        sweep_range(model, limits)[0] if around.condition else _inside(last, limits)
-    )
-    seconds: Seconds = around.approach if around.condition else "auto"
-    inwards = NOTHING
-    if last is not None:
-        inwards = ramp("approach", last, inside, dt, seconds, limits)
-        if known is None:
-            inwards = np.concatenate([[last], inwards])
-    swept = NOTHING
-    if around.condition:
-        swept = sweep(model, limits, dt)
-        swept = swept[1:] if inwards.size else swept
-    quiet = NOTHING
-    if around.condition or inwards.size > 1 or known is not None:
-        quiet = np.full(rest_rows(model, dt), inside)
-    voltage = np.concatenate([inwards, swept, quiet])
-    expected, state = _played(model, voltage, known, dt, around.state)
+    """Return the lead of a drive that goes to the first value: voltages, then the way and a rest."""
+    voltage, slewed = _voltages(model, dt, limits, around, last)
+    expected, state = _played(model, voltage, dt, around)
     typed = None if around.condition else around.approach
     path = way(model, state, first, dt, typed, limits)
-    slewed = (inwards.size + swept.size) * dt
-    chosen = slewed + quiet.size * dt
-    if not isinstance(typed, float | int):
-        slewed += path.size * dt
-        chosen += path.size * dt
-    if not isinstance(around.lead, float | int):
-        chosen += rest.size * dt
-    return Lead(
-        voltage, expected, np.concatenate([path, rest]), state, chosen, slewed, dt
-    )
+    chosen = voltage.size
+    if not _is_typed(typed):
+        slewed += path.size
+        chosen += path.size
+    if not _is_typed(around.lead):
+        chosen += rest.size
+    desired = np.concatenate([path, rest])
+    return Lead(voltage, expected, desired, state, chosen * dt, slewed * dt, dt)
+
+
+def _voltages(
+    model: Model, dt: float, limits: Limits, around: Around, last: float | None
+) -> tuple[Floats, int]:
+    """Return the ramp into the move's range, the sweep and a rest, and how many rows the slew limit rules."""
+    known = isinstance(around.state, State)
+    inside = _inside(last, limits)
+    seconds: Seconds = "auto"
+    if around.condition:
+        inside = sweep_range(model, limits)[0]
+        seconds = around.approach
+    inwards = swept = quiet = NOTHING
+    if last is not None:
+        inwards = ramp("approach", last, inside, dt, seconds, limits)
+        if not known:
+            inwards = np.concatenate([[last], inwards])
+    if around.condition:
+        swept = sweep(model, limits, dt)
+        if inwards.size:
+            swept = swept[1:]
+    if around.condition or inwards.size > 1 or known:
+        quiet = np.full(rest_rows(model, dt), inside)
+    slewed = inwards.size + swept.size
+    return np.concatenate([inwards, swept, quiet]), slewed
 
 
 def _inside(last: float | None, limits: Limits) -> float:
@@ -256,16 +258,21 @@ def _inside(last: float | None, limits: Limits) -> float:
 
 
 def _played(
-    model: Model, voltage: Floats, known: State | None, dt: float, state: str | State
+    model: Model, voltage: Floats, dt: float, around: Around
 ) -> tuple[Floats, State]:
-    """Play voltages from a state, or from a named start at the first of them."""
-    if known is None:
-        name = state if isinstance(state, str) else "auto"
-        known = model.start(float(voltage[0]), name)
+    """Play voltages from the state, or from a named start at the first of them."""
+    state = around.state
+    if not isinstance(state, State):
+        state = model.start(float(voltage[0]), state)
     if voltage.size == 0:
-        return NOTHING, known
-    run = model.run(voltage, known, dt if dt > 0.0 else None)
+        return NOTHING, state
+    run = model.run(voltage, state, dt if dt > 0.0 else None)
     return run.y, run.state
+
+
+def _is_typed(seconds: Seconds) -> bool:
+    """Tell whether seconds were typed, instead of left to the program."""
+    return isinstance(seconds, float | int)
 
 
 # --- the pieces ---
@@ -357,23 +364,13 @@ def way(
     """
     static = model.static
     assert state.drive is not None
-    ahead = model.ahead(dt)
     window = VoltageWindow(*limits.move)
     target = static.drive(np.array([end]), state, SHORTEST_WAY, window).voltage[0]
     distance = float(target) - state.drive
-    duration = SHORTEST_WAY
-    if isinstance(seconds, float | int):
-        duration = float(seconds)
-    elif limits.slew is None:
-        duration = max(
-            SWEEP_SECONDS * min(abs(distance) / model.input.span, 1.0), duration
-        )
-    most = math.inf
-    if limits.slew is not None:
-        most = SLEW_SPARE * limits.slew * dt
-    count = _count(duration / dt)
+    most = math.inf if limits.slew is None else SLEW_SPARE * limits.slew * dt
+    count = _count(_way_seconds(model, distance, seconds, limits) / dt)
     for _ in range(PLANS):
-        path = _way_of(static, state, distance, end, count, ahead, dt)
+        path = _way_of(static, state, distance, end, count, model.ahead(dt), dt)
         voltage = static.drive(path, state, dt, window).voltage
         largest = float(np.abs(np.diff(voltage, prepend=state.drive)).max())
         if largest <= most:
@@ -381,6 +378,18 @@ def way(
         count = max(_count(count * largest / most), count + 1)
     _require_seconds("approach", seconds, count, dt)
     return path
+
+
+def _way_seconds(
+    model: Model, distance: float, seconds: Seconds, limits: Limits
+) -> float:
+    """Return how long a way takes at least (s)."""
+    if isinstance(seconds, float | int):
+        return float(seconds)
+    if limits.slew is not None:
+        return SHORTEST_WAY
+    part = min(abs(distance) / model.input.span, 1.0)
+    return max(SWEEP_SECONDS * part, SHORTEST_WAY)
 
 
 def _way_of(
