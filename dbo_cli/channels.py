@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import DboError, InputError, ModelError, UsageError
+from dbo_cli.units import split_header
 
 if TYPE_CHECKING:
     from dbo_cli.logs import Reading, Table
@@ -51,12 +52,11 @@ def names(
         The log is a stream, which cannot be read once for every channel.
     """
     from dbo_cli.logs import columns_of
-    from dbo_cli.units import split_header
 
     path = paths[0]
     if path == "-":
         raise UsageError("-: channels are read one after the other; give a file")
-    headers = [split_header(column.name)[0] for column in columns_of(path, reading)]
+    headers = [column.name for column in columns_of(path, reading)]
     found: dict[str, list[str]] = {}
     for role, typed in columns.items():
         if typed is not None and PLACE in typed:
@@ -76,12 +76,12 @@ def names(
 
 
 def _matches(pattern: str, headers: Sequence[str]) -> list[str]:
-    """Return what stands in the place of ``{}``, for each header that fits."""
+    """Return what stands in the place of ``{}``, for each header that fits, with or without its unit."""
     before, _, behind = pattern.partition(PLACE)
     fit = re.compile(re.escape(before) + "(.+)" + re.escape(behind), re.DOTALL)
     channels = []
     for header in headers:
-        match = fit.fullmatch(header)
+        match = fit.fullmatch(split_header(header)[0]) or fit.fullmatch(header)
         if match is not None:
             channels.append(match[1])
     return channels

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from dbo_cli.drive.gate import Gate
 from dbo_cli.drive.limits import Limits
 from dbo_cli.errors import InputError, LimitError
+from dbo_cli.model import steps_of
 
 Floats = NDArray[np.float64]
 
@@ -170,7 +171,7 @@ def check_drive(
     steps = None
     if time is not None and time.size > 1:
         checked.problems += _odd_times(time)
-        steps = np.maximum(np.diff(time, prepend=time[0] - (time[1] - time[0])), 0.0)
+        steps = _steps(time)
     low, high = limits.rating
     if start is not None and not low <= start <= high:
         checked.problems.append(
@@ -216,6 +217,19 @@ def _figures(
         largest_step=float(change.max(initial=0.0)),
         fastest=fastest,
     )
+
+
+def _steps(time: Floats) -> Floats:
+    """Return the seconds before each row, none below 0; stamps even up to their decimals are even."""
+    try:
+        even = steps_of(time)
+    except InputError:  # time goes back, which is a problem of its own
+        even = np.diff(time, prepend=time[0])
+    if isinstance(even, float):
+        return np.full(time.size, even)
+    steps = np.maximum(even, 0.0)
+    steps[0] = steps[1]  # as ``compensate`` counts the row before the first
+    return steps
 
 
 def _odd_times(time: Floats) -> list[str]:

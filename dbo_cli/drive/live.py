@@ -20,7 +20,7 @@ from dbo_cli.errors import InputError, ModelError, UsageError
 from dbo_cli.model import NEGLIGIBLE, Model, State, Stepper, Undoing, Window
 from dbo_cli.model.points import inverse_curves, value_through
 
-WANTED_SPANS = 1e6
+WANTED_SPANS = 1e12
 """A wanted value so many ranges away is no displacement but a fault of the loop."""
 APPLIED_SPANS = 1e3
 """Likewise of an applied voltage."""
@@ -42,16 +42,17 @@ class Pending(NamedTuple):
         What was planned.
     ahead : Ahead, or None
         What is held after it.
-    after : State, or None
-        The state after the first row; later ones are in the stepper.
+    begun, after : State, or None
+        The states before and after the first row; later ones are in the stepper.
     clipped : bool
         Whether a limit held it back.
     """
 
     voltage: float
     ahead: Ahead | None
-    after: State | None
     clipped: bool
+    begun: State | None = None
+    after: State | None = None
 
 
 class Controller:
@@ -259,9 +260,11 @@ class Controller:
         if self._last is not None and self._is_outside(self._last):
             voltage = self._inwards(self._last)
             moved = self._model.static.run(np.array([voltage]), begun, self._dt)
-            return Pending(voltage, ahead, moved.state, True)
+            return Pending(voltage, ahead, True, begun, moved.state)
         done = self._model.drive(np.array([u]), begun, self._dt, self._window)
-        return Pending(float(done.voltage[0]), ahead, done.state, bool(done.clipped))
+        return Pending(
+            float(done.voltage[0]), ahead, bool(done.clipped), begun, done.state
+        )
 
     def _begun(self, u: float) -> State:
         """Return the state before the first row."""
@@ -277,11 +280,10 @@ class Controller:
 
     def _stepper_after(self, pending: Pending, voltage: float) -> Stepper:
         """Return the stepper behind the first row."""
-        after = pending.after
-        assert after is not None
+        begun, after = pending.begun, pending.after
+        assert begun is not None and after is not None
         bits, memory = after.bits, after.memory
         if voltage != pending.voltage:
-            begun = self._begun(voltage if self._last is None else self._last)
             moved = self._model.static.run(
                 np.array([voltage]), dataclasses.replace(begun, first=None), self._dt
             )
@@ -300,14 +302,14 @@ class Controller:
         if self._is_outside(self._last):
             voltage = self._inwards(self._last)
             stepper.follow(value_through(self._back_to_gears, voltage))
-            return Pending(voltage, ahead, None, True)
+            return Pending(voltage, ahead, True)
         y = stepper.plan(value_through(self._to_gears, u))
         clipped = stepper.clipped
         voltage = y
         if self._from_gears:
             low, high = self.limits.move
             voltage = min(max(value_through(self._from_gears, y), low), high)
-        return Pending(voltage, ahead, None, clipped)
+        return Pending(voltage, ahead, clipped)
 
     def _is_outside(self, voltage: float) -> bool:
         """Tell whether a voltage lies outside the range of a move."""
