@@ -147,7 +147,7 @@ class LibrarySource(ArraySource):
     rate_problem, rate_remarks
         Why the stated rate cannot be used where one is needed, and what it assumes.
     hint
-        What else may be typed where the columns are not clear.
+        What else may be typed where the columns are not clear, behind a blank.
     """
 
     def __init__(
@@ -230,7 +230,7 @@ def chosen_columns(
             )
     if is_alone:
         return found, ""
-    return found, f"{path}::{chosen[0].path} reads one group alone"
+    return found, f" (or one group alone: {path}::{chosen[0].path})"
 
 
 def without_single_values(found: Sequence[Found]) -> list[Found]:
