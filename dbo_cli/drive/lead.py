@@ -10,7 +10,7 @@ as the move, so that the two meet without a join). Each piece is one function.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -154,6 +154,9 @@ def plan_lead(
         The amplifier's voltage is not known, or a piece is too long for any memory.
     """
     last = standing_at(model, limits, around)
+    state = around.state
+    if isinstance(state, State) and state.drive is None:
+        around = replace(around, state=replace(state, drive=last))
     moves = around.condition or around.approach is not None
     rest = _rest_at_first(model, first, dt, around)
     if last is None and around.approach is not None and not around.condition:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import tracemalloc
 import warnings
 from typing import Any
 
@@ -97,6 +98,16 @@ def test_a_state_goes_on() -> None:
     assert second.past_known
 
 
+def test_a_state_without_a_voltage_starts_where_the_amplifier_stands() -> None:
+    model = actuator()
+    wanted = ripple(model, 100, 0.5)
+    begun = model.start(40.0, "empty")
+    options = {"state": begun, "start": 40.0, "approach": "auto"}
+    drive = plan(model, wanted, DT, limits_of(model), **options)  # type: ignore[arg-type]
+    y = model.run(np.r_[40.0, drive.voltage], begun, DT).y[1:]
+    assert np.abs(y - drive.desired).max() < 1e-10
+
+
 def test_a_pause_lets_memory_go_on() -> None:
     model = actuator(tau=(0.5,), gain=(0.02,))
     wanted = ripple(model, 500, 0.4)
@@ -163,6 +174,24 @@ def test_a_stream_counts_its_loss_and_refuses_in_the_end() -> None:
     assert clipping.drive is not None
     assert clipping.drive.clipped > 100
     assert clipping.drive.lost_rms > 0.1
+
+
+def test_a_stream_takes_constant_memory() -> None:
+    model = actuator(tau=(0.1,), gain=(0.01,), sections=(Lag(1e-3),), delay=0.002)
+    block = ripple(model, 20000, 0.5)
+    limits = limits_of(model, 0, 60, 2000)
+
+    def peak(blocks: int) -> int:
+        moves = ((None, block) for _ in range(blocks))
+        rows = stream(model, moves, DT, limits, on_limit="clip")
+        tracemalloc.start()
+        count = sum(part.voltage.size for part in rows)
+        _, most = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert count == 20000 * blocks
+        return most
+
+    assert peak(40) < 1.1 * peak(10)
 
 
 def test_extrapolation() -> None:
