@@ -1,0 +1,17 @@
+"""Moves to be followed, and drives as the files that generators take."""
+
+from __future__ import annotations
+
+from dbo_cli.moves.shapes import SHAPES, Trajectory, trajectory
+from dbo_cli.moves.trust import check_reach, trusted_frequency
+from dbo_cli.moves.waveform import Waveform, waveform
+
+__all__ = [
+    "SHAPES",
+    "Trajectory",
+    "Waveform",
+    "check_reach",
+    "trajectory",
+    "trusted_frequency",
+    "waveform",
+]

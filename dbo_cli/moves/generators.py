@@ -1,0 +1,185 @@
+"""The files that generators, wave tables and converters take: numbers to bytes, and back.
+
+One function a format writes its bytes, and one reads them back. ``npy`` and ``pi-gcs``
+hold volts, the others codes, whose ends stand for two voltages.
+"""
+
+from __future__ import annotations
+
+import io
+import wave
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.errors import UsageError
+
+Floats = NDArray[np.float64]
+Codes = NDArray[np.int64]
+Values = NDArray[np.float64 | np.int64]
+Span = tuple[float, float]
+
+BUNCH = 10  # points a command, as in PI's own example: every controller takes so many
+WHOLE_RATE = 1e-6  # of a rate: closer to a whole number, it is that
+
+
+class Signal(NamedTuple):
+    """What is written: volts or codes, points a second, and the volts of the lowest and highest code."""
+
+    values: Values
+    rate: float
+    volts: Span
+
+
+class Format(NamedTuple):
+    """A kind of file.
+
+    Attributes
+    ----------
+    endings : tuple of str
+        What its files are called.
+    write, read : callable
+        From a signal to bytes; from bytes to volts or codes.
+    codes : (int, int), optional
+        The lowest and the highest code; None where volts are written.
+    volts_needed : bool
+        Codes of a converter, whose volts nobody can guess.
+    """
+
+    endings: tuple[str, ...]
+    write: Callable[[Signal], bytes]
+    read: Callable[[bytes], Values]
+    codes: tuple[int, int] | None = None
+    volts_needed: bool = False
+
+
+class Coding(NamedTuple):
+    """Whole numbers for voltages: the ends of ``codes`` stand for the ends of ``volts``."""
+
+    codes: tuple[int, int]
+    volts: Span
+
+    @property
+    def step(self) -> float:
+        """Volts a code."""
+        low, high = self.volts
+        return (high - low) / (self.codes[1] - self.codes[0])
+
+    def encode(self, volts: Floats, within: Span) -> Codes:
+        """Return the nearest codes; next to a limit the nearest one inside it."""
+        places = np.rint((volts - self.volts[0]) / self.step).astype(np.int64)
+        codes: Codes = np.clip(places + self.codes[0], *self.codes)
+        codes = codes - (self.decode(codes) > within[1])
+        return codes + (self.decode(codes) < within[0])
+
+    def decode(self, codes: Values) -> Floats:
+        """Return the voltages of codes."""
+        part = (codes - self.codes[0]) / (self.codes[1] - self.codes[0])
+        low, high = self.volts
+        return np.clip(low + part * (high - low), low, high)
+
+
+def _positional(value: float) -> str:
+    """Write a number with the fewest digits that read back exactly, without an exponent."""
+    return str(np.format_float_positional(value, trim="-"))
+
+
+def _npy(signal: Signal) -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, signal.values)
+    return buffer.getvalue()
+
+
+def _read_npy(data: bytes) -> Values:
+    values: Floats = np.load(io.BytesIO(data))
+    return values
+
+
+def whole_rate(rate: float) -> int:
+    """Return a rate as the whole number that a WAV file has room for (UsageError)."""
+    if abs(rate - round(rate)) > WHOLE_RATE * rate or rate < 0.5:
+        raise UsageError(
+            f"a WAV file has whole points a second, not {rate:.9g} (`rate` {max(round(rate), 1)})"
+        )
+    return round(rate)
+
+
+def _wav(signal: Signal) -> bytes:
+    buffer = io.BytesIO()
+    with wave.open(buffer, "wb") as file:
+        file.setnchannels(1)
+        file.setsampwidth(2)
+        file.setframerate(whole_rate(signal.rate))
+        file.writeframes(signal.values.astype("<i2").tobytes())
+    return buffer.getvalue()
+
+
+def _read_wav(data: bytes) -> Values:
+    with wave.open(io.BytesIO(data)) as file:
+        frames = file.readframes(file.getnframes())
+    return np.frombuffer(frames, "<i2").astype(np.int64)
+
+
+def _int16(signal: Signal) -> bytes:
+    return signal.values.astype("<i2").tobytes()
+
+
+def _read_int16(data: bytes) -> Values:
+    return np.frombuffer(data, "<i2").astype(np.int64)
+
+
+def _uint16(signal: Signal) -> bytes:
+    return signal.values.astype("<u2").tobytes()
+
+
+def _read_uint16(data: bytes) -> Values:
+    return np.frombuffer(data, "<u2").astype(np.int64)
+
+
+def _pi_gcs(signal: Signal) -> bytes:
+    """Return one command for every ten points: WAV 1 X|& PNT first count values."""
+    lines = []
+    for first in range(0, signal.values.size, BUNCH):
+        bunch = signal.values[first : first + BUNCH].tolist()
+        append = "&" if first else "X"
+        points = " ".join(map(_positional, bunch))
+        lines.append(f"WAV 1 {append} PNT {first + 1} {len(bunch)} {points}\n")
+    return "".join(lines).encode()
+
+
+def _read_pi_gcs(data: bytes) -> Values:
+    values: list[str] = []
+    for line in data.decode().splitlines():
+        values += line.split()[6:]
+    return np.array(values, dtype=np.float64)
+
+
+def _keysight(signal: Signal) -> bytes:
+    low, high = signal.volts
+    head = [
+        "File Format:1.10", "Channel Count:1", "Column Char:TAB", f"Sample Rate:{_positional(signal.rate)}",
+        f"High Level:{_positional(high)}", f"Low Level:{_positional(low)}", 'Data Type:"Short"',
+        'Filter:"OFF"', f"Data Points:{signal.values.size}", "Data:",
+    ]  # fmt: skip
+    codes = map(str, signal.values.tolist())
+    return "".join(f"{line}\r\n" for line in [*head, *codes]).encode()
+
+
+def _read_keysight(data: bytes) -> Values:
+    body = data.decode().partition("Data:\r\n")[2]
+    return np.array(body.split(), dtype=np.int64)
+
+
+FORMATS = {
+    "npy": Format((".npy",), _npy, _read_npy),
+    "wav": Format((".wav",), _wav, _read_wav, (-32767, 32767)),
+    "int16": Format(
+        (".bin", ".raw", ".i16"), _int16, _read_int16, (-32768, 32767), True
+    ),
+    "uint16": Format((".bin", ".raw", ".u16"), _uint16, _read_uint16, (0, 65535), True),
+    "keysight-arb": Format((".arb",), _keysight, _read_keysight, (-32767, 32767)),
+    "pi-gcs": Format((".txt", ".gcs"), _pi_gcs, _read_pi_gcs),
+}
+"""By the name that ``to`` takes; the codes are all of a word, or those of the maker's description."""

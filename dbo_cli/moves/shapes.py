@@ -1,0 +1,354 @@
+"""Moves that people write by hand: raster, spiral, staircase, sine, triangle.
+
+Everything is made of four pieces: a line of constant speed, a turn, a start or stop,
+and a rise from level to level. Their accelerations are sines that begin and end at
+zero, so that nothing jumps but what no rounding was asked for; each turn and each rise
+takes one period of the bandwidth.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.errors import UsageError
+
+Floats = NDArray[np.float64]
+Range = tuple[float, float]
+
+NEEDS = {
+    "raster": ("frequency", "lines"),
+    "spiral": ("frequency", "duration"),
+    "staircase": ("steps", "dwell"),
+    "sine": ("frequency",),
+    "triangle": ("frequency",),
+}
+"""What each shape needs."""
+TAKES = {
+    "raster": ("loop",),
+    "sine": ("duration", "loop"),
+    "triangle": ("duration", "loop"),
+}
+"""What some of them take besides."""
+SHAPES = tuple(NEEDS)
+
+START = 2.0 / math.pi
+"""Of a turn's rows: a start of so many reaches as far outside a line as a turn does, more gently than it."""
+MOST_ROWS = 100_000_000  # 800 MB a column
+FEWEST_ROWS = 4  # of a line or cycle: a triangle of fewer has no rows between its turns
+
+
+class Trajectory(NamedTuple):
+    """A move with its clock.
+
+    Attributes
+    ----------
+    time : array of shape (rows,)
+        Seconds, even, from 0.
+    axes : tuple of array of shape (rows,)
+        One signal an axis: the displacement, or x and y.
+    note : str
+        What became of it, in words.
+    """
+
+    time: Floats
+    axes: tuple[Floats, ...]
+    note: str
+
+
+class _Plan(NamedTuple):
+    """What is asked for, in rows: of a line or cycle, of a turn, and how many of them."""
+
+    ends: Range
+    period: int
+    turn: int
+    cycles: int
+    loop: bool
+    rate: float
+
+
+def trajectory(
+    shape: str,
+    *,
+    rate: float,
+    range: Range,
+    frequency: float | None = None,
+    lines: int | None = None,
+    steps: int | None = None,
+    dwell: float | None = None,
+    duration: float | None = None,
+    loop: bool = False,
+    bandwidth: float | None = None,
+) -> Trajectory:
+    """Return a move that starts and stops softly.
+
+    Parameters
+    ----------
+    shape : {"raster", "spiral", "staircase", "sine", "triangle"}
+        What is moved along. Raster and spiral have two axes.
+    rate : float
+        Rows a second (Hz).
+    range : (float, float)
+        From where to where, every axis. The turns of a raster lie beyond it.
+    frequency : float
+        Lines, turns of a spiral, or cycles a second (Hz).
+    lines : int
+        Of a raster.
+    steps, dwell : int, float
+        Of a staircase: steps up, and as many down; seconds at each level.
+    duration : float
+        Seconds of a spiral, sine or triangle, which make a whole number of turns or
+        cycles; one cycle where not given. The soft start and stop come on top.
+    loop : bool
+        One period that closes and repeats, without start and stop: whole cycles; of a
+        raster one frame up and one frame down.
+    bandwidth : float, optional
+        Each turn, rise, start and stop takes one period of it (Hz); sharp where not
+        given.
+
+    Raises
+    ------
+    UsageError
+        An option is missing, senseless, or of another shape; or the move is too fast
+        for its rate or its bandwidth. The message says which number would fit.
+    """
+    figures = {
+        "frequency": frequency, "lines": lines, "steps": steps, "dwell": dwell, "duration": duration,
+    }  # fmt: skip
+    _check_options(shape, figures, loop)
+    _check_numbers(rate, range, bandwidth, figures)
+    turn = 0
+    if bandwidth is not None:
+        turn = math.ceil(rate / bandwidth)
+    if shape == "staircase":
+        assert steps is not None
+        assert dwell is not None
+        seconds = 2.0 * steps * (dwell + max(turn, 1) / rate)
+        _check_rows(seconds * rate)
+        axes, note = _staircase(range, steps, round(dwell * rate), max(turn, 1), rate)
+        return _clocked(axes, rate, note)
+    assert frequency is not None
+    count = lines or max(round((duration or 0.0) * frequency), 1)
+    _check_rows((2 if shape == "raster" and loop else 1) * count * rate / frequency)
+    if bandwidth is not None and frequency >= bandwidth:
+        raise UsageError(
+            f"`frequency` {frequency:g}: a {shape} as fast as the bandwidth of {bandwidth:g} Hz is all"
+            f" turns (below {bandwidth:g}, or a higher `bandwidth`)"
+        )
+    period = round(rate / frequency)
+    if period < FEWEST_ROWS:
+        raise UsageError(
+            f"`frequency` {frequency:g}: {period} rows each at a `rate` of {rate:g} (at most"
+            f" {rate / FEWEST_ROWS:g})"
+        )
+    plan = _Plan(range, period, turn, count, loop, rate)
+    axes, note = _MAKERS[shape](plan)
+    return _clocked(axes, rate, note)
+
+
+def _clocked(axes: tuple[Floats, ...], rate: float, note: str) -> Trajectory:
+    return Trajectory(np.arange(axes[0].size) / rate, axes, note)
+
+
+def _check_options(
+    shape: str, figures: dict[str, float | int | None], loop: bool
+) -> None:
+    """Refuse a shape that there is not, and options that are missing or of another shape."""
+    if shape not in NEEDS:
+        raise UsageError(f"'{shape}' is none of {', '.join(SHAPES)}")
+    for name in NEEDS[shape]:
+        if figures[name] is None:
+            raise UsageError(f"a {shape} needs `{name}`")
+    taken = NEEDS[shape] + TAKES.get(shape, ())
+    for name, value in [*figures.items(), ("loop", loop or None)]:
+        if value is not None and name not in taken:
+            raise UsageError(f"`{name}` belongs to another shape than {shape}")
+
+
+def _check_numbers(
+    rate: float,
+    ends: Range,
+    bandwidth: float | None,
+    figures: dict[str, float | int | None],
+) -> None:
+    """Refuse numbers that are not above 0, and a range upside down."""
+    low, high = ends
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise UsageError(
+            f"`range` {low:g}:{high:g}: give the lower end first, both finite"
+        )
+    for name, value in {"rate": rate, "bandwidth": bandwidth, **figures}.items():
+        if value is not None and not 0.0 < value < math.inf:
+            raise UsageError(f"`{name}` {value:g}: give a number above 0")
+
+
+def _check_rows(rows: float) -> None:
+    """Refuse a move that nobody has memory for."""
+    if rows > MOST_ROWS:
+        raise UsageError(
+            f"`rate`: the move takes {rows:,.0f} rows, and {MOST_ROWS:,} are written at most (a lower"
+            " `rate`, or a shorter move)"
+        )
+
+
+# --- the pieces: rows after the one that they begin at ---
+
+
+def _steps(count: int) -> Floats:
+    return np.arange(1.0, count + 1.0)
+
+
+def _turned(place: float, speed: float, count: int) -> Floats:
+    """Return a turn at ``place`` from ``speed`` (a row) to its opposite, count speed/pi beyond."""
+    angle = math.pi * _steps(count) / max(count, 1)
+    return place + speed * count / math.pi * np.sin(angle)
+
+
+def _started(place: float, speed: float, count: int) -> Floats:
+    """Return a start from rest that arrives at ``place`` with ``speed``, the row at rest included."""
+    row = np.arange(count + 1.0)
+    bend = np.sin(math.pi * row / max(count, 1))
+    distance: Floats = 0.5 * row - 0.5 * count / math.pi * bend
+    return place + speed * (distance - 0.5 * count)
+
+
+def _risen(count: int) -> Floats:
+    """Return the way from 0 to 1: its acceleration is one period of a sine."""
+    part = _steps(count) / max(count, 1)
+    share: Floats = part - np.sin(2.0 * math.pi * part) / (2.0 * math.pi)
+    share[-1:] = 1.0
+    return share
+
+
+def _strokes(ends: Range, flat: int, turn: int, count: int, loop: bool) -> Floats:
+    """Return ``count`` lines there and back between two ends, ``flat`` rows each, with start and stop.
+
+    Without them in a loop, whose first row follows on its last.
+    """
+    low, high = ends
+    speed = (high - low) / flat
+    part = _steps(flat) / flat
+    up = [low + (high - low) * part, _turned(high, speed, turn)]
+    back = [high - (high - low) * part, _turned(low, -speed, turn)]
+    pair = np.concatenate(up + back)
+    lines = np.tile(pair, (count + 1) // 2)[: count * (flat + turn)]
+    if loop:
+        return np.roll(lines, 1)
+    lead = math.floor(START * turn)
+    end, pace = low, -speed
+    if count % 2:
+        end, pace = high, speed
+    stop = _started(end, -pace, lead)[::-1][1:]  # a stop is a start played backwards
+    begin = _started(low, speed, lead)
+    return np.concatenate([begin, lines[: lines.size - turn], stop])
+
+
+def _eased(period: int, count: int, loop: bool) -> Floats:
+    """Return a phase from 0 to ``count``, ``period`` rows each; the first and last half are half as fast."""
+    if loop:
+        return np.arange(float(count * period)) / period
+    begin = _started(0.5, 1.0 / period, period)
+    line = 0.5 + _steps((count - 1) * period) / period
+    return np.concatenate([begin, line, count - begin[::-1][1:]])
+
+
+def _between(ends: Range, part: Floats) -> Floats:
+    low, high = ends
+    return np.clip(low + (high - low) * part, low, high)
+
+
+# --- the shapes: the axes, and a note ---
+
+
+def _raster(plan: _Plan) -> tuple[tuple[Floats, ...], str]:
+    """Return a line axis and a slow one, which stands still while a line is drawn."""
+    turn, count = plan.turn, plan.cycles
+    flat = plan.period - turn
+    if flat < 2:
+        raise UsageError(
+            f"`frequency` {plan.rate / plan.period:g}: a line of {plan.period} rows has no room for a turn"
+            f" of {turn} (at most {plan.rate / (turn + 2):.4g} lines a second)"
+        )
+    levels = np.linspace(*plan.ends, count)
+    if count == 1:
+        levels = np.array([plan.ends[0]])
+    if plan.loop:
+        levels = np.concatenate([levels, levels[::-1]])
+    fast = _strokes(plan.ends, flat, turn, levels.size, plan.loop)
+    # a line at one level, and the way to the next in its turn
+    profile = np.concatenate([np.zeros(flat), _risen(turn)])
+    following = np.append(levels[1:], levels[0])
+    blocks = levels[:, None] + (following - levels)[:, None] * profile
+    if plan.loop:
+        slow = np.roll(blocks.ravel(), 1)
+        frames = "a frame up and a frame down of "
+    else:
+        lead = math.floor(START * turn)
+        begin = np.full(lead + 1, levels[0])
+        end = np.full(flat + lead, levels[-1])
+        slow = np.concatenate([begin, blocks[:-1].ravel(), end])
+        frames = ""
+    linear = 100.0 * flat / plan.period
+    note = f"{frames}{count} lines, {plan.period / plan.rate:.6g} s each, {linear:.3g} % of it linear"
+    return (fast, slow), note
+
+
+def _triangle(plan: _Plan) -> tuple[tuple[Floats, ...], str]:
+    """Return a triangle whose tips are turns that reach the ends of the range."""
+    low, high = plan.ends
+    half, turn = plan.period // 2, plan.turn
+    flat = half - turn
+    if flat < 1:
+        raise UsageError(
+            f"`frequency` {plan.rate / plan.period:g}: a flank of {half} rows has no room for a turn of"
+            f" {turn} (at most {0.5 * plan.rate / (turn + 1):.4g})"
+        )
+    tip = (high - low) * turn / math.pi / (flat + 2.0 * turn / math.pi)
+    waves = _strokes((low + tip, high - tip), flat, turn, 2 * plan.cycles, plan.loop)
+    linear = 100.0 * flat / half
+    note = f"{2 * half / plan.rate:.6g} s a cycle, {linear:.3g} % of it linear"
+    return (np.clip(waves, low, high),), note
+
+
+def _sine(plan: _Plan) -> tuple[tuple[Floats, ...], str]:
+    """Return cycles that begin and end at the lower end, at rest."""
+    phase = _eased(plan.period, plan.cycles, plan.loop)
+    wave = 0.5 - 0.5 * np.cos(2.0 * math.pi * phase)
+    note = f"{plan.period / plan.rate:.6g} s a cycle"
+    if not plan.loop:
+        note += ", the first and the last half twice as long"
+    return (_between(plan.ends, wave),), note
+
+
+def _spiral(plan: _Plan) -> tuple[tuple[Floats, ...], str]:
+    """Return an Archimedean spiral from the middle outwards, at a constant number of turns a second."""
+    phase = _eased(plan.period, plan.cycles, False)
+    angle = 2.0 * math.pi * phase
+    radius = 0.5 * phase / plan.cycles
+    x = _between(plan.ends, 0.5 + radius * np.cos(angle))
+    y = _between(plan.ends, 0.5 + radius * np.sin(angle))
+    return (x, y), f"{plan.cycles} turns, {plan.period / plan.rate:.6g} s each"
+
+
+def _staircase(
+    ends: Range, steps: int, dwell: int, rise: int, rate: float
+) -> tuple[tuple[Floats, ...], str]:
+    """Return levels that are held, up and down again; ``dwell`` and ``rise`` in rows."""
+    up = np.arange(steps + 1.0) / steps
+    levels = np.concatenate([up, up[-2::-1]])
+    profile = np.concatenate([_risen(rise), np.ones(dwell)])
+    blocks = levels[:-1, None] + np.diff(levels)[:, None] * profile
+    stairs = np.concatenate([np.zeros(dwell + 1), blocks.ravel()])
+    note = f"{levels.size} levels, {dwell / rate:.6g} s each, {rise / rate:.3g} s to the next"
+    return (_between(ends, stairs),), note
+
+
+_MAKERS = {
+    "raster": _raster,
+    "spiral": _spiral,
+    "sine": _sine,
+    "triangle": _triangle,
+}

@@ -1,0 +1,170 @@
+"""Moves: their places, speeds and seams, and what a model does not reach."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dbo_cli.errors import UsageError
+from dbo_cli.model import Dynamics, Gears, Model, Quantity, Resonance, Scale
+from dbo_cli.moves import check_reach, trajectory, trusted_frequency
+
+RATE = 1000.0
+ENDS = (2.0, 8.0)
+MOVES = {
+    "raster": {"frequency": 5.0, "lines": 6},
+    "spiral": {"frequency": 5.0, "duration": 2.0},
+    "staircase": {"steps": 4, "dwell": 0.1},
+    "sine": {"frequency": 5.0, "duration": 1.0},
+    "triangle": {"frequency": 5.0, "duration": 1.0},
+}
+
+
+def actuator(low=0.0, high=10.0, dynamics=()):
+    gears = Gears(np.full(10, 10.0), np.full(10, (high - low) / 10.0))
+    stages = (gears, Scale(1.0, low), *dynamics)
+    voltage = Quantity("voltage", "V", 0.0, 100.0)
+    return Model("forward", voltage, Quantity("displacement", "um", low, high), stages)
+
+
+def cornered(axis):
+    """Return the largest change of speed from row to row, in units of the largest speed."""
+    return np.abs(np.diff(axis, 2)).max() / np.abs(np.diff(axis)).max()
+
+
+@pytest.mark.parametrize("shape", MOVES)
+@pytest.mark.parametrize("bandwidth", [None, 40.0])
+def test_every_move_stays_in_its_range_and_has_an_even_clock(shape, bandwidth):
+    made = trajectory(shape, rate=RATE, range=ENDS, bandwidth=bandwidth, **MOVES[shape])
+    assert len(made.axes) == (2 if shape in ("raster", "spiral") else 1)
+    assert made.time[0] == 0.0
+    np.testing.assert_allclose(np.diff(made.time), 1.0 / RATE, rtol=1e-9)
+    for number, axis in enumerate(made.axes):
+        assert axis.shape == made.time.shape
+        beyond = 0.0
+        if shape == "raster" and number == 0 and bandwidth:
+            beyond = 6.0 / 175 * 25 / np.pi  # of a turn: speed times rows over pi
+        assert axis.min() >= 2.0 - beyond - 1e-9 and axis.max() <= 8.0 + beyond + 1e-9
+        assert np.ptp(axis) >= 5.5
+
+
+@pytest.mark.parametrize("shape", MOVES)
+def test_a_rounded_move_starts_and_stops_softly(shape):
+    made = trajectory(shape, rate=RATE, range=ENDS, bandwidth=40.0, **MOVES[shape])
+    for axis in made.axes:
+        fastest = np.abs(np.diff(axis)).max()
+        assert abs(axis[1] - axis[0]) < 0.05 * fastest
+        assert abs(axis[-1] - axis[-2]) < 0.05 * fastest
+        assert cornered(axis) < 0.3
+
+
+def test_corners_are_sharp_without_a_bandwidth():
+    made = trajectory("triangle", rate=RATE, range=ENDS, frequency=5.0)
+    assert cornered(made.axes[0]) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("shape", ["raster", "sine", "triangle"])
+@pytest.mark.parametrize("bandwidth", [None, 40.0])
+def test_a_loop_closes_like_any_other_step(shape, bandwidth):
+    options = {key: value for key, value in MOVES[shape].items() if key != "duration"}
+    made = trajectory(
+        shape, rate=RATE, range=ENDS, loop=True, bandwidth=bandwidth, **options
+    )
+    for axis in made.axes:
+        twice = np.tile(axis, 2)
+        inside = np.abs(np.diff(axis, 2)).max()
+        assert np.abs(np.diff(twice, 2)).max() <= inside * (1.0 + 1e-6) + 1e-12
+
+
+def test_a_raster_loop_is_a_frame_up_and_a_frame_down():
+    made = trajectory(
+        "raster", rate=RATE, range=ENDS, frequency=5.0, lines=6, loop=True
+    )
+    fast, slow = made.axes
+    assert fast.size == 2 * 6 * 200
+    levels, rows = np.unique(np.round(slow, 9), return_counts=True)
+    np.testing.assert_allclose(levels, np.linspace(2.0, 8.0, 6), atol=1e-9)
+    assert rows.tolist() == [400] * 6  # each level has a line up and a line down
+    assert np.sum(np.diff(np.sign(fast - 5.01)) != 0) == 12
+
+
+def test_a_raster_draws_lines_at_still_levels():
+    options = {"rate": RATE, "range": ENDS, "frequency": 5.0, "lines": 6}
+    fast, slow = trajectory("raster", bandwidth=40.0, **options).axes
+    still = slow[1:] == slow[:-1]
+    inside = (fast[1:] > 2.0) & (fast[1:] < 8.0) & (fast[:-1] > 2.0) & (fast[:-1] < 8.0)
+    assert still[inside].all()
+    speeds = np.abs(np.diff(fast))[inside]
+    np.testing.assert_allclose(speeds, 6.0 / 175.0, rtol=1e-9)
+    assert np.unique(np.round(slow[1:][inside], 9)).size == 6
+
+
+def test_a_staircase_holds_its_levels():
+    made = trajectory("staircase", rate=RATE, range=(0.0, 4.0), steps=4, dwell=0.1)
+    levels, rows = np.unique(made.axes[0], return_counts=True)
+    assert levels.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+    assert rows.tolist() == [202, 202, 202, 202, 101]
+
+
+def test_a_spiral_goes_from_the_middle_to_the_edge_at_even_turns():
+    made = trajectory("spiral", rate=RATE, range=ENDS, frequency=5.0, duration=4.0)
+    x, y = made.axes
+    radius = np.hypot(x - 5.0, y - 5.0)
+    assert radius[0] < 1e-9 and radius[-1] == pytest.approx(3.0)
+    assert (np.diff(radius) >= -1e-12).all()
+    angle = np.unwrap(np.arctan2(y - 5.0, x - 5.0)[1:])
+    assert (angle[-1] - angle[0]) / (2.0 * np.pi) == pytest.approx(20.0, abs=0.2)
+
+
+def test_a_move_is_trusted_to_a_third_of_the_lowest_resonance():
+    swinging = Dynamics((Resonance(900.0, 0.02), Resonance(300.0, 0.02)))
+    assert trusted_frequency([actuator(dynamics=(swinging,))]) == pytest.approx(100.0)
+    assert trusted_frequency([actuator()]) is None
+
+
+@pytest.mark.parametrize("ends", [(2.0, 9.9), (0.1, 9.0), (-4.0, 30.0), (20.0, 30.0)])
+def test_the_range_that_a_refusal_proposes_fits(ends):
+    options = {"rate": RATE, "frequency": 4.0, "lines": 3, "bandwidth": 12.0}
+    made = trajectory("raster", range=ends, **options)
+    with pytest.raises(UsageError) as refusal:
+        check_reach(made, ends, [actuator()])
+    fitting = str(refusal.value).split("(`range` ")[1].removesuffix(" fits)")
+    low, high = map(float, fitting.split(":"))
+    again = trajectory("raster", range=(low, high), **options)
+    check_reach(again, (low, high), [actuator()])
+    assert again.axes[0].min() < 0.2 or low == ends[0]
+    assert again.axes[0].max() > 9.8 or high == ends[1]
+
+
+def test_each_axis_has_its_own_model():
+    made = trajectory("raster", rate=RATE, range=ENDS, frequency=5.0, lines=3)
+    check_reach(made, ENDS, [actuator(), actuator(1.0, 9.0)])
+    with pytest.raises(UsageError, match="reaches 3 to 9"):
+        check_reach(made, ENDS, [actuator(), actuator(3.0, 9.0)])
+
+
+@pytest.mark.parametrize(
+    ("shape", "options", "named"),
+    [
+        ("circle", {}, "circle"),
+        ("sine", {}, "`frequency`"),
+        ("raster", {"frequency": 5.0}, "`lines`"),
+        ("sine", {"frequency": 5.0, "lines": 3}, "`lines`"),
+        ("spiral", {"frequency": 5.0, "duration": 1.0, "loop": True}, "`loop`"),
+        ("sine", {"frequency": -5.0}, "`frequency`"),
+        ("sine", {"frequency": 300.0}, "at most 250"),
+        ("sine", {"frequency": 50.0, "bandwidth": 40.0}, "below 40"),
+        ("triangle", {"frequency": 30.0, "bandwidth": 40.0}, "at most 19.23"),
+        ("raster", {"frequency": 39.0, "lines": 4, "bandwidth": 39.8}, "at most 35.71"),
+        ("sine", {"frequency": 0.001, "duration": 1e9}, "rows"),
+    ],
+)  # fmt: skip
+def test_refusals_name_the_option_and_the_number_that_fits(shape, options, named):
+    with pytest.raises(UsageError, match=named):
+        trajectory(shape, rate=RATE, range=ENDS, **options)
+
+
+@pytest.mark.parametrize(("shape", "largest"), [("triangle", 19.23), ("raster", 35.7)])
+def test_the_frequency_that_a_refusal_proposes_fits(shape, largest):
+    more = {"lines": 4} if shape == "raster" else {}
+    trajectory(shape, rate=RATE, range=ENDS, bandwidth=40.0, frequency=largest, **more)

@@ -1,0 +1,135 @@
+"""Files for generators: what they say when they are read back, and what is refused."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from dbo_cli.drive.limits import Limits
+from dbo_cli.errors import LimitError, UsageError
+from dbo_cli.moves import waveform
+from dbo_cli.moves.generators import FORMATS
+
+RATE = 1000.0
+TIME = np.arange(1000) / RATE
+DRIVE = 50.0 - 40.0 * np.cos(2.0 * np.pi * 4.0 * TIME)
+
+
+def within(low=-math.inf, high=math.inf, slew=None):
+    return Limits((low, high), (low, high), (low, high), slew, "V")
+
+
+def made(to, drive=DRIVE, limits=None, **options):
+    if FORMATS[to].volts_needed:
+        options.setdefault("volts", (0.0, 5.0))
+    return waveform(drive, RATE, to, limits or within(), **options)
+
+
+@pytest.mark.parametrize("to", FORMATS)
+def test_a_file_says_the_drive_to_half_a_code(to):
+    written = made(to, gain=20.0)
+    step = 0.0
+    if FORMATS[to].codes:
+        step = 5.0 / 65534.0
+    assert np.abs(written.volts * 20.0 - DRIVE).max() <= 0.51 * 20.0 * step + 1e-12
+    assert written.rate == RATE
+    heard = FORMATS[to].read(written.data)
+    assert heard.size == 1000
+
+
+@pytest.mark.parametrize("gain", [20.0, -3.0])
+@pytest.mark.parametrize("to", ["npy", "wav", "keysight-arb", "pi-gcs"])
+def test_no_code_lies_outside_the_limits(to, gain):
+    low, high = float(DRIVE.min()), float(DRIVE.max())
+    slew = float(np.abs(np.diff(DRIVE)).max()) * RATE * (1.0 + 1e-12)
+    written = made(to, limits=within(low, high, slew), gain=gain)
+    ends = sorted((low / gain, high / gain))
+    assert written.volts.min() >= ends[0] and written.volts.max() <= ends[1]
+
+
+def test_a_limit_between_two_codes_is_kept():
+    limits = within(0.0, 89.999)
+    drive = np.minimum(DRIVE, 89.999)
+    written = made("uint16", drive, limits, volts=(0.0, 100.0), codes=(0, 255))
+    assert written.volts.max() <= 89.999
+    assert written.volts.max() > 89.999 - 100.0 / 255.0
+
+
+@pytest.mark.parametrize(
+    "limits", [within(high=89.0), within(low=11.0), within(slew=900.0)]
+)
+def test_a_drive_beyond_its_limits_is_refused(limits):
+    with pytest.raises(LimitError):
+        made("npy", limits=limits)
+
+
+@pytest.mark.parametrize(
+    "options", [{"points": 500}, {"rate": 700.0}, {"points": 4001}]
+)
+def test_other_points_play_the_same_time(options):
+    written = made("npy", **options)
+    seconds = (written.volts.size - 1) / written.rate
+    assert seconds == pytest.approx(0.999, abs=1.0 / written.rate)
+    times = np.arange(written.volts.size) / written.rate
+    assert np.abs(np.interp(TIME, times, written.volts) - DRIVE).max() < 0.04
+
+
+def test_another_rate_or_coarse_codes_that_move_the_drive_too_far_are_refused():
+    with pytest.raises(LimitError, match="`points`"):
+        made("npy", points=30)
+    with pytest.raises(LimitError, match="`max_rounding`"):
+        made("uint16", gain=1.0, volts=(0.0, 100.0), codes=(0, 31))
+    coarse = made(
+        "uint16", gain=1.0, volts=(0.0, 100.0), codes=(0, 31), max_rounding=3.0
+    )
+    assert np.abs(coarse.volts - DRIVE).max() <= 50.0 / 31.0 * 1.001
+
+
+def test_volts_that_the_drive_leaves_are_refused():
+    with pytest.raises(LimitError, match="`volts`"):
+        made("uint16", gain=20.0, volts=(0.0, 4.0))
+
+
+def test_a_row_that_a_reader_doubts_is_refused():
+    with pytest.raises(LimitError, match="row 7"):
+        made("npy", doubts=["row 7 holds no number"])
+
+
+@pytest.mark.parametrize(
+    ("to", "options", "named"),
+    [
+        ("mp3", {}, "`to`"),
+        ("npy", {"codes": (0.0, 255.0)}, "`codes`"),
+        ("pi-gcs", {"volts": (0.0, 5.0)}, "`volts`"),
+        ("uint16", {}, "`volts`"),
+        ("int16", {"volts": (0.0, 100.0), "codes": (0.0, 65535.0)}, "`codes`"),
+        ("uint16", {"volts": (0.0, 100.0), "codes": (0.0, 0.5)}, "`codes`"),
+        ("wav", {"volts": (5.0, 0.0)}, "`volts`"),
+        ("npy", {"gain": 0.0}, "`gain`"),
+        ("npy", {"points": 1}, "`points`"),
+        ("npy", {"points": 100, "rate": 10.0}, "`points`"),
+        ("npy", {"rate": 1e9 * RATE}, "`rate`"),
+        ("wav", {"rate": 1000.5}, "`rate`"),
+    ],
+)  # fmt: skip
+def test_senseless_options_are_refused(to, options, named):
+    with pytest.raises(UsageError, match=named):
+        waveform(DRIVE, RATE, to, within(), **options)
+
+
+def test_a_constant_drive_needs_volts():
+    with pytest.raises(UsageError, match="constant"):
+        made("wav", np.full(5, 3.0))
+    written = made("wav", np.full(5, 3.0), volts=(0.0, 6.0))
+    assert written.volts == pytest.approx(3.0, abs=1e-4)
+
+
+def test_the_text_of_commands_and_headers():
+    commands = made("pi-gcs").data.decode().splitlines()
+    assert commands[0].startswith("WAV 1 X PNT 1 10 10 ")
+    assert commands[1].startswith("WAV 1 & PNT 11 10 ")
+    head = made("keysight-arb").data.decode().split("\r\n")
+    assert head[0] == "File Format:1.10"
+    assert "Sample Rate:1000" in head and "High Level:90" in head
