@@ -31,7 +31,7 @@ from dbo_cli.model.points import (
     through,
     value_through,
 )
-from dbo_cli.model.start import require_start, settled_voltage, start_bits
+from dbo_cli.model.start import Starts, require_start
 from dbo_cli.model.state import (
     NEGLIGIBLE,
     Driven,
@@ -254,6 +254,11 @@ class Model:
 
     # ---- starts ----
 
+    @functools.cached_property
+    def _starts(self) -> Starts:
+        """The starts of a forward model; gears may go on beyond its input range."""
+        return Starts(self.gears, *self._to_gears(self.input.min, self.input.max))
+
     def start(self, first_input: float, name: str = "auto") -> State:
         """Return the state before the first sample; see ``start.py``.
 
@@ -268,7 +273,7 @@ class Model:
         if not self.is_forward:
             return self.inverse().start_drive(first_input, name)
         value = value_through(self.head, float(first_input))
-        return State(start_bits(self.gears, value, name))
+        return State(self._starts.bits(value, name))
 
     def start_drive(
         self,
@@ -295,16 +300,16 @@ class Model:
         require_start(state)
         ends = self._to_gears(low, high)
         if state in ("empty", "full"):
-            at_end = self.gears.x_range[1 if state == "full" else 0]
+            at_end = self._starts.ends[1 if state == "full" else 0]
             voltage = self._from_gears(min(max(at_end, ends[0]), ends[1]))
             return State(
-                start_bits(self.gears, at_end, state),
+                self._starts.bits(at_end, state),
                 drive=min(max(voltage, low), high),
             )
         wanted = value_through(self._tail_inverse, float(first))
-        inner = settled_voltage(self.gears, wanted, *ends)
+        inner = self._starts.voltage(wanted, *ends)
         voltage = min(max(self._from_gears(inner), low), high)
-        bits = self.gears.settled(value_through(self.head, voltage))
+        bits = self._starts.bits(value_through(self.head, voltage))
         return State(bits, first=voltage)
 
     # ---- simulation ----
@@ -387,6 +392,8 @@ class Model:
         if x.size == 0:
             return x, state, 0, 0
         inner = through(self.head, x)
+        if outside == "hold" and self._starts.some_are_spare:
+            inner = np.clip(inner, *self._starts.ends)
         done = self._gears_block(self.gears, inner, state, steps, outside != "hold")
         y = through(self.tail, done.y)
         sections, held = state.sections, state.delay

@@ -1,0 +1,127 @@
+"""Where gears begin, and gears that go on beyond the range of the drive."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dbo_cli.model import (
+    Gears,
+    Model,
+    Points,
+    Quantity,
+    Relaxation,
+    Scale,
+    VoltageWindow,
+    dumps_state,
+    read_state,
+)
+from tests.model.random_models import DT, Floats, random_drive
+
+WIDTH = 0.125
+GEARS = 80  # of the range, 0 to 10 V
+SPARE = 10  # beyond either end
+STARTS = ("auto", "empty", "full", "settled")
+
+
+def plain_and_spare(seed: int) -> tuple[Model, Model]:
+    """A model of 0 to 10 V, and the same one with gears to spare."""
+    rng = np.random.default_rng(seed)
+    dy = rng.uniform(0.1, 0.3, GEARS)
+    terms = None
+    if seed % 2:
+        terms = Relaxation(0.0, (5e-3, 0.3), (0.2, -0.05))
+    more = np.append(dy, np.full(2 * SPARE, dy[-1]))
+    below = SPARE * WIDTH
+    y0 = -SPARE * float(dy[-1])
+    plain = Gears(np.full(GEARS, WIDTH), dy, 0.0, 0.0, terms)
+    spare = Gears(np.full(more.size, WIDTH), more, -below, y0, terms)
+    before: tuple[Points | Scale, ...] = ()
+    if seed % 3 == 0:
+        before = (Points([4.0, 6.0], [5.0, 5.0]),)
+    if seed % 3 == 1:
+        before = (Scale(-1.0, 10.0),)
+    drive = Quantity("voltage", "V", 0.0, 10.0)
+    reach = Quantity("displacement", "um", 0.0, plain.height)
+    return (
+        Model("forward", drive, reach, (*before, plain)),
+        Model("forward", drive, reach, (*before, spare)),
+    )
+
+
+@pytest.mark.parametrize("start", STARTS)
+@pytest.mark.parametrize("seed", range(12))
+def test_inside_the_range_spare_gears_play_no_part(seed: int, start: str) -> None:
+    plain, spare = plain_and_spare(seed)
+    rng = np.random.default_rng(seed)
+    drive = random_drive(rng, 0.0, 10.0, 400)
+    y, _ = plain.simulate(drive, dt=DT, state=start)
+    same, _ = spare.simulate(drive, dt=DT, state=start)
+    np.testing.assert_allclose(same, y, rtol=0, atol=1e-12)
+    back, _ = plain.inverse().simulate(y, dt=DT, state=start)
+    same_back, _ = spare.inverse().simulate(y, dt=DT, state=start)
+    np.testing.assert_allclose(same_back, back, rtol=0, atol=1e-9)
+    voltages = [driven(model, y, start) for model in (plain, spare)]
+    np.testing.assert_allclose(voltages[1], voltages[0], rtol=0, atol=1e-9)
+
+
+def driven(model: Model, wanted: Floats, start: str) -> Floats:
+    """The drive within limits, which a slow one clips."""
+    window = VoltageWindow(0.5, 9.5, 2000.0)
+    state = model.start_drive(float(wanted[0]), start, window.low, window.high)
+    return model.drive(wanted, state, DT, window).voltage
+
+
+def test_starts_of_spare_gears_are_those_of_the_range() -> None:
+    """By the definition: from an end of the range, or a swing over the range that has died away."""
+    _, spare = plain_and_spare(2)
+    lower = spare.simulate([0.0, 10.0, 0.0], state="empty")[1]
+    assert spare.start(3.0, "empty").bits == lower.bits
+    upper = spare.simulate([10.0], state="empty")[1]
+    assert spare.start(3.0, "full").bits == upper.bits
+    assert spare.start(-1.0).bits == lower.bits
+    swings = np.arange(6000)
+    swing = 6.3 + 10.0 * np.exp(-swings / 600) * np.cos(np.pi * swings)
+    swung, _ = spare.simulate(np.append(np.clip(swing, 0.0, 10.0), 6.3), state="empty")
+    settled, _ = spare.simulate([6.3])
+    assert settled[0] == pytest.approx(swung[-1], abs=0.3)  # one gear
+
+
+def test_a_drive_beyond_the_range_turns_as_inside() -> None:
+    plain, spare = plain_and_spare(2)
+    there_and_back = np.array([0.0, 11.0, 10.5])
+    straight, _ = plain.simulate(there_and_back)
+    turned, _ = spare.simulate(there_and_back)
+    assert straight[1] == pytest.approx(turned[1], abs=1e-12)
+    first = float(spare.gears.dy[0])
+    assert turned[1] - turned[2] == pytest.approx(4 * first, abs=4 * 0.2)
+    assert turned[2] != pytest.approx(straight[2], abs=1e-3)
+    done = spare.run(there_and_back, spare.start(0.0))
+    assert (done.outside, done.first_outside) == (2, 1)
+    held, _ = spare.simulate(there_and_back, outside="hold")
+    assert held[1] == held[2] == pytest.approx(spare.simulate([0.0, 10.0])[0][1])
+
+
+def test_a_range_that_ends_inside_a_gear() -> None:
+    """The starts stand within a gear of the ends of the range."""
+    _, spare = plain_and_spare(2)
+    shifted = replace(spare, input=Quantity("voltage", "V", 0.31, 9.27))
+    for name, end in (("empty", 0.31), ("full", 9.27)):
+        crossed = shifted.start(5.0, name).bits.bit_count()
+        begin = shifted.gears.x0 + crossed * WIDTH
+        assert begin == pytest.approx(end, abs=WIDTH)
+    wanted = shifted.simulate([5.0])[0] + [0.0, 1.0]
+    back, _ = shifted.inverse().simulate(wanted)
+    np.testing.assert_allclose(shifted.simulate(back)[0], wanted, rtol=0, atol=1e-9)
+
+
+def test_a_state_of_spare_gears_is_kept(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    _, spare = plain_and_spare(1)
+    _, state = spare.simulate([2.0, 11.0, 4.0], dt=DT)
+    path = tmp_path_factory.mktemp("state") / "s.json"
+    path.write_text(dumps_state(state, spare))
+    assert read_state(str(path), spare).bits == state.bits
