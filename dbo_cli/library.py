@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from dbo_cli.drive import Drive
     from dbo_cli.drive.live import Controller
     from dbo_cli.identify import Recording
-    from dbo_cli.report import Report
+    from dbo_cli.reports import Report
 
 Floats = NDArray[np.float64]
 Clock = tuple["Floats | None", "float | None"]  # time in s, or seconds a sample
@@ -200,13 +200,13 @@ class Model:
 
     def plot(self) -> Figure:
         """Return a figure of the model's loop, with units."""
-        from dbo_cli.report.plots import plot_model
+        from dbo_cli.reports.plots import plot_model
 
         return plot_model(self.actuator)
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows."""
-        from dbo_cli.report.plots import draw, model_plots
+        from dbo_cli.reports.plots import draw, model_plots
 
         picture = draw(model_plots(self.actuator)[0], "inline").decode()
         return f"<p>{self!r}</p>{picture}"
@@ -523,7 +523,7 @@ def report(
     Report
         With ``rmse``, ``to_frame()``, ``to_html()``, ``figures(folder)``.
     """
-    from dbo_cli.report import report as compared
+    from dbo_cli.reports import report as compared
 
     values = floats(desired, "desired")
     seconds, step = clock_of(

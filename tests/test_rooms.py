@@ -16,7 +16,7 @@ LEVELS = {
     "logs": 1,
     "identify": 2,
     "drive": 2,
-    "report": 2.5,
+    "reports": 2.5,
     "export": 3,
     "compare": 3,
     "moves": 3,
@@ -25,7 +25,7 @@ LEVELS = {
     "library": 5,
     "cli": 6,
 }
-ARRAYS_ONLY = {"model", "identify", "drive", "report", "export", "compare", "moves"}
+ARRAYS_ONLY = {"model", "identify", "drive", "reports", "export", "compare", "moves"}
 FILES = sorted(PACKAGE.rglob("*.py"))
 
 

@@ -28,7 +28,7 @@ from dbo_cli.errors import UsageError, warn
 if TYPE_CHECKING:
     from dbo_cli.logs import Reading
     from dbo_cli.model import Model
-    from dbo_cli.report import Pair
+    from dbo_cli.reports import Pair
 
 BESIDE, BOUNDS = "What is compared", "Bounds (exit 3)"
 FORMS = {".json": "json", ".csv": "csv", ".html": "html", ".htm": "html"}
@@ -126,7 +126,7 @@ def report(
 
     from dbo_cli.logs import write_text
     from dbo_cli.model import read_model
-    from dbo_cli.report import Report, expected_in
+    from dbo_cli.reports import Report, expected_in
 
     if model is not None and trajectory is not None:
         raise UsageError(
@@ -190,7 +190,7 @@ def beside(
 ) -> tuple[Pair, dict[str, str]]:
     """Read wanted and measured displacement of one log."""
     from dbo_cli.logs import open_log
-    from dbo_cli.report import Pair
+    from dbo_cli.reports import Pair
 
     whole, rows = without_rows(reading)
     with open_log(path, columns, whole, units, optional=("time", "voltage")) as log:
@@ -232,7 +232,7 @@ def followed(
     import dataclasses
 
     from dbo_cli.logs import open_log
-    from dbo_cli.report import match
+    from dbo_cli.reports import match
 
     whole, rows = without_rows(reading)
     roles = {
@@ -277,7 +277,7 @@ def predicted(
     """Read a log of drive and displacement, and run the model over the drive."""
     from dbo_cli.logs import open_log
     from dbo_cli.model import read_state
-    from dbo_cli.report import predict
+    from dbo_cli.reports import predict
 
     actuator.require("forward", model_name)
     units = {}

@@ -19,7 +19,7 @@ def show(
     """
     from dbo_cli.logs import write_text
     from dbo_cli.model import is_set, read_model, read_models
-    from dbo_cli.report import show_model
+    from dbo_cli.reports import show_model
 
     if is_set(model):
         pages = [

@@ -16,7 +16,7 @@ from dbo_cli.compare.plays import NOTHING, Floats, Plays
 from dbo_cli.errors import DboError
 from dbo_cli.identify import Options, Recording, identify
 from dbo_cli.model import Model, Points, kernel
-from dbo_cli.report.render import digits, json_text, text_table
+from dbo_cli.reports.render import digits, json_text, text_table
 
 if TYPE_CHECKING:
     import pandas

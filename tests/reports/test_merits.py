@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from dbo_cli.report.merits import directions, lag_left, loop_width, merits, noise_of
+from dbo_cli.reports.merits import directions, lag_left, loop_width, merits, noise_of
 
 
 def test_values_by_hand():

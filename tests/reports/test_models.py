@@ -20,8 +20,8 @@ from dbo_cli.model import (
     Relaxation,
     Resonance,
 )
-from dbo_cli.report import Report, predict, report, show_model
-from dbo_cli.report.plots import draw, model_plots, plot_model, slow_loop
+from dbo_cli.reports import Report, predict, report, show_model
+from dbo_cli.reports.plots import draw, model_plots, plot_model, slow_loop
 
 FIT = {
     "sign": "rising",

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.report import Pair, Report, match
+from dbo_cli.reports import Pair, Report, match
 
 RATE = 1000.0
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import InputError, LimitError, UsageError
-from dbo_cli.report import Expected, Pair, Report, expected_in, report
-from dbo_cli.report.plots import SCHEME, draw, envelope, file_stems, plots_of_report
-from dbo_cli.report.render import digits, no_formula, short_name
+from dbo_cli.reports import Expected, Pair, Report, expected_in, report
+from dbo_cli.reports.plots import SCHEME, draw, envelope, file_stems, plots_of_report
+from dbo_cli.reports.render import digits, no_formula, short_name
 
 LOG_KEYS = """name samples rmse nrmse_percent max_abs max_abs_row max_abs_time_s mean p95_abs
 loop_width loop_width_percent lag_left_samples lag_left_s desired_min desired_max lag_samples lag_s
