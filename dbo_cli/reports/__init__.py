@@ -1,11 +1,11 @@
 """Reports: how well what was measured follows what was desired, or what a model predicts."""
 
-from dbo_cli.report.expected import Expected, expected_in
-from dbo_cli.report.matching import match
-from dbo_cli.report.merits import Merits
-from dbo_cli.report.pair import Pair, predict
-from dbo_cli.report.report import LogReport, Report, Verdict, report
-from dbo_cli.report.show import Shown, show_model
+from dbo_cli.reports.expected import Expected, expected_in
+from dbo_cli.reports.matching import match
+from dbo_cli.reports.merits import Merits
+from dbo_cli.reports.pair import Pair, predict
+from dbo_cli.reports.report import LogReport, Report, Verdict, report
+from dbo_cli.reports.show import Shown, show_model
 
 __all__ = [
     "Expected",

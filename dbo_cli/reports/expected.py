@@ -14,7 +14,7 @@ from dbo_cli.errors import InputError
 
 if TYPE_CHECKING:
     from dbo_cli.model import Model
-    from dbo_cli.report.merits import Floats
+    from dbo_cli.reports.merits import Floats
 
 SAME_MOVE = 0.01
 """Part of the move by which the ends of a summary's move may differ from the log's."""

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.report.merits import Floats, root_mean_square
-from dbo_cli.report.pair import Pair, RowRange, mean_step, rows_text
+from dbo_cli.reports.merits import Floats, root_mean_square
+from dbo_cli.reports.pair import Pair, RowRange, mean_step, rows_text
 
 SAME_RATE = 1e-3
 """Part by which two rates may differ: clocks of two recorders do, by some 1e-4."""

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import InputError
-from dbo_cli.report.merits import Floats
+from dbo_cli.reports.merits import Floats
 
 if TYPE_CHECKING:
     from dbo_cli.model import Model, State
-    from dbo_cli.report.expected import Expected
+    from dbo_cli.reports.expected import Expected
 
 RowRange = tuple[int | None, int | None]
 """First and last row that count, from 1, both included; None: no end."""
@@ -219,7 +219,7 @@ def predict(
     InputError
         Lengths differ, a drive is no number, or the model needs a clock.
     """
-    from dbo_cli.report.expected import expected_of_drive
+    from dbo_cli.reports.expected import expected_of_drive
 
     model.require("forward", model_name)
     drive = np.asarray(voltage, dtype=np.float64)

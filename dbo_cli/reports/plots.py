@@ -22,15 +22,15 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from dbo_cli.errors import OutputError
-from dbo_cli.report.merits import Floats
-from dbo_cli.report.render import digits, short_name, shown_unit
+from dbo_cli.reports.merits import Floats
+from dbo_cli.reports.render import digits, short_name, shown_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from dbo_cli.model import Model, Quantity
-    from dbo_cli.report.report import LogReport, Report
+    from dbo_cli.reports.report import LogReport, Report
 
 SCHEME = {
     "#1b1d22": "ink",

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from dbo_cli.version import __version__
 
 if TYPE_CHECKING:
-    from dbo_cli.report.plots import Plot
-    from dbo_cli.report.report import LogReport, Report
+    from dbo_cli.reports.plots import Plot
+    from dbo_cli.reports.report import LogReport, Report
 
 JSON_VERSION = 1  # of the form dbo-report
 LONGEST_NAME = 40  # letters of a log's name in a table
@@ -209,7 +209,7 @@ def headline(report: Report) -> str:
 
 def to_html(report: Report) -> str:
     """Return a page that needs no other file: verdict, table, figures, footer."""
-    from dbo_cli.report.plots import sections_of_report
+    from dbo_cli.reports.plots import sections_of_report
 
     unit = shown_unit(report.unit)
     verdicts = []
@@ -277,7 +277,7 @@ def html_table(head: Sequence[str], rows: Sequence[Sequence[str]], chief: int) -
 
 def html_figures(plots: Sequence[Plot]) -> str:
     """Return figures as part of a page."""
-    from dbo_cli.report.plots import draw
+    from dbo_cli.reports.plots import draw
 
     drawn = []
     for plot in plots:
@@ -289,7 +289,7 @@ def html_figures(plots: Sequence[Plot]) -> str:
 
 def page(title: str, parts: Sequence[str]) -> str:
     """Return a whole page of parts that are HTML already."""
-    here = resources.files("dbo_cli.report")
+    here = resources.files("dbo_cli.reports")
     style = here.joinpath("page.css").read_text("utf-8")
     frame = Template(here.joinpath("page.html").read_text("utf-8"))
     body = "\n".join(part for part in parts if part)

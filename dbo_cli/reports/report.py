@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dbo_cli.errors import InputError, LimitError, UsageError
-from dbo_cli.report.expected import Expected
-from dbo_cli.report.merits import Merits, merits, percent_of, root_mean_square
-from dbo_cli.report.pair import Pair, RowRange, predict, scored
-from dbo_cli.report.render import short_name
+from dbo_cli.reports.expected import Expected
+from dbo_cli.reports.merits import Merits, merits, percent_of, root_mean_square
+from dbo_cli.reports.pair import Pair, RowRange, predict, scored
+from dbo_cli.reports.render import short_name
 
 if TYPE_CHECKING:
     import pandas
@@ -318,13 +318,13 @@ class Report:
 
     def line(self) -> str:
         """Return the least error and, of several logs, what it is beside the first."""
-        from dbo_cli.report.render import headline
+        from dbo_cli.reports.render import headline
 
         return headline(self)
 
     def render(self, form: str) -> str:
         """Return the report as ``text``, ``json``, ``csv`` or ``html``."""
-        from dbo_cli.report import render
+        from dbo_cli.reports import render
 
         if form == "text":
             return render.to_text(self)
@@ -373,7 +373,7 @@ class Report:
 
     def figures(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Draw the figures into a folder, PNG and SVG; return the files."""
-        from dbo_cli.report.plots import plots_of_report, save
+        from dbo_cli.reports.plots import plots_of_report, save
 
         return save(plots_of_report(self), folder)
 

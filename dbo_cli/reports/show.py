@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dbo_cli.report.render import digits, json_text
+from dbo_cli.reports.render import digits, json_text
 
 if TYPE_CHECKING:
     from dbo_cli.model import Model, Quantity
@@ -95,7 +95,7 @@ class Shown:
 
     def figures(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Draw the model's figures into a folder, PNG and SVG; return the files."""
-        from dbo_cli.report.plots import model_plots, save
+        from dbo_cli.reports.plots import model_plots, save
 
         return save(model_plots(self.model), folder)
 
