@@ -111,12 +111,13 @@ class Delay:
         """
         if x.size == 0 or self.seconds == 0.0:
             return x, held
-        past = held or Held((0.0,), (float(x[0]),))
-        now = len(past.times) - 1
-        times = np.concatenate([past.times, np.broadcast_to(dt, x.shape)])
+        past = held or Held((), ())
+        steps = np.array(np.broadcast_to(dt, x.shape))
         if held is None:
-            times[1] = 0.0
-        times[now:] = np.cumsum(times[now:])
+            steps[0] = 0.0
+        else:
+            steps[0] += past.times[-1]
+        times = np.concatenate([past.times, np.cumsum(steps)])
         values = np.concatenate([past.values, x])
         if isinstance(dt, np.ndarray):
             return self._by_time(times, values, x.size)
@@ -229,10 +230,7 @@ def _with_rest_before(
     past = values.size - count
     if past > 1 or values.size < 2:
         return times, values
-    moving = times
-    if times.size > 2 and times[1] == times[0]:
-        moving = times[1:]
-    step = float(moving[1] - moving[0])
-    rest_times = moving[0] - step * np.arange(WINDOW - 1.0, 0.0, -1.0)
+    step = float(times[1] - times[0])
+    rest_times = times[0] - step * np.arange(WINDOW - 1.0, 0.0, -1.0)
     rest = np.full(rest_times.size, values[0])
     return np.concatenate([rest_times, times]), np.concatenate([rest, values])

@@ -102,7 +102,7 @@ class Starts:
         # a little off the step, so that a voltage that is rounded on its way still
         # starts on the same side
         off = CROSSING_TOLERANCE * (above - below)
-        while above - below > 0.25 * off:
+        while above - below > 0.001 * off:
             middle = below + 0.5 * (above - below)
             bits = self.bits(middle)
             voltage = float(inverse.run([output], bits).y[0])

@@ -168,6 +168,15 @@ def test_dynamics_and_delay_are_undone(seconds: float, damping: float) -> None:
     assert error < (1e-12 if seconds != 1.37e-3 else 2e-6) * 8.0
 
 
+@pytest.mark.parametrize("seconds", [0.4e-3, 1.5e-3, 2.5e-3, 9.7e-3])
+def test_a_delay_is_the_same_by_count_and_by_time(seconds: float) -> None:
+    """Before the first sample the first value holds, however the clock is given."""
+    x = np.cumsum(np.random.default_rng(1).normal(size=40))
+    counted, _ = Delay(seconds).run(x, DT)
+    looked_up, _ = Delay(seconds).run(x, np.full(40, DT))
+    np.testing.assert_allclose(looked_up, counted, rtol=0, atol=1e-9)
+
+
 def test_a_resonance_too_fast_for_the_rate_is_refused() -> None:
     model = plant(Dynamics((Resonance(301.0, 0.02),)))
     with pytest.raises(InputError, match="resample"):
