@@ -51,21 +51,23 @@ class Command(TyperCommand):
             if record is None:
                 continue
             if parameter.param_type_name == "argument":
-                groups["Arguments"].append((str(parameter.metavar), getattr(parameter, "help", "")))
+                groups["Arguments"].append(
+                    (str(parameter.metavar), getattr(parameter, "help", ""))
+                )
             else:
                 groups.setdefault(_heading(parameter), []).append(record)
         groups[OUTPUT] = groups.pop(OUTPUT)  # last
         for heading, records in groups.items():
             if records:
                 with formatter.section(heading):
-                    formatter.write_dl(records, col_max=26)
+                    formatter.write_dl(records, col_max=30)
         if hidden:
             formatter.write(f"\n{ctx.command_path} --help-all lists rarer options.\n")
 
 
 def _heading(parameter: Any) -> str:
     """Return the heading under which help lists an option."""
-    if parameter.name == "help":
+    if parameter.name in ("help", "help_all"):
         return OUTPUT
     return getattr(parameter, "rich_help_panel", None) or "Options"
 

@@ -31,12 +31,12 @@ from dbo_cli.cli.options import (
     seconds_or_auto,
 )
 from dbo_cli.cli.say import detail, progress, say
-from dbo_cli.cli.simulate import START_NAMES
+from dbo_cli.cli.simulate import START_NAMES, present
 from dbo_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from dbo_cli.drive import Drive, Limits
-    from dbo_cli.logs import Block, Log, Reading
+    from dbo_cli.logs import Block, Log, Outputs, Reading
     from dbo_cli.model import Model
 
 BEFORE, LOOPS = "Before and after the move", "Loops and learning"
@@ -58,7 +58,8 @@ def compensate(
         bool,
         Option(
             "--extrapolate",
-            help="Leave the identified range, as far as --v-min and --v-max say.",
+            help="Leave the identified range, as far as the limits say.",
+            hidden=True,
             rich_help_panel="Limits",
         ),
     ] = False,
@@ -91,6 +92,7 @@ def compensate(
         Option(
             metavar="SECONDS|auto",
             help="Begin earlier, for a model with dynamics or a delay.",
+            hidden=True,
             rich_help_panel=BEFORE,
         ),
     ] = None,
@@ -116,6 +118,7 @@ def compensate(
         Option(
             metavar="N",
             help="With --periodic: passes before the settled one.",
+            hidden=True,
             rich_help_panel=LOOPS,
         ),
     ] = "0",
@@ -132,6 +135,7 @@ def compensate(
         Option(
             metavar="FILE",
             help="With --tracked: keep the error of each pass there.",
+            hidden=True,
             rich_help_panel=LOOPS,
         ),
     ] = None,
@@ -149,6 +153,7 @@ def compensate(
         Option(
             metavar="HZ",
             help="Round the corners of the trajectory by a zero-phase low-pass.",
+            hidden=True,
         ),
     ] = None,
     state: State = "auto",
@@ -169,8 +174,8 @@ def compensate(
     --from 0 --approach auto -o drive.csv
     """
     from dbo_cli import channels
-    from dbo_cli.drive import Limits, voltage_in
-    from dbo_cli.model import read_model, read_state
+    from dbo_cli.drive import Limits, dumps_history, voltage_in
+    from dbo_cli.model import dumps_state, read_model, read_state
 
     columns = {"time": time, "displacement": displacement}
     pieces = {"start": start, "approach": approach, "lead": lead, "return": return_to}
@@ -217,16 +222,23 @@ def compensate(
     elif history or absolute:
         raise UsageError("`history` and `absolute` belong to `tracked` LOG")
     units = {"displacement": actuator.output.unit} if actuator.output.unit else {}
-    from dbo_cli.logs import open_log
+    from dbo_cli.logs import Outputs, check_outputs, open_log
 
-    with open_log(trajectory, columns, reading, units) as wanted:
+    kept = history if tracked else None
+    check_outputs(*present(output, summary, save_state, kept))
+    with open_log(trajectory, columns, reading, units) as wanted, Outputs() as outputs:
         if whole["bandwidth"] or periodic or tracked:
-            drive = drive_whole(actuator, wanted, limits, output, {**options, **whole})
+            options.update(whole)
+            drive = drive_whole(actuator, wanted, limits, outputs, output, options)
         else:
-            drive = drive_stream(actuator, wanted, limits, output, options)
-    write_beside(
-        drive, actuator, wanted, summary, save_state, history if tracked else None
-    )
+            drive = drive_stream(actuator, wanted, limits, outputs, output, options)
+        if summary is not None:
+            figures = {**drive.summary(), "trajectory": wanted.name}
+            outputs.write_text(summary, json.dumps(figures, indent=2) + "\n")
+        if save_state is not None and drive.state is not None:
+            outputs.write_text(save_state, dumps_state(drive.state, actuator))
+        if kept is not None:
+            outputs.write_text(kept, dumps_history(drive.history))
     say(wanted.line())
     detail(*wanted.remarks)
     say(f"{named(output)}: {drive.line()}")
@@ -235,11 +247,15 @@ def compensate(
 
 
 def drive_stream(
-    actuator: Model, wanted: Log, limits: Limits, output: str, options: dict[str, Any]
+    actuator: Model,
+    wanted: Log,
+    limits: Limits,
+    outputs: Outputs,
+    output: str,
+    options: dict[str, Any],
 ) -> Drive:
     """Drive a trajectory block by block."""
     from dbo_cli.drive import stream
-    from dbo_cli.logs import create
 
     if output == "-" and options["on_limit"] == "auto":
         options = {**options, "on_limit": "clip"}  # rows that were sent stay sent
@@ -247,33 +263,34 @@ def drive_stream(
     first = next(blocks, None)
     clocked = first is not None and first.time is not None
     rows = stream(actuator, pairs(first, blocks), wanted.clock.step, limits, **options)
-    attributes = about(actuator, limits)
-    with create(output, drive_columns(actuator, clocked), attributes) as table:
-        for time, desired, voltage in rows:
-            table.write(
-                *((desired, voltage) if time is None else (time, desired, voltage))
-            )
+    table = outputs.create(
+        output, drive_columns(actuator, clocked), about(actuator, limits)
+    )
+    for time, desired, voltage in rows:
+        table.write(*present(time, desired, voltage))
+    assert rows.drive is not None
     return rows.drive
 
 
 def drive_whole(
-    actuator: Model, wanted: Log, limits: Limits, output: str, options: dict[str, Any]
+    actuator: Model,
+    wanted: Log,
+    limits: Limits,
+    outputs: Outputs,
+    output: str,
+    options: dict[str, Any],
 ) -> Drive:
     """Drive a trajectory that has to be known as a whole."""
     from dbo_cli.drive import plan
-    from dbo_cli.logs import create
 
-    table = wanted.read()
-    clock = table.dt if isinstance(table.dt, float) else table.time
-    drive = plan(actuator, table["displacement"], clock, limits, **options)
+    read = wanted.read()
+    clock = read.dt if isinstance(read.dt, float) else read.time
+    drive = plan(actuator, read["displacement"], clock, limits, **options)
     clocked = drive.time is not None
-    with create(
+    table = outputs.create(
         output, drive_columns(actuator, clocked), about(actuator, limits)
-    ) as out:
-        if clocked:
-            out.write(drive.time, drive.desired, drive.voltage)
-        else:
-            out.write(drive.desired, drive.voltage)
+    )
+    table.write(*present(drive.time, drive.desired, drive.voltage))
     return drive
 
 
@@ -322,27 +339,3 @@ def read_history(path: str | None) -> list[Any]:
     if path is None or not Path(path).exists():
         return []
     return parse_history(Path(path).read_text(encoding="utf-8"), path)
-
-
-def write_beside(
-    drive: Drive,
-    actuator: Model,
-    wanted: Log,
-    summary: str | None,
-    save_state: str | None,
-    history: str | None,
-) -> None:
-    """Write what stands beside a drive: its summary, the state after it, the passes so far."""
-    from dbo_cli.drive import dumps_history
-    from dbo_cli.logs import write_text
-    from dbo_cli.model import dumps_state
-
-    if summary is not None:
-        write_text(
-            summary,
-            json.dumps({**drive.summary(), "trajectory": wanted.name}, indent=2) + "\n",
-        )
-    if save_state is not None:
-        write_text(save_state, dumps_state(drive.state, actuator))
-    if history is not None:
-        write_text(history, dumps_history(drive.history))

@@ -133,8 +133,10 @@ def identify(
     """
     from dbo_cli import channels
     from dbo_cli.identify import Options
-    from dbo_cli.logs import write_text
+    from dbo_cli.logs import Outputs, check_outputs, write_text
     from dbo_cli.model import dumps_model, dumps_set, read_model
+
+    check_outputs(*[path for path in (output, summary) if path is not None])
 
     options = Options(
         prior=None if prior is None else read_model(prior),
@@ -155,8 +157,10 @@ def identify(
     columns = {"time": time, "voltage": voltage, "displacement": displacement}
     if not channels.is_pattern(columns):
         model = one_model(logs, validate or [], reading, columns, options)
-        write_text(output, dumps_model(model))
-        write_summary(summary, model)
+        with Outputs() as outputs:
+            outputs.write_text(output, dumps_model(model))
+            if summary is not None:
+                outputs.write_text(summary, summary_of(model))
         say(f"{named(output)}: {expectation(model)}")
         return
     models = {}
@@ -209,18 +213,15 @@ def expectation(model: Model) -> str:
     return describe(model)
 
 
-def write_summary(path: str | None, model: Model) -> None:
-    """Write the figures of the fit as JSON, if that was asked for."""
-    from dbo_cli.logs import write_text
-
-    if path is not None:
-        values = {
-            "format": "dbo-summary",
-            "version": 1,
-            "command": "identify",
-            "unit": model.output.unit,
-        }
-        write_text(path, json.dumps({**values, **model.fit}, indent=2) + "\n")
+def summary_of(model: Model) -> str:
+    """Return the figures of the fit as JSON."""
+    values = {
+        "format": "dbo-summary",
+        "version": 1,
+        "command": "identify",
+        "unit": model.output.unit,
+    }
+    return json.dumps({**values, **model.fit}, indent=2) + "\n"
 
 
 def named(output: str) -> str:
@@ -255,7 +256,9 @@ def relaxation_of(text: str) -> Any:
     """Return time constants in s, none for ``0``, or ``auto``."""
     if text == "auto":
         return "auto"
-    constants = [quantity("relaxation", part, "s") for part in text.split(",")]
+    constants = [quantity("relaxation", part, "s") or 0.0 for part in text.split(",")]
     if constants == [0.0]:
         return ()
+    if min(constants) <= 0.0:
+        raise UsageError(f"`relaxation` {text}: give times above 0")
     return tuple(constants)

@@ -124,8 +124,8 @@ From = Annotated[
 State = Annotated[
     str,
     Option(
-        metavar="auto|empty|full|settled|FILE",
-        help="What was before the first row: a name, or a saved state.",
+        metavar="NAME|FILE",
+        help="What was before: auto, empty, full, settled or a state file.",
         rich_help_panel=STATE,
     ),
 ]
@@ -134,6 +134,7 @@ SaveState = Annotated[
     Option(
         metavar="FILE",
         help="Write the state after the last row.",
+        hidden=True,
         rich_help_panel=STATE,
     ),
 ]
@@ -143,7 +144,11 @@ SaveState = Annotated[
 _READING: dict[str, tuple[Any, Any]] = {
     "time_unit": (
         Text,
-        Option(metavar="UNIT", help="What the time column counts: s, ms, us, min, h."),
+        Option(
+            metavar="UNIT",
+            help="What the time column counts: s, ms, us, min, h.",
+            hidden=True,
+        ),
     ),
     "sample_rate": (
         Text,
@@ -153,7 +158,7 @@ _READING: dict[str, tuple[Any, Any]] = {
         list[str] | None,
         Option(
             metavar="ROLE=FACTOR",
-            help="Multiply a column: voltage=20, displacement=10um/V; repeatable.",
+            help="Multiply: voltage=20, displacement=10um/V; repeatable.",
         ),
     ),
     "rows": (
@@ -162,7 +167,11 @@ _READING: dict[str, tuple[Any, Any]] = {
     ),
     "skip_bad": (
         bool,
-        Option("--skip-bad", help="Drop rows that hold no number, and count them."),
+        Option(
+            "--skip-bad",
+            help="Drop rows that hold no number, and count them.",
+            hidden=True,
+        ),
     ),
     "resample": (
         Text,
@@ -200,7 +209,10 @@ _READING: dict[str, tuple[Any, Any]] = {
 _SPEAKING: dict[str, tuple[Any, Any]] = {
     "quiet": (bool, Option("-q", "--quiet", help="Say nothing but errors.")),
     "verbose": (bool, Option("--verbose", help="Also say what was found and assumed.")),
-    "debug": (bool, Option("--debug", help="Show the traceback of an error.")),
+    "debug": (
+        bool,
+        Option("--debug", help="Show the traceback of an error.", hidden=True),
+    ),
 }
 
 
@@ -297,15 +309,9 @@ def hertz(name: str, text: str | None) -> float | None:
 
 def quantity(name: str, text: str | None, unit: str | None) -> float | None:
     """Return a typed quantity in ``unit``: a plain number, or one with a unit of that kind."""
-    from dbo_cli.errors import InputError
     from dbo_cli.units import parse_quantity
 
-    if text is None:
-        return None
-    try:
-        return parse_quantity(text, unit)
-    except InputError as problem:
-        raise UsageError(f"`{name}` {text}: {problem}") from None
+    return None if text is None else parse_quantity(text, unit, name)
 
 
 def count(name: str, text: str | None) -> int | None:

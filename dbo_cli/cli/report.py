@@ -61,7 +61,9 @@ def report(
     match: Annotated[
         Literal["auto", "time", "rows"],
         Option(
-            help="How log and --trajectory belong together.", rich_help_panel=BESIDE
+            help="How log and --trajectory belong together.",
+            hidden=True,
+            rich_help_panel=BESIDE,
         ),
     ] = "auto",
     model: Annotated[
@@ -77,7 +79,7 @@ def report(
         Text,
         Option(
             metavar="SUMMARY",
-            help="The --summary of compensate, or a model: what was expected.",
+            help="What was expected: a --summary, or a model.",
             rich_help_panel=BESIDE,
         ),
     ] = None,
@@ -86,6 +88,7 @@ def report(
         Option(
             metavar="N",
             help="Rows by which measured is taken later.",
+            hidden=True,
             rich_help_panel=BESIDE,
         ),
     ] = "0",
@@ -132,6 +135,9 @@ def report(
         raise UsageError(
             "`model` and `trajectory` both say what is compared: give one of them"
         )
+    lag_rows = count("lag", lag) or 0
+    quantity("max_rmse", max_rmse, None)  # a wrong word is refused before any work
+    most_percent = number("max_nrmse_percent", max_nrmse_percent)
     actuator = None if model is None else read_model(model)
     columns = {
         "time": time,
@@ -156,14 +162,14 @@ def report(
         pairs,
         unit=unit,
         voltage_unit=units.get("voltage"),
-        lag=count("lag", lag) or 0,
+        lag=lag_rows,
         remove_offset=remove_offset,
         labels=("desired", "measured") if actuator is None else ("model", "measured"),
         model=actuator,
         model_name=model,
         expected=None if expected is None else expected_in(expected, unit),
         max_rmse=quantity("max_rmse", max_rmse, unit),
-        max_nrmse_percent=number("max_nrmse_percent", max_nrmse_percent),
+        max_nrmse_percent=most_percent,
         command=command_line(),
         spell=shell_line,
     )
@@ -191,17 +197,20 @@ def beside(
     """Read wanted and measured displacement of one log."""
     from dbo_cli.logs import open_log
     from dbo_cli.reports import Pair
+    from dbo_cli.units import conversion
 
     whole, rows = without_rows(reading)
     with open_log(path, columns, whole, units, optional=("time", "voltage")) as log:
         table = log.read()
         found = units_of(log)
-        if "measured" in found:
-            found.setdefault("desired", found["measured"])
+    unit = found.get("desired", found.get("measured"))
+    factor = conversion(found.get("measured"), unit)
+    if unit is not None:
+        found.update(desired=unit, measured=unit)
     pair = Pair(
         path,
         table["desired"],
-        table["measured"],
+        table["measured"] * factor,
         time=table.time,
         voltage=table["voltage"] if log.provided("voltage") else None,
         rows=rows,
@@ -235,6 +244,9 @@ def followed(
     from dbo_cli.reports import match
 
     whole, rows = without_rows(reading)
+    scale = dict(whole.scale)
+    scale_of_wanted = {"trajectory": scale.pop("desired")} if "desired" in scale else {}
+    whole = dataclasses.replace(whole, scale=scale)
     roles = {
         "time": columns["time"],
         "measured": columns["measured"],
@@ -243,19 +255,19 @@ def followed(
     with open_log(path, roles, whole, units, optional=("time", "voltage")) as log:
         table = log.read()
         found = units_of(log)
-    wanted_units = {"desired": found["measured"]} if "measured" in found else {}
-    wanted_roles = {"time": None, "desired": columns["desired"]}
+    wanted_units = {"trajectory": found["measured"]} if "measured" in found else {}
+    wanted_roles = {"time": None, "trajectory": columns["desired"]}
     with open_log(
         trajectory,
         wanted_roles,
-        dataclasses.replace(whole, sample_rate=None),
+        dataclasses.replace(whole, sample_rate=None, scale=scale_of_wanted),
         wanted_units,
     ) as wanted:
         desired = wanted.read()
     pair = match(
         path,
         table["measured"],
-        desired["desired"],
+        desired["trajectory"],
         measured_time=table.time,
         desired_time=desired.time,
         match=match_by,

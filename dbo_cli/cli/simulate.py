@@ -21,7 +21,7 @@ from dbo_cli.cli.options import (
     reads_logs,
 )
 from dbo_cli.cli.say import detail, progress, say
-from dbo_cli.errors import warn
+from dbo_cli.errors import InputError, warn
 
 if TYPE_CHECKING:
     from dbo_cli.drive.simulate import Simulation
@@ -55,8 +55,8 @@ def simulate(
     """
     from dbo_cli import channels
     from dbo_cli.drive.simulate import Simulation, simulate_blocks
-    from dbo_cli.logs import create, open_log, write_text
-    from dbo_cli.model import dumps_state, read_model, read_state
+    from dbo_cli.logs import Outputs, check_outputs, open_log
+    from dbo_cli.model import OutsideError, dumps_state, read_model, read_state
 
     columns = {"time": time, "input": input}
     if channels.is_pattern(columns):
@@ -68,20 +68,27 @@ def simulate(
     if state not in START_NAMES:
         run.state = read_state(state, actuator)
         state = "auto"
+    check_outputs(*present(output, save_state))
     last_time = None
-    with open_log(log, columns, reading, input_unit(actuator)) as signal:
+    with (
+        open_log(log, columns, reading, input_unit(actuator)) as signal,
+        Outputs() as outputs,
+    ):
         blocks = progress(signal.blocks(), "simulated")
         first = next(blocks, None)
-        names = output_columns(actuator, signal, first)
-        with create(output, names) as table:
-            fed = feed(first, blocks, run)
+        table = outputs.create(output, output_columns(actuator, signal, first))
+        fed = feed(first, blocks, run)
+        try:
             for block, y in simulate_blocks(actuator, fed, run, state, outside):
-                x = block.values["input"]
-                table.write(*((x, y) if block.time is None else (block.time, x, y)))
+                table.write(*present(block.time, block.values["input"], y))
                 last_time = None if block.time is None else float(block.time[-1])
-            if save_state is not None and run.state is not None:
-                after = dataclasses.replace(run.state, time=last_time)
-                write_text(save_state, dumps_state(after, actuator))
+        except OutsideError as problem:
+            row = run.rows + problem.index + 1
+            reason = str(problem).partition(": ")[2]
+            raise InputError(f"{signal.name}: row {row}: {reason}") from problem
+        if save_state is not None and run.state is not None:
+            after = dataclasses.replace(run.state, time=last_time)
+            outputs.write_text(save_state, dumps_state(after, actuator))
     warn_outside(run, actuator)
     say(signal.line())
     detail(*signal.remarks)
@@ -112,6 +119,11 @@ def steps_from(saved: float, block: Block) -> Any:
     if block.time is None or block.time[0] <= saved:
         return block.dt
     return np.diff(block.time, prepend=saved)
+
+
+def present(*values: Any) -> list[Any]:
+    """Return the values that are there."""
+    return [value for value in values if value is not None]
 
 
 def input_unit(model: Model) -> dict[str, str]:

@@ -233,8 +233,11 @@ def open_log(
         raise UsageError(
             f"`resample` {reading.resample:g}: give a positive number of samples a second"
         )
+    for role in reading.scale:
+        if role not in roles:
+            raise UsageError(f"`scale` {role}=...: give one of {', '.join(roles)}")
     own = {role: text for role, text in roles.items() if role not in elsewhere}
-    log = _open_file(name, own, reading, units, optional)
+    log = _open_file(name, own, _scaled(reading, own), units, optional)
     if elsewhere:
         log = _with_others(log, elsewhere, reading, units)
     if reading.resample is not None:
@@ -242,6 +245,12 @@ def open_log(
 
         log = resampled(log, reading.resample)
     return log
+
+
+def _scaled(reading: Reading, roles: Mapping[str, str | None]) -> Reading:
+    """Return how a file with some of the roles is read."""
+    own = {role: factor for role, factor in reading.scale.items() if role in roles}
+    return replace(reading, scale=own)
 
 
 def _with_others(
@@ -257,7 +266,7 @@ def _with_others(
             file, _, column = text.rpartition("::")
             by_file.setdefault(file, {})[role] = column
         for file, roles in by_file.items():
-            other = replace(reading, rows=None, resample=None)
+            other = replace(_scaled(reading, roles), rows=None, resample=None)
             logs.append(_open_file(file, roles, other, units, ()))
         return joined(logs, replace(reading, resample=None))
     finally:
