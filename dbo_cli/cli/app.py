@@ -125,10 +125,10 @@ def _built(name: str, function: Callable[..., None]) -> Any:
     return command
 
 
-def _typer(**settings: Any) -> typer.Typer:
+def _typer(completion: bool = False, **settings: Any) -> typer.Typer:
     """Return a typer application that speaks plain text."""
     return typer.Typer(
-        add_completion=False,
+        add_completion=completion,
         rich_markup_mode=None,
         pretty_exceptions_enable=False,
         context_settings={
@@ -154,7 +154,7 @@ def _root(
 
 def program() -> Any:
     """Return the group ``dbo``, ready to parse a command line."""
-    app = _typer(cls=Commands, invoke_without_command=True)
+    app = _typer(completion=True, cls=Commands, invoke_without_command=True)
     app.callback(invoke_without_command=True)(_root)
     return typer.main.get_command(app)
 
@@ -163,9 +163,11 @@ def main(words: Sequence[str]) -> int:
     """Run one command line and return its exit code."""
     show_warnings()
     try:
-        code = program().main(list(words), prog_name="dbo", standalone_mode=False)
+        _run(list(words))
         sys.stdout.flush()
-        return int(code or 0)
+        return 0
+    except typer.Exit as leaving:
+        return int(leaving.exit_code)
     except BrokenPipeError:
         _abandon_stdout()
         return 0
@@ -182,6 +184,15 @@ def main(words: Sequence[str]) -> int:
         text, code = _explained(problem, words)
         print_line(f"error: {text}")
         return code
+
+
+def _run(words: list[str]) -> None:
+    """Parse a command line and run the command it names; every exception comes through."""
+    root = program()
+    if "_DBO_COMPLETE" in os.environ:
+        root.main(words, prog_name="dbo")
+    with root.make_context("dbo", words) as context:
+        root.invoke(context)
 
 
 def _explained(problem: BaseException, words: Sequence[str]) -> tuple[str, int]:

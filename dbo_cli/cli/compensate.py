@@ -66,7 +66,7 @@ def compensate(
     on_limit: Annotated[
         Literal["auto", "clip", "error"],
         Option(
-            help="auto: clip if the tracking error stays under 1 % of the move, otherwise exit 3.",
+            help="auto: clip up to 1 % of the move, else exit 3.",
             rich_help_panel="Limits",
         ),
     ] = "auto",
@@ -167,11 +167,9 @@ def compensate(
 ) -> None:
     """Write the drive voltage that makes the actuator follow a displacement.
 
-    No row leaves the identified range, cut by --v-min and --v-max. Rows before the move
-    have negative times.
+    No row leaves the identified range, cut by --v-min and --v-max.
 
-    Example: dbo compensate model.json move.csv --v-min 0 --v-max 100 --max-slew 2000
-    --from 0 --approach auto -o drive.csv
+    Example: dbo compensate model.json move.csv --max-slew 2000 --from 0 -o drive.csv
     """
     from dbo_cli import channels
     from dbo_cli.drive import Limits, dumps_history, voltage_in

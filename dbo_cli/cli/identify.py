@@ -186,6 +186,7 @@ def one_model(
     """Identify one actuator, and say what was read."""
     from dbo_cli.identify import identify as fit
     from dbo_cli.recordings import read_recordings, with_provenance
+    from dbo_cli.reports import show_model
 
     recordings, logs = read_recordings(paths, reading, columns)
     others, _ = read_recordings(validate, reading, columns, units_of(recordings))
@@ -196,7 +197,9 @@ def one_model(
             say(f"{log.line()} ({model.sign})")
         detail(*log.remarks)
     detail(*model.fit.get("notes", ()))
-    return with_provenance(model, recordings, logs)
+    model = with_provenance(model, recordings, logs)
+    detail(*show_model(model).text().splitlines()[1:])
+    return model
 
 
 def units_of(recordings: list[Any]) -> dict[str, str]:

@@ -135,11 +135,16 @@ class TextSource(Source):
         """
         if self._reading.encoding is not None:
             try:
-                return codecs.lookup(self._reading.encoding).name
+                named = codecs.lookup(self._reading.encoding).name
             except LookupError:
                 raise UsageError(
                     f"`encoding` {self._reading.encoding}: there is no such text encoding"
                 ) from None
+            if named not in (
+                "utf-16",
+                "utf-32",
+            ):  # else the mark tells the order of bytes
+                return named
         for mark, name in _MARKS.items():
             if head.startswith(mark):
                 return name

@@ -53,7 +53,7 @@ Sign = Literal["rising", "falling"]
 
 MOST_CANDIDATES = 5
 _TIME_IS_NEEDED = (
-    "this needs the time between samples (a time column, or `sample_rate`)"
+    "this model depends on time, and there is none (`time` COLUMN or `sample_rate` HZ)"
 )
 
 
