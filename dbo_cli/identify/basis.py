@@ -21,7 +21,8 @@ from dbo_cli.model.dynamics import SectionStates
 
 Integers = NDArray[np.int64]
 
-GEARS = 2048  # of a model, all of one width
+GEARS = 2048  # of a model inside its range, all of one width
+SPARE = 0.125  # of the drive's range: gears beyond either end, for drives that go further
 CELLS = 96  # different slopes among them
 CELL_GROWTH = 1.5  # a cell's upper edge grows with its number to this power
 BEND_SEGMENTS = 32  # of the points before the gears
@@ -90,17 +91,20 @@ class Cells:
 
     Attributes
     ----------
-    gears : shape (cells,), how many gears each cell holds
+    gears : shape (cells,), how many gears inside the range each cell holds
+    spare : how many gears go on beyond either end of the range; they are the last cell's
     """
 
     gears: Integers
+    spare: int
 
     @staticmethod
-    def of(gears: int = GEARS, cells: int = CELLS) -> Cells:
-        """Return at most ``cells`` groups of ``gears`` gears, finer for small distances."""
-        part = np.linspace(0.0, 1.0, min(cells, gears) + 1) ** CELL_GROWTH
-        edges = np.unique(np.round(gears * part).astype(np.int64))
-        return Cells(np.diff(edges))
+    def of(gears: int | None = None, cells: int = CELLS) -> Cells:
+        """Return groups of gears, finer for small distances; without spare ones where their number is fixed."""
+        count = GEARS if gears is None else gears
+        part = np.linspace(0.0, 1.0, min(cells, count) + 1) ** CELL_GROWTH
+        edges = np.unique(np.round(count * part).astype(np.int64))
+        return Cells(np.diff(edges), int(SPARE * count) if gears is None else 0)
 
     @property
     def count(self) -> int:
@@ -108,17 +112,34 @@ class Cells:
         return len(self.gears)
 
     @property
+    def inside(self) -> int:
+        """How many gears span the range."""
+        return int(self.gears.sum())
+
+    @property
+    def beyond(self) -> float:
+        """How far the gears go beyond either end, in units of the range."""
+        return self.spare / self.inside
+
+    @property
     def widths(self) -> Floats:
-        """Width of each cell as a share of the drive's range; shape (cells,)."""
-        widths: Floats = self.gears / float(self.gears.sum())
+        """Width of each cell inside the range, in its units; shape (cells,)."""
+        widths: Floats = self.gears / float(self.inside)
         return widths
+
+    @property
+    def shares(self) -> Floats:
+        """Width of each cell as a share of all gears; shape (cells,)."""
+        counts = self.gears.astype(np.float64)
+        counts[-1] += 2.0 * self.spare
+        shares: Floats = counts / float(counts.sum())
+        return shares
 
     @property
     def reach(self) -> Floats:
         """Reach of the plays at the cells' edges: half the distance; shape (cells + 1,)."""
-        reach: Floats = np.concatenate(([0.0], np.cumsum(self.gears))) / (
-            2.0 * float(self.gears.sum())
-        )
+        reach: Floats = np.concatenate(([0.0], np.cumsum(self.widths))) / 2.0
+        reach[-1] = 0.5 + self.beyond
         return reach
 
 
@@ -126,15 +147,18 @@ def plays_at_start(first: float, reach: Floats, start: str) -> Floats:
     """Return where plays of these reaches stand before the first drive value.
 
     "settled" is what an oscillation leaves that decays from the whole range to
-    ``first``.
+    ``first``. No drive inside the range moves the last play.
     """
     if start == "empty":
-        return np.maximum(reach, first - reach)
-    if start == "full":
-        return np.minimum(1.0 - reach, first + reach)
-    if first <= 0.5:
-        return np.maximum(reach, first)
-    return np.minimum(1.0 - reach, first)
+        plays = np.maximum(reach, first - reach)
+    elif start == "full":
+        plays = np.minimum(1.0 - reach, first + reach)
+    elif first <= 0.5:
+        plays = np.maximum(reach, first)
+    else:
+        plays = np.minimum(1.0 - reach, first)
+    plays[-1] = 0.5
+    return plays
 
 
 def start_of(first: float) -> str:
@@ -210,7 +234,8 @@ class Basis:
         """Yield the first row of each block and its table, all rows in order."""
         compiled = kernel.require("identification")
         reach = self.cells.reach
-        inside = np.clip(drive, 0.0, 1.0)
+        beyond = self.cells.beyond
+        inside = np.clip(drive, -beyond, 1.0 + beyond)
         table, state = _play_table(reach, float(inside[0]), log.start)
         taus = tuple(self.taus.tolist()) or (1.0,)  # the kernel wants one at least
         lag = Relaxation(0.0, taus, (0.0,) * len(taus))
@@ -224,8 +249,8 @@ class Basis:
             if not isinstance(steps, float):
                 steps = steps[part]
             lags, memory = lag.lags(drive[part], steps, memory)
-            beyond = (drive[part] - x)[:, None]
-            yield first, np.hstack((plays, lags[:, : len(self.taus)], beyond))
+            outside = (drive[part] - x)[:, None]
+            yield first, np.hstack((plays, lags[:, : len(self.taus)], outside))
 
 
 def _play_table(reach: Floats, first: float, start: str) -> tuple[Floats, Floats]:

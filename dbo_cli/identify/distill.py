@@ -87,7 +87,7 @@ def distill(problem: Problem, average: Average) -> Fit:
         mean,
         weights / weights.sum(),
         np.zeros((len(table), 0)),
-        problem.cells.widths,
+        problem.cells.shares,
         len(problem.taus),
     )
     found = [solve(rows, replace(structure, smooth_curve=CURVES[0]))]

@@ -121,7 +121,7 @@ class Problem:
             output,
             weights,
             self.drift(structure.drift),
-            self.cells.widths,
+            self.cells.shares,
             len(self.taus),
         )
 
@@ -179,10 +179,10 @@ def prepare(recordings: Sequence[Recording], options: Options) -> Problem:
         taus = np.asarray(options.taus)
     elif clock:
         taus = time_constants(logs)
-    gears = () if options.gears == "auto" else (options.gears,)
+    gears = None if options.gears == "auto" else options.gears
     swing = usual_swing([log.drive for log in logs], [log.dt for log in logs])
     problem = Problem(
-        tuple(logs), low, high, offset, scale, Cells.of(*gears), taus, clock, swing
+        tuple(logs), low, high, offset, scale, Cells.of(gears), taus, clock, swing
     )
     problem.parts = parts_of(problem)
     return problem

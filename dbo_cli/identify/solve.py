@@ -39,7 +39,7 @@ class Rows:
     columns : shape (rows, cells + 2 terms)
     output, weights : shape (rows,); weights have the sum 1
     drift : shape (rows, k), free columns beside the model
-    widths : shape (cells,), of each slope cell as a share of the drive's range
+    widths : shape (cells,), of each slope cell as a share of all
     terms : how many time constants there are
     """
 
@@ -177,7 +177,7 @@ class Equations:
         self.roots = np.sqrt(rows.weights)
         centre = float(rows.weights @ rows.output)
         self.variance = max(float(rows.weights @ (rows.output - centre) ** 2), 1e-24)
-        self._stepped = self._in_steps(self.columns)
+        self._stepped = self._unknown_columns()
         self.penalty = self._penalty()
         self.states = np.full(self.size, POSITIVE, np.uint8)
         self.states[self.free :] = FREE
@@ -193,13 +193,34 @@ class Equations:
             stepped[:, :cells] = np.cumsum(table[:, :cells], axis=1)
         return stepped
 
-    def _slopes(self, steps: Floats) -> Floats:
-        """Return slopes for their steps."""
+    def _unknown_columns(self) -> Floats:
+        """Return the columns of the unknowns; each raises all slopes by its share of their floor."""
+        cells = self.rows.cells
+        columns = self._in_steps(self.columns)
+        everywhere = self.columns[:, :cells].sum(axis=1)
+        shares = np.zeros(self.inner)
+        shares[:cells] = self._in_steps(self.rows.widths[None, :])[0]
+        shares[cells:] = 1.0
+        columns += self.floor * everywhere[:, None] * shares
+        return columns
+
+    @property
+    def floor(self) -> float:
+        """What a mean slope of 1 above the floor raises all slopes by."""
+        least = LEAST_SLOPE
+        if "r" in self.structure.memories:
+            least = LEAST_WITH_NEGATIVE
+        return least / (1.0 - least)
+
+    def _slopes(self, steps: Floats, gains: Floats) -> Floats:
+        """Return slopes for their steps above the floor, and the gains beside them."""
+        slopes = steps
         if self.structure.slopes == "growing":
-            return np.cumsum(steps)
-        if self.structure.slopes == "falling":
-            return np.cumsum(steps[::-1])[::-1]
-        return steps
+            slopes = np.cumsum(steps)
+        elif self.structure.slopes == "falling":
+            slopes = np.cumsum(steps[::-1])[::-1]
+        mean = float(slopes @ self.rows.widths) + float(gains.sum())
+        return slopes + self.floor * mean
 
     def _penalty(self) -> Floats:
         """Return the matrix of what smoothness costs, in units of the output's variance."""
@@ -215,23 +236,9 @@ class Equations:
         matrix[np.diag_indices(self.size)] += RIDGE
         return matrix
 
-    def mean_slope(self, fit: Fit) -> float:
-        """Return the mean slope of the gears, the drive that memories leave included."""
-        rests = fit.gains[self.rows.terms :]
-        return float(fit.slopes @ self.rows.widths) + float(rests.sum())
-
-    def floors(self, mean: float) -> Floats:
-        """Return the least value of each unknown; ``mean`` is the mean slope."""
-        cells, least = self.rows.cells, np.zeros(self.size)
-        floor = LEAST_SLOPE * mean
-        if "r" in self.structure.memories:
-            floor = LEAST_WITH_NEGATIVE * mean
-        if self.structure.slopes == "growing":
-            least[0] = floor
-        elif self.structure.slopes == "falling":
-            least[cells - 1] = floor
-        else:
-            least[:cells] = floor
+    def floors(self) -> Floats:
+        """Return the least value of each unknown."""
+        least = np.zeros(self.size)
         least[self.inner : self.free] = LEAST_CURVE
         return least
 
@@ -243,7 +250,7 @@ class Equations:
         curve = x[self.inner : self.free] if self.curved else np.ones(1)
         fit = Fit(
             self.structure,
-            self._slopes(x[:cells]),
+            self._slopes(x[:cells], x[cells : self.inner]),
             x[cells : self.inner],
             curve,
             float(x[self.free]),
@@ -284,7 +291,9 @@ class Equations:
         if first is None:
             slopes = np.ones(self.rows.cells)
             gains = np.zeros(self.inner - self.rows.cells)
-            curve, offset = np.ones(self.segments), 0.5
+            curve = np.ones(self.segments)
+            level = self.columns[:, : self.rows.cells].sum(axis=1)
+            offset = float(self.rows.weights @ (self.rows.output - level))
         else:
             slopes, gains, offset = first.slopes, first.gains, first.offset
             curve = np.ones(self.segments)
@@ -320,7 +329,7 @@ class Equations:
         right = gram[:-1, -1] / self.variance
         if self.curved:
             right[self.inner : self.free] += HOLD / self.segments
-        least = self.floors(self.mean_slope(fit))
+        least = self.floors()
         x, self.states = minimum(matrix, right - matrix @ least, self.states)
         x[self.states == AT_ZERO] = 0.0
         found: Floats = np.where(self.states == FREE, x, np.maximum(x, 0.0)) + least

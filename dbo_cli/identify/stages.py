@@ -69,11 +69,13 @@ def _gears_of(problem: Problem, fit: Fit, height: float, base: float) -> Gears:
         lags = fit.gains[:terms]
     if fit.gains.size > terms:
         rests = fit.gains[terms:]
-    gears = int(cells.gears.sum())
-    mean = float(fit.slopes @ cells.widths) + float(rests.sum())
+    counts = cells.gears.copy()
+    counts[-1] += 2 * cells.spare
+    mean = float(fit.slopes @ cells.shares) + float(rests.sum())
     least = float(rests.sum()) + LEAST_WITH_NEGATIVE * mean * bool(rests.any())
-    slopes = np.maximum(np.repeat(fit.slopes + rests.sum(), cells.gears), least)
+    slopes = np.maximum(fit.slopes + rests.sum(), least)
     empty = fit.offset - float(fit.slopes @ cells.widths) / 2.0
+    empty -= cells.beyond * float(slopes[-1])
     gains = height * (lags - rests) / span
     used = gains != 0.0
     relaxation = None
@@ -81,9 +83,9 @@ def _gears_of(problem: Problem, fit: Fit, height: float, base: float) -> Gears:
         taus = tuple(problem.taus[used].tolist())
         relaxation = Relaxation(problem.low, taus, tuple(gains[used].tolist()))
     return Gears(
-        np.full(gears, span / gears),
-        slopes * (height / gears),
-        problem.low,
+        np.full(int(counts.sum()), span / cells.inside),
+        np.repeat(slopes, counts) * (height / cells.inside),
+        problem.low - cells.beyond * span,
         base + height * empty,
         relaxation,
     )
