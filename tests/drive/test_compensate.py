@@ -62,10 +62,10 @@ def test_dynamics_and_delay_are_undone() -> None:
     assert np.abs(y - wanted)[10:].max() <= 2e-3 * np.ptp(wanted)
 
 
-@given(actuators(), st.integers(1, 400), st.booleans())
-@settings(max_examples=60, deadline=None, derandomize=True)
+@given(actuators(), st.sampled_from([1, 7, 60, 333]), st.booleans())
+@settings(max_examples=40, deadline=None, derandomize=True)
 def test_values_do_not_depend_on_blocks(model: Model, rows: int, slow: bool) -> None:
-    wanted = gentle(model, 1200, 0.5)
+    wanted = gentle(model, 300, 0.5)
     slew = 3.0 * model.input.span if slow else None
     limits = limits_of(model, max_slew=slew)
     whole = plan(model, wanted, DT, limits, on_limit="clip")
