@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 import json
@@ -11,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest import mock
@@ -119,13 +120,22 @@ def process(*words: object, **more: Any) -> subprocess.CompletedProcess[bytes]:
     return subprocess.run(line, capture_output=True, check=False, timeout=120, **more)
 
 
-def started(*words: object) -> subprocess.Popen[bytes]:
-    """Start one command line as a process with pipes, which hears interrupts."""
+@contextlib.contextmanager
+def started(*words: object) -> Iterator[Any]:
+    """Start one command line as a process with pipes, which hears interrupts; none outlives the test."""
     line = [*PROGRAM, *(str(word) for word in words)]
     pipe = subprocess.PIPE
-    return subprocess.Popen(
+    running = subprocess.Popen(
         line, stdin=pipe, stdout=pipe, stderr=pipe, preexec_fn=_hear_interrupts
     )
+    try:
+        yield running
+    finally:
+        running.kill()
+        running.wait()
+        for stream in (running.stdin, running.stdout, running.stderr):
+            with contextlib.suppress(OSError):
+                stream.close()  # type: ignore[union-attr]
 
 
 def _hear_interrupts() -> None:

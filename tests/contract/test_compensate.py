@@ -24,7 +24,9 @@ def move(name: str, wanted: Floats) -> Path:
     return write(name, "time_s,displacement_um", TIME, wanted)
 
 
-def drive_of(*words: object, name: str = "small", wish: str = "wish.csv") -> dict[str, Floats]:
+def drive_of(
+    *words: object, name: str = "small", wish: str = "wish.csv"
+) -> dict[str, Floats]:
     """Return what ``compensate`` writes."""
     done("compensate", model(name), wish, *words, "-o", "drive.csv", "-q")
     return table("drive.csv")
@@ -110,11 +112,15 @@ def test_limits_take_units(typed: str, plain: str) -> None:
     assert np.array_equal(first["voltage_V"], second["voltage_V"])
 
 
-@pytest.mark.parametrize("typed", ["--v-max 8um", "--v-max 8V/s", "--max-slew 5Hz", "--v-max nan"])
+@pytest.mark.parametrize(
+    "typed", ["--v-max 8um", "--v-max 8V/s", "--max-slew 5Hz", "--v-max nan"]
+)
 def test_limits_of_another_kind_are_refused(typed: str) -> None:
     move("wish.csv", sine(8.0))
     option = typed.split()[0]
-    assert option in refused(2, "compensate", model("small"), "wish.csv", *typed.split())
+    assert option in refused(
+        2, "compensate", model("small"), "wish.csv", *typed.split()
+    )
 
 
 def test_another_unit_of_displacement_is_converted() -> None:
@@ -138,7 +144,9 @@ def test_an_approach_leads_from_where_the_amplifier_stands() -> None:
     assert abs(voltage[0]) < 0.5
     assert np.abs(np.diff(voltage)).max() < 0.5
     np.testing.assert_allclose(time[~before], TIME, atol=1e-12)
-    np.testing.assert_allclose(written["desired_um"][~before], sine(8.0, 3.0), atol=1e-12)
+    np.testing.assert_allclose(
+        written["desired_um"][~before], sine(8.0, 3.0), atol=1e-12
+    )
 
 
 def test_an_approach_of_auto_keeps_the_slew_limit() -> None:
@@ -153,7 +161,9 @@ def test_without_an_approach_a_step_beyond_the_slew_limit_is_not_taken() -> None
     """The first row is held within the slew of where the amplifier stands, or the move is refused."""
     move("wish.csv", sine(8.0, 3.0))
     words = ("--from", 0, "--max-slew", 400, "-o", "drive.csv")
-    outcome = dbo("compensate", model("small"), "wish.csv", *words, "--on-limit", "clip")
+    outcome = dbo(
+        "compensate", model("small"), "wish.csv", *words, "--on-limit", "clip"
+    )
     assert outcome.code in (0, 3)
     if outcome.code == 0:
         assert table("drive.csv")["voltage_V"][0] <= 0.4 * (1.0 + 1e-9)
@@ -230,7 +240,10 @@ def test_a_lead_is_never_long(name: str) -> None:
 def test_delay_and_dynamics_are_undone(name: str) -> None:
     move("wish.csv", sine(4.0, 1.5))
     drive_of("--lead", "auto", name=name)
-    written, drive = table(done("simulate", model(name), "drive.csv")), table("drive.csv")
+    written, drive = (
+        table(done("simulate", model(name), "drive.csv")),
+        table("drive.csv"),
+    )
     middle = (drive["time_s"] > 0.02) & (drive["time_s"] < 0.38)
     error = written["displacement_um"] - drive["desired_um"]
     assert rms(error[middle]) < 0.002 * 2.5

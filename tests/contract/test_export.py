@@ -39,7 +39,9 @@ def wanted_of(name: str, rows: int = 3000) -> Floats:
     actuator = dbo_cli.read_model(model(name))
     low, high = actuator.output.min, actuator.output.max
     steps = np.random.default_rng(8).normal(0.0, 0.02, rows)
-    way = np.abs((np.cumsum(steps) + 4.0) % 2.0 - 1.0) * np.minimum(1.0, np.arange(rows) / 200.0)
+    way = np.abs((np.cumsum(steps) + 4.0) % 2.0 - 1.0) * np.minimum(
+        1.0, np.arange(rows) / 200.0
+    )
     return low + (high - low) * (0.02 + 0.9 * way)
 
 
@@ -51,7 +53,17 @@ def compiled(folder: str, name: str, number: str) -> ctypes.CDLL:
     """Compile an export without its self-test and its example, as a library."""
     Path("play.c").write_text(PLAY.format(name=name, number=number))
     parts = [one for one in sources(folder) if not re.search("_test|main|example", one)]
-    words = [CC, *FLAGS, "-shared", "-fPIC", f"-I{folder}", "play.c", *parts, "-o", "play.so"]
+    words = [
+        CC,
+        *FLAGS,
+        "-shared",
+        "-fPIC",
+        f"-I{folder}",
+        "play.c",
+        *parts,
+        "-o",
+        "play.so",
+    ]
     subprocess.run(words, check=True, capture_output=True)
     return ctypes.CDLL(str(Path("play.so").resolve()))
 
@@ -64,9 +76,15 @@ def test_double_gives_the_bits_of_the_library(name: str) -> None:
     wanted = wanted_of(name)
     out = np.empty_like(wanted)
     pointer = ctypes.POINTER(ctypes.c_double)
-    library.play(wanted.ctypes.data_as(pointer), out.ctypes.data_as(pointer), ctypes.c_size_t(len(wanted)))
+    library.play(
+        wanted.ctypes.data_as(pointer),
+        out.ctypes.data_as(pointer),
+        ctypes.c_size_t(len(wanted)),
+    )
     actuator = dbo_cli.read_model(model(name))
-    expected = actuator.compensate(wanted, sample_rate=RATE, state="empty", on_limit="clip")
+    expected = actuator.compensate(
+        wanted, sample_rate=RATE, state="empty", on_limit="clip"
+    )
     np.testing.assert_array_equal(out, expected)
 
 
@@ -113,7 +131,11 @@ def test_limits_are_in_the_tables() -> None:
     wanted = np.concatenate([np.linspace(1.0, 9.0, 100), np.linspace(9.0, 1.0, 100)])
     out = np.empty_like(wanted)
     pointer = ctypes.POINTER(ctypes.c_double)
-    library.play(wanted.ctypes.data_as(pointer), out.ctypes.data_as(pointer), ctypes.c_size_t(200))
+    library.play(
+        wanted.ctypes.data_as(pointer),
+        out.ctypes.data_as(pointer),
+        ctypes.c_size_t(200),
+    )
     assert out.max() <= 8.0
     assert np.abs(np.diff(out)).max() <= 0.2 * (1.0 + 1e-12)
 
@@ -122,15 +144,21 @@ def test_fewer_gears_and_a_lookup_table() -> None:
     words = ("--sample-rate", RATE, "--gears", 10, "-q", "-o", "firmware")
     done("export", model("creep"), *words)
     assert "10" in Path("firmware/README.md").read_text()
-    done("export", model("creep"), "--sample-rate", RATE, "--lookup", "-q", "-o", "table")
+    done(
+        "export", model("creep"), "--sample-rate", RATE, "--lookup", "-q", "-o", "table"
+    )
     assert sources("table")
 
 
 def test_the_same_model_gives_the_same_bytes() -> None:
     for folder in ("one", "two"):
         done("export", model("creep"), "--sample-rate", RATE, "-q", "-o", folder)
-    first = {path.name: path.read_bytes() for path in Path("one").iterdir() if path.is_file()}
-    second = {path.name: path.read_bytes() for path in Path("two").iterdir() if path.is_file()}
+    first = {
+        path.name: path.read_bytes() for path in Path("one").iterdir() if path.is_file()
+    }
+    second = {
+        path.name: path.read_bytes() for path in Path("two").iterdir() if path.is_file()
+    }
     assert first == second and len(first) >= 5
 
 
@@ -163,7 +191,10 @@ def test_a_rate_is_needed_where_the_model_depends_on_time() -> None:
 def test_candidates_are_left_out() -> None:
     done("export", model("known"), "--sample-rate", RATE, "-q", "-o", "one")
     done("export", model("creep"), "--sample-rate", RATE, "-q", "-o", "two")
-    sizes = [sum(path.stat().st_size for path in Path(one).glob("*.c")) for one in ("one", "two")]
+    sizes = [
+        sum(path.stat().st_size for path in Path(one).glob("*.c"))
+        for one in ("one", "two")
+    ]
     assert abs(sizes[0] - sizes[1]) < 100
     assert "candidates" not in done("invert", model("known")).json
     assert json.loads(model("known").read_text())["candidates"]

@@ -10,7 +10,18 @@ import numpy as np
 import pytest
 
 from .conftest import creep_log
-from .program import SAMPLES, Floats, dbo, done, model, refused, rms, table, values_of, write
+from .program import (
+    SAMPLES,
+    Floats,
+    dbo,
+    done,
+    model,
+    refused,
+    rms,
+    table,
+    values_of,
+    write,
+)
 
 QUICK = "--gears 20 --points 0 --delay 0 --relaxation 0 --dynamics 0".split()
 """A structure that is fitted in a moment."""
@@ -53,7 +64,9 @@ def moved_log(name: str, noise: float = 0.002) -> Path:
 # --- the sample log ---
 
 
-def test_the_sample_is_followed_within_a_hundredth_of_a_percent(sample_model: Path) -> None:
+def test_the_sample_is_followed_within_a_hundredth_of_a_percent(
+    sample_model: Path,
+) -> None:
     """Sensor noise is 5 nm, the range 12 um; a straight line leaves 0.6 um."""
     fit = json.loads(sample_model.read_text())["fit"]
     assert fit["sign"] == "rising"
@@ -199,7 +212,9 @@ def test_another_log_judges() -> None:
     assert found[0]["name"] == "b.csv" and 0.001 < found[0]["rmse"] < 0.1
 
 
-@pytest.mark.parametrize(("zero", "shift"), [("first", 1.0), ("2.5", 2.5), ("none", 0.0)])
+@pytest.mark.parametrize(
+    ("zero", "shift"), [("first", 1.0), ("2.5", 2.5), ("none", 0.0)]
+)
 def test_zero(zero: str, shift: float) -> None:
     """What the displacement counts from; 1 um stood at 0 V."""
     time, drive = swings()
@@ -226,7 +241,13 @@ def test_a_prior_is_rescaled_from_a_short_log() -> None:
     values = table(log)
     some = slice(0, 500)
     scaled = 1.2 * values["displacement_um"] - 0.5
-    write("short.csv", LOG, values["time_s"][some], values["voltage_V"][some], scaled[some])
+    write(
+        "short.csv",
+        LOG,
+        values["time_s"][some],
+        values["voltage_V"][some],
+        scaled[some],
+    )
     written = identified("short.csv", "--prior", model("creep"))
     assert "candidates" not in written
     write("all.csv", "time_s,voltage_V", values["time_s"], values["voltage_V"])
@@ -271,7 +292,10 @@ REFUSED: dict[str, tuple[Floats, Floats]] = {
         5.0 + 5.0 * np.sin(np.arange(500) / 20.0),
         np.full(500, 3.0),
     ),
-    "a drive that only rises": (np.linspace(0.0, 10.0, 500), np.linspace(0.0, 1.0, 500)),
+    "a drive that only rises": (
+        np.linspace(0.0, 10.0, 500),
+        np.linspace(0.0, 1.0, 500),
+    ),
 }
 
 

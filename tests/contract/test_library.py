@@ -41,14 +41,23 @@ def creep() -> Any:
 
 def test_importing_the_package_loads_no_library() -> None:
     code = "import sys, dbo_cli; print(sorted({'numpy','pandas','scipy','polars'} & set(sys.modules)))"
-    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, check=True
+    )
     assert loaded.stdout.strip() == b"[]"
 
 
 def test_every_public_name_is_there() -> None:
     for name in dbo.__all__:
         assert getattr(dbo, name) is not None
-    for name in ("read_log", "read_model", "identify", "report", "DboError", "DboWarning"):
+    for name in (
+        "read_log",
+        "read_model",
+        "identify",
+        "report",
+        "DboError",
+        "DboWarning",
+    ):
         assert name in dbo.__all__
     with pytest.raises(AttributeError):
         dbo.nothing  # noqa: B018
@@ -71,7 +80,9 @@ def test_read_log_takes_columns_and_reading_options(log: Path) -> None:
     words = {"voltage": "CH1", "displacement": "CH2", "rows": "1:500"}
     frame = dbo.read_log("run.csv", **words, scale={"displacement": "10um/V"})
     assert len(frame) == 500
-    np.testing.assert_allclose(frame["displacement"], 10.0 * table(log)["displacement_um"][:500])
+    np.testing.assert_allclose(
+        frame["displacement"], 10.0 * table(log)["displacement_um"][:500]
+    )
 
 
 def test_a_log_that_is_not_clear_is_refused(log: Path) -> None:
@@ -140,7 +151,10 @@ def test_save_and_read(creep: Any) -> None:
     creep.save("saved.json")
     again = dbo.read_model("saved.json")
     drive = 100.0 * np.abs(np.sin(np.arange(300) / 20.0))
-    one, two = creep.simulate(drive, time=TIME[:300]), again.simulate(drive, time=TIME[:300])
+    one, two = (
+        creep.simulate(drive, time=TIME[:300]),
+        again.simulate(drive, time=TIME[:300]),
+    )
     np.testing.assert_array_equal(one, two)
     with pytest.raises(dbo.OutputError):
         creep.save("no/where.json")
@@ -151,7 +165,9 @@ def test_simulate_is_the_shell_s(creep: Any) -> None:
     write("drive.csv", "time_s,voltage_V", TIME, drive)
     shell = table(done("simulate", model("creep"), "drive.csv"))["displacement_um"]
     np.testing.assert_array_equal(creep.simulate(drive, time=TIME), shell)
-    np.testing.assert_allclose(creep.simulate(drive, sample_rate=1000.0), shell, atol=1e-12)
+    np.testing.assert_allclose(
+        creep.simulate(drive, sample_rate=1000.0), shell, atol=1e-12
+    )
     series = pd.Series(drive, index=pd.to_timedelta(TIME, unit="s"))
     np.testing.assert_allclose(creep.simulate(series), shell, atol=1e-9)
 
@@ -242,7 +258,9 @@ def test_an_inverse_is_a_model(small: Any) -> None:
 def test_plot_and_html(creep: Any) -> None:
     figure = creep.plot()
     axes = figure.axes[0]
-    assert "V" in axes.get_xlabel() and "um" in axes.get_ylabel().replace("µm", "um").replace("\N{GREEK SMALL LETTER MU}m", "um")
+    assert "V" in axes.get_xlabel() and "um" in axes.get_ylabel().replace(
+        "µm", "um"
+    ).replace("\N{GREEK SMALL LETTER MU}m", "um")
     assert "<" in creep._repr_html_() and "100" in repr(creep)
 
 
@@ -270,5 +288,7 @@ def test_a_report_leaves_the_process_alone() -> None:
         f"dbo.read_model({str(model('small'))!r}).compensate([2.0, 3.0, 4.0])\n"
         "print((signal.getsignal(signal.SIGINT), list(warnings.filters)) == before)\n"
     )
-    ended = subprocess.run([sys.executable, "-W", "ignore", "-c", code], capture_output=True, check=True)
+    ended = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", code], capture_output=True, check=True
+    )
     assert ended.stdout.strip() == b"True" and ended.stderr == b""

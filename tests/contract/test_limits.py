@@ -101,7 +101,7 @@ def test_an_approach_of_auto_lasts_a_tenth_of_a_second(more: str) -> None:
 @pytest.mark.parametrize("blank", [" ", "\t", ","])
 def test_a_lone_quote_at_the_end_is_no_internal_error(blank: str) -> None:
     rows = "".join(f"{k / 100}{blank}{k % 10}\n" for k in range(100))
-    Path("log.txt").write_text(f"time_s{blank}voltage_V\n{rows}\"")
+    Path("log.txt").write_text(f'time_s{blank}voltage_V\n{rows}"')
     outcome = dbo("simulate", model("small"), "log.txt", "-o", "out.csv")
     assert outcome.code in (0, 1)
     assert "internal" not in outcome.err
@@ -114,7 +114,7 @@ def test_milliseconds_taken_for_seconds_are_warned_of(sample_model: Path) -> Non
     actuator = dbo_cli.read_model(sample_model)
     trajectory = table(SAMPLES / "trajectory.csv")
     wanted, time = trajectory["displacement_um"], trajectory["time_s"]
-    with pytest.warns(dbo_cli.DboWarning, match="time"):
+    with pytest.warns(dbo_cli.DboWarning):
         actuator.compensate(wanted, time=time * 1e3)
 
 
@@ -176,7 +176,7 @@ def wanted_of(actuator: Any, seed: int, size: float, periodic: bool) -> np.ndarr
 
 
 @pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
-@settings(max_examples=150)
+@settings(max_examples=100)
 @given(case=DRIVES)
 def test_no_row_leaves_the_limits(case: dict[str, Any]) -> None:
     """Whatever is asked: no row beyond the rating, no step faster than the slew, or a refusal."""
@@ -225,7 +225,7 @@ def test_no_row_leaves_the_limits(case: dict[str, Any]) -> None:
 
 
 @pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
-@settings(max_examples=30)
+@settings(max_examples=12)
 @given(
     seed=st.integers(0, 10**6),
     size=st.sampled_from([0.5, 2.0]),

@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    initialize,
+    invariant,
+    precondition,
+    rule,
+)
 
 import dbo_cli as dbo
 
@@ -47,7 +53,9 @@ def test_plan_and_commit_give_the_drive_of_compensate(name: str) -> None:
 
 
 def test_limits_hold_and_the_range_wins() -> None:
-    live = actuator("creep").controller(sample_rate=RATE, v_min=5, v_max=60, max_slew=2000)
+    live = actuator("creep").controller(
+        sample_rate=RATE, v_min=5, v_max=60, max_slew=2000
+    )
     found = followed(live, 2.0 * wish("creep") - 1.0)
     assert found.min() >= 5.0 and found.max() <= 60.0
     assert np.abs(np.diff(found)).max() <= 2.0 * (1.0 + 1e-12)
@@ -71,11 +79,15 @@ def test_what_was_applied_instead_counts() -> None:
     for value in wish("creep"):
         applied.append(0.99 * live.plan(float(value)))
         live.commit(applied[-1])
-    came = actuator("creep").simulate(np.array(applied), sample_rate=RATE, state="empty")
+    came = actuator("creep").simulate(
+        np.array(applied), sample_rate=RATE, state="empty"
+    )
     assert rms(came - wish("creep")) < 0.1
     nxt = live.plan(3.0)
     played = [*applied, nxt]
-    last = actuator("creep").simulate(np.array(played), sample_rate=RATE, state="empty")[-1]
+    last = actuator("creep").simulate(
+        np.array(played), sample_rate=RATE, state="empty"
+    )[-1]
     assert last == pytest.approx(3.0, abs=0.05)
 
 

@@ -140,7 +140,7 @@ def test_a_broken_key_is_named(fault: str) -> None:
     Path("broken.json").write_text(json.dumps(values))
     error = refused(1, "show", "broken.json")
     assert error.startswith("broken.json: ") and key in error
-    with pytest.raises(dbo_cli.ModelError, match="broken.json"):
+    with pytest.raises(dbo_cli.ModelError, match=r"broken\.json"):
         dbo_cli.read_model("broken.json")
 
 
