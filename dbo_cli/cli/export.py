@@ -76,6 +76,7 @@ def export(
     if "loss" in figures:
         lost = figures["loss"]
         say(
-            f"fewer gears: {lost['rms']:.3g}{actuator.output.suffix} RMS, {lost['max']:.3g} at most on test moves"
+            f"fewer gears: {lost['rms']:.3g}{actuator.output.suffix} RMS on test moves,"
+            f" {lost['max']:.3g} at most"
         )
     detail(*made.notes)

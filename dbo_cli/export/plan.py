@@ -1,0 +1,286 @@
+"""What a model comes to at a fixed time step: the numbers that every arithmetic is generated from."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.drive.limits import Limits
+from dbo_cli.errors import ModelError, UsageError
+from dbo_cli.model import Gears, Model, Quantity, State, VoltageWindow
+from dbo_cli.model.delay import AFTER, whole_and_part
+from dbo_cli.model.points import Curves, through
+from dbo_cli.model.start import Starts
+from dbo_cli.model.undoing import SectionInverse, section_inverse
+
+Floats = NDArray[np.float64]
+
+TRIALS = 20  # test moves over which the loss of fewer gears is taken: 5,000 samples
+IGNORED_BEYOND = 1e6
+"""Ranges: an input so far away counts as no number; what it leads to is not finite."""
+MORE_REST = 5  # samples before a move, from which on a delay knows its past
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The inverse of a model at one time step.
+
+    Attributes
+    ----------
+    forward : Model
+        The forward model.
+    dt : float, or None
+        Seconds between samples; None where nothing depends on them.
+    limits : Limits
+        Of the drive; the move's range and the slew count.
+    """
+
+    forward: Model
+    dt: float | None
+    limits: Limits
+
+    @cached_property
+    def model(self) -> Model:
+        """The inverse model, whose output is the drive."""
+        return self.forward.inverse()
+
+    @property
+    def gears(self) -> Gears:
+        """The inverse gears."""
+        return self.model.gears
+
+    @property
+    def window(self) -> VoltageWindow:
+        """The limits of the drive."""
+        return self.limits.window
+
+    @cached_property
+    def inner(self) -> VoltageWindow:
+        """The limits of the drive as the gears meet them."""
+        return self.model.inner_window(self.window)
+
+    @property
+    def inner_step(self) -> float | None:
+        """The largest change of the gears' output in a step."""
+        step = self.inner.largest_step(self.dt)
+        return None if step is None else float(step)
+
+    @property
+    def gain(self) -> Floats:
+        """c_j of the relaxation terms."""
+        return self.gears.gain
+
+    @cached_property
+    def decay(self) -> Floats:
+        """a_j = exp(-dt/tau_j)."""
+        if self.gears.relaxation is None:
+            return np.empty(0)
+        assert self.dt is not None
+        decay: Floats = self.gears.relaxation.decay(self.dt)[0]
+        return decay
+
+    @property
+    def reference(self) -> float:
+        """The drive, as the gears meet it, at which nothing is remembered."""
+        if self.gears.relaxation is None:
+            return 0.0
+        return self.gears.relaxation.reference
+
+    def kappa(self, decay: Floats) -> float:
+        """Return the immediate part of the memory, sum c_j (1 - a_j), term by term."""
+        return float(sum((self.gain * (1.0 - decay)).tolist()))
+
+    @property
+    def drive_curves(self) -> Curves:
+        """The points and scales from a drive to the gears."""
+        return self.forward.head
+
+    def at_gears(self, drive: float) -> float:
+        """Return a drive as the gears meet it."""
+        return float(through(self.drive_curves, np.array([drive]))[0])
+
+    @cached_property
+    def starts(self) -> Starts:
+        """The states in which the gears may begin."""
+        return starts_of(self.forward)
+
+    # ---- reading ahead ----
+
+    @cached_property
+    def delay_samples(self) -> tuple[int, float]:
+        """The delay in whole samples, and the part beyond."""
+        if self.forward.delay is None:
+            return 0, 0.0
+        assert self.dt is not None
+        return whole_and_part(self.forward.delay_seconds / self.dt)
+
+    @cached_property
+    def undone(self) -> list[SectionInverse]:
+        """The inverse of each section of the dynamics, the last section first."""
+        if self.forward.dynamics is None:
+            return []
+        assert self.dt is not None
+        parts = []
+        for section in reversed(self.forward.dynamics.sections):
+            parts.append(section_inverse(section, self.dt))
+        return parts
+
+    @property
+    def ahead(self) -> int:
+        """How many samples earlier the input is needed: for the delay, and the dynamics."""
+        whole, part = self.delay_samples
+        rows = whole + (AFTER if part else 0)
+        return rows + sum(inverse.weight.size for inverse in self.undone)
+
+    # ---- starts and runs of the library, for the self-test ----
+
+    @cached_property
+    def empty(self) -> State:
+        """The library's start ``empty``; its ``drive`` is the output before the first sample."""
+        low, high = self.limits.move
+        return self.forward.start_drive(self.forward.output.min, "empty", low, high)
+
+    def settled(self, drive: float) -> State:
+        """Return the state after ``NAME_reset``: settled, and at rest at a drive."""
+        inner = self.at_gears(drive)
+        moved = self.forward.gears.run([inner], self.starts.bits(inner, "settled"))
+        return State(moved.bits, moved.memory, drive)
+
+    @property
+    def trimmed(self) -> float:
+        """The drive that the self-test resets to: a little below the middle, inside of a gear."""
+        low, high = self.limits.move
+        return low + 0.37 * (high - low)
+
+    def played(self, moves: Floats, state: State) -> Floats:
+        """Return what the library drives for each input, as the exported step does, ahead."""
+        rest = np.full(self.ahead + MORE_REST, moves[0])
+        rows = self.forward.ahead(self.dt)
+        after = np.full(rows - self.ahead, moves[-1])
+        wanted = np.concatenate([rest, moves, after])
+        undone, _ = self.forward.undo(wanted, None, self.dt)
+        static = self.forward.static
+        return static.drive(undone[MORE_REST:], state, self.dt, self.window).voltage
+
+
+def starts_of(forward: Model) -> Starts:
+    """Return the states in which the gears of a forward model may begin."""
+    source = forward.input
+    ends = forward.inner_window(VoltageWindow(source.min, source.max))
+    return Starts(forward.gears, ends.low, ends.high)
+
+
+def plan_of(model: Model, sample_rate: float | None, limits: Limits) -> Plan:
+    """Return the plan of a model.
+
+    Raises
+    ------
+    UsageError
+        The sample rate is missing where something depends on it, or is no rate.
+    ModelError
+        A memory is too slow for the rate.
+    """
+    if sample_rate is not None and not 0.0 < sample_rate < math.inf:
+        raise UsageError(f"`sample_rate` {sample_rate:g}: give a number of Hz above 0")
+    forward = model.forward()
+    timed = forward.needs_time or limits.slew is not None
+    if timed and sample_rate is None:
+        raise UsageError(
+            "the drive depends on the time between samples: give `sample_rate` in Hz"
+        )
+    dt = None if sample_rate is None else 1.0 / sample_rate
+    plan = Plan(replace(forward, candidates=()), dt, limits)
+    if np.any(plan.decay >= 1.0):
+        raise ModelError(
+            f"relaxation.tau: a memory is too slow for {sample_rate:g} Hz (`sample_rate` lower)"
+        )
+    return plan
+
+
+def ignored_beyond(quantity: Quantity) -> float:
+    """Return the value beyond which a number counts as none: a power of two."""
+    largest = max(quantity.span, abs(quantity.min), abs(quantity.max))
+    return float(2.0 ** math.ceil(math.log2(IGNORED_BEYOND * largest)))
+
+
+def trial_moves(low: float, high: float, seed: int = 1) -> Floats:
+    """Return inputs between ``low`` and ``high`` and a little beyond: about 300 samples, always the same.
+
+    A slow sweep there and back, an oscillation that decays around the middle, a random
+    walk, random jumps, a turn at each end exactly, a rest, and 3 % beyond either end.
+    """
+    rng = np.random.default_rng(seed)
+    up = np.linspace(0.0, 1.0, 31)
+    time = np.arange(80.0)
+    decaying = 0.5 + 0.5 * np.exp(-time / 30.0) * np.cos(0.55 * time)
+    walk = 0.5 + np.cumsum(rng.normal(0.0, 0.02, 70))
+    parts = [
+        up, up[::-1], decaying, np.clip(walk, 0.0, 1.0), rng.uniform(0.0, 1.0, 30),
+        np.array([0.0, 1.0, 0.4, 1.0, 0.0, 0.6, 0.2]), np.full(8, 0.3),
+        np.array([1.0, 1.03, 0.9, -0.03, 0.1, 0.7]),
+    ]  # fmt: skip
+    return low + (high - low) * np.concatenate(parts)
+
+
+@dataclass(frozen=True)
+class Loss:
+    """What fewer gears change, over test moves: the largest and the RMS difference of the output."""
+
+    most: float
+    rms: float
+
+
+def with_fewer_gears(model: Model, gears: int) -> tuple[Model, Loss | None]:
+    """Return a forward model with ``gears`` even gears on the same loading curve, and what is lost.
+
+    The loading curve keeps its value at every new breakpoint; turns between them are
+    what gets coarser. Gears beyond the range are left out.
+
+    Raises
+    ------
+    UsageError
+        ``gears`` is not between 1 and the number that the model has.
+    """
+    forward = model.forward()
+    full = forward.gears
+    if not 1 <= gears <= full.n:
+        raise UsageError(
+            f"`gears` {gears}: the model has {full.n}; give a number from 1 to that"
+        )
+    if gears == full.n:
+        return forward, None
+    starts = starts_of(forward)
+    moved = starts.moved
+    across = np.concatenate([[0.0], np.cumsum(moved.dx)])
+    up = np.concatenate([[0.0], np.cumsum(moved.dy)])
+    ends = across[-1] * np.arange(gears + 1.0) / gears
+    heights = np.diff(np.interp(ends, across, up))
+    below = [bool(starts.empty >> gear & 1) for gear in range(full.n)]
+    begin = full.y0 + math.fsum(full.dy[np.array(below)].tolist())
+    widths = np.full(gears, across[-1] / gears)
+    fewer = Gears(widths, heights, moved.x0, begin, full.relaxation)
+    stages = tuple(
+        fewer if isinstance(part, Gears) else part for part in forward.stages
+    )
+    reduced = forward.with_stages(stages)
+    return reduced, _loss(forward, reduced)
+
+
+def _loss(full: Model, fewer: Model) -> Loss:
+    """Return the difference of two forward models."""
+    step = None
+    if full.gears.relaxation is not None:
+        step = max(full.gears.relaxation.tau)
+    full, fewer = full.static, fewer.static
+    differences = []
+    for seed in range(TRIALS):
+        moves = trial_moves(full.input.min, full.input.max, seed)
+        exact, _ = full.simulate(moves, dt=step)
+        coarse, _ = fewer.simulate(moves, dt=step)
+        differences.append(coarse - exact)
+    every = np.concatenate(differences)
+    return Loss(float(np.abs(every).max()), float(np.sqrt(np.mean(every**2))))
