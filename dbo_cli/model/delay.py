@@ -176,9 +176,7 @@ class Delay:
             return whole
         return max(whole + AFTER, WINDOW - 1)
 
-    def read_ahead(
-        self, x: Floats, dt: float, past: tuple[float, ...] | None
-    ) -> Floats:
+    def read_ahead(self, x: Floats, dt: float, past: tuple[float, ...]) -> Floats:
         """Return an even signal earlier by the delay, for all rows but the last ``rows_ahead``.
 
         ``past`` are the two values before the block; without them the signal begins, and
@@ -189,8 +187,8 @@ class Delay:
         whole, part = self._samples(dt)
         if not part:
             return x[whole : whole + count]
-        signal = np.concatenate([past or (), x])
-        first = len(past or ()) + whole - BEFORE  # begin of the first row's six
+        signal = np.concatenate([past, x])
+        first = len(past) + whole - BEFORE  # begin of the first row's six
         early = min(max(-first, 0), count)
         parts = [
             between_even(signal[:WINDOW], BEFORE + first + row, part)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
+from itertools import groupby
 from typing import cast
 
 from dbo_cli.errors import InputError, ModelError
@@ -15,27 +16,19 @@ from dbo_cli.model.cascade import Direction, Stage
 from dbo_cli.model.delay import Delay
 from dbo_cli.model.dynamics import Dynamics, Lag, Mode, Resonance, Section
 from dbo_cli.model.gears import Axis, Gears
-from dbo_cli.model.model import MOST_CANDIDATES, Candidate, Model
-from dbo_cli.model.node import Json, Node, dumps, load, runs_of
+from dbo_cli.model.model import Candidate, Model
+from dbo_cli.model.node import VERSION, Json, Node, dumps, load
 from dbo_cli.model.points import Points, Scale
 from dbo_cli.model.relaxation import Relaxation
 from dbo_cli.model.state import Quantity
 
 MODEL_FORMAT = "dbo-model"
 SET_FORMAT = "dbo-model-set"
-VERSION = 1
-# twice what identification makes
-MOST_STAGES = 16
-MOST_CHANNELS = 10_000
+# equal widths in a row are written once from this many on: two are shorter as they are
+SHORTEST_RUN = 3
 
-AMOUNTS_OF_FIT = (
-    "rmse",
-    "expected_rmse",
-    "line_rmse",
-    "left_out_rmse",
-    "fastest",
-    "longest_rest",
-)
+AMOUNTS_OF_FIT = ("rmse", "expected_rmse", "line_rmse", "left_out_rmse")
+TIMES_OF_FIT = ("fastest", "longest_rest")
 """Keys of ``fit`` that commands compute with: null or numbers of at least 0."""
 
 
@@ -68,17 +61,15 @@ def read_model(path: str) -> Model:
 def read_models(path: str) -> dict[str, Model]:
     """Read a set of models: channels and their models (errors as of ``read_model``)."""
     name, values = load(path, "model")
-    root = _top(values, name, SET_FORMAT, "a set of models")
-    root.only(("format", "version", "models"))
+    root = Node(name, "", values)
+    root.require_format(SET_FORMAT, "a set of models")
     channels = root.node("models")
-    if not 1 <= len(channels.values) <= MOST_CHANNELS:
-        raise root.refuse("models", f"has not from 1 to {MOST_CHANNELS:,} entries")
+    if not channels.values:
+        raise root.refuse("models", "is empty")
     models = {}
     for channel, content in channels.values.items():
-        node = channels.below(f'["{channel}"]', content)
-        _check_format(node, MODEL_FORMAT, "a model")
-        models[channel] = _model_of(node)
-    return models
+        models[channel] = _model(Node(name, f'models["{channel}"]', content))
+    return root.build(dict, models)
 
 
 def is_set(path: str) -> bool:
@@ -105,182 +96,99 @@ def parse_model(values: object, name: str = "the model") -> Model:
             f"{name}: is a set of models: name one of them ({name}::CHANNEL), or all columns with a pattern"
             " ('V{}')"
         )
-    return _model_of(_top(values, name, MODEL_FORMAT, "a model"))
+    return _model(Node(name, "", values))
 
 
-def _top(values: object, name: str, wanted: str, noun: str) -> Node:
-    """Return the top of a file, its format and version checked."""
-    if not isinstance(values, dict):
-        raise ModelError(f"{name}: is not {noun}: the file holds no JSON object")
-    root = Node(name, "", values)
-    _check_format(root, wanted, noun)
-    return root
-
-
-def _check_format(node: Node, wanted: str, noun: str) -> None:
-    if node.values.get("format") != wanted:
-        raise node.refuse("format", f'must be "{wanted}" in {noun}')
-    if "version" not in node.values:
-        raise node.refuse("version", "is missing")
-    version = node.values["version"]
-    if isinstance(version, bool) or version != VERSION:
-        raise node.refuse(
-            "version",
-            f"{version!r} is not version {VERSION}, which this program reads: identify the model again",
-        )
-
-
-def _model_of(root: Node) -> Model:
+def _model(node: Node) -> Model:
     """Return the model that an object describes."""
-    keys = ("format", "version", "direction", "input", "output", "stages")
-    root.only(keys, ("fit", "candidates", "provenance"))
-    direction = root.text("direction")
-    if direction not in ("forward", "inverse"):
-        raise root.refuse(
-            "direction", f"{direction!r} is neither 'forward' nor 'inverse'"
-        )
-    stages = _stages(root)
-    fit = root.notes("fit")
-    if fit:
-        _check_fit(root.node("fit"))
-    candidates: tuple[Candidate, ...] = ()
-    if "candidates" in root.values:
-        nodes = root.nodes("candidates")
-        if len(nodes) > MOST_CANDIDATES:
-            raise root.refuse("candidates", f"has more than {MOST_CANDIDATES} entries")
-        candidates = tuple(_candidate(node) for node in nodes)
-    source = _quantity(root.node("input"))
-    result = _quantity(root.node("output"))
-    provenance = root.notes("provenance")
-    return root.build(
-        lambda: Model(
-            cast(Direction, direction),
-            source,
-            result,
-            stages,
-            fit,
-            candidates,
-            provenance,
-        )
+    node.require_format(MODEL_FORMAT, "a model")
+    direction = node.choice("direction", "forward", "inverse")
+    candidates: list[Candidate] = []
+    if node.has("candidates"):
+        candidates = [_candidate(part) for part in node.nodes("candidates")]
+    return node.build(
+        Model,
+        cast(Direction, direction),
+        _quantity(node.node("input")),
+        _quantity(node.node("output")),
+        _stages(node),
+        _fit(node),
+        tuple(candidates),
+        node.notes("provenance"),
     )
 
 
-def _check_fit(fit: Node) -> None:
-    """Refuse what cannot be a figure where commands take it for one."""
-    for key in AMOUNTS_OF_FIT:
-        if fit.values.get(key) is None:
-            continue
-        number = fit.number(key)
-        if number < 0.0:
-            raise fit.refuse(key, f"{number!r} is not a number of at least 0")
+def _fit(model: Node) -> Json:
+    """Return the figures of a fit; refuse what cannot be one where commands take it for one."""
+    values = model.notes("fit")
+    if values:
+        fit = model.node("fit")
+        for key in (*AMOUNTS_OF_FIT, *TIMES_OF_FIT):
+            if values.get(key) is not None and fit.number(key) < 0.0:
+                raise fit.refuse(key, f"{values[key]!r} is not a number of at least 0")
+    return values
 
 
 def _quantity(node: Node) -> Quantity:
-    node.only(("quantity", "unit", "min", "max"))
-    name = node.text("quantity")
-    unit = None
-    if node.values["unit"] is not None:
-        unit = node.text("unit")
+    unit = node.unless_null("unit", node.text)
     low, high = node.number("min"), node.number("max")
-    return node.build(lambda: Quantity(name, unit, low, high))
-
-
-def _stages(node: Node) -> tuple[Stage, ...]:
-    nodes = node.nodes("stages")
-    if len(nodes) > MOST_STAGES:
-        raise node.refuse("stages", f"has more than {MOST_STAGES} entries")
-    return tuple(_stage(item) for item in nodes)
-
-
-def _stage(node: Node) -> Stage:
-    """Return one stage of the cascade by its type."""
-    if "type" not in node.values:
-        raise node.refuse("type", "is missing")
-    kind = node.text("type")
-    if kind not in _READERS:
-        raise node.refuse(
-            "type", f"{kind!r} is not a known stage; there are: {', '.join(_READERS)}"
-        )
-    return _READERS[kind](node)
+    return node.build(Quantity, node.text("quantity"), unit, low, high)
 
 
 def _candidate(node: Node) -> Candidate:
-    node.only(("weight", "stages"))
-    weight = node.number("weight")
-    stages = _stages(node)
-    return node.build(lambda: Candidate(weight, stages))
+    return node.build(Candidate, node.number("weight"), _stages(node))
 
 
-def _curve(node: Node) -> tuple[list[float], list[float], float, float]:
-    dx, dy = node.widths("dx"), node.widths("dy")
-    return dx, dy, node.number("x0"), node.number("y0")
+def _stages(node: Node) -> tuple[Stage, ...]:
+    stages = []
+    for part in node.nodes("stages"):
+        kind = part.choice("type", *_READERS)
+        stages.append(_READERS[kind](part))
+    return tuple(stages)
 
 
 def _gears(node: Node) -> Gears:
-    node.only(("type", "x0", "y0", "dx", "dy"), ("relaxation",))
-    curve = _curve(node)
     terms: Relaxation | None = None
-    axis: Axis = "input"
-    if "relaxation" in node.values:
-        terms, axis = _relaxation(node)
-    return node.build(lambda: Gears(*curve, terms, axis))
-
-
-def _relaxation(gears: Node) -> tuple[Relaxation, Axis]:
-    """Return the relaxation of gears, and the axis that it follows."""
-    node = gears.node("relaxation")
-    node.only(("on", "reference", "tau", "gain"))
-    axis = node.text("on")
-    if axis not in ("input", "output"):
-        raise node.refuse("on", f"{axis!r} is neither 'input' nor 'output'")
-    reference = node.number("reference")
-    tau, gain = node.numbers("tau"), node.numbers("gain")
-    terms = gears.build(lambda: Relaxation(reference, tau, gain))
-    return terms, cast(Axis, axis)
+    axis = "input"
+    if node.has("relaxation"):
+        part = node.node("relaxation")
+        axis = part.choice("on", "input", "output")
+        reference = part.number("reference")
+        tau, gain = part.numbers("tau"), part.numbers("gain")
+        terms = part.build(Relaxation, reference, tau, gain)
+    dx, dy = node.widths("dx"), node.widths("dy")
+    x0, y0 = node.number("x0"), node.number("y0")
+    return node.build(Gears, dx, dy, x0, y0, terms, cast(Axis, axis))
 
 
 def _points(node: Node) -> Points:
-    node.only(("type", "x0", "y0", "dx", "dy"))
-    curve = _curve(node)
-    return node.build(lambda: Points(*curve))
+    dx, dy = node.widths("dx"), node.widths("dy")
+    return node.build(Points, dx, dy, node.number("x0"), node.number("y0"))
 
 
 def _scale(node: Node) -> Scale:
-    node.only(("type", "gain", "offset"))
-    gain, offset = node.number("gain"), node.number("offset")
-    return node.build(lambda: Scale(gain, offset))
+    return node.build(Scale, node.number("gain"), node.number("offset"))
 
 
 def _delay(node: Node) -> Delay:
-    node.only(("type", "seconds"))
-    seconds = node.number("seconds")
-    return node.build(lambda: Delay(seconds))
+    return node.build(Delay, node.number("seconds"))
 
 
 def _dynamics(node: Node) -> Dynamics:
-    node.only(("type", "sections"))
-    sections = tuple(_section(item) for item in node.nodes("sections"))
-    return node.build(lambda: Dynamics(sections))
+    sections = [_section(part) for part in node.nodes("sections")]
+    return node.build(Dynamics, tuple(sections))
 
 
 def _section(node: Node) -> Section:
-    if "lag" in node.values:
-        node.only(("lag",), ("lead",))
-        seconds = node.number("lag")
-        lead = 0.0
-        if "lead" in node.values:
-            lead = node.number("lead")
-        return node.build(lambda: Lag(seconds, lead))
-    node.only(("frequency", "damping"), ("antiresonance",))
+    if node.has("lag"):
+        lead = node.number("lead") if node.has("lead") else 0.0
+        return node.build(Lag, node.number("lag"), lead)
     beside: Mode | None = None
-    if "antiresonance" in node.values:
-        below = node.node("antiresonance")
-        below.only(("frequency", "damping"))
-        beside = below.build(
-            lambda: Mode(below.number("frequency"), below.number("damping"))
-        )
+    if node.has("antiresonance"):
+        part = node.node("antiresonance")
+        beside = part.build(Mode, part.number("frequency"), part.number("damping"))
     frequency, damping = node.number("frequency"), node.number("damping")
-    return node.build(lambda: Resonance(frequency, damping, beside))
+    return node.build(Resonance, frequency, damping, beside)
 
 
 _READERS: dict[str, Callable[[Node], Stage]] = {
@@ -314,75 +222,75 @@ def model_values(model: Model) -> Json:
         "direction": model.direction,
         "input": _quantity_values(model.input),
         "output": _quantity_values(model.output),
-        "stages": [stage_values(stage) for stage in model.stages],
+        "stages": [_stage_values(stage) for stage in model.stages],
     }
     if model.fit:
         values["fit"] = dict(model.fit)
     if model.candidates:
-        values["candidates"] = [
-            {
-                "weight": float(part.weight),
-                "stages": [stage_values(stage) for stage in part.stages],
-            }
-            for part in model.candidates
-        ]
+        values["candidates"] = []
+    for part in model.candidates:
+        stages = [_stage_values(stage) for stage in part.stages]
+        values["candidates"].append({**_numbers(part, "weight"), "stages": stages})
     if model.provenance:
         values["provenance"] = dict(model.provenance)
     return values
 
 
-def stage_values(stage: Stage) -> Json:
+def _numbers(part: object, *names: str) -> Json:
+    """Return attributes as floats under their names."""
+    return {name: float(getattr(part, name)) for name in names}
+
+
+def _quantity_values(part: Quantity) -> Json:
+    names = {"quantity": part.quantity, "unit": part.unit}
+    return {**names, **_numbers(part, "min", "max")}
+
+
+def _stage_values(stage: Stage) -> Json:
     """Return a stage as plain values, its type first."""
     if isinstance(stage, Scale):
-        return {
-            "type": "scale",
-            "gain": float(stage.gain),
-            "offset": float(stage.offset),
-        }
+        return {"type": "scale", **_numbers(stage, "gain", "offset")}
     if isinstance(stage, Delay):
-        return {"type": "delay", "seconds": float(stage.seconds)}
+        return {"type": "delay", **_numbers(stage, "seconds")}
     if isinstance(stage, Dynamics):
         sections = [_section_values(section) for section in stage.sections]
         return {"type": "dynamics", "sections": sections}
-    kind = "point" if isinstance(stage, Points) else "backlash"
-    values = {
-        "type": kind,
-        "x0": stage.x0,
-        "y0": stage.y0,
-        "dx": runs_of(stage.dx.tolist()),
-        "dy": runs_of(stage.dy.tolist()),
+    values: Json = {
+        "type": "point" if isinstance(stage, Points) else "backlash",
+        **_numbers(stage, "x0", "y0"),
+        "dx": _runs(stage.dx.tolist()),
+        "dy": _runs(stage.dy.tolist()),
     }
     if isinstance(stage, Gears) and stage.relaxation is not None:
-        terms = stage.relaxation
         values["relaxation"] = {
             "on": stage.on,
-            "reference": float(terms.reference),
-            "tau": [float(tau) for tau in terms.tau],
-            "gain": [float(gain) for gain in terms.gain],
+            **_numbers(stage.relaxation, "reference"),
+            "tau": [float(tau) for tau in stage.relaxation.tau],
+            "gain": [float(gain) for gain in stage.relaxation.gain],
         }
     return values
 
 
 def _section_values(section: Section) -> Json:
     if isinstance(section, Lag):
-        lag: Json = {"lag": float(section.seconds)}
+        values: Json = {"lag": float(section.seconds)}
         if section.lead:
-            lag["lead"] = float(section.lead)
-        return lag
-    values = _mode_values(section)
+            values["lead"] = float(section.lead)
+        return values
+    values = _numbers(section, "frequency", "damping")
     if section.antiresonance is not None:
-        values["antiresonance"] = _mode_values(section.antiresonance)
+        beside = section.antiresonance
+        values["antiresonance"] = _numbers(beside, "frequency", "damping")
     return values
 
 
-def _mode_values(mode: Mode) -> Json:
-    return {"frequency": float(mode.frequency), "damping": float(mode.damping)}
-
-
-def _quantity_values(quantity: Quantity) -> Json:
-    return {
-        "quantity": quantity.quantity,
-        "unit": quantity.unit,
-        "min": float(quantity.min),
-        "max": float(quantity.max),
-    }
+def _runs(widths: list[float]) -> list[float | Json]:
+    """Return widths with every run of equal ones written once."""
+    written: list[float | Json] = []
+    for width, same in groupby(widths):
+        count = len(list(same))
+        if count >= SHORTEST_RUN:
+            written.append({"repeat": count, "value": width})
+        else:
+            written.extend([width] * count)
+    return written

@@ -502,7 +502,7 @@ class Model:
         count = wanted.size - self.ahead(step)
         if undoing is not None and undoing.dt != step:
             undoing = None
-        past = () if undoing is None else undoing.past or ()
+        past = () if undoing is None else undoing.past
         signal = wanted
         if self.delay is not None:
             signal = self.delay.read_ahead(wanted, step, past)

@@ -7,165 +7,182 @@ the key: ``model.json: stages[0].dx[3]: -0.1 is not a finite width greater than 
 from __future__ import annotations
 
 import json
-import math
 import sys
-import textwrap
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 from dbo_cli.errors import InputError, ModelError
 
 Json = dict[str, Any]
 Made = TypeVar("Made")
+Parts = ParamSpec("Parts")
 
+VERSION = 1
 LARGEST = 1e60  # of every number: products of five of them are still within float64
 # a file of some bytes must not ask for more memory than a machine has
 MOST_WIDTHS = 1_000_000
-# equal widths in a row are written once from this many on: two are shorter as they are
-SHORTEST_RUN = 3
 LINE = 100  # characters, after which the next line of a list begins
-# objects within one another in what is carried along: a bound for recursion
-_NOTE_DEPTH = 20
 
 
-class Node(NamedTuple):
-    """One JSON object with the path that leads to it."""
+class Node:
+    """One JSON object with the path that leads to it.
 
-    file: str
-    path: str
-    values: Json
+    Every key is asked for by name; ``build`` refuses those that nobody asked for.
+
+    Raises
+    ------
+    ModelError
+        From every method, where the key is not as it must be.
+    """
+
+    def __init__(self, file: str, path: str, values: object) -> None:
+        self.file = file
+        self.path = path
+        if not isinstance(values, dict):
+            raise self.refuse("", "is not an object")
+        self.values: Json = values
+        self.asked: set[str] = set()
 
     def at(self, key: str) -> str:
-        """Return the path of a key."""
-        if not self.path or not key:
-            return self.path + key
-        if key.startswith("["):
-            return f"{self.path}{key}"
-        return f"{self.path}.{key}"
+        """Return the path of a key; an empty key is the object itself."""
+        if self.path and key and not key.startswith("["):
+            return f"{self.path}.{key}"
+        return self.path + key
 
     def refuse(self, key: str, what: str) -> ModelError:
-        """Return the error for a key; an empty key is the object itself."""
+        """Return the error for a key."""
         return ModelError(f"{self.file}: {self.at(key) or 'the file'}: {what}")
 
-    def only(self, required: tuple[str, ...], optional: tuple[str, ...] = ()) -> None:
-        """Refuse missing and unknown keys."""
-        for key in required:
-            if key not in self.values:
-                raise self.refuse(key, "is missing")
+    def build(
+        self,
+        make: Callable[Parts, Made],
+        *parts: Parts.args,
+        **named: Parts.kwargs,
+    ) -> Made:
+        """Return what ``make`` builds of the parts read; put file and path before what it complains about."""
         for key in self.values:
-            if key not in required and key not in optional:
+            if key not in self.asked:
                 raise self.refuse(key, "is not a known key")
-
-    def build(self, make: Callable[[], Made]) -> Made:
-        """Return what ``make`` builds; put file and path before the key it complains about."""
         try:
-            return make()
+            return make(*parts, **named)
         except ModelError as problem:
             raise ModelError(f"{self.file}: {self.at(str(problem))}") from None
 
+    def require_format(self, wanted: str, noun: str) -> None:
+        """Refuse another format or version."""
+        self.asked.add("format")
+        if self.values.get("format") != wanted:
+            raise self.refuse("format", f'must be "{wanted}" in {noun}')
+        version = self.value("version")
+        if isinstance(version, bool) or version != VERSION:
+            raise self.refuse(
+                "version",
+                f"{version!r} is not version {VERSION}, which this program reads: make {noun} again",
+            )
+
+    def has(self, key: str) -> bool:
+        """Tell whether a key is there that may be left out."""
+        self.asked.add(key)
+        return key in self.values
+
+    def value(self, key: str) -> Any:
+        """Return whatever a key holds."""
+        if not self.has(key):
+            raise self.refuse(key, "is missing")
+        return self.values[key]
+
+    def unless_null(self, key: str, read: Callable[[str], Made]) -> Made | None:
+        """Return what ``read`` finds under a key, or None where it holds null."""
+        if self.value(key) is None:
+            return None
+        return read(key)
+
     def number(self, key: str) -> float:
         """Return a finite number."""
-        return self.finite(key, self.values[key])
+        return self.finite(key, self.value(key))
 
     def finite(self, key: str, value: object) -> float:
         """Return a value as a finite number."""
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.refuse(key, f"{json.dumps(value)[:60]} is not a number")
-        try:
-            number = float(value)
-        except OverflowError:
-            number = math.inf
-        if not math.isfinite(number):
-            raise self.refuse(key, f"{number!r} is not a finite number")
-        if abs(number) > LARGEST:
-            raise self.refuse(key, f"{number!r} is beyond {LARGEST:g}")
-        return number
+        if not -LARGEST <= value <= LARGEST:
+            raise self.refuse(
+                key, f"{str(value)[:60]} is not a finite number up to {LARGEST:g}"
+            )
+        return float(value)
 
-    def listed(self, key: str, what: str) -> list[Any]:
-        """Return a list of ``what``."""
-        values = self.values[key]
-        if not isinstance(values, list):
-            raise self.refuse(key, f"is not a list of {what}")
-        return values
+    def text(self, key: str) -> str:
+        """Return a text."""
+        value = self.value(key)
+        if not isinstance(value, str) or not value.isprintable():
+            raise self.refuse(
+                key, f"{json.dumps(value)[:60]} is not a text that can be shown"
+            )
+        return value
+
+    def choice(self, key: str, *words: str) -> str:
+        """Return one of some words."""
+        value = self.value(key)
+        if value not in words:
+            raise self.refuse(key, f"{value!r} is none of {', '.join(words)}")
+        return str(value)
+
+    def listed(self, key: str) -> list[Any]:
+        """Return a list."""
+        items = self.value(key)
+        if not isinstance(items, list):
+            raise self.refuse(key, "is not a list")
+        return items
 
     def numbers(self, key: str) -> tuple[float, ...]:
         """Return a list of finite numbers."""
-        items = self.listed(key, "numbers")
-        return tuple(self.finite(f"{key}[{k}]", item) for k, item in enumerate(items))
+        items = enumerate(self.listed(key))
+        return tuple(self.finite(f"{key}[{k}]", item) for k, item in items)
 
     def widths(self, key: str) -> list[float]:
         """Return widths, of which a run of equal ones may stand once (``repeat`` and ``value``)."""
-        numbers: list[float] = []
-        for place, item in enumerate(self.listed(key, "numbers")):
+        widths: list[float] = []
+        for place, item in enumerate(self.listed(key)):
             at = f"{key}[{place}]"
-            count = 1
-            if isinstance(item, dict):
-                run = self.below(at, item)
-                run.only(("repeat", "value"))
-                count = run.count("repeat")
-                value = run.number("value")
-            else:
-                value = self.finite(at, item)
-            if len(numbers) + count > MOST_WIDTHS:
+            if not isinstance(item, dict):
+                widths.append(self.finite(at, item))
+                continue
+            run = Node(self.file, self.at(at), item)
+            count, value = run.value("repeat"), run.number("value")
+            if type(count) is not int or not 1 <= count <= MOST_WIDTHS:
+                raise run.refuse(
+                    "repeat", f"is not a whole number from 1 to {MOST_WIDTHS:,}"
+                )
+            run.build(widths.extend, [value] * count)
+            if len(widths) > MOST_WIDTHS:
                 raise self.refuse(key, f"has more than {MOST_WIDTHS:,} entries")
-            numbers.extend([value] * count)
-        return numbers
-
-    def count(self, key: str) -> int:
-        """Return a whole number of at least 1."""
-        value = self.values[key]
-        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-            raise self.refuse(
-                key, f"{json.dumps(value)[:60]} is not a whole number of at least 1"
-            )
-        return value
-
-    def text(self, key: str) -> str:
-        """Return a string."""
-        value = self.values[key]
-        if not isinstance(value, str):
-            raise self.refuse(key, f"{json.dumps(value)[:60]} is not a text")
-        if not value.isprintable():
-            raise self.refuse(
-                key, f"{json.dumps(value)} holds characters that cannot be shown"
-            )
-        return value
+        return widths
 
     def node(self, key: str) -> Node:
         """Return the object under a key."""
-        return self.below(key, self.values[key])
-
-    def below(self, key: str, value: object) -> Node:
-        """Return an object that stands below this one under the name ``key``."""
-        if not isinstance(value, dict):
-            raise self.refuse(key, "is not an object")
-        return Node(self.file, self.at(key), value)
+        return Node(self.file, self.at(key), self.value(key))
 
     def nodes(self, key: str) -> list[Node]:
         """Return a list of objects."""
-        items = self.listed(key, "objects")
-        return [self.below(f"{key}[{k}]", item) for k, item in enumerate(items)]
+        nodes = []
+        for place, item in enumerate(self.listed(key)):
+            nodes.append(Node(self.file, self.at(f"{key}[{place}]"), item))
+        return nodes
 
     def notes(self, key: str) -> Json:
-        """Return an object that is carried along; refuse what could not be written again."""
-        if key not in self.values:
+        """Return an object that is carried along as it is; empty where there is none."""
+        if not self.has(key):
             return {}
-        node = self.node(key)
-        node.check_notes(_NOTE_DEPTH)
-        return node.values
-
-    def check_notes(self, depth: int) -> None:
-        """Refuse numbers that are not finite, and objects within too many others."""
-        for key, value in self.values.items():
-            if isinstance(value, float) and not math.isfinite(value):
-                raise self.refuse(key, f"{value!r} is not a finite number")
-            if isinstance(value, list):
-                value = {f"[{k}]": item for k, item in enumerate(value)}
-            if isinstance(value, dict):
-                if depth == 0:
-                    raise self.refuse(key, "is nested too deeply")
-                Node(self.file, self.at(key), value).check_notes(depth - 1)
+        values = self.node(key).values
+        try:
+            dumps(values).encode()
+        except (ValueError, RecursionError):
+            raise self.refuse(
+                key,
+                "holds what cannot be written again (a number that is not finite, half a character)",
+            ) from None
+        return values
 
 
 def load(path: str, noun: str) -> tuple[str, Any]:
@@ -186,18 +203,16 @@ def load(path: str, noun: str) -> tuple[str, Any]:
         raise InputError(f"{name}: cannot be read: {reason}") from None
     try:
         text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as problem:
-        raise ModelError(
-            f"{name}: not a {noun} file: byte {problem.start + 1} is not UTF-8"
-        ) from None
-    return name, parse(name, text, noun)
-
-
-def parse(name: str, text: str, noun: str) -> Any:
-    """Return the values of JSON text; see ``load``."""
+    except UnicodeDecodeError:
+        raise ModelError(f"{name}: not a {noun} file: it is not UTF-8") from None
     if text.lstrip()[:1] not in ("{", "["):
         remedy = " (identify makes a model from a log)" if noun == "model" else ""
         raise ModelError(f"{name}: not a {noun} file: it is not JSON{remedy}")
+    return name, parse(name, text)
+
+
+def parse(name: str, text: str) -> Any:
+    """Return the values of JSON text; see ``load``."""
 
     def distinct(pairs: list[tuple[str, Any]]) -> Json:
         values: Json = {}
@@ -208,10 +223,7 @@ def parse(name: str, text: str, noun: str) -> Any:
         return values
 
     try:
-        values = json.loads(text, object_pairs_hook=distinct)
-        # raises at half a surrogate pair, which could not be written again
-        if "\\u" in text:
-            json.dumps(values, ensure_ascii=False).encode()
+        return json.loads(text, object_pairs_hook=distinct)
     except json.JSONDecodeError as problem:
         rest = text[problem.pos :].strip()
         if not rest or problem.msg.startswith("Unterminated string"):
@@ -224,65 +236,34 @@ def parse(name: str, text: str, noun: str) -> Any:
         ) from None
     except (ValueError, RecursionError):
         raise ModelError(f"{name}: not readable as JSON") from None
-    return values
 
 
-def runs_of(widths: list[float]) -> list[float | Json]:
-    """Return widths with every run of equal ones written once."""
-    written: list[float | Json] = []
-    begin = 0
-    for end in range(1, len(widths) + 1):
-        if end < len(widths) and widths[end] == widths[begin]:
-            continue
-        count = end - begin
-        if count >= SHORTEST_RUN:
-            written.append({"repeat": count, "value": widths[begin]})
-        else:
-            written.extend(widths[begin:end])
-        begin = end
-    return written
-
-
-def dumps(values: Mapping[str, Any]) -> str:
-    """Return JSON with one line for a short object and filled lines for a long list of numbers."""
+def dumps(values: Json) -> str:
+    """Return JSON text with short objects in one line, and filled lines of a long list."""
     return _layout(values, "") + "\n"
 
 
 def _layout(value: Any, indent: str) -> str:
     flat = json.dumps(value, ensure_ascii=False, allow_nan=False)
-    if not value or not isinstance(value, Mapping | list):
-        return flat
-    if len(indent) + len(flat) <= LINE:
+    if len(indent) + len(flat) <= LINE or not isinstance(value, dict | list | tuple):
         return flat
     inner = indent + "  "
-    if isinstance(value, Mapping):
-        lines = []
-        for key, item in value.items():
-            name = json.dumps(key, ensure_ascii=False)
-            lines.append(f"{inner}{name}: {_layout(item, inner)}")
-        return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
-    if all(_is_number_or_run(item) for item in value):
-        return f"[\n{_filled(value, inner)}\n{indent}]"
-    lines = [inner + _layout(item, inner) for item in value]
-    return "[\n" + ",\n".join(lines) + f"\n{indent}]"
+    if not isinstance(value, dict):
+        lines = _filled([_layout(item, inner) for item in value])
+        return f"[\n{inner}" + f",\n{inner}".join(lines) + f"\n{indent}]"
+    lines = []
+    for key, item in value.items():
+        name = json.dumps(key, ensure_ascii=False)
+        lines.append(f"{name}: {_layout(item, inner)}")
+    return f"{{\n{inner}" + f",\n{inner}".join(lines) + f"\n{indent}}}"
 
 
-def _is_number_or_run(item: Any) -> bool:
-    if isinstance(item, Mapping):
-        return item.keys() == {"repeat", "value"}
-    return isinstance(item, int | float)
-
-
-def _filled(items: list[Any], indent: str) -> str:
-    """Return items with commas between them, in lines of at most ``LINE`` characters where they fit."""
-    # a line does not end inside an item
-    whole = [json.dumps(item, ensure_ascii=False).replace(" ", "\0") for item in items]
-    lines = textwrap.fill(
-        ", ".join(whole),
-        LINE,
-        initial_indent=indent,
-        subsequent_indent=indent,
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
-    return lines.replace("\0", " ")
+def _filled(items: list[str]) -> list[str]:
+    """Return items joined to lines of at most ``LINE`` characters."""
+    lines = [items[0]]
+    for item in items[1:]:
+        if len(lines[-1]) + len(item) > LINE:
+            lines.append(item)
+        else:
+            lines[-1] += f", {item}"
+    return lines

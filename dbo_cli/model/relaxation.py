@@ -57,25 +57,21 @@ class Relaxation:
     def __post_init__(self) -> None:
         """Refuse what no actuator has, naming the key."""
         if not math.isfinite(self.reference):
-            raise ModelError(
-                f"relaxation.reference: {self.reference!r} is not a finite number"
-            )
+            raise ModelError(f"reference: {self.reference!r} is not a finite number")
         if not self.tau:
-            raise ModelError("relaxation.tau: is empty; leave relaxation out instead")
+            raise ModelError("tau: is empty; leave relaxation out instead")
         if len(self.tau) != len(self.gain):
             raise ModelError(
-                f"relaxation.gain: has {len(self.gain)} entries where relaxation.tau has {len(self.tau)}"
+                f"gain: has {len(self.gain)} entries where tau has {len(self.tau)}"
             )
         for place, tau in enumerate(self.tau):
             if not (math.isfinite(tau) and tau > 0.0):
                 raise ModelError(
-                    f"relaxation.tau[{place}]: {tau!r} is not a finite time greater than 0"
+                    f"tau[{place}]: {tau!r} is not a finite time greater than 0"
                 )
         for place, gain in enumerate(self.gain):
             if not math.isfinite(gain):
-                raise ModelError(
-                    f"relaxation.gain[{place}]: {gain!r} is not a finite number"
-                )
+                raise ModelError(f"gain[{place}]: {gain!r} is not a finite number")
 
     @property
     def negative(self) -> float:

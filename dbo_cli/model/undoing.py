@@ -161,13 +161,13 @@ class Undoing(NamedTuple):
     ----------
     sections : tuple
         (y, a, b) of each section.
-    past : tuple of float, or None
+    past : tuple of float
         The last two values wanted before the block, for the delay.
     """
 
     dt: float
     sections: SectionStates
-    past: tuple[float, ...] | None = None
+    past: tuple[float, ...] = ()
 
 
 class Inverter:

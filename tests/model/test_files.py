@@ -141,7 +141,7 @@ def _drop(values: dict[str, Any], key: str) -> None:
 BROKEN: list[tuple[Change, str, bool]] = [
     (lambda m: m["stages"][1].update(dx=[-0.1]), "stages[1].dx[0]: -0.1", True),
     (lambda m: m["stages"][1].update(dx=[{"repeat": 0, "value": 1.0}]), "stages[1].dx[0].repeat", True),
-    (lambda m: m["stages"][1].update(dx=[{"repeat": 10**7, "value": 1.0}]), "stages[1].dx: has more", True),
+    (lambda m: m["stages"][1].update(dx=[{"repeat": 10**7, "value": 1.0}]), "stages[1].dx[0].repeat", True),
     (lambda m: m["stages"][1]["dy"].pop(), "stages[1].dy: has 49", False),
     (lambda m: m["stages"][1].update(x0=1e99), "stages[1].x0: 1e+99", True),
     (lambda m: m["stages"][1].update(x0=True), "stages[1].x0: true", True),
@@ -155,7 +155,6 @@ BROKEN: list[tuple[Change, str, bool]] = [
     (lambda m: m["stages"][4]["sections"][2].update(lead=1.0), "stages[4].sections[2].lead", False),
     (lambda m: m["stages"][5].update(type="plays"), "stages", True),
     (lambda m: m["stages"].reverse(), "stages[", False),
-    (lambda m: m["stages"].extend([m["stages"][3]] * 20), "stages: has more than 16", True),
     (lambda m: _drop(m, "output"), "output: is missing", True),
     (lambda m: m["input"].update(max=0.0), "input.max: 0.0", False),
     (lambda m: m["input"].update(unit=3), "input.unit: 3", True),
@@ -164,7 +163,7 @@ BROKEN: list[tuple[Change, str, bool]] = [
     (lambda m: m.update(direction="sideways"), "direction: 'sideways'", True),
     (lambda m: m["fit"].update(rmse=-1.0), "fit.rmse: -1.0", True),
     (lambda m: m["fit"].update(rmse="small"), 'fit.rmse: "small"', True),
-    (lambda m: m.update(candidates=m["candidates"] * 3), "candidates: has more than 5", True),
+    (lambda m: m.update(candidates=m["candidates"] * 3), "candidates: 6 are more than 5", True),
     (lambda m: m["candidates"][1].update(weight=0), "candidates[1].weight: 0", True),
     (lambda m: m["candidates"][1]["stages"][0].update(y0="a"), "candidates[1].stages[0].y0", True),
     (lambda m: m["candidates"][1].update(stages=[]), "candidates[1].stages", True),
@@ -192,7 +191,7 @@ def test_what_is_wrong_is_named(change: Change, place: str, in_schema: bool) -> 
         ('{"format": "dbo-state", "version": 1}', "dbo-model"),
         ('{"format": "dbo-model", "version": 1, "x": NaN}', "is missing"),
         ("[" * 100_000, "readable"),
-        ("[1, 2]", "no JSON object"),
+        ("[1, 2]", "not an object"),
     ],
 )
 def test_no_model_files(text: str, said: str, tmp_path: Path) -> None:
@@ -267,7 +266,7 @@ def test_a_state_comes_back_and_serves_the_inverse(tmp_path: Path) -> None:
         (lambda s: s.update(bits="f" * 99), "bits: "),
         (lambda s: s.update(gears=49), "gears: "),
         (lambda s: s.update(memory=[1.0]), "memory: has 1"),
-        (lambda s: s.update(sections=[[0, 0, 0]]), "sections: has 1"),
+        (lambda s: s.update(sections=[0, 0, 0]), "sections: has 3"),
         (lambda s: s["sections"].__setitem__(1, [0, 0]), "sections[1]: "),
         (lambda s: s["delay"]["values"].pop(), "delay.values: "),
         (lambda s: s["delay"]["times"].reverse(), "delay.times: "),
