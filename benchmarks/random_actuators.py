@@ -30,7 +30,7 @@ MOVES = ("sine", "walk", "jumps", "rest", "beyond", "ramp")
 
 
 def random_actuator(rng: Random, dt: float) -> Model:
-    """Return a model of gears, and perhaps points, a scale, dynamics and a delay, that ``dt`` (s) resolves."""
+    """Return a model of gears and perhaps points, a scale, dynamics, a delay; ``dt`` (s) is its step."""
     while True:
         try:
             return _attempt(rng, dt)
