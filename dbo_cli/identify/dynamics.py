@@ -117,10 +117,12 @@ class Fitted:
 class Signals:
     """Of one fast part: what the static model predicts, and what was measured."""
 
-    def __init__(self, model: Model, part: FastPart) -> None:
+    def __init__(self, model: Model, part: FastPart, creep: Sequence[Lag] = ()) -> None:
         log, rows = part.recording, part.rows
         still = without_fast_lags(model.static, FAST_LAGS / part.band[0])
         moved, _ = still.simulate(log.voltage[: rows.stop], dt=part.dt)
+        if creep:
+            moved, _ = Dynamics(tuple(creep)).run(moved, part.dt)
         self.dt = part.dt
         self.predicted = np.asarray(moved[rows], dtype=np.float64)
         self.measured = log.displacement[rows]
@@ -192,14 +194,16 @@ def refine(
     sections: Sequence[Section],
     delay: float,
     wanted: str | int = "auto",
+    creep: Sequence[Lag] = (),
 ) -> tuple[tuple[Section, ...], float, dict[str, Any]]:
     """Return sections, delay and figures fitted again around those found, with a static model that knew them.
 
     What hides a weak second resonance from the first reading of the slow rows is gone
-    with the second: one more is offered.
+    with the second: one more is offered. ``creep`` stands behind the gears and before
+    the sections; it is not among those returned.
     """
     band = _band(fast)
-    signals = [Signals(static, part) for part in fast]
+    signals = [Signals(static, part, creep) for part in fast]
     form, start = _parameters(sections, delay, signals)
     best = fitted(signals, [start], form, band)
     if wanted == "auto" and form.resonances < MOST_RESONANCES and not best.white:
