@@ -57,6 +57,16 @@ class Limits:
     unit: str | None = "V"
     extrapolate: bool = False
 
+    def __post_init__(self) -> None:
+        """Refuse a move's range beyond the rating, and a slew that is none (UsageError)."""
+        (low, high), (least, greatest) = self.rating, self.move
+        if not low <= least < greatest <= high:
+            raise UsageError(
+                f"limits: {least:g} to {greatest:g} is no range within {low:g} to {high:g}"
+            )
+        if self.slew is not None and not self.slew > 0.0:
+            raise UsageError(f"`max_slew` {self.slew:g}: give a number above 0")
+
     @classmethod
     def within(
         cls,
@@ -122,7 +132,8 @@ class Limits:
 
     def range_of(self, part: str) -> tuple[float, float]:
         """Return the range of a part of a drive: ``move``, or ``lead`` and ``return``."""
-        return self.move if part == "move" else self.rating
+        ranges = {"move": self.move, "lead": self.rating, "return": self.rating}
+        return ranges[part]
 
     def largest_step(self, dt: float | Floats | None) -> float | Floats | None:
         """Return the largest change in a time step (s), rounded down; None where any change is allowed.
