@@ -504,24 +504,6 @@ done:
     return Py_BuildValue("");
 }
 
-static PyObject *smooth(PyObject *module, PyObject *args) {
-    Py_buffer weight, x, y;
-    int ready = 0;
-    (void)module;
-    if (!PyArg_ParseTuple(args, "y*y*w*", &weight, &x, &y)) return NULL;
-    if (NUMBERS(x) != NUMBERS(y) + 2 * NUMBERS(weight) && too_short("x")) goto done;
-    ready = 1;
-    Py_BEGIN_ALLOW_THREADS
-    dbo_smooth(NUMBERS(weight), weight.buf, x.buf, y.buf, NUMBERS(y));
-    Py_END_ALLOW_THREADS
-done:
-    PyBuffer_Release(&weight);
-    PyBuffer_Release(&x);
-    PyBuffer_Release(&y);
-    if (!ready) return NULL;
-    return Py_BuildValue("");
-}
-
 /* The plays out of buffers; 0 with an error set where lengths do not match. The table has three or four rows. */
 static int assemble_plays(dbo_plays *op, Py_ssize_t n, const Py_buffer *table, const Py_buffer *curve,
                           const Py_buffer *z) {
@@ -635,7 +617,6 @@ static PyMethodDef methods[] = {
     {"plays_run", plays_run, METH_VARARGS, "A weighted sum of plays over a block of samples."},
     {"plays_rows", plays_rows, METH_VARARGS, "Every play in every sample."},
     {"plays_solve", plays_solve, METH_VARARGS, "The input of a weighted sum of plays from its output."},
-    {"smooth", smooth, METH_VARARGS, "A symmetric weighted mean over a block of samples."},
     {"between", between, METH_VARARGS, "A signal at other times, smoothly between its samples."},
     {"between_even", between_even, METH_VARARGS, "Evenly spaced samples, shifted by a part of a step."},
     {"add_products", fit_add_products, METH_VARARGS, "add_products(table, columns, matrix)"},

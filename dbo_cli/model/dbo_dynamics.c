@@ -42,18 +42,3 @@ void dbo_dynamics_undo(const dbo_section_inverse *section, dbo_inverse_state *st
         u[k] = y[k] + ((section->a_out * state->a + section->b_out * state->b) + u[k]);
     }
 }
-
-void dbo_smooth(size_t reach, const double *weight, const double *x, double *y, size_t count) {
-    const double *middle = x + reach;
-    for (size_t begin = 0; begin < count; begin += CHUNK) {
-        const size_t end = count - begin < CHUNK ? count : begin + CHUNK;
-        for (size_t k = begin; k < end; k++) y[k] = 0.0;
-        for (size_t j = reach; j > 0; j--) {
-            const double part = weight[j - 1];
-            const double *before = middle - j, *after = middle + j;
-            for (size_t k = begin; k < end; k++)
-                y[k] += part * ((before[k] - middle[k]) + (after[k] - middle[k]));
-        }
-        for (size_t k = begin; k < end; k++) y[k] = middle[k] + y[k];
-    }
-}

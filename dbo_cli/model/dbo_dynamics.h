@@ -1,7 +1,6 @@
-/* The linear dynamics behind the gears: second-order sections and lags, their inverse, and a smoother.
+/* The linear dynamics behind the gears: second-order sections and lags, and their inverse.
  *
- * C99, no allocation, no library calls; the same rules as dbo_kernel.h. The readable twin is
- * kernel.py; both give the same bits. All numbers that depend on a model or on the time between
+ * C99, no allocation, no library calls; the same rules as dbo_kernel.h. All numbers that depend on a model or on the time between
  * samples are made by the caller (dynamics.py), once for an even clock.
  */
 #ifndef DBO_DYNAMICS_H
@@ -57,9 +56,5 @@ void dbo_dynamics_run(size_t sections, const dbo_section_output *output, dbo_sec
 /* The input of one section for `count` samples of its output; `y` holds `ahead` samples more. */
 void dbo_dynamics_undo(const dbo_section_inverse *section, dbo_inverse_state *state, const double *y,
                        double *u, size_t count);
-
-/* A symmetric weighted mean: `x` begins `reach` samples before the first of `y` and ends `reach` after the
- * last; `weight` is of the samples 1, 2, ... `reach` away, and constants come through unchanged. */
-void dbo_smooth(size_t reach, const double *weight, const double *x, double *y, size_t count);
 
 #endif

@@ -3,7 +3,6 @@
  * The slope at a sample is that of the polynomial through five samples, and is limited as in H. T. Huynh, "Accurate
  * Monotone Cubic Interpolation", SIAM J. Numer. Anal. 30 (1993), scheme M3-A: where the samples rise, what is between
  * them rises; a turn lies between two samples only where the second differences on both sides agree that there is one.
- * interpolation.py has the same functions in Python, with the same bits.
  */
 #ifndef DBO_INTERPOLATION_H
 #define DBO_INTERPOLATION_H

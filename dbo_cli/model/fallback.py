@@ -17,7 +17,7 @@ Words = NDArray[np.uint64]
 
 
 class _Walk:
-    """The state of the gears on its way through a block: B, and X_B, Y_B relative to X_0, Y_0 (1)-(3)."""
+    """The gears on their way through a block: B, and X_B, Y_B relative to X_0, Y_0 (1)-(3)."""
 
     def __init__(self, table: Floats, n: int, words: Words) -> None:
         self.rows: list[list[float]] = table[:n, :4].tolist()
@@ -31,58 +31,48 @@ class _Walk:
 
     def next_gear(self, rising: bool) -> int:
         """Return Z, the lowest zero bit (5), or S, the lowest one bit (4); n where there is none."""
-        wanted = ~self.bits & ((1 << self.n) - 1) if rising else self.bits
+        wanted = self.bits
+        if rising:
+            wanted = ~self.bits & ((1 << self.n) - 1)
         if not wanted:
             return self.n
         return (wanted & -wanted).bit_length() - 1
 
-    def left(self, u: float, kappa: float) -> float:
-        """Return how far the input u is above X_B, the memory's part kappa of the output included."""
-        return u - (self.x + kappa * self.y)
-
-    def travel(
-        self, u: float, kappa: float, low: float, high: float, rising: bool
-    ) -> int:
-        """Cross gears (6)-(9) towards u as long as the output stays in [low, high]; return the engaged gear.
+    def travel(self, goal: float, by_x: float, by_y: float) -> int:
+        """Cross gears (6)-(9) until by_x X_B + by_y Y_B is within one of ``goal``; return the gear engaged.
 
         A sample that crosses a gear by the tolerance falls short of the new X_B and
         keeps that gear's own slope.
         """
+        left = goal - (by_x * self.x + by_y * self.y)
+        rising = left >= 0.0
         sign = 1.0 if rising else -1.0
-        last = self.n
+        crossed = self.n
         gear = self.next_gear(rising)
         while gear < self.n:
             dx, dy, _, fraction = self.rows[gear]
-            room = high - self.y if rising else self.y - low
-            travelled = sign * self.left(u, kappa)
-            if travelled < (dx + kappa * dy) * fraction or room < dy * fraction:
+            if sign * left < (by_x * dx + by_y * dy) * fraction:
                 break
             self.bits ^= 1 << gear
             self.x += sign * dx
             self.y += sign * dy
-            last = gear
+            left = goal - (by_x * self.x + by_y * self.y)
+            crossed = gear
             gear = self.next_gear(rising)
-        if last < self.n and sign * self.left(u, kappa) < 0.0:
-            return last
+        if crossed < self.n and sign * left < 0.0:
+            return crossed
         return gear
 
-    def solve(
-        self, u: float, kappa: float, low: float, high: float, extend: bool
-    ) -> tuple[float, bool]:
+    def solve(self, u: float, kappa: float, extend: bool) -> tuple[float, bool]:
         """Return the relative output for the relative input u, (11)-(12), and whether it lies outside."""
-        rising = self.left(u, kappa) >= 0.0
-        gear = self.travel(u, kappa, low, high, rising)
-        d = self.left(u, kappa)
+        gear = self.travel(u, 1.0, kappa)
+        d = u - (self.x + kappa * self.y)
         dx, dy, _, fraction = self.rows[min(gear, self.n - 1)]
         width = dx + kappa * dy
         outside = gear == self.n and abs(d) >= width * (1.0 - fraction)
         if gear == self.n and not extend:
             return self.y, outside
         return self.y + d * (dy / width), outside
-
-    def follow(self, y: float, rising: bool) -> None:
-        """Drive the operator with exchanged axes one way, to the relative output y."""
-        self.travel(math.inf if rising else -math.inf, 0.0, y, y, rising)
 
     def solve_within(
         self, u: float, kappa: float, low: float, high: float, extend: bool
@@ -91,24 +81,13 @@ class _Walk:
 
         The state becomes that of the operator with exchanged axes driven by the output.
         """
-        rising = self.left(u, kappa) >= 0.0
-        # the output may stand beyond the limit that it moves towards
-        if rising and high < self.y:
-            self.follow(high, False)
-            return high, math.inf, False
-        if not rising and low > self.y:
-            self.follow(low, True)
-            return low, math.inf, False
-        y, outside = self.solve(u, kappa, low, high, extend)
-        if y > high:
-            if not rising:
-                self.follow(high, False)
-            return high, y - high, outside
-        if y < low:
-            if rising:
-                self.follow(low, True)
-            return low, low - y, outside
-        return y, 0.0, outside
+        before = self.bits, self.x, self.y
+        y, outside = self.solve(u, kappa, extend)
+        kept = min(max(y, low), high)
+        if kept != y:
+            self.bits, self.x, self.y = before
+            self.travel(kept, 0.0, 1.0)
+        return kept, abs(kept - y), outside
 
 
 def backlash_run(
@@ -123,10 +102,13 @@ def backlash_run(
     widens every gear from dx to dx + kappa dy, and the rest is known.
     """
     walk = _Walk(table, n, words)
-    factors = decay.reshape(-1, gain.size) if gain.size else np.empty((1, 0))
+    factors = np.empty((x.size, gain.size))
+    if gain.size:
+        factors[:] = decay
+    steps = np.broadcast_to(step if step.size else math.inf, x.shape)
     outsides, clips = [], []
     for k, value in enumerate(x.tolist()):
-        a = factors[k if len(factors) > 1 else 0]
+        a = factors[k]
         known = kappa = excess = 0.0
         u = value - x0
         if on_output:
@@ -137,28 +119,29 @@ def backlash_run(
             memory[:] = a * memory + (1.0 - a) * (value - reference)
             known = float(gain @ memory)
         if limited:
-            least, most = low, high
-            if step.size and not math.isnan(last):
-                change = float(step[k if step.size > 1 else 0])
-                least, most = _window(last, change, low, high)
+            least, most = _window(last, float(steps[k]), low, high)
             part, excess, outside = walk.solve_within(
                 u, kappa, least - y0, most - y0, extend
             )
             last = min(max(y0 + part, least), most)
         else:
-            part, outside = walk.solve(u, kappa, -math.inf, math.inf, extend)
-            last = y0 + (part if on_output else part + known)
+            part, outside = walk.solve(u, kappa, extend)
+            last = y0 + part
+        if not on_output:
+            last += known
+        else:
+            memory[:] = a * memory + (1.0 - a) * (last - reference)
         y[k] = last
         outsides.append(outside)
         clips.append(excess > slack)
-        if on_output:
-            memory[:] = a * memory + (1.0 - a) * (last - reference)
     _put_bits(words, walk.bits)
     return *_counted(outsides), *_counted(clips)
 
 
 def _window(last: float, change: float, low: float, high: float) -> tuple[float, float]:
     """Return the limits of one sample; the range wins over the largest change."""
+    if math.isnan(last) or change == math.inf:
+        return low, high
     least = math.nextafter(last - change, last)
     most = math.nextafter(last + change, last)
     return min(max(least, low), high), max(min(most, high), low)
@@ -235,13 +218,6 @@ def dynamics_undo(
     state[:] = last, a, b
 
 
-def smooth(weight: Floats, x: Floats, y: Floats) -> None:
-    """Fill ``y`` with a symmetric weighted mean of ``x``, which has ``len(weight)`` more at either end."""
-    middle = x[weight.size : weight.size + y.size]
-    both = np.concatenate([weight[::-1], [0.0], weight])
-    y[:] = middle + np.convolve(x, both, "valid") - 2.0 * weight.sum() * middle
-
-
 def between_even(values: Floats, out: Floats, place: int, part: float) -> None:
     """Fill ``out`` with values the ``part`` of a step behind sample ``place`` of each six."""
     times = np.arange(6.0)
@@ -298,43 +274,26 @@ def _slope(times: Floats, values: Floats, at: int) -> float:
     """Return the slope at one of six samples, limited (Huynh's scheme M3-A)."""
     secant = np.diff(values) / np.diff(times)
     bends = np.diff(secant) / (times[2:] - times[:-2])
-    curve = [
-        bends[0],
-        *bends,
-        bends[-1],
-    ]  # around each sample; at the ends the neighbour's
-    start = 0 if at < 3 else 1
-    slope = _slope_of_five(
-        times[start : start + 5], values[start : start + 5], at - start
-    )
-    sides = []
+    # around each sample; at the ends the neighbour's
+    curve = np.concatenate([bends[:1], bends, bends[-1:]])
+    five = slice(0, 5) if at < 3 else slice(1, 6)
+    span = times[5] - times[0]
+    polynomial = np.polyfit((times[five] - times[at]) / span, values[five], 4)
+    slope = polynomial[3] / span
+    chords, parabolas = [], []
     if at > 0:
         bend = _nearer(curve[at - 1], curve[at])
-        sides.append(
-            (secant[at - 1], secant[at - 1] + bend * (times[at] - times[at - 1]))
-        )
+        chords.append(secant[at - 1])
+        parabolas.append(secant[at - 1] + bend * (times[at] - times[at - 1]))
     if at < 5:
         bend = _nearer(curve[at], curve[at + 1])
-        sides.append((secant[at], secant[at] - bend * (times[at + 1] - times[at])))
-    chord = _nearer(sides[0][0], sides[-1][0])
-    parabola = _nearer(sides[0][1], sides[-1][1])
+        chords.append(secant[at])
+        parabolas.append(secant[at] - bend * (times[at + 1] - times[at]))
+    chord = _nearer(chords[0], chords[-1])
+    parabola = _nearer(parabolas[0], parabolas[-1])
     low = min(0.0, 3.0 * chord, 1.5 * parabola)
     high = max(0.0, 3.0 * chord, 1.5 * parabola)
     return float(min(max(slope, low), high))
-
-
-def _slope_of_five(times: Floats, values: Floats, at: int) -> float:
-    """Return the slope at one of five samples of the polynomial through them (Lagrange)."""
-    slope = 0.0
-    for k in range(5):
-        others = [j for j in range(5) if j != k]
-        below = math.prod(float(times[k] - times[j]) for j in others)
-        above = 0.0
-        for gone in others:
-            rest = [j for j in others if j != gone]
-            above += math.prod(float(times[at] - times[j]) for j in rest)
-        slope += float(values[k]) * above / below
-    return slope
 
 
 def _nearer(a: float, b: float) -> float:
