@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -250,15 +250,12 @@ class Dynamics:
         state = sections or self.rest(float(x[0]))
         memory = np.array(state, dtype=np.float64)
         y = np.empty(x.size)
-        steps = checked_steps(dt)
-        rows = np.concatenate([part.step(steps) for part in self.sections], axis=1)
-        kernel.recursions().dynamics_run(
-            self._output,
-            memory,
-            np.ascontiguousarray(x, dtype=np.float64),
-            y,
-            np.ascontiguousarray(rows),
-        )
+        if isinstance(dt, np.ndarray):
+            rows = _step_rows(self.sections, checked_steps(dt))
+        else:
+            rows = _even_row(self.sections, dt)
+        signal = np.ascontiguousarray(x, dtype=np.float64)
+        kernel.recursions().dynamics_run(self._output, memory, signal, y, rows)
         return y, as_states(memory)
 
     def loop(self, x: Floats, dt: float) -> Floats:
@@ -275,6 +272,18 @@ class Dynamics:
 
             signal = repeated(after)
         return signal
+
+
+def _step_rows(sections: tuple[Section, ...], steps: Floats) -> Floats:
+    """Return the kernel's numbers, six for each section, in a row for each time step (s)."""
+    rows = np.concatenate([part.step(steps) for part in sections], axis=1)
+    return np.ascontiguousarray(rows)
+
+
+@lru_cache(maxsize=32)
+def _even_row(sections: tuple[Section, ...], dt: float) -> Floats:
+    """Return ``_step_rows`` of one step; every block of a stream asks for it."""
+    return _step_rows(sections, checked_steps(dt))
 
 
 def as_states(memories: Floats) -> SectionStates:

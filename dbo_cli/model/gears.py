@@ -345,8 +345,8 @@ class Gears:
             last=float(first.y[0]),
         )
         y = np.concatenate([first.y, others.y])
-        outside = _added(first.outside, others.outside, others.first_outside)
-        clipped = _added(first.clipped, others.clipped, others.first_clipped)
+        outside = joined(first.outside, others.outside, others.first_outside)
+        clipped = joined(first.clipped, others.clipped, others.first_clipped)
         return GearsRun(y, others.bits, others.memory, *outside, *clipped)
 
     def _memories(self, memory: tuple[float, ...] | None) -> Floats:
@@ -404,7 +404,7 @@ def _rows_of(window: Window | None, begin: int, end: int) -> Window | None:
     return Window(window.low, window.high, steps, window.slack)
 
 
-def _added(first: int, others: int, first_other: int) -> tuple[int, int]:
+def joined(first: int, others: int, first_other: int) -> tuple[int, int]:
     """Return the count of a sample and those behind it, and the place of the first that counts."""
     if first or not others:
         return first + others, 0

@@ -22,7 +22,7 @@ from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model.cascade import Direction, Stage, check_order, digest_of, turned
 from dbo_cli.model.delay import BEFORE, Delay
 from dbo_cli.model.dynamics import Dynamics
-from dbo_cli.model.gears import Gears, GearsRun, Window
+from dbo_cli.model.gears import Gears, GearsRun, Window, joined
 from dbo_cli.model.points import (
     Curves,
     Points,
@@ -669,8 +669,8 @@ class Model:
         return Driven(
             np.concatenate([[first], rest.voltage]),
             rest.state,
-            *_joined(clipped, rest.clipped, rest.first_clipped),
-            *_joined(beyond, rest.outside, rest.first_outside),
+            *joined(clipped, rest.clipped, rest.first_clipped),
+            *joined(beyond, rest.outside, rest.first_outside),
             missed,
         )
 
@@ -717,10 +717,3 @@ def _even(dt: Steps) -> float:
     if not dt > 0.0:
         raise InputError(f"time step: {dt!r} s is not greater than 0")
     return float(dt)
-
-
-def _joined(first: int, others: int, first_other: int) -> tuple[int, int]:
-    """Return the count of a row and those behind it, and the place of the first that counts."""
-    if first or not others:
-        return first + others, 0
-    return others, first_other + 1
