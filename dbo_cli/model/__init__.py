@@ -1,7 +1,7 @@
 """The model of an actuator: gears, points, relaxation, dynamics and delay; its files and states."""
 
-from dbo_cli.model.cascade import Direction, Stage
-from dbo_cli.model.delay import Delay, Held
+from dbo_cli.model.cascade import Stage
+from dbo_cli.model.delay import Delay
 from dbo_cli.model.dynamics import Dynamics, Lag, Mode, Resonance, Section
 from dbo_cli.model.file import (
     dumps_model,
@@ -12,17 +12,15 @@ from dbo_cli.model.file import (
     read_model,
     read_models,
 )
-from dbo_cli.model.gears import Gears, GearsRun, Window
-from dbo_cli.model.model import Candidate, Model, Outside, Sign, Steps
+from dbo_cli.model.gears import Gears, Window
+from dbo_cli.model.model import Candidate, Model, Outside, Steps
 from dbo_cli.model.points import Points, Scale
 from dbo_cli.model.relaxation import Relaxation
 from dbo_cli.model.state import (
     NEGLIGIBLE,
-    Driven,
     OutsideError,
     Quantity,
     Run,
-    StartName,
     State,
     VoltageWindow,
     steps_of,
@@ -35,12 +33,8 @@ __all__ = [
     "NEGLIGIBLE",
     "Candidate",
     "Delay",
-    "Direction",
-    "Driven",
     "Dynamics",
     "Gears",
-    "GearsRun",
-    "Held",
     "Inverter",
     "Lag",
     "Mode",
@@ -54,9 +48,7 @@ __all__ = [
     "Run",
     "Scale",
     "Section",
-    "Sign",
     "Stage",
-    "StartName",
     "State",
     "Stepper",
     "Steps",
