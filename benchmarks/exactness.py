@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import sys
 import time
+from itertools import pairwise
 
 import numpy as np
 from random_actuators import Floats, Random, random_actuator
@@ -99,11 +100,11 @@ def percent(error: Floats) -> float:
     return 100.0 * float(np.sqrt(np.mean(error**2))) / 6.0
 
 
-def driven(model: Model, wanted: Floats) -> Floats:
+def driven(model: Model, wanted: Floats, state: str = "auto") -> Floats:
     """Return the drive of a whole move without limits; the last value is held."""
     ahead = np.full(model.ahead(DT), wanted[-1])
     undone, _ = model.undo(np.concatenate([wanted, ahead]), None, DT)
-    begun = model.start_drive(float(undone[0]))
+    begun = model.start_drive(float(undone[0]), state)
     return np.asarray(model.drive(undone, begun, DT).voltage)
 
 
@@ -118,9 +119,8 @@ def dynamics(count: int) -> float:
         if model.dynamics is None or model.delay_seconds % DT > 1e-9:
             continue  # what a delay between samples leaves stands in the table above
         wanted = between_rests(rng, model)
-        drive = driven(model, wanted)
-        begun = model.start(float(drive[0]))
-        came, _ = model.simulate(drive, dt=DT, state=begun)
+        drive = driven(model, wanted, "empty")
+        came, _ = model.simulate(drive, dt=DT, state="empty")
         errors.append(float(np.abs(came - wanted)[:-REST].max()) / model.output.span)
     middle, most = np.quantile(errors, (0.5, 1.0))
     print(f"\ndynamics: {count} actuators; worst error of a sample, of the range")
@@ -129,10 +129,12 @@ def dynamics(count: int) -> float:
 
 
 def between_rests(rng: Random, model: Model) -> Floats:
-    """Return a smooth move that begins and ends at rest, inside what the model reaches."""
+    """Return a smooth move from rest at the lower end of the drive to a rest inside the reach."""
+    bottom, _ = model.simulate([model.input.min], dt=DT, state="empty")
     knots = rng.uniform(0.25, 0.75, 12)
-    part = np.concatenate([np.full(REST, knots[0])])
-    for before, after in zip(knots[:-1], knots[1:], strict=True):
+    knots[0] = (bottom[0] - model.output.min) / model.output.span
+    part = np.full(REST, knots[0])
+    for before, after in pairwise(knots.tolist()):
         rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, 61) / 60)
         part = np.concatenate([part, before + (after - before) * rise])
     part = np.concatenate([part, np.full(2 * REST, knots[-1])])
