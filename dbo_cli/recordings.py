@@ -6,8 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from dbo_cli.errors import LimitError, warn
 from dbo_cli.logs import Reading, open_log
 from dbo_cli.units import quantity_name
+
+CLEAR = 0.3
+"""Correlation of voltage and displacement from which on it is clear which way they go together."""
 
 if TYPE_CHECKING:
     from dbo_cli.identify import Recording
@@ -71,10 +77,34 @@ def read_recording(
             voltage=table["voltage"],
             displacement=table["displacement"],
             time=table.time,
-            input=(quantity_name("voltage", drive.unit), drive.unit),
-            output=(quantity_name("displacement", moved.unit), moved.unit),
+            input=(quantity_name("voltage", drive.unit), drive.unit),  # type: ignore[arg-type]
+            output=(quantity_name("displacement", moved.unit), moved.unit),  # type: ignore[arg-type]
+        )
+    for doubt in log.doubtful:
+        warn(f"{path}: {doubt}")
+    if table.time is None:
+        warn(
+            f"{path}: no clock: delay, lag and creep are not looked for (`time` COLUMN or `sample_rate` HZ)"
         )
     return recording, log
+
+
+def require_sign(recordings: Sequence[Recording], wanted: str | None) -> None:
+    """Refuse logs in which the displacement goes the other way than was said.
+
+    Raises
+    ------
+    LimitError
+        It does.
+    """
+    for recording in recordings:
+        shared = float(np.corrcoef(recording.voltage, recording.displacement)[0, 1])
+        found = "rising" if shared > 0.0 else "falling"
+        if wanted not in (None, found) and abs(shared) > CLEAR:
+            raise LimitError(
+                f"{recording.name}: displacement is {found} as voltage rises, and `sign` is {wanted}"
+                " (`scale` displacement=-1 turns it)"
+            )
 
 
 def provenance(recordings: Sequence[Recording], logs: Sequence[Log]) -> dict[str, Any]:
@@ -83,7 +113,10 @@ def provenance(recordings: Sequence[Recording], logs: Sequence[Log]) -> dict[str
 
     sources = []
     for recording, log in zip(recordings, logs, strict=True):
-        source: dict[str, Any] = {"name": Path(log.name).name, "rows": len(recording.voltage)}
+        source: dict[str, Any] = {
+            "name": Path(log.name).name,
+            "rows": len(recording.voltage),
+        }
         for role, column in log.columns.items():
             source[role] = column.name
         sources.append(source)

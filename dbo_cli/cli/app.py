@@ -15,7 +15,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from dbo_cli.cli.options import OUTPUT, speaks
-from dbo_cli.cli.say import Level, print_line, show_warnings
+from dbo_cli.cli.say import Level, hear_warnings, print_line, say_warnings
 from dbo_cli.errors import DboError
 
 INTERRUPTED = 130  # 128 and the number of SIGINT, as shells report it
@@ -67,7 +67,7 @@ class Command(TyperCommand):
 
 def _heading(parameter: Any) -> str:
     """Return the heading under which help lists an option."""
-    if parameter.name in ("help", "help_all"):
+    if "help" in parameter.name:
         return OUTPUT
     return getattr(parameter, "rich_help_panel", None) or "Options"
 
@@ -161,9 +161,10 @@ def program() -> Any:
 
 def main(words: Sequence[str]) -> int:
     """Run one command line and return its exit code."""
-    show_warnings()
+    hear_warnings()
     try:
         _run(list(words))
+        say_warnings()
         sys.stdout.flush()
         return 0
     except typer.Exit as leaving:
@@ -181,6 +182,7 @@ def main(words: Sequence[str]) -> int:
             import traceback
 
             traceback.print_exc()
+        say_warnings()
         text, code = _explained(problem, words)
         print_line(f"error: {text}")
         return code

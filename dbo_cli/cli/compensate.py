@@ -31,7 +31,7 @@ from dbo_cli.cli.options import (
     seconds_or_auto,
 )
 from dbo_cli.cli.say import detail, progress, say
-from dbo_cli.cli.simulate import START_NAMES, present
+from dbo_cli.cli.simulate import START_NAMES, present, warn_doubts
 from dbo_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -237,6 +237,7 @@ def compensate(
             outputs.write_text(save_state, dumps_state(drive.state, actuator))
         if kept is not None:
             outputs.write_text(kept, dumps_history(drive.history))
+    warn_doubts(wanted)
     say(wanted.line())
     detail(*wanted.remarks)
     say(f"{named(output)}: {drive.line()}")

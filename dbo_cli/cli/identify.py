@@ -14,8 +14,6 @@ from dbo_cli.cli.options import (
     Summary,
     Text,
     Time,
-    VMax,
-    VMin,
     Voltage,
     count,
     quantity,
@@ -116,8 +114,6 @@ def identify(
             rich_help_panel=STRUCTURE,
         ),
     ] = "least-squares",
-    v_min: VMin = None,
-    v_max: VMax = None,
     force: Annotated[
         bool, Option("--force", help="Keep a model no better than a straight line.")
     ] = False,
@@ -152,7 +148,6 @@ def identify(
         slopes=slopes,
         method=method,
         force=force,
-        rating=(quantity("v_min", v_min, "V"), quantity("v_max", v_max, "V")),
     )
     columns = {"time": time, "voltage": voltage, "displacement": displacement}
     if not channels.is_pattern(columns):
@@ -185,11 +180,12 @@ def one_model(
 ) -> Model:
     """Identify one actuator, and say what was read."""
     from dbo_cli.identify import identify as fit
-    from dbo_cli.recordings import read_recordings, with_provenance
+    from dbo_cli.recordings import read_recordings, require_sign, with_provenance
     from dbo_cli.reports import show_model
 
     recordings, logs = read_recordings(paths, reading, columns)
     others, _ = read_recordings(validate, reading, columns, units_of(recordings))
+    require_sign(recordings, options.sign)
     working("identifying")
     model = fit(recordings, options, others)
     for log in logs:

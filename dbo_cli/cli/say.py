@@ -11,7 +11,7 @@ import sys
 import time
 import warnings
 from collections.abc import Iterable, Iterator
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from dbo_cli.errors import DboWarning
 
@@ -25,11 +25,12 @@ _VALUE_HELD = TypeVar("_VALUE_HELD")
 
 
 class Level:
-    """How much is said: set once, by the options of the command."""
+    """How much is said: set once, by the options of the command; and the warnings that are due."""
 
     quiet = False
     verbose = False
     debug = False
+    warnings: ClassVar[list[str]] = []
 
 
 def say(text: str) -> None:
@@ -62,16 +63,25 @@ def shell_line(text: str) -> str:
     )
 
 
-def show_warnings() -> None:
-    """Print each ``DboWarning`` as a line; what libraries warn programmers of stays unsaid."""
+def hear_warnings() -> None:
+    """Keep each ``DboWarning`` for the end; what libraries warn programmers of stays unsaid."""
+    Level.warnings.clear()
     warnings.simplefilter("ignore")
     warnings.simplefilter("always", DboWarning)
     warnings.showwarning = _show  # type: ignore[assignment]
 
 
 def _show(message: Any, category: Any, *_: Any) -> None:
-    if issubclass(category, DboWarning) and not Level.quiet:
-        print_line(f"warning: {message}")
+    text = str(message)
+    if issubclass(category, DboWarning) and text not in Level.warnings:
+        Level.warnings.append(text)
+
+
+def say_warnings() -> None:
+    """Print the warnings, behind what the command said."""
+    for text in Level.warnings:
+        say(f"warning: {text}")
+    Level.warnings.clear()
 
 
 def progress(blocks: Iterable[_VALUE_HELD], what: str) -> Iterator[_VALUE_HELD]:

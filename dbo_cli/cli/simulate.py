@@ -21,7 +21,7 @@ from dbo_cli.cli.options import (
     reads_logs,
 )
 from dbo_cli.cli.say import detail, progress, say
-from dbo_cli.errors import InputError, warn
+from dbo_cli.errors import InputError, ModelError, warn
 
 if TYPE_CHECKING:
     from dbo_cli.drive.simulate import Simulation
@@ -76,6 +76,10 @@ def simulate(
     ):
         blocks = progress(signal.blocks(), "simulated")
         first = next(blocks, None)
+        if actuator.needs_time and first is not None and first.time is None:
+            raise ModelError(
+                f"{signal.name}: no clock, and this model depends on time (`time` COLUMN or `sample_rate` HZ)"
+            )
         table = outputs.create(output, output_columns(actuator, signal, first))
         fed = feed(first, blocks, run)
         try:
@@ -90,6 +94,7 @@ def simulate(
             after = dataclasses.replace(run.state, time=last_time)
             outputs.write_text(save_state, dumps_state(after, actuator))
     warn_outside(run, actuator)
+    warn_doubts(signal)
     say(signal.line())
     detail(*signal.remarks)
     say(
@@ -141,6 +146,12 @@ def output_columns(
     names.append((model.input.quantity, log.columns["input"].unit))
     names.append((model.output.quantity, model.output.unit))
     return names
+
+
+def warn_doubts(log: Log) -> None:
+    """Warn of what is odd about the rows of a log."""
+    for doubt in log.doubtful:
+        warn(f"{log.name}: {doubt}")
 
 
 def warn_outside(run: Simulation, model: Model) -> None:

@@ -331,6 +331,9 @@ def check_played(
         else (1.0, float(np.mean(theirs - ours)))
     )
     largest = float(np.abs(theirs - ours).max())
+    if abs(offset) < 1e-9 * most:
+        offset = 0.0
+    unit = f" {checked.unit}" if checked.unit else ""
     late = None if played_step is None else (lag + part) * played_step
     checked.played = Played(
         shared, lag + part, late, float(gain), float(offset), largest, most
@@ -346,8 +349,8 @@ def check_played(
         )
     if largest > most:
         checked.problems.append(
-            f"what was played differs by up to {largest:.4g}, more than {most:.3g} (gain {gain:.5g},"
-            f" offset {offset:.3g})"
+            f"what was played differs by up to {largest:.4g}{unit}, more than {most:.3g}{unit}"
+            f" (gain {gain:.5g}, offset {offset:.3g}{unit})"
         )
 
 

@@ -126,7 +126,8 @@ class Drive:
         """Return what came out: ``4,910 rows, 3.1 to 96.2 V, within limits``."""
         text = f"{self.rows:,} rows, {self.least:.4g} to {self.greatest:.4g}{self.limits.suffix}"
         if self.clipped:
-            return f"{text}, {self.clipped:,} rows clipped at the limits"
+            rows = "row" if self.clipped == 1 else "rows"
+            return f"{text}, {self.clipped:,} {rows} clipped at the limits"
         return f"{text}, within limits"
 
     def lead_line(self) -> str:

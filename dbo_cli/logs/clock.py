@@ -261,12 +261,12 @@ class Clock:
             )
         elif self.repeats:
             s = " is" if self.repeats == 1 else "s are"
-            self.remarks.append(f"{self.repeats:,} time stamp{s} repeated")
+            warn(f"{self.name}: {self.repeats:,} time stamp{s} repeated")
         if self.gaps and 2 * self.repeats <= self.rows:
             s = "" if self.gaps == 1 else "s"
-            self.remarks.append(
-                f"{self.gaps:,} gap{s} in time, the first before row {self.first_gap:,}, the largest "
-                f"{self.largest_gap:.4g} s"
+            warn(
+                f"{self.name}: {self.gaps:,} gap{s} in time, the first before row {self.first_gap:,}, the "
+                f"largest {self.largest_gap:.4g} s"
             )
         if self.kind == "column" and not self.given:
             self._doubt_unit()
