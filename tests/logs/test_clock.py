@@ -40,6 +40,7 @@ def test_even_to_the_decimals_that_are_written(tmp_path: Path) -> None:
     assert table.dt == pytest.approx(1 / 3000, rel=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 def test_uneven_time_gives_each_step(tmp_path: Path) -> None:
     table, log = read(
         write(tmp_path, ["0", "0.001", "0.003", "0.004", "0.020", "0.020"])
@@ -190,6 +191,7 @@ def test_statements_of_a_rate() -> None:
             stated_rate(bad, said)
 
 
+@pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 def test_resampling_is_linear_and_even(tmp_path: Path) -> None:
     path = write(tmp_path, ["0", "0.1", "0.4", "0.5"])
     table, log = read(path, resample=10.0)
