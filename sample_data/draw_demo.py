@@ -13,12 +13,11 @@ from __future__ import annotations
 import sys
 
 import numpy as np
-from matplotlib import rc_context, rc_params_from_file
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from virtual_actuator import read_drive
 
-from dbo_cli.reports import drawing as style
+from dbo_cli.reports.plots import DASHED, INK, SOLID, style
 
 
 def draw(uncompensated: str, compensated: str, picture: str) -> None:
@@ -29,14 +28,12 @@ def draw(uncompensated: str, compensated: str, picture: str) -> None:
             logs.append(read_drive(file))
     time, desired = logs[0]["time"], logs[0]["desired"]
     labels = []
-    looks = [("straight-line drive", style.DASHED), ("compensated by dbo", style.SOLID)]
-    with rc_context(rc_params_from_file(style.STYLE_FILE, use_default_template=False)):
+    looks = [("straight-line drive", DASHED), ("compensated by dbo", SOLID)]
+    with style():
         figure = Figure(figsize=(8.0, 4.2), layout="constrained")
         FigureCanvasAgg(figure)
         above, below = figure.subplots(2, 1, sharex=True)
-        above.plot(
-            time, desired, color=style.INK, linewidth=2.4, alpha=0.25, label="desired"
-        )
+        above.plot(time, desired, color=INK, linewidth=2.4, alpha=0.25, label="desired")
         for log, (label, look) in zip(logs, looks, strict=True):
             error = log["displacement"] - log["desired"]
             rmse = float(np.sqrt(np.mean(error**2)))
