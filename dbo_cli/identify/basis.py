@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.identify.recording import Floats
-from dbo_cli.model import Dynamics, Relaxation, Section, kernel
-from dbo_cli.model.dynamics import SectionStates
+from dbo_cli.model import Relaxation, kernel
 
 Integers = NDArray[np.int64]
 
@@ -25,6 +24,7 @@ GEARS = 2048  # of a model inside its range, all of one width
 SPARE = 0.125  # of the drive's range: gears beyond either end, for drives that go further
 CELLS = 96  # different slopes among them
 CELL_GROWTH = 1.5  # a cell's upper edge grows with its number to this power
+SEGMENTS = 24  # of the curve behind the gears
 BEND_SEGMENTS = 32  # of the points before the gears
 TAU_RATIO = 3.0  # of neighbouring time constants
 BLOCK_ROWS = 4096  # of the full rate that are held at once
@@ -43,8 +43,8 @@ class Structure:
         ``smooth_curve`` is a straight line
     delay : seconds
     bend : of the drive
+    segments : of the curve
     drift : order of the polynomial in time fitted beside the model
-    sections : dynamics behind the gears
     """
 
     slopes: str = "growing"
@@ -53,8 +53,8 @@ class Structure:
     smooth_curve: float = np.inf
     delay: float = 0.0
     bend: float = 0.0
+    segments: int = SEGMENTS
     drift: int = 0
-    sections: tuple[Section, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -188,7 +188,7 @@ def time_constants(logs: Sequence[PreparedLog]) -> Floats:
 
 @dataclass
 class Basis:
-    """Columns of one log at the rows wanted, for one delay, bend and set of sections.
+    """Columns of one log at the rows wanted, for one delay and bend.
 
     Attributes
     ----------
@@ -221,11 +221,10 @@ class Basis:
         """Return plays, lags and what the drive is beyond its range, at these rows in order."""
         drive = bent(log.drive, structure.bend)
         parts = []
-        filters = Filters(structure.sections, log.dt)
         for first, table in self._full_rate(log, drive):
             last = first + len(table)
             begin, end = np.searchsorted(rows, (first, last))
-            parts.append(filters.run(table)[rows[begin:end] - first])
+            parts.append(table[rows[begin:end] - first])
         return np.vstack(parts)
 
     def _full_rate(
@@ -288,26 +287,3 @@ def _delayed_rows(
     )
     taken = whole[None, :] + np.arange(-1, 3)[:, None]
     return np.clip(taken, 0, len(log.time) - 1), weights
-
-
-class Filters:
-    """Dynamics that run over every column, block after block, from rest at the first row."""
-
-    def __init__(self, sections: tuple[Section, ...], dt: float) -> None:
-        self._dynamics = Dynamics(sections) if sections else None
-        self._dt = dt
-        self._states: list[SectionStates | None] = []
-
-    def run(self, table: Floats) -> Floats:
-        """Return a block of columns (rows, columns) behind the sections."""
-        if self._dynamics is None:
-            return table
-        states = self._states or [None] * table.shape[1]
-        behind = np.empty_like(table)
-        for place in range(table.shape[1]):
-            column = np.ascontiguousarray(table[:, place])
-            behind[:, place], states[place] = self._dynamics.run(
-                column, self._dt, states[place]
-            )
-        self._states = states
-        return behind

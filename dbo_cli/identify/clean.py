@@ -15,6 +15,7 @@ from dbo_cli.identify.recording import (
     Integers,
     Options,
     Recording,
+    turning_points,
 )
 
 SPIKE_WINDOW = 7  # rows: longer ones have turns of the drive in them
@@ -26,6 +27,7 @@ OF_NORMAL = 1.4826  # standard deviation over the median distance, of normal noi
 STUCK_PATH = 0.08  # of the drive's range: a working sensor of 5 bits repeats itself so far
 CLIPPED_ROWS = 5  # at the sensor's extreme
 CLIPPED_STEEPNESS = 0.35  # of the mean slope: an actuator comes to rest before it stands
+TURNS_BACK = 0.01  # of the drive's range
 GLITCH = 3.0  # times the largest other step of the drive
 
 
@@ -52,7 +54,17 @@ def clean(
                 " skip less"
             )
         logs.append(replace(log, good=good))
+    if not any(turns_back(log.voltage) for log in logs):
+        raise FitError(
+            f"{logs[0].name}: the voltage never turns back, so that no hysteresis can be seen; record a drive"
+            " that goes up and down"
+        )
     return logs, notes
+
+
+def turns_back(voltage: Floats) -> bool:
+    """Whether a drive goes up and down by more than noise."""
+    return len(turning_points(voltage, TURNS_BACK * float(np.ptp(voltage)))) > 2
 
 
 def without_sensor_delay(log: Recording, delay: float) -> Recording:

@@ -51,7 +51,7 @@ def with_creep(
     curves
         Smoothness of the curve behind the gears, from a straight line on.
     """
-    bare = replace(structure, memories="", sections=())
+    bare = replace(structure, memories="")
     freed, fits = problem, list[Fit]()
     creep: tuple[Lag, ...] = ()
     for number in range(ROUNDS + 1):

@@ -15,6 +15,7 @@ from dbo_cli.identify.solve import Fit, Rows, solve
 WIDTH = 0.15  # of the score: a fit that is worse by so much weighs exp(-1)
 LEAST_WEIGHT = 1e-3
 MOST_FITS = 60
+CANDIDATES = 5  # that travel in the model file
 INVENTED_ROWS = 1500
 INVENTED_WEIGHT = 0.5  # of a row, beside one of the logs
 BEYOND = 0.05  # of the range: the invented drive goes so far beyond the logs'
@@ -42,8 +43,23 @@ class Average:
         some = weights[order] / weights[order].sum()
         return Average(tuple(fits[place] for place in order), some)
 
+    def heaviest(self) -> list[tuple[float, Fit]]:
+        """Return weight and fit of the few that travel with a model; the weights have the sum 1."""
+        weights = self.weights[:CANDIDATES]
+        shares = (weights / weights.sum()).tolist()
+        return list(zip(shares, self.fits[:CANDIDATES], strict=True))
+
+    def words(self) -> list[str]:
+        """Return in words what has most of the weight."""
+        best = self.fits[0].structure
+        curve = "a straight line" if np.isinf(best.smooth_curve) else "a curve"
+        return [
+            f"{len(self.fits)} structures averaged; first: {best.slopes} slopes, {curve} behind them, memories"
+            f" {best.memories or 'none'}, delay {best.delay:.3g} s, bend {best.bend:g}, drift {best.drift}"
+        ]
+
     def in_one_frame(self) -> Average:
-        """Return the fits of the delay, bend, slopes and dynamics that have most of the weight."""
+        """Return the fits of the delay and bend that have most of the weight."""
         total: dict[object, float] = {}
         for fit, weight in zip(self.fits, self.weights, strict=True):
             total[frame(fit.structure)] = total.get(frame(fit.structure), 0.0) + weight
@@ -56,7 +72,7 @@ class Average:
 
 def frame(structure: Structure) -> tuple[object, ...]:
     """Return what fits must share to be averaged."""
-    return structure.delay, structure.bend, structure.sections
+    return structure.delay, structure.bend
 
 
 def distill(problem: Problem, average: Average) -> Fit:

@@ -87,8 +87,8 @@ class Problem:
         return np.concatenate([log.output[log.rows] for log in self.logs])
 
     def columns(self, structure: Structure) -> Floats:
-        """Return the columns of the fitted rows; kept for each delay, bend and dynamics."""
-        key = structure.delay, structure.bend, structure.sections
+        """Return the columns of the fitted rows; kept for each delay and bend."""
+        key = structure.delay, structure.bend
         if key not in self._columns:
             basis = Basis(self.cells, self.taus)
             tables = [basis.columns(log, structure, log.rows) for log in self.logs]
@@ -156,6 +156,14 @@ class Problem:
     def one_amplitude(self) -> bool:
         """Whether all swings go over one range, so that other amplitudes cannot be judged."""
         return self.smaller_swings == 0 and self.swings >= 2
+
+    def known(self, recordings: Sequence[Recording]) -> list[Recording]:
+        """Return the recordings with the rows that could be fitted: those of an unknown past do not count."""
+        logs = []
+        for recording, log in zip(recordings, self.logs, strict=True):
+            late = np.arange(len(log.drive)) >= log.rows[0]
+            logs.append(replace(recording, good=recording.usable & late))
+        return logs
 
     def without_memories_from(self, slowest: float) -> Problem:
         """Return the problem without time constants (s) from ``slowest`` on."""

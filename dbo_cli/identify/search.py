@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dbo_cli.errors import FitError
-from dbo_cli.identify.basis import Structure
+from dbo_cli.identify.basis import SEGMENTS, Structure
 from dbo_cli.identify.judge import judge
 from dbo_cli.identify.problem import Problem
 from dbo_cli.identify.recording import Options
@@ -16,7 +16,9 @@ from dbo_cli.identify.solve import Fit, solve
 
 CURVES = (np.inf, 1e-1, 1e-3, 1e-5, 1e-7)
 SLOPE_SMOOTHNESS = (2e-1, 2e-4)
-BENDS = (-0.4, -0.15, 0.15, 0.4)
+CORNERS = 1e-8  # smoothness of slopes that only grow or fall: springs slip at a few forces
+ONE_AMPLITUDE_SMOOTHNESS = 2.0  # what no swing shows is as straight as it can be
+BENDS = (-0.4, -0.25, -0.12, 0.12, 0.25, 0.4)
 DRIFTS = (1, 3)
 DELAYS = (0.003, 0.01, 0.03, 0.08)  # of a swing
 FINER_DELAYS = ((0.6, 0.8, 1.25, 1.6), (0.92, 1.08))
@@ -36,36 +38,70 @@ class Choices:
     curves: tuple[float, ...] = CURVES
     bends: tuple[float, ...] = BENDS
     drifts: tuple[int, ...] = DRIFTS
+    corners: bool = True
+    segments: int = SEGMENTS
     delay: float | None = None
 
 
 def choices_for(problem: Problem, options: Options) -> tuple[Problem, Choices]:
     """Return what a log can tell, and the problem without memories that it cannot."""
-    drifts = [order for order in DRIFTS if problem.swings_of_log >= SWINGS_FOR_DRIFT * order]
-    choices = Choices(drifts=tuple(drifts) if problem.clock else ())
-    if not len(problem.taus):
-        choices = replace(choices, memories=("",))
+    choices = Choices(drifts=_drifts(problem))
     if problem.one_amplitude:
-        rules = ("growing", "falling")
-        errors = [
-            solve(problem.rows(trial), trial).rmse
-            for trial in (Structure(rule, "", SLOPE_SMOOTHNESS[0], 1e-1) for rule in rules)
-        ]
-        problem = problem.without_memories_from(SLOWEST * problem.swing)
-        choices = replace(
-            choices,
-            slopes=(rules[int(np.argmin(errors))],),
-            memories=("", "t"),
-            smoothness=SLOPE_SMOOTHNESS[:1],
-            curves=(np.inf, 1e-1, 1e-3),
-        )
+        problem, choices = _for_one_amplitude(problem, choices)
     elif problem.smaller_swings == 1:
         choices = replace(choices, slopes=("growing", "falling"))
+    if not len(problem.taus):
+        choices = replace(choices, memories=("",))
+    return problem, _fixed(choices, options)
+
+
+def _drifts(problem: Problem) -> tuple[int, ...]:
+    """Return the orders of a drift that the logs can tell from anything else."""
+    if not problem.clock:
+        return ()
+    swings = problem.swings_of_log
+    return tuple(order for order in DRIFTS if swings >= SWINGS_FOR_DRIFT * order)
+
+
+def _for_one_amplitude(
+    problem: Problem, choices: Choices
+) -> tuple[Problem, Choices]:
+    """Return what logs of one amplitude can tell: what cannot be left out cannot be judged.
+
+    Slopes as smooth as can be, in the loop's sense, and no memory slower than three
+    swings: where the level stays, that is one with a moving zero.
+    """
+    rules = ("growing", "falling")
+    errors = []
+    for rule in rules:
+        trial = Structure(rule, "", SLOPE_SMOOTHNESS[0], 1e-1)
+        errors.append(solve(problem.rows(trial), trial).rmse)
+    problem = problem.without_memories_from(SLOWEST * problem.swing)
+    choices = replace(
+        choices,
+        slopes=(rules[int(np.argmin(errors))],),
+        memories=("", "t"),
+        smoothness=(ONE_AMPLITUDE_SMOOTHNESS,),
+        corners=False,
+        curves=CURVES[:3],
+    )
+    return problem, choices
+
+
+def _fixed(choices: Choices, options: Options) -> Choices:
+    """Return the choices that the user left."""
     if options.slopes != "auto":
         choices = replace(choices, slopes=(options.slopes,))
     if options.delay != "auto":
         choices = replace(choices, delay=options.delay)
-    return problem, choices
+    if options.taus:
+        some = tuple(kind for kind in choices.memories if kind) or ("t",)
+        choices = replace(choices, memories=some)
+    if options.points == "auto":
+        return choices
+    if options.points <= 1:
+        return replace(choices, curves=choices.curves[:1])
+    return replace(choices, curves=choices.curves[1:], segments=options.points)
 
 
 class Search:
@@ -80,8 +116,9 @@ class Search:
         choices = self.choices
         for memories in choices.memories:
             for slopes in choices.slopes:
-                for smooth in choices.smoothness:
+                for smooth in self._smoothness(slopes):
                     base = Structure(slopes, memories, smooth, delay=choices.delay or 0.0)
+                    base = replace(base, segments=choices.segments)
                     self._path(base, choices.curves)
         for fit in self._best_kinds():
             self._neighbours(fit)
@@ -89,6 +126,12 @@ class Search:
             for factors in FINER_DELAYS:
                 self._finer_delay(factors)
         return self.fits
+
+    def _smoothness(self, slopes: str) -> tuple[float, ...]:
+        """Return the smoothness of slopes that are tried; steps of one sign are few by themselves."""
+        if self.choices.corners and slopes != "free":
+            return (*self.choices.smoothness, CORNERS)
+        return self.choices.smoothness
 
     def _path(self, base: Structure, curves: Iterable[float]) -> None:
         """Fit a structure with rougher and rougher curves, each begun at the one before."""

@@ -17,7 +17,6 @@ from dbo_cli.identify.basis import Structure
 from dbo_cli.identify.recording import Floats, Integers
 from dbo_cli.model import kernel
 
-SEGMENTS = 24  # of the curve
 LEAST_SLOPE = 1e-3  # of the mean slope of the cells
 LEAST_WITH_NEGATIVE = 0.031  # the same beside negative gains: a model must have 0.03
 LEAST_CURVE = 0.03  # of the mean slope of the curve
@@ -169,7 +168,7 @@ class Equations:
     def __init__(self, rows: Rows, structure: Structure) -> None:
         self.rows, self.structure = rows, structure
         self.inner = used_columns(rows, structure)
-        self.segments = SEGMENTS if np.isfinite(structure.smooth_curve) else 1
+        self.segments = structure.segments if np.isfinite(structure.smooth_curve) else 1
         self.curved = self.segments > 1
         self.free = self.inner + self.segments * self.curved
         self.size = self.free + 1 + rows.drift.shape[1]

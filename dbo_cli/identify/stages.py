@@ -14,7 +14,6 @@ from dbo_cli.identify.solve import LEAST_WITH_NEGATIVE, Fit
 from dbo_cli.model import (
     Candidate,
     Delay,
-    Dynamics,
     Gears,
     Model,
     Points,
@@ -45,8 +44,6 @@ def stages_of(problem: Problem, fit: Fit, zero: float = 0.0) -> tuple[Stage, ...
         stages.append(Points(widths, width * fit.curve, 0.0, base))
     if not rising:
         stages.append(Scale(-1.0, offset))
-    if structure.sections:
-        stages.append(Dynamics(structure.sections))
     if structure.delay > 0.0:
         stages.append(Delay(structure.delay))
     return tuple(stages)

@@ -19,6 +19,7 @@ Floats = NDArray[np.float64]
 
 MOST_ROWS = 131_072  # of a move that are played
 STARTS = ("empty", "full", "settled")
+NEAR_END = 0.02  # of the range
 LONGER = 1.1  # times the log's fastest drive or longest rest: less is not worth a word
 
 
@@ -27,34 +28,44 @@ def expected_error(
     voltage: Floats,
     dt: float | Floats | None,
     past_known: bool = False,
+    begin: int = 0,
 ) -> float | None:
     """Return the RMS error to expect on a move, in the displacement's unit; None without candidates.
 
     Parameters
     ----------
     model : a forward model
-    voltage : shape (n,), the drive in its unit; its first 131,072 rows are played
+    voltage : shape (n,), the drive in its unit
     dt : seconds since the sample before, one number or one each
     past_known : whether the state before the first row is known
+    begin : rows before the move, played but not counted; 131,072 rows from there on are
     """
     left = model.fit.get("left_out_rmse")
     if left is None or not model.candidates:
         return None
-    drive = np.asarray(voltage, dtype=np.float64)[:MOST_ROWS]
+    last = begin + MOST_ROWS
+    drive = np.asarray(voltage, dtype=np.float64)[:last]
     steps = dt
     if isinstance(dt, np.ndarray):
-        steps = dt[:MOST_ROWS]
-    played, _ = model.simulate(drive, dt=steps)
+        steps = dt[:last]
+
+    def played(other: Model, start: str = "auto") -> Floats:
+        return other.simulate(drive, dt=steps, state=start)[0][begin:]
+
+    expected = played(model)
     squares = float(left) ** 2
     for weight, other in model.candidate_models():
-        squares += weight * _mean_square(other.simulate(drive, dt=steps)[0] - played)
-    if not past_known:
-        apart = 0.0
+        squares += weight * _mean_square(played(other) - expected)
+    if not past_known and _begins_inside(model, float(drive[0])):
         for start in STARTS:
-            begun, _ = model.simulate(drive, dt=steps, state=start)
-            apart += _mean_square(begun - played)
-        squares += apart / len(STARTS)
+            squares += _mean_square(played(model, start) - expected) / len(STARTS)
     return math.sqrt(squares)
+
+
+def _begins_inside(model: Model, voltage: float) -> bool:
+    """Whether a move begins where the past shows: at the ends of the range it does not."""
+    near = NEAR_END * model.input.span
+    return model.input.min + near < voltage < model.input.max - near
 
 
 def _mean_square(values: Floats) -> float:

@@ -1,0 +1,235 @@
+"""What a model file says of its fit: errors on the logs, on parts left out and on new moves; warnings."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dbo_cli.errors import FitError, LimitError
+from dbo_cli.identify.distill import Average, invented_log
+from dbo_cli.identify.judge import kind_errors
+from dbo_cli.identify.problem import Problem
+from dbo_cli.identify.recording import Floats, Options, Recording, Swings
+from dbo_cli.model import Model, steps_of
+from dbo_cli.model.expect import expected_error, fastest_drive, longest_rest
+
+NO_BETTER = 0.95  # of a straight line's error: above it there is nothing but a line
+FEW_SWINGS = 4  # fewer leave nothing that the rest holds, too
+LARGE_DRIFT = 0.05  # of the range: no sensor's
+
+
+def refuse_other_sign(logs: Sequence[Recording], options: Options) -> None:
+    """Refuse (LimitError) logs whose displacement does not go the way that the user says."""
+    if options.sign is None:
+        return
+    together = 0.0
+    for log in logs:
+        v, y = log.voltage[log.usable], log.displacement[log.usable]
+        together += float((v - v.mean()) @ (y - y.mean()))
+    sign = "rising" if together > 0.0 else "falling"
+    if sign != options.sign:
+        raise LimitError(
+            f"{logs[0].name}: the displacement is {sign} with the voltage, and `sign` {options.sign} was asked"
+            " for; check the columns and the sensor's polarity"
+        )
+
+
+def stated(model: Model, problem: Problem, average: Average) -> Model:
+    """Return the model with the error to expect on an invented move."""
+    figures = {**model.fit, "left_out_rmse": left_out_rmse(problem, average)}
+    model = replace(model, fit=figures)
+    invented = invented_log(problem)
+    inside = np.clip(invented.drive, 0.0, 1.0)
+    drive = problem.low + (problem.high - problem.low) * inside
+    figures = {
+        "method": "least-squares",
+        **figures,
+        "expected_rmse": expected_error(model, drive, problem.dt),
+        "one_amplitude": problem.one_amplitude,
+        "swings": problem.swings,
+    }
+    return replace(model, fit=figures)
+
+
+def left_out_rmse(problem: Problem, average: Average) -> float:
+    """Return the RMS over kinds of what the mean prediction leaves of parts left out, in the output's unit."""
+    left = []
+    for number in range(len(problem.parts)):
+        parts = [fit.left[number] for fit in average.fits]
+        left.append(np.einsum("k,kr->r", average.weights, np.stack(parts)))
+    errors = kind_errors(problem.parts, tuple(left))
+    mean = float(np.mean([error**2 for error in errors.values()]))
+    return abs(problem.scale) * math.sqrt(mean)
+
+
+@dataclass(frozen=True)
+class Residual:
+    """What a model leaves of a log, offset and drift aside; in the displacement's unit.
+
+    Attributes
+    ----------
+    rows : how many count
+    rmse : RMS of the error
+    drift : how far the straight drift goes along the log
+    """
+
+    name: str
+    rows: int
+    rmse: float
+    drift: float
+
+
+def measured(
+    model: Model, logs: Sequence[Recording], options: Options, notes: Sequence[str]
+) -> Model:
+    """Return the model with its figures on the logs; refuse (FitError) what is no better than a line."""
+    residuals = [residual_of(model, log) for log in logs]
+    rmse, line = _pooled(residuals), line_rmse(logs)
+    _refuse_no_better(rmse, line, logs, options)
+    speeds, rests, periods = [], [], []
+    for log in logs:
+        if log.time is not None:
+            steps = np.diff(log.time)
+            speeds.append(fastest_drive(log.voltage, steps))
+            rests.append(longest_rest(log.voltage, steps))
+            periods.append(float(np.median(steps)))
+    figures: dict[str, Any] = {
+        **model.fit,
+        "sign": model.sign,
+        "rmse": rmse,
+        "line_rmse": line,
+        "fastest": max(speeds, default=None),
+        "longest_rest": max(rests, default=None),
+        "sample_period": min(periods, default=None),
+        "logs": [vars(residual) for residual in residuals],
+        "notes": list(notes),
+    }
+    found = [*figures.get("warnings", []), *_warnings(model, figures)]
+    return replace(model, fit={**figures, "warnings": found})
+
+
+def _refuse_no_better(
+    rmse: float, line: float, logs: Sequence[Recording], options: Options
+) -> None:
+    """Refuse (FitError) a model that follows the logs no better than a straight line."""
+    if rmse <= NO_BETTER * line or options.force:
+        return
+    names = ", ".join(os.path.basename(log.name) for log in logs)
+    raise FitError(
+        f"{names}: the model (RMSE {rmse:.4g}) is no better than a straight line (RMSE {line:.4g}); record"
+        " several amplitudes and cycles, or check columns and sensor (`force` keeps the model)"
+    )
+
+
+def _warnings(model: Model, figures: dict[str, Any]) -> list[str]:
+    """Return what to be careful about."""
+    found = []
+    expected, line = figures.get("expected_rmse"), figures["line_rmse"]
+    if figures.get("dynamics"):
+        found += figures["dynamics"].get("warnings", [])
+    if figures.get("one_amplitude"):
+        found.append(
+            "the logs hold one amplitude: smaller loops are extrapolated; record several ('dbo excite' writes"
+            " such a drive)"
+        )
+    elif figures.get("swings", FEW_SWINGS) < FEW_SWINGS:
+        found.append(
+            "the logs go up and down less than twice, so that little can be left out: new moves may err by"
+            " more than stated; record more cycles"
+        )
+    if figures["fastest"] is None:
+        found.append(
+            "no clock, so neither lag nor delay could be looked for: name the time column (`time`) or give"
+            " `sample_rate`"
+        )
+    if expected is not None and expected >= line:
+        found.append(
+            f"the error expected on new moves ({expected:.3g}{model.output.suffix}) is no better than a"
+            f" straight line's on the logs ({line:.3g}): record several amplitudes and cycles"
+        )
+    for log in figures["logs"]:
+        if abs(log["drift"]) > LARGE_DRIFT * model.output.span:
+            found.append(
+                f"{log['name']}: a drift of {log['drift']:.3g}{model.output.suffix} was taken for the sensor's"
+                " and is not in the model; warm up, or record again"
+            )
+    return found
+
+
+def predicted(model: Model, log: Recording) -> Floats:
+    """Return what a model makes of a log's drive."""
+    steps: float | Floats | None = None
+    if log.time is not None:
+        steps = steps_of(log.time)
+    elif model.needs_time:
+        steps = 1.0
+    y, _ = model.simulate(log.voltage, dt=steps)
+    return y
+
+
+def residual_of(model: Model, log: Recording) -> Residual:
+    """Return what a model leaves of a log beside an offset, and a straight drift where swings can tell it."""
+    rows = log.usable
+    left = (log.displacement - predicted(model, log))[rows]
+    left = left - left.mean()
+    drift = 0.0
+    if log.time is not None and len(Swings.of(log.voltage[rows]).sizes) >= FEW_SWINGS:
+        place = log.time[rows] - float(log.time[rows].mean())
+        rate = float(place @ left) / max(float(place @ place), 1e-300)
+        left = left - rate * place
+        drift = rate * float(np.ptp(place))
+    rmse = math.sqrt(float(np.mean(left**2)))
+    return Residual(os.path.basename(log.name), len(left), rmse, drift)
+
+
+def _pooled(residuals: Sequence[Residual]) -> float:
+    """Return the RMS over all rows."""
+    squares = sum(log.rows * log.rmse**2 for log in residuals)
+    return math.sqrt(squares / sum(log.rows for log in residuals))
+
+
+def line_rmse(logs: Sequence[Recording]) -> float:
+    """Return what one straight line, with an offset for each log, leaves of the logs."""
+    voltages, displacements = [], []
+    for log in logs:
+        v, y = log.voltage[log.usable], log.displacement[log.usable]
+        voltages.append(v - v.mean())
+        displacements.append(y - y.mean())
+    v, y = np.concatenate(voltages), np.concatenate(displacements)
+    gain = float(v @ y) / max(float(v @ v), 1e-300)
+    return math.sqrt(float(np.mean((y - gain * v) ** 2)))
+
+
+def validated(model: Model, validation: Sequence[Recording]) -> Model:
+    """Return the model with its errors on logs that it was not made from."""
+    if not validation:
+        return model
+    entries = []
+    for log in validation:
+        error = (log.displacement - predicted(model, log))[log.usable]
+        entries.append(
+            {
+                "name": os.path.basename(log.name),
+                "rmse": math.sqrt(float(np.mean(error**2))),
+                "offset_free_rmse": float(np.std(error)),
+            }
+        )
+    return replace(model, fit={**model.fit, "validation": entries})
+
+
+def describe(model: Model) -> str:
+    """Return in one line what to expect of a model."""
+    fit, unit = model.fit, model.output.suffix
+    expected = fit.get("expected_rmse")
+    if expected is None:
+        return f"fit RMSE {fit['rmse']:.3g}{unit}; what to expect on new moves is not known"
+    percent = 100.0 * expected / model.output.span
+    return (
+        f"expected error {expected:.3g}{unit} ({percent:.2g} % of range);"
+        f" a straight line would leave {fit['line_rmse']:.3g}{unit}"
+    )

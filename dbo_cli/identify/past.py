@@ -1,0 +1,75 @@
+"""The unknown past of a log: rows at its beginning that tell of it, not of the actuator."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from dbo_cli.errors import FitError
+from dbo_cli.identify.basis import PreparedLog, Structure
+from dbo_cli.identify.problem import Problem, parts_of
+from dbo_cli.identify.recording import Booleans
+from dbo_cli.identify.solve import solve
+
+NEAR_END = 0.02  # of the log's range
+MOST_EARLY = 0.25  # of a log's rows: of a shorter rest less is learnt than is lost
+STRANGE = 4.0  # mean square of early rows over that of the others
+PROBE = Structure("free", "t", smooth_slopes=2e-3, smooth_curve=1e-1)
+
+
+def without_unknown_past(problem: Problem, notes: list[str]) -> Problem:
+    """Return the problem without early rows that a fit to all others does not follow.
+
+    Until the drive has been at both ends of its range, the gears stand where an earlier
+    drive has left them.
+    """
+    early = [early_rows(log) for log in problem.logs]
+    if not any(rows.any() for rows in early):
+        return problem
+    later = _without(problem, early)
+    probe = PROBE if len(problem.taus) else replace(PROBE, memories="")
+    try:
+        fit = solve(later.rows(probe), probe)
+    except FitError:
+        return problem
+    columns = problem.columns(probe)[:, : problem.cells.count + len(fit.gains)]
+    error = problem.output - fit.predict(columns) - problem.drift(0) @ fit.drift
+    usual = float(np.mean(fit.error**2))
+    strange = []
+    for place, rows in enumerate(early):
+        left = error[problem.owner == place][rows]
+        alien = rows.any() and float(np.mean(left**2)) > STRANGE * usual
+        strange.append(rows if alien else np.zeros(len(rows), bool))
+        if alien:
+            log = problem.logs[place]
+            last = int(log.rows[rows][-1]) + 1
+            notes.append(
+                f"{log.name}: rows 1 to {last} left out: the drive had not yet been at both ends of its range,"
+                " and the past is unknown"
+            )
+    if not any(rows.any() for rows in strange):
+        return problem
+    return _without(problem, strange)
+
+
+def early_rows(log: PreparedLog) -> Booleans:
+    """Return which fitted rows come before the drive has been at both ends; none where they are too many."""
+    drive = log.drive[log.rows]
+    low, high = float(drive.min()), float(drive.max())
+    near = NEAR_END * (high - low)
+    both = max(int(np.argmax(drive <= low + near)), int(np.argmax(drive >= high - near)))
+    early = np.arange(len(drive)) < both
+    if both > MOST_EARLY * len(drive):
+        early[:] = False
+    return early
+
+
+def _without(problem: Problem, early: list[Booleans]) -> Problem:
+    """Return the problem without these of its fitted rows."""
+    logs = []
+    for log, rows in zip(problem.logs, early, strict=True):
+        logs.append(replace(log, rows=log.rows[~rows]))
+    smaller = replace(problem, logs=tuple(logs), _columns={})
+    smaller.parts = parts_of(smaller)
+    return smaller
