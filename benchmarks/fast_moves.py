@@ -25,7 +25,7 @@ import numpy as np
 import plants
 from numpy.typing import NDArray
 
-from dbo_cli.identify import Options, Recording, identify
+from dbo_cli.identification import Options, Recording, identify
 from dbo_cli.model import Model, VoltageWindow, ZeroPhaseLowPass
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "sample_data"))

@@ -12,7 +12,7 @@ four times, or as one where no rival is better than a line.
 ``--before`` is a table saved by ``--save``, or a program whose ``identify`` and
 ``simulate`` are measured first (and saved as ``--save-before``). ``--set
 search.PRICE=0`` switches a rule off: another value for a constant of
-``dbo_cli.identify``. ``--copies`` identifies again from each log rounded to five
+``dbo_cli.identification``. ``--copies`` identifies again from each log rounded to five
 digits, with 1 % noise, and without its last 5 %, and prints how far the test error
 moves; noise counts only where the error is larger than it.
 """
@@ -185,7 +185,7 @@ def by_library(case: Case) -> Predicted:
     """Identify and predict with this package."""
     from dbo_cli.model.expect import expected_error
 
-    from dbo_cli.identify import Options, Recording, identify
+    from dbo_cli.identification import Options, Recording, identify
 
     options = Options(skip=case.skip)
     if case.delay is not None:
@@ -411,12 +411,12 @@ def loaded(path: str) -> dict[str, Result]:
 
 
 def set_constant(text: str) -> None:
-    """Give a constant of ``dbo_cli.identify`` another value: ``module.NAME=JSON``."""
+    """Give a constant of ``dbo_cli.identification`` another value: ``module.NAME=JSON``."""
     place, value = text.split("=", 1)
     module, name = place.rsplit(".", 1)
-    loaded_module = importlib.import_module(f"dbo_cli.identify.{module}")
+    loaded_module = importlib.import_module(f"dbo_cli.identification.{module}")
     if not hasattr(loaded_module, name):
-        raise SystemExit(f"no constant {name} in dbo_cli.identify.{module}")
+        raise SystemExit(f"no constant {name} in dbo_cli.identification.{module}")
     setattr(loaded_module, name, json.loads(value))
 
 

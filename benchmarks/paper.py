@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import DboError, InputError
-from dbo_cli.identify import Options, Recording, identify
+from dbo_cli.identification import Options, Recording, identify
 from dbo_cli.logs import write_text
 from dbo_cli.model import Model, Scale
 from dbo_cli.reports import Pair, Report

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.drive import Limits, plan
-from dbo_cli.identify import Recording, identify
+from dbo_cli.identification import Recording, identify
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "sample_data"))
 import virtual_actuator

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from dbo_cli.drive import Drive
     from dbo_cli.drive.live import Controller
-    from dbo_cli.identify import Recording
+    from dbo_cli.identification import Recording
     from dbo_cli.reports import Report
 
 Floats = NDArray[np.float64]
@@ -355,7 +355,7 @@ def read_log(
 
 def recording_of(data: Any, options: Mapping[str, Any]) -> Recording:
     """Return a frame, a file or a pair of arrays as a recording."""
-    from dbo_cli.identify import Recording
+    from dbo_cli.identification import Recording
 
     if isinstance(data, (str, Path)):
         columns = {role: options.get(role) for role in ("voltage", "displacement")}
@@ -381,7 +381,7 @@ def recording_of(data: Any, options: Mapping[str, Any]) -> Recording:
 
 def _of_arrays(v: Any, x: Any, time: Any, options: Mapping[str, Any]) -> Recording:
     """Return two arrays as a recording."""
-    from dbo_cli.identify import Recording
+    from dbo_cli.identification import Recording
 
     voltage, displacement = floats(v, "voltage"), floats(x, "displacement")
     seconds, step = clock_of(v, time, options.get("sample_rate"), len(voltage))
@@ -471,8 +471,8 @@ def identify(
     FitError
         No trustworthy model can be identified.
     """
-    from dbo_cli.identify import Options
-    from dbo_cli.identify import identify as fit
+    from dbo_cli.identification import Options
+    from dbo_cli.identification import identify as fit
 
     about: dict[str, Any] = {
         "sample_rate": sample_rate,

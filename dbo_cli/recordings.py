@@ -16,7 +16,7 @@ CLEAR = 0.3
 """Correlation of voltage and displacement from which on it is clear which way they go together."""
 
 if TYPE_CHECKING:
-    from dbo_cli.identify import Recording
+    from dbo_cli.identification import Recording
     from dbo_cli.logs import Log
     from dbo_cli.model import Model
 
@@ -67,7 +67,7 @@ def read_recording(
     units: dict[str, str] | None,
 ) -> tuple[Recording, Log]:
     """Read one log of an actuator; see ``read_recordings``."""
-    from dbo_cli.identify import Recording
+    from dbo_cli.identification import Recording
 
     with open_log(path, columns, reading, units) as log:
         table = log.read()

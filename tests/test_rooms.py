@@ -14,7 +14,7 @@ LEVELS = {
     "version": 0,
     "model": 1,
     "logs": 1,
-    "identify": 2,
+    "identification": 2,
     "drive": 2,
     "reports": 2.5,
     "export": 3,
@@ -25,7 +25,7 @@ LEVELS = {
     "library": 5,
     "cli": 6,
 }
-ARRAYS_ONLY = {"model", "identify", "drive", "reports", "export", "compare", "moves"}
+ARRAYS_ONLY = {"model", "identification", "drive", "reports", "export", "compare", "moves"}
 FILES = sorted(PACKAGE.rglob("*.py"))
 
 

@@ -24,7 +24,7 @@ from dbo_cli.cli.say import detail, say, working
 from dbo_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from dbo_cli.identify import Options
+    from dbo_cli.identification import Options
     from dbo_cli.logs import Reading
     from dbo_cli.model import Model
 
@@ -128,7 +128,7 @@ def identify(
     dbo identify run.csv --voltage CH1 --displacement CH2 --scale displacement=10um/V -o model.json
     """
     from dbo_cli import channels
-    from dbo_cli.identify import Options
+    from dbo_cli.identification import Options
     from dbo_cli.logs import Outputs, check_outputs, write_text
     from dbo_cli.model import dumps_model, dumps_set, read_model
 
@@ -179,7 +179,7 @@ def one_model(
     quiet: bool = False,
 ) -> Model:
     """Identify one actuator, and say what was read."""
-    from dbo_cli.identify import identify as fit
+    from dbo_cli.identification import identify as fit
     from dbo_cli.recordings import read_recordings, require_sign, with_provenance
     from dbo_cli.reports import show_model
 
@@ -207,7 +207,7 @@ def units_of(recordings: list[Any]) -> dict[str, str]:
 
 def expectation(model: Model) -> str:
     """Return what to expect of a model, in one line."""
-    from dbo_cli.identify import describe
+    from dbo_cli.identification import describe
 
     return describe(model)
 

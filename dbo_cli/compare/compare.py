@@ -14,7 +14,7 @@ from dbo_cli.compare import fitting
 from dbo_cli.compare.fitting import RIVALS, Design, Problem, Rival, Solution
 from dbo_cli.compare.plays import NOTHING, Floats, Plays
 from dbo_cli.errors import DboError
-from dbo_cli.identify import Options, Recording, identify
+from dbo_cli.identification import Options, Recording, identify
 from dbo_cli.model import Model, Points, kernel
 from dbo_cli.reports.render import digits, json_text, text_table
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from dbo_cli.compare.plays import NOTHING, Floats, Integers, Kind, Plays
 from dbo_cli.errors import FitError
-from dbo_cli.identify.recording import Booleans, Recording, Swings
+from dbo_cli.identification.recording import Booleans, Recording, Swings
 
 FIT_ROWS = 3000  # of all logs together; 7,000 changed no error by more than 1 %
 PLAYS = (12, 25, 50)  # to choose from; 25 is what the paper takes

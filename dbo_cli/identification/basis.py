@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.identify.recording import Floats
+from dbo_cli.identification.recording import Floats
 from dbo_cli.model import Relaxation, kernel
 
 Integers = NDArray[np.int64]

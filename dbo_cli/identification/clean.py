@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from dbo_cli.errors import FitError, UsageError
-from dbo_cli.identify.recording import (
+from dbo_cli.identification.recording import (
     FEWEST_ROWS,
     Booleans,
     Floats,

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from dbo_cli.errors import FitError
-from dbo_cli.identify.basis import Structure
-from dbo_cli.identify.judge import judge
-from dbo_cli.identify.problem import Problem
-from dbo_cli.identify.recording import Options, Recording
-from dbo_cli.identify.solve import Fit, solve
-from dbo_cli.identify.stages import model_of
+from dbo_cli.identification.basis import Structure
+from dbo_cli.identification.judge import judge
+from dbo_cli.identification.problem import Problem
+from dbo_cli.identification.recording import Options, Recording
+from dbo_cli.identification.solve import Fit, solve
+from dbo_cli.identification.stages import model_of
 from dbo_cli.model import Dynamics, Lag, Relaxation
 from dbo_cli.model.undoing import Inverter
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dbo_cli.identify.basis import Basis, PreparedLog, Structure
-from dbo_cli.identify.problem import Problem
-from dbo_cli.identify.recording import Floats
-from dbo_cli.identify.solve import Fit, Rows, solve
+from dbo_cli.identification.basis import Basis, PreparedLog, Structure
+from dbo_cli.identification.problem import Problem
+from dbo_cli.identification.recording import Floats
+from dbo_cli.identification.solve import Fit, Rows, solve
 
 WIDTH = 0.15  # of the score: a fit that is worse by so much weighs exp(-1)
 LEAST_WEIGHT = 1e-3

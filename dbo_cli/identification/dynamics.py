@@ -20,7 +20,7 @@ from scipy.optimize import least_squares
 from scipy.signal import csd, welch
 
 from dbo_cli.errors import FitError
-from dbo_cli.identify.fast import FastPart
+from dbo_cli.identification.fast import FastPart
 from dbo_cli.model import (
     Delay,
     Dynamics,

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.identify.recording import Recording
+from dbo_cli.identification.recording import Recording
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.errors import FitError, LimitError
-from dbo_cli.identify.distill import Average, invented_log
-from dbo_cli.identify.judge import kind_errors
-from dbo_cli.identify.problem import Problem
-from dbo_cli.identify.recording import Floats, Options, Recording, Swings
+from dbo_cli.identification.distill import Average, invented_log
+from dbo_cli.identification.judge import kind_errors
+from dbo_cli.identification.problem import Problem
+from dbo_cli.identification.recording import Floats, Options, Recording, Swings
 from dbo_cli.model import Model, steps_of
 from dbo_cli.model.expect import expected_error, fastest_drive, longest_rest
 

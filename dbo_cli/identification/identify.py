@@ -6,16 +6,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from dbo_cli.errors import FitError, warn
-from dbo_cli.identify.clean import clean
-from dbo_cli.identify.distill import Average, distill
-from dbo_cli.identify.fast import split
-from dbo_cli.identify.figures import measured, refuse_other_sign, stated, validated
-from dbo_cli.identify.moving import moving
-from dbo_cli.identify.past import without_unknown_past
-from dbo_cli.identify.problem import prepare
-from dbo_cli.identify.recording import Options, Recording
-from dbo_cli.identify.search import Search, choices_for
-from dbo_cli.identify.stages import model_of
+from dbo_cli.identification.clean import clean
+from dbo_cli.identification.distill import Average, distill
+from dbo_cli.identification.fast import split
+from dbo_cli.identification.figures import measured, refuse_other_sign, stated, validated
+from dbo_cli.identification.moving import moving
+from dbo_cli.identification.past import without_unknown_past
+from dbo_cli.identification.problem import prepare
+from dbo_cli.identification.recording import Options, Recording
+from dbo_cli.identification.search import Search, choices_for
+from dbo_cli.identification.stages import model_of
 from dbo_cli.model import Model
 
 
@@ -43,11 +43,11 @@ def identify(
     logs, notes = clean(recordings, options)
     refuse_other_sign(logs, options)
     if options.method == "paper":
-        from dbo_cli.identify.paper import identify_paper
+        from dbo_cli.identification.paper import identify_paper
 
         model = identify_paper(logs[0], options)
     elif options.prior is not None:
-        from dbo_cli.identify.prior import rescale
+        from dbo_cli.identification.prior import rescale
 
         model = rescale(options.prior, logs, options)
     else:

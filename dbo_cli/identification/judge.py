@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from dbo_cli.errors import FitError
-from dbo_cli.identify.problem import Part, Problem
-from dbo_cli.identify.recording import Booleans, Floats
-from dbo_cli.identify.solve import Equations, Fit, Rows, products
+from dbo_cli.identification.problem import Part, Problem
+from dbo_cli.identification.recording import Booleans, Floats
+from dbo_cli.identification.solve import Equations, Fit, Rows, products
 
 WORSE_ALLOWED = 1.3  # mean square on the rows kept, over that of the whole fit
 SHORTENED = (1.0, 0.5, 0.25, 0.1)

@@ -13,14 +13,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from dbo_cli.identify.creep import with_creep
-from dbo_cli.identify.dynamics import find, least_relaxation, refine
-from dbo_cli.identify.fast import FastPart, even_step
-from dbo_cli.identify.problem import Problem
-from dbo_cli.identify.recording import Options, Recording
-from dbo_cli.identify.search import CURVES, Choices, Search
-from dbo_cli.identify.solve import Fit
-from dbo_cli.identify.stages import model_of
+from dbo_cli.identification.creep import with_creep
+from dbo_cli.identification.dynamics import find, least_relaxation, refine
+from dbo_cli.identification.fast import FastPart, even_step
+from dbo_cli.identification.problem import Problem
+from dbo_cli.identification.recording import Options, Recording
+from dbo_cli.identification.search import CURVES, Choices, Search
+from dbo_cli.identification.solve import Fit
+from dbo_cli.identification.stages import model_of
 from dbo_cli.model import Candidate, Delay, Dynamics, Lag, Model, Section, Stage
 
 

@@ -21,7 +21,7 @@ from dbo_cli.errors import FitError, UsageError
 from dbo_cli.model import Gears, Model, Points, Quantity, Scale
 
 if TYPE_CHECKING:
-    from dbo_cli.identify.recording import Options, Recording
+    from dbo_cli.identification.recording import Options, Recording
 
 Floats = NDArray[np.float64]
 

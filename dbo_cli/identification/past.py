@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from dbo_cli.errors import FitError
-from dbo_cli.identify.basis import PreparedLog, Structure
-from dbo_cli.identify.problem import Problem, parts_of
-from dbo_cli.identify.recording import Booleans
-from dbo_cli.identify.solve import solve
+from dbo_cli.identification.basis import PreparedLog, Structure
+from dbo_cli.identification.problem import Problem, parts_of
+from dbo_cli.identification.recording import Booleans
+from dbo_cli.identification.solve import solve
 
 NEAR_END = 0.02  # of the log's range
 MOST_EARLY = 0.25  # of a log's rows: of a shorter rest less is learnt than is lost

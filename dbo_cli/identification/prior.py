@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError, UsageError
-from dbo_cli.identify.recording import Options, Recording, Swings
+from dbo_cli.identification.recording import Options, Recording, Swings
 from dbo_cli.model import (
     Candidate,
     Delay,

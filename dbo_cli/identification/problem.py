@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from dbo_cli.identify.basis import (
+from dbo_cli.identification.basis import (
     Basis,
     Cells,
     PreparedLog,
@@ -16,7 +16,7 @@ from dbo_cli.identify.basis import (
     start_of,
     time_constants,
 )
-from dbo_cli.identify.recording import (
+from dbo_cli.identification.recording import (
     Booleans,
     Floats,
     Integers,
@@ -26,7 +26,7 @@ from dbo_cli.identify.recording import (
     Swings,
     usual_swing,
 )
-from dbo_cli.identify.solve import Rows
+from dbo_cli.identification.solve import Rows
 
 SEARCH_ROWS = 1200  # of all logs, in the search
 BLOCKS = 6  # of time, each left out in turn

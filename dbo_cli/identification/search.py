@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dbo_cli.errors import FitError
-from dbo_cli.identify.basis import SEGMENTS, Structure
-from dbo_cli.identify.judge import judge
-from dbo_cli.identify.problem import Problem
-from dbo_cli.identify.recording import Options
-from dbo_cli.identify.solve import Fit, solve
+from dbo_cli.identification.basis import SEGMENTS, Structure
+from dbo_cli.identification.judge import judge
+from dbo_cli.identification.problem import Problem
+from dbo_cli.identification.recording import Options
+from dbo_cli.identification.solve import Fit, solve
 
 CURVES = (np.inf, 1e-1, 1e-3, 1e-5, 1e-7)
 SLOPE_SMOOTHNESS = (2e-1, 2e-4)

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError
-from dbo_cli.identify.basis import Structure
-from dbo_cli.identify.recording import Floats, Integers
+from dbo_cli.identification.basis import Structure
+from dbo_cli.identification.recording import Floats, Integers
 from dbo_cli.model import kernel
 
 LEAST_SLOPE = 1e-3  # of the mean slope of the cells

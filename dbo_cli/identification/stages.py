@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from dbo_cli.identify.basis import BEND_SEGMENTS, bent
-from dbo_cli.identify.problem import Problem
-from dbo_cli.identify.recording import Floats, Options, Recording
-from dbo_cli.identify.solve import LEAST_WITH_NEGATIVE, Fit
+from dbo_cli.identification.basis import BEND_SEGMENTS, bent
+from dbo_cli.identification.problem import Problem
+from dbo_cli.identification.recording import Floats, Options, Recording
+from dbo_cli.identification.solve import LEAST_WITH_NEGATIVE, Fit
 from dbo_cli.model import (
     Candidate,
     Delay,

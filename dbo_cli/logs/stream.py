@@ -103,6 +103,8 @@ class ByteStream:
     def _arrived(self, size: int) -> bytes:
         """Read what a pipe has; wait for the first byte only."""
         assert self._pipe is not None
+        # A signal ends this wait; libraries may have asked for reads to be restarted.
+        select.select([self._pipe], [], [])
         pieces = [self._file.read1(size)]  # type: ignore[attr-defined]
         while pieces[-1] and sum(map(len, pieces)) < size and self.has_more():
             pieces.append(self._file.read1(size))  # type: ignore[attr-defined]

@@ -11,8 +11,9 @@ from dbo_cli.moves.shapes import Range, Trajectory
 
 RESONANCE_PART = 3.0
 """A model is trusted to its lowest resonance over this. Measured on invented benches."""
-REACH_SLACK = 1e-9  # of the range: rounding reaches no further
+REACH_SLACK = 1e-8  # of the range: rounding reaches no further
 DIGITS = 6  # of a range that is proposed
+ROUNDING = 1e-3  # of such a last digit
 
 
 def trusted_frequency(models: Sequence[Model]) -> float | None:
@@ -57,7 +58,8 @@ def check_reach(move: Trajectory, ends: Range, models: Sequence[Model]) -> None:
         fitting = _rounded_inwards(first, last)
         raise UsageError(
             f"`range` {ends[0]:g}:{ends[1]:g}: the move goes from {least:.6g} to {most:.6g}"
-            f"{model.output.suffix}, and the model reaches {low:.6g} to {high:.6g} (`range` {fitting} fits)"
+            f"{model.output.suffix}, and the model reaches {low:.6g} to {high:.6g}"
+            f"{model.output.suffix} (`range` {fitting} fits)"
         )
 
 
@@ -65,5 +67,6 @@ def _rounded_inwards(low: float, high: float) -> str:
     """Return a range as text with few digits, no wider."""
     size = max(abs(low), abs(high))
     unit = 10.0 ** (math.floor(math.log10(size)) + 1 - DIGITS) if size > 0.0 else 1.0
-    low, high = math.ceil(low / unit) * unit, math.floor(high / unit) * unit
+    low = math.ceil(low / unit - ROUNDING) * unit
+    high = math.floor(high / unit + ROUNDING) * unit
     return f"{low:.{DIGITS}g}:{high:.{DIGITS}g}"

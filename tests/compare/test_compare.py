@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dbo_cli.compare import Comparison, Row, compare
-from dbo_cli.identify import Recording
+from dbo_cli.identification import Recording
 
 KEYS = """name words rmse expected_rmse validation_rmse parameters fit_seconds forward_ns inverse_ns
 round_trip invertible refused""".split()

@@ -10,7 +10,7 @@ from dbo_cli.compare.compare import PlayModel
 from dbo_cli.compare.fitting import RIVALS, Design
 from dbo_cli.compare.plays import Plays
 from dbo_cli.errors import FitError
-from dbo_cli.identify import Recording
+from dbo_cli.identification import Recording
 
 RIVAL = {rival.name: rival for rival in RIVALS}
 

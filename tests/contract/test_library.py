@@ -87,7 +87,7 @@ def test_read_log_takes_columns_and_reading_options(log: Path) -> None:
 
 def test_a_log_that_is_not_clear_is_refused(log: Path) -> None:
     Path("run.csv").write_text("a,b,c\n" + "".join(f"{k},{k},{k}\n" for k in range(50)))
-    with pytest.raises(dbo.InputError, match="run.csv"):
+    with pytest.raises(dbo.InputError, match=r"run\.csv"):
         dbo.read_log("run.csv")
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import FitError
-from dbo_cli.identify import dynamics
-from dbo_cli.identify.fast import FastPart, split
-from dbo_cli.identify.recording import Recording
+from dbo_cli.identification import dynamics
+from dbo_cli.identification.fast import FastPart, split
+from dbo_cli.identification.recording import Recording
 from dbo_cli.model import (
     Delay,
     Dynamics,

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import FitError
-from dbo_cli.identify.paper import identify_paper
-from dbo_cli.identify.recording import Options, Recording
+from dbo_cli.identification.paper import identify_paper
+from dbo_cli.identification.recording import Options, Recording
 from dbo_cli.model import Gears, Model, Scale
 
 PAPER = Path(

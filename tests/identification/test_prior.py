@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import FitError, ModelError, UsageError
-from dbo_cli.identify.prior import rescale
-from dbo_cli.identify.recording import Options, Recording
+from dbo_cli.identification.prior import rescale
+from dbo_cli.identification.recording import Options, Recording
 from dbo_cli.model import (
     Candidate,
     Delay,
