@@ -183,9 +183,8 @@ Way = Callable[[Case], Predicted]
 
 def by_library(case: Case) -> Predicted:
     """Identify and predict with this package."""
-    from dbo_cli.model.expect import expected_error
-
     from dbo_cli.identification import Options, Recording, identify
+    from dbo_cli.model.expect import expected_error
 
     options = Options(skip=case.skip)
     if case.delay is not None:
