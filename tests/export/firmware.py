@@ -1,0 +1,218 @@
+"""Models to export, and exports compiled and called from here."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import os
+import shutil
+import subprocess
+import tempfile
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from dbo_cli.drive import Limits, plan
+from dbo_cli.model import (
+    Delay,
+    Dynamics,
+    Gears,
+    Lag,
+    Mode,
+    Model,
+    Points,
+    Quantity,
+    Relaxation,
+    Resonance,
+    Scale,
+)
+
+CC = os.environ.get("CC", "cc")
+NO_COMPILER = shutil.which(CC) is None
+FLAGS = "-std=c99 -pedantic -Wall -Wextra -Werror -ffp-contract=off".split()
+RATE = 1000.0
+LOW, HIGH = 0.0, 100.0
+KEPT = tempfile.TemporaryDirectory()
+COMPILED: dict[object, Path] = {}
+MORE_REST = 8  # rows before a move, from which on a delay knows its past
+
+
+def gears(n, seed=1, relaxation=None, low=LOW, high=HIGH, run=1):
+    """Return n uneven gears, in runs of equal ones, whose slopes grow."""
+    rng = np.random.default_rng(seed)
+    parts = -(-n // run)
+    dx = np.repeat(rng.uniform(0.5, 1.5, parts), run)[:n]
+    slope = np.repeat(np.linspace(0.04, 0.09, parts), run)[:n]
+    dx *= (high - low) / dx.sum()
+    return Gears(dx, dx * slope, low, 0.3, relaxation)
+
+
+def curve(low, high, bend):
+    """Return points from a range to itself."""
+    x = np.linspace(0.0, 1.0, 7)
+    y = x + bend * x * (1.0 - x)
+    return Points(np.diff(x) * (high - low), np.diff(y) * (high - low), low, low)
+
+
+def model_of(*stages, low=LOW, high=HIGH):
+    """Return a forward model whose displacement range is what it reaches slowly."""
+    voltage = Quantity("voltage", "V", low, high)
+    wide = Model("forward", voltage, Quantity("displacement", "um", -1e3, 1e3), stages)
+    y, _ = wide.static.simulate([low, high], dt=1e9)
+    ends = sorted(y.tolist())
+    return Model("forward", voltage, Quantity("displacement", "um", *ends), stages)
+
+
+CREEP = Relaxation(0.0, (0.01, 0.3), (0.004, 0.006))
+SOFT = Relaxation(10.0, (0.02, 0.5), (-0.015, 0.006))
+SWINGING = Dynamics(
+    (Lag(2e-4), Resonance(150.0, 0.05), Resonance(210.0, 0.04, Mode(180.0, 0.03)))
+)
+MODELS = {
+    "one gear": model_of(gears(1)),
+    "gears": model_of(gears(40)),
+    "runs": model_of(gears(600, run=20)),
+    "many": model_of(gears(1280)),
+    "bent, falling": model_of(curve(LOW, HIGH, 0.3), gears(40), Scale(-2.0, 5.0)),
+    "points behind": model_of(gears(40), curve(0.3, 7.0, -0.2), Scale(3.0, 0.0)),
+    "creep": model_of(gears(64, relaxation=CREEP)),
+    "negative gains": model_of(gears(64, relaxation=SOFT), Scale(2.0, 0.0)),
+    "delay": model_of(gears(40, relaxation=CREEP), Delay(0.0043)),
+    "short delay": model_of(gears(40), Delay(0.0007)),
+    "whole delay": model_of(gears(40), Delay(0.003)),
+    "dynamics": model_of(gears(40, relaxation=SOFT), SWINGING, Delay(0.0012)),
+}  # fmt: skip
+
+
+def wide_model(relaxation=None):
+    """Return a model whose gears go on beyond both ends of its range: those come last in the table."""
+    inside = gears(30, relaxation=relaxation)
+    dx = np.concatenate([inside.dx, np.full(6, 2.5)])
+    dy = np.concatenate([inside.dy, np.full(6, 0.2)])
+    below = 7.5  # three of them
+    return model_of(
+        Gears(dx, dy, LOW - below, 0.3 - 0.6, relaxation), low=LOW, high=HIGH
+    )
+
+
+def wish(model, rows=1500, seed=3):
+    """Return a displacement that begins at rest at the lower end, turns often, and goes a little beyond."""
+    low, high = model.output.min, model.output.max
+    rng = np.random.default_rng(seed)
+    rows_risen = np.arange(rows)
+    walk = np.cumsum(rng.normal(0.0, 0.05, rows) + 0.05 * np.sin(rows_risen / 40.0))
+    way = np.abs((walk + 4.0) % 2.0 - 1.0) * np.minimum(1.0, rows_risen / 200.0)
+    way[rows // 2 : rows // 2 + 30] = way[rows // 2]
+    jumps = rng.uniform(0.0, 1.0, 60)
+    part = np.concatenate([np.zeros(80), way, jumps, [1.0, 0.0, 1.02, 0.5, -0.01, 0.2]])
+    return low + (high - low) * part
+
+
+def limits_of(model, **options):
+    return Limits.within(model.input, **options)
+
+
+def driven(model, wanted, limits, state="empty"):
+    """Return the drive of the library."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        made = plan(model, wanted, 1.0 / RATE, limits, state=state, on_limit="clip")
+    return made.voltage
+
+
+class Firmware:
+    """An export, compiled."""
+
+    def __init__(self, export, folder: Path, *flags: str) -> None:
+        folder.mkdir(exist_ok=True)
+        for file, text in export.files.items():
+            (folder / file).write_text(text)
+        self.folder, self.export = folder, export
+        name, number = export.figures["name"], "double"
+        self.kind = ctypes.c_double
+        if export.figures["arithmetic"] == "q31":
+            number, self.kind = "int32_t", ctypes.c_int32
+        (folder / "play.c").write_text(
+            f'#include "{name}.h"\n'
+            f"static {name}_state s;\n"
+            f"size_t size(void); void init(void); void reset({number} d); {number} step({number} x);\n"
+            f"size_t size(void) {{ return sizeof s; }}\n"
+            f"void init(void) {{ {name}_init(&s); }}\n"
+            f"void reset({number} d) {{ {name}_reset(&s, d); }}\n"
+            f"{number} step({number} x) {{ {name}_state t = s; {number} y = {name}_step(&t, x);"
+            f" s = t; return y; }}\n"
+        )
+        self.flags = [*FLAGS, "-O0", "-fPIC", *flags]
+        output = folder / "play.so"
+        self._compile([*self._objects("_test"), "-shared", "-o", output])
+        self.library = ctypes.CDLL(str(output))
+        self.library.step.argtypes = [self.kind]
+        self.library.step.restype = self.kind
+        self.library.reset.argtypes = [self.kind]
+        self.library.size.restype = ctypes.c_size_t
+
+    def _objects(self, left_out):
+        """Compile the sources; those of the kernel only once for all exports."""
+        objects = []
+        for path in sorted(self.folder.glob("*.c")):
+            if left_out not in path.name:
+                objects.append(self._object(path))
+        return objects
+
+    def _object(self, path):
+        key = None
+        if path.name.startswith("dbo_"):
+            key = (path.read_text(), tuple(self.flags))
+        if key in COMPILED:
+            return COMPILED[key]
+        output = path.with_suffix(".o")
+        if key is not None:
+            output = Path(KEPT.name) / f"{len(COMPILED)}.o"
+            COMPILED[key] = output
+        self._compile(["-c", path, "-o", output])
+        return output
+
+    def _compile(self, words):
+        subprocess.run([str(word) for word in [CC, *self.flags, *words]], check=True)
+
+    def play(self, inputs, reset=None):
+        """Return the output for each input; the state is copied before each step."""
+        if reset is None:
+            self.library.init()
+        else:
+            self.library.reset(reset)
+        return np.array([self.library.step(x) for x in inputs])
+
+    def self_test(self):
+        """Compile and run the self-test; return its exit code and what it says."""
+        program = self.folder / "self"
+        self._compile([*self._objects("play.c"), "-o", program])
+        done = subprocess.run(
+            [str(program)], capture_output=True, text=True, check=False
+        )
+        return done.returncode, done.stdout
+
+
+def counts_of(values, quantity):
+    """Return values as counts of q31."""
+    middle, unit = 0.5 * (quantity.min + quantity.max), quantity.span / 2.0**31
+    return [round((value - middle) / unit) for value in values]
+
+
+def values_of(counts, quantity):
+    """Return counts of q31 as values."""
+    middle, unit = 0.5 * (quantity.min + quantity.max), quantity.span / 2.0**31
+    return np.array(counts, dtype=np.float64) * unit + middle
+
+
+def with_rest(export, wanted):
+    """Return a move behind a rest at its first value, as long as the export reads ahead and a little more."""
+    return np.concatenate(
+        [np.full(export.figures["ahead"] + MORE_REST, wanted[0]), wanted]
+    )
+
+
+def beyond(a, b):
+    """Return the largest difference."""
+    return float(np.abs(np.asarray(a) - np.asarray(b)).max()) if len(a) else math.nan

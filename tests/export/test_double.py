@@ -1,0 +1,232 @@
+"""Exports in double give the bits of the library, whatever the model."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from firmware import (
+    MODELS,
+    NO_COMPILER,
+    RATE,
+    Firmware,
+    driven,
+    limits_of,
+    wide_model,
+    wish,
+    with_rest,
+)
+
+from dbo_cli.errors import InputError, ModelError, UsageError
+from dbo_cli.export import export_model
+from dbo_cli.export.plan import with_fewer_gears
+from dbo_cli.model import read_model
+
+pytestmark = pytest.mark.skipif(NO_COMPILER, reason="needs a C compiler")
+LIMITS = {"free": {}, "limited": {"v_min": 12.0, "v_max": 93.0, "max_slew": 1500.0}}
+
+
+def same_bits(a, b):
+    return np.array_equal(a.view(np.uint64), b.view(np.uint64))
+
+
+def exported(model, tmp_path, limits=None, flags=(), **options):
+    limits = limits or limits_of(model)
+    made = export_model(model, limits, sample_rate=RATE, **options)
+    return Firmware(made, tmp_path / "fw", *flags)
+
+
+def compared(model, firmware, limits):
+    """Return what an export and the library make of one move from ``empty``."""
+    wanted = with_rest(firmware.export, wish(model))
+    expected = driven(model, wanted, limits)
+    found = firmware.play(wanted[firmware.export.figures["ahead"] :])
+    return found, expected[: found.size]
+
+
+CASES = [(name, "limited") for name in MODELS]
+CASES += [(name, "free") for name in ("creep", "negative gains", "dynamics")]
+
+
+@pytest.mark.parametrize(("name", "kept"), CASES)
+def test_the_bits_of_the_library(name, kept, tmp_path):
+    model = MODELS[name]
+    limits = limits_of(model, **LIMITS[kept])
+    firmware = exported(model, tmp_path, limits)
+    found, expected = compared(model, firmware, limits)
+    assert same_bits(found, expected)
+    assert np.unique(found).size > 500
+    assert firmware.self_test()[0] == 0
+
+
+@pytest.mark.parametrize("memory", [None, "soft"])
+def test_gears_beyond_the_range(memory, tmp_path):
+    from firmware import SOFT
+
+    model = wide_model(SOFT if memory else None)
+    limits = limits_of(model, v_min=-5.0, v_max=105.0, extrapolate=True)
+    firmware = exported(model, tmp_path, limits)
+    assert "spare" in firmware.export.files["actuator.c"]
+    found, expected = compared(model, firmware, limits)
+    assert same_bits(found, expected)
+    assert found.max() > 100.0
+    assert firmware.self_test()[0] == 0
+
+
+@pytest.mark.parametrize("name", ["bent, falling", "negative gains", "dynamics"])
+def test_after_a_reset_the_state_is_that_of_a_settled_actuator(name, tmp_path):
+    model = MODELS[name]
+    limits = limits_of(model)
+    firmware = exported(model, tmp_path, limits)
+    wanted = with_rest(firmware.export, wish(model)[300:])
+    expected = driven(model, wanted, limits, state="settled")
+    later = firmware.export.figures["ahead"]
+    found = firmware.play(wanted[1 + later :], reset=expected[0])
+    if name == "dynamics":  # which begin one row later at rest
+        expected = expected[: found.size + 1]
+    assert same_bits(found, expected[1 : 1 + found.size])
+
+
+@pytest.mark.parametrize("flags", [["-DDBO_SMALL"], ["-DDBO_PLACE=uint16_t"]])
+def test_less_code_and_less_memory_change_no_bit(flags, tmp_path):
+    model = MODELS["many"]
+    firmware = exported(model, tmp_path, flags=flags)
+    assert same_bits(*compared(model, firmware, limits_of(model)))
+
+
+@pytest.mark.parametrize(
+    ("name", "kept"),
+    [("bent, falling", "limited"), ("negative gains", "free"), ("dynamics", "limited")],
+)
+def test_a_table_of_all_states(name, kept, tmp_path):
+    fewer, _ = with_fewer_gears(MODELS[name], 9)
+    limits = limits_of(fewer, **LIMITS[kept])
+    firmware = exported(fewer, tmp_path, limits, lookup=True)
+    assert "corners[512]" in firmware.export.files["actuator.c"]
+    assert same_bits(*compared(fewer, firmware, limits))
+    assert firmware.self_test()[0] == 0
+
+
+def test_too_many_gears_for_a_table_are_refused(tmp_path):
+    with pytest.raises(ModelError, match="`gears` 12"):
+        exported(MODELS["gears"], tmp_path, lookup=True)
+
+
+def test_what_is_no_number_repeats_the_last_output(tmp_path):
+    firmware = exported(MODELS["creep"], tmp_path)
+    found = firmware.play([np.nan, 2.0, np.inf, 1e300, -np.inf, np.nan, 2.5])
+    assert found[0] == 0.0
+    assert (found[1:6] == found[1]).all() and found[6] != found[1]
+
+
+def test_a_damaged_table_fails_the_self_test(tmp_path):
+    firmware = exported(MODELS["creep"], tmp_path)
+    path = firmware.folder / "actuator.c"
+    place = path.read_text().index("0x1.", path.read_text().index("dbo_gear gears"))
+    text = path.read_text()
+    path.write_text(text[:place] + "0x1.1" + text[place + 4 :])
+    code, said = firmware.self_test()
+    assert code == 1 and "samples differ" in said
+
+
+def test_the_state_is_as_large_as_stated(tmp_path):
+    firmware = exported(MODELS["dynamics"], tmp_path)
+    stated = firmware.export.figures["state_bytes"]
+    pointers = 3 * 4 + 3 * 4  # here they and size_t have 8 bytes, on a 32-bit chip 4
+    assert 0 <= firmware.library.size() - stated - pointers <= 16
+
+
+# ---- fewer gears
+
+
+def test_fewer_gears_keep_the_loading_curve_and_say_what_is_lost():
+    model = MODELS["creep"]
+    fewer, loss = with_fewer_gears(model, 16)
+    assert fewer.gears.n == 16
+    up = np.linspace(0.0, 100.0, 17)
+    full, _ = model.static.simulate(up, dt=1e9, state="empty")
+    coarse, _ = fewer.static.simulate(up, dt=1e9, state="empty")
+    np.testing.assert_allclose(coarse, full, atol=1e-12)
+    assert 0.0 < loss.rms < loss.most < 0.05 * model.output.span
+    worse = with_fewer_gears(model, 4)[1]
+    assert worse.rms > 2.0 * loss.rms
+    assert with_fewer_gears(model, 64) == (model, None)
+
+
+def test_fewer_gears_of_a_model_that_goes_on_beyond_its_range():
+    model = wide_model()
+    fewer, _ = with_fewer_gears(model, 10)
+    up = np.linspace(0.0, 100.0, 11)
+    full, _ = model.simulate(up, state="empty")
+    coarse, _ = fewer.simulate(up, state="empty")
+    np.testing.assert_allclose(coarse, full, atol=1e-12)
+
+
+@pytest.mark.parametrize("gears", [0, 65])
+def test_more_gears_than_there_are_are_refused(gears):
+    with pytest.raises(UsageError, match="`gears`"):
+        with_fewer_gears(MODELS["creep"], gears)
+
+
+# ---- refusals and texts
+
+
+@pytest.mark.parametrize(
+    "name", ["int", "9lives", "a-b", "", "dbo_x", "x" * 41, "Main"]
+)
+def test_names_that_c_does_not_take(name):
+    with pytest.raises(UsageError, match="`name`"):
+        export_model(MODELS["gears"], limits_of(MODELS["gears"]), name=name)
+
+
+def test_a_rate_is_needed_where_time_matters():
+    free = limits_of(MODELS["gears"])
+    assert export_model(MODELS["gears"], free).figures["sample_rate"] is None
+    with pytest.raises(UsageError, match="`sample_rate`"):
+        export_model(MODELS["gears"], limits_of(MODELS["gears"], max_slew=5.0))
+    with pytest.raises(UsageError, match="`sample_rate`"):
+        export_model(MODELS["delay"], free)
+    with pytest.raises(InputError, match="too fast"):
+        export_model(MODELS["dynamics"], free, sample_rate=400.0)
+
+
+def test_the_same_model_gives_the_same_bytes_with_and_without_candidates(tmp_path):
+    model = MODELS["creep"]
+    made = export_model(model, limits_of(model), sample_rate=RATE)
+    again = export_model(model.inverse(), limits_of(model), sample_rate=RATE)
+    assert made == again
+
+
+def test_a_unit_cannot_end_a_comment(tmp_path):
+    from dataclasses import replace
+
+    model = MODELS["gears"]
+    evil = replace(model, input=replace(model.input, quantity="*/ $x /*\nx", unit="$V"))
+    firmware = exported(evil, tmp_path, limits_of(model))
+    assert firmware.play([2.0]).size == 1
+
+
+def test_files_of_the_kernel_are_the_very_files(tmp_path):
+    from pathlib import Path
+
+    import dbo_cli.model
+
+    made = export_model(
+        MODELS["dynamics"], limits_of(MODELS["gears"]), sample_rate=RATE
+    )
+    own = Path(dbo_cli.model.__file__).parent
+    for name in (
+        "dbo_kernel.c",
+        "dbo_kernel.h",
+        "dbo_dynamics.c",
+        "dbo_interpolation.h",
+    ):
+        assert made.files[name] == (own / name).read_text()
+
+
+def test_models_from_files_are_exported(tmp_path):
+    from pathlib import Path
+
+    path = Path(__file__).parent.parent / "contract" / "models" / "moving.json"
+    model = read_model(str(path))
+    firmware = exported(model, tmp_path)
+    assert same_bits(*compared(model, firmware, limits_of(model)))
