@@ -112,7 +112,8 @@ class Outlook:
         if not self._voltage:
             return None
         voltage, dt = self._first_rows()
-        error = expected_error(self.model, voltage, dt, past_known)
+        begin = self._lead.rows
+        error = expected_error(self.model, voltage, dt, past_known, begin)
         return None if error is None else math.hypot(error, self.loss.rms)
 
     def _warnings(self, state: State | None, expected: float | None) -> list[str]:
