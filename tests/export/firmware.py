@@ -97,7 +97,7 @@ def wide_model(relaxation=None):
 
 
 def wish(model, rows=1500, seed=3):
-    """Return a displacement that begins at rest at the lower end, turns often, and goes a little beyond."""
+    """Return a displacement from rest at the drive's lower end that turns often, and goes a little beyond."""
     low, high = model.output.min, model.output.max
     rng = np.random.default_rng(seed)
     rows_risen = np.arange(rows)
@@ -106,6 +106,8 @@ def wish(model, rows=1500, seed=3):
     way[rows // 2 : rows // 2 + 30] = way[rows // 2]
     jumps = rng.uniform(0.0, 1.0, 60)
     part = np.concatenate([np.zeros(80), way, jumps, [1.0, 0.0, 1.02, 0.5, -0.01, 0.2]])
+    if model.sign == "falling":
+        part = 1.0 - part
     return low + (high - low) * part
 
 
@@ -134,7 +136,7 @@ class Firmware:
         if export.figures["arithmetic"] == "q31":
             number, self.kind = "int32_t", ctypes.c_int32
         (folder / "play.c").write_text(
-            f'#include "{name}.h"\n'
+            f'#include <stddef.h>\n#include "{name}.h"\n'
             f"static {name}_state s;\n"
             f"size_t size(void); void init(void); void reset({number} d); {number} step({number} x);\n"
             f"size_t size(void) {{ return sizeof s; }}\n"

@@ -1,0 +1,170 @@
+"""Exports in whole numbers stay within the bound that they state."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from firmware import (
+    MODELS,
+    NO_COMPILER,
+    RATE,
+    Firmware,
+    counts_of,
+    driven,
+    gears,
+    limits_of,
+    model_of,
+    values_of,
+    wide_model,
+    wish,
+    with_rest,
+)
+
+from dbo_cli.errors import ModelError, UsageError
+from dbo_cli.export import export_model
+from dbo_cli.model import Delay, Relaxation, Scale
+
+pytestmark = pytest.mark.skipif(NO_COMPILER, reason="needs a C compiler")
+REFUSED = ("negative gains", "dynamics")
+LIMITED = {"v_min": 12.0, "v_max": 93.0, "max_slew": 4000.0}
+IGNORED = -(2**31)
+
+
+def exported(model, tmp_path, limits=None, flags=(), **options):
+    made = export_model(
+        model, limits or limits_of(model), sample_rate=RATE, arithmetic="q31", **options
+    )
+    return Firmware(made, tmp_path / "fw", *flags)
+
+
+def apart(model, firmware, limits, wanted):
+    """Return by how much each row of an export is off the library's, in volts."""
+    low, high = model.output.min, model.output.max
+    wanted = with_rest(firmware.export, np.clip(wanted, low, high))
+    counts = counts_of(wanted, model.output)
+    expected = driven(model, values_of(counts, model.output), limits)
+    found = firmware.play(counts[firmware.export.figures["ahead"] :])
+    volts = values_of(found, model.input)
+    assert volts.min() >= limits.move[0] and volts.max() <= limits.move[1]
+    return np.abs(volts - expected[: volts.size])
+
+
+@pytest.mark.parametrize("name", [name for name in MODELS if name not in REFUSED])
+def test_the_bound_holds(name, tmp_path):
+    model = MODELS[name]
+    limits = limits_of(model)
+    firmware = exported(model, tmp_path, limits, ["-fsanitize=undefined"])
+    off = apart(model, firmware, limits, wish(model))
+    stated = firmware.export.figures["bounds"]
+    assert off.max() <= stated["close"]
+    assert np.median(off) <= stated["same"]
+    assert stated["same"] < 2e-5 * 100.0
+    code, said = firmware.self_test()
+    assert code == 0, said
+
+
+def test_limits_are_kept_to_the_count(tmp_path):
+    model = MODELS["creep"]
+    limits = limits_of(model, **LIMITED)
+    firmware = exported(model, tmp_path, limits)
+    counts = counts_of(wish(model), model.output)
+    volts = values_of(firmware.play(counts), model.input)
+    assert volts.min() >= 12.0 and volts.max() <= 93.0
+    assert volts.max() > 92.99 and volts.min() < 12.01
+    steps = np.abs(np.diff(volts))
+    assert steps.max() <= 4.0 * (1.0 + 1e-12) and steps.max() > 3.9999
+    assert firmware.self_test()[0] == 0
+    off = apart(model, firmware, limits, wish(model))
+    slack = off.size * 100.0 / 2**31  # a count a step where the slew limit binds
+    assert off.max() <= firmware.export.figures["bounds"]["close"] + slack
+
+
+def test_gears_beyond_the_range(tmp_path):
+    model = wide_model()
+    limits = limits_of(model)
+    firmware = exported(model, tmp_path, limits)
+    assert "spare" in firmware.export.files["actuator.c"]
+    off = apart(model, firmware, limits, wish(model))
+    assert off.max() <= firmware.export.figures["bounds"]["close"]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_bound_holds_for_random_gears_and_memories(seed, tmp_path):
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 400))
+    terms = int(rng.integers(0, 4))
+    memory = None
+    if terms:
+        tau = 10.0 ** rng.uniform(-3, 1.5, terms)
+        gain = rng.uniform(0.0, 0.02, terms)
+        memory = Relaxation(float(rng.normal() * 50.0), tuple(tau), tuple(gain))
+    stages = [gears(n, seed, memory), Scale(float(rng.choice([-3.0, 0.01])), 4.0)]
+    model = model_of(*stages, Delay(float(rng.uniform(0.0, 0.004))))
+    limits = limits_of(model)
+    firmware = exported(model, tmp_path, limits)
+    off = apart(model, firmware, limits, wish(model, seed=seed))
+    assert off.max() <= firmware.export.figures["bounds"]["close"]
+
+
+@pytest.mark.parametrize("name", ["creep", "bent, falling"])
+def test_after_a_reset_the_state_is_that_of_a_settled_actuator(name, tmp_path):
+    model = MODELS[name]
+    limits = limits_of(model)
+    firmware = exported(model, tmp_path, limits)
+    counts = counts_of(
+        np.clip(wish(model)[300:], model.output.min, model.output.max), model.output
+    )
+    expected = driven(model, values_of(counts, model.output), limits, state="settled")
+    start = counts_of(expected[:1], model.input)[0]
+    found = values_of(firmware.play(counts[1:], reset=start), model.input)
+    off = np.abs(found - expected[1:])
+    assert off.max() <= firmware.export.figures["bounds"]["close"]
+
+
+def test_what_is_no_number_repeats_the_last_output(tmp_path):
+    firmware = exported(MODELS["creep"], tmp_path)
+    found = firmware.play([IGNORED, 0, IGNORED, 2**31 - 1, 1 - 2**31])
+    assert found[0] == -(2**30) and found[2] == found[1]
+    assert found[3] == 2**30 and found[4] < found[3]
+
+
+def test_a_damaged_table_fails_the_self_test(tmp_path):
+    firmware = exported(MODELS["creep"], tmp_path)
+    path = firmware.folder / "actuator.c"
+    place = (
+        path.read_text().index("{", path.read_text().index("dboq_gear gears") + 40) + 1
+    )
+    text = path.read_text()
+    path.write_text(text[:place] + "1" + text[place + 1 :])
+    code, said = firmware.self_test()
+    assert code == 1 and "samples differ" in said
+
+
+@pytest.mark.parametrize(
+    ("name", "named"),
+    [("negative gains", "relaxation.gain"), ("dynamics", "dynamics")],
+)
+def test_what_has_no_bound_is_refused(name, named, tmp_path):
+    with pytest.raises(ModelError, match=named):
+        exported(MODELS[name], tmp_path)
+
+
+def test_other_refusals(tmp_path):
+    with pytest.raises(UsageError, match="`lookup`"):
+        exported(MODELS["creep"], tmp_path, lookup=True)
+    still = model_of(gears(10, relaxation=Relaxation(0.0, (1e9,), (0.001,))))
+    with pytest.raises(ModelError, match="stands still"):
+        exported(still, tmp_path)
+    slow = limits_of(MODELS["gears"], max_slew=1e-5)
+    with pytest.raises(ModelError, match="`max_slew`"):
+        exported(MODELS["gears"], tmp_path, slow)
+
+
+def test_fewer_gears_are_said_and_hold_their_bound(tmp_path):
+    firmware = exported(MODELS["many"], tmp_path, gears=32)
+    figures = firmware.export.figures
+    assert figures["gears"] == 32
+    assert 0.0 < figures["loss"]["rms"] < figures["loss"]["max"]
+    page = firmware.export.files["README.md"]
+    assert "32 gears instead" in page and f"{figures['bounds']['same']:.3g} V" in page
+    assert firmware.self_test()[0] == 0
