@@ -117,7 +117,8 @@ paper: $(VENV)/installed
 
 evidence: $(VENV)/installed
 	@test -n "$(DATA)" || { echo "make evidence DATA=FOLDER: a folder of recordings (docs/evidence.md)"; exit 2; }
-	$(BIN)/python benchmarks/identification.py "$(DATA)"
+	$(BIN)/python benchmarks/identification.py "$(DATA)" --save table.json
+	$(BIN)/python docs/fill_evidence.py table.json && rm table.json
 
 labs: $(VENV)/installed-test
 	examples/try_in_labs $(PYTHON)

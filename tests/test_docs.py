@@ -57,7 +57,10 @@ def blocks(path: Path, language: str) -> list[str]:
 
 def command_lines(path: Path) -> list[str]:
     """Return every line of a page that calls the program, without its comment."""
-    text = path.read_text().replace("\\\n", " ")
+    text = re.sub(
+        r"^```text\n.*?^```$", "", path.read_text(), flags=re.MULTILINE | re.DOTALL
+    )
+    text = text.replace("\\\n", " ")
     lines = []
     for line in text.splitlines():
         plain = line.strip().removeprefix("@")
