@@ -25,7 +25,15 @@ LEVELS = {
     "library": 5,
     "cli": 6,
 }
-ARRAYS_ONLY = {"model", "identification", "drive", "reports", "export", "compare", "moves"}
+ARRAYS_ONLY = {
+    "model",
+    "identification",
+    "drive",
+    "reports",
+    "export",
+    "compare",
+    "moves",
+}
 FILES = sorted(PACKAGE.rglob("*.py"))
 
 

@@ -210,7 +210,7 @@ def lag_left(desired: Floats, measured: Floats) -> float | None:
     desired signal (rad a sample), from the regression of its second difference on
     itself, the phase is atan2(-b sin(w h), a), and the lag is the phase over w. Exact
     for a sine; right to first order for other signals. Hysteresis is a phase, too. None
-    where the desired signal does not move back and forth.
+    where the desired signal does not move back and forth, as a ramp.
     """
     h = slope_spacing(desired)
     if h is None or len(desired) < 2 * h + 4:
@@ -234,7 +234,8 @@ def lag_left(desired: Floats, measured: Floats) -> float | None:
     across = float((sm * dd - dm * ds) / determinant)
     half_chord = 0.5 * math.sqrt(-curvature / float(dd))
     step = 2.0 * math.asin(min(1.0, half_chord))  # phase in h samples
-    return math.atan2(-across * math.sin(step), along) / step * h
+    lag = math.atan2(-across * math.sin(step), along) / step * h
+    return lag if abs(lag) < len(desired) / 4.0 else None
 
 
 def slope_spacing(desired: Floats) -> int | None:
