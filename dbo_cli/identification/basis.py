@@ -68,7 +68,7 @@ class PreparedLog:
     time : shape (n,), seconds (rows where there is no clock)
     steps : seconds since the sample before, a number where the clock is even
     start : "empty", "full" or "settled": where the gears stand at the first row
-    rows : the rows that are fitted
+    rows, ends : shape (k,): row k of the fit is the mean over rows[k] to ends[k]
     """
 
     name: str
@@ -78,11 +78,17 @@ class PreparedLog:
     steps: float | Floats
     start: str
     rows: Integers
+    ends: Integers
 
     @property
     def dt(self) -> float:
         """The usual step in seconds."""
         return float(np.median(self.steps))
+
+    @property
+    def fitted(self) -> Floats:
+        """The output of the fitted rows."""
+        return means(self.output, self.rows, self.ends)
 
 
 @dataclass(frozen=True)
@@ -200,32 +206,45 @@ class Basis:
     taus: Floats
     _kept: dict[object, Floats] = field(default_factory=dict)
 
-    def columns(
-        self, log: PreparedLog, structure: Structure, rows: Integers
-    ) -> Floats:
-        """Return the table (rows, cells + 2 terms): engaged parts, lags, and drive less its lags."""
-        wanted, weights = _delayed_rows(log, structure.delay, rows)
-        needed, place = np.unique(wanted, return_inverse=True)
-        table = self._at_rows(log, structure, needed)
-        picked = table[place.reshape(wanted.shape)]
-        late = np.einsum("krc,kr->rc", picked, weights)
-        plays = self.cells.count + 1
-        drive, lags = late[:, :1], late[:, plays:-1]
-        engaged = late[:, : plays - 1] - late[:, 1:plays]
-        engaged[:, -1] += late[:, -1]
-        return np.hstack((engaged, lags, drive + late[:, -1:] - lags))
+    def columns(self, log: PreparedLog, structure: Structure) -> Floats:
+        """Return the table (rows, cells + 2 terms): engaged parts, lags, and drive less its lags.
 
-    def _at_rows(
-        self, log: PreparedLog, structure: Structure, rows: Integers
-    ) -> Floats:
-        """Return plays, lags and what the drive is beyond its range, at these rows in order."""
+        A mean is a difference of sums from the first row on; a delay shifts both ends.
+        """
         drive = bent(log.drive, structure.bend)
-        parts = []
-        for first, table in self._full_rate(log, drive):
-            last = first + len(table)
-            begin, end = np.searchsorted(rows, (first, last))
-            parts.append(table[rows[begin:end] - first])
-        return np.vstack(parts)
+        ends = np.concatenate((log.rows, log.ends))
+        position = _late(log, structure.delay, ends)
+        taken, weights, outside = _between(position, len(drive))
+        needed, place = np.unique(taken, return_inverse=True)
+        sums, first = self._sums(log, drive, needed)
+        late = np.einsum("krc,kr->rc", sums[place.reshape(taken.shape)], weights)
+        late += outside[:, None] * first
+        begun, ended = np.split(late, 2)
+        first_rows, last_rows = np.split(position, 2)
+        table = (ended - begun) / (last_rows - first_rows)[:, None]
+        plays = self.cells.count + 1
+        lags, beyond = table[:, plays:-1], table[:, -1:]
+        engaged = table[:, : plays - 1] - table[:, 1:plays]
+        engaged[:, -1:] += beyond
+        return np.hstack((engaged, lags, table[:, :1] + beyond - lags))
+
+    def _sums(
+        self, log: PreparedLog, drive: Floats, places: Integers
+    ) -> tuple[Floats, Floats]:
+        """Return the sums of all rows before each of these places (in order), and the first row."""
+        parts: list[Floats] = []
+        first: Floats | None = None
+        total = np.zeros(0)
+        for begin, table in self._full_rate(log, drive):
+            if first is None:
+                first, total = table[0], np.zeros(table.shape[1])
+            sums = np.vstack((total, table)).cumsum(axis=0)
+            final = begin + len(table) == len(drive)
+            low, high = np.searchsorted(places, (begin, begin + len(table) + final))
+            parts.append(sums[places[low:high] - begin])
+            total = sums[-1]
+        assert first is not None
+        return np.vstack(parts), first
 
     def _full_rate(
         self, log: PreparedLog, drive: Floats
@@ -263,20 +282,24 @@ def _play_table(reach: Floats, first: float, start: str) -> tuple[Floats, Floats
     return table, state
 
 
-def _delayed_rows(
-    log: PreparedLog, delay: float, rows: Integers
-) -> tuple[Integers, Floats]:
-    """Return the rows to take for each row wanted, and their weights: a cubic through four samples.
-
-    Both have shape (points, rows).
-    """
+def _late(log: PreparedLog, delay: float, places: Integers) -> Floats:
+    """Return where the drive of these places, which lie between rows, was earlier; before the log below 0."""
     if delay == 0.0:
-        return rows[None, :], np.ones((1, len(rows)))
-    position = np.interp(
-        log.time[rows] - delay, log.time, np.arange(len(log.time), dtype=float)
-    )
-    whole = np.floor(position).astype(np.int64)
-    f = position - whole
+        return places.astype(np.float64)
+    clock = np.append(log.time, log.time[-1] + log.dt)
+    late = clock[places] - delay
+    within: Floats = np.interp(late, clock, np.arange(len(clock), dtype=float))
+    return within + np.minimum(late - clock[0], 0.0) / log.dt
+
+
+def _between(position: Floats, count: int) -> tuple[Integers, Floats, Floats]:
+    """Return four places around each position, their weights in a cubic, and how far it lies before the log.
+
+    The first two have shape (4, positions).
+    """
+    outside = np.minimum(position, 0.0)
+    whole = np.clip(np.floor(position).astype(np.int64), 1, count - 2)
+    f = position - outside - whole
     weights = np.stack(
         (
             -f * (f - 1.0) * (f - 2.0) / 6.0,
@@ -285,5 +308,11 @@ def _delayed_rows(
             (f + 1.0) * f * (f - 1.0) / 6.0,
         )
     )
-    taken = whole[None, :] + np.arange(-1, 3)[:, None]
-    return np.clip(taken, 0, len(log.time) - 1), weights
+    return whole[None, :] + np.arange(-1, 3)[:, None], weights, outside
+
+
+def means(values: Floats, rows: Integers, ends: Integers) -> Floats:
+    """Return the means over rows[k] to ends[k]."""
+    sums = np.concatenate(([0.0], np.cumsum(values - values[0])))
+    averages: Floats = values[0] + (sums[ends] - sums[rows]) / (ends - rows)
+    return averages

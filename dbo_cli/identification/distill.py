@@ -22,6 +22,7 @@ BEYOND = 0.05  # of the range: the invented drive goes so far beyond the logs'
 REST = 0.25  # of a swing
 CURVES = (np.inf, 1e-1, 1e-3, 1e-5, 1e-7)
 SMOOTH_SLOPES = 2e-6
+HEAVY = 0.05  # weight of a fit whose corners are kept
 GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
 
 
@@ -85,13 +86,13 @@ def distill(problem: Problem, average: Average) -> Fit:
         average.fits[0].structure,
         slopes=slopes.pop() if len(slopes) == 1 else "free",
         memories=_memories(average),
-        smooth_slopes=SMOOTH_SLOPES,
+        smooth_slopes=_smoothness(average),
         drift=0,
     )
     invented = invented_log(problem)
     basis = Basis(problem.cells, problem.taus)
     table = np.vstack(
-        (problem.columns(structure), basis.columns(invented, structure, invented.rows))
+        (problem.columns(structure), basis.columns(invented, structure))
     )
     mean = np.zeros(len(table))
     for fit, weight in zip(average.fits, average.weights, strict=True):
@@ -117,6 +118,15 @@ def _memories(average: Average) -> str:
     return max((fit.structure.memories for fit in average.fits), key=len)
 
 
+def _smoothness(average: Average) -> float:
+    """Return the least smoothness of slopes among the fits that weigh much, and what distilling takes."""
+    heavy = [SMOOTH_SLOPES]
+    for fit, weight in zip(average.fits, average.weights, strict=True):
+        if weight > HEAVY:
+            heavy.append(fit.structure.smooth_slopes)
+    return min(heavy)
+
+
 def _columns_of(fit: Fit, table: Floats, problem: Problem) -> Floats:
     """Return the columns that a fit uses."""
     return table[:, : problem.cells.count + len(fit.gains)]
@@ -140,4 +150,6 @@ def invented_log(problem: Problem) -> PreparedLog:
     drive = (1.0 + 2.0 * BEYOND) * np.concatenate(parts) - BEYOND
     time = dt * np.arange(len(drive))
     every = np.arange(0, len(drive), stride)
-    return PreparedLog("invented", drive, drive, time, dt, "empty", every)
+    return PreparedLog(
+        "invented", drive, drive, time, float(dt), "empty", every, every + 1
+    )

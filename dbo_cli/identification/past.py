@@ -60,7 +60,8 @@ def early_rows(log: PreparedLog) -> Booleans:
     near = NEAR_END * (high - low)
     both = max(int(np.argmax(drive <= low + near)), int(np.argmax(drive >= high - near)))
     early = np.arange(len(drive)) < both
-    if both > MOST_EARLY * len(drive):
+    again = np.ptp(drive[both:]) >= (1.0 - 2.0 * NEAR_END) * (high - low)
+    if both > MOST_EARLY * len(drive) or not again:
         early[:] = False
     return early
 
@@ -69,7 +70,7 @@ def _without(problem: Problem, early: list[Booleans]) -> Problem:
     """Return the problem without these of its fitted rows."""
     logs = []
     for log, rows in zip(problem.logs, early, strict=True):
-        logs.append(replace(log, rows=log.rows[~rows]))
+        logs.append(replace(log, rows=log.rows[~rows], ends=log.ends[~rows]))
     smaller = replace(problem, logs=tuple(logs), _columns={})
     smaller.parts = parts_of(smaller)
     return smaller

@@ -28,7 +28,8 @@ from dbo_cli.identification.recording import (
 )
 from dbo_cli.identification.solve import Rows
 
-SEARCH_ROWS = 1200  # of all logs, in the search
+SEARCH_ROWS = 1200  # of all logs: means of more
+MOST_ROWS = 100_000  # of all logs at full rate: a longer log is thinned by means
 BLOCKS = 6  # of time, each left out in turn
 SMALL, TINY = 0.75, 0.4  # of the largest swing: swings below are left out together
 FEWEST_OF_SWING = 5  # fitted rows of a swing that counts
@@ -84,14 +85,14 @@ class Problem:
     @property
     def output(self) -> Floats:
         """The normalised output of the fitted rows."""
-        return np.concatenate([log.output[log.rows] for log in self.logs])
+        return np.concatenate([log.fitted for log in self.logs])
 
     def columns(self, structure: Structure) -> Floats:
         """Return the columns of the fitted rows; kept for each delay and bend."""
         key = structure.delay, structure.bend
         if key not in self._columns:
             basis = Basis(self.cells, self.taus)
-            tables = [basis.columns(log, structure, log.rows) for log in self.logs]
+            tables = [basis.columns(log, structure) for log in self.logs]
             self._columns[key] = np.vstack(tables)
         return self._columns[key]
 
@@ -161,7 +162,8 @@ class Problem:
         """Return the recordings with the rows that could be fitted: those of an unknown past do not count."""
         logs = []
         for recording, log in zip(recordings, self.logs, strict=True):
-            late = np.arange(len(log.drive)) >= log.rows[0]
+            first = round(int(log.rows[0]) * len(recording.voltage) / len(log.drive))
+            late = np.arange(len(recording.voltage)) >= first
             logs.append(replace(recording, good=recording.usable & late))
         return logs
 
@@ -175,12 +177,14 @@ def prepare(recordings: Sequence[Recording], options: Options) -> Problem:
     low = min(float(log.voltage.min()) for log in recordings)
     high = max(float(log.voltage.max()) for log in recordings)
     scale, offset = output_scale(recordings, options.sign)
+    recordings = [thinned(log, recordings) for log in recordings]
     usable = [log.usable for log in recordings]
     total = sum(int(rows.sum()) for rows in usable)
     stride = max(math.ceil(total / SEARCH_ROWS), 1)
     logs = []
     for log, rows in zip(recordings, usable, strict=True):
-        logs.append(_prepared(log, np.flatnonzero(rows)[::stride], low, high, scale, offset))
+        begins, ends = groups(rows, stride)
+        logs.append(_prepared(log, begins, ends, low, high, scale, offset))
     clock = all(log.time is not None for log in recordings)
     taus = np.zeros(0)
     if options.taus is not None:
@@ -197,7 +201,13 @@ def prepare(recordings: Sequence[Recording], options: Options) -> Problem:
 
 
 def _prepared(
-    log: Recording, rows: Integers, low: float, high: float, scale: float, offset: float
+    log: Recording,
+    rows: Integers,
+    ends: Integers,
+    low: float,
+    high: float,
+    scale: float,
+    offset: float,
 ) -> PreparedLog:
     """Return one log in units of the fit."""
     drive = (log.voltage - low) / (high - low)
@@ -207,9 +217,40 @@ def _prepared(
     if float(np.abs(gaps - steps).max()) > 1e-6 * float(np.median(gaps)):
         steps = np.concatenate(([0.0], gaps))
     output = (log.displacement - offset) / scale
-    return PreparedLog(
-        log.name, drive, output, time, steps, start_of(float(drive[0])), rows
+    start = start_of(float(drive[0]))
+    return PreparedLog(log.name, drive, output, time, steps, start, rows, ends)
+
+
+def thinned(log: Recording, logs: Sequence[Recording]) -> Recording:
+    """Return a very long log by the means of some rows each."""
+    size = max(sum(len(other.voltage) for other in logs) // MOST_ROWS, 1)
+    count = len(log.voltage) // size
+    if size == 1 or count < MOST_ROWS // (20 * len(logs)):
+        return log
+
+    def mean(values: Floats) -> Floats:
+        averages: Floats = values[: count * size].reshape(count, size).mean(axis=1)
+        return averages
+
+    return replace(
+        log,
+        voltage=mean(log.voltage),
+        displacement=mean(log.displacement),
+        time=None if log.time is None else mean(log.time),
+        good=log.usable[: count * size].reshape(count, size).all(axis=1),
     )
+
+
+def groups(rows: Booleans, size: int) -> tuple[Integers, Integers]:
+    """Return begin and end of groups of up to ``size`` neighbouring rows that are true."""
+    edges = np.diff(np.concatenate(([False], rows, [False])).astype(np.int8))
+    begins, ends = [], []
+    runs = np.column_stack((np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)))
+    for begin, end in runs.tolist():
+        some = np.arange(begin, end, size)
+        begins.append(some)
+        ends.append(np.append(some[1:], end))
+    return np.concatenate(begins), np.concatenate(ends)
 
 
 def output_scale(recordings: Sequence[Recording], sign: str | None) -> tuple[float, float]:

@@ -17,7 +17,7 @@ from dbo_cli.identification.solve import Fit, solve
 CURVES = (np.inf, 1e-1, 1e-3, 1e-5, 1e-7)
 SLOPE_SMOOTHNESS = (2e-1, 2e-4)
 CORNERS = 1e-8  # smoothness of slopes that only grow or fall: springs slip at a few forces
-ONE_AMPLITUDE_SMOOTHNESS = 2.0  # what no swing shows is as straight as it can be
+ONE_AMPLITUDE_SMOOTHNESS = 1e5  # times what a first fit leaves of the output's variance
 BENDS = (-0.4, -0.25, -0.12, 0.12, 0.25, 0.4)
 DRIFTS = (1, 3)
 DELAYS = (0.003, 0.01, 0.03, 0.08)  # of a swing
@@ -26,6 +26,7 @@ WITHIN_REACH = 0.7  # of the score: worse delays are not refined
 SWINGS_FOR_DRIFT = 4  # of each log, for each order
 SLOWEST = 3.0  # swings: the slowest memory that a log of one amplitude can tell
 REFINED = 2  # kinds of structures whose neighbours are tried
+REFINED_AGAIN = 1  # of these: a bend and a drift beside it
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,7 @@ def _for_one_amplitude(
     for rule in rules:
         trial = Structure(rule, "", SLOPE_SMOOTHNESS[0], 1e-1)
         errors.append(solve(problem.rows(trial), trial).rmse)
+    variance = float(np.var(problem.output))
     problem = problem.without_memories_from(SLOWEST * problem.swing)
     choices = replace(
         choices,
@@ -120,7 +122,9 @@ class Search:
                     base = Structure(slopes, memories, smooth, delay=choices.delay or 0.0)
                     base = replace(base, segments=choices.segments)
                     self._path(base, choices.curves)
-        for fit in self._best_kinds():
+        for fit in self._best_kinds()[:REFINED]:
+            self._neighbours(fit)
+        for fit in self._best_kinds()[:REFINED_AGAIN]:
             self._neighbours(fit)
         if choices.delay is None and self.problem.clock:
             for factors in FINER_DELAYS:
@@ -149,7 +153,7 @@ class Search:
         best: dict[tuple[str, str], Fit] = {}
         for fit in sorted(self.fits, key=lambda fit: fit.score):
             best.setdefault((fit.structure.slopes, fit.structure.memories), fit)
-        return list(best.values())[:REFINED]
+        return list(best.values())
 
     def _neighbours(self, fit: Fit) -> None:
         """Fit what differs from a good fit in one thing."""
