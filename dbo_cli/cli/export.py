@@ -65,10 +65,9 @@ def export(
     )
     write_folder(output, made.files, made.figures)
     figures = made.figures
-    line = (
-        f"{output}: {figures['gears']} gears in {arithmetic}, {figures['table_bytes']:,} bytes of tables and"
-        f" {figures['state_bytes']:,} of state"
-    )
+    line = f"{output}: {figures['gears']} gears in {arithmetic}"
+    if figures["ahead"]:
+        line += f", {figures['ahead']} samples ahead"
     if "bounds" in figures:
         bound, percent = figures["bounds"]["close"], figures["bounds"]["close_percent"]
         line += f"; within {bound:.3g}{actuator.input.suffix} ({percent:.3g} %) of compensate"

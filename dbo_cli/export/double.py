@@ -14,7 +14,6 @@ from dbo_cli.export import text as c
 from dbo_cli.export.plan import Plan, ignored_beyond, trial_moves
 from dbo_cli.model import Points, Scale
 from dbo_cli.model.points import Curves
-from dbo_cli.model.state import NEGLIGIBLE
 from dbo_cli.model.widths import kernel_table
 
 Floats = NDArray[np.float64]
@@ -28,20 +27,12 @@ class _Parts:
     """Tables, members and steps, as the stages of a plan add them."""
 
     def __init__(self) -> None:
-        self.sources = c.Sources()
+        self.kernel: list[str] = []
+        self.members: list[str] = []
         self.tables: list[str] = []
         self.init: list[str] = []
         self.reset: list[str] = []
         self.step: list[str] = []
-
-    def table(self, text: str, size: int) -> None:
-        """Add a constant table of so many bytes."""
-        self.tables.append(text)
-        self.sources.table_bytes += size
-
-    def member(self, text: str) -> None:
-        """Add a member of the state."""
-        self.sources.members.append(text)
 
 
 def double_sources(plan: Plan, lookup: bool) -> c.Sources:
@@ -57,7 +48,6 @@ def double_sources(plan: Plan, lookup: bool) -> c.Sources:
         _lookup_gears(plan, parts)
     else:
         _gears(plan, parts)
-    sources = parts.sources
     low, high = plan.limits.move
     undoing = _undo_delay(plan, parts) + _undo_dynamics(plan, parts)
     before = _curves(plan.model.head, "before", parts)
@@ -65,25 +55,19 @@ def double_sources(plan: Plan, lookup: bool) -> c.Sources:
     drive = _curves(plan.drive_curves, "drive", parts)
     if plan.model.tail:  # rounding on the way back through the points
         behind += f"    x = x < {c.real(low)} ? {c.real(low)} : x > {c.real(high)} ? {c.real(high)} : x;\n"
-    if plan.gain.size:
-        parts.member("int begun;")
-        parts.init.append("    state->begun = 0;\n")
-        parts.reset.append("    state->begun = 1;\n")
     begin = parts.step.pop(0)
-    assert plan.empty.drive is not None
-    sources.values = {
+    values = {
         "TABLES": "".join(parts.tables),
         "INIT": "".join(parts.init).rstrip("\n"),
         "RESET": (drive + "".join(parts.reset)).rstrip("\n"),
         "STEP": (begin + undoing + before + "".join(parts.step) + behind).rstrip("\n"),
-        "FIRST_OUTPUT": c.real(plan.empty.drive),
+        "FIRST_OUTPUT": c.real(plan.first_drive),
         "LEAST": c.real(low),
         "MOST": c.real(high),
         "REACH": repr(ignored_beyond(plan.model.input)),
         "DRIVE_REACH": repr(ignored_beyond(plan.model.output)),
     }
-    sources.runs = _runs(plan)
-    return sources
+    return c.Sources(values, parts.members, parts.kernel, _runs(plan))
 
 
 # ---- the gears
@@ -93,12 +77,12 @@ def _tables(plan: Plan, parts: _Parts, run: int) -> None:
     """Add the table of the gears, the operator, what a fixed step makes constant, and the limits."""
     gears, terms = plan.gears, plan.gain.size
     table, _ = kernel_table(gears.table, run)
-    parts.table(c.array("dbo_gear", "gears", c.real_structs(table)), 48 * len(table))
+    parts.tables.append(c.array("dbo_gear", "gears", c.real_structs(table)))
     gain = "0"
     if terms:
         gain = "gain"
-        parts.table(c.reals("gain", plan.gain), 8 * terms)
-        parts.table(c.reals("at_rest", np.zeros(terms)), 8 * terms)
+        parts.tables.append(c.reals("gain", plan.gain))
+        parts.tables.append(c.reals("at_rest", np.zeros(terms)))
     parts.tables.append(
         f"static const dbo_backlash op = {{gears, {gears.n}, {run}, DBO_ROW_FACTOR({run}), 0, 0, 0.0,\n"
         f"    {c.real(gears.x0)}, {c.real(gears.y0)}, 1, {terms}, {gain}, {c.real(plan.reference)}, 1}};\n"
@@ -108,11 +92,9 @@ def _tables(plan: Plan, parts: _Parts, run: int) -> None:
     if step is not None:
         largest = "&largest_step"
         parts.tables.append(f"static const double largest_step = {c.real(step)};\n")
-    low, high = gears.y_range
-    slack = NEGLIGIBLE * min(inner.high - inner.low, high - low)
-    numbers = ", ".join(c.real(value) for value in (inner.low, inner.high, slack))
+    ends = f"{c.real(inner.low)}, {c.real(inner.high)}"
     parts.tables.append(
-        f"static const dbo_limits limits = {{{numbers}, {largest}, 0}};\n"
+        f"static const dbo_limits limits = {{{ends}, 0.0, {largest}, 0}};\n"
     )
 
 
@@ -127,15 +109,14 @@ def _fixed_step(
     steps = np.column_stack(
         [wide * rows[:, 3], rows[:, 1] / wide, rows[:, 1] * rows[:, 3], begins]
     )
-    parts.table(
-        c.array("dbo_fixed_gear", f"{name}_gears", c.real_structs(steps)),
-        32 * len(rows),
+    parts.tables.append(
+        c.array("dbo_fixed_gear", f"{name}_gears", c.real_structs(steps))
     )
     decays = rests = "0"
     if decay.size and name == "fixed":
         decays, rests = "decay", "rest"
-        parts.table(c.reals("decay", decay), 8 * decay.size)
-        parts.table(c.reals("rest", 1.0 - decay), 8 * decay.size)
+        parts.tables.append(c.reals("decay", decay))
+        parts.tables.append(c.reals("rest", 1.0 - decay))
     elif decay.size:
         decays, rests = "at_rest", "all_of_it"
     parts.tables.append(
@@ -144,42 +125,40 @@ def _fixed_step(
     )
 
 
-def _begin(plan: Plan) -> str:
-    """Return the statements that point a state, perhaps a copy, to its own memory."""
-    return "    state->gears.memory = state->memory;\n" if plan.gain.size else ""
-
-
-def _last(plan: Plan) -> str:
-    """Return the drive before the first sample, as the gears meet it."""
-    assert plan.empty.drive is not None
-    return c.real(plan.at_gears(plan.empty.drive))
+def _memory(plan: Plan, parts: _Parts) -> str:
+    """Add what relaxation remembers; return the statement that points a state, perhaps a copy, to it."""
+    terms = plan.gain.size
+    if not terms:
+        return "    state->gears.memory = 0;\n"
+    parts.members += [f"double memory[{terms}];", "int begun;"]
+    parts.init.append(
+        f"    for (size_t k = 0; k < {terms}; k++) state->memory[k] = 0.0;\n"
+        "    state->begun = 0;\n"
+    )
+    parts.reset.append("    state->begun = 1;\n")
+    return "    state->gears.memory = state->memory;\n"
 
 
 def _gears(plan: Plan, parts: _Parts) -> None:
     """Add the gears, run by the package's kernel."""
-    n, terms = plan.gears.n, plan.gain.size
+    n = plan.gears.n
     _tables(plan, parts, plan.gears.equal_run)
     spare = c.words_of(plan.starts.empty, n, 64)
     if spare:
-        parts.table(c.array("uint64_t", "spare", spare), 8 * len(spare))
+        parts.tables.append(c.array("uint64_t", "spare", spare))
     words = "spare" if spare else "0"
-    parts.sources.kernel = ["dbo_kernel.h", "dbo_kernel.c"]
+    parts.kernel = ["dbo_kernel.h", "dbo_kernel.c"]
     checkpoints = (n - 1) // SPACING
     pointed = "    state->gears.turns = state->turns;\n"
     pointed += f"    state->gears.checkpoints = {'state->checkpoints' if checkpoints else '0'};\n"
-    pointed += _begin(plan) or "    state->gears.memory = 0;\n"
     if checkpoints:
-        parts.member(f"dbo_checkpoint checkpoints[{checkpoints}];")
-    parts.member("dbo_backlash_state gears;")
-    if terms:
-        parts.member(f"double memory[{terms}];")
-        parts.init.append(
-            f"    for (size_t k = 0; k < {terms}; k++) state->memory[k] = 0.0;\n"
-        )
-    parts.member(f"dbo_place turns[{n}];")
+        parts.members.append(f"dbo_checkpoint checkpoints[{checkpoints}];")
+    parts.members.append("dbo_backlash_state gears;")
+    pointed += _memory(plan, parts)
+    parts.members.append(f"dbo_place turns[{n}];")
     parts.init.append(
         f"{pointed}    dbo_backlash_load(&op, &state->gears, {words});\n"
-        f"    state->gears.last = {_last(plan)};\n"
+        f"    state->gears.last = {c.real(plan.at_gears(plan.first_drive))};\n"
     )
     parts.reset.append(
         f"    dbo_backlash_settle(&op, &state->gears, {plan.starts.moved.n}, {words}, x);\n"
@@ -218,33 +197,29 @@ def _lookup_gears(plan: Plan, parts: _Parts) -> None:
     lowest = [str(n)]
     for state in range(1, 2**n):
         lowest.append(str((state & -state).bit_length() - 1))
-    parts.table(c.array("dbo_corner", "corners", c.real_structs(corners)), 16 * 2**n)
-    parts.table(c.array("uint8_t", "lowest", lowest), 2**n)
+    parts.tables.append(c.array("dbo_corner", "corners", c.real_structs(corners)))
+    parts.tables.append(c.array("uint8_t", "lowest", lowest))
     parts.tables.append(
         "static const dbo_lookup lookup = {&op, &fixed, corners, lowest};\n"
     )
-    parts.sources.kernel = [
+    parts.kernel = [
         "dbo_lookup.h",
         "dbo_lookup.c",
         "dbo_kernel.h",
         "dbo_kernel.c",
     ]
-    parts.member("dbo_lookup_state gears;")
-    pointed = _begin(plan) or "    state->gears.memory = 0;\n"
+    parts.members.append("dbo_lookup_state gears;")
+    pointed = _memory(plan, parts)
     if terms:
         table, _ = kernel_table(plan.gears.table, 1)
-        parts.table(c.reals("all_of_it", np.ones(terms)), 8 * terms)
+        parts.tables.append(c.reals("all_of_it", np.ones(terms)))
         _fixed_step(parts, plan, table, "resting", np.zeros(terms))
         parts.tables.append(
             "static const dbo_lookup resting_lookup = {&op, &resting, corners, lowest};\n"
         )
-        parts.member(f"double memory[{terms}];")
-        parts.init.append(
-            f"    for (size_t k = 0; k < {terms}; k++) state->memory[k] = 0.0;\n"
-        )
     parts.init.append(
         f"{pointed}    state->gears.state = {plan.starts.empty}U;\n"
-        f"    state->gears.last = {_last(plan)};\n"
+        f"    state->gears.last = {c.real(plan.at_gears(plan.first_drive))};\n"
     )
     covered = f"{plan.starts.moved.n}U, {plan.starts.empty}U"
     parts.reset.append(
@@ -268,8 +243,8 @@ def _curves(curves: Curves, label: str, parts: _Parts) -> str:
         assert isinstance(stage, Points)
         name = f"{label}_{number}"
         rows = c.real_structs(stage.segments)
-        parts.table(c.array("dbo_segment", name, rows), 24 * stage.m)
-        parts.member(f"size_t {name}_segment;")
+        parts.tables.append(c.array("dbo_segment", name, rows))
+        parts.members.append(f"size_t {name}_segment;")
         parts.init.append(f"    state->{name}_segment = 0;\n")
         steps += (
             f"    x = dbo_point_step({name}, {stage.m}, {c.real(stage.x0)}, {c.real(stage.y0)},\n"
@@ -283,9 +258,9 @@ def _undo_delay(plan: Plan, parts: _Parts) -> str:
     _, part = plan.delay_samples
     if not part:
         return ""
-    parts.sources.kernel.append("dbo_interpolation.h")
-    parts.member("double wanted[DBO_WINDOW];")
-    parts.member("int waiting;")
+    parts.kernel.append("dbo_interpolation.h")
+    parts.members.append("double wanted[DBO_WINDOW];")
+    parts.members.append("int waiting;")
     parts.init.append("    state->waiting = 1;\n")
     return (
         "    for (int k = 0; k < DBO_WINDOW; k++) /* at rest before the first sample */\n"
@@ -302,28 +277,26 @@ def _undo_dynamics(plan: Plan, parts: _Parts) -> str:
     """Return the statements that undo the dynamics, the last section first, each with its window ahead."""
     if not plan.undone:
         return ""
-    parts.sources.kernel += ["dbo_dynamics.h", "dbo_dynamics.c"]
+    parts.kernel += ["dbo_dynamics.h", "dbo_dynamics.c"]
     rows, begin, steps = [], "", ""
     for number, part in enumerate(plan.undone):
         ahead = part.weight.size
         weights, window = "0", f"state->window_{number}"
         if ahead:
             weights = f"weights_{number}"
-            parts.table(c.reals(weights, part.weight), 8 * ahead)
+            parts.tables.append(c.reals(weights, part.weight))
             steps += f"    for (size_t k = 0; k < {ahead}; k++) {window}[k] = {window}[k + 1];\n"
         numbers = [c.real(value) for value in part.numbers]
         rows.append([*numbers, str(ahead), weights])
-        parts.member(f"double window_{number}[{ahead + 1}];")
+        parts.members.append(f"double window_{number}[{ahead + 1}];")
         begin += f"        for (size_t k = 0; k < {ahead + 1}; k++) {window}[k] = x;\n"
         begin += f"        state->sections[{number}].y = x;\n"
         begin += f"        state->sections[{number}].a = state->sections[{number}].b = 0.0;\n"
         steps += f"    {window}[{ahead}] = x;\n"
         steps += f"    dbo_dynamics_undo(&sections[{number}], &state->sections[{number}], {window}, &x, 1);\n"
-    parts.table(
-        c.array("dbo_section_inverse", "sections", c.structs(rows)), 72 * len(rows)
-    )
-    parts.member(f"dbo_inverse_state sections[{len(rows)}];")
-    parts.member("int moving;")
+    parts.tables.append(c.array("dbo_section_inverse", "sections", c.structs(rows)))
+    parts.members.append(f"dbo_inverse_state sections[{len(rows)}];")
+    parts.members.append("int moving;")
     parts.init.append("    state->moving = 0;\n")
     at_rest = "    if (!state->moving) { /* at rest before the first sample */\n"
     return f"{at_rest}{begin}        state->moving = 1;\n    }}\n{steps}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -18,12 +17,6 @@ from dbo_cli.model import Model, Quantity
 
 ARITHMETICS = ("double", "q31")
 _NUMBERS = {"double": "double", "q31": "int32_t"}
-_SIZES = {
-    "double": 8, "int32_t": 4, "uint32_t": 4, "size_t": 4, "int": 4, "dbo_place": 4, "dboq_place": 4,
-    "dbo_backlash_state": 48, "dboq_backlash_state": 48, "dbo_checkpoint": 16, "dboq_checkpoint": 16,
-    "dbo_lookup_state": 16, "dbo_inverse_state": 24, "dboq_memory": 8,
-}  # fmt: skip
-"""Bytes of what stands in a state, on a 32-bit chip."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +28,7 @@ class Export:
     files : dict
         Texts by the names of their files.
     figures : dict
-        Gears, bytes, samples ahead, bounds and losses, for programs.
+        Gears, samples ahead, bounds and losses, for programs.
     notes : list of str
         What the caller must know or do.
     """
@@ -243,10 +236,6 @@ def _figures(
         "table_rows": -(-plan.gears.n // run),
         "run": run,
         "ahead": plan.ahead,
-        "table_bytes": sources.table_bytes,
-        "state_bytes": _state_bytes(
-            [*sources.members, f"{_NUMBERS[arithmetic]} output;"]
-        ),
         "self_test": sum(len(run.inputs) for run in sources.runs),
     }
     if bounds is not None:
@@ -254,19 +243,6 @@ def _figures(
     if loss is not None:
         figures["loss"] = {"max": loss.most, "rms": loss.rms}
     return figures
-
-
-def _state_bytes(members: Sequence[str]) -> int:
-    """Return the size of a state on a 32-bit chip; members stand at their natural alignment."""
-    total = 0
-    for member in members:
-        found = re.fullmatch(r"(\w+) (\w+)(?:\[(\w+)\])?;", member)
-        assert found is not None
-        size = _SIZES[found[1]]
-        count = 6 if found[3] == "DBO_WINDOW" else int(found[3] or 1)
-        alignment = min(size, 8)
-        total = -(-total // alignment) * alignment + size * count
-    return -(-total // 8) * 8
 
 
 def _self_test(
@@ -326,8 +302,6 @@ def _page(
         "GEARS": str(figures["gears"]),
         "TABLE_ROWS": str(figures["table_rows"]),
         "RUN": str(figures["run"]),
-        "TABLE_BYTES": str(figures["table_bytes"]),
-        "STATE_BYTES": str(figures["state_bytes"]),
         "COUNT": str(figures["self_test"]),
         "INPUT_NAME": wanted.quantity,
         "INPUT_RANGE": f"{wanted.min:.9g} to {wanted.max:.9g}{wanted.suffix}",

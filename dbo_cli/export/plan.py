@@ -140,9 +140,15 @@ class Plan:
 
     @cached_property
     def empty(self) -> State:
-        """The library's start ``empty``; its ``drive`` is the output before the first sample."""
+        """The library's start ``empty``; no gear of the range is engaged."""
         low, high = self.limits.move
         return self.forward.start_drive(self.forward.output.min, "empty", low, high)
+
+    @property
+    def first_drive(self) -> float:
+        """The drive of an actuator that has been at or below its lower end."""
+        assert self.empty.drive is not None
+        return self.empty.drive
 
     def settled(self, drive: float) -> State:
         """Return the state after ``NAME_reset``: settled, and at rest at a drive."""

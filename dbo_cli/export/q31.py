@@ -48,10 +48,12 @@ def q31_sources(plan: Plan) -> tuple[c.Sources, Bounds]:
     source = plan.model.input
     moves = trial_moves(source.min, source.max)
     bounds = bounds_of(plan, axes, moves.size)
-    sources = c.Sources(kernel=["dbo_q31.h", "dbo_q31.c"])
-    sources.values = _values(plan, axes, bounds, sources)
-    sources.runs = [_run(plan, None, 1), _run(plan, plan.trimmed, 2)]
-    return sources, bounds
+    kernel = ["dbo_q31.h", "dbo_q31.c"]
+    if plan.delay_samples[1]:
+        kernel.append("dbo_q31_interpolation.h")
+    runs = [_run(plan, None, 1), _run(plan, plan.trimmed, 2)]
+    values = _values(plan, axes, bounds)
+    return c.Sources(values, _members(plan), kernel, runs), bounds
 
 
 def _check(plan: Plan) -> None:
@@ -75,10 +77,8 @@ def _check(plan: Plan) -> None:
         )
 
 
-def _values(
-    plan: Plan, axes: Axes, bounds: Bounds, sources: c.Sources
-) -> dict[str, str]:
-    """Return what the template is filled with; add tables and members."""
+def _values(plan: Plan, axes: Axes, bounds: Bounds) -> dict[str, str]:
+    """Return what the template is filled with."""
     n, terms = plan.gears.n, plan.gain.size
     source, drive, gears = plan.model.input, plan.model.output, plan.gears
     limits = limits_of(plan, axes)
@@ -95,19 +95,15 @@ def _values(
         fold(plan.drive_curves, drive.min, drive.max), given, (gears.y0, axes.y_unit)
     )
     spare = c.words_of(plan.starts.empty, n, 32)
-    tables = _gear_tables(plan, axes, bounds, sources)
+    tables = _gear_tables(plan, axes, bounds)
     low, high, step = limits.positions
     tables += f"static const dboq_limits limits = {{{c.whole(low)}, {c.whole(high)}, {c.whole(step)}}};\n"
     for label, segments in (("before", before), ("behind", behind), ("drives", drives)):
-        tables += _segments(label, segments, sources)
+        tables += _segments(label, segments)
     if spare:
         tables += c.array("uint32_t", "spare", spare)
-        sources.table_bytes += 4 * len(spare)
-    _members(plan, sources)
-    assert plan.empty.drive is not None
-    first = plan.empty.drive
-    place = round((plan.at_gears(first) - gears.y0) / axes.y_unit)
-    output = min(max(to_counts(first, drive), limits.low), limits.high)
+    place = round((plan.at_gears(plan.first_drive) - gears.y0) / axes.y_unit)
+    output = min(max(to_counts(plan.first_drive, drive), limits.low), limits.high)
     init = ""
     if plan.delay_samples[1]:
         init = "    state->waiting = 1;"
@@ -138,25 +134,24 @@ def _sizes(label: str, segments: Segments) -> dict[str, str]:
     }
 
 
-def _segments(label: str, segments: Segments, sources: c.Sources) -> str:
+def _segments(label: str, segments: Segments) -> str:
     rows = [[c.whole(value) for value in row] for row in segments.rows]
-    sources.table_bytes += 24 * len(rows)
     return c.array("dboq_segment", label, c.structs(rows))
 
 
-def _members(plan: Plan, sources: c.Sources) -> None:
-    """Add the members of the state."""
+def _members(plan: Plan) -> list[str]:
+    """Return the members of the state."""
     n, terms = plan.gears.n, plan.gain.size
+    members = ["dboq_backlash_state gears;", f"dboq_place turns[{n}];"]
     checkpoints = (n - 1) // SPACING
     if checkpoints:
-        sources.members.append(f"dboq_checkpoint checkpoints[{checkpoints}];")
-    sources.members += ["dboq_backlash_state gears;", f"dboq_place turns[{n}];"]
+        members.insert(0, f"dboq_checkpoint checkpoints[{checkpoints}];")
     if terms:
-        sources.members.append(f"dboq_memory memory[{terms}];")
-    sources.members.append("uint32_t segments[3];")
+        members.append(f"dboq_memory memory[{terms}];")
+    members.append("uint32_t segments[3];")
     if plan.delay_samples[1]:
-        sources.members += ["int32_t wanted[6];", "int waiting;"]
-        sources.kernel.append("dbo_q31_interpolation.h")
+        members += ["int32_t wanted[6];", "int waiting;"]
+    return members
 
 
 def _between(plan: Plan) -> str:
@@ -183,7 +178,7 @@ def _slew(change: int | None) -> str:
     )
 
 
-def _gear_tables(plan: Plan, axes: Axes, bounds: Bounds, sources: c.Sources) -> str:
+def _gear_tables(plan: Plan, axes: Axes, bounds: Bounds) -> str:
     """Return the tables of the gears and of the memory, and the operator."""
     n, run = plan.gears.n, plan.gears.equal_run
     rows, slope_shift = _rows(axes)
@@ -192,14 +187,12 @@ def _gear_tables(plan: Plan, axes: Axes, bounds: Bounds, sources: c.Sources) -> 
     text = c.array("dboq_gear", "gears", _whole_structs(rows))
     text += c.array("dboq_begin", "begins", _whole_structs(begins))
     text += c.array("dboq_place", "guide", [str(row) for row in guide])
-    sources.table_bytes += 12 * len(rows) + 16 * len(begins) + 4 * len(guide)
     terms, carried_shift = terms_of(plan, axes)
     if terms:
         factors = []
         for carried, rest, shift in terms:
             factors.append([c.whole(carried), c.whole(rest), f"{shift}U"])
         text += c.array("dboq_term", "terms", c.structs(factors))
-        sources.table_bytes += 12 * len(factors)
     held = remembered(plan, axes)
     offset = round(held.offset / held.unit) if terms else 0
     shift = _row_shift(n, run)
@@ -268,8 +261,7 @@ def _run(plan: Plan, reset: float | None, seed: int) -> c.Run:
         inputs.append(to_counts(move, source))
     start = None
     if reset is None:
-        assert plan.empty.drive is not None
-        state = _at(plan, plan.empty.drive, plan.starts.empty)
+        state = _at(plan, plan.first_drive, plan.starts.empty)
     else:
         start = to_counts(reset, drive)
         drive_middle, drive_unit = counts_of_range(drive)

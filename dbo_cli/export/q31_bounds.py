@@ -28,7 +28,6 @@ from dbo_cli.export.plan import Plan
 from dbo_cli.export.q31_tables import (
     Axes,
     Folded,
-    begin_of_axis,
     carried,
     counts_of_range,
     fold,
@@ -88,7 +87,7 @@ def bounds_of(plan: Plan, axes: Axes, samples: int) -> Bounds:
     ModelError
         The gears are too narrow: rounding is beyond 1/16 of one.
     """
-    source, result = plan.model.input, plan.model.output
+    result = plan.model.output
     slopes = axes.high / axes.wide
     steepest = float(slopes.max())
     rounding, gain, growth = _loop(plan, axes, steepest)
@@ -108,7 +107,6 @@ def bounds_of(plan: Plan, axes: Axes, samples: int) -> Bounds:
     if plan.limits.slew is not None:
         counts += samples
     percent = 100.0 / result.span
-    assert source.span > 0.0
     return Bounds(same, percent * same, close, percent * close, fraction, counts)
 
 
@@ -120,7 +118,6 @@ def _entering(plan: Plan, axes: Axes) -> float:
     error = _function_error(before, source.max, unit, axes.x_unit)
     if plan.delay_samples[1]:
         error += INTERPOLATED * unit * float(np.abs(before.slope).max())
-    assert math.isfinite(begin_of_axis(plan, axes))
     return error
 
 

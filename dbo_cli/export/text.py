@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib import resources
 from string import Template
 
@@ -29,7 +29,16 @@ _RESERVED = frozenset(
 _LINE = 108  # characters of a line of numbers
 
 
-@dataclass
+@dataclass(frozen=True)
+class Run:
+    """One run of the self-test as C constants: the drive given to reset (None: init), inputs, outputs."""
+
+    reset: str | None
+    inputs: Sequence[str]
+    outputs: Sequence[str]
+
+
+@dataclass(frozen=True)
 class Sources:
     """What a model puts into its sources, in one arithmetic.
 
@@ -41,26 +50,14 @@ class Sources:
         Members of the state.
     kernel : list of str
         The kernel's files that are used.
-    table_bytes, state_bytes : int
-        Constant tables, and the state on a 32-bit chip.
     runs : list of Run
         The self-test.
     """
 
-    values: dict[str, str] = field(default_factory=dict)
-    members: list[str] = field(default_factory=list)
-    kernel: list[str] = field(default_factory=list)
-    table_bytes: int = 0
-    runs: list[Run] = field(default_factory=list)
-
-
-@dataclass(frozen=True)
-class Run:
-    """One run of the self-test as C constants: the drive given to reset (None: init), inputs, outputs."""
-
-    reset: str | None
-    inputs: Sequence[str]
-    outputs: Sequence[str]
+    values: dict[str, str]
+    members: list[str]
+    kernel: list[str]
+    runs: list[Run]
 
 
 def own_file(name: str) -> str:

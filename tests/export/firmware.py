@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import math
 import os
 import shutil
 import subprocess
@@ -136,10 +135,9 @@ class Firmware:
         if export.figures["arithmetic"] == "q31":
             number, self.kind = "int32_t", ctypes.c_int32
         (folder / "play.c").write_text(
-            f'#include <stddef.h>\n#include "{name}.h"\n'
+            f'#include "{name}.h"\n'
             f"static {name}_state s;\n"
-            f"size_t size(void); void init(void); void reset({number} d); {number} step({number} x);\n"
-            f"size_t size(void) {{ return sizeof s; }}\n"
+            f"void init(void); void reset({number} d); {number} step({number} x);\n"
             f"void init(void) {{ {name}_init(&s); }}\n"
             f"void reset({number} d) {{ {name}_reset(&s, d); }}\n"
             f"{number} step({number} x) {{ {name}_state t = s; {number} y = {name}_step(&t, x);"
@@ -152,7 +150,6 @@ class Firmware:
         self.library.step.argtypes = [self.kind]
         self.library.step.restype = self.kind
         self.library.reset.argtypes = [self.kind]
-        self.library.size.restype = ctypes.c_size_t
 
     def _objects(self, left_out):
         """Compile the sources; those of the kernel only once for all exports."""
@@ -213,8 +210,3 @@ def with_rest(export, wanted):
     return np.concatenate(
         [np.full(export.figures["ahead"] + MORE_REST, wanted[0]), wanted]
     )
-
-
-def beyond(a, b):
-    """Return the largest difference."""
-    return float(np.abs(np.asarray(a) - np.asarray(b)).max()) if len(a) else math.nan
