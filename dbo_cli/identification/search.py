@@ -83,9 +83,10 @@ def _for_one_amplitude(
         choices,
         slopes=(rules[int(np.argmin(errors))],),
         memories=("", "t"),
-        smoothness=(ONE_AMPLITUDE_SMOOTHNESS,),
+        smoothness=(ONE_AMPLITUDE_SMOOTHNESS * min(errors) ** 2 / variance,),
         corners=False,
         curves=CURVES[:3],
+        drifts=choices.drifts[:1],
     )
     return problem, choices
 
