@@ -186,7 +186,7 @@ def errors_of(folder, kind, reach, **options):
     for place in ("cursor", "after"):
         away = max(abs(played[place][axis] - CURSOR[-1][axis]) for axis in AXES)
         print(
-            f"{kind}: cursor, {place} the scan: {1e9 * away:.2f} nm off by its own account"
+            f"{kind}: {place}: {1e9 * away:.2f} nm off by its own account"
         )
     [frame] = played["frames"]
     line = np.arange(LINES * (PIXELS + BACK)) % (PIXELS + BACK)

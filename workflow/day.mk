@@ -42,7 +42,8 @@ FORGET := $(foreach name,$(NAMES),$(foreach step,$(STEPS),$(shell \
 all: $(OUT)/summary.csv
 	@$(TABLE) --judge
 
-$(OUT)/summary.csv: $(foreach step,$(STEPS),$(NAMES:%=$(OUT)/errors/%.$(step)))
+# The folder itself is newer where a log was added or taken away.
+$(OUT)/summary.csv: $(LOGS) $(foreach step,$(STEPS),$(NAMES:%=$(OUT)/errors/%.$(step)))
 	@$(TABLE)
 
 $(OUT)/errors/%.model.json: $(LOGS)/%.csv
