@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -73,7 +73,7 @@ def read_recording(
         table = log.read()
         drive, moved = log.columns["voltage"], log.columns["displacement"]
         recording = Recording(
-            name=log.name,
+            name=short_name(log.name),
             voltage=table["voltage"],
             displacement=table["displacement"],
             time=table.time,
@@ -87,6 +87,12 @@ def read_recording(
             f"{path}: no clock: delay, lag and creep are not looked for (`time` COLUMN or `sample_rate` HZ)"
         )
     return recording, log
+
+
+def short_name(name: str) -> str:
+    """Return a log's name without its folder, so that a model does not depend on where its logs were."""
+    file, mark, part = name.partition("::")
+    return os.path.basename(file) + mark + part
 
 
 def require_sign(recordings: Sequence[Recording], wanted: str | None) -> None:
