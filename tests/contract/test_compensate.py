@@ -10,9 +10,12 @@ import h5py
 import numpy as np
 import pytest
 
+import dbo_cli
+
 from .program import Floats, dbo, done, model, refused, rms, table, values_of, write
 
 TIME = np.arange(400) / 1000.0
+pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 
 
 def sine(top: float, low: float = 2.0) -> Floats:
@@ -262,6 +265,20 @@ def test_a_resonance_near_half_the_rate_is_refused() -> None:
     Path("fast.json").write_text(json.dumps(values))
     move("wish.csv", sine(4.0, 1.5))
     assert "310" in refused(1, "compensate", "fast.json", "wish.csv", "-o", "drive.csv")
+
+
+@pytest.mark.parametrize("name", ["creep", "moving"])
+def test_a_long_file_gives_what_one_array_gives(name: str) -> None:
+    """Block by block through the shell, whole in the library: the same voltages to rounding."""
+    time = np.arange(80_000) / 1000.0
+    wanted = 2.5 + np.sin(3.0 * time) * np.cos(0.7 * time)
+    write("wish.csv", "time_s,displacement_um", time, wanted)
+    words = ("--on-limit", "clip", "--max-slew", 300)
+    written = drive_of(*words, name=name)["voltage_V"]
+    whole = dbo_cli.read_model(model(name)).compensate(
+        wanted, time=time, on_limit="clip", max_slew=300.0
+    )
+    np.testing.assert_allclose(written, whole, rtol=0, atol=1e-9)
 
 
 # --- loops and learning ---

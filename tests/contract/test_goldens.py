@@ -171,7 +171,7 @@ def test_report(options: str) -> None:
 
 def test_report_of_the_library() -> None:
     stored = golden("pair")
-    found = dbo_cli.reports(
+    found = dbo_cli.report(
         stored["desired_um"], stored["measured_um"], time=stored["time_s"]
     )
     assert found.rmse == pytest.approx(REPORTS[""]["rmse"], rel=1e-9)

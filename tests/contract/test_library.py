@@ -133,7 +133,7 @@ def test_senseless_arrays_are_refused() -> None:
 
 
 def test_what_is_warned_of_is_part_of_the_result() -> None:
-    drive = 50.0 - 50.0 * np.cos(np.arange(1200) / 40.0)
+    drive = 50.0 - 50.0 * np.cos(np.arange(1200) * np.pi / 120.0)
     moved = dbo.read_model(model("small")).simulate(drive / 10.0)
     noise = np.random.default_rng(5).normal(0.0, 0.01, 1200)
     plain = {**QUICK, "relaxation": (), "force": True}

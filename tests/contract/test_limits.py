@@ -135,11 +135,10 @@ def test_a_time_index_of_a_frame_counts(log: Path, index: str) -> None:
     )
     frame.attrs["units"] = {"voltage": "V", "displacement": "um"}
     plain = {"gears": 20, "points": 0, "delay": 0.0, "relaxation": (0.01, 0.3)}
-    found = dbo_cli.identification(frame, **plain)
-    arrays = dbo_cli.identification(
+    found = dbo_cli.identify(frame, **plain)
+    arrays = dbo_cli.identify(
         values["voltage_V"], values["displacement_um"], time=values["time_s"], **plain
     )
-    assert found.needs_time and arrays.needs_time
     assert found.fit["rmse"] == pytest.approx(arrays.fit["rmse"], rel=1e-6)
 
 

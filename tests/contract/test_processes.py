@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 import signal
 import subprocess
 import sys
@@ -68,19 +69,21 @@ def test_a_reader_that_leaves_early_is_success() -> None:
 
 @posix
 def test_rows_come_out_while_rows_come_in() -> None:
-    """On a pipe a block ends where the pipe has no more: the first rows are there before the last."""
+    """On a pipe a block ends where the pipe has no more: rows go on before the input ends."""
     with started("simulate", SMALL, "-", "--state", "empty", "-q") as running:
-        running.stdin.write(b"voltage_V\n" + b"0\n5\n10\n" * 3)
-        running.stdin.flush()
-        time.sleep(1.5)  # the rows have come, and no more: what is there goes on
-        running.stdin.write(b"3\n" * 20)
-        running.stdin.flush()
+        running.stdin.write(b"voltage_V\n")
+        sent, ready = 0, False
+        while sent < 60 and not ready:
+            running.stdin.write(b"0\n5\n10\n")
+            running.stdin.flush()
+            sent += 1
+            ready = bool(select.select([running.stdout], [], [], 0.5)[0])
+        assert ready, "no row came out while rows came in"
         assert running.stdout.readline() == HEADER
-        assert running.stdout.readline() == b"0.0,1.0\n"
         running.stdin.close()
         rest = running.stdout.read().splitlines()
         assert running.wait(60) == 0
-    assert len(rest) == 28 and rest[-1] == b"3.0,4.0"
+    assert len(rest) == 3 * sent and rest[-1] == b"10.0,9.0"
 
 
 def half_way(running: subprocess.Popen[bytes]) -> None:
@@ -140,6 +143,25 @@ def test_an_interrupt_at_any_time_is_130_and_whole_or_nothing() -> None:
         if "out.csv" in found:
             assert len(table("out.csv")["voltage_V"]) == 60_000
             Path("out.csv").unlink()
+
+
+@posix
+@pytest.mark.parametrize("command", ["simulate", "compensate"])
+def test_memory_does_not_grow_with_the_file(command: str) -> None:
+    """Ten times as many rows take less than 40 MB more."""
+    header = "voltage_V" if command == "simulate" else "displacement_um"
+    most = []
+    for rows in (60_000, 600_000):
+        Path("long.csv").write_text(header + "\n" + "1\n3\n5\n" * (rows // 3))
+        line = [*PROGRAM, command, str(SMALL), "long.csv", "-o", "out.csv", "-q"]
+        running = subprocess.Popen(line)
+        _, status, used = os.wait4(running.pid, 0)
+        running.returncode = os.waitstatus_to_exitcode(status)
+        assert running.returncode == 0
+        most.append(
+            used.ru_maxrss / (1024.0 if sys.platform != "darwin" else 1024.0**2)
+        )
+    assert most[1] - most[0] < 40.0
 
 
 @posix
