@@ -120,7 +120,7 @@ def provenance(recordings: Sequence[Recording], logs: Sequence[Log]) -> dict[str
     sources = []
     for recording, log in zip(recordings, logs, strict=True):
         source: dict[str, Any] = {
-            "name": Path(log.name).name,
+            "name": recording.name,
             "rows": len(recording.voltage),
         }
         for role, column in log.columns.items():
