@@ -203,21 +203,12 @@ def test_without_a_compiler_the_numbers_are_the_same() -> None:
     drive = 50.0 - 50.0 * np.cos(40.0 * time_)
     write("drive.csv", "time_s,voltage_V", time_, drive)
     write("wish.csv", "time_s,displacement_um", time_, 2.5 - 1.5 * np.cos(40.0 * time_))
-    for words in (
-        ("simulate", model("creep"), "drive.csv"),
-        ("compensate", model("creep"), "wish.csv"),
-        ("invert", model("creep")),
-    ):
-        name = f"{words[0]}.csv"
-        assert process(*words, "-o", f"fast-{name}").returncode == 0
-        slow = without_the_kernel(*words, "-o", f"slow-{name}")
+    for command, name in (("simulate", "drive.csv"), ("compensate", "wish.csv")):
+        words = (command, model("creep"), name, "-o")
+        assert process(*words, "fast.csv").returncode == 0
+        slow = without_the_kernel(*words, "slow.csv")
         assert slow.returncode == 0, slow.stderr
-        if words[0] == "invert":
-            assert (
-                Path(f"fast-{name}").read_bytes() == Path(f"slow-{name}").read_bytes()
-            )
-            continue
-        fast, found = table(f"fast-{name}"), table(f"slow-{name}")
+        fast, found = table("fast.csv"), table("slow.csv")
         for column, values in fast.items():
             np.testing.assert_allclose(found[column], values, atol=1e-9)
 
