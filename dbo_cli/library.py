@@ -336,18 +336,18 @@ def read_log(
     roles = {role: None if name is None else str(name) for role, name in typed.items()}
     absent = tuple(role for role, name in roles.items() if name is None)
     with open_log(str(path), roles, Reading(**reading), None, absent) as log:
+        found = [role for role in ("voltage", "displacement") if log.provided(role)]
+        if not found:
+            raise InputError(
+                f"{path}: no column is known as voltage or displacement (`voltage` NAME)"
+            )
         table = log.read()
         columns: dict[str, Floats] = {} if table.time is None else {"time": table.time}
         units: dict[str, str | None] = {} if table.time is None else {"time": "s"}
-        for role in ("voltage", "displacement"):
-            if log.provided(role):
-                columns[role] = table[role]
-                units[role] = log.columns[role].unit
+        for role in found:
+            columns[role] = table[role]
+            units[role] = log.columns[role].unit
         notes = list(log.remarks)
-    if not set(columns) & {"voltage", "displacement"}:
-        raise InputError(
-            f"{path}: no column is known as voltage or displacement (`voltage` NAME)"
-        )
     frame = pd.DataFrame(columns)
     frame.attrs.update(name=str(path), units=units, notes=notes)
     return frame
