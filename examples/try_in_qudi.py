@@ -185,9 +185,7 @@ def errors_of(folder, kind, reach, **options):
         raise SystemExit(f"{kind}: {played['failed']}")
     for place in ("cursor", "after"):
         away = max(abs(played[place][axis] - CURSOR[-1][axis]) for axis in AXES)
-        print(
-            f"{kind}: {place}: {1e9 * away:.2f} nm off by its own account"
-        )
+        print(f"{kind}: {place}: {1e9 * away:.2f} nm off by its own account")
     [frame] = played["frames"]
     line = np.arange(LINES * (PIXELS + BACK)) % (PIXELS + BACK)
     low, high = 1e6 * RANGE[0], 1e6 * RANGE[1]
