@@ -20,6 +20,7 @@ INVENTED_ROWS = 1500
 INVENTED_WEIGHT = 0.5  # of a row, beside one of the logs
 BEYOND = 0.05  # of the range: the invented drive goes so far beyond the logs'
 REST = 0.25  # of a swing
+SWING_ROWS = 40  # of the invented drive
 CURVES = (np.inf, 1e-1, 1e-3, 1e-5, 1e-7)
 SMOOTH_SLOPES = 2e-6
 HEAVY = 0.05  # weight of a fit whose corners are kept
@@ -59,58 +60,75 @@ class Average:
             f" {best.memories or 'none'}, delay {best.delay:.3g} s, bend {best.bend:g}, drift {best.drift}"
         ]
 
-    def in_one_frame(self) -> Average:
-        """Return the fits of the delay and bend that have most of the weight."""
-        total: dict[object, float] = {}
-        for fit, weight in zip(self.fits, self.weights, strict=True):
-            total[frame(fit.structure)] = total.get(frame(fit.structure), 0.0) + weight
+    def frames(self) -> list[tuple[float, float]]:
+        """Return delay and bend of the fits that have most of the weight, and the mean ones."""
+        total: dict[tuple[float, float], float] = {}
+        for fit, weight in zip(self.fits, self.weights.tolist(), strict=True):
+            total[frame(fit)] = total.get(frame(fit), 0.0) + weight
         heaviest = max(total, key=lambda key: total[key])
-        mine = [frame(fit.structure) == heaviest for fit in self.fits]
-        fits = tuple(fit for fit, yes in zip(self.fits, mine, strict=True) if yes)
-        weights = self.weights[mine]
-        return Average(fits, weights / weights.sum())
+        pairs = np.asarray(list(total))
+        mean = np.asarray(list(total.values())) @ pairs
+        return [heaviest, (float(mean[0]), float(mean[1]))]
 
 
-def frame(structure: Structure) -> tuple[object, ...]:
-    """Return what fits must share to be averaged."""
-    return structure.delay, structure.bend
+def frame(fit: Fit) -> tuple[float, float]:
+    """Return delay (s) and bend, with which the columns change."""
+    return fit.structure.delay, fit.structure.bend
 
 
 def distill(problem: Problem, average: Average) -> Fit:
     """Return the fit nearest to the mean prediction on the logs' drives and on an invented one."""
-    average = average.in_one_frame()
     if len(average.fits) == 1:
         return average.fits[0]
+    invented = invented_log(problem)
+    mean = np.zeros(len(problem.output) + len(invented.rows))
+    for fit, weight in zip(average.fits, average.weights, strict=True):
+        mean += weight * fit.predict(_table(problem, invented, fit.structure))
+    found: list[Fit] = []
+    for delay, bend in dict.fromkeys(average.frames()):
+        structure = replace(_widest(average), delay=delay, bend=bend)
+        found += _nearest(problem, invented, structure, mean)
+    return min(found, key=lambda fit: fit.misfit)
+
+
+def _table(problem: Problem, invented: PreparedLog, structure: Structure) -> Floats:
+    """Return the columns of the logs' rows and of an invented drive."""
+    basis = Basis(problem.cells, problem.taus)
+    return np.vstack((problem.columns(structure), basis.columns(invented, structure)))
+
+
+def _widest(average: Average) -> Structure:
+    """Return a structure that holds all fits but for their delays and bends."""
     slopes = {fit.structure.slopes for fit in average.fits}
-    structure = replace(
+    return replace(
         average.fits[0].structure,
         slopes=slopes.pop() if len(slopes) == 1 else "free",
         memories=_memories(average),
         smooth_slopes=_smoothness(average),
         drift=0,
     )
-    invented = invented_log(problem)
-    basis = Basis(problem.cells, problem.taus)
-    table = np.vstack(
-        (problem.columns(structure), basis.columns(invented, structure))
-    )
-    mean = np.zeros(len(table))
-    for fit, weight in zip(average.fits, average.weights, strict=True):
-        mean += weight * fit.predict(_columns_of(fit, table, problem))
-    weights = np.full(len(table), INVENTED_WEIGHT)
-    weights[: len(table) - len(invented.rows)] = 1.0
+
+
+def _nearest(
+    problem: Problem, invented: PreparedLog, structure: Structure, mean: Floats
+) -> list[Fit]:
+    """Return fits to the mean prediction with rougher and rougher curves."""
+    weights = np.full(len(mean), INVENTED_WEIGHT)
+    weights[: len(problem.output)] = 1.0
     rows = Rows(
-        table,
+        _table(problem, invented, structure),
         mean,
         weights / weights.sum(),
-        np.zeros((len(table), 0)),
+        np.zeros((len(mean), 0)),
         problem.cells.shares,
         len(problem.taus),
     )
-    found = [solve(rows, replace(structure, smooth_curve=CURVES[0]))]
-    for smooth in CURVES[1:]:
-        found.append(solve(rows, replace(structure, smooth_curve=smooth), found[-1]))
-    return min(found, key=lambda fit: float(rows.weights @ fit.error**2))
+    found: list[Fit] = []
+    first = None
+    for smooth in CURVES:
+        first = solve(rows, replace(structure, smooth_curve=smooth), first)
+        found.append(replace(first, misfit=float(rows.weights @ first.error**2)))
+    return found
 
 
 def _memories(average: Average) -> str:
@@ -127,17 +145,15 @@ def _smoothness(average: Average) -> float:
     return min(heavy)
 
 
-def _columns_of(fit: Fit, table: Floats, problem: Problem) -> Floats:
-    """Return the columns that a fit uses."""
-    return table[:, : problem.cells.count + len(fit.gains)]
-
-
 def invented_log(problem: Problem) -> PreparedLog:
-    """Return a drive of nested turns over the range, as fast as the logs' usual swings, resting at times."""
-    dt, steps = problem.dt, max(int(problem.swing / problem.dt), 4)
-    stride = max(steps // 40, 1)
+    """Return a drive of nested turns over the range, as fast as the logs' usual swings, resting at times.
+
+    A long swing has 40 rows: what is faster is told by the logs' own rows.
+    """
+    dt = max(problem.dt, problem.swing / SWING_ROWS)
+    steps = max(round(problem.swing / dt), 4)
     here, parts, turn, rows = 0.0, [np.zeros(1)], 0, 1
-    while rows < INVENTED_ROWS * stride:
+    while rows < INVENTED_ROWS:
         turn += 1
         there = 1.0 if turn == 1 else (turn * GOLDEN) % 1.0
         speed = np.exp(1.4 * ((turn * GOLDEN**2 * 2.0) % 1.0) - 0.7)
@@ -148,8 +164,7 @@ def invented_log(problem: Problem) -> PreparedLog:
         rows += len(parts[-1])
         here = there
     drive = (1.0 + 2.0 * BEYOND) * np.concatenate(parts) - BEYOND
-    time = dt * np.arange(len(drive))
-    every = np.arange(0, len(drive), stride)
+    every = np.arange(len(drive))
     return PreparedLog(
-        "invented", drive, drive, time, float(dt), "empty", every, every + 1
+        "invented", drive, drive, dt * every, float(dt), "empty", every, every + 1
     )

@@ -49,7 +49,7 @@ def stated(model: Model, problem: Problem, average: Average) -> Model:
     figures = {
         "method": "least-squares",
         **figures,
-        "expected_rmse": expected_error(model, drive, problem.dt),
+        "expected_rmse": expected_error(model, drive, invented.dt),
         "one_amplitude": problem.one_amplitude,
         "swings": problem.swings,
     }
