@@ -69,8 +69,11 @@ def export(
     if figures["ahead"]:
         line += f", {figures['ahead']} samples ahead"
     if "bounds" in figures:
-        bound, percent = figures["bounds"]["close"], figures["bounds"]["close_percent"]
-        line += f"; within {bound:.3g}{actuator.input.suffix} ({percent:.3g} %) of compensate"
+        bounds, unit = figures["bounds"], actuator.input.suffix
+        line += (
+            f"; within {bounds['same']:.3g}{unit} ({bounds['same_percent']:.2g} %) of compensate,"
+            f" {bounds['close']:.3g}{unit} after a turn on a gear's end"
+        )
     say(line)
     if "loss" in figures:
         lost = figures["loss"]

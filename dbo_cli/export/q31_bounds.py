@@ -50,8 +50,8 @@ class Bounds(NamedTuple):
     """Bounds on the error inside the model's range, in the drive's unit and in percent of its range.
 
     ``same`` holds while both runs have crossed the same gears; ``close`` always, also
-    after turns within ``fraction`` of a gear's width from its end; ``counts`` is that
-    of the self-test.
+    after turns within ``fraction`` of a gear's width from its end; both in counts
+    for the self-test.
     """
 
     same: float
@@ -59,7 +59,8 @@ class Bounds(NamedTuple):
     close: float
     close_percent: float
     fraction: float
-    counts: int
+    same_counts: int
+    close_counts: int
 
     def text(self, drive: Quantity, gears: int) -> str:
         """Return what README.md says of them."""
@@ -103,11 +104,12 @@ def bounds_of(plan: Plan, axes: Axes, samples: int) -> Bounds:
     same = bend * inner + leaving
     close = same + bend * hop
     unit = counts_of_range(result)[1]
-    counts = math.ceil(close / unit) + 1
+    slack = 1  # the outputs of the library are rounded
     if plan.limits.slew is not None:
-        counts += samples
+        slack += samples
+    counts = math.ceil(same / unit) + slack, math.ceil(close / unit) + slack
     percent = 100.0 / result.span
-    return Bounds(same, percent * same, close, percent * close, fraction, counts)
+    return Bounds(same, percent * same, close, percent * close, fraction, *counts)
 
 
 def _entering(plan: Plan, axes: Axes) -> float:
