@@ -17,11 +17,6 @@ import sys
 import tempfile
 from pathlib import Path
 
-import numpy as np
-
-import dbo_cli as dbo
-from dbo_cli.logs import create
-
 ROOT = Path(__file__).resolve().parent.parent
 MOST_MEMORY = 150.0  # MB
 POLARS_READ = """
@@ -57,6 +52,15 @@ with open_log("log.csv", {"time": None, "voltage": None, "displacement": None}) 
             out.write(block.time, block.values["voltage"], block.values["displacement"])
 print(time.process_time() - begun)
 """
+PREPARE = """
+import sys
+import numpy
+from dbo_cli.logs import create
+time = numpy.arange(int(sys.argv[1])) / 2000.0
+voltage = 50.0 + 50.0 * numpy.sin(0.7 * time) * numpy.cos(40.0 * time)
+with create("log.csv", [("time", "s"), ("voltage", "V"), ("displacement", "um")]) as out:
+    out.write(time, numpy.round(voltage, 9), numpy.round(0.12 * voltage + 0.8, 9))
+"""
 SIMULATE = [
     "-m", "dbo_cli", "simulate", "model.json", "log.csv", "-o", "out.csv", "--quiet",
 ]  # fmt: skip
@@ -90,23 +94,15 @@ def beside(
     return seconds, other, min(own[2] for own, _ in runs)
 
 
-def write_log(path: Path, rows: int) -> None:
-    """Write a drive of many amplitudes, and some displacement."""
-    time = np.arange(rows) / 2000.0
-    voltage = 50.0 + 50.0 * np.sin(0.7 * time) * np.cos(40.0 * time)
-    columns = [("time", "s"), ("voltage", "V"), ("displacement", "um")]
-    with create(path, columns) as out:
-        out.write(time, np.round(voltage, 9), np.round(0.12 * voltage + 0.8, 9))
-
-
 def main() -> int:
     rows = int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000
     sample = str(ROOT / "sample_data" / "identification.csv")
     missed = 0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        dbo.identify(sample).save(folder / "model.json")
-        write_log(folder / "log.csv", rows)
+        # In processes of their own: the memory of this one would count as theirs.
+        run(["-m", "dbo_cli", "identify", sample, "-q", "-o", "model.json"], folder)
+        run(["-c", PREPARE, str(rows)], folder)
         cases = {
             "read": (["-c", OURS_READ], ["-c", POLARS_READ], False, 1.15),
             "read and write": (["-c", OURS_BOTH], ["-c", POLARS_BOTH], False, 1.35),
