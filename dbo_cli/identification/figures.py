@@ -12,7 +12,7 @@ import numpy as np
 
 from dbo_cli.errors import FitError, LimitError
 from dbo_cli.identification.distill import Average, invented_log
-from dbo_cli.identification.judge import kind_errors
+from dbo_cli.identification.judge import error_left_out
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Floats, Options, Recording, Swings
 from dbo_cli.model import Model, steps_of
@@ -57,14 +57,12 @@ def stated(model: Model, problem: Problem, average: Average) -> Model:
 
 
 def left_out_rmse(problem: Problem, average: Average) -> float:
-    """Return the RMS over kinds of what the mean prediction leaves of parts left out, in the output's unit."""
+    """Return the RMS over parts left out of what the mean prediction leaves of them, in the output's unit."""
     left = []
     for number in range(len(problem.parts)):
         parts = [fit.left[number] for fit in average.fits]
         left.append(np.einsum("k,kr->r", average.weights, np.stack(parts)))
-    errors = kind_errors(problem.parts, tuple(left))
-    mean = float(np.mean([error**2 for error in errors.values()]))
-    return abs(problem.scale) * math.sqrt(mean)
+    return abs(problem.scale) * error_left_out(left)
 
 
 @dataclass(frozen=True)

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from dbo_cli.errors import FitError
-from dbo_cli.identification.problem import Part, Problem
+from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Booleans, Floats
 from dbo_cli.identification.solve import Equations, Fit, Rows, products
 
 WORSE_ALLOWED = 1.3  # mean square on the rows kept, over that of the whole fit
 SHORTENED = (1.0, 0.5, 0.25, 0.1)
 FLOOR = 1e-4  # of the output's standard deviation: a smaller error is as good
-PRICES = {"t": 0.1, "r": 0.25, "free": 0.25}
-"""What a family of terms must gain in the logarithm of the error left out."""
+PRICES = {"t": 0.1, "r": 0.1, "free": 0.5, "drift": 0.1}
+"""What a family of terms must gain in the logarithm of the error left out: lags, the drive less its lags, slopes
+without a rule, drift. Measured on the nineteen recordings: 1.49 of the best rival with 0.1, 0.25, 0.25, 0; 1.45 so.
+"""
 
 
 def judge(problem: Problem, fit: Fit) -> Fit:
@@ -80,25 +83,16 @@ def _without_lost_offsets(error: Floats, mask: Booleans, problem: Problem) -> Fl
     return error
 
 
-def rms(values: Floats) -> float:
-    """Return the root mean square."""
-    return float(np.sqrt(np.mean(values**2)))
-
-
-def kind_errors(parts: tuple[Part, ...], left: tuple[Floats, ...]) -> dict[str, float]:
-    """Return the RMS over the parts of each kind of their RMS errors."""
-    squares: dict[str, list[float]] = {}
-    for part, values in zip(parts, left, strict=True):
-        squares.setdefault(part.kind, []).append(float(np.mean(values**2)))
-    return {kind: float(np.sqrt(np.mean(some))) for kind, some in squares.items()}
+def error_left_out(left: Sequence[Floats]) -> float:
+    """Return the RMS over all parts, each as heavy as another, of what was left of them."""
+    squares = [float(np.mean(values**2)) for values in left]
+    return float(np.sqrt(np.mean(squares)))
 
 
 def score(problem: Problem, fit: Fit) -> float:
-    """Return the mean over kinds of the logarithm of the error left out, and the price of the terms."""
+    """Return the logarithm of the error left out, and the price of the terms."""
     floor = FLOOR * float(problem.output.std())
-    errors = kind_errors(problem.parts, fit.left)
-    together = float(np.mean([np.log(max(error, floor)) for error in errors.values()]))
-    return together + price(fit)
+    return float(np.log(max(error_left_out(fit.left), floor))) + price(fit)
 
 
 def price(fit: Fit) -> float:
@@ -106,4 +100,6 @@ def price(fit: Fit) -> float:
     cost = sum(PRICES[family] for family in fit.structure.memories)
     if fit.structure.slopes == "free":
         cost += PRICES["free"]
+    if fit.structure.drift:
+        cost += PRICES["drift"]
     return cost

@@ -23,6 +23,7 @@ DRIFTS = (1, 3)
 DELAYS = (0.003, 0.01, 0.03, 0.08)  # of a swing
 FINER_DELAYS = ((0.6, 0.8, 1.25, 1.6), (0.92, 1.08))
 WITHIN_REACH = 0.7  # of the score: worse delays are not refined
+FEWEST_SWINGS = 4  # of each log: with fewer neither bend nor drift can be told from the loop
 SWINGS_FOR_DRIFT = 4  # of each log, for each order
 SLOWEST = 3.0  # swings: the slowest memory that a log of one amplitude can tell
 REFINED = 2  # kinds of structures whose neighbours are tried
@@ -47,6 +48,8 @@ class Choices:
 def choices_for(problem: Problem, options: Options) -> tuple[Problem, Choices]:
     """Return what a log can tell, and the problem without memories that it cannot."""
     choices = Choices(drifts=_drifts(problem))
+    if problem.swings_of_log < FEWEST_SWINGS:
+        choices = replace(choices, bends=())
     if problem.one_amplitude:
         problem, choices = _for_one_amplitude(problem, choices)
     elif problem.smaller_swings == 1:
