@@ -21,7 +21,7 @@ from dbo_cli.model import Relaxation, kernel
 Integers = NDArray[np.int64]
 
 GEARS = 2048  # of a model inside its range, all of one width
-SPARE = 0.125  # of the drive's range: gears beyond either end, for drives that go further
+SPARE = 0.125  # of the drive's range: gears beyond either end
 CELLS = 96  # different slopes among them
 CELL_GROWTH = 1.5  # a cell's upper edge grows with its number to this power
 SEGMENTS = 24  # of the curve behind the gears
@@ -106,7 +106,7 @@ class Cells:
 
     @staticmethod
     def of(gears: int | None = None, cells: int = CELLS) -> Cells:
-        """Return groups of gears, finer for small distances; without spare ones where their number is fixed."""
+        """Return groups of gears, finer for small distances; without spare ones where they are counted."""
         count = GEARS if gears is None else gears
         part = np.linspace(0.0, 1.0, min(cells, count) + 1) ** CELL_GROWTH
         edges = np.unique(np.round(count * part).astype(np.int64))
@@ -181,7 +181,8 @@ def bent(drive: Floats, bend: float) -> Floats:
     inside: Floats = np.interp(drive, grid, curve)
     slope = np.diff(curve) * BEND_SEGMENTS
     below, above = np.minimum(drive, 0.0), np.maximum(drive - 1.0, 0.0)
-    return inside + slope[0] * below + slope[-1] * above
+    whole: Floats = inside + slope[0] * below + slope[-1] * above
+    return whole
 
 
 def time_constants(logs: Sequence[PreparedLog]) -> Floats:
@@ -289,7 +290,8 @@ def _late(log: PreparedLog, delay: float, places: Integers) -> Floats:
     clock = np.append(log.time, log.time[-1] + log.dt)
     late = clock[places] - delay
     within: Floats = np.interp(late, clock, np.arange(len(clock), dtype=float))
-    return within + np.minimum(late - clock[0], 0.0) / log.dt
+    position: Floats = within + np.minimum(late - clock[0], 0.0) / log.dt
+    return position
 
 
 def _between(position: Floats, count: int) -> tuple[Integers, Floats, Floats]:

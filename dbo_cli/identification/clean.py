@@ -24,9 +24,9 @@ SPIKE_SPREAD = 2.0  # a spike leaves its neighbours by so many times their sprea
 LEAST_SPIKE = 1e-3  # of the range
 MOST_SPIKES = 0.2  # of the rows: more are no spikes
 OF_NORMAL = 1.4826  # standard deviation over the median distance, of normal noise
-STUCK_PATH = 0.08  # of the drive's range: a working sensor of 5 bits repeats itself so far
+STUCK_PATH = 0.08  # of the drive's range: a sensor of 5 bits repeats itself so far
 CLIPPED_ROWS = 5  # at the sensor's extreme
-CLIPPED_STEEPNESS = 0.35  # of the mean slope: an actuator comes to rest before it stands
+CLIPPED_STEEPNESS = 0.35  # of the mean slope: an actuator comes to rest first
 TURNS_BACK = 0.01  # of the drive's range
 GLITCH = 3.0  # times the largest other step of the drive
 
@@ -88,7 +88,8 @@ def not_skipped(log: Recording, seconds: float) -> Booleans:
         raise FitError(
             f"{log.name}: `skip` needs a clock: name the time column (`time`) or give `sample_rate`"
         )
-    return log.time - log.time[0] >= seconds
+    late: Booleans = log.time - log.time[0] >= seconds
+    return late
 
 
 def without_glitches(log: Recording, notes: list[str]) -> Recording:

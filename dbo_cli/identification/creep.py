@@ -28,6 +28,7 @@ from dbo_cli.model.undoing import Inverter
 Floats = NDArray[np.float64]
 
 ROUNDS = 3  # of gears and creep in turn
+TAU_RATIO = 1.4  # of neighbouring time constants: 3 leaves 2 % of the creep
 LEAST_SHARE = 1e-5  # of the displacement: less is no creep
 MOST_SHARE = 0.5  # of the displacement that creeps: more is no creep
 
@@ -52,6 +53,7 @@ def with_creep(
         Smoothness of the curve behind the gears, from a straight line on.
     """
     bare = replace(structure, memories="")
+    taus = _taus(problem)
     freed, fits = problem, list[Fit]()
     creep: tuple[Lag, ...] = ()
     for number in range(ROUNDS + 1):
@@ -63,7 +65,7 @@ def with_creep(
         best = min(found, key=lambda fit: fit.score)
         if number == ROUNDS:
             break
-        lags = lags_of(problem.taus, _shares(problem, logs, best))
+        lags = lags_of(taus, _shares(problem, logs, best, taus))
         if not lags:
             return problem, [], ()
         creep = lags
@@ -95,15 +97,24 @@ def _freed(problem: Problem, creep: tuple[Lag, ...]) -> Problem:
     return replace(problem, logs=tuple(logs))
 
 
-def _shares(problem: Problem, logs: Sequence[Recording], fit: Fit) -> Floats:
+def _taus(problem: Problem) -> Floats:
+    """Return time constants (s) over those of the problem, nearer to each other."""
+    shortest, longest = float(problem.taus.min()), float(problem.taus.max())
+    count = 1 + int(np.ceil(np.log(longest / shortest) / np.log(TAU_RATIO)))
+    return np.geomspace(shortest, longest, count)
+
+
+def _shares(
+    problem: Problem, logs: Sequence[Recording], fit: Fit, taus: Floats
+) -> Floats:
     """Return the shares of creep with which a fit comes nearest to the logs, one for each time constant."""
     model = model_of(problem, fit, logs[0], Options())
-    count = len(problem.taus)
+    count = len(taus)
     tables, targets = [], []
     for log, prepared in zip(logs, problem.logs, strict=True):
         bare, _ = model.simulate(log.voltage, dt=prepared.dt)
         table = np.empty((len(prepared.rows), count + 3))
-        for place, tau in enumerate(problem.taus.tolist()):
+        for place, tau in enumerate(taus.tolist()):
             lag = Relaxation(0.0, (tau,), (0.0,))
             late, _ = lag.lags(bare, prepared.dt)
             table[:, place] = (late[:, 0] - bare)[prepared.rows]

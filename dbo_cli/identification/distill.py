@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -24,7 +25,7 @@ SWING_ROWS = 40  # of the invented drive
 CURVES = (np.inf, 1e-1, 1e-3, 1e-5, 1e-7)
 SMOOTH_SLOPES = 2e-6
 HEAVY = 0.05  # weight of a fit whose corners are kept
-GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
+GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 
 
 @dataclass(frozen=True)
@@ -56,8 +57,9 @@ class Average:
         best = self.fits[0].structure
         curve = "a straight line" if np.isinf(best.smooth_curve) else "a curve"
         return [
-            f"{len(self.fits)} structures averaged; first: {best.slopes} slopes, {curve} behind them, memories"
-            f" {best.memories or 'none'}, delay {best.delay:.3g} s, bend {best.bend:g}, drift {best.drift}"
+            f"{len(self.fits)} structures averaged; first: {best.slopes} slopes, {curve} behind them,"
+            f" memories {best.memories or 'none'}, delay {best.delay:.3g} s,"
+            f" bend {best.bend:g}, drift {best.drift}"
         ]
 
     def frames(self) -> list[tuple[float, float]]:
@@ -150,7 +152,7 @@ def invented_log(problem: Problem) -> PreparedLog:
 
     A long swing has 40 rows: what is faster is told by the logs' own rows.
     """
-    dt = max(problem.dt, problem.swing / SWING_ROWS)
+    dt = float(max(problem.dt, problem.swing / SWING_ROWS))
     steps = max(round(problem.swing / dt), 4)
     here, parts, turn, rows = 0.0, [np.zeros(1)], 0, 1
     while rows < INVENTED_ROWS:
@@ -165,6 +167,7 @@ def invented_log(problem: Problem) -> PreparedLog:
         here = there
     drive = (1.0 + 2.0 * BEYOND) * np.concatenate(parts) - BEYOND
     every = np.arange(len(drive))
+    time = np.asarray(dt * every, dtype=np.float64)
     return PreparedLog(
-        "invented", drive, drive, dt * every, float(dt), "empty", every, every + 1
+        "invented", drive, drive, time, float(dt), "empty", every, every + 1
     )

@@ -34,8 +34,8 @@ def refuse_other_sign(logs: Sequence[Recording], options: Options) -> None:
     sign = "rising" if together > 0.0 else "falling"
     if sign != options.sign:
         raise LimitError(
-            f"{logs[0].name}: the displacement is {sign} with the voltage, and `sign` {options.sign} was asked"
-            " for; check the columns and the sensor's polarity"
+            f"{logs[0].name}: the displacement is {sign} with the voltage, and `sign` {options.sign} was"
+            " asked for; check the columns and the sensor's polarity"
         )
 
 
@@ -132,8 +132,8 @@ def _warnings(model: Model, figures: dict[str, Any]) -> list[str]:
         found += figures["dynamics"].get("warnings", [])
     if figures.get("one_amplitude"):
         found.append(
-            "the logs hold one amplitude: smaller loops are extrapolated; record several ('dbo excite' writes"
-            " such a drive)"
+            "the logs hold one amplitude: smaller loops are extrapolated; record several ('dbo excite'"
+            " writes such a drive)"
         )
     elif figures.get("swings", FEW_SWINGS) < FEW_SWINGS:
         found.append(
@@ -153,8 +153,8 @@ def _warnings(model: Model, figures: dict[str, Any]) -> list[str]:
     for log in figures["logs"]:
         if abs(log["drift"]) > LARGE_DRIFT * model.output.span:
             found.append(
-                f"{log['name']}: a drift of {log['drift']:.3g}{model.output.suffix} was taken for the sensor's"
-                " and is not in the model; warm up, or record again"
+                f"{log['name']}: a drift of {log['drift']:.3g}{model.output.suffix} was taken for the"
+                " sensor's and is not in the model; warm up, or record again"
             )
     return found
 

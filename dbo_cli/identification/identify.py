@@ -9,7 +9,12 @@ from dbo_cli.errors import FitError, warn
 from dbo_cli.identification.clean import clean
 from dbo_cli.identification.distill import Average, distill
 from dbo_cli.identification.fast import split
-from dbo_cli.identification.figures import measured, refuse_other_sign, stated, validated
+from dbo_cli.identification.figures import (
+    measured,
+    refuse_other_sign,
+    stated,
+    validated,
+)
 from dbo_cli.identification.moving import moving
 from dbo_cli.identification.past import without_unknown_past
 from dbo_cli.identification.problem import prepare
@@ -61,7 +66,7 @@ def identify(
 
 def _searched(
     logs: Sequence[Recording], options: Options, notes: list[str]
-) -> tuple[Model, Sequence[Recording]]:
+) -> tuple[Model, list[Recording]]:
     """Return the model that structures judged on parts left out add up to, and its slow logs."""
     slow, fast = split(logs)
     prepared = without_unknown_past(prepare(slow, options), notes)

@@ -10,14 +10,14 @@ import numpy as np
 from dbo_cli.errors import FitError
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Booleans, Floats
-from dbo_cli.identification.solve import Equations, Fit, Rows, products
+from dbo_cli.identification.solve import Equations, Fit, products
 
 WORSE_ALLOWED = 1.3  # mean square on the rows kept, over that of the whole fit
 SHORTENED = (1.0, 0.5, 0.25, 0.1)
 FLOOR = 1e-4  # of the output's standard deviation: a smaller error is as good
-PRICES = {"t": 0.1, "r": 0.1, "free": 0.5, "drift": 0.1}
-"""What a family of terms must gain in the logarithm of the error left out: lags, the drive less its lags, slopes
-without a rule, drift. Measured on the nineteen recordings: 1.49 of the best rival with 0.1, 0.25, 0.25, 0; 1.45 so.
+PRICES = {"t": 0.1, "r": 0.1, "free": 1.5, "drift": 0.1}
+"""What a family must gain in the logarithm of the error left out: lags, the drive less its lags,
+slopes without a rule, drift.
 """
 
 

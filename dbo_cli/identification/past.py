@@ -45,8 +45,8 @@ def without_unknown_past(problem: Problem, notes: list[str]) -> Problem:
             log = problem.logs[place]
             last = int(log.rows[rows][-1]) + 1
             notes.append(
-                f"{log.name}: rows 1 to {last} left out: the drive had not yet been at both ends of its range,"
-                " and the past is unknown"
+                f"{log.name}: rows 1 to {last} left out: the drive had not yet been at both ends of its"
+                " range, and the past is unknown"
             )
     if not any(rows.any() for rows in strange):
         return problem
@@ -58,7 +58,9 @@ def early_rows(log: PreparedLog) -> Booleans:
     drive = log.drive[log.rows]
     low, high = float(drive.min()), float(drive.max())
     near = NEAR_END * (high - low)
-    both = max(int(np.argmax(drive <= low + near)), int(np.argmax(drive >= high - near)))
+    both = max(
+        int(np.argmax(drive <= low + near)), int(np.argmax(drive >= high - near))
+    )
     early = np.arange(len(drive)) < both
     again = np.ptp(drive[both:]) >= (1.0 - 2.0 * NEAR_END) * (high - low)
     if both > MOST_EARLY * len(drive) or not again:

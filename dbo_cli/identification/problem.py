@@ -17,11 +17,11 @@ from dbo_cli.identification.basis import (
     time_constants,
 )
 from dbo_cli.identification.recording import (
+    SMALLEST_SWING,
     Booleans,
     Floats,
     Integers,
     Options,
-    SMALLEST_SWING,
     Recording,
     Swings,
     usual_swing,
@@ -237,7 +237,7 @@ def thinned(log: Recording, logs: Sequence[Recording]) -> Recording:
         voltage=mean(log.voltage),
         displacement=mean(log.displacement),
         time=None if log.time is None else mean(log.time),
-        good=log.usable[: count * size].reshape(count, size).all(axis=1),
+        good=np.all(log.usable[: count * size].reshape(count, size), axis=1),
     )
 
 
@@ -253,7 +253,9 @@ def groups(rows: Booleans, size: int) -> tuple[Integers, Integers]:
     return np.concatenate(begins), np.concatenate(ends)
 
 
-def output_scale(recordings: Sequence[Recording], sign: str | None) -> tuple[float, float]:
+def output_scale(
+    recordings: Sequence[Recording], sign: str | None
+) -> tuple[float, float]:
     """Return scale and offset that bring the displacement to 0..1 and let it rise with the drive."""
     together = 0.0
     lows, highs = [], []

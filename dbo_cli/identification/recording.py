@@ -44,38 +44,43 @@ class Recording:
 
     def __post_init__(self) -> None:
         """Refuse (InputError, FitError) arrays that hold no recording."""
-        rows = len(self.voltage)
-        columns = {"displacement": self.displacement}
-        if self.time is not None:
-            columns["time"] = self.time
-        if self.good is not None:
-            columns["good"] = self.good
-        for name, values in columns.items():
-            if len(values) != rows:
-                raise InputError(
-                    f"{self.name}: {name} has {len(values)} rows and voltage {rows}; give arrays of one length"
-                )
-        columns["voltage"] = self.voltage
-        for name, values in columns.items():
-            wrong = np.flatnonzero(~np.isfinite(values))
-            if wrong.size:
-                raise InputError(
-                    f"{self.name}: row {wrong[0] + 1}: {name} is {values[wrong[0]]}; leave such rows out"
-                )
-        if self.time is not None and rows > 1 and float(np.diff(self.time).min()) < 0.0:
-            row = int(np.argmin(np.diff(self.time))) + 2
-            raise InputError(f"{self.name}: row {row}: time goes backwards; sort the log")
-        if rows < FEWEST_ROWS:
+        self._check_columns()
+        if len(self.voltage) < FEWEST_ROWS:
             raise FitError(
-                f"{self.name}: {rows} rows are too few to identify from; record at least {FEWEST_ROWS}"
+                f"{self.name}: {len(self.voltage)} rows are too few to identify from; record at least"
+                f" {FEWEST_ROWS}"
             )
         if float(np.ptp(self.voltage)) == 0.0:
             raise FitError(
                 f"{self.name}: voltage never changes; record a drive that goes up and down"
             )
         if float(np.ptp(self.displacement)) == 0.0:
-            raise FitError(
-                f"{self.name}: displacement never changes; check the sensor"
+            raise FitError(f"{self.name}: displacement never changes; check the sensor")
+
+    def _check_columns(self) -> None:
+        """Refuse (InputError) columns of other lengths, what is no number, and time that falls."""
+        rows = len(self.voltage)
+        columns = {"voltage": self.voltage, "displacement": self.displacement}
+        if self.time is not None:
+            columns["time"] = self.time
+        for name, values in columns.items():
+            if len(values) != rows:
+                raise InputError(
+                    f"{self.name}: {name} has {len(values)} rows and voltage {rows}; give arrays of one"
+                    " length"
+                )
+            wrong = np.flatnonzero(~np.isfinite(values))
+            if wrong.size:
+                raise InputError(
+                    f"{self.name}: row {wrong[0] + 1}: {name} is {values[wrong[0]]}; leave such rows out"
+                )
+        if self.time is None or rows < 2:
+            return
+        steps = np.diff(self.time)
+        if float(steps.min()) < 0.0:
+            row = int(np.argmin(steps)) + 2
+            raise InputError(
+                f"{self.name}: row {row}: time goes backwards; sort the log"
             )
 
     @property
@@ -127,7 +132,9 @@ class Options:
         if self.points != "auto" and self.points < 0:
             raise UsageError(f"`points` {self.points}: give 0 or more, or auto")
         if self.delay != "auto" and not self.delay >= 0.0:
-            raise UsageError(f"`delay` {self.delay:g}: give seconds, 0 or more, or auto")
+            raise UsageError(
+                f"`delay` {self.delay:g}: give seconds, 0 or more, or auto"
+            )
         if self.dynamics not in ("auto", 0, 1, 2):
             raise UsageError(f"`dynamics` {self.dynamics}: give auto, 0, 1 or 2")
         if self.relaxation != "auto" and not all(tau >= 0.0 for tau in self.relaxation):

@@ -16,14 +16,15 @@ from dbo_cli.identification.solve import Fit, solve
 
 CURVES = (np.inf, 1e-1, 1e-3, 1e-5, 1e-7)
 SLOPE_SMOOTHNESS = (2e-1, 2e-4)
-CORNERS = 1e-8  # smoothness of slopes that only grow or fall: springs slip at a few forces
+CORNERS = 1e-8  # of slopes that only grow or fall: springs slip at a few forces
 ONE_AMPLITUDE_SMOOTHNESS = 1e5  # times what a first fit leaves of the output's variance
 BENDS = (-0.4, -0.25, -0.12, 0.12, 0.25, 0.4)
 DRIFTS = (1, 3)
 DELAYS = (0.003, 0.01, 0.03, 0.08)  # of a swing
 FINER_DELAYS = ((0.6, 0.8, 1.25, 1.6), (0.92, 1.08))
 WITHIN_REACH = 0.7  # of the score: worse delays are not refined
-FEWEST_SWINGS = 4  # of each log: with fewer neither bend nor drift can be told from the loop
+FEWEST_SWINGS = 4  # with fewer a bend cannot be told from the loop
+ONE_WAY = 2  # swings, up and down once: a curve cannot be told from the loop, either
 SWINGS_FOR_DRIFT = 4  # of each log, for each order
 SLOWEST = 3.0  # swings: the slowest memory that a log of one amplitude can tell
 REFINED = 2  # kinds of structures whose neighbours are tried
@@ -48,8 +49,10 @@ class Choices:
 def choices_for(problem: Problem, options: Options) -> tuple[Problem, Choices]:
     """Return what a log can tell, and the problem without memories that it cannot."""
     choices = Choices(drifts=_drifts(problem))
-    if problem.swings_of_log < FEWEST_SWINGS:
+    if problem.swings < FEWEST_SWINGS:
         choices = replace(choices, bends=())
+    if problem.swings <= ONE_WAY:
+        choices = replace(choices, curves=CURVES[:1])
     if problem.one_amplitude:
         problem, choices = _for_one_amplitude(problem, choices)
     elif problem.smaller_swings == 1:
@@ -67,9 +70,7 @@ def _drifts(problem: Problem) -> tuple[int, ...]:
     return tuple(order for order in DRIFTS if swings >= SWINGS_FOR_DRIFT * order)
 
 
-def _for_one_amplitude(
-    problem: Problem, choices: Choices
-) -> tuple[Problem, Choices]:
+def _for_one_amplitude(problem: Problem, choices: Choices) -> tuple[Problem, Choices]:
     """Return what logs of one amplitude can tell: what cannot be left out cannot be judged.
 
     Slopes as smooth as can be, in the loop's sense, and no memory slower than three
@@ -105,6 +106,7 @@ def _fixed(choices: Choices, options: Options) -> Choices:
         choices = replace(choices, memories=some)
     if options.points == "auto":
         return choices
+    choices = replace(choices, bends=())
     if options.points <= 1:
         return replace(choices, curves=choices.curves[:1])
     return replace(choices, curves=choices.curves[1:], segments=options.points)
@@ -123,7 +125,9 @@ class Search:
         for memories in choices.memories:
             for slopes in choices.slopes:
                 for smooth in self._smoothness(slopes):
-                    base = Structure(slopes, memories, smooth, delay=choices.delay or 0.0)
+                    base = Structure(
+                        slopes, memories, smooth, delay=choices.delay or 0.0
+                    )
                     base = replace(base, segments=choices.segments)
                     self._path(base, choices.curves)
         for fit in self._best_kinds()[:REFINED]:
@@ -187,4 +191,6 @@ class Search:
             return
         for factor in factors:
             delay = best.structure.delay * factor
-            self._path(replace(best.structure, delay=delay), [best.structure.smooth_curve])
+            self._path(
+                replace(best.structure, delay=delay), [best.structure.smooth_curve]
+            )

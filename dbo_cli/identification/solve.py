@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError
 from dbo_cli.identification.basis import Structure
-from dbo_cli.identification.recording import Floats, Integers
+from dbo_cli.identification.recording import Floats
 from dbo_cli.model import kernel
 
 LEAST_SLOPE = 1e-3  # of the mean slope of the cells
@@ -247,7 +247,7 @@ class Equations:
 
     def fit_of(self, x: Floats) -> Fit:
         """Return the unknowns with their names, and what they leave."""
-        cells, rows = self.rows.cells, self.rows
+        cells = self.rows.cells
         curve = x[self.inner : self.free] if self.curved else np.ones(1)
         fit = Fit(
             self.structure,
@@ -302,9 +302,7 @@ class Equations:
                 curve = first.curve
             if len(first.drift) == len(drift):
                 drift = first.drift
-        fit = Fit(
-            self.structure, slopes, gains, curve, offset, drift, np.zeros(0)
-        )
+        fit = Fit(self.structure, slopes, gains, curve, offset, drift, np.zeros(0))
         return self._measured(fit)
 
     def table(self, fit: Fit) -> Floats:
