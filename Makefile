@@ -130,4 +130,4 @@ attack: $(VENV)/installed-test
 	for name in attack_drives attack_live attack_files; do $(BIN)/python benchmarks/$$name.py || exit 1; done
 
 clean:
-	rm -rf demo paper site dist build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf demo paper site dist build .labs *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

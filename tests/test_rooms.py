@@ -1,4 +1,4 @@
-"""Imports point downwards: rooms below know nothing of rooms above, and model and logs nothing of each other."""
+"""Imports point downwards: rooms below know nothing of rooms above, nor model and logs of each other."""
 
 import ast
 import pathlib

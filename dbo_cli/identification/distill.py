@@ -84,8 +84,11 @@ def distill(problem: Problem, average: Average) -> Fit:
         return average.fits[0]
     invented = invented_log(problem)
     mean = np.zeros(len(problem.output) + len(invented.rows))
+    tables: dict[tuple[float, float], Floats] = {}
     for fit, weight in zip(average.fits, average.weights, strict=True):
-        mean += weight * fit.predict(_table(problem, invented, fit.structure))
+        if frame(fit) not in tables:
+            tables[frame(fit)] = _table(problem, invented, fit.structure)
+        mean += weight * fit.predict(tables[frame(fit)])
     found: list[Fit] = []
     for delay, bend in dict.fromkeys(average.frames()):
         structure = replace(_widest(average), delay=delay, bend=bend)

@@ -21,15 +21,19 @@ slopes without a rule, drift.
 """
 
 
-def judge(problem: Problem, fit: Fit) -> Fit:
+def judge(problem: Problem, fit: Fit, equations: Equations | None = None) -> Fit:
     """Return the fit with what it leaves of each part left out, and its score.
 
-    A fit without a part is one step from the fit to all rows.
+    A fit without a part is one step from the fit to all rows; ``equations`` are the
+    fit's, where they are at hand.
     """
     rows = problem.rows(fit.structure)
-    equations = Equations(rows, fit.structure)
+    equations = equations or Equations(rows, fit.structure)
     table = equations.table(fit)
-    groups, grams = _grams(table, [part.mask for part in problem.parts])
+    groups, of_row = problem.groups
+    grams = np.stack(
+        [products(table[of_row == place]) for place in range(len(groups))]
+    )
     total = np.add.reduce(grams)
     try:
         equations.step(total, fit)
@@ -44,15 +48,6 @@ def judge(problem: Problem, fit: Fit) -> Fit:
         left.append(_left_out(equations, fit, part.mask, kept, problem))
     judged = replace(fit, left=tuple(left))
     return replace(judged, score=score(problem, judged))
-
-
-def _grams(table: Floats, masks: list[Booleans]) -> tuple[Booleans, Floats]:
-    """Return the products over rows of the same parts: the parts of each group, and its products."""
-    labels = np.column_stack(masks)
-    groups, of_row = np.unique(labels, axis=0, return_inverse=True)
-    of_row = of_row.reshape(-1)
-    grams = [products(table[of_row == place]) for place in range(len(groups))]
-    return groups, np.stack(grams)
 
 
 def _left_out(
@@ -93,6 +88,12 @@ def score(problem: Problem, fit: Fit) -> float:
     """Return the logarithm of the error left out, and the price of the terms."""
     floor = FLOOR * float(problem.output.std())
     return float(np.log(max(error_left_out(fit.left), floor))) + price(fit)
+
+
+def least_score(problem: Problem, fit: Fit) -> float:
+    """Return what the score can be at best: no part is predicted better than it is fitted."""
+    floor = FLOOR * float(problem.output.std())
+    return float(np.log(max(fit.rmse, floor))) + price(fit)
 
 
 def price(fit: Fit) -> float:

@@ -73,6 +73,6 @@ def _without(problem: Problem, early: list[Booleans]) -> Problem:
     logs = []
     for log, rows in zip(problem.logs, early, strict=True):
         logs.append(replace(log, rows=log.rows[~rows], ends=log.ends[~rows]))
-    smaller = replace(problem, logs=tuple(logs), _columns={})
+    smaller = replace(problem, logs=tuple(logs), _columns={}, _groups=None)
     smaller.parts = parts_of(smaller)
     return smaller

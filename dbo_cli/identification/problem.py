@@ -70,6 +70,7 @@ class Problem:
     swing: float
     parts: tuple[Part, ...] = ()
     _columns: dict[object, Floats] = field(default_factory=dict)
+    _groups: tuple[Booleans, Integers] | None = None
 
     @property
     def dt(self) -> float:
@@ -86,6 +87,15 @@ class Problem:
     def output(self) -> Floats:
         """The normalised output of the fitted rows."""
         return np.concatenate([log.fitted for log in self.logs])
+
+    @property
+    def groups(self) -> tuple[Booleans, Integers]:
+        """The parts that each group of rows belongs to, (groups, parts), and the group of each row."""
+        if self._groups is None:
+            labels = np.column_stack([part.mask for part in self.parts])
+            found, of_row = np.unique(labels, axis=0, return_inverse=True)
+            self._groups = found, of_row.reshape(-1)
+        return self._groups
 
     def columns(self, structure: Structure) -> Floats:
         """Return the columns of the fitted rows; kept for each delay and bend."""

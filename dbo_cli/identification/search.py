@@ -9,10 +9,10 @@ import numpy as np
 
 from dbo_cli.errors import FitError
 from dbo_cli.identification.basis import SEGMENTS, Structure
-from dbo_cli.identification.judge import judge
+from dbo_cli.identification.judge import judge, least_score
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Options
-from dbo_cli.identification.solve import Fit, solve
+from dbo_cli.identification.solve import Equations, Fit, solve
 
 CURVES = (np.inf, 1e-1, 1e-3, 1e-5, 1e-7)
 SLOPE_SMOOTHNESS = (2e-1, 2e-4)
@@ -22,6 +22,7 @@ BENDS = (-0.4, -0.25, -0.12, 0.12, 0.25, 0.4)
 DRIFTS = (1, 3)
 DELAYS = (0.003, 0.01, 0.03, 0.08)  # of a swing
 FINER_DELAYS = ((0.6, 0.8, 1.25, 1.6), (0.92, 1.08))
+HOPELESS = 1.0  # of the score: a fit that is worse at best weighs nothing
 WITHIN_REACH = 0.7  # of the score: worse delays are not refined
 FEWEST_SWINGS = 4  # with fewer a bend cannot be told from the loop
 ONE_WAY = 2  # swings, up and down once: a curve cannot be told from the loop, either
@@ -118,6 +119,7 @@ class Search:
     def __init__(self, problem: Problem, choices: Choices) -> None:
         self.problem, self.choices = problem, choices
         self.fits: list[Fit] = []
+        self.best = np.inf
 
     def run(self) -> list[Fit]:
         """Return all fits."""
@@ -150,11 +152,17 @@ class Search:
         first = None
         for smooth in curves:
             structure = replace(base, smooth_curve=smooth)
+            equations = Equations(self.problem.rows(structure), structure)
             try:
-                first = solve(self.problem.rows(structure), structure, first)
+                first = equations.solve(first)
             except FitError:
                 continue
-            self.fits.append(judge(self.problem, first))
+            if least_score(self.problem, first) > self.best + HOPELESS:
+                continue
+            judged = judge(self.problem, first, equations)
+            if judged.left:
+                self.best = min(self.best, judged.score)
+                self.fits.append(judged)
 
     def _best_kinds(self) -> Sequence[Fit]:
         """Return the best fit of each of the best kinds of slopes and memories."""

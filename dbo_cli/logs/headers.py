@@ -233,7 +233,7 @@ def stated_clock(settings: dict[str, list[str]]) -> StatedClock:
     for key, values in settings.items():
         text = _first([values]).replace(",", ".")
         if plain_key(key) in STARTS and is_number(text, "."):
-            start = float(text)
+            start = float(text.upper().replace("D", "E"))
             clock.start = start if abs(start) < _LATEST_START else 0.0
     return clock
 

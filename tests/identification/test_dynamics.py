@@ -38,13 +38,13 @@ def plant(*sections: Lag | Resonance, delay: float = 0.0) -> Model:
     return Model("forward", drive, moved, tuple(stages))
 
 
-def swept(slow_seconds: float = 3.0) -> np.ndarray:
+def swept(slow_seconds: float = 2.0) -> np.ndarray:
     """Loops of 1 Hz, a way to the middle, a sweep of 2 to 200 Hz, a way back."""
     loops = np.arange(round(slow_seconds * RATE)) / RATE
     slow = 50.0 - 50.0 * np.cos(2.0 * np.pi * loops)
     way = 25.0 - 25.0 * np.cos(np.pi * np.arange(600) / 600)
-    part = np.arange(round(2.0 * RATE)) / (2.0 * RATE)
-    turns = 2.0 * 2.0 / np.log(100.0) * np.expm1(np.log(100.0) * part)
+    part = np.arange(round(1.4 * RATE)) / (1.4 * RATE)
+    turns = 2.0 * 1.4 / np.log(100.0) * np.expm1(np.log(100.0) * part)
     fade = np.clip(np.minimum(part, 1.0 - part) / 0.05, 0.0, 1.0)
     sweep = 50.0 + 0.25**part * fade * np.sin(2.0 * np.pi * turns)
     rest = np.full(600, 50.0)
@@ -66,9 +66,9 @@ def test_the_sweep_is_told_from_the_loops() -> None:
     log = recorded(plant(), swept())
     (slow,), (part,) = split([log])
     assert isinstance(part, FastPart)
-    assert len(slow.voltage) == part.rows.start > 3.0 * RATE
+    assert len(slow.voltage) == part.rows.start > 2.0 * RATE
     assert part.band[0] < 8.0 and part.band[1] == pytest.approx(200.0, rel=0.05)
-    loops = recorded(plant(), swept()[:6000])
+    loops = recorded(plant(), swept()[:4000])
     assert split([loops]) == ([loops], [])
     assert split([Recording("log.csv", log.voltage, log.displacement)])[1] == []
 

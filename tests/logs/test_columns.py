@@ -124,7 +124,9 @@ def test_units_are_converted_and_kinds_refused(tmp_path: Path) -> None:
     assert table["voltage"].tolist() == pytest.approx(
         [1000.0, 1001.0, 1002.0], rel=1e-15
     )
-    assert table["displacement"].tolist() == pytest.approx([0.002, 0.002001, 0.002002], rel=1e-15)
+    assert table["displacement"].tolist() == pytest.approx(
+        [0.002, 0.002001, 0.002002], rel=1e-15
+    )
     with pytest.raises(InputError, match="`scale` voltage=FACTORbar/kV"):
         open_log(path, {"voltage": "2"}, units={"voltage": "bar"})
     with open_log(path, {"displacement": "z"}, units={"displacement": "um"}) as log:
