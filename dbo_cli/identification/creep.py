@@ -27,7 +27,7 @@ from dbo_cli.model.undoing import Inverter
 
 Floats = NDArray[np.float64]
 
-ROUNDS = 3  # of gears and creep in turn
+ROUNDS = 8  # of gears and creep in turn
 TAU_RATIO = 1.4  # of neighbouring time constants: 3 leaves 2 % of the creep
 LEAST_SHARE = 1e-5  # of the displacement: less is no creep
 MOST_SHARE = 0.5  # of the displacement that creeps: more is no creep
@@ -52,25 +52,19 @@ def with_creep(
     curves
         Smoothness of the curve behind the gears, from a straight line on.
     """
-    bare = replace(structure, memories="")
     taus = _taus(problem)
-    freed, fits = problem, list[Fit]()
+    bare = replace(structure, memories="")
+    freed = problem
     creep: tuple[Lag, ...] = ()
-    for number in range(ROUNDS + 1):
-        found = _fits(freed, bare, curves)
+    for _ in range(ROUNDS):
+        found = _fits(freed, bare, [bare.smooth_curve])
         if not found:
-            break
-        if creep:
-            fits = found
-        best = min(found, key=lambda fit: fit.score)
-        if number == ROUNDS:
-            break
-        lags = lags_of(taus, _shares(problem, logs, best, taus))
-        if not lags:
             return problem, [], ()
-        creep = lags
+        creep = lags_of(taus, _shares(problem, logs, found[0], taus))
+        if not creep:
+            return problem, [], ()
         freed = _freed(problem, creep)
-    return freed, fits, creep
+    return freed, _fits(freed, bare, curves), creep
 
 
 def _fits(problem: Problem, structure: Structure, curves: Sequence[float]) -> list[Fit]:
