@@ -35,6 +35,7 @@ class ByteStream:
         """
         self.name = name
         self._pipe: int | None = None
+        self._looked_ahead = True
         self._raw = self._opened(name) if content is None else io.BytesIO(content)
         self._file = self._raw
         start = self._first_bytes()
@@ -103,8 +104,11 @@ class ByteStream:
     def _arrived(self, size: int) -> bytes:
         """Read what a pipe has; wait for the first byte only."""
         assert self._pipe is not None
-        # A signal ends this wait; libraries may have asked for reads to be restarted.
-        select.select([self._pipe], [], [])
+        if self._looked_ahead:  # what came with the first bytes is in the buffer
+            self._looked_ahead = False
+        else:
+            # A signal ends this wait; libraries may have asked for reads to be restarted.
+            select.select([self._pipe], [], [])
         pieces = [self._file.read1(size)]  # type: ignore[attr-defined]
         while pieces[-1] and sum(map(len, pieces)) < size and self.has_more():
             pieces.append(self._file.read1(size))  # type: ignore[attr-defined]
