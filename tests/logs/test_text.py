@@ -84,6 +84,7 @@ def test_large_files_of_many_ways(change: Callable[[str], str], tmp_path: Path) 
     np.testing.assert_array_equal(table["displacement"], np.arange(30_000) + 0.25)
 
 
+@pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 @pytest.mark.parametrize(
     ("damage", "line", "what"),
     [
