@@ -22,7 +22,7 @@ INVENTED_WEIGHT = 0.5  # of a row, beside one of the logs
 BEYOND = 0.05  # of the range: the invented drive goes so far beyond the logs'
 REST = 0.25  # of a swing
 SWING_ROWS = 40  # of the invented drive
-CURVES = (np.inf, 1e-1, 1e-3, 1e-5, 1e-7)
+CURVES = (np.inf, 1e-1, 1e-4, 1e-7)
 SMOOTH_SLOPES = 2e-6
 HEAVY = 0.05  # weight of a fit whose corners are kept
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
@@ -62,15 +62,22 @@ class Average:
             f" bend {best.bend:g}, drift {best.drift}"
         ]
 
-    def frames(self) -> list[tuple[float, float]]:
-        """Return delay and bend of the fits that have most of the weight, and the mean ones."""
+    def frames(self, dt: float) -> list[tuple[float, float]]:
+        """Return delay and bend of the fits that have most of the weight, and the mean ones.
+
+        The mean delay is a whole number of steps ``dt``: between jumps of a drive a part
+        of a step has no meaning.
+        """
         total: dict[tuple[float, float], float] = {}
         for fit, weight in zip(self.fits, self.weights.tolist(), strict=True):
             total[frame(fit)] = total.get(frame(fit), 0.0) + weight
         heaviest = max(total, key=lambda key: total[key])
         pairs = np.asarray(list(total))
-        mean = np.asarray(list(total.values())) @ pairs
-        return [heaviest, (float(mean[0]), float(mean[1]))]
+        mean = np.average(pairs, axis=0, weights=list(total.values()))
+        delay = float(mean[0])
+        if np.ptp(pairs[:, 0]) > 0.0:
+            delay = round(delay / dt) * dt
+        return [heaviest, (delay, float(mean[1]))]
 
 
 def frame(fit: Fit) -> tuple[float, float]:
@@ -90,7 +97,7 @@ def distill(problem: Problem, average: Average) -> Fit:
             tables[frame(fit)] = _table(problem, invented, fit.structure)
         mean += weight * fit.predict(tables[frame(fit)])
     found: list[Fit] = []
-    for delay, bend in dict.fromkeys(average.frames()):
+    for delay, bend in dict.fromkeys(average.frames(problem.dt)):
         structure = replace(_widest(average), delay=delay, bend=bend)
         found += _nearest(problem, invented, structure, mean)
     return min(found, key=lambda fit: fit.misfit)

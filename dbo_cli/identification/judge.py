@@ -31,9 +31,7 @@ def judge(problem: Problem, fit: Fit, equations: Equations | None = None) -> Fit
     equations = equations or Equations(rows, fit.structure)
     table = equations.table(fit)
     groups, of_row = problem.groups
-    grams = np.stack(
-        [products(table[of_row == place]) for place in range(len(groups))]
-    )
+    grams = np.stack([products(table[of_row == place]) for place in range(len(groups))])
     total = np.add.reduce(grams)
     try:
         equations.step(total, fit)

@@ -28,7 +28,8 @@ from dbo_cli.identification.recording import (
 )
 from dbo_cli.identification.solve import Rows
 
-SEARCH_ROWS = 1200  # of all logs: means of more
+STEADY = 0.02  # of the drive's range: it moves less over the rows of a mean
+SEARCH_ROWS = 900  # of all logs: means of more
 MOST_ROWS = 100_000  # of all logs at full rate: a longer log is thinned by means
 BLOCKS = 6  # of time, each left out in turn
 SMALL, TINY = 0.75, 0.4  # of the largest swing: swings below are left out together
@@ -191,9 +192,10 @@ def prepare(recordings: Sequence[Recording], options: Options) -> Problem:
     usable = [log.usable for log in recordings]
     total = sum(int(rows.sum()) for rows in usable)
     stride = max(math.ceil(total / SEARCH_ROWS), 1)
+    size = steady_rows(recordings, stride)
     logs = []
     for log, rows in zip(recordings, usable, strict=True):
-        begins, ends = groups(rows, stride)
+        begins, ends = groups_of(rows, stride, size)
         logs.append(_prepared(log, begins, ends, low, high, scale, offset))
     clock = all(log.time is not None for log in recordings)
     taus = np.zeros(0)
@@ -251,15 +253,31 @@ def thinned(log: Recording, logs: Sequence[Recording]) -> Recording:
     )
 
 
-def groups(rows: Booleans, size: int) -> tuple[Integers, Integers]:
-    """Return begin and end of groups of up to ``size`` neighbouring rows that are true."""
+def steady_rows(recordings: Sequence[Recording], most: int) -> int:
+    """Return over how many rows, at most ``most``, the drive hardly moves: a mean of them tells no less."""
+    low = min(float(log.voltage.min()) for log in recordings)
+    high = max(float(log.voltage.max()) for log in recordings)
+    size = most
+    while size > 1:
+        moved = [np.zeros(1)]
+        for log in recordings:
+            moved.append(np.abs(log.voltage[size - 1 :] - log.voltage[: 1 - size]))
+        usual = float(np.percentile(np.concatenate(moved), 90.0))
+        if usual <= STEADY * (high - low):
+            return size
+        size //= 2
+    return 1
+
+
+def groups_of(rows: Booleans, stride: int, size: int) -> tuple[Integers, Integers]:
+    """Return begin and end of groups of up to ``size`` rows that are true, one every ``stride`` of these."""
     edges = np.diff(np.concatenate(([False], rows, [False])).astype(np.int8))
     begins, ends = [], []
     runs = np.column_stack((np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)))
     for begin, end in runs.tolist():
-        some = np.arange(begin, end, size)
+        some = np.arange(begin, end, stride)
         begins.append(some)
-        ends.append(np.append(some[1:], end))
+        ends.append(np.minimum(some + size, end))
     return np.concatenate(begins), np.concatenate(ends)
 
 

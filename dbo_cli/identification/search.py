@@ -14,7 +14,7 @@ from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Options
 from dbo_cli.identification.solve import Equations, Fit, solve
 
-CURVES = (np.inf, 1e-1, 1e-3, 1e-5, 1e-7)
+CURVES = (np.inf, 1e-1, 1e-4, 1e-7)
 SLOPE_SMOOTHNESS = (2e-1, 2e-4)
 CORNERS = 1e-8  # of slopes that only grow or fall: springs slip at a few forces
 ONE_AMPLITUDE_SMOOTHNESS = 1e5  # times what a first fit leaves of the output's variance
@@ -194,8 +194,11 @@ class Search:
     def _finer_delay(self, factors: Sequence[float]) -> None:
         """Try delays around the best one."""
         late = [fit for fit in self.fits if fit.structure.delay > 0.0]
-        best = min(late, key=lambda fit: fit.score)
-        if best.score > min(fit.score for fit in self.fits) + WITHIN_REACH:
+        best = min(late, key=lambda fit: fit.score, default=None)
+        if (
+            best is None
+            or best.score > min(fit.score for fit in self.fits) + WITHIN_REACH
+        ):
             return
         for factor in factors:
             delay = best.structure.delay * factor
