@@ -82,10 +82,6 @@ def read_recording(
         )
     for doubt in log.doubtful:
         warn(f"{path}: {doubt}")
-    if table.time is None:
-        warn(
-            f"{path}: no clock: delay, lag and creep are not looked for (`time` COLUMN or `sample_rate` HZ)"
-        )
     return recording, log
 
 

@@ -66,6 +66,7 @@ def test_json_and_text(table):
     assert list(table.to_frame().columns) == KEYS[1:]
 
 
+@pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 def test_without_times_the_same_bytes_and_a_row_says_why(tmp_path):
     logs = [log("a.csv", 5.0, clock=False)]
     first, second = compare(logs, timings=False), compare(logs, timings=False)
