@@ -28,6 +28,7 @@ FEWEST_SWINGS = 4  # with fewer a bend cannot be told from the loop
 ONE_WAY = 2  # swings, up and down once: a curve cannot be told from the loop, either
 SWINGS_FOR_DRIFT = 4  # of each log, for each order
 SLOWEST = 3.0  # swings: the slowest memory that a log of one amplitude can tell
+OTHER_SMOOTHNESS = (0.01, 0.1, 1.0, 10.0, 100.0)  # of the candidates of one amplitude
 REFINED = 2  # kinds of structures whose neighbours are tried
 REFINED_AGAIN = 1  # of these: a bend and a drift beside it
 
@@ -163,6 +164,19 @@ class Search:
             if judged.left:
                 self.best = min(self.best, judged.score)
                 self.fits.append(judged)
+
+    def as_smooth(self, best: Fit) -> list[Fit]:
+        """Return fits of a structure with other smoothness of the slopes.
+
+        Of one amplitude they explain the logs alike, and differ where the logs show
+        nothing: in smaller loops.
+        """
+        fits = []
+        for factor in OTHER_SMOOTHNESS:
+            smooth = factor * best.structure.smooth_slopes
+            structure = replace(best.structure, smooth_slopes=smooth)
+            fits.append(solve(self.problem.rows(structure), structure))
+        return fits
 
     def _best_kinds(self) -> Sequence[Fit]:
         """Return the best fit of each of the best kinds of slopes and memories."""
