@@ -39,9 +39,16 @@ def refuse_other_sign(logs: Sequence[Recording], options: Options) -> None:
         )
 
 
-def stated(model: Model, problem: Problem, average: Average) -> Model:
-    """Return the model with the error to expect on an invented move."""
-    figures = {**model.fit, "left_out_rmse": left_out_rmse(problem, average)}
+def stated(
+    model: Model, problem: Problem, average: Average, logs: Sequence[Recording]
+) -> Model:
+    """Return the model with the error to expect on an invented move.
+
+    No part that was left out is predicted better than the logs are followed, row by row.
+    """
+    followed = pooled([residual_of(model, log) for log in logs])
+    left = max(left_out_rmse(problem, average), followed)
+    figures = {**model.fit, "left_out_rmse": left}
     model = replace(model, fit=figures)
     invented = invented_log(problem)
     inside = np.clip(invented.drive, 0.0, 1.0)
@@ -87,7 +94,7 @@ def measured(
 ) -> Model:
     """Return the model with its figures on the logs; refuse (FitError) what is no better than a line."""
     residuals = [residual_of(model, log) for log in logs]
-    rmse, line = _pooled(residuals), line_rmse(logs)
+    rmse, line = pooled(residuals), line_rmse(logs)
     _refuse_no_better(rmse, line, logs, options)
     speeds, rests, periods = [], [], []
     for log in logs:
@@ -185,7 +192,7 @@ def residual_of(model: Model, log: Recording) -> Residual:
     return Residual(os.path.basename(log.name), len(left), rmse, drift)
 
 
-def _pooled(residuals: Sequence[Residual]) -> float:
+def pooled(residuals: Sequence[Residual]) -> float:
     """Return the RMS over all rows."""
     squares = sum(log.rows * log.rmse**2 for log in residuals)
     return math.sqrt(squares / sum(log.rows for log in residuals))

@@ -90,4 +90,5 @@ def _searched(
         model = moved.applied(model)
         model = replace(model, fit={"dynamics": moved.figures})
     notes += average.words()
-    return stated(model, problem, average), problem.known(slow)
+    known = problem.known(slow)
+    return stated(model, problem, average, known), known

@@ -33,7 +33,7 @@ SEARCH_ROWS = 900  # of all logs: means of more
 MOST_ROWS = 100_000  # of all logs at full rate: a longer log is thinned by means
 BLOCKS = 6  # of time, each left out in turn
 SMALL, TINY = 0.75, 0.4  # of the largest swing: swings below are left out together
-MANY_SWINGS = 6  # of a log, whose first and last one may be unfinished
+MANY_SWINGS = 6  # of which one is rare
 FEWEST_OF_SWING = 5  # fitted rows of a swing that counts
 LEAST_PART, MOST_PART = 0.05, 0.9  # of the rows, of a kind of swings that is left out
 
@@ -145,10 +145,7 @@ class Problem:
         for log in self.logs:
             swings = Swings.of(log.drive)
             held = np.bincount(swings.number[log.rows], minlength=len(swings.sizes))
-            whole = held > FEWEST_OF_SWING
-            if len(whole) >= MANY_SWINGS:
-                whole[[0, -1]] = False  # the log begins and ends within a swing
-            sizes.append(swings.sizes[whole])
+            sizes.append(swings.sizes[held > FEWEST_OF_SWING])
         return np.concatenate(sizes)
 
     @property
@@ -166,6 +163,8 @@ class Problem:
         """How many swings are clearly smaller than the largest; 0 where they are rare."""
         sizes = self.swing_sizes
         small = int(((sizes < SMALL * sizes.max()) & (sizes > SMALLEST_SWING)).sum())
+        if small == 1 and len(sizes) >= MANY_SWINGS:
+            return 0  # the log ends within a swing
         return small if small > LEAST_PART * len(sizes) else 0
 
     @property
