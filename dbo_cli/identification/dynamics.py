@@ -29,7 +29,7 @@ from dbo_cli.identification.sections import (
     parameters_of,
     sections_of,
 )
-from dbo_cli.identification.spectra import peak_of, phase_delay, response
+from dbo_cli.identification.spectra import peak_of, phase_delay
 from dbo_cli.model import Gears, Lag, Model, Relaxation, Resonance, Section
 
 Floats = NDArray[np.float64]
@@ -274,7 +274,6 @@ def _figures(
         "left_out_rmse": best.left_out,
         "logs": [part.recording.name for part in fast],
         "swept": list(_band(fast)),
-        "response": response(signals, _band(fast)),
         "warnings": _unexplained(signals, fast, best),
     }
 

@@ -1,4 +1,4 @@
-"""Spectra of fast rows: where a resonance is to be looked for, how late all is, and the response measured."""
+"""Spectra of fast rows: where a resonance is to be looked for, and how late all is."""
 
 from __future__ import annotations
 
@@ -15,8 +15,6 @@ Floats = NDArray[np.float64]
 APART = 0.3  # of the logarithms of two resonances
 SAME_GAIN = 0.3  # of the logarithm: up to here the phase tells a delay
 ENERGY = 0.003  # of the strongest amplitude of the drive: with less nothing is known
-COHERENT = 0.5  # least coherence of a response that is shown
-SHOWN = 60  # frequencies of the response that a model keeps
 
 
 def spectra(
@@ -64,27 +62,3 @@ def phase_delay(signals: Sequence[Signals], band: Band) -> float:
     w = 2.0 * np.pi * frequency[:rows]
     slope = float(np.sum(power[:rows] * w * phase) / np.sum(power[:rows] * w * w))
     return max(-slope, 0.0)
-
-
-def response(signals: Sequence[Signals], band: Band) -> dict[str, list[float]]:
-    """Return the measured response to what the gears make of the drive: Hz, gain (1 at rest), degrees."""
-    one = longest(signals)
-    frequency, power, both = spectra(one.predicted, one.measured, one.dt, band)
-    size = min(one.measured.size, max(256, round(8.0 / (band[0] * one.dt))))
-    every, other = welch(one.measured, 1.0 / one.dt, nperseg=size)
-    coherent = np.abs(both) ** 2 > COHERENT * power * np.interp(frequency, every, other)
-    frequency, ratio = frequency[coherent], (both / power)[coherent]
-    if frequency.size == 0:
-        return {"frequency": [], "gain": [], "phase_degrees": []}
-    at = np.geomspace(frequency[0], frequency[-1], SHOWN)
-    rows = np.unique(np.argmin(np.abs(frequency - at[:, None]), axis=1))
-    phase = np.degrees(np.unwrap(np.angle(ratio)))
-    return {
-        "frequency": _rounded(frequency[rows]),
-        "gain": _rounded(np.abs(ratio)[rows]),
-        "phase_degrees": _rounded(phase[rows]),
-    }
-
-
-def _rounded(values: Floats) -> list[float]:
-    return [float(f"{value:.4g}") for value in values]
