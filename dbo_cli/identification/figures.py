@@ -30,7 +30,7 @@ def refuse_other_sign(logs: Sequence[Recording], options: Options) -> None:
     together = 0.0
     for log in logs:
         v, y = log.voltage[log.usable], log.displacement[log.usable]
-        together += float((v - v.mean()) @ (y - y.mean()))
+        together += float(np.sum((v - v.mean()) * (y - y.mean())))
     sign = "rising" if together > 0.0 else "falling"
     if sign != options.sign:
         raise LimitError(
@@ -185,7 +185,7 @@ def residual_of(model: Model, log: Recording) -> Residual:
     drift = 0.0
     if log.time is not None and len(Swings.of(log.voltage[rows]).sizes) >= FEW_SWINGS:
         place = log.time[rows] - float(log.time[rows].mean())
-        rate = float(place @ left) / max(float(place @ place), 1e-300)
+        rate = float(np.sum(place * left)) / max(float(np.sum(place**2)), 1e-300)
         left = left - rate * place
         drift = rate * float(np.ptp(place))
     rmse = math.sqrt(float(np.mean(left**2)))
@@ -206,7 +206,7 @@ def line_rmse(logs: Sequence[Recording]) -> float:
         voltages.append(v - v.mean())
         displacements.append(y - y.mean())
     v, y = np.concatenate(voltages), np.concatenate(displacements)
-    gain = float(v @ y) / max(float(v @ v), 1e-300)
+    gain = float(np.sum(v * y)) / max(float(np.sum(v**2)), 1e-300)
     return math.sqrt(float(np.mean((y - gain * v) ** 2)))
 
 

@@ -294,7 +294,7 @@ def output_scale(
         rows = log.usable
         v, y = log.voltage[rows], log.displacement[rows]
         y = np.clip(y, *np.percentile(y, [1.0, 99.0]))
-        together += float((v - v.mean()) @ (y - y.mean()))
+        together += float(np.sum((v - v.mean()) * (y - y.mean())))
         lows.append(float(y.min()))
         highs.append(float(y.max()))
     falling = together < 0.0 if sign is None else sign == "falling"
