@@ -34,7 +34,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from plants import Log, invented
+from plants import NOISE, STROKE, Log, invented
 
 WORST = 4.0  # ratio that a refusal counts as, and the most that any case counts as
 PAPER_RATE = 200.0  # Hz
@@ -66,6 +66,7 @@ class Case:
     delay: float | None = None
     state: str = "auto"
     skip: float = 0.0
+    noise: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,7 @@ class Result:
     seconds: float = 0.0
     warned: int = 0
     refused: str = ""
+    noise: float = 0.0
     ratios: dict[str, float] = field(default_factory=dict)
 
 
@@ -136,7 +138,9 @@ def plants() -> Iterator[Case]:
     for one in invented():
         test = Test(one.test, slice(one.first, None), one.offset_free)
         source = one.name.split(",")[0]
-        yield Case(one.name, "invented", source, [one.log], [test])
+        yield Case(
+            one.name, "invented", source, [one.log], [test], noise=NOISE * STROKE
+        )
 
 
 def all_cases(recordings: Path, paper: Path, words: Sequence[str]) -> list[Case]:
@@ -262,7 +266,7 @@ def error_of(case: Case, predictions: Sequence[Any]) -> float:
 
 def measured(case: Case, way: Way) -> Result:
     """Return what a way makes of a case; a refusal is a result, too."""
-    result = Result(case.name, case.group, case.source, None)
+    result = Result(case.name, case.group, case.source, None, noise=case.noise)
     begun = time.perf_counter()
     try:
         with warnings.catch_warnings():
@@ -303,10 +307,11 @@ def cell(value: float | None, width: int = 7) -> str:
     return f"{'-':>{width}}" if value is None else f"{value:{width}.2f}"
 
 
-def over(error: float | None, stated: float | None) -> float | None:
-    if error is None or not stated:
+def over(result: Result, stated: float | None) -> float | None:
+    """Return the error that a user meets, the sensor's noise included, over the stated one."""
+    if result.rmse is None or not stated:
         return None
-    return error / stated
+    return math.hypot(result.rmse, result.noise) / stated
 
 
 HEAD = (
@@ -318,8 +323,8 @@ HEAD = (
 def row(result: Result) -> str:
     error = "refused" if result.rmse is None else f"{result.rmse:.4g}"
     ratios = "".join(cell(result.ratios.get(key)) for key in ("best", "fair", "before"))
-    stated = cell(over(result.rmse, result.stated))
-    move = cell(over(result.rmse, result.stated_move))
+    stated = cell(over(result, result.stated))
+    move = cell(over(result, result.stated_move))
     label = f"{result.group[:3]} {result.name}"[:49]
     text = f"{label:50}{error:>10}{ratios}{stated}{move}{result.seconds:6.1f}"
     return f"{text} {result.warned or ''} {result.refused[:120]}".rstrip()
@@ -344,7 +349,7 @@ def summary(results: Sequence[Result]) -> Iterator[str]:
     for key, name in (("stated", "fit.expected_rmse"), ("stated_move", "of the move")):
         ratios = []
         for one in results:
-            ratio = over(one.rmse, getattr(one, key))
+            ratio = over(one, getattr(one, key))
             if ratio is not None:
                 ratios.append(ratio)
         if ratios:

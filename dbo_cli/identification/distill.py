@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dbo_cli.identification.basis import Basis, PreparedLog, Structure
+from dbo_cli.identification.judge import error_left_out
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Floats
 from dbo_cli.identification.solve import Fit, Rows, solve
@@ -24,6 +25,7 @@ REST = 0.25  # of a swing
 SWING_ROWS = 40  # of the invented drive
 CURVES = (np.inf, 1e-1, 1e-4, 1e-7)
 SMOOTH_SLOPES = 2e-6
+MOST_MISFIT = 0.5  # of the error left out: farther from the mean, one fit is better
 HEAVY = 0.05  # weight of a fit whose corners are kept
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 
@@ -100,7 +102,11 @@ def distill(problem: Problem, average: Average) -> Fit:
     for delay, bend in dict.fromkeys(average.frames(problem.dt)):
         structure = replace(_widest(average), delay=delay, bend=bend)
         found += _nearest(problem, invented, structure, mean)
-    return min(found, key=lambda fit: fit.misfit)
+    nearest = min(found, key=lambda fit: fit.misfit)
+    best = average.fits[0]
+    if math.sqrt(nearest.misfit) > MOST_MISFIT * error_left_out(best.left):
+        return best
+    return nearest
 
 
 def _table(problem: Problem, invented: PreparedLog, structure: Structure) -> Floats:

@@ -30,7 +30,7 @@ def refuse_other_sign(logs: Sequence[Recording], options: Options) -> None:
     together = 0.0
     for log in logs:
         v, y = log.voltage[log.usable], log.displacement[log.usable]
-        together += float((v - v.mean()) @ (y - y.mean()))
+        together += float(np.sum((v - v.mean()) * (y - y.mean())))
     sign = "rising" if together > 0.0 else "falling"
     if sign != options.sign:
         raise LimitError(
@@ -39,9 +39,16 @@ def refuse_other_sign(logs: Sequence[Recording], options: Options) -> None:
         )
 
 
-def stated(model: Model, problem: Problem, average: Average) -> Model:
-    """Return the model with the error to expect on an invented move."""
-    figures = {**model.fit, "left_out_rmse": left_out_rmse(problem, average)}
+def stated(
+    model: Model, problem: Problem, average: Average, logs: Sequence[Recording]
+) -> Model:
+    """Return the model with the error to expect on an invented move.
+
+    No part that was left out is predicted better than the logs are followed, row by row.
+    """
+    followed = pooled([residual_of(model, log) for log in logs])
+    left = max(left_out_rmse(problem, average), followed)
+    figures = {**model.fit, "left_out_rmse": left}
     model = replace(model, fit=figures)
     invented = invented_log(problem)
     inside = np.clip(invented.drive, 0.0, 1.0)
@@ -87,7 +94,7 @@ def measured(
 ) -> Model:
     """Return the model with its figures on the logs; refuse (FitError) what is no better than a line."""
     residuals = [residual_of(model, log) for log in logs]
-    rmse, line = _pooled(residuals), line_rmse(logs)
+    rmse, line = pooled(residuals), line_rmse(logs)
     _refuse_no_better(rmse, line, logs, options)
     speeds, rests, periods = [], [], []
     for log in logs:
@@ -178,14 +185,14 @@ def residual_of(model: Model, log: Recording) -> Residual:
     drift = 0.0
     if log.time is not None and len(Swings.of(log.voltage[rows]).sizes) >= FEW_SWINGS:
         place = log.time[rows] - float(log.time[rows].mean())
-        rate = float(place @ left) / max(float(place @ place), 1e-300)
+        rate = float(np.sum(place * left)) / max(float(np.sum(place**2)), 1e-300)
         left = left - rate * place
         drift = rate * float(np.ptp(place))
     rmse = math.sqrt(float(np.mean(left**2)))
     return Residual(os.path.basename(log.name), len(left), rmse, drift)
 
 
-def _pooled(residuals: Sequence[Residual]) -> float:
+def pooled(residuals: Sequence[Residual]) -> float:
     """Return the RMS over all rows."""
     squares = sum(log.rows * log.rmse**2 for log in residuals)
     return math.sqrt(squares / sum(log.rows for log in residuals))
@@ -199,7 +206,7 @@ def line_rmse(logs: Sequence[Recording]) -> float:
         voltages.append(v - v.mean())
         displacements.append(y - y.mean())
     v, y = np.concatenate(voltages), np.concatenate(displacements)
-    gain = float(v @ y) / max(float(v @ v), 1e-300)
+    gain = float(np.sum(v * y)) / max(float(np.sum(v**2)), 1e-300)
     return math.sqrt(float(np.mean((y - gain * v) ** 2)))
 
 

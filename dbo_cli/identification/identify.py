@@ -71,7 +71,8 @@ def _searched(
     slow, fast = split(logs)
     prepared = without_unknown_past(prepare(slow, options), notes)
     problem, choices = choices_for(prepared, options)
-    fits = Search(problem, choices).run()
+    search = Search(problem, choices)
+    fits = search.run()
     if not fits:
         raise FitError("no model can be fitted to the logs; leave out bad rows")
     moved = None
@@ -80,9 +81,14 @@ def _searched(
         problem, fits = moved.problem, moved.fits
     average = Average.of(fits)
     fit = distill(problem, average)
-    model = model_of(problem, fit, slow[0], options, average.heaviest())
+    others = average.heaviest()
+    if problem.one_amplitude and moved is None:
+        found = search.as_smooth(average.fits[0])
+        others = [(1.0 / len(found), other) for other in found]
+    model = model_of(problem, fit, slow[0], options, others)
     if moved is not None:
         model = moved.applied(model)
         model = replace(model, fit={"dynamics": moved.figures})
     notes += average.words()
-    return stated(model, problem, average), problem.known(slow)
+    known = problem.known(slow)
+    return stated(model, problem, average, known), known

@@ -15,9 +15,10 @@ from dbo_cli.identification.solve import Equations, Fit, products
 WORSE_ALLOWED = 1.3  # mean square on the rows kept, over that of the whole fit
 SHORTENED = (1.0, 0.5, 0.25, 0.1)
 FLOOR = 1e-4  # of the output's standard deviation: a smaller error is as good
-PRICES = {"t": 0.1, "r": 0.1, "free": 1.5, "drift": 0.1}
+PRICES = {"t": 0.1, "r": 0.1, "free": 1.5, "drift": 0.1, "curve": 0.05}
 """What a family must gain in the logarithm of the error left out: lags, the drive less its lags,
-slopes without a rule, drift.
+slopes without a rule, drift, each power of ten by which the curve may be rougher (not of one amplitude,
+whose loop and curve are told by one another).
 """
 
 
@@ -85,20 +86,23 @@ def error_left_out(left: Sequence[Floats]) -> float:
 def score(problem: Problem, fit: Fit) -> float:
     """Return the logarithm of the error left out, and the price of the terms."""
     floor = FLOOR * float(problem.output.std())
-    return float(np.log(max(error_left_out(fit.left), floor))) + price(fit)
+    return float(np.log(max(error_left_out(fit.left), floor))) + price(problem, fit)
 
 
 def least_score(problem: Problem, fit: Fit) -> float:
     """Return what the score can be at best: no part is predicted better than it is fitted."""
     floor = FLOOR * float(problem.output.std())
-    return float(np.log(max(fit.rmse, floor))) + price(fit)
+    return float(np.log(max(fit.rmse, floor))) + price(problem, fit)
 
 
-def price(fit: Fit) -> float:
+def price(problem: Problem, fit: Fit) -> float:
     """Return what the families of terms of a structure cost."""
     cost = sum(PRICES[family] for family in fit.structure.memories)
     if fit.structure.slopes == "free":
         cost += PRICES["free"]
     if fit.structure.drift:
         cost += PRICES["drift"]
+    smooth = fit.structure.smooth_curve
+    if np.isfinite(smooth) and not problem.one_amplitude:
+        cost += PRICES["curve"] * max(1.0 - float(np.log10(smooth)), 0.0)
     return cost

@@ -10,7 +10,7 @@ from dbo_cli.errors import FitError
 from dbo_cli.identification.basis import PreparedLog, Structure
 from dbo_cli.identification.problem import Problem, parts_of
 from dbo_cli.identification.recording import Booleans
-from dbo_cli.identification.solve import solve
+from dbo_cli.identification.solve import solve, times
 
 NEAR_END = 0.02  # of the log's range
 MOST_EARLY = 0.25  # of a log's rows: of a shorter rest less is learnt than is lost
@@ -34,7 +34,7 @@ def without_unknown_past(problem: Problem, notes: list[str]) -> Problem:
     except FitError:
         return problem
     columns = problem.columns(probe)[:, : problem.cells.count + len(fit.gains)]
-    error = problem.output - fit.predict(columns) - problem.drift(0) @ fit.drift
+    error = problem.output - fit.predict(columns) - times(problem.drift(0), fit.drift)
     usual = float(np.mean(fit.error**2))
     strange = []
     for place, rows in enumerate(early):

@@ -38,6 +38,8 @@ STUDENT = 2.0  # standard errors of a 95 % interval
 BROKEN = 2.0
 """Times the prior's own error: a shape that leaves more, noise aside, has changed. On four invented actuators
 the same shape left at most 1.1 times, a loop 1.25 times as wide 1.6 to 9 times."""
+LEAST_KNOWN = 0.5  # of the rows: those behind the first way over the log's range
+SAME_LEVEL = 0.1  # of the log's range
 STEPS = 8  # of Gauss and Newton: the prediction is not linear in the delay
 LONGEST_DELAY = 0.25  # of the usual swing, to either side
 EXACT = 1e-6  # of the output's range: the least error that a prior may state
@@ -56,7 +58,7 @@ class Beside:
     rows
         The rows that count.
     swings
-        Swings of the drive among them.
+        How many different swings the drive makes.
     """
 
     log: Recording
@@ -73,15 +75,16 @@ class Beside:
         return np.interp(time[self.rows] - delay, time, signal)
 
     def columns(self, delay: float) -> tuple[Floats, Floats]:
-        """Return the prediction, and the columns of gain, offset, delay and past; shape (rows, 4)."""
+        """Return the prediction, and the columns of gain, offset, delay, drift and past; shape (rows, 5)."""
         late = self.late(self.predicted, delay)
-        table = np.zeros((late.size, 4))
+        table = np.zeros((late.size, 5))
         table[:, 0] = late
         table[:, 1] = 1.0
         if self.log.time is not None:
             speed = np.gradient(self.predicted, np.maximum(self.log.time, 0.0))
             table[:, 2] = -self.late(np.nan_to_num(speed), delay)
-        table[:, 3] = self.late(self.past, delay)
+        table[:, 3] = np.linspace(-1.0, 1.0, late.size)
+        table[:, 4] = self.late(self.past, delay)
         return late, table
 
 
@@ -124,24 +127,56 @@ def rescale(prior: Model, recordings: Sequence[Recording], options: Options) -> 
     change = _shrunk(prior, beside, fitted)
     left = _left_over(beside, fitted, prior.delay_seconds)
     warnings = _check_shape(prior, fitted, left, recordings[0].name, options.force)
+    warnings += _past_matters(prior, beside)
     left = _left_over(beside, change, prior.delay_seconds)
     return _refreshed(prior, change, left, recordings, warnings)
 
 
 def _beside(prior: Model, log: Recording) -> Beside:
     """Return a log beside the predictions from both ends of what was before it."""
-    bare = prior.with_stages(_with_delay(prior.stages, 0.0))
-    steps = None if log.time is None else steps_of(log.time)
-    lower, _ = bare.simulate(log.voltage, dt=steps, state="empty")
-    upper, _ = bare.simulate(log.voltage, dt=steps, state="full")
+    lower = _predicted(prior, log, prior.input.min)
+    upper = _predicted(prior, log, prior.input.max)
     rows = np.flatnonzero(log.usable)
+    known = rows[rows >= _wiped_row(log.voltage)]
+    if known.size >= LEAST_KNOWN * rows.size:
+        rows = known
     if rows.size < FEWEST_ROWS:
         raise FitError(
             f"{log.name}: {rows.size} usable rows are too few: record longer, or skip less"
         )
-    swings = float(len(Swings.of(log.voltage).sizes))
+    swings = _different_swings(log.voltage)
     middle, past = 0.5 * (lower + upper), 0.5 * (upper - lower)
     return Beside(log, middle, past, rows, swings)
+
+
+def _different_swings(voltage: Floats) -> float:
+    """Return how many different swings a drive makes: in equal ones an error of the shape is the same."""
+    turns = voltage[Swings.of(voltage).turns]
+    levels = np.round(turns / (SAME_LEVEL * float(np.ptp(voltage))))
+    return float(len(set(zip(levels[:-1].tolist(), levels[1:].tolist(), strict=True))))
+
+
+def _predicted(prior: Model, log: Recording, before: float) -> Floats:
+    """Return a prediction without delay, after a long rest at a voltage and a jump to the log's first."""
+    voltage = np.concatenate([[before], log.voltage])
+    steps = None
+    if log.time is not None:
+        since = np.diff(log.time, prepend=log.time[0])
+        steps = np.concatenate([[0.0], since])
+    start = "empty" if before == prior.input.min else "full"
+    moved, _ = prior.static.simulate(voltage, dt=steps, state=start)
+    moved = moved[1:]
+    if prior.dynamics is not None and log.time is not None:
+        moved, _ = prior.dynamics.run(moved, steps_of(log.time))
+    return moved
+
+
+def _wiped_row(voltage: Floats) -> int:
+    """Return the row by which a drive has been at both ends of its own range.
+
+    From there on the past shifts the displacement, and no longer changes its shape.
+    """
+    return max(int(np.argmin(voltage)), int(np.argmax(voltage)))
 
 
 def _stated(prior: Model) -> float:
@@ -157,7 +192,8 @@ def _stated(prior: Model) -> float:
 def _fitted(prior: Model, beside: Sequence[Beside], clocked: bool) -> Change:
     """Return the numbers of least squares, the past an unknown of its own size.
 
-    Errors are alike within a swing, so n rows with s swings count as s. Their size is
+    Errors are alike within a swing and in its like, so n rows with s different swings
+    count as s. Their size is
     what the prior states of itself, or what is left where that is more.
 
     Raises
@@ -169,9 +205,9 @@ def _fitted(prior: Model, beside: Sequence[Beside], clocked: bool) -> Change:
     longest = LONGEST_DELAY * min(_usual_swing(one) for one in beside)
     delay, known = 0.0, _stated(prior)
     middle = float(np.mean([one.predicted[one.rows].mean() for one in beside]))
-    active = [0, 1, 2, 3] if clocked else [0, 1, 3]
+    active = [0, 1, 2, 3, 4] if clocked else [0, 1, 4]
     for _ in range(STEPS):
-        square, along = np.zeros((4, 4)), np.zeros(4)
+        square, along = np.zeros((5, 5)), np.zeros(5)
         total, rows, swings = 0.0, 0, 0.0
         for one in beside:
             late, table = one.columns(old + delay)
@@ -202,17 +238,18 @@ def _solved(
     square: Floats, along: Floats, total: float, rows: int, swings: float,
     known: float, active: list[int],
 ) -> tuple[Floats, Floats]:  # fmt: skip
-    """Solve the normal equations of (gain, offset, delay, past), the past of unit variance.
+    """Solve the normal equations of (gain, offset, delay, drift, past).
 
-    Returns the numbers, shape (4,), and their covariance; 0 for what is not active.
+    The past lies anywhere between both ends, -1 and 1: its variance is a third. Returns
+    the numbers, shape (5,), and their covariance; 0 for what is not active.
     """
     size = known**2
-    change, covariance = np.zeros(4), np.zeros((4, 4))
+    change, covariance = np.zeros(5), np.zeros((5, 5))
     place = np.ix_(active, active)
     for _ in range(2):
         weight = swings / rows / size
         curvature = weight * square[place]
-        curvature[-1, -1] += 1.0
+        curvature[-1, -1] += 3.0
         covariance[place] = np.linalg.pinv(curvature, hermitian=True)
         change[active] = covariance[place] @ (weight * along[active])
         left = total - 2.0 * change @ along + change @ square @ change
@@ -262,9 +299,12 @@ def _left_over(
     for one in beside:
         late, table = one.columns(max(old_delay + change.delay, 0.0))
         rest = one.log.displacement[one.rows] - change.gain * late - change.shift
-        past = table[:, 3]
+        past = table[:, 4]
         share = float(past @ rest) / max(float(past @ past), 1e-300)
-        left.append(rest - min(max(share, -1.0), 1.0) * past)
+        rest -= min(max(share, -1.0), 1.0) * past
+        left.append(
+            rest - float(table[:, 3] @ rest / (table[:, 3] @ table[:, 3])) * table[:, 3]
+        )
     return left
 
 
@@ -287,6 +327,17 @@ def _check_shape(
     if not force:
         raise FitError(f"{text} (`force` keeps the shape)")
     return [text]
+
+
+def _past_matters(prior: Model, beside: Sequence[Beside]) -> list[str]:
+    """Return a warning where the past before the logs hides a change of offset."""
+    shifts = [float(np.abs(one.past[one.rows]).mean()) for one in beside]
+    if min(shifts) <= BROKEN * _stated(prior):
+        return []
+    return [
+        f"what was before the log may shift its displacement by {min(shifts):.3g}{prior.output.suffix}, so a "
+        "smaller change of offset is not seen: begin with a sweep over the whole range"
+    ]
 
 
 # --- the refreshed model ---

@@ -33,6 +33,7 @@ SEARCH_ROWS = 900  # of all logs: means of more
 MOST_ROWS = 100_000  # of all logs at full rate: a longer log is thinned by means
 BLOCKS = 6  # of time, each left out in turn
 SMALL, TINY = 0.75, 0.4  # of the largest swing: swings below are left out together
+MANY_SWINGS = 6  # of which one is rare
 FEWEST_OF_SWING = 5  # fitted rows of a swing that counts
 LEAST_PART, MOST_PART = 0.05, 0.9  # of the rows, of a kind of swings that is left out
 
@@ -162,6 +163,8 @@ class Problem:
         """How many swings are clearly smaller than the largest; 0 where they are rare."""
         sizes = self.swing_sizes
         small = int(((sizes < SMALL * sizes.max()) & (sizes > SMALLEST_SWING)).sum())
+        if small == 1 and len(sizes) >= MANY_SWINGS:
+            return 0  # the log ends within a swing
         return small if small > LEAST_PART * len(sizes) else 0
 
     @property
@@ -291,7 +294,7 @@ def output_scale(
         rows = log.usable
         v, y = log.voltage[rows], log.displacement[rows]
         y = np.clip(y, *np.percentile(y, [1.0, 99.0]))
-        together += float((v - v.mean()) @ (y - y.mean()))
+        together += float(np.sum((v - v.mean()) * (y - y.mean())))
         lows.append(float(y.min()))
         highs.append(float(y.max()))
     falling = together < 0.0 if sign is None else sign == "falling"

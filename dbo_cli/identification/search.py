@@ -21,15 +21,16 @@ ONE_AMPLITUDE_SMOOTHNESS = 1e5  # times what a first fit leaves of the output's 
 BENDS = (-0.4, -0.25, -0.12, 0.12, 0.25, 0.4)
 DRIFTS = (1, 3)
 DELAYS = (0.003, 0.01, 0.03, 0.08)  # of a swing
-FINER_DELAYS = ((0.6, 0.8, 1.25, 1.6), (0.92, 1.08))
+COARSE_DELAYS = ((0.6, 0.8, 1.25, 1.6), (0.9, 1.1))
+FINE_DELAYS = ((0.95, 1.05), (0.98, 1.02))
 HOPELESS = 1.0  # of the score: a fit that is worse at best weighs nothing
 WITHIN_REACH = 0.7  # of the score: worse delays are not refined
 FEWEST_SWINGS = 4  # with fewer a bend cannot be told from the loop
 ONE_WAY = 2  # swings, up and down once: a curve cannot be told from the loop, either
 SWINGS_FOR_DRIFT = 4  # of each log, for each order
 SLOWEST = 3.0  # swings: the slowest memory that a log of one amplitude can tell
+OTHER_SMOOTHNESS = (0.01, 0.1, 1.0, 10.0, 100.0)  # of the candidates of one amplitude
 REFINED = 2  # kinds of structures whose neighbours are tried
-REFINED_AGAIN = 1  # of these: a bend and a drift beside it
 
 
 @dataclass(frozen=True)
@@ -82,13 +83,13 @@ def _for_one_amplitude(problem: Problem, choices: Choices) -> tuple[Problem, Cho
     for rule in rules:
         trial = Structure(rule, "", SLOPE_SMOOTHNESS[0], 1e-1)
         errors.append(solve(problem.rows(trial), trial).rmse)
-    variance = float(np.var(problem.output))
+    smooth = ONE_AMPLITUDE_SMOOTHNESS * min(errors) ** 2 / float(np.var(problem.output))
     problem = problem.without_memories_from(SLOWEST * problem.swing)
     choices = replace(
         choices,
         slopes=(rules[int(np.argmin(errors))],),
         memories=("", "t"),
-        smoothness=(ONE_AMPLITUDE_SMOOTHNESS * min(errors) ** 2 / variance,),
+        smoothness=(smooth,),
         corners=False,
         curves=CURVES[:3],
         drifts=choices.drifts[:1],
@@ -132,13 +133,11 @@ class Search:
                     )
                     base = replace(base, segments=choices.segments)
                     self._path(base, choices.curves)
-        for fit in self._best_kinds()[:REFINED]:
-            self._neighbours(fit)
-        for fit in self._best_kinds()[:REFINED_AGAIN]:
-            self._neighbours(fit)
-        if choices.delay is None and self.problem.clock:
-            for factors in FINER_DELAYS:
-                self._finer_delay(factors)
+        for kinds, factors in ((REFINED, COARSE_DELAYS), (1, FINE_DELAYS)):
+            for fit in self._best_kinds()[:kinds]:
+                self._neighbours(fit)
+            for some in factors:
+                self._finer_delay(some)
         return self.fits
 
     def _smoothness(self, slopes: str) -> tuple[float, ...]:
@@ -164,6 +163,19 @@ class Search:
                 self.best = min(self.best, judged.score)
                 self.fits.append(judged)
 
+    def as_smooth(self, best: Fit) -> list[Fit]:
+        """Return fits of a structure with other smoothness of the slopes.
+
+        Of one amplitude they explain the logs alike, and differ where the logs show
+        nothing: in smaller loops.
+        """
+        fits = []
+        for factor in OTHER_SMOOTHNESS:
+            smooth = factor * best.structure.smooth_slopes
+            structure = replace(best.structure, smooth_slopes=smooth)
+            fits.append(solve(self.problem.rows(structure), structure))
+        return fits
+
     def _best_kinds(self) -> Sequence[Fit]:
         """Return the best fit of each of the best kinds of slopes and memories."""
         best: dict[tuple[str, str], Fit] = {}
@@ -177,10 +189,11 @@ class Search:
         curves = [structure.smooth_curve]
         if np.isfinite(structure.smooth_curve):
             curves.insert(0, min(structure.smooth_curve * 100.0, 1e9))
-        for bend in choices.bends:
-            self._path(replace(structure, bend=bend), curves)
-        for order in choices.drifts:
-            self._path(replace(structure, drift=order), curves)
+        trials = [replace(structure, bend=bend) for bend in (0.0, *choices.bends)]
+        trials += [replace(structure, drift=order) for order in (0, *choices.drifts)]
+        for trial in trials:
+            if trial != structure:
+                self._path(trial, curves)
         if choices.delay is None and self.problem.clock:
             for delay in self._delays():
                 self._path(replace(structure, delay=delay), curves)
@@ -193,6 +206,8 @@ class Search:
 
     def _finer_delay(self, factors: Sequence[float]) -> None:
         """Try delays around the best one."""
+        if self.choices.delay is not None or not self.problem.clock:
+            return
         late = [fit for fit in self.fits if fit.structure.delay > 0.0]
         best = min(late, key=lambda fit: fit.score, default=None)
         if (

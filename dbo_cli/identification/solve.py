@@ -93,13 +93,17 @@ class Fit:
     def inner(self, columns: Floats) -> Floats:
         """Return u for a table of columns."""
         weights = np.concatenate((self.slopes, self.gains))
-        u: Floats = columns[:, : len(weights)] @ weights + self.offset
-        return u
+        return times(columns[:, : len(weights)], weights) + self.offset
 
     def predict(self, columns: Floats) -> Floats:
         """Return the output without drift."""
-        predicted: Floats = travelled(self.inner(columns), len(self.curve)) @ self.curve
-        return predicted
+        return times(travelled(self.inner(columns), len(self.curve)), self.curve)
+
+
+def times(table: Floats, weights: Floats) -> Floats:
+    """Return the weighted sum of columns; its bits do not depend on the number of threads."""
+    sums: Floats = np.einsum("ij,j->i", table, weights)
+    return sums
 
 
 def travelled(u: Floats, segments: int) -> Floats:
@@ -116,13 +120,11 @@ def used_columns(rows: Rows, structure: Structure) -> int:
     return rows.cells + rows.terms * len(structure.memories)
 
 
-def bending(count: int) -> Floats:
-    """Return the matrix of squared second differences."""
-    if count < 3:
-        return np.zeros((count, count))
-    second = np.diff(np.eye(count), 2, axis=0)
-    products: Floats = second.T @ second
-    return products
+def bending(columns: Floats) -> Floats:
+    """Return the products of all pairs of columns' second differences."""
+    if len(columns) < 3:
+        return np.zeros((columns.shape[1], columns.shape[1]))
+    return products(np.diff(columns, 2, axis=0))
 
 
 def minimum(
@@ -227,12 +229,12 @@ class Equations:
         """Return the matrix of what smoothness costs, in units of the output's variance."""
         cells = self.rows.cells
         matrix = np.zeros((self.size, self.size))
-        bend = self.structure.smooth_slopes * bending(cells)
-        steps = self._in_steps(np.eye(self.inner))
-        matrix[:cells, :cells] = steps[:cells, :cells].T @ bend @ steps[:cells, :cells]
+        steps = self._in_steps(np.eye(self.inner))[:cells, :cells]
+        matrix[:cells, :cells] = self.structure.smooth_slopes * bending(steps)
         if self.curved:
             place = slice(self.inner, self.free)
-            matrix[place, place] = self.structure.smooth_curve * bending(self.segments)
+            bent = bending(np.eye(self.segments))
+            matrix[place, place] = self.structure.smooth_curve * bent
             matrix[place, place] += HOLD / self.segments**2
         matrix[np.diag_indices(self.size)] += RIDGE
         return matrix
@@ -268,8 +270,8 @@ class Equations:
 
     def left_by(self, fit: Fit) -> Floats:
         """Return what a fit leaves of every row."""
-        left: Floats = self.rows.output - fit.predict(self.columns)
-        return left - self.rows.drift @ fit.drift
+        left = self.rows.output - fit.predict(self.columns)
+        return left - times(self.rows.drift, fit.drift)
 
     def _cost(self, fit: Fit) -> float:
         """Return what smoothness adds to the squares."""
@@ -329,7 +331,7 @@ class Equations:
         if self.curved:
             right[self.inner : self.free] += HOLD / self.segments
         least = self.floors()
-        x, self.states = minimum(matrix, right - matrix @ least, self.states)
+        x, self.states = minimum(matrix, right - times(matrix, least), self.states)
         x[self.states == AT_ZERO] = 0.0
         found: Floats = np.where(self.states == FREE, x, np.maximum(x, 0.0)) + least
         return found

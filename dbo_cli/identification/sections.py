@@ -1,0 +1,241 @@
+"""Fits of given sections to fast rows: output error, its size on blocks left out, standard errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from dbo_cli.identification.fast import FastPart
+from dbo_cli.model import Delay, Dynamics, Lag, Mode, Model, Resonance, Section
+
+Floats = NDArray[np.float64]
+Band = tuple[float, float]  # lowest and highest frequency swept, Hz
+
+BLOCKS, FOLDS = 40, 5  # blocks of the fast rows, dealt out to the folds in turn
+LEAST_DAMPING, MOST_DAMPING = 1e-4, 0.98
+MOST_BESIDE = 0.1  # damping of resonances one of which has an antiresonance
+NO_LAG = 2e-3  # of a time step: a lag at the lower end of its range is none
+FEW_STEPS, FINALISTS, MOST_STEPS = 6, 2, 40  # of a refinement
+SMALL = 1e-5  # of a parameter's logarithm, for derivatives
+WHITE = 1.05  # of the noise's mean square: what is left is noise alone
+
+
+@dataclass(frozen=True)
+class Form:
+    """How many resonances, an antiresonance of the highest or none, and a delay behind all or none."""
+
+    resonances: int
+    antiresonance: bool = False
+    delay: bool = False
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """Dynamics fitted to the fast rows.
+
+    Attributes
+    ----------
+    form
+        What was fitted.
+    parameters
+        Logarithms: frequency (Hz) and damping of each resonance, of the antiresonance,
+        the delay (s), the lag (s).
+    rmse, left_out
+        On all fast rows, and on blocks left out.
+    noise
+        Mean square of what is white in what is left.
+    spread
+        Standard errors of the parameters.
+    """
+
+    form: Form
+    parameters: Floats
+    rmse: float
+    left_out: float
+    noise: float
+    spread: Floats
+
+    @property
+    def white(self) -> bool:
+        """Whether what is left is noise alone."""
+        return self.rmse**2 <= WHITE * self.noise
+
+    @property
+    def delay(self) -> float:
+        """The pure delay behind all (s)."""
+        return float(np.exp(self.parameters[-2])) if self.form.delay else 0.0
+
+    @property
+    def resonances(self) -> list[Resonance]:
+        """The resonances, lowest first."""
+        return resonances_of(self.parameters, self.form)
+
+
+class Signals:
+    """Of one fast part: what the static model predicts, and what was measured."""
+
+    def __init__(
+        self, static: Model, part: FastPart, creep: Sequence[Lag] = ()
+    ) -> None:
+        log, rows = part.recording, part.rows
+        moved, _ = static.simulate(log.voltage[: rows.stop], dt=part.dt)
+        if creep:
+            moved, _ = Dynamics(tuple(creep)).run(moved, part.dt)
+        self.dt = part.dt
+        self.predicted = np.asarray(moved[rows], dtype=np.float64)
+        self.measured = log.displacement[rows]
+        size = self.measured.size
+        self.block = np.arange(size) * BLOCKS // size
+        ramp = np.linspace(-1.0, 1.0, size)
+        self._drift = np.column_stack([np.ones(size), ramp])
+        self._drift /= np.sqrt(np.sum(self._drift**2, axis=0))
+
+    def free(self, signal: Floats) -> Floats:
+        """Return what an offset and an even drift do not explain of a signal."""
+        left: Floats = signal - self._drift @ (self._drift.T @ signal)
+        return left
+
+    def moved(self, parameters: Floats, form: Form) -> Floats:
+        """Return the prediction through lag, resonances and delay."""
+        sections: list[Section] = [Lag(float(np.exp(parameters[-1])))]
+        sections += resonances_of(parameters, form)
+        moved, _ = Dynamics(tuple(sections)).run(self.predicted, self.dt)
+        if form.delay:
+            moved, _ = Delay(float(np.exp(parameters[-2]))).run(moved, self.dt)
+        return np.asarray(moved, dtype=np.float64)
+
+    def left(self, parameters: Floats, form: Form) -> Floats:
+        """Return what the best gain, offset and drift of the prediction leave of the measured."""
+        moved = self.free(self.moved(parameters, form))
+        measured = self.free(self.measured)
+        gain = float(moved @ measured) / max(float(moved @ moved), 1e-300)
+        return measured - gain * moved
+
+
+def fitted(
+    signals: Sequence[Signals], starts: Sequence[Floats], form: Form, band: Band
+) -> Fitted:
+    """Return the best of several refinements, judged (see ``_judged``)."""
+    low, high = _bounds(signals, form, band)
+
+    def error(parameters: Floats) -> Floats:
+        return np.concatenate([part.left(parameters, form) for part in signals])
+
+    def refined(start: Floats, steps: int) -> tuple[float, Floats]:
+        # no bound on the gradient: it has the displacement's unit
+        found = least_squares(error, np.clip(start, low, high), bounds=(low, high),
+                              x_scale=0.1, diff_step=SMALL, gtol=None, max_nfev=steps)  # fmt: skip
+        return float(found.cost), np.asarray(found.x)
+
+    different = {tuple(np.clip(start, low, high).tolist()) for start in starts}
+    tried = [refined(np.array(start), FEW_STEPS) for start in sorted(different)]
+    tried.sort(key=lambda one: one[0])
+    finals = [refined(start, MOST_STEPS) for _, start in tried[:FINALISTS]]
+    best = min(finals, key=lambda one: one[0])[1]
+    return _judged(signals, _in_order(best, form), form)
+
+
+def _bounds(
+    signals: Sequence[Signals], form: Form, band: Band
+) -> tuple[Floats, Floats]:
+    """Return the bounds of the logarithms of the parameters."""
+    step = min(part.dt for part in signals)
+    pairs = form.resonances + form.antiresonance
+    damping = MOST_BESIDE if form.antiresonance else MOST_DAMPING
+    low = [band[0], LEAST_DAMPING] * pairs
+    high = [1.5 * band[1], damping] * pairs
+    if form.delay:
+        low.append(0.01 / band[1])
+        high.append(10.0 / band[1])
+    low.append(0.5 * NO_LAG * step)
+    high.append(10.0 / band[1])
+    return np.log(low), np.log(high)
+
+
+def _judged(signals: Sequence[Signals], parameters: Floats, form: Form) -> Fitted:
+    """Return a fit with its error on blocks left out and the standard errors of its parameters.
+
+    A fit without some blocks is one step from the whole fit. The standard errors hold
+    where what is left is no white noise, too: (J'J)^-1 (sum of g g') (J'J)^-1 with g =
+    J'r of each block (Liang and Zeger, Biometrika 73, 13, 1986).
+    """
+    left = np.concatenate([part.left(parameters, form) for part in signals])
+    columns = []
+    for direction in np.eye(parameters.size):
+        beside = [part.left(parameters + SMALL * direction, form) for part in signals]
+        columns.append((np.concatenate(beside) - left) / SMALL)
+    along = np.column_stack(columns)
+    block = np.concatenate([part.block for part in signals])
+    squares = 0.0
+    for fold in range(FOLDS):
+        out = block % FOLDS == fold
+        kept = along[~out]
+        step = -np.linalg.lstsq(kept, left[~out], rcond=1e-9)[0]
+        squares += float(np.sum((left[out] + along[out] @ step) ** 2))
+    inverse = np.linalg.pinv(along.T @ along, hermitian=True)
+    pulls = np.zeros((BLOCKS, parameters.size))
+    np.add.at(pulls, block, along * left[:, None])
+    spread = np.sqrt(np.diag(inverse @ (pulls.T @ pulls) @ inverse))
+    noise = [np.diff(part.left(parameters, form), 2) for part in signals]
+    return Fitted(
+        form,
+        parameters,
+        float(np.sqrt(np.mean(left**2))),
+        float(np.sqrt(squares / left.size)),
+        float(np.mean(np.concatenate(noise) ** 2)) / 6.0,
+        spread,
+    )
+
+
+def _in_order(parameters: Floats, form: Form) -> Floats:
+    """Return parameters with the resonances in the order of their frequencies."""
+    count = form.resonances
+    pairs = parameters[: 2 * count].reshape(count, 2)
+    ordered = pairs[np.argsort(pairs[:, 0])]
+    return np.concatenate([ordered.ravel(), parameters[2 * count :]])
+
+
+def resonances_of(parameters: Floats, form: Form) -> list[Resonance]:
+    """Return the resonances of logarithms, lowest first; the last one has the antiresonance."""
+    count = form.resonances
+    pairs = np.exp(parameters[: 2 * count]).reshape(count, 2)
+    pairs = pairs[np.argsort(pairs[:, 0])]
+    found = []
+    for frequency, damping in pairs.tolist():
+        found.append(Resonance(frequency, min(damping, MOST_DAMPING)))
+    if form.antiresonance:
+        frequency, damping = np.exp(parameters[2 * count : 2 * count + 2]).tolist()
+        beside = Mode(frequency, min(damping, MOST_DAMPING))
+        found[-1] = Resonance(found[-1].frequency, found[-1].damping, beside)
+    return found
+
+
+def sections_of(best: Fitted, signals: Sequence[Signals]) -> tuple[Section, ...]:
+    """Return the sections, a lag first where there is one."""
+    lag = float(np.exp(best.parameters[-1]))
+    if lag <= NO_LAG * min(part.dt for part in signals):
+        return tuple(best.resonances)
+    return (Lag(lag), *best.resonances)
+
+
+def parameters_of(
+    sections: Sequence[Section], delay: float, signals: Sequence[Signals]
+) -> tuple[Form, Floats]:
+    """Return form and parameters of sections."""
+    values: list[float] = []
+    beside: list[float] = []
+    lag = NO_LAG * min(part.dt for part in signals)
+    for section in sections:
+        if isinstance(section, Lag):
+            lag = section.seconds
+            continue
+        values += [section.frequency, section.damping]
+        if section.antiresonance is not None:
+            beside = [section.antiresonance.frequency, section.antiresonance.damping]
+    form = Form(len(values) // 2, bool(beside), delay > 0.0)
+    late = [delay] if delay > 0.0 else []
+    return form, np.log([*values, *beside, *late, lag])

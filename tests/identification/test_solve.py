@@ -1,0 +1,167 @@
+"""Columns, the bounded least-squares problem, and the model made of a fit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dbo_cli.identification.basis import (
+    Basis,
+    Cells,
+    PreparedLog,
+    Structure,
+    bent,
+    means,
+    plays_at_start,
+    time_constants,
+)
+from dbo_cli.identification.problem import groups_of, prepare, steady_rows
+from dbo_cli.identification.recording import Options, Recording, Swings, turning_points
+from dbo_cli.identification.solve import (
+    AT_ZERO,
+    FREE,
+    POSITIVE,
+    Equations,
+    minimum,
+    products,
+    solve,
+    travelled,
+)
+from dbo_cli.identification.stages import model_of
+
+TIME = np.arange(4000) / 200.0
+DRIVE = 50.0 - 50.0 * np.cos(2.0 * np.pi * 0.5 * TIME) * np.exp(-TIME / 15.0)
+
+
+def hysteresis(drive: np.ndarray) -> np.ndarray:
+    """Return a sum of plays of a drive from 0 to 100 V that has come down."""
+    reach = np.linspace(0.0, 0.4, 9)
+    x = drive / 100.0
+    plays = np.maximum(reach, x[0] - reach)
+    rows = []
+    for value in x:
+        plays = np.clip(plays, value - reach, value + reach)
+        rows.append(plays)
+    return 5.0 * np.asarray(rows) @ np.linspace(2.0, 0.4, 9)
+
+
+def log_of(drive: np.ndarray, cells: Cells) -> PreparedLog:
+    every = np.arange(len(drive))
+    return PreparedLog(
+        "log", drive, drive, 0.01 * every, 0.01, "empty", every, every + 1
+    )
+
+
+def test_bounded_problem_meets_its_conditions() -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        table = rng.normal(size=(60, 12))
+        matrix, right = table.T @ table, table.T @ rng.normal(size=60)
+        states = np.full(12, POSITIVE, np.uint8)
+        states[-2:] = FREE
+        x, ended = minimum(matrix, right, states)
+        gradient = matrix @ x - right
+        assert (x[:-2] >= 0.0).all()
+        assert np.abs(gradient[ended != AT_ZERO]).max() < 1e-8 * np.abs(right).max()
+        assert (gradient[ended == AT_ZERO] > -1e-8 * np.abs(right).max()).all()
+
+
+def test_products_are_those_of_numpy() -> None:
+    table = np.random.default_rng(1).normal(size=(301, 23))
+    assert np.allclose(products(table), table.T @ table, rtol=1e-12)
+
+
+def test_travelled_parts_add_up() -> None:
+    u = np.linspace(-0.5, 1.5, 41)
+    assert np.allclose(travelled(u, 7).sum(axis=1), u, atol=1e-14)
+
+
+def test_engaged_parts_add_up_to_the_drive() -> None:
+    cells = Cells.of()
+    drive = np.random.default_rng(2).random(500)
+    drive[0] = 0.0
+    log = log_of(drive, cells)
+    table = Basis(cells, np.asarray([0.1, 1.0])).columns(log, Structure())
+    level = table[:, : cells.count].sum(axis=1)
+    assert np.allclose(level - level[0], drive - drive[0], atol=1e-12)
+    assert np.allclose(table[:, -4:-2] + table[:, -2:], drive[:, None], atol=1e-12)
+
+
+def test_means_of_columns_are_columns_of_means() -> None:
+    cells = Cells.of()
+    drive = 0.5 - 0.5 * np.cos(np.arange(600) / 40.0)
+    log = log_of(drive, cells)
+    begins = np.arange(0, 600, 6)
+    coarse = replace(log, rows=begins, ends=begins + 6)
+    basis = Basis(cells, np.asarray([0.1]))
+    fine = basis.columns(log, Structure(delay=0.02))
+    table = basis.columns(coarse, Structure(delay=0.02))
+    assert np.allclose(table, fine.reshape(100, 6, -1).mean(axis=1), atol=1e-12)
+    assert np.allclose(fine[10:], basis.columns(log, Structure())[8:-2], atol=1e-12)
+
+
+def test_starts_agree_at_the_ends() -> None:
+    reach = Cells.of().reach
+    for first in (0.0, 1.0):
+        known = [
+            plays_at_start(first, reach, name) for name in ("empty", "full", "settled")
+        ]
+        assert np.allclose(known[0], known[1]) and np.allclose(known[0], known[2])
+
+
+def test_bend_keeps_both_ends() -> None:
+    x = np.asarray([0.0, 0.5, 1.0])
+    assert np.allclose(bent(x, 0.2), [0.0, 0.55, 1.0])
+
+
+def test_time_constants_reach_half_the_log() -> None:
+    taus = time_constants([log_of(DRIVE, Cells.of())])
+    assert taus[0] == pytest.approx(0.01) and taus[-1] == pytest.approx(19.995)
+
+
+@pytest.mark.parametrize("slopes", ["growing", "falling", "free"])
+@pytest.mark.parametrize("memories", ["", "t", "tr"])
+def test_model_is_what_was_fitted(slopes: str, memories: str) -> None:
+    lagging = hysteresis(DRIVE) + 0.3 * np.sin(TIME)
+    log = Recording("log", DRIVE, lagging, TIME)
+    problem = prepare([log], Options())
+    for curve in (np.inf, 1e-3):
+        structure = Structure(slopes, memories, 2e-3, curve, delay=0.01, bend=0.1)
+        fit = solve(problem.rows(structure), structure)
+        model = model_of(problem, fit, log, Options())
+        every = np.arange(len(TIME))
+        whole = replace(problem.logs[0], rows=every, ends=every + 1)
+        columns = Basis(problem.cells, problem.taus).columns(whole, structure)
+        expected = problem.offset + problem.scale * fit.predict(columns)
+        played, _ = model.simulate(DRIVE, time=TIME)
+        # a turn inside a gear retraces it, which plays do not
+        assert np.abs(played - expected)[8:].max() < 2e-3 * abs(problem.scale)
+        model.inverse()
+
+
+def test_slopes_keep_their_floor() -> None:
+    log = Recording("log", DRIVE, 100.0 - hysteresis(DRIVE)[::-1], TIME)
+    problem = prepare([log], Options())
+    structure = Structure("free", "tr", 1e-6, 1e-5)
+    fit = Equations(problem.rows(structure), structure).solve()
+    rests = float(fit.gains[len(problem.taus) :].sum())
+    mean = float(fit.slopes @ problem.cells.shares) + rests
+    assert fit.slopes.min() >= 0.03 * mean
+    assert fit.curve.min() >= 0.03 - 1e-12
+
+
+def test_turning_points_and_swings() -> None:
+    drive = np.asarray([0.0, 1.0, 2.0, 1.9, 2.1, 0.0, 0.0, 1.0])
+    assert turning_points(drive, 0.5).tolist() == [0, 4, 6, 7]
+    assert Swings.of(drive).sizes.tolist() == [2.1, 2.1, 1.0]
+
+
+def test_groups_of_rows() -> None:
+    rows = np.asarray([True] * 5 + [False] + [True] * 4)
+    begins, ends = groups_of(rows, 3, 2)
+    assert begins.tolist() == [0, 3, 6, 9] and ends.tolist() == [2, 5, 8, 10]
+    assert means(np.arange(10.0), begins, ends).tolist() == [0.5, 3.5, 6.5, 9.0]
+    fast = Recording("log", np.tile([0.0, 1.0], 50), np.arange(100.0))
+    assert steady_rows([fast], 8) == 1
