@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 from dbo_cli.cli import options as opt
-from dbo_cli.cli.say import detail, say, say_output
+from dbo_cli.cli.say import say, say_output
 from dbo_cli.errors import UsageError
 
 
@@ -39,12 +39,11 @@ def export(
     Example: dbo export model.json --sample-rate 10000 --v-min 0 --v-max 100 -o firmware
     """
     from dbo_cli.drive import Limits
-    from dbo_cli.export import check_folder, export_model, write_folder
+    from dbo_cli.export import export_model, write_folder
     from dbo_cli.model import read_model
 
     if output == "-":
         raise UsageError("`output` -: give the name of a folder")
-    check_folder(output)
     actuator = read_model(model).forward()
     made = export_model(
         actuator,
@@ -72,4 +71,3 @@ def export(
         say(
             f"fewer gears: {lost['rms']:.3g}{unit} RMS on test moves, {lost['max']:.3g} at most"
         )
-    detail(*made.notes)
