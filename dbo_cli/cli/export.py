@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from typer import Option
 
 from dbo_cli.cli.options import MaxSlew, ModelFile, Text, VMax, VMin, count, hertz
-from dbo_cli.cli.say import detail, say
+from dbo_cli.cli.say import say
 from dbo_cli.errors import UsageError
 
 
@@ -47,12 +47,11 @@ def export(
     Example: dbo export model.json --sample-rate 10000 --v-min 0 --v-max 100 -o firmware
     """
     from dbo_cli.drive import Limits
-    from dbo_cli.export import check_folder, export_model, write_folder
+    from dbo_cli.export import export_model, write_folder
     from dbo_cli.model import read_model
 
     if output == "-":
         raise UsageError("`output` -: an export is a folder: give its name")
-    check_folder(output)
     actuator = read_model(model).forward()
     made = export_model(
         actuator,
@@ -81,4 +80,3 @@ def export(
             f"fewer gears: {lost['rms']:.3g}{actuator.output.suffix} RMS on test moves,"
             f" {lost['max']:.3g} at most"
         )
-    detail(*made.notes)
