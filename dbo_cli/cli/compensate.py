@@ -172,7 +172,7 @@ def compensate(
     Example: dbo compensate model.json move.csv --max-slew 2000 --from 0 -o drive.csv
     """
     from dbo_cli import channels
-    from dbo_cli.drive import Limits, dumps_history, voltage_in
+    from dbo_cli.drive import Limits, voltage_in
     from dbo_cli.model import dumps_state, read_model, read_state
 
     columns = {"time": time, "displacement": displacement}
@@ -236,6 +236,8 @@ def compensate(
         if save_state is not None and drive.state is not None:
             outputs.write_text(save_state, dumps_state(drive.state, actuator))
         if kept is not None:
+            from dbo_cli.drive.learning import dumps_history
+
             outputs.write_text(kept, dumps_history(drive.history))
     warn_doubts(wanted)
     say(wanted.line())
@@ -261,7 +263,7 @@ def drive_stream(
     blocks = progress(wanted.blocks(), "driven")
     first = next(blocks, None)
     clocked = first is not None and first.time is not None
-    rows = stream(actuator, pairs(first, blocks), wanted.clock.step, limits, **options)
+    rows = stream(actuator, rows_of(first, blocks), limits, **options)
     table = outputs.create(
         output, drive_columns(actuator, clocked), about(actuator, limits)
     )
@@ -293,12 +295,12 @@ def drive_whole(
     return drive
 
 
-def pairs(first: Block | None, blocks: Iterable[Block]) -> Iterator[tuple[Any, Any]]:
-    """Yield time and displacement of each block."""
+def rows_of(first: Block | None, blocks: Iterable[Block]) -> Iterator[Any]:
+    """Yield time, time steps and displacement of each block."""
     if first is None:
         return
     for block in chain([first], blocks):
-        yield block.time, block.values["displacement"]
+        yield block.time, block.dt, block.values["displacement"]
 
 
 def drive_columns(actuator: Model, clocked: bool) -> list[tuple[str, str | None]]:
@@ -318,7 +320,7 @@ def read_tracked(
     path: str, reading: Reading, columns: dict[str, str | None], actuator: Model
 ) -> Any:
     """Read a recorded pass in the model's units."""
-    from dbo_cli.drive import Tracked
+    from dbo_cli.drive.learning import Tracked
     from dbo_cli.logs import open_log
 
     units = {}
@@ -333,7 +335,7 @@ def read_tracked(
 
 def read_history(path: str | None) -> list[Any]:
     """Return the passes so far; none where there is no file yet."""
-    from dbo_cli.drive import parse_history
+    from dbo_cli.drive.learning import parse_history
 
     if path is None or not Path(path).exists():
         return []

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.drive.limits import Limits
 from dbo_cli.errors import ModelError, UsageError
-from dbo_cli.model import Gears, Model, Quantity, State, VoltageWindow
+from dbo_cli.model import Gears, Model, Quantity, State, Window
 from dbo_cli.model.delay import AFTER, whole_and_part
 from dbo_cli.model.points import Curves, through
 from dbo_cli.model.start import Starts
@@ -54,12 +54,12 @@ class Plan:
         return self.model.gears
 
     @property
-    def window(self) -> VoltageWindow:
+    def window(self) -> Window:
         """The limits of the drive."""
         return self.limits.window
 
     @cached_property
-    def inner(self) -> VoltageWindow:
+    def inner(self) -> Window:
         """The limits of the drive as the gears meet them."""
         return self.model.inner_window(self.window)
 
@@ -170,13 +170,13 @@ class Plan:
         wanted = np.concatenate([rest, moves, after])
         undone, _ = self.forward.undo(wanted, None, self.dt)
         static = self.forward.static
-        return static.drive(undone[MORE_REST:], state, self.dt, self.window).voltage
+        return static.drive(undone[MORE_REST:], state, self.dt, self.window).y
 
 
 def starts_of(forward: Model) -> Starts:
     """Return the states in which the gears of a forward model may begin."""
     source = forward.input
-    ends = forward.inner_window(VoltageWindow(source.min, source.max))
+    ends = forward.inner_window(Window(source.min, source.max))
     return Starts(forward.gears, ends.low, ends.high)
 
 
