@@ -159,6 +159,7 @@ class Loop:
         elif passes:
             rise = soft_rise(np.linspace(0.0, 1.0, period.size))
             growing = begin + rise * (period - begin)
+            growing = np.clip(growing, *limits.rating)  # rounding
             voltage = np.concatenate([growing, np.tile(period, passes - 1)])
             voltage = self._within_slew(voltage, begin)
             off = abs(float(voltage[-1] - period[-1]))

@@ -77,7 +77,7 @@ OPEN = Window()
 
 
 class GearsRun(NamedTuple):
-    """The output of one block, the state after it, and what was unusual.
+    """The output of one block, the state after it, and what was clipped.
 
     Attributes
     ----------
@@ -87,8 +87,6 @@ class GearsRun(NamedTuple):
         B = b_{n-1} ... b_0 after the block.
     memory : tuple of float, or None
         L_j after the block.
-    outside, first_outside : int
-        How many samples lie beyond the gears, and the first of them.
     clipped, first_clipped : int
         How many samples the window clipped, and the first of them.
     """
@@ -96,8 +94,6 @@ class GearsRun(NamedTuple):
     y: Floats
     bits: int
     memory: tuple[float, ...] | None
-    outside: int = 0
-    first_outside: int = 0
     clipped: int = 0
     first_clipped: int = 0
 
@@ -281,7 +277,7 @@ class Gears:
         window: Window | None = None,
         last: float | None = None,
     ) -> GearsRun:
-        """Return the output of (1)-(12) for one block, the state after it, and what was unusual.
+        """Return the output of (1)-(12) for one block, the state after it, and what was clipped.
 
         Parameters
         ----------
@@ -312,18 +308,23 @@ class Gears:
         steps = _NO_NUMBERS
         if window is not None and dt is not None and window.slew is not None:
             steps = np.array(window.largest_step(dt), dtype=np.float64).reshape(-1)
-        if self.relaxation is not None and memory is None:
-            first = float(x[0])
-            if self.on == "output":
-                # without decay nothing of the past is left
-                nothing = (0.0,) * self.gain.size
-                now = 0.0 * decay[:1]
-                at_rest = self._run(
-                    x[:1], bits, nothing, now, extend, window, steps[:1], last
-                )
-                first = float(at_rest.y[0])
-            memory = (first - self.relaxation.reference,) * self.gain.size
-        return self._run(x, bits, memory or (), decay, extend, window, steps, last)
+        if self.relaxation is None or memory is not None:
+            known = memory or ()
+            return self._run(x, bits, known, decay, extend, window, steps, last)
+        # at rest at the first sample: without decay nothing of the past is left
+        nothing, now = (0.0,) * self.gain.size, 0.0 * decay[:1]
+        first = self._run(x[:1], bits, nothing, now, extend, window, steps[:1], last)
+        if x.size == 1:
+            return first
+        later = decay if len(decay) == 1 else np.ascontiguousarray(decay[1:])
+        steps = steps if steps.size == 1 else steps[1:]
+        others = self._run(
+            x[1:], first.bits, first.memory or (), later, extend, window, steps, float(first.y[0])
+        )  # fmt: skip
+        y = np.concatenate([first.y, others.y])
+        clipped = first.clipped + others.clipped
+        place = 0 if first.clipped or not clipped else others.first_clipped + 1
+        return GearsRun(y, others.bits, others.memory, clipped, place)
 
     def slack(self, window: Window) -> float:
         """Return by how much clipping has to move an output to count."""
@@ -356,7 +357,7 @@ class Gears:
             window is not None, bound.low, bound.high, self.slack(bound), steps,
         )  # fmt: skip
         after = None if self.relaxation is None else tuple(memories.tolist())
-        return GearsRun(y, bits_of(words), after, *counts)
+        return GearsRun(y, bits_of(words), after, *counts[2:])
 
     def _decay(self, dt: float | Floats | None, count: int) -> Floats:
         """Return the decay factors of a block, one row or ``count``."""
