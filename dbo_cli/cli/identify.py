@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from typer import Option
@@ -186,6 +187,8 @@ def one_model(
     recordings, logs = read_recordings(paths, reading, columns)
     others, _ = read_recordings(validate, reading, columns, units_of(recordings))
     require_sign(recordings, options.sign)
+    if options.delay == "auto" and any(log.has_found_offset for log in logs):
+        options = replace(options, delay=0.0)  # the offset between the clocks holds it
     working("identifying")
     model = fit(recordings, options, others)
     for log in logs:
