@@ -23,7 +23,7 @@ from dbo_cli.cli.options import (
 )
 from dbo_cli.cli.say import detail, say
 from dbo_cli.cli.trajectory import span
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import InputError
 
 if TYPE_CHECKING:
     from dbo_cli.logs import Reading
@@ -80,22 +80,14 @@ def waveform(
 ) -> None:
     """Write a drive as the file that a generator, a wave table or a converter takes.
 
-    What is written is read back and keeps the limits. One line says what to set.
+    What is written keeps the limits. One line says what to set.
 
     Examples: dbo waveform drive.csv --to keysight-arb --gain 20 --v-max 100 -o drive.arb;
     dbo waveform drive.csv --to uint16 --gain 20 --volts 0:5 -o drive.bin
     """
     from dbo_cli.logs.write import write_bytes
     from dbo_cli.moves import waveform as make
-    from dbo_cli.moves.generators import FORMATS
 
-    if to not in FORMATS:
-        raise UsageError(f"`to` {to}: there are {', '.join(FORMATS)}")
-    endings = FORMATS[to].endings
-    if output != "-" and not output.lower().endswith(endings):
-        raise UsageError(
-            f"{output}: a {to} file is called {' or '.join('*' + ending for ending in endings)}"
-        )
     signal = read_drive(drive, reading, {"time": time, "voltage": voltage}, "V")
     if signal.step is None:
         raise InputError(
