@@ -102,9 +102,7 @@ def compensate(
     ] = None,
     measured: Annotated[
         opt.Text,
-        opt.value(
-            "COLUMN", "Displacement of a --tracked log.", opt.READING, rare=True
-        ),
+        opt.value("COLUMN", "Displacement of a --tracked log.", opt.READING, rare=True),
     ] = None,
 ) -> None:
     """Write the drive that makes an actuator follow a displacement.
