@@ -5,23 +5,22 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.drive.limits import Limits
 from dbo_cli.errors import ModelError, UsageError
-from dbo_cli.model import Gears, Model, Quantity, State, Window
+from dbo_cli.model import Gears, Model, State, Window
 from dbo_cli.model.delay import AFTER, whole_and_part
-from dbo_cli.model.points import Curves, through
+from dbo_cli.model.points import through
 from dbo_cli.model.start import Starts
 from dbo_cli.model.undoing import SectionInverse, section_inverse
 
 Floats = NDArray[np.float64]
 
 TRIALS = 20  # test moves over which the loss of fewer gears is taken: 5,000 samples
-IGNORED_BEYOND = 1e6
-"""Ranges: an input so far away counts as no number; what it leads to is not finite."""
 MORE_REST = 5  # samples before a move, from which on a delay knows its past
 
 
@@ -53,15 +52,10 @@ class Plan:
         """The inverse gears."""
         return self.model.gears
 
-    @property
-    def window(self) -> Window:
-        """The limits of the drive."""
-        return self.limits.window
-
     @cached_property
     def inner(self) -> Window:
         """The limits of the drive as the gears meet them."""
-        return self.model.inner_window(self.window)
+        return self.model.inner_window(self.limits.window)
 
     @property
     def inner_step(self) -> float | None:
@@ -90,18 +84,14 @@ class Plan:
             return 0.0
         return self.gears.relaxation.reference
 
-    def kappa(self, decay: Floats) -> float:
-        """Return the immediate part of the memory, sum c_j (1 - a_j), term by term."""
-        return float(sum((self.gain * (1.0 - decay)).tolist()))
-
     @property
-    def drive_curves(self) -> Curves:
-        """The points and scales from a drive to the gears."""
-        return self.forward.head
+    def kappa(self) -> float:
+        """The immediate part of the memory, sum c_j (1 - a_j), added term by term as the kernel does."""
+        return float(sum((self.gain * (1.0 - self.decay)).tolist()))
 
     def at_gears(self, drive: float) -> float:
         """Return a drive as the gears meet it."""
-        return float(through(self.drive_curves, np.array([drive]))[0])
+        return float(through(self.forward.head, np.array([drive]))[0])
 
     @cached_property
     def starts(self) -> Starts:
@@ -150,11 +140,15 @@ class Plan:
         assert self.empty.drive is not None
         return self.empty.drive
 
-    def settled(self, drive: float) -> State:
-        """Return the state after ``NAME_reset``: settled, and at rest at a drive."""
-        inner = self.at_gears(drive)
-        moved = self.forward.gears.run([inner], self.starts.bits(inner, "settled"))
+    def resting(self, drive: float, bits: int) -> State:
+        """Return the state of an actuator that rests at a drive, its gears coming from ``bits``."""
+        moved = self.forward.gears.run([self.at_gears(drive)], bits)
         return State(moved.bits, moved.memory, drive)
+
+    def settled(self, drive: float) -> State:
+        """Return the state after ``NAME_reset``."""
+        bits = self.starts.bits(self.at_gears(drive), "settled")
+        return self.resting(drive, bits)
 
     @property
     def trimmed(self) -> float:
@@ -170,7 +164,7 @@ class Plan:
         wanted = np.concatenate([rest, moves, after])
         undone, _ = self.forward.undo(wanted, None, self.dt)
         static = self.forward.static
-        return static.drive(undone[MORE_REST:], state, self.dt, self.window).y
+        return static.drive(undone[MORE_REST:], state, self.dt, self.limits.window).y
 
 
 def starts_of(forward: Model) -> Starts:
@@ -207,12 +201,6 @@ def plan_of(model: Model, sample_rate: float | None, limits: Limits) -> Plan:
     return plan
 
 
-def ignored_beyond(quantity: Quantity) -> float:
-    """Return the value beyond which a number counts as none: a power of two."""
-    largest = max(quantity.span, abs(quantity.min), abs(quantity.max))
-    return float(2.0 ** math.ceil(math.log2(IGNORED_BEYOND * largest)))
-
-
 def trial_moves(low: float, high: float, seed: int = 1) -> Floats:
     """Return inputs between ``low`` and ``high`` and a little beyond: about 300 samples, always the same.
 
@@ -232,8 +220,7 @@ def trial_moves(low: float, high: float, seed: int = 1) -> Floats:
     return low + (high - low) * np.concatenate(parts)
 
 
-@dataclass(frozen=True)
-class Loss:
+class Loss(NamedTuple):
     """What fewer gears change, over test moves: the largest and the RMS difference of the output."""
 
     most: float
