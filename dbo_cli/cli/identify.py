@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from dbo_cli.cli import options as opt
@@ -45,7 +46,7 @@ def identify(
     skip: opt.Skip = "0",
     zero: Annotated[
         str,
-        opt.value("none|mean|first|VALUE", "opt.Displacement to call 0.", rare=True),
+        opt.value("none|mean|first|VALUE", "Displacement to call 0.", rare=True),
     ] = "none",
     sensor_delay: Annotated[
         str,
@@ -57,7 +58,7 @@ def identify(
     ] = "auto",
     relaxation: Annotated[
         str,
-        structure("auto|0|T1,T2,...", "opt.Time constants of creep in s; 0 for none."),
+        structure("auto|0|T1,T2,...", "Time constants of creep in s; 0 for none."),
     ] = "auto",
     delay: Annotated[
         str, structure("SECONDS|auto", "Delay behind the drive.")
@@ -142,6 +143,8 @@ def identified(
     every, logs = read_recordings([*paths, *validate], reading, columns)
     recordings, tests = every[: len(paths)], every[len(paths) :]
     require_sign(recordings, options.sign)
+    if options.delay == "auto" and any(log.has_found_offset for log in logs):
+        options = replace(options, delay=0.0)  # the offset between the clocks holds it
     working("identifying")
     model = fit(recordings, options, tests)
     logs = logs[: len(paths)]

@@ -9,7 +9,7 @@ from typer import Argument
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.check import limits_in, read_drive
 from dbo_cli.cli.say import detail, say_output
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import InputError
 
 if TYPE_CHECKING:
     from dbo_cli.logs import Reading
@@ -35,7 +35,7 @@ def waveform(
     ] = None,
     volts: Annotated[
         opt.Text,
-        opt.value("LOW:HIGH", "opt.Output voltage of the codes; default: the drive's."),
+        opt.value("LOW:HIGH", "Output voltage of the codes; default: the drive's."),
     ] = None,
     max_rounding: Annotated[
         float,
@@ -49,19 +49,13 @@ def waveform(
 ) -> None:
     """Write a drive in the format of a generator or converter.
 
-    What is written is read back, and keeps the limits. One line says what to set.
+    What is written keeps the limits. One line says what to set.
 
     Example: dbo waveform drive.csv --to uint16 --gain 20 --volts 0:5 -o drive.bin
     """
     from dbo_cli.logs.write import write_bytes
     from dbo_cli.moves import waveform as make
-    from dbo_cli.moves.generators import FORMATS
 
-    if to not in FORMATS:
-        raise UsageError(f"`to` {to}: give one of {', '.join(FORMATS)}")
-    endings = FORMATS[to].endings
-    if output != "-" and not output.lower().endswith(endings):
-        raise UsageError(f"{output}: a {to} file ends with {' or '.join(endings)}")
     signal = read_drive(drive, reading, {"time": time, "voltage": voltage}, "V")
     if signal.step is None:
         raise InputError(
