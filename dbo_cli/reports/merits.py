@@ -17,8 +17,10 @@ LOOP_BINS = 32
 """Bins of the desired signal in which both ways are compared."""
 FEWEST_IN_BIN = 3
 """Samples of either way that a bin needs, lest the noise of one sample wins."""
-REST = 0.01
-"""Part of the fastest slope below which a signal rests."""
+TURN_IN_NOISE = 10.0
+"""Standard deviations of the noise that a turn must exceed: 10,000 normal samples span 8."""
+LARGEST_TURN = 0.1
+"""Part of the range that a turn need not exceed: few samples a cycle look like noise."""
 SECOND_DIFFERENCE = math.sqrt(math.pi / 2.0) / math.sqrt(6.0)
 """Standard deviation of white noise over the mean |second difference| of it."""
 MOTION_IN_NOISE = 20.0
@@ -133,18 +135,45 @@ def noise_of(values: Floats) -> float:
 
 
 def directions(values: Floats) -> NDArray[np.int8]:
-    """Return the direction of each sample: 1 up, -1 down, 0 neither.
+    """Return which way each sample goes: 1 up, -1 down, 0 neither.
 
-    From the slope over some samples, as many as noise and holds need.
+    A turn counts where the signal goes back by more than its noise does. Samples
+    between the extreme and the place where that is certain belong to no way: there the
+    signal rests.
     """
     ways = np.zeros(len(values), dtype=np.int8)
-    h = slope_spacing(values)
-    if h is None or len(values) <= 2 * h:
-        return ways
-    step = values[2 * h :] - values[: -2 * h]
-    moves = np.abs(step) > REST * np.abs(step).max()
-    ways[h:-h] = np.where(moves, np.sign(step), 0.0)
+    span = float(np.ptp(values))
+    least = min(TURN_IN_NOISE * noise_of(values), LARGEST_TURN * span)
+    way = 0
+    low = high = extreme = float(values[0])
+    begin = last = 0  # of the way that goes on, and its extreme
+    for place in turning_places(values).tolist():
+        value = float(values[place])
+        if way == 0:
+            low, high = min(low, value), max(high, value)
+            if value - low > least:
+                way, extreme, last = 1, value, place
+            elif high - value > least:
+                way, extreme, last = -1, value, place
+        elif way * (value - extreme) >= 0.0:
+            extreme, last = value, place
+        elif way * (extreme - value) > least:
+            ways[begin : last + 1] = way
+            back = np.abs(values[last + 1 : place + 1] - extreme)
+            begin = last + 1 + int(np.argmax(back > least))
+            way, extreme, last = -way, value, place
+    if way != 0:
+        ways[begin : last + 1] = way
     return ways
+
+
+def turning_places(values: Floats) -> NDArray[np.int64]:
+    """Return both ends and the places where the sign of the step changes."""
+    if len(values) < 2:
+        return np.arange(len(values))
+    step = np.sign(np.diff(values))
+    inner = np.flatnonzero(step[1:] != step[:-1]) + 1
+    return np.concatenate([[0], inner, [len(values) - 1]])
 
 
 def loop_width(desired: Floats, error: Floats) -> float | None:
