@@ -365,16 +365,65 @@ def test_resample_writes_at_the_rate_of_the_card() -> None:
 # --- what is said of it ---
 
 
-def test_a_summary_names_model_and_limits() -> None:
-    move("wish.csv", sine(8.0))
-    told = summary_of("--v-max", 9, "--on-limit", "clip", name="known")
+SUMMARY = (
+    "format version model unit rows voltage_range move_range limits lead clipped lost_rms lost_most "
+    "expected_rmse expected_rmse_past_known past_known warnings"
+).split()
+
+
+def test_a_summary_is_of_this_drive() -> None:
+    """Figures as the written rows have them, limits as typed, and the model by its name."""
+    wanted = sine(9.5)
+    move("wish.csv", wanted)
+    limits = ("--v-min", -1, "--v-max", 12, "--max-slew", 5000, "--on-limit", "clip")
+    told = summary_of(*limits, "--from", -0.5, "--approach", 0.1)
+    assert set(SUMMARY) <= set(told)
     assert (told["format"], told["version"], told["unit"]) == ("dbo-summary", 1, "um")
-    assert told["move_range"] == pytest.approx([2.0, 8.0], abs=1e-3)
-    text = json.dumps(told)
-    assert "expected_rmse" in told and "9.0" in text
-    others = summary_of("--v-max", 9, "--on-limit", "clip", name="creep")
-    hashes = {json.dumps(told.get("model")), json.dumps(others.get("model"))}
-    assert "null" not in hashes
+    drive = table("drive.csv")
+    voltage, before = drive["voltage_V"], drive["time_s"] < -1e-9
+    assert told["rows"] == len(voltage)
+    assert told["voltage_range"] == [voltage.min(), voltage.max()]
+    assert told["move_range"] == pytest.approx([2.0, 9.5], abs=1e-3)
+    assert told["lead"]["rows"] == before.sum() > 90
+    assert told["lead"]["seconds"] == pytest.approx(before.sum() / 1000.0)
+    assert told["limits"]["rating"] == [-1.0, 12.0]
+    assert told["limits"]["move"] == told["limits"]["identified"] == [0.0, 10.0]
+    assert told["limits"]["max_slew"] == 5000.0
+    came = table(done("simulate", model("small"), "drive.csv", "--state", "empty"))
+    lost = (wanted - came["displacement_um"][~before])[1:]
+    assert told["lost_rms"] == pytest.approx(np.sqrt(np.sum(lost**2) / 400), rel=1e-6)
+    assert told["lost_most"] == pytest.approx(lost.max(), rel=1e-9)
+    assert told["clipped"] == np.sum(lost > 1e-9)
+    assert any(f"{told['clipped']} of 400 rows" in text for text in told["warnings"])
+    assert len(told["model"]) == 64 and told["expected_rmse"] is None
+
+
+def simulated(drive: dict[str, Floats], stages: Any, state: str = "auto") -> Floats:
+    """Return what other stages of the stored model ``known`` make of a drive."""
+    values = values_of("known") | {"stages": stages, "candidates": []}
+    Path("other.json").write_text(json.dumps(values))
+    other = dbo_cli.read_model("other.json")
+    return other.simulate(drive["voltage_V"], time=drive["time_s"], state=state)
+
+
+def test_a_summary_states_what_to_expect() -> None:
+    """Left out, the spread of candidates and, for an unknown past, that of the starts (theory, 7)."""
+    move("wish.csv", sine(4.0, 1.5))
+    unknown = summary_of(name="known")
+    drive, stored = table("drive.csv"), values_of("known")
+    came = simulated(drive, stored["stages"])
+    square = stored["fit"]["left_out_rmse"] ** 2
+    for candidate in stored["candidates"]:
+        spread = simulated(drive, candidate["stages"]) - came
+        square += candidate["weight"] * rms(spread) ** 2
+    assert unknown["expected_rmse_past_known"] == pytest.approx(square**0.5, rel=1e-6)
+    for start in ("empty", "full", "settled"):
+        square += rms(simulated(drive, stored["stages"], start) - came) ** 2 / 3.0
+    assert unknown["expected_rmse"] == pytest.approx(square**0.5, rel=1e-6)
+    known = summary_of("--condition", name="known")
+    assert (unknown["past_known"], known["past_known"]) == (False, True)
+    assert 0.0 < known["expected_rmse"] < unknown["expected_rmse"]
+    assert unknown["expected_rmse_past_known"] < unknown["expected_rmse"]
 
 
 def test_hdf5_holds_units_model_and_limits() -> None:
@@ -388,20 +437,6 @@ def test_hdf5_holds_units_model_and_limits() -> None:
         stored = file["voltage"][:]
     assert "9.5" in json.dumps(attributes)
     np.testing.assert_array_equal(stored, drive_of("--v-max", 9.5)["voltage_V"])
-
-
-def test_the_error_to_expect_is_larger_for_an_unknown_past() -> None:
-    move("wish.csv", sine(4.0, 1.5))
-    unknown = summary_of(name="known")["expected_rmse"]
-    known = summary_of("--condition", name="known")["expected_rmse"]
-    assert 0.0 < known < unknown
-    outcome = done("compensate", model("known"), "wish.csv", "-o", "drive.csv")
-    assert any("expected error" in line for line in outcome.said)
-
-
-def test_without_candidates_no_error_is_stated() -> None:
-    move("wish.csv", sine(4.0, 1.5))
-    assert summary_of(name="bent").get("expected_rmse") is None
 
 
 def test_a_saved_state_joins_two_moves() -> None:
