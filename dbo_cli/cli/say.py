@@ -13,7 +13,7 @@ import warnings
 from collections.abc import Iterable, Iterator
 from typing import Any, ClassVar, TypeVar
 
-from dbo_cli.errors import DboWarning
+from dbo_cli.errors import DboWarning, warn
 
 ERASE = "\r\x1b[K"
 _PARAMETER = re.compile(r"`([a-z]\w*)`")
@@ -37,6 +37,24 @@ def say(text: str) -> None:
     """Print a line that everybody needs."""
     if not Level.quiet and text:
         print_line(text)
+
+
+def say_output(output: str, text: str) -> None:
+    """Print what is in an output."""
+    say(f"{'stdout' if output == '-' else output}: {text}")
+
+
+def say_log(log: Any) -> None:
+    """Print what was read; warn of rows that were left out, cut or guessed."""
+    for doubt in log.doubtful:
+        warn(f"{log.name}: {doubt}")
+    say(log.line())
+    detail(*log.remarks)
+
+
+def present(*values: Any) -> list[Any]:
+    """Return the values that are not None."""
+    return [value for value in values if value is not None]
 
 
 def detail(*texts: str) -> None:

@@ -37,7 +37,6 @@ SHAPES = tuple(NEEDS)
 
 START = 2.0 / math.pi
 """Of a turn's rows: a start of so many reaches as far outside a line as a turn does, more gently than it."""
-MOST_ROWS = 100_000_000  # 800 MB a column
 FEWEST_ROWS = 4  # of a line or cycle: a triangle of fewer has no rows between its turns
 
 
@@ -126,13 +125,10 @@ def trajectory(
     if shape == "staircase":
         assert steps is not None
         assert dwell is not None
-        seconds = 2.0 * steps * (dwell + max(turn, 1) / rate)
-        _check_rows(seconds * rate)
         axes, note = _staircase(range, steps, round(dwell * rate), max(turn, 1), rate)
         return _clocked(axes, rate, note)
     assert frequency is not None
     count = lines or max(round((duration or 0.0) * frequency), 1)
-    _check_rows((2 if shape == "raster" and loop else 1) * count * rate / frequency)
     if bandwidth is not None and frequency >= bandwidth:
         raise UsageError(
             f"`frequency` {frequency:g}: a {shape} as fast as the bandwidth of {bandwidth:g} Hz is all"
@@ -183,15 +179,6 @@ def _check_numbers(
     for name, value in {"rate": rate, "bandwidth": bandwidth, **figures}.items():
         if value is not None and not 0.0 < value < math.inf:
             raise UsageError(f"`{name}` {value:g}: give a number above 0")
-
-
-def _check_rows(rows: float) -> None:
-    """Refuse a move that nobody has memory for."""
-    if rows > MOST_ROWS:
-        raise UsageError(
-            f"`rate`: the move takes {rows:,.0f} rows, and {MOST_ROWS:,} are written at most (a lower"
-            " `rate`, or a shorter move)"
-        )
 
 
 # --- the pieces: rows after the one that they begin at ---

@@ -60,7 +60,6 @@ TALL = (5.0, 4.0)  # inches: as wide as those; for loops
 COLUMNS = 1000  # of a figure; a curve keeps the least and the greatest value in each
 MOST_POINTS = 20_000  # of a loop that stays lines in an SVG; more become a picture
 LOOP_POINTS = 501  # each way of a model's loop
-RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 Kind = Literal["png", "svg", "inline"]
 
@@ -259,8 +258,6 @@ def _clock_of(log: LogReport) -> tuple[Floats, str]:
     if pair.time is not None:
         return pair.time, "Time (s)"
     assert pair.numbers is not None
-    if pair.dt is not None:
-        return (pair.numbers - 1.0) * pair.dt, "Time (s)"
     return pair.numbers, "Row"
 
 
@@ -353,6 +350,8 @@ def spectrum_of(log: LogReport) -> tuple[Floats, Floats] | None:
 
 
 def _paint_spectrum(report: Report, log: LogReport, axes: Axes) -> None:
+    from matplotlib.ticker import LogFormatter
+
     curve = spectrum_of(log)
     assert curve is not None
     frequency, density = curve
@@ -363,28 +362,9 @@ def _paint_spectrum(report: Report, log: LogReport, axes: Axes) -> None:
         axes.set_ylim(bottom=max(float(density.min()), floor))
     unit = f"{shown_unit(report.unit)}/√Hz" if report.unit else "1/√Hz"
     axes.set(xlabel="Frequency (Hz)", ylabel=f"Error density ({unit})")
-    label_decades(axes)
-
-
-def label_decades(axes: Axes) -> None:
-    """Label logarithmic axes in plain letters: decades, and 2 and 5 where there are few decades."""
     for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_formatter(_decade)
-        axis.set_minor_formatter(partial(_between, axis))
-
-
-def _decade(value: float, _: float = 0.0) -> str:
-    if 0.0005 < value < 50_000.0:
-        return f"{value:g}"
-    return "10" + f"{math.log10(value):.0f}".translate(RAISED)
-
-
-def _between(axis: Any, value: float, _: float = 0.0) -> str:
-    low, high = sorted(axis.get_view_interval())
-    lead = f"{value:.0e}"[0]
-    if high > 100.0 * low or lead not in ("2", "5"):
-        return ""
-    return f"{value:.3g}"
+        axis.set_major_formatter(LogFormatter())
+        axis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.5)))
 
 
 # --- a model ---

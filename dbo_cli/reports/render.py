@@ -139,10 +139,8 @@ def columns_of(report: Report) -> list[TableColumn]:
 
 
 def _lag_in_ms(log: LogReport) -> str:
-    step = log.pair.step()
-    if step is None or log.merits.lag is None:
-        return "-"
-    return digits(1000.0 * step * log.merits.lag, 3)
+    lag = log.seconds(log.merits.lag)
+    return digits(None if lag is None else 1000.0 * lag, 3)
 
 
 def to_text(report: Report) -> str:
@@ -216,15 +214,14 @@ def to_html(report: Report) -> str:
     for verdict in report.verdicts:
         verdicts.append(replace(verdict, unit=verdict.unit.replace(" um", " µm")))
     report = replace(report, unit=unit or None, verdicts=tuple(verdicts))
+    columns = columns_of(report)
     head = []
-    for column in columns_of(report):
+    for column in columns:
         title = column.title
         if unit and title in ("RMSE", "expected", "largest", "mean", "offset", "loop"):
             title += f" ({unit})"
         head.append(title)
-    rows = []
-    for log in report.logs:
-        rows.append([column.cell(log) for column in columns_of(report)])
+    rows = [[column.cell(log) for column in columns] for log in report.logs]
     parts = [_verdict(report), f'<p class="headline">{escape(headline(report))}</p>']
     for warning in report.warnings:
         parts.append(f'<p class="warning">Warning: {escape(warning)}</p>')
@@ -252,12 +249,10 @@ def footer_lines(report: Report) -> list[str]:
     lines = [f"dbo {__version__}"]
     if report.command:
         lines.append(report.command)
-    if report.model is not None:
-        name = report.model_name or "model"
-        lines.append(f"Model {name} ({report.model.digest[:12]})")
-    if report.limits:
-        limits = [f"{key} {value}" for key, value in report.limits.items()]
-        lines.append(f"Limits: {', '.join(limits)}")
+    for log in report.logs:
+        expected = log.pair.expected
+        if expected is not None and expected.footer not in ("", *lines):
+            lines.append(expected.footer)
     return lines
 
 
@@ -294,3 +289,11 @@ def page(title: str, parts: Sequence[str]) -> str:
     frame = Template(here.joinpath("page.html").read_text("utf-8"))
     body = "\n".join(part for part in parts if part)
     return frame.substitute(title=escape(title), style=style, body=body)
+
+
+FORMS: dict[str, Callable[[Report], str]] = {
+    "text": to_text,
+    "json": to_json,
+    "csv": to_csv,
+    "html": to_html,
+}

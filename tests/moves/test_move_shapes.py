@@ -156,7 +156,6 @@ def test_each_axis_has_its_own_model():
         ("sine", {"frequency": 50.0, "bandwidth": 40.0}, "below 40"),
         ("triangle", {"frequency": 30.0, "bandwidth": 40.0}, "at most 19.23"),
         ("raster", {"frequency": 39.0, "lines": 4, "bandwidth": 39.8}, "at most 35.71"),
-        ("sine", {"frequency": 0.001, "duration": 1e9}, "rows"),
     ],
 )  # fmt: skip
 def test_refusals_name_the_option_and_the_number_that_fits(shape, options, named):
