@@ -105,7 +105,7 @@ def driven(model: Model, wanted: Floats, state: str = "auto") -> Floats:
     ahead = np.full(model.ahead(DT), wanted[-1])
     undone, _ = model.undo(np.concatenate([wanted, ahead]), None, DT)
     begun = model.start_drive(float(undone[0]), state)
-    return np.asarray(model.drive(undone, begun, DT).voltage)
+    return np.asarray(model.drive(undone, begun, DT).y)
 
 
 def dynamics(count: int) -> float:

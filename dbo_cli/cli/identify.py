@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from dbo_cli.cli import options as opt
@@ -142,6 +143,8 @@ def identified(
     every, logs = read_recordings([*paths, *validate], reading, columns)
     recordings, tests = every[: len(paths)], every[len(paths) :]
     require_sign(recordings, options.sign)
+    if options.delay == "auto" and any(log.has_found_offset for log in logs):
+        options = replace(options, delay=0.0)  # the offset between the clocks holds it
     working("identifying")
     model = fit(recordings, options, tests)
     logs = logs[: len(paths)]

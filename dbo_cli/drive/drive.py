@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.drive.learning import PassRecord
 from dbo_cli.drive.limits import Limits
 from dbo_cli.model import State
+
+if TYPE_CHECKING:
+    from dbo_cli.drive.learning import PassRecord
 
 Floats = NDArray[np.float64]
 NOTHING = np.zeros(0)

@@ -17,12 +17,12 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli.drive.swings import swing_rows, swings
 from dbo_cli.errors import LimitError, UsageError
 
 Floats = NDArray[np.float64]
@@ -164,33 +164,6 @@ def _paced(
             f"`duration` {duration:g} at `sample_rate` {sample_rate:g}: more than {MOST_ROWS:,} rows"
         )
     return Swings(v_min, v_max, sample_rate, duration, frequency, max_slew)
-
-
-def swings(turns: Sequence[float], rows: Sequence[int]) -> Floats:
-    """Return half-cosine swings through ``turns``, in order; swing i takes ``rows[i]`` steps."""
-    out = np.empty(1 + sum(rows))
-    out[0] = turns[0]
-    place = 1
-    for begin, end, count in zip(turns[:-1], turns[1:], rows, strict=True):
-        part = out[place : place + count]
-        phase = np.pi * np.arange(1, count + 1) / count
-        part[:] = begin + (end - begin) * (0.5 - 0.5 * np.cos(phase))
-        np.clip(part, min(begin, end), max(begin, end), out=part)
-        part[-1:] = end
-        place += count
-    return out
-
-
-def swing_rows(
-    distance: float, step: float, seconds: float, max_slew: float | None = None
-) -> int:
-    """Return how many rows a half-cosine swing takes: ``seconds``, or longer where the slew is limited.
-
-    The steepest part of the swing rises by pi/2 times its mean slope.
-    """
-    if max_slew is not None:
-        seconds = max(seconds, 0.5 * math.pi * abs(distance) / max_slew)
-    return max(math.ceil(seconds / step - 1e-9), 1)
 
 
 def _legs(plan: Swings, rows: int) -> list[Leg]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.drive.limits import Limits
 from dbo_cli.errors import ModelError, UsageError
-from dbo_cli.model import Gears, Model, State, VoltageWindow
+from dbo_cli.model import Gears, Model, State, Window
 from dbo_cli.model.delay import AFTER, whole_and_part
 from dbo_cli.model.points import through
 from dbo_cli.model.start import Starts
@@ -53,7 +53,7 @@ class Plan:
         return self.model.gears
 
     @cached_property
-    def inner(self) -> VoltageWindow:
+    def inner(self) -> Window:
         """The limits of the drive as the gears meet them."""
         return self.model.inner_window(self.limits.window)
 
@@ -164,15 +164,13 @@ class Plan:
         wanted = np.concatenate([rest, moves, after])
         undone, _ = self.forward.undo(wanted, None, self.dt)
         static = self.forward.static
-        return static.drive(
-            undone[MORE_REST:], state, self.dt, self.limits.window
-        ).voltage
+        return static.drive(undone[MORE_REST:], state, self.dt, self.limits.window).y
 
 
 def starts_of(forward: Model) -> Starts:
     """Return the states in which the gears of a forward model may begin."""
     source = forward.input
-    ends = forward.inner_window(VoltageWindow(source.min, source.max))
+    ends = forward.inner_window(Window(source.min, source.max))
     return Starts(forward.gears, ends.low, ends.high)
 
 

@@ -14,14 +14,13 @@ from dataclasses import dataclass, field
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.cells import MISSING, STAMPS, is_number, split_cells, stamp_format
 from dbo_cli.logs.headers import (
-    StatedClock,
     is_setting,
     plain_key,
     read_settings,
     stated_clock,
 )
 from dbo_cli.logs.names import Names, Table, find_names
-from dbo_cli.logs.source import Column, Reading
+from dbo_cli.logs.source import Column, Reading, StatedClock
 from dbo_cli.units import kind_of, spell, split_header
 
 COMMENTS = "#%"
@@ -130,7 +129,8 @@ def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
             f"{name}: no data rows: no line holds numbers (if it has any: `delimiter`, `decimal` or "
             "`skip_lines`)"
         )
-    _refuse_thousands(name, layout, sample, reading)
+    if reading.decimal is None and layout.decimal == ",":
+        refuse_thousands(name, [cell for line in sample for cell in layout.cells(line)])
     layout.first = _first_row(layout, lines, rows)
     _refuse_other_rows(name, layout, lines, rows)
     _read_header(name, layout, lines, skipped)
@@ -296,13 +296,8 @@ def _judged(sample: Sequence[str], mark: str, sign: str) -> tuple[float, Layout]
     return (shares[layout.width] / sum(weights) if numeric else 0.0), layout
 
 
-def _refuse_thousands(
-    name: str, layout: Layout, sample: Sequence[str], reading: Reading
-) -> None:
-    """Refuse commas that may stand between thousands as well as before decimals."""
-    if reading.decimal is not None or layout.decimal != ",":
-        return
-    cells = [cell for line in sample for cell in layout.cells(line)]
+def refuse_thousands(name: str, cells: Sequence[str]) -> None:
+    """Refuse commas that may stand between thousands as well as before decimals (InputError)."""
     commas = [cell for cell in cells if re.search(r"\d,\d|,\d|\d,", cell)]
     if commas and all(_THOUSANDS.fullmatch(cell) for cell in commas):
         cell = commas[0]

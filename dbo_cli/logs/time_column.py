@@ -78,7 +78,9 @@ def find_clock(
         which = " or ".join(
             f"`time` {column.number} ('{column.name}')" for column in found
         )
-        raise InputError(f"{source.name}: which column is the time? ({which})")
+        raise InputError(
+            f"{source.name}: which column is the time? ({which}){source.hint}"
+        )
     if found:
         return _clock_of(source.name, found[0], reading.time_unit)
     return _stated_clock(source, reading)
@@ -91,13 +93,17 @@ def _stated_clock(source: Source, reading: Reading) -> Clock:
             f"{source.name}: `time_unit` {reading.time_unit}: there is no time column: "
             f"{listed(source.columns)} (`time` NAME or NUMBER)"
         )
-    if source.rate_problem:
-        raise InputError(f"{source.name}: {source.rate_problem}")
-    if source.rate is None:
+    stated = source.stated
+    if stated.problem:
+        raise InputError(f"{source.name}: {stated.problem}")
+    if stated.rate is None:
         return Clock(source.name)
-    remarks = list(source.rate_remarks)
     return Clock(
-        source.name, "rate", rate=source.rate, start=source.start, remarks=remarks
+        source.name,
+        "rate",
+        rate=stated.rate,
+        start=stated.start,
+        remarks=list(stated.remarks),
     )
 
 

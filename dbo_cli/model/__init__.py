@@ -12,22 +12,14 @@ from dbo_cli.model.file import (
     read_model,
     read_models,
 )
-from dbo_cli.model.gears import Gears, Window
+from dbo_cli.model.gears import NEGLIGIBLE, Gears, Window
 from dbo_cli.model.model import Candidate, Model, Outside, Steps
 from dbo_cli.model.points import Points, Scale
 from dbo_cli.model.relaxation import Relaxation
-from dbo_cli.model.state import (
-    NEGLIGIBLE,
-    OutsideError,
-    Quantity,
-    Run,
-    State,
-    VoltageWindow,
-    steps_of,
-)
+from dbo_cli.model.state import Quantity, Run, State, steps_of
 from dbo_cli.model.state_file import dumps_state, read_state
 from dbo_cli.model.stepper import Stepper
-from dbo_cli.model.undoing import Inverter, Undoing, ZeroPhaseLowPass, read_ahead
+from dbo_cli.model.undoing import Inverter, Undoing, read_ahead
 
 __all__ = [
     "NEGLIGIBLE",
@@ -40,7 +32,6 @@ __all__ = [
     "Mode",
     "Model",
     "Outside",
-    "OutsideError",
     "Points",
     "Quantity",
     "Relaxation",
@@ -53,9 +44,7 @@ __all__ = [
     "Stepper",
     "Steps",
     "Undoing",
-    "VoltageWindow",
     "Window",
-    "ZeroPhaseLowPass",
     "dumps_model",
     "dumps_set",
     "dumps_state",

@@ -1,4 +1,4 @@
-"""Dynamics undone on an even clock, reading ahead; and a low-pass without phase.
+"""Dynamics undone on an even clock, reading ahead.
 
 With the output of a section given, u - p and q follow a recursion of two eigenvalues,
 the zeros of the discretised section. For a resonance one lies near -0.268 and is run
@@ -9,7 +9,6 @@ rest. The zeros of an antiresonance are both inside, and run forward.
 
 from __future__ import annotations
 
-import cmath
 import math
 from collections import deque
 from collections.abc import Iterable, Iterator
@@ -19,7 +18,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import InputError
 from dbo_cli.model import kernel
 from dbo_cli.model.dynamics import (
     Dynamics,
@@ -38,10 +37,6 @@ HIGHEST_PART = 0.3
 LEFT_OVER = 1e-17  # of the whole sum over the future: less than rounding does to it
 # samples; beyond, the zero is so near the unit circle that the inverse rings
 LONGEST_AHEAD = 2000
-# of a low-pass's weight in the middle, at which its weights are cut off
-LOW_PASS_LEFT_OVER = 1e-10
-# samples of a low-pass on either side; the work of a sample grows with them
-LONGEST_REACH = 20_000
 
 
 class SectionInverse(NamedTuple):
@@ -219,21 +214,8 @@ class Inverter:
 
     def loop(self, y: Floats) -> Floats:
         """Return the input of one period of an output that is repeated for ever."""
-        undo = kernel.recursions().dynamics_undo
-        signal = np.ascontiguousarray(y)
-        for part in reversed(self.parts):
-
-            def after(
-                a: float, b: float, part: SectionInverse = part, y: Floats = signal
-            ) -> tuple[Floats, Floats]:
-                wrapped = np.pad(y, (0, part.weight.size), mode="wrap")
-                memory = np.array([y[-1], a, b])
-                u = np.empty(y.size)
-                undo(part.numbers, part.weight, memory, wrapped, u)
-                return u, memory[1:]
-
-            signal = repeated(after)
-        return signal
+        wrapped = np.pad(y, (0, self.ahead), mode="wrap")
+        return repeated(self.run, wrapped, len(self.parts))
 
 
 def read_ahead(
@@ -257,72 +239,3 @@ def read_ahead(
             payload, count = waiting.popleft()
             yield payload, values[: count + rows]
             values = values[count:]
-
-
-class ZeroPhaseLowPass:
-    """A symmetric low-pass of gain 1/(1 + (f/f_c)^2n): a Butterworth filter of order n, run both ways.
-
-    Its weights are the two-sided impulse response, the sum over the stable poles s of
-    Re(-s e^(s|t|)), taken at the samples and made to add up to 1. A constant comes
-    through unchanged, to the last bit. Of order 2 nothing overshoots a step by more
-    than 3.4 % of it.
-
-    Parameters
-    ----------
-    cutoff : float
-        f_c in Hz, where half of the amplitude is left.
-    dt : float
-        Seconds between samples.
-    order : int
-        n, an even number.
-
-    Raises
-    ------
-    UsageError
-        The cut-off is above half the sampling rate, or so low that a sample would need
-        20,000 neighbours.
-    """
-
-    def __init__(self, cutoff: float, dt: float, order: int = 2) -> None:
-        rate = 1.0 / dt
-        if not 0.0 < cutoff <= 0.5 * rate:
-            raise UsageError(
-                f"`bandwidth` {cutoff:g}: must be above 0 and at most half the sample rate, {0.5 * rate:.6g}"
-            )
-        turn = 2.0 * math.pi * cutoff * dt
-        poles = []
-        for k in range(order // 2):
-            angle = math.pi * (2 * k + 1 + order) / (2 * order)
-            poles.append(turn * cmath.exp(1j * angle))
-        slowest = max(pole.real for pole in poles)
-        self.reach = math.ceil(math.log(LOW_PASS_LEFT_OVER) / slowest)
-        if self.reach > LONGEST_REACH:
-            lowest = cutoff * self.reach / LONGEST_REACH
-            raise UsageError(
-                f"`bandwidth` {cutoff:g}: too low for a sample rate of {rate:.6g} Hz (at least {lowest:.3g},"
-                " or a lower rate)"
-            )
-        samples = np.arange(1.0, self.reach + 1.0)
-        middle = -sum(pole.real for pole in poles)
-        response = np.zeros(self.reach)
-        for pole in poles:
-            response = response + (-pole * np.exp(pole * samples)).real
-        weight = response / middle
-        weight /= 1.0 + 2.0 * math.fsum(weight.tolist())
-        # of the changes from sample to sample, of which a rest has none
-        farther = np.cumsum(weight[::-1])
-        self._of_changes = np.concatenate([-farther, farther[::-1]])
-
-    def run(self, x: Floats) -> Floats:
-        """Return all but the first and the last ``reach`` samples, smoothed."""
-        changes = np.correlate(np.diff(x), self._of_changes, "valid")
-        smooth: Floats = x[self.reach : x.size - self.reach] + changes
-        return smooth
-
-    def whole(self, x: Floats) -> Floats:
-        """Return a whole signal smoothed; the first and the last value hold beyond its ends."""
-        return self.run(np.pad(x, self.reach, mode="edge"))
-
-    def loop(self, x: Floats) -> Floats:
-        """Return one period of a signal that repeats, smoothed."""
-        return self.run(np.pad(x, self.reach, mode="wrap"))
