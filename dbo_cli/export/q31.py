@@ -92,7 +92,7 @@ def _check(plan: Plan) -> None:
         )
     if np.any(plan.gain < 0.0):
         raise ModelError(
-            "relaxation.gain: q31 has no proven bound for negative gains (`arithmetic` double, or identify with"
+            "relaxation.gain: q31 has no bound for negative gains (`arithmetic` double, or identify with"
             " `relaxation` 0)"
         )
     if np.any(1.0 - plan.decay < SLOWEST_REST):
