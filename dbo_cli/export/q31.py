@@ -56,11 +56,11 @@ def q31_sources(plan: Plan) -> tuple[c.Sources, Bounds]:
     runs = [_run(plan, None, 1), _run(plan, plan.trimmed, 2)]
     # where the gears begin on the input, which the memory widens
     begin = gears.x0 + plan.kappa * (gears.y0 - plan.reference)
-    taken, given = counts_of_range(source), counts_of_range(drive)
+    source_counts, drive_counts = counts_of_range(source), counts_of_range(drive)
     functions = {
-        "BEFORE": segments_of(before, taken, (begin, x_axis.unit)),
-        "BEHIND": segments_of(behind, (gears.y0, y_axis.count), given),
-        "DRIVE": segments_of(drives, given, (gears.y0, y_axis.unit)),
+        "BEFORE": segments_of(before, source_counts, (begin, x_axis.unit)),
+        "BEHIND": segments_of(behind, (gears.y0, y_axis.count), drive_counts),
+        "DRIVE": segments_of(drives, drive_counts, (gears.y0, y_axis.unit)),
     }
     tables = _gear_tables(plan, x_axis, y_axis, memory, bounds)
     values = _values(plan, y_axis, limits)
