@@ -141,7 +141,7 @@ class Loss:
         """Say how much of the move its limits do not allow."""
         return (
             f"{self.name}: {self.clipped:,} of {self.move.rows:,} rows (first: row "
-            f"{self.first_clipped:,}) exceed the limits, {self.limits.describe()}"
+            f"{self.first_clipped:,}) exceed {self.limits.describe()}"
         )
 
     def would_fit(self, period: float | None = None) -> str:
