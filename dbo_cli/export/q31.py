@@ -97,8 +97,7 @@ def _check(plan: Plan) -> None:
         )
     if np.any(1.0 - plan.decay < SLOWEST_REST):
         raise ModelError(
-            "relaxation.tau: a memory this slow at this rate stands still in q31 (`sample_rate` lower, or"
-            " `arithmetic` double)"
+            "relaxation.tau: too slow for q31 at this rate (`sample_rate` lower, or `arithmetic` double)"
         )
     if plan.gears.n > MOST_GEARS:
         raise ModelError(

@@ -131,8 +131,7 @@ def trajectory(
     count = lines or max(round((duration or 0.0) * frequency), 1)
     if bandwidth is not None and frequency >= bandwidth:
         raise UsageError(
-            f"`frequency` {frequency:g}: a {shape} as fast as the bandwidth of {bandwidth:g} Hz is all"
-            f" turns (below {bandwidth:g}, or a higher `bandwidth`)"
+            f"`frequency` {frequency:g}: give less than {bandwidth:g}, the bandwidth, or a higher `bandwidth`"
         )
     period = round(rate / frequency)
     if period < FEWEST_ROWS:

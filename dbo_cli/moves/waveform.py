@@ -109,15 +109,15 @@ def waveform(
     played, rate, moved = _at_points(voltage, drive_rate, points, rate)
     if moved > most:
         raise LimitError(
-            f"{name}: {played.size:,} points move the drive by up to {moved:.3g} V, more than {most:.3g} V"
-            " (more `points`, a higher `rate`, or `max_rounding` PERCENT)"
+            f"{name}: {played.size:,} points move the drive by {moved:.3g} V, more than {most:.3g} V"
+            " (more `points`, or `max_rounding` PERCENT)"
         )
     exact = played / gain
     ends = volts or (float(exact.min()), float(exact.max()))
     if exact.min() < ends[0] or exact.max() > ends[1]:
         raise LimitError(
-            f"{name}: the drive takes {exact.min():.6g} to {exact.max():.6g} V of the generator, and"
-            f" `volts` gives {ends[0]:.6g} to {ends[1]:.6g} (wider `volts`, or another `gain` than {gain:g})"
+            f"{name}: the drive over `gain` is {exact.min():.6g} to {exact.max():.6g} V, beyond `volts`"
+            f" {ends[0]:.6g}:{ends[1]:.6g}"
         )
     allowed = _at_generator(limits, gain)
     if form.codes is None:
@@ -135,8 +135,8 @@ def waveform(
     rounding = abs(gain) * float(np.abs(heard - exact).max())
     if rounding > most and np.ptp(exact) > 0.0:
         raise LimitError(
-            f"{name}: rounding to codes moves the drive by up to {rounding:.3g} V, more than {most:.3g} V"
-            " (narrower `volts`, a wider span of `codes`, or `max_rounding` PERCENT)"
+            f"{name}: codes move the drive by {rounding:.3g} V, more than {most:.3g} V (narrower `volts`, or"
+            " `max_rounding` PERCENT)"
         )
     if allowed.slew is not None:  # codes stand a step beside
         allowed = replace(allowed, slew=allowed.slew + coding.step * rate)
