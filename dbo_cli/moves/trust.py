@@ -57,8 +57,8 @@ def check_reach(move: Trajectory, ends: Range, models: Sequence[Model]) -> None:
             first, last = max(first, ends[0]), min(last, ends[1])
         fitting = _rounded_inwards(first, last)
         raise UsageError(
-            f"`range` {ends[0]:g}:{ends[1]:g}: the move takes {least:.6g} to {most:.6g}{model.output.suffix},"
-            f" the model reaches {low:.6g} to {high:.6g} (`range` {fitting} fits)"
+            f"`range` {ends[0]:g}:{ends[1]:g}: the move, {least:.6g} to {most:.6g}, exceeds the "
+            f"model, {low:.6g} to {high:.6g}{model.output.suffix}: {fitting} fits"
         )
 
 
