@@ -237,7 +237,7 @@ def test_a_state_comes_back_and_serves_the_inverse(tmp_path: Path) -> None:
     drive = 2.5 + 2.0 * np.sin(np.arange(700) * 0.03)
     whole, _ = model.simulate(drive, dt=DT)
     _, state = model.simulate(drive[:300], dt=DT)
-    _, undoing = model.undo(whole[:300], None, DT)
+    _, undoing = model.inverter(DT).run(whole[:300])
     state = replace(state, undoing=undoing, time=0.0299)
     text = dumps_state(state, model)
     SCHEMA.validate(json.loads(text))
