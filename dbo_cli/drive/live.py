@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from dbo_cli.drive.gate import ROUNDING, GateError
 from dbo_cli.drive.limits import Figure, Limits, voltage_in
 from dbo_cli.errors import InputError, ModelError, UsageError
-from dbo_cli.model import Model, State, Stepper, Undoing
+from dbo_cli.model import Model, State, Undoing
 from dbo_cli.model.points import value_through
+from dbo_cli.model.stepper import Stepper
 
 Floats = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import InputError, ModelError
-from dbo_cli.model.cascade import Direction, Stage, check_order, digest_of, turned
+from dbo_cli.model.cascade import Direction, Stage, check_order, digest_of
 from dbo_cli.model.delay import Delay
 from dbo_cli.model.dynamics import Dynamics
 from dbo_cli.model.gears import NEGLIGIBLE, Gears, Window
@@ -99,9 +99,7 @@ class Model:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check the cascade; the direction tells on which side of the gears the drive is."""
-        object.__setattr__(self, "stages", turned(self.stages, self.direction))
-        object.__setattr__(self, "candidates", tuple(self.candidates))
+        """Check the cascade."""
         check_order(self.stages, self.direction)
         if len(self.candidates) > MOST_CANDIDATES:
             raise ModelError(
