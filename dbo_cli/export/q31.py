@@ -56,11 +56,11 @@ def q31_sources(plan: Plan) -> tuple[c.Sources, Bounds]:
     runs = [_run(plan, None, 1), _run(plan, plan.trimmed, 2)]
     # where the gears begin on the input, which the memory widens
     begin = gears.x0 + plan.kappa * (gears.y0 - plan.reference)
-    taken, given = counts_of_range(source), counts_of_range(drive)
+    source_counts, drive_counts = counts_of_range(source), counts_of_range(drive)
     functions = {
-        "BEFORE": segments_of(before, taken, (begin, x_axis.unit)),
-        "BEHIND": segments_of(behind, (gears.y0, y_axis.count), given),
-        "DRIVE": segments_of(drives, given, (gears.y0, y_axis.unit)),
+        "BEFORE": segments_of(before, source_counts, (begin, x_axis.unit)),
+        "BEHIND": segments_of(behind, (gears.y0, y_axis.count), drive_counts),
+        "DRIVE": segments_of(drives, drive_counts, (gears.y0, y_axis.unit)),
     }
     tables = _gear_tables(plan, x_axis, y_axis, memory, bounds)
     values = _values(plan, y_axis, limits)
@@ -92,7 +92,8 @@ def _check(plan: Plan) -> None:
         )
     if np.any(plan.gain < 0.0):
         raise ModelError(
-            "relaxation.gain: q31 has no proven bound for negative gains (`arithmetic` double)"
+            "relaxation.gain: q31 has no bound for negative gains (`arithmetic` double, or identify with"
+            " `relaxation` 0)"
         )
     if np.any(1.0 - plan.decay < SLOWEST_REST):
         raise ModelError(
