@@ -58,7 +58,7 @@ def names(
 
     path = paths[0]
     if path == "-":
-        raise UsageError("-: channels are read one after the other; give a file")
+        raise UsageError("-: channels need a file, not a pipe")
     headers = [column.name for column in columns_of(path, reading)]
     found: dict[str, list[str]] = {}
     for role, typed in columns.items():
@@ -66,7 +66,7 @@ def names(
             found[role] = _matches(typed, headers)
             if not found[role]:
                 raise InputError(
-                    f"{path}: no column fits `{role}` {typed}; there are: {', '.join(headers)}"
+                    f"{path}: no column matches `{role}` {typed}; columns: {', '.join(headers)}"
                 )
     first, *others = found.items()
     for role, channels in others:
@@ -101,7 +101,7 @@ def models_of(path: str, channels: Iterable[str]) -> dict[str, Model]:
     for name in channels:
         if name not in models:
             raise ModelError(
-                f"{path}: no model of channel {name}; there are: {', '.join(models)}"
+                f"{path}: no model for channel {name}; models: {', '.join(models)}"
             )
     return {name: models[name] for name in channels}
 
@@ -166,14 +166,16 @@ def refuse(pieces: Mapping[str, object], **others: object) -> None:
     for option, value in {**pieces, **others}.items():
         if value:
             raise UsageError(
-                f"`{option}` is for one channel at a time: dbo compensate SET::NAME ..."
+                f"`{option}` needs a single channel: dbo compensate SET::NAME ..."
             )
 
 
 def _require_start(state: str) -> None:
     """Refuse a state file, which belongs to one model."""
     if state not in ("auto", "empty", "full", "settled"):
-        raise UsageError(f"`state` {state}: a state file is of one channel (SET::NAME)")
+        raise UsageError(
+            f"`state` {state}: a state file belongs to one channel: use SET::NAME"
+        )
 
 
 def _read(

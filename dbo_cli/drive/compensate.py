@@ -100,11 +100,9 @@ def plan(
     """
     around = Around(state, start, approach, condition, lead, return_to)
     if passes and not periodic:
-        raise UsageError("`passes` is the run-in of a loop (`periodic`)")
+        raise UsageError("`passes` needs `periodic`")
     if history and not tracked:
-        raise UsageError(
-            "`history` keeps the passes that `tracked` recorded: give both"
-        )
+        raise UsageError("`history` needs `tracked` LOG")
     values = np.ascontiguousarray(desired, dtype=np.float64).reshape(-1)
     time, dt = _clock(clock, values.size, name)
     request, lesson = values, None
@@ -222,7 +220,7 @@ def _clock(clock: Clock, count: int, name: str) -> tuple[Floats | None, Steps]:
     if time.size != count:
         raise InputError(f"{name}: {time.size:,} times for {count:,} rows")
     if not np.isfinite(time).all():
-        raise InputError(f"{name}: a time is no number")
+        raise InputError(f"{name}: one time is not a number")
     try:
         return time, steps_of(time)
     except InputError as problem:

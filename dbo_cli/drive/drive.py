@@ -129,7 +129,7 @@ class Drive:
         text = f"{self.rows:,} rows, {self.least:.4g} to {self.greatest:.4g}{self.limits.suffix}"
         if self.clipped:
             rows = "row" if self.clipped == 1 else "rows"
-            return f"{text}, {self.clipped:,} {rows} clipped at the limits"
+            return f"{text}, {self.clipped:,} {rows} clipped"
         return f"{text}, within limits"
 
     def lead_line(self) -> str:

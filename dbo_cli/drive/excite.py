@@ -126,7 +126,7 @@ def excite(
         if value is not None and not 0.0 < value < math.inf:
             raise UsageError(f"`{name}` {value:g}: give a number above 0")
     if sweep_amplitude is not None and sweep_to is None:
-        raise UsageError("`sweep_amplitude` is that of a sweep (`sweep_to` HZ)")
+        raise UsageError("`sweep_amplitude` needs `sweep_to` HZ")
     plan = _paced(v_min, v_max, sample_rate, duration, max_slew, sweep_to)
     legs = _legs(plan, round(plan.duration * sample_rate) - 1)
     part = swings([0.0, *(turn for turn, _ in legs)], [rows for _, rows in legs])
@@ -156,8 +156,8 @@ def _paced(
     if duration * frequency < FEWEST_CYCLES * (1.0 - 1e-9):
         least = math.ceil(FEWEST_CYCLES / frequency)
         raise UsageError(
-            f"`duration` {duration:g}: too short for {FEWEST_CYCLES} swings over the range"
-            f" (`duration` {least})"
+            f"`duration` {duration:g}: too short for {FEWEST_CYCLES} swings over the range; give "
+            f"{least} or more"
         )
     if duration * sample_rate > MOST_ROWS:
         raise UsageError(
@@ -233,16 +233,16 @@ def _check_sweep(plan: Swings, sweep_to: float, crest: float) -> None:
         raise UsageError(f"`sweep_to` {sweep_to:g}: give a frequency in Hz above 0")
     if plan.sample_rate < SWEEP_ROWS_A_PERIOD * sweep_to * (1.0 - 1e-9):
         raise UsageError(
-            f"`sweep_to` {sweep_to:g}: {plan.sample_rate:g} rows a second do not resolve it"
-            f" (`sample_rate` {SWEEP_ROWS_A_PERIOD * sweep_to:g})"
+            f"`sweep_to` {sweep_to:g}: needs `sample_rate` {SWEEP_ROWS_A_PERIOD * sweep_to:g} or "
+            f"more, not {plan.sample_rate:g}"
         )
     if not 0.0 < crest <= 0.5 * plan.span:
         raise UsageError(
-            f"`sweep_amplitude` {crest:g}: give one above 0, at most {0.5 * plan.span:g}"
+            f"`sweep_amplitude` {crest:g}: give more than 0, at most {0.5 * plan.span:g}"
         )
     fastest = 2.0 * math.pi * sweep_to * crest * SWEEP_FADED
     if plan.max_slew is not None and fastest > plan.max_slew:
         raise LimitError(
-            f"`sweep_amplitude` {crest:g}: at {sweep_to:g} Hz it needs {fastest:.6g}/s, `max_slew` allows"
-            f" {plan.max_slew:g} (`sweep_amplitude` {crest * plan.max_slew / fastest:.3g})"
+            f"`sweep_amplitude` {crest:g}: needs {fastest:.6g}/s at {sweep_to:g} Hz, more than "
+            f"`max_slew` {plan.max_slew:g}; {crest * plan.max_slew / fastest:.3g} fits"
         )

@@ -80,7 +80,7 @@ class Around:
                 raise UsageError(f"`{name}` {value}: give seconds above 0, or auto")
         if self.condition and self.state != "auto":
             raise UsageError(
-                "`condition` and `state` exclude each other: the sweep makes its own state"
+                "`condition` and `state` exclude each other: leave one out"
             )
 
     @property
@@ -162,9 +162,7 @@ def plan_lead(
             state = _played(model, np.array([last]), dt, around.state).state
         return Lead(desired=desired, state=state, chosen=chosen)
     if last is None and not around.condition:
-        raise UsageError(
-            "`approach` needs `from` VOLT (where the amplifier stands) or a `state`"
-        )
+        raise UsageError("`approach` needs `from` VOLT or a `state` file")
     begun, seconds = around.state, around.approach
     before = NOTHING if last is None else np.array([last])
     if isinstance(begun, State):
@@ -243,7 +241,7 @@ def ramp(
     count = _rows(end - begin, dt, least, limits)
     if isinstance(seconds, float | int) and count * dt > seconds + dt:
         raise LimitError(
-            f"`{name}` {seconds:g}: faster than the slew limit allows (at least {count * dt:.4g} s, or auto)"
+            f"`{name}` {seconds:g}: too fast for `max_slew`; give at least {count * dt:.4g} s, or auto"
         )
     return swings([begin, end], [count])[1:]
 
@@ -263,8 +261,8 @@ def sweep(model: Model, limits: Limits, dt: float) -> Floats:
     high = min(limits.move[1], model.input.max)
     if not low < high:
         raise UsageError(
-            f"`condition` sweeps the range on which the model was identified, {model.input.min:.6g} to "
-            f"{model.input.max:.6g}{limits.suffix}, and the limits leave nothing of it"
+            f"`condition` sweeps the identified range, {model.input.min:.6g} to "
+            f"{model.input.max:.6g}{limits.suffix}; the limits leave none of it"
         )
     count = _rows(high - low, dt, SWEEP_SECONDS, limits)
     return swings([low, high, low], [count, count])
@@ -342,8 +340,8 @@ def require_short(lead: Lead, move_seconds: float) -> None:
     allowed = max(LONGEST_CHOSEN, CHOSEN_MOVES * move_seconds)
     if lead.chosen > allowed:
         raise LimitError(
-            f"{lead.chosen:.4g} s would stand before the move of {move_seconds:.4g} s: at most a minute or "
-            "ten times the move may (`approach` SECONDS, or a larger `max_slew`)"
+            f"{lead.chosen:.4g} s before a move of {move_seconds:.4g} s: more than ten moves and a "
+            "minute; give `approach` SECONDS or more `max_slew`"
         )
 
 
@@ -357,7 +355,7 @@ def _checked_rows(rows: int) -> int:
     """Return a number of rows (UsageError: more than any memory holds)."""
     if rows > MOST_ROWS:
         raise UsageError(
-            f"{rows:.4g} rows would stand before the move; at most {MOST_ROWS:,} are written "
-            "(a larger `max_slew`, or a lower sample rate)"
+            f"{rows:.4g} rows before the move, at most {MOST_ROWS:,}: raise `max_slew`, or lower the "
+            "sample rate"
         )
     return rows

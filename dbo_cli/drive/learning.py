@@ -170,8 +170,8 @@ class RepeatedMove:
         for recording, played in zip(recordings, passes, strict=True):
             if rms(played[0] - voltage) > SAME_DRIVE * self.model.input.span:
                 raise InputError(
-                    f"{recording.name}: its drive differs from that of {recordings[0].name}; only recordings "
-                    "of one drive can be averaged"
+                    f"{recording.name}: not the drive of {recordings[0].name}: average recordings of one "
+                    "drive only"
                 )
         believed = np.mean([played[1] for played in passes], axis=0)
         return voltage, believed, np.mean([played[2] for played in passes], axis=0)
@@ -189,8 +189,8 @@ class RepeatedMove:
         fits = rows % count == 0 if self.periodic else rows == count
         if rows < count or not fits:
             raise InputError(
-                f"{recording.name}: {rows:,} rows from the trajectory's first on, the trajectory has "
-                f"{count:,}{whole} (give the recording of this trajectory, row by row)"
+                f"{recording.name}: {rows:,} rows from the start of the move, the trajectory has "
+                f"{count:,}{whole}: record each row of it"
             )
         voltage, measured = recording.voltage, recording.measured
         if self.periodic:
@@ -215,8 +215,8 @@ class RepeatedMove:
         step = float(np.median(steps)) if steps.size else self.step
         if abs(step / self.step - 1.0) > SAME_RATE:
             raise InputError(
-                f"{name}: has {1.0 / max(step, 1e-300):.6g} samples a second where the trajectory has "
-                f"{1.0 / self.step:.6g} (record at the rate of the drive, or `resample` HZ)"
+                f"{name}: {1.0 / max(step, 1e-300):.6g} Hz, the trajectory {1.0 / self.step:.6g} Hz: "
+                "record at its rate, or `resample` HZ"
             )
         return int(np.searchsorted(time, self.time[0] - 0.5 * self.step))
 
@@ -251,9 +251,8 @@ class RepeatedMove:
             return
         number, unit = 1 + errors.index(best), self.model.output.suffix
         raise InputError(
-            f"{name}: the error grew: this pass is {passed.rmse:.3g}{unit} off (RMS), the last one was "
-            f"{errors[-1]:.3g}{unit}, and the best, pass {number}, {best:.3g}{unit} (learn from "
-            "that again, with a lower `bandwidth` or a better model)"
+            f"{name}: the error grew from {errors[-1]:.3g} to {passed.rmse:.3g}{unit} RMS: learn from "
+            f"pass {number} ({best:.3g}) with a lower `bandwidth`"
         )
 
     def _start_problem(self, name: str, zero: float) -> tuple[str, ...]:
@@ -355,8 +354,8 @@ def _trusted_by_bands(
         good = k
     if good < 0:
         raise InputError(
-            f"{name}: does not follow the drive's model at any frequency, so that nothing can be learned "
-            "(check columns, units and delay, or give `bandwidth` HZ)"
+            f"{name}: does not follow the model at any frequency: check columns, units and delay, or "
+            "give `bandwidth` HZ"
         )
     return float(frequency[0] * 2.0 ** ((good + 1) / 3.0))
 
@@ -384,7 +383,7 @@ def parse_history(text: str, name: str) -> list[PassRecord]:
         known = False
     if not known or not all(0.0 <= record.rmse < math.inf for record in passes):
         raise InputError(
-            f'{name}: is no history ("format": "{FORMAT}", "version": {VERSION}): give a new file'
+            f'{name}: not a history ("format": "{FORMAT}", "version": {VERSION}): give a new file'
         )
     return passes
 

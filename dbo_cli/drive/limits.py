@@ -107,14 +107,12 @@ class Limits:
             )
         if extrapolate:
             if v_min is None and v_max is None:
-                raise UsageError(
-                    "`extrapolate` goes as far as `v_min` and `v_max` say: give one of them"
-                )
+                raise UsageError("`extrapolate` needs `v_min` or `v_max`")
             return cls((low, high), (low, high), identified, slew, quantity.unit, True)
         move = max(low, quantity.min), min(high, quantity.max)
         if not move[0] < move[1]:
             raise UsageError(
-                f"`v_min` {low:.6g} to `v_max` {high:.6g}{quantity.suffix}: the model was identified on "
+                f"`v_min` {low:.6g} to `v_max` {high:.6g} leaves none of the identified range, "
                 f"{quantity.min:.6g} to {quantity.max:.6g}{quantity.suffix} (`extrapolate` goes beyond)"
             )
         return cls((low, high), move, identified, slew, quantity.unit)
@@ -143,7 +141,7 @@ class Limits:
         """
         if self.slew is not None and dt is None:
             raise InputError(
-                "`max_slew` needs the time between samples (a time column, or `sample_rate`)"
+                "`max_slew` needs a clock: a time column, or `sample_rate` HZ"
             )
         return self.window.largest_step(dt)
 
@@ -163,8 +161,8 @@ class Limits:
                 f"{name} {voltage}: give the voltage at which the amplifier stands"
             )
         raise LimitError(
-            f"{name} {voltage:.6g}{self.suffix} is outside the limits, {low:.6g} to {high:.6g}{self.suffix}: "
-            "bring the amplifier inside first, or give its rating with `v_min` and `v_max`"
+            f"{name} {voltage:.6g}{self.suffix} is outside {low:.6g} to {high:.6g}{self.suffix}: "
+            "bring the amplifier inside, or give its rating (`v_min`, `v_max`)"
         )
 
     def standing(
@@ -187,7 +185,7 @@ class Limits:
         span = self.rating[1] - self.rating[0]
         if typed is not None and abs(typed - left_at) > SAME_VOLTAGE * span:
             raise UsageError(
-                f"{name} {typed:g} contradicts `state`, which was left at {left_at:g}{self.suffix}"
+                f"{name} {typed:g} contradicts `state`, which ends at {left_at:g}{self.suffix}"
             )
         return left_at
 
@@ -249,8 +247,8 @@ def _figure_in(
     if base is None or not _is_plain(typed) or abs(value) <= largest:
         return value
     raise UsageError(
-        f"`{name}` {typed}: the drive of the model is in {quantity.unit}: give the unit "
-        f"({value:.9g}{base}{per}, {value:.9g}{unit})"
+        f"`{name}` {typed}: the model is in {quantity.unit}: type the unit, "
+        f"{value:.9g}{base}{per} or {value:.9g}{unit}"
     )
 
 

@@ -137,8 +137,7 @@ class Controller:
         looks_ahead = model.dynamics is not None or model.delay is not None
         if looks_ahead and lookahead is None:
             raise ModelError(
-                "this model has a delay or dynamics, which only what is wanted later can undo"
-                ' (`lookahead` "auto", and pass what is wanted that much later)'
+                'this model has a delay or dynamics: set `lookahead` to "auto" and plan that far ahead'
             )
         if lookahead is None or lookahead == "auto":
             return needed
@@ -305,7 +304,7 @@ class Controller:
             inside = inside or high <= voltage < last or last < voltage <= low
         if not (inside and slow):
             raise GateError(
-                f"this program computed {voltage!r} after {last!r}: beyond its limits (please report it)"
+                f"internal error: {voltage} after {last} breaks the limits (please report it)"
             )
 
 

@@ -95,7 +95,7 @@ class Loop:
         around = self.around
         if around.condition or around.lead or around.return_to is not None:
             raise UsageError(
-                "`periodic` excludes `condition`, `lead` and `return` (`passes` N runs a loop in)"
+                "`periodic` excludes `condition`, `lead` and `return`: use `passes` N"
             )
         require_closed(self.name, self.request)
         undone = self.model.inverter(self.dt).loop(self.request)
@@ -125,9 +125,7 @@ class Loop:
         if begin is not None:
             state = self._start(begin)
         elif self.around.approach is not None:
-            raise UsageError(
-                "`approach` needs `from` VOLT (where the amplifier stands) or a `state`"
-            )
+            raise UsageError("`approach` needs `from` VOLT or a `state` file")
         else:
             name = self.around.state
             state = model.start_drive(float(undone[0]), name, *limits.move)
@@ -165,8 +163,8 @@ class Loop:
             off = abs(float(voltage[-1] - period[-1]))
             if off > 0.0:
                 raise LimitError(
-                    f"{self.name}: the run-in ends {off:.3g}{limits.suffix} off the settled loop (more "
-                    "`passes`, or a larger `max_slew`)"
+                    f"{self.name}: the run-in ends {off:.3g}{limits.suffix} off the settled loop: raise "
+                    "`passes` or `max_slew`"
                 )
         return Before(voltage, self._start(begin))
 
@@ -184,8 +182,8 @@ class Loop:
         jumps = most is not None and seam > most
         if jumps or apart(closed, voltage) > SAME_DRIVE * self.model.input.span:
             raise LimitError(
-                f"{self.name}: the loop does not close within the limits: from its last row, "
-                f"{voltage[-1]:.6g}, to its first, {voltage[0]:.6g}, is a step that `max_slew` forbids"
+                f"{self.name}: `max_slew` forbids the step from the last row, {voltage[-1]:.6g}, to the "
+                f"first, {voltage[0]:.6g}"
             )
         return closed
 
@@ -221,7 +219,7 @@ class Loop:
             text = f"{self.name}: the drive still changes from pass to pass within its limits"
         costs = self.on_limit == "auto" and away > ALLOWED_PART * size
         if costs or self.on_limit == "error":
-            raise LimitError(f"{text}; `on_limit` clip writes it all the same")
+            raise LimitError(f"{text}; `on_limit` clip writes it anyway")
         warn(text)
         return (text,)
 
@@ -265,15 +263,14 @@ def require_closed(name: str, period: Floats) -> None:
     """Refuse a period that is too short, or jumps from its last row to its first (InputError)."""
     if period.size < FEWEST_ROWS:
         raise InputError(
-            f"{name}: {period.size} rows are no period of a loop (at least {FEWEST_ROWS})"
+            f"{name}: {period.size} rows are too few for a loop; give {FEWEST_ROWS} or more"
         )
     if not np.isfinite(period).all():
-        raise InputError(f"{name}: a row of the period holds no number")
+        raise InputError(f"{name}: one row of the period holds no number")
     seam = apart(period[:1], period[-1:])
     inside = apart(period[1:], period[:-1])
     if seam > SEAM * inside:
         raise InputError(
-            f"{name}: the period does not close: from the last row, {period[-1]:.6g}, to the first, "
-            f"{period[0]:.6g}, is a step of {seam:.3g} where the largest inside is {inside:.3g} (give one "
-            "whole period, without its first row again at the end)"
+            f"{name}: the loop is open: its seam is a step of {seam:.3g}, the largest inside "
+            f"{inside:.3g}: give one whole period"
         )

@@ -125,13 +125,12 @@ class Outlook:
             )
         if self.missed:
             texts.append(
-                f"{self.name}: the drive starts {abs(self.missed):.3g}{unit} off the first row: no settled "
-                "actuator stands there (`condition`, or `state` empty)"
+                f"{self.name}: row 1 starts {abs(self.missed):.3g}{unit} off, where no settled actuator "
+                "is: try `condition` or `state` empty"
             )
         if abs(self.off) > RINGS * self.model.output.span:
             texts.append(
-                f"{self.name}: the trajectory starts in motion, so the actuator rings at first (`lead` auto "
-                "starts it earlier)"
+                f"{self.name}: the move starts in motion and rings at first: add `lead` auto"
             )
         return texts
 
@@ -161,8 +160,8 @@ class Outlook:
             return texts
         if expected >= max(line, self.loss.rms):
             texts.append(
-                f"{self.name}: the expected error, {expected:.3g}{unit}, is no better than that of a "
-                f"straight line, {line:.3g}{unit}: the logs do not show such a move"
+                f"{self.name}: expected error {expected:.3g}{unit}, a straight line's is {line:.3g}: "
+                "identify with a log of such moves"
             )
         return texts
 

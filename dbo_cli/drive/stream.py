@@ -122,7 +122,7 @@ class Stream:
         blocks = self._checked(self._blocks)
         first = next(blocks, None)
         if first is None:
-            raise InputError(f"{self.name}: holds no rows")
+            raise InputError(f"{self.name}: has no rows")
         step = self._usual_step(first)
         if isinstance(first.dt, np.ndarray):
             later = first.dt[1:]
@@ -156,7 +156,7 @@ class Stream:
             if bad.any():
                 row = rows + int(np.argmax(bad)) + 1
                 raise InputError(
-                    f"{self.name}: row {row:,} holds no number (`skip_bad` leaves such rows out)"
+                    f"{self.name}: row {row:,} holds no number (`skip_bad` drops such rows)"
                 )
             rows += block.wanted.size
             if block.wanted.size:
@@ -179,8 +179,8 @@ class Stream:
         needed = self.model.needs_time or self.around.needs_time
         if step is None and (needed or self.limits.slew is not None):
             raise InputError(
-                f"{self.name}: model, `max_slew` or what stands around the move need the time between "
-                "samples (a time column that advances, or `sample_rate`)"
+                f"{self.name}: the model or the limits need a clock: a time column that advances, or "
+                "`sample_rate` HZ"
             )
         return step
 
@@ -271,7 +271,7 @@ class Stream:
         delay = self.model.delay_seconds
         if self.loss.on_limit == "auto" and delay > seconds:
             raise LimitError(
-                f"{self.name}: the model's delay, {delay:.4g} s, is longer than the move, {seconds:.4g} s "
-                "(`on_limit` clip writes it all the same)"
+                f"{self.name}: the move, {seconds:.4g} s, is shorter than the model's delay, {delay:.4g} "
+                "s (`on_limit` clip writes it)"
             )
         self.loss.require_little()

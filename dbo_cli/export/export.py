@@ -75,7 +75,7 @@ def export_model(
     """
     c.check_name(name)
     if arithmetic not in NUMBERS:
-        raise UsageError(f"`arithmetic` {arithmetic}: there are {', '.join(NUMBERS)}")
+        raise UsageError(f"`arithmetic` {arithmetic}: give one of {', '.join(NUMBERS)}")
     if lookup and arithmetic != "double":
         raise UsageError("`lookup` needs `arithmetic` double")
     forward, loss = model.forward(), None

@@ -189,14 +189,12 @@ def plan_of(model: Model, sample_rate: float | None, limits: Limits) -> Plan:
     forward = model.forward()
     timed = forward.needs_time or limits.slew is not None
     if timed and sample_rate is None:
-        raise UsageError(
-            "the drive depends on the time between samples: give `sample_rate` in Hz"
-        )
+        raise UsageError("the drive depends on time: add `sample_rate` HZ")
     dt = None if sample_rate is None else 1.0 / sample_rate
     plan = Plan(replace(forward, candidates=()), dt, limits)
     if np.any(plan.decay >= 1.0):
         raise ModelError(
-            f"relaxation.tau: a memory is too slow for {sample_rate:g} Hz (`sample_rate` lower)"
+            f"relaxation.tau: too slow for {sample_rate:g} Hz: lower `sample_rate`"
         )
     return plan
 
@@ -241,9 +239,7 @@ def with_fewer_gears(model: Model, gears: int) -> tuple[Model, Loss | None]:
     forward = model.forward()
     full = forward.gears
     if not 1 <= gears <= full.n:
-        raise UsageError(
-            f"`gears` {gears}: the model has {full.n}; give a number from 1 to that"
-        )
+        raise UsageError(f"`gears` {gears}: give 1 to {full.n}")
     if gears == full.n:
         return forward, None
     starts = starts_of(forward)

@@ -43,7 +43,7 @@ class ByteStream:
         for magic, what in _UNREAD.items():
             if start.startswith(magic):
                 self.close()
-                raise InputError(f"{self.name}: this is not a text log but {what}")
+                raise InputError(f"{self.name}: not a text log but {what}")
         self.is_stream = self._pipe is not None
         if start.startswith(b"\x1f\x8b"):
             self._file = cast(IO[bytes], gzip.GzipFile(fileobj=self._file))
@@ -59,7 +59,7 @@ class ByteStream:
             except FileNotFoundError:
                 raise InputError(f"{name}: no such file") from None
             except IsADirectoryError:
-                raise InputError(f"{name}: this is a folder, not a log") from None
+                raise InputError(f"{name}: is a folder, not a log") from None
             except (OSError, ValueError) as problem:
                 reason = getattr(problem, "strerror", None) or problem
                 raise InputError(f"{name}: cannot be read: {reason}") from None

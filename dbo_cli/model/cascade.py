@@ -31,9 +31,9 @@ def check_order(stages: Sequence[Stage], direction: Direction) -> None:
     """
     gears = [place for place, stage in enumerate(stages) if isinstance(stage, Gears)]
     if not gears:
-        raise ModelError("stages: no backlash stage is among them")
+        raise ModelError("stages: one of type backlash is missing")
     if len(gears) > 1:
-        raise ModelError(f"stages[{gears[1]}]: only one backlash stage is possible")
+        raise ModelError(f"stages[{gears[1]}]: a second backlash stage")
     turned = stages[gears[0]]
     on = "input" if direction == "forward" else "output"
     if isinstance(turned, Gears) and turned.on != on:
@@ -54,8 +54,8 @@ def check_order(stages: Sequence[Stage], direction: Direction) -> None:
             _check_delay(stage, place, direction)
         if rank < beyond or rank == beyond > 0:
             raise ModelError(
-                f"stages[{place}]: the order is points and scales around the gears, one dynamics, one delay"
-                " (an inverse model has it mirrored)"
+                f"stages[{place}]: wrong order; points and scales around the gears, one dynamics, one "
+                "delay (inverse: mirrored)"
             )
         beyond = rank
 

@@ -164,8 +164,8 @@ class Delay:
         samples = abs(self.seconds) / dt
         if samples > MOST_DELAYED:
             raise InputError(
-                f"time step: {dt:g} s: the delay of {abs(self.seconds):g} s takes more than"
-                f" {MOST_DELAYED:,} samples of it (lower the sample rate)"
+                f"time step: {dt:g} s: a delay of {abs(self.seconds):g} s has more than {MOST_DELAYED:,} "
+                "samples: lower the sample rate"
             )
         return whole_and_part(samples)
 

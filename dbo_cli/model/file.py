@@ -50,9 +50,7 @@ def read_model(path: str) -> Model:
     if separator and not os.path.exists(path):
         models = read_models(file)
         if channel not in models:
-            raise InputError(
-                f"{file}: no model is called {channel!r}; there are: {', '.join(models)}"
-            )
+            raise InputError(f"{file}: no model {channel}; models: {', '.join(models)}")
         return models[channel]
     name, values = load(path, "model")
     return parse_model(values, name)
@@ -93,8 +91,7 @@ def parse_model(values: object, name: str = "the model") -> Model:
     """
     if isinstance(values, dict) and values.get("format") == SET_FORMAT:
         raise ModelError(
-            f"{name}: is a set of models: name one of them ({name}::CHANNEL), or all columns with a pattern"
-            " ('V{}')"
+            f"{name}: is a set of models: type {name}::CHANNEL, or a pattern of columns"
         )
     return _model(Node(name, "", values))
 

@@ -153,7 +153,7 @@ class Gears:
         for key, (low, high) in (("x0", self.x_range), ("y0", self.y_range)):
             if not low < high:
                 raise ModelError(
-                    f"{key}: rounding leaves nothing of the gears beside {low:.6g}, where they begin"
+                    f"{key}: the gears are lost in rounding beside their origin, {low:.6g}"
                 )
 
     def __repr__(self) -> str:
@@ -346,7 +346,7 @@ class Gears:
         memories = np.array(memory, dtype=np.float64)
         if memories.size != self.gain.size:
             raise ModelError(
-                f"state: remembers {memories.size} relaxation terms where this model has {self.gain.size}"
+                f"state: has {memories.size} relaxation terms, the model {self.gain.size}"
             )
         y = np.empty_like(x)
         words = self.words(bits)
@@ -366,7 +366,7 @@ class Gears:
         if dt is None:
             if count > 1:
                 raise ModelError(
-                    "this model needs the time between samples (`sample_rate`, or a time column)"
+                    "this model needs a clock: a time column, or `sample_rate` HZ"
                 )
             dt = math.inf  # at rest
         decay = self.relaxation.decay(dt)

@@ -184,8 +184,8 @@ class Model:
         if self.direction == direction:
             return
         raise ModelError(
-            f"{name}: the model is {self.direction}, but a model of direction {direction} is needed"
-            " (dbo invert turns it)"
+            f"{name}: a {direction} model is needed, this is an {self.direction} one: dbo invert "
+            "turns it"
         )
 
     # ---- other models made of it ----
@@ -414,8 +414,8 @@ class Model:
         row = done.first_outside
         low, high = self._covered
         raise InputError(
-            f"{name}{': ' if name else ''}row {before + row + 1:,}: {x[row]:.6g} is outside the model's "
-            f"range, {low:.6g} to {high:.6g} (`outside` extend or hold)"
+            f"{name}{': ' if name else ''}row {before + row + 1:,}: {x[row]:.6g} is outside the "
+            f"model's range, {low:.6g} to {high:.6g} (`outside` extend)"
         )
 
     # ---- drive ----
@@ -434,7 +434,7 @@ class Model:
             raise ModelError(_TIME_IS_NEEDED)
         if isinstance(dt, np.ndarray):
             raise InputError(
-                "undoing the model's dynamics and delay needs an even clock (`resample` HZ interpolates)"
+                "the model's delay and dynamics need an even clock: add `resample` HZ"
             )
         if not dt > 0.0:
             raise InputError(f"time step: {dt!r} s is not greater than 0")

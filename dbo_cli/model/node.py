@@ -78,7 +78,7 @@ class Node:
         if isinstance(version, bool) or version != VERSION:
             raise self.refuse(
                 "version",
-                f"{version!r} is not version {VERSION}, which this program reads: make {noun} again",
+                f"{version} is not version {VERSION}: make {noun} again",
             )
 
     def has(self, key: str) -> bool:
@@ -116,9 +116,7 @@ class Node:
         """Return a text."""
         value = self.value(key)
         if not isinstance(value, str) or not value.isprintable():
-            raise self.refuse(
-                key, f"{json.dumps(value)[:60]} is not a text that can be shown"
-            )
+            raise self.refuse(key, f"{json.dumps(value)[:60]} is not a text")
         return value
 
     def choice(self, key: str, *words: str) -> str:

@@ -259,7 +259,7 @@ def test_first_row_from_where_the_amplifier_stands() -> None:
     assert drive.voltage[0] <= 0.5 * (1 + 1e-12)
     with pytest.raises(LimitError, match="approach"):
         plan(model, wanted, DT, limits_of(model, -20, 120, 500), start=-10.0)
-    with pytest.raises(LimitError, match="outside the limits"):
+    with pytest.raises(LimitError, match="outside"):
         plan(model, wanted, DT, limits, start=1000.0)
     with pytest.raises(LimitError, match="state"):
         outside = plan(

@@ -122,7 +122,7 @@ def test_sets(tmp_path: Path) -> None:
     assert is_set(path)
     assert list(read_models(path)) == ["x", "y"]
     assert read_model(f"{path}::y").direction == "inverse"
-    with pytest.raises(InputError, match="there are: x, y"):
+    with pytest.raises(InputError, match="models: x, y"):
         read_model(f"{path}::z")
     with pytest.raises(ModelError, match="::CHANNEL"):
         read_model(path)

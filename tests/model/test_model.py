@@ -376,10 +376,10 @@ def test_signs_and_digests() -> None:
 @pytest.mark.parametrize(
     ("stages", "place"),
     [
-        ((Scale(1.0, 0.0),), "stages: no backlash"),
-        ((Gears([1], [1]), Gears([1], [1])), "stages[1]: only one"),
-        ((Gears([1], [1]), Delay(1.0), Scale(1.0, 0.0)), "stages[2]: the order"),
-        ((Dynamics((Lag(1.0),)), Gears([1], [1])), "stages[1]: the order"),
+        ((Scale(1.0, 0.0),), "stages: "),
+        ((Gears([1], [1]), Gears([1], [1])), "stages[1]: "),
+        ((Gears([1], [1]), Delay(1.0), Scale(1.0, 0.0)), "stages[2]: "),
+        ((Dynamics((Lag(1.0),)), Gears([1], [1])), "stages[1]: "),
         ((Gears([1], [1]), Delay(-1.0)), "stages[1].seconds"),
         (
             (Gears([1], [1], 0, 0, Relaxation(0.0, (1.0,), (1.0,)), "output"),),
