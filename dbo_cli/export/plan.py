@@ -159,10 +159,10 @@ class Plan:
     def played(self, moves: Floats, state: State) -> Floats:
         """Return what the library drives for each input, as the exported step does, ahead."""
         rest = np.full(self.ahead + MORE_REST, moves[0])
-        rows = self.forward.ahead(self.dt)
+        rows = self.forward.inverter(self.dt).ahead
         after = np.full(rows - self.ahead, moves[-1])
         wanted = np.concatenate([rest, moves, after])
-        undone, _ = self.forward.undo(wanted, None, self.dt)
+        undone, _ = self.forward.inverter(self.dt).run(wanted)
         static = self.forward.static
         return static.drive(undone[MORE_REST:], state, self.dt, self.limits.window).y
 
