@@ -78,8 +78,8 @@ def sweep(low: float, high: float, highest: float) -> Floats:
 def compensated(model: Model, wanted: Floats) -> Floats:
     """Return the drive of a move, from the lower end, within the identified range."""
     dt = 1.0 / FAST_RATE
-    ahead = np.full(model.ahead(dt), wanted[-1])
-    undone, _ = model.undo(np.concatenate([wanted, ahead]), None, dt)
+    ahead = np.full(model.inverter(dt).ahead, wanted[-1])
+    undone, _ = model.inverter(dt).run(np.concatenate([wanted, ahead]))
     low, high = model.input.min, model.input.max
     state = model.start_drive(undone[0], "empty", low, high)
     return np.asarray(model.drive(undone, state, dt, Window(low, high)).y)

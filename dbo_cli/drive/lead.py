@@ -207,7 +207,7 @@ def _rest_rows_at_first(model: Model, dt: float, around: Around) -> int:
         return _checked_rows(swing_rows(0.0, dt, around.lead))
     if around.lead is None and not around.moves:
         return 0
-    return model.ahead(dt)
+    return model.inverter(dt).ahead
 
 
 def _played(model: Model, voltage: Floats, dt: float, state: str | State) -> Run:

@@ -12,10 +12,9 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +32,6 @@ FORMAT, VERSION = "dbo-history", 1
 ORDER = 4
 GROWTH = 1.2  # times the error of the last pass: beyond, learning diverges; chosen
 FROM_BEST = 2.0  # times the best pass's error: growth by less a pass shows after a few
-# of the move (RMS): a smaller request beyond the move was not learned
-LEARNED_BEFORE = 2e-3
 START_PROBLEM = 8.0  # times the expected error: a mean beyond it is no sensor's zero
 # of the drive's range (RMS): recordings further apart are not of one drive
 SAME_DRIVE = 0.02
@@ -144,7 +141,7 @@ class RepeatedMove:
         error = error - zero
         passed = PassRecord(_digest(voltage), rms(error))
         before = _passes_before(history, passed)
-        self._require_no_growth(name, passed, before, believed)
+        self._require_no_growth(name, passed, before)
         cutoff = bandwidth or self._trusted(name, believed, self.desired - error)
         change = believed - self.desired + error
         learned = low_pass(change, cutoff, self.step, self.periodic, ORDER)
@@ -243,22 +240,12 @@ class RepeatedMove:
             )
 
     def _require_no_growth(
-        self,
-        name: str,
-        passed: PassRecord,
-        before: Sequence[PassRecord],
-        believed: Floats,
+        self, name: str, passed: PassRecord, before: Sequence[PassRecord]
     ) -> None:
-        """Refuse to go on when the error grew (InputError).
-
-        Without a history, what was learned before stands for the error of the last
-        pass.
-        """
+        """Refuse to go on when the error grew (InputError)."""
         errors = [record.rmse for record in before]
         if not errors:
-            learned = float(np.std(believed - self.desired))
-            wanted = float(np.std(self.desired))
-            errors = [learned if learned > LEARNED_BEFORE * wanted else math.inf]
+            return
         best = min(errors)
         if passed.rmse <= min(GROWTH * errors[-1], FROM_BEST * best):
             return
@@ -377,7 +364,7 @@ def _trusted_by_bands(
 
 
 def parse_history(text: str, name: str) -> list[PassRecord]:
-    """Return the passes of a history file, the oldest first.
+    """Read the passes of a history file, the oldest first.
 
     Raises
     ------
@@ -386,27 +373,19 @@ def parse_history(text: str, name: str) -> list[PassRecord]:
     """
     try:
         content = json.loads(text)
-    except (ValueError, RecursionError):
-        raise InputError(f"{name}: not a history: not JSON") from None
-    known = isinstance(content, dict) and content.get("format") == FORMAT
-    if (
-        not known
-        or content.get("version") != VERSION
-        or not isinstance(content.get("passes"), list)
-    ):
+        passes = []
+        for record in content["passes"]:
+            passes.append(
+                PassRecord(str(record["drive_sha256"]), float(record["rmse"]))
+            )
+        known = content["format"] == FORMAT and content["version"] == VERSION
+    except (ValueError, KeyError, TypeError, RecursionError):
+        known = False
+    if not known or not all(0.0 <= record.rmse < math.inf for record in passes):
         raise InputError(
-            f'{name}: not a history ("format": "{FORMAT}", "version": {VERSION})'
+            f'{name}: not a history ("format": "{FORMAT}", "version": {VERSION}): give a new file'
         )
-    return [
-        _record(name, place, record) for place, record in enumerate(content["passes"])
-    ]
-
-
-def _record(name: str, place: int, values: Any) -> PassRecord:
-    rmse = values.get("rmse") if isinstance(values, dict) else None
-    if not isinstance(rmse, int | float) or not 0.0 <= rmse <= sys.float_info.max:
-        raise InputError(f"{name}: passes[{place}].rmse: is not a number of at least 0")
-    return PassRecord(str(values.get("drive_sha256", "")), float(rmse))
+    return passes
 
 
 def dumps_history(passes: Sequence[PassRecord]) -> str:

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from dbo_cli.drive.gate import ROUNDING, GateError
 from dbo_cli.drive.limits import Figure, Limits, voltage_in
 from dbo_cli.errors import InputError, ModelError, UsageError
-from dbo_cli.model import Model, State, Stepper, Undoing
+from dbo_cli.model import Model, State, Undoing
 from dbo_cli.model.points import value_through
+from dbo_cli.model.stepper import Stepper
 
 Floats = NDArray[np.float64]
 
@@ -123,16 +124,16 @@ class Controller:
         self._last = self.limits.standing(typed, left_at, "`from_`")
         self._stepper: Stepper | None = None
         self._pending: Pending | None = None
-        self._needed = model.ahead(self._dt)
+        self._inverter = model.inverter(self._dt)
         self.lookahead = self._samples_ahead(lookahead)
         self._wanted: Floats | None = None
         self._undoing: Undoing | None = None
         if isinstance(state, State):
-            self._undoing = model.undoing_of(state, self._dt)
+            self._undoing = self._inverter.behind(state)
 
     def _samples_ahead(self, lookahead: float | Literal["auto"] | None) -> int:
         """Return how many samples what is wanted is read ahead."""
-        needed, model = self._needed, self._model
+        needed, model = self._inverter.ahead, self._model
         looks_ahead = model.dynamics is not None or model.delay is not None
         if looks_ahead and lookahead is None:
             raise ModelError(
@@ -229,9 +230,11 @@ class Controller:
         if self._wanted is None:
             queue = np.full(self.lookahead + 1, wanted)
         else:
-            queue = np.append(self._wanted[1:], wanted)
-        known = queue[: self._needed + 1]
-        undone, undoing = self._model.undo(known, self._undoing, self._dt)
+            queue = np.empty(self.lookahead + 1)
+            queue[:-1] = self._wanted[1:]
+            queue[-1] = wanted
+        known = queue[: self._inverter.ahead + 1]
+        undone, undoing = self._inverter.run(known, self._undoing)
         return float(undone[0]), queue, undoing
 
     def _begun(self, u: float) -> State:

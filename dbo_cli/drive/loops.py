@@ -98,7 +98,7 @@ class Loop:
                 "`periodic` excludes `condition`, `lead` and `return`: use `passes` N"
             )
         require_closed(self.name, self.request)
-        undone = self.model.undo_loop(self.request, self.dt)
+        undone = self.model.inverter(self.dt).loop(self.request)
         before, settled, voltage = self._led_to(undone, passes)
         loss = Loss(self.model, self.limits, self.on_limit, self.name)
         loss.see(self.desired, undone, settled.run, settled.before, self.dt)

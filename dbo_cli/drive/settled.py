@@ -43,7 +43,7 @@ def settled_drive(
     model
         A forward model.
     undone
-        One period of what its static part is to follow (``Model.undo_loop``).
+        One period of what its static part is to follow (``Inverter.loop``).
     dt
         Seconds a row.
     state

@@ -75,13 +75,13 @@ def simulate_blocks(
     first = next(stream, None)
     if first is None:
         return
-    rows = 0 if model.is_forward else model.ahead(first[2])
+    rows = 0 if model.is_forward else model.inverter(first[2]).ahead
     undoing = None if run.state is None else run.state.undoing
     signal = (((payload, dt), x) for payload, x, dt in chain([first], stream))
     for (payload, dt), ahead in read_ahead(signal, rows):
         x = ahead
         if not model.is_forward:
-            x, undoing = model.undo(ahead, undoing, dt)
+            x, undoing = model.inverter(dt).run(ahead, undoing)
         if run.state is None:
             run.state = model.start(float(x[0]), start)
         done = model.run(x, run.state, dt, outside)

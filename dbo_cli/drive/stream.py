@@ -218,13 +218,13 @@ class Stream:
         model = self.model
         undoing: Undoing | None = None
         if self._state is not None:
-            undoing = model.undoing_of(self._state, dt)
+            undoing = model.inverter(dt).behind(self._state)
         late = 0
         if isinstance(dt, float):
             late = round(model.delay_seconds / dt)
         signal = ((block, block.wanted) for block in blocks)
-        for block, wanted in read_ahead(signal, model.ahead(dt)):
-            undone, undoing = model.undo(wanted, undoing, block.dt)
+        for block, wanted in read_ahead(signal, model.inverter(dt).ahead):
+            undone, undoing = model.inverter(block.dt).run(wanted, undoing)
             if self._time is None:
                 self.outlook.off = float(undone[0] - wanted[late])
             if block.time is not None:

@@ -108,7 +108,7 @@ def _model(node: Node) -> Model:
         cast(Direction, direction),
         _quantity(node.node("input")),
         _quantity(node.node("output")),
-        _stages(node),
+        _stages(node, direction),
         _fit(node),
         tuple(candidates),
         node.notes("provenance"),
@@ -133,20 +133,22 @@ def _quantity(node: Node) -> Quantity:
 
 
 def _candidate(node: Node) -> Candidate:
-    return node.build(Candidate, node.number("weight"), _stages(node))
+    return node.build(Candidate, node.number("weight"), _stages(node, "forward"))
 
 
-def _stages(node: Node) -> tuple[Stage, ...]:
-    stages = []
+def _stages(node: Node, direction: str) -> tuple[Stage, ...]:
+    stages: list[Stage] = []
     for part in node.nodes("stages"):
-        kind = part.choice("type", *_READERS)
-        stages.append(_READERS[kind](part))
+        kind = part.choice("type", "backlash", *_READERS)
+        if kind == "backlash":
+            stages.append(_gears(part, "input" if direction == "forward" else "output"))
+        else:
+            stages.append(_READERS[kind](part))
     return tuple(stages)
 
 
-def _gears(node: Node) -> Gears:
+def _gears(node: Node, axis: str) -> Gears:
     terms: Relaxation | None = None
-    axis = "input"
     if node.has("relaxation"):
         part = node.node("relaxation")
         axis = part.choice("on", "input", "output")
@@ -189,7 +191,6 @@ def _section(node: Node) -> Section:
 
 
 _READERS: dict[str, Callable[[Node], Stage]] = {
-    "backlash": _gears,
     "point": _points,
     "scale": _scale,
     "dynamics": _dynamics,

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import InputError, ModelError
-from dbo_cli.model.cascade import Direction, Stage, check_order, digest_of, turned
-from dbo_cli.model.delay import BEFORE, Delay
+from dbo_cli.model.cascade import Direction, Stage, check_order, digest_of
+from dbo_cli.model.delay import Delay
 from dbo_cli.model.dynamics import Dynamics
 from dbo_cli.model.gears import NEGLIGIBLE, Gears, Window
 from dbo_cli.model.points import (
@@ -33,7 +33,7 @@ from dbo_cli.model.points import (
 )
 from dbo_cli.model.start import Starts, require_start
 from dbo_cli.model.state import Quantity, Run, State, steps_of
-from dbo_cli.model.undoing import Inverter, Undoing
+from dbo_cli.model.undoing import Inverter
 
 Floats = NDArray[np.float64]
 Steps = (
@@ -99,9 +99,7 @@ class Model:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check the cascade; the direction tells on which side of the gears the drive is."""
-        object.__setattr__(self, "stages", turned(self.stages, self.direction))
-        object.__setattr__(self, "candidates", tuple(self.candidates))
+        """Check the cascade."""
         check_order(self.stages, self.direction)
         if len(self.candidates) > MOST_CANDIDATES:
             raise ModelError(
@@ -270,7 +268,7 @@ class Model:
         Parameters
         ----------
         first : float
-            The first displacement that the static part is to reach (after ``undo``).
+            The first displacement that the static part is to reach (after ``inverter``).
         state : State or name of a start
             An actuator that starts ``empty`` or ``full`` stands at that end of the
             drive's range, so a slew limit holds from the first row on.
@@ -335,11 +333,11 @@ class Model:
             dt = steps_of(time)
         undoing = None
         if not self.is_forward and signal.size:
+            inverter = self.inverter(dt)
             if isinstance(state, State):
-                undoing = self.undoing_of(state, dt)
-            ahead = np.full(self.ahead(dt), signal[-1])
-            known = np.concatenate([signal, ahead])
-            signal, undoing = self.undo(known, undoing, dt)
+                undoing = inverter.behind(state)
+            ahead = np.full(inverter.ahead, signal[-1])
+            signal, undoing = inverter.run(np.concatenate([signal, ahead]), undoing)
         if not isinstance(state, State):
             first = float(signal[0]) if signal.size else 0.0
             state = self.start(first, state)
@@ -353,8 +351,8 @@ class Model:
     ) -> Run:
         """Return the output for one block; cut a signal as you like, the values stay the same.
 
-        Of an inverse model this is the part without dynamics and delay: ``undo`` comes
-        first. ``dt`` is as of ``simulate``; the first one of a state that has just been
+        Of an inverse model this is the part without dynamics and delay: ``inverter``
+        comes first. ``dt`` is as of ``simulate``; the first one of a state that has just been
         started does not matter. What lies outside is counted; ``require_inside`` refuses
         it.
         """
@@ -422,8 +420,8 @@ class Model:
 
     # ---- drive ----
 
-    def ahead(self, dt: Steps) -> int:
-        """Return how many rows beyond a block ``undo`` needs; 0 without dynamics and delay.
+    def inverter(self, dt: Steps) -> Inverter:
+        """Return what undoes dynamics and delay on an even clock (``dt`` in s); nothing where there are none.
 
         Raises
         ------
@@ -431,67 +429,16 @@ class Model:
             The clock is not even, or does not resolve the dynamics.
         """
         if self.dynamics is None and self.delay is None:
-            return 0
-        step = _even(dt)
-        rows = 0
-        if self.delay is not None:
-            rows += self.delay.rows_ahead(step)
-        if self.dynamics is not None:
-            rows += _inverter(self.dynamics, step).ahead
-        return rows
-
-    def undo(
-        self, wanted: Floats, undoing: Undoing | None, dt: Steps
-    ) -> tuple[Floats, Undoing | None]:
-        """Return what the static part must reach for a wanted displacement, and what comes next goes on from.
-
-        Parameters
-        ----------
-        wanted : array
-            A block and ``ahead(dt)`` rows of what follows it.
-        undoing : Undoing, or None
-            From the block before, or ``undoing_of``; None: at rest at the first value.
-        dt : float
-            Seconds between samples.
-        """
-        if self.dynamics is None and self.delay is None:
-            return wanted, None
-        step = _even(dt)
-        count = wanted.size - self.ahead(step)
-        if undoing is not None and undoing.dt != step:
-            undoing = None
-        past = () if undoing is None else undoing.past
-        signal = wanted
-        if self.delay is not None:
-            signal = self.delay.read_ahead(wanted, step, past)
-            past = (*past, *wanted[max(count - BEFORE, 0) : count].tolist())[-BEFORE:]
-        memory = () if undoing is None else undoing.sections
-        if self.dynamics is not None:
-            inverter = _inverter(self.dynamics, step)
-            if not memory:
-                memory = inverter.rest(float(signal[0]))
-            signal, memory = inverter.run(signal, memory)
-        return signal, Undoing(step, memory, past)
-
-    def undoing_of(self, state: State, dt: Steps) -> Undoing | None:
-        """Return what ``undo`` goes on from behind a state; None where nothing is known of it."""
-        if self.dynamics is None and self.delay is None:
-            return None
-        step = _even(dt)
-        if state.undoing is not None and state.undoing.dt == step:
-            return state.undoing
-        if self.dynamics is None or state.sections is None:
-            return None
-        return Undoing(step, _inverter(self.dynamics, step).memory_of(state.sections))
-
-    def undo_loop(self, wanted: Floats, dt: float) -> Floats:
-        """Return what ``undo`` does, for one period of a displacement that repeats for ever."""
-        signal = wanted
-        if self.delay is not None:
-            signal = self.delay.early_loop(signal, dt)
-        if self.dynamics is not None:
-            signal = _inverter(self.dynamics, dt).loop(signal)
-        return signal
+            return _inverter(None, None, 0.0)
+        if dt is None:
+            raise ModelError(_TIME_IS_NEEDED)
+        if isinstance(dt, np.ndarray):
+            raise InputError(
+                "the model's delay and dynamics need an even clock: add `resample` HZ"
+            )
+        if not dt > 0.0:
+            raise InputError(f"time step: {dt!r} s is not greater than 0")
+        return _inverter(self.dynamics, self.delay, float(dt))
 
     def follow_loop(self, y: Floats, dt: float) -> Floats:
         """Return the displacement behind dynamics and delay, for one period of a static one that repeats."""
@@ -517,7 +464,7 @@ class Model:
         Parameters
         ----------
         wanted : array_like
-            Displacement, with dynamics and delay undone (``undo``).
+            Displacement, with dynamics and delay undone (``inverter``).
         state : State
             From ``start_drive``, ``drive`` or ``run``.
         dt : float, array, or None
@@ -603,9 +550,9 @@ class Model:
 
 
 @functools.lru_cache(maxsize=8)
-def _inverter(dynamics: Dynamics, dt: float) -> Inverter:
-    """Return what undoes dynamics on a clock; a stream asks for it at every block."""
-    return Inverter(dynamics, dt)
+def _inverter(dynamics: Dynamics | None, delay: Delay | None, dt: float) -> Inverter:
+    """Return what undoes dynamics and delay; a stream asks for it at every block."""
+    return Inverter(dynamics, delay, dt)
 
 
 def _curves(stages: tuple[Stage, ...]) -> Curves:
@@ -627,16 +574,3 @@ def _needed(steps: Steps) -> float | Floats:
     if steps is None:
         raise ModelError(_TIME_IS_NEEDED)
     return steps
-
-
-def _even(dt: Steps) -> float:
-    """Return the step (s) of an even clock; InputError where it is not even."""
-    if dt is None:
-        raise ModelError(_TIME_IS_NEEDED)
-    if isinstance(dt, np.ndarray):
-        raise InputError(
-            "the model's delay and dynamics need an even clock: add `resample` HZ"
-        )
-    if not dt > 0.0:
-        raise InputError(f"time step: {dt!r} s is not greater than 0")
-    return float(dt)

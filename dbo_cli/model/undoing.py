@@ -1,4 +1,4 @@
-"""Dynamics undone on an even clock, reading ahead.
+"""Dynamics and delay undone on an even clock, reading ahead.
 
 With the output of a section given, u - p and q follow a recursion of two eigenvalues,
 the zeros of the discretised section. For a resonance one lies near -0.268 and is run
@@ -13,13 +13,14 @@ import math
 from collections import deque
 from collections.abc import Iterable, Iterator
 from itertools import chain
-from typing import NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError
 from dbo_cli.model import kernel
+from dbo_cli.model.delay import BEFORE, Delay
 from dbo_cli.model.dynamics import (
     Dynamics,
     Lag,
@@ -28,6 +29,9 @@ from dbo_cli.model.dynamics import (
     SectionStates,
     repeated,
 )
+
+if TYPE_CHECKING:
+    from dbo_cli.model.state import State
 
 Floats = NDArray[np.float64]
 Payload = TypeVar("Payload")
@@ -166,7 +170,7 @@ class Undoing(NamedTuple):
 
 
 class Inverter:
-    """Undoes dynamics on an even clock of ``dt`` (s), reading ahead by ``ahead`` samples.
+    """Undoes dynamics and a delay on an even clock of ``dt`` (s), reading ahead by ``ahead`` samples.
 
     Raises
     ------
@@ -174,29 +178,63 @@ class Inverter:
         The clock does not resolve a section.
     """
 
-    def __init__(self, dynamics: Dynamics, dt: float) -> None:
-        self.dynamics = dynamics
-        self.parts = [section_inverse(part, dt) for part in dynamics.sections]
+    def __init__(
+        self, dynamics: Dynamics | None, delay: Delay | None, dt: float
+    ) -> None:
+        self.sections = () if dynamics is None else dynamics.sections
+        self.delay, self.dt = delay, dt
+        self.parts = [section_inverse(part, dt) for part in self.sections]
         self.ahead = sum(part.weight.size for part in self.parts)
+        if delay is not None:
+            self.ahead += delay.rows_ahead(dt)
 
-    def rest(self, value: float) -> SectionStates:
-        """Return the memory after a long rest at ``value``."""
-        return ((value, 0.0, 0.0),) * len(self.parts)
+    def run(
+        self, wanted: Floats, undoing: Undoing | None = None
+    ) -> tuple[Floats, Undoing | None]:
+        """Return what the static part must reach for a wanted displacement, and what comes next goes on from.
 
-    def memory_of(self, states: SectionStates) -> SectionStates:
-        """Return the memory with which the inverse goes on from a state of the forward dynamics."""
+        Parameters
+        ----------
+        wanted : array
+            A block and ``ahead`` samples of what follows it.
+        undoing : Undoing, or None
+            From the block before, or ``behind``; None: at rest at the first value.
+        """
+        if not self.parts and self.delay is None:
+            return wanted, None
+        memory: SectionStates = ()
+        past: tuple[float, ...] = ()
+        if undoing is not None and undoing.dt == self.dt:
+            memory, past = undoing.sections, undoing.past
+        signal = wanted
+        if self.delay is not None:
+            signal = self.delay.read_ahead(wanted, self.dt, past)
+            count = wanted.size - self.ahead
+            before = wanted[max(count - BEFORE, 0) : count].tolist()
+            past = (*past, *before)[-BEFORE:]
+        if self.parts:
+            rest = ((float(signal[0]), 0.0, 0.0),) * len(self.parts)
+            signal, memory = self._undone(signal, memory or rest)
+        return signal, Undoing(self.dt, memory, past)
+
+    def behind(self, state: State) -> Undoing | None:
+        """Return what ``run`` goes on from behind a state; None where nothing is known of it."""
+        if state.undoing is not None and state.undoing.dt == self.dt:
+            return state.undoing
+        if not self.parts or state.sections is None:
+            return None
         memories = []
         for part, (p, q, u), section in zip(
-            self.parts, states, self.dynamics.sections, strict=True
+            self.parts, state.sections, self.sections, strict=True
         ):
             by_lead, by_q = section.output
             a, b = (part.from_state @ np.array([u - p, q])).tolist()
             memories.append((p + (by_lead * (u - p) + by_q * q), a, b))
-        return tuple(memories)
+        return Undoing(self.dt, tuple(memories))
 
-    def run(self, y: Floats, memory: SectionStates) -> tuple[Floats, SectionStates]:
-        """Return the input for all but the last ``ahead`` samples of an output, and the memory after them."""
-        count = y.size - self.ahead
+    def _undone(self, y: Floats, memory: SectionStates) -> tuple[Floats, SectionStates]:
+        """Return the input of all sections but for what they read ahead, and the memory after it."""
+        count = y.size - sum(part.weight.size for part in self.parts)
         undo = kernel.recursions().dynamics_undo
         signal = np.ascontiguousarray(y)
         states = list(memory)
@@ -205,17 +243,23 @@ class Inverter:
             state = np.array(states[place])
             out = np.empty(signal.size - ahead)
             undo(part.numbers, part.weight, state, signal[: count + ahead], out[:count])
-            states[place] = (float(state[0]), float(state[1]), float(state[2]))
+            states[place] = tuple(state.tolist())
             # what the next section reads ahead, without going on from there
             if out.size > count:
                 undo(part.numbers, part.weight, state, signal[count:], out[count:])
             signal = out
         return signal, tuple(states)
 
-    def loop(self, y: Floats) -> Floats:
-        """Return the input of one period of an output that is repeated for ever."""
-        wrapped = np.pad(y, (0, self.ahead), mode="wrap")
-        return repeated(self.run, wrapped, len(self.parts))
+    def loop(self, wanted: Floats) -> Floats:
+        """Return what ``run`` does, for one period of a displacement that repeats for ever."""
+        signal, ahead = wanted, self.ahead
+        if self.delay is not None:
+            signal = self.delay.early_loop(signal, self.dt)
+            ahead -= self.delay.rows_ahead(self.dt)
+        if not self.parts:
+            return signal
+        wrapped = np.pad(signal, (0, ahead), mode="wrap")
+        return repeated(self._undone, wrapped, len(self.parts))
 
 
 def read_ahead(

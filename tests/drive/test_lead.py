@@ -116,7 +116,7 @@ def test_lead_auto_is_what_is_read_ahead() -> None:
         lead="auto",
         on_limit="clip",
     )
-    assert drive.move.start == model.ahead(DT)
+    assert drive.move.start == model.inverter(DT).ahead
 
 
 def test_sweep_makes_the_past_known() -> None:

@@ -16,10 +16,10 @@ from dbo_cli.model import (
     Model,
     Quantity,
     Resonance,
-    Stepper,
     Window,
     kernel,
 )
+from dbo_cli.model.stepper import Stepper
 from tests.model.random_models import (
     DT,
     Floats,
@@ -40,9 +40,9 @@ def everything(seed: int) -> list[Floats]:
     drive = random_drive(rng, low, high, 250)
     y, state = model.simulate(drive, dt=DT, outside="hold")
     clock = np.cumsum(rng.uniform(0.5 * DT, 1.5 * DT, 250))
-    uneven, _ = model.simulate(drive, time=clock)
-    known = np.concatenate([y, np.full(model.ahead(DT), y[-1])])
-    u, _ = model.undo(known, None, DT)
+    uneven, _ = model.static.simulate(drive, time=clock)
+    known = np.concatenate([y, np.full(model.inverter(DT).ahead, y[-1])])
+    u, _ = model.inverter(DT).run(known)
     width = 0.9 * (high - low)
     window = Window(low, low + width, 20.0 * width)
     begun = model.start_drive(float(u[0]), "auto", low, low + width)
@@ -72,6 +72,8 @@ def test_what_needs_the_compiled_part_says_so(monkeypatch: pytest.MonkeyPatch) -
         Gears([1.0], [1.0]).engagement([0.5])
     with pytest.raises(DboError, match="live control"):
         Stepper(Gears([1.0], [1.0]).inverse(), 0, None, None, DT)
+    with pytest.raises(DboError, match="uneven clock needs the compiled part"):
+        Delay(0.0015).run(np.arange(9.0), np.full(9, 1e-3))
 
 
 @pytest.mark.parametrize("seed", range(30))

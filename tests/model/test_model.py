@@ -114,8 +114,8 @@ def test_a_drive_in_blocks_is_the_drive(seed: int) -> None:
     def driven(blocks: list[Floats]) -> tuple[Floats, State]:
         undoing, state, parts = None, None, []
         named = ((None, block) for block in blocks)
-        for _, known in read_ahead(named, model.ahead(DT)):
-            u, undoing = model.undo(known, undoing, DT)
+        for _, known in read_ahead(named, model.inverter(DT).ahead):
+            u, undoing = model.inverter(DT).run(known, undoing)
             if state is None:
                 state = model.start_drive(float(u[0]), "auto", 1.0, 9.0)
             done = model.drive(u, state, DT, window)
@@ -144,11 +144,11 @@ def smooth_move(model: Model, rows: int) -> Floats:
 def test_one_row_at_a_time_is_read_ahead_as_all(seconds: float) -> None:
     model = plant(Delay(seconds))
     wanted = np.cumsum(np.random.default_rng(2).normal(size=60))
-    ahead = model.ahead(DT)
-    whole, _ = model.undo(wanted, None, DT)
+    ahead = model.inverter(DT).ahead
+    whole, _ = model.inverter(DT).run(wanted)
     undoing = None
     for row in range(60 - ahead):
-        value, undoing = model.undo(wanted[row : row + 1 + ahead], undoing, DT)
+        value, undoing = model.inverter(DT).run(wanted[row : row + 1 + ahead], undoing)
         assert value == pytest.approx([whole[row]], abs=1e-12)
 
 
@@ -158,8 +158,8 @@ def test_dynamics_and_delay_are_undone(seconds: float, damping: float) -> None:
     """A smooth move from the lower end comes out as wanted; a part of a sample leaves interpolation."""
     model = plant(Dynamics((Resonance(60.0, damping), Lag(2e-3))), Delay(seconds))
     wanted = smooth_move(model, 3000)
-    known = np.concatenate([wanted, np.full(model.ahead(DT), wanted[-1])])
-    u, _ = model.undo(known, None, DT)
+    known = np.concatenate([wanted, np.full(model.inverter(DT).ahead, wanted[-1])])
+    u, _ = model.inverter(DT).run(known)
     state = model.start_drive(float(u[0]))
     voltage = model.drive(u, state, DT).y
     reached, _ = model.simulate(voltage, dt=DT)
@@ -179,8 +179,8 @@ def test_a_delay_is_the_same_by_count_and_by_time(seconds: float) -> None:
 def test_a_resonance_too_fast_for_the_rate_is_refused() -> None:
     model = plant(Dynamics((Resonance(301.0, 0.02),)))
     with pytest.raises(InputError, match="resample"):
-        model.ahead(DT)
-    plant(Dynamics((Resonance(299.0, 0.02),))).ahead(DT)
+        model.inverter(DT)
+    plant(Dynamics((Resonance(299.0, 0.02),))).inverter(DT)
 
 
 def test_dynamics_are_the_continuous_ones() -> None:
@@ -205,7 +205,7 @@ def test_dynamics_are_the_continuous_ones() -> None:
 def test_loops_are_settled() -> None:
     model = plant(Dynamics((Resonance(60.0, 0.02, Mode(90.0, 0.01)),)), Delay(1.3e-3))
     period = 5.0 + np.sin(2 * np.pi * np.arange(200) / 200)
-    undone = model.undo_loop(period, DT)
+    undone = model.inverter(DT).loop(period)
     back = model.follow_loop(undone, DT)
     np.testing.assert_allclose(back, period, rtol=0, atol=2e-5)
     many, _ = model.dynamics.run(np.tile(undone, 200), DT)  # type: ignore[union-attr]
@@ -316,14 +316,14 @@ def test_a_state_goes_on_where_it_was_left() -> None:
 def test_undoing_goes_on_behind_played_voltages() -> None:
     """What undoing remembers follows from the state of the forward dynamics."""
     model = plant(Dynamics((Resonance(60.0, 0.05, Mode(80.0, 0.1)), Lag(3e-3))))
-    u, undoing = model.undo(smooth_move(model, 800), None, DT)
+    u, undoing = model.inverter(DT).run(smooth_move(model, 800))
     done = model.drive(u, model.start_drive(float(u[0])), DT)
-    again = model.undoing_of(done.state, DT)
+    again = model.inverter(DT).behind(done.state)
     assert undoing is not None and again is not None
     np.testing.assert_allclose(again.sections, undoing.sections, rtol=0, atol=1e-8)
     kept = replace(done.state, undoing=undoing)
-    assert model.undoing_of(kept, DT) is undoing
-    assert model.undoing_of(State(0), DT) is None
+    assert model.inverter(DT).behind(kept) is undoing
+    assert model.inverter(DT).behind(State(0)) is None
 
 
 # ---- what is outside, and what is refused ----
