@@ -304,7 +304,8 @@ def _question(
         which = " or ".join(
             column.label.removeprefix("column ") for column in found[:_LISTED]
         )
-        asked.append(f"which column is the {role}{', ' + which if which else ''}?")
+        noun = f"{role} displacement" if role in ("desired", "measured") else role
+        asked.append(f"which column is the {noun}{', ' + which if which else ''}?")
     free = [c for c in columns if c.kind == "number" and c.number not in used]
     options: list[str] = []
     for role in unclear:
