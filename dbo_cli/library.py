@@ -293,7 +293,7 @@ def read_log(
         known = [role for role in ("voltage", "displacement") if log.provided(role)]
         if not known:
             raise InputError(
-                f"{path}: no column is known as voltage or displacement (`voltage` NAME)"
+                f"{path}: no column is named voltage or displacement: give `voltage` NAME"
             )
         table = log.read()
     frame = pd.DataFrame()
@@ -470,9 +470,7 @@ def floats(values: Any, name: str) -> Floats:
     except (TypeError, ValueError):
         raise InputError(f"`{name}`: not an array of numbers") from None
     if array.ndim != 1 or array.size == 0:
-        raise InputError(
-            f"`{name}`: has the shape {array.shape}; a single row of numbers is needed"
-        )
+        raise InputError(f"`{name}`: has the shape {array.shape}, not (n,)")
     bad = np.flatnonzero(~np.isfinite(array))
     if bad.size:
         raise InputError(f"`{name}`[{bad[0]}]: {array[bad[0]]} is not a finite number")

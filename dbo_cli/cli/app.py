@@ -218,7 +218,10 @@ def _refused(problem: Any) -> str:
         best = difflib.get_close_matches(unknown, near, 1, 0.0)
         return f"no such option: {unknown}; did you mean {best[0]}?"
     text: str = problem.format_message()
-    return text.rstrip(".")
+    for words in ("Invalid value for ", "Value error, ", "Input "):
+        text = text.replace(words, "")
+    text = text.partition(", unable to parse")[0].rstrip(".")
+    return text[:1].lower() + text[1:]
 
 
 # --- what belongs to the process ---

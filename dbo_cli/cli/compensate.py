@@ -14,7 +14,8 @@ from dbo_cli.cli.say import detail, present, progress, say, say_log, say_output
 from dbo_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from dbo_cli.drive import Drive, Limits, PassRecord, Tracked
+    from dbo_cli.drive import Drive, Limits
+    from dbo_cli.drive.learning import PassRecord, Tracked
     from dbo_cli.logs import Log, Outputs, Reading
     from dbo_cli.model import Model
 
@@ -110,7 +111,7 @@ def compensate(
     Example: dbo compensate model.json move.csv --max-slew 2000 -o drive.csv
     """
     from dbo_cli import channels
-    from dbo_cli.drive import Limits, dumps_history, voltage_in
+    from dbo_cli.drive import Limits, voltage_in
     from dbo_cli.logs import Outputs, check_outputs, open_log
     from dbo_cli.model import dumps_state, read_model
 
@@ -168,6 +169,8 @@ def compensate(
         if save_state is not None and drive.state is not None:
             outputs.write_text(save_state, dumps_state(drive.state, actuator))
         if history is not None:
+            from dbo_cli.drive.learning import dumps_history
+
             outputs.write_text(history, dumps_history(drive.history))
     say_log(wanted)
     say_output(output, drive.line())
@@ -197,8 +200,8 @@ def write_drive(
         options = {**options, "on_limit": "clip"}  # rows that were sent stay sent
     blocks = progress(wanted.blocks(), "driven")
     first = next(blocks)
-    pairs = ((b.time, b.values["displacement"]) for b in chain([first], blocks))
-    rows = stream(actuator, pairs, wanted.clock.step, limits, **options)
+    moves = ((b.time, b.dt, b.values["displacement"]) for b in chain([first], blocks))
+    rows = stream(actuator, moves, limits, **options)
     table = outputs.create(output, *table_of(actuator, limits, first.time))
     for time, desired, voltage in rows:
         table.write(*present(time, desired, voltage))
@@ -221,7 +224,7 @@ def read_tracked(
     actuator: Model,
 ) -> list[Tracked]:
     """Read recordings of the last pass in the model's units."""
-    from dbo_cli.drive import Tracked
+    from dbo_cli.drive.learning import Tracked
     from dbo_cli.logs import open_log
 
     units = opt.units_of(voltage=actuator.input, measured=actuator.output)
@@ -237,7 +240,7 @@ def read_tracked(
 
 def read_history(path: str | None) -> list[PassRecord]:
     """Return the passes so far; none where there is no file yet."""
-    from dbo_cli.drive import parse_history
+    from dbo_cli.drive.learning import parse_history
 
     if path is None or not Path(path).exists():
         return []

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.say import present, progress, say_log, say_output
-from dbo_cli.errors import InputError, ModelError, warn
+from dbo_cli.errors import ModelError, warn
 
 if TYPE_CHECKING:
     from dbo_cli.drive.simulate import Simulation
@@ -40,7 +40,7 @@ def simulate(
     from dbo_cli import channels
     from dbo_cli.drive.simulate import Simulation, simulate_blocks
     from dbo_cli.logs import Outputs, check_outputs, open_log
-    from dbo_cli.model import OutsideError, dumps_state, read_model, read_state
+    from dbo_cli.model import dumps_state, read_model, read_state
 
     columns = {"time": time, "input": input}
     if channels.is_pattern(columns):
@@ -68,14 +68,10 @@ def simulate(
         table = outputs.create(output, names)
         last_time = None
         fed = feed(first, blocks, run)
-        try:
-            for block, y in simulate_blocks(actuator, fed, run, state, outside):
-                table.write(*present(block.time, block.values["input"], y))
-                last_time = None if block.time is None else float(block.time[-1])
-        except OutsideError as problem:
-            row = run.rows + problem.index + 1
-            reason = str(problem).partition(": ")[2]
-            raise InputError(f"{signal.name}: row {row}: {reason}") from problem
+        name = signal.name
+        for block, y in simulate_blocks(actuator, fed, run, state, outside, name):
+            table.write(*present(block.time, block.values["input"], y))
+            last_time = None if block.time is None else float(block.time[-1])
         if save_state is not None and run.state is not None:
             after = dataclasses.replace(run.state, time=last_time)
             outputs.write_text(save_state, dumps_state(after, actuator))

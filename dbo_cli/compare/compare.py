@@ -155,7 +155,7 @@ class DboModel:
         still = self.model.static
         state = still.start(first)
         driven = still.drive(wanted, state, self._dt(clock))
-        return driven.voltage
+        return driven.y
 
     def predict(self, log: Recording) -> Floats:
         """Return the displacement that a log's drive leads to."""

@@ -196,12 +196,12 @@ def _lookup_gears(plan: Plan, parts: _Parts) -> None:
     n, empty = plan.gears.n, plan.starts.empty
     if n > MOST_LOOKUP_GEARS:
         raise ModelError(
-            f"dx: {n} gears are too many for a table of all states (`gears` {MOST_LOOKUP_GEARS}, or without"
-            " `lookup`)"
+            f"dx: {n} gears are too many for `lookup`: add `gears` {MOST_LOOKUP_GEARS}, or leave "
+            "`lookup` out"
         )
     if plan.gain.size:
         raise ModelError(
-            "relaxation: a table of all states has none (without `lookup`, or identify with `relaxation` 0)"
+            "relaxation: not possible with `lookup`: leave it out, or identify with `relaxation` 0"
         )
     _operator(plan, parts, 1)
     states = np.arange(2**n)

@@ -75,7 +75,7 @@ def export_model(
     """
     c.check_name(name)
     if arithmetic not in NUMBERS:
-        raise UsageError(f"`arithmetic` {arithmetic}: there are {', '.join(NUMBERS)}")
+        raise UsageError(f"`arithmetic` {arithmetic}: give one of {', '.join(NUMBERS)}")
     if lookup and arithmetic != "double":
         raise UsageError("`lookup` needs `arithmetic` double")
     forward, loss = model.forward(), None
@@ -137,9 +137,9 @@ def _about_model(plan: Plan) -> dict[str, str]:
     into, out = c.plain(wanted.quantity), c.plain(drive.quantity)
     low, high = plan.limits.move
     unit = c.plain(plan.limits.suffix)
-    kept = f"{low!r} to {high!r}{unit}"
+    drive_range = f"{low!r} to {high!r}{unit}"
     if plan.limits.slew is not None:
-        kept += f", changing by at most {plan.limits.slew!r}{unit} a second"
+        drive_range += f", changing by at most {plan.limits.slew!r}{unit} a second"
     return {
         "TITLE": f"The drive of an actuator, {into} to {out}",
         "INPUT_NAME": into,
@@ -147,7 +147,7 @@ def _about_model(plan: Plan) -> dict[str, str]:
         "OUTPUT_NAME": out,
         "OUTPUT_RANGE": _range(drive),
         "LOWEST": f"{drive.min!r}{c.plain(drive.suffix)}",
-        "KEPT": kept,
+        "KEPT": drive_range,
         "GEARS": str(plan.gears.n),
     }
 

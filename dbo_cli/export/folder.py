@@ -47,7 +47,7 @@ def _require_export(target: Path, names: list[str]) -> None:
     for name in sorted(os.listdir(target)):
         if name not in names and not name.endswith(".o"):
             raise OutputError(
-                f"{target}: holds '{name}', which this export does not write (choose another folder)"
+                f"{target}: holds '{name}', which is not of an export: choose another folder"
             )
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.drive.limits import Limits
 from dbo_cli.errors import ModelError, UsageError
-from dbo_cli.model import Gears, Model, State, VoltageWindow
+from dbo_cli.model import Gears, Model, State, Window
 from dbo_cli.model.delay import AFTER, whole_and_part
 from dbo_cli.model.points import through
 from dbo_cli.model.start import Starts
@@ -53,7 +53,7 @@ class Plan:
         return self.model.gears
 
     @cached_property
-    def inner(self) -> VoltageWindow:
+    def inner(self) -> Window:
         """The limits of the drive as the gears meet them."""
         return self.model.inner_window(self.limits.window)
 
@@ -159,20 +159,18 @@ class Plan:
     def played(self, moves: Floats, state: State) -> Floats:
         """Return what the library drives for each input, as the exported step does, ahead."""
         rest = np.full(self.ahead + MORE_REST, moves[0])
-        rows = self.forward.ahead(self.dt)
+        rows = self.forward.inverter(self.dt).ahead
         after = np.full(rows - self.ahead, moves[-1])
         wanted = np.concatenate([rest, moves, after])
-        undone, _ = self.forward.undo(wanted, None, self.dt)
+        undone, _ = self.forward.inverter(self.dt).run(wanted)
         static = self.forward.static
-        return static.drive(
-            undone[MORE_REST:], state, self.dt, self.limits.window
-        ).voltage
+        return static.drive(undone[MORE_REST:], state, self.dt, self.limits.window).y
 
 
 def starts_of(forward: Model) -> Starts:
     """Return the states in which the gears of a forward model may begin."""
     source = forward.input
-    ends = forward.inner_window(VoltageWindow(source.min, source.max))
+    ends = forward.inner_window(Window(source.min, source.max))
     return Starts(forward.gears, ends.low, ends.high)
 
 
@@ -191,14 +189,12 @@ def plan_of(model: Model, sample_rate: float | None, limits: Limits) -> Plan:
     forward = model.forward()
     timed = forward.needs_time or limits.slew is not None
     if timed and sample_rate is None:
-        raise UsageError(
-            "the drive depends on the time between samples: give `sample_rate` in Hz"
-        )
+        raise UsageError("the drive depends on time: add `sample_rate` HZ")
     dt = None if sample_rate is None else 1.0 / sample_rate
     plan = Plan(replace(forward, candidates=()), dt, limits)
     if np.any(plan.decay >= 1.0):
         raise ModelError(
-            f"relaxation.tau: a memory is too slow for {sample_rate:g} Hz (`sample_rate` lower)"
+            f"relaxation.tau: too slow for {sample_rate:g} Hz: lower `sample_rate`"
         )
     return plan
 
@@ -243,9 +239,7 @@ def with_fewer_gears(model: Model, gears: int) -> tuple[Model, Loss | None]:
     forward = model.forward()
     full = forward.gears
     if not 1 <= gears <= full.n:
-        raise UsageError(
-            f"`gears` {gears}: the model has {full.n}; give a number from 1 to that"
-        )
+        raise UsageError(f"`gears` {gears}: give 1 to {full.n}")
     if gears == full.n:
         return forward, None
     starts = starts_of(forward)
@@ -270,12 +264,11 @@ def _loss(full: Model, fewer: Model) -> Loss:
     step = None
     if full.gears.relaxation is not None:
         step = max(full.gears.relaxation.tau)
-    full, fewer = full.static, fewer.static
-    differences = []
+    moves = []
     for seed in range(TRIALS):
-        moves = trial_moves(full.input.min, full.input.max, seed)
-        exact, _ = full.simulate(moves, dt=step)
-        coarse, _ = fewer.simulate(moves, dt=step)
-        differences.append(coarse - exact)
-    every = np.concatenate(differences)
-    return Loss(float(np.abs(every).max()), float(np.sqrt(np.mean(every**2))))
+        moves.append(trial_moves(full.input.min, full.input.max, seed))
+    x = np.concatenate(moves)
+    exact, _ = full.static.simulate(x, dt=step)
+    coarse, _ = fewer.static.simulate(x, dt=step)
+    off = coarse - exact
+    return Loss(float(np.abs(off).max()), float(np.sqrt(np.mean(off**2))))

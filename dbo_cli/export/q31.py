@@ -56,11 +56,11 @@ def q31_sources(plan: Plan) -> tuple[c.Sources, Bounds]:
     runs = [_run(plan, None, 1), _run(plan, plan.trimmed, 2)]
     # where the gears begin on the input, which the memory widens
     begin = gears.x0 + plan.kappa * (gears.y0 - plan.reference)
-    taken, given = counts_of_range(source), counts_of_range(drive)
+    source_counts, drive_counts = counts_of_range(source), counts_of_range(drive)
     functions = {
-        "BEFORE": segments_of(before, taken, (begin, x_axis.unit)),
-        "BEHIND": segments_of(behind, (gears.y0, y_axis.count), given),
-        "DRIVE": segments_of(drives, given, (gears.y0, y_axis.unit)),
+        "BEFORE": segments_of(before, source_counts, (begin, x_axis.unit)),
+        "BEHIND": segments_of(behind, (gears.y0, y_axis.count), drive_counts),
+        "DRIVE": segments_of(drives, drive_counts, (gears.y0, y_axis.unit)),
     }
     tables = _gear_tables(plan, x_axis, y_axis, memory, bounds)
     values = _values(plan, y_axis, limits)
@@ -88,20 +88,20 @@ def _check(plan: Plan) -> None:
     """Refuse what q31 has no arithmetic or no bound for."""
     if plan.forward.dynamics is not None:
         raise ModelError(
-            "dynamics are beyond q31 (`arithmetic` double, or identify with `dynamics` 0)"
+            "dynamics: not possible in q31: use `arithmetic` double, or identify with `dynamics` 0"
         )
     if np.any(plan.gain < 0.0):
         raise ModelError(
-            "relaxation.gain: q31 has no proven bound for negative gains (`arithmetic` double)"
+            "relaxation.gain: negative gains are not possible in q31: use `arithmetic` double"
         )
     if np.any(1.0 - plan.decay < SLOWEST_REST):
         raise ModelError(
-            "relaxation.tau: a memory this slow at this rate stands still in q31 (`sample_rate` lower, or"
-            " `arithmetic` double)"
+            "relaxation.tau: too slow for q31: lower `sample_rate`, or use `arithmetic` double"
         )
     if plan.gears.n > MOST_GEARS:
         raise ModelError(
-            f"dx: {plan.gears.n} gears are more than {MOST_GEARS} (`gears` fewer, or `arithmetic` double)"
+            f"dx: {plan.gears.n} gears are more than {MOST_GEARS}: lower `gears`, or use `arithmetic` "
+            "double"
         )
 
 
@@ -180,7 +180,7 @@ def _gear_tables(
     slopes = y_axis.widths / x_axis.widths * (x_axis.unit / y_axis.unit)
     slope_shift = shift_for(float(slopes.max()))
     if slope_shift < 16:
-        raise ModelError("dy: a gear too steep for q31 (`arithmetic` double)")
+        raise ModelError("dy: a gear is too steep for q31: use `arithmetic` double")
     widths = np.rint(x_axis.widths / x_axis.unit).astype(np.int64)
     heights = np.rint(y_axis.widths / y_axis.unit).astype(np.int64)
     whole_slopes = np.rint(slopes * 2.0**slope_shift).astype(np.int64)

@@ -167,6 +167,7 @@ def _tolerance(place: float, height: float, x_axis: Axis, y_axis: Axis) -> float
     power = min(math.floor(-math.log2(2.0 * part)), FINEST_TOLERANCE)
     if power < COARSEST_TOLERANCE:
         raise ModelError(
-            f"dx: {x_axis.exact.size} gears are too narrow for q31 (`gears` fewer, or `arithmetic` double)"
+            f"dx: {x_axis.exact.size} gears are too narrow for q31: lower `gears`, or use "
+            "`arithmetic` double"
         )
     return 2.0**-power

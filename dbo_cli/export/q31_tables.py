@@ -128,7 +128,7 @@ def segments_of(
     shift = shift_for(float(np.abs(slopes).max()))
     if shift < 16 or float(np.abs(at).max()) >= 2.0**31:
         raise ModelError(
-            "points or scales beyond the range of q31 (`arithmetic` double)"
+            "points or scales beyond the range of q31: use `arithmetic` double"
         )
     rows = []
     for a, b, slope in zip(at.tolist(), up.tolist(), slopes.tolist(), strict=True):
@@ -184,7 +184,7 @@ def memory_of(plan: Plan, x_axis: Axis, y_axis: Axis) -> Memory | None:
     shift = shift_for(float(carried.sum()))
     if shift < 0:
         raise ModelError(
-            "relaxation.gain: beyond the range of q31 (`arithmetic` double)"
+            "relaxation.gain: beyond the range of q31: use `arithmetic` double"
         )
     terms = []
     for factor, rest in zip(carried.tolist(), (1.0 - plan.decay).tolist(), strict=True):
@@ -228,7 +228,9 @@ def limits_of(plan: Plan, y_axis: Axis) -> CountLimits:
         (inner.high - y0) / y_axis.unit,
     )
     if not low < high or max(abs(inner_low), abs(inner_high)) >= 2.0**59:
-        raise ModelError("`v_min`, `v_max`: beyond q31 (`arithmetic` double)")
+        raise ModelError(
+            "`v_min`, `v_max`: beyond the range of q31: use `arithmetic` double"
+        )
     step, change = -1, None
     largest, inner_largest = plan.limits.window.largest_step(plan.dt), plan.inner_step
     if largest is not None and inner_largest is not None:
@@ -238,7 +240,7 @@ def limits_of(plan: Plan, y_axis: Axis) -> CountLimits:
         step = math.floor(min(inner_largest * share / y_axis.unit, 2.0**59))
         if step < 4:
             raise ModelError(
-                "`max_slew`: less than q31 resolves in one step (`sample_rate` lower)"
+                "`max_slew`: below the resolution of q31: lower `sample_rate`"
             )
     return CountLimits(
         low, high, change, (math.ceil(inner_low), math.floor(inner_high), step)

@@ -92,8 +92,8 @@ def check_name(name: str) -> None:
     """
     if not _IDENTIFIER.fullmatch(name) or name.lower() in _RESERVED:
         raise UsageError(
-            f"`name` {name!r}: give a C identifier: a letter, then letters, digits and underscores, at"
-            " most 40, no word of C or C++"
+            f"`name` {name}: give a C identifier of at most 40 letters, digits and underscores, no "
+            "keyword"
         )
 
 

@@ -141,7 +141,7 @@ class Clock:
             after = float(time[at - len(steps)])
             raise InputError(
                 f"{self.called}: row {numbers[at]}: time goes back from {after - steps[at]:.9g} to "
-                f"{after:.9g} s (`rows` A:B cuts the log there, or `sample_rate` HZ gives the time instead)"
+                f"{after:.9g} s: cut with `rows` A:B, or add `sample_rate` HZ"
             )
         if self.rows < 2:
             self.usual_step = float(np.sort(steps)[len(steps) // 2])
@@ -194,29 +194,29 @@ class Clock:
         else:
             return
         raise InputError(
-            f"{self.called} has no unit: read as seconds, {odd} (`time_unit` s, ms, us or ns says what it "
-            "counts; `sample_rate` HZ gives the time instead)"
+            f"{self.called} has no unit: in seconds, {odd}: add `time_unit` s, ms, us or ns, or "
+            "`sample_rate` HZ"
         )
 
     def close(self) -> None:
         """Say what is doubtful once all rows went by."""
         if self.repeats:
             warn(
-                f"{self.name}: {self.repeats:,} of {self.rows:,} time stamps are repeated (`sample_rate` HZ "
-                "gives the time instead)"
+                f"{self.name}: {self.repeats:,} of {self.rows:,} time stamps repeat: `sample_rate` HZ "
+                "replaces them"
             )
         if self.gaps:
             s = "" if self.gaps == 1 else "s"
             warn(
-                f"{self.name}: {self.gaps:,} gap{s} in time, the first before row {self.first_gap:,}, the "
-                f"largest {self.largest_gap:.4g} s"
+                f"{self.name}: {self.gaps:,} gap{s} in time, first before row {self.first_gap:,}, largest "
+                f"{self.largest_gap:.4g} s"
             )
         hours = (self.last - self.first) / 3600.0
         is_slow = self.usual_step >= _LONG_STEP and 3600.0 * hours >= _LONG_LOG
         if self.kind == "column" and self.unit == "s" and not self.given and is_slow:
             warn(
-                f"{self.called} is stated in s, but its usual step would be {self.usual_step:.6g} s, and the "
-                f"log {hours:.3g} h long (`time_unit` s if that is right, or what it counts: ms, us, ns)"
+                f"{self.called} in s makes steps of {self.usual_step:.6g} s and a log of {hours:.3g} h: "
+                "confirm with `time_unit` s, or type ms or us"
             )
 
     def describe(self) -> str:

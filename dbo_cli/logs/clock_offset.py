@@ -196,16 +196,17 @@ def find_offset(pair: Pair) -> Fit:
     """
     fits = pair.fits()
     if not fits:
-        raise InputError("the two have too little in common")
+        raise InputError("the two overlap too little")
     best = fits[0]
     if best.residual > EXPLAINED:
         share = 100.0 * (1.0 - best.residual)
         raise InputError(
-            f"at no offset does the drive explain the displacement (at best {share:.0f} %)"
+            f"the drive explains at most {share:.0f} % of the displacement"
         )
     if 2.0 * best.deviation > KNOWN_TO * pair.slower:
         raise InputError(
-            f"{best.offset:.6g} s, but uncertain by {2.0 * best.deviation:.2g} s, more than half a sample"
+            f"{best.offset:.6g} s is uncertain by {2.0 * best.deviation:.2g} s, more than half a "
+            "sample"
         )
     _require_single(fits, pair.slower)
     return best
@@ -218,7 +219,7 @@ def _require_single(fits: Sequence[Fit], slower: float) -> None:
     for fit in fits[1:]:
         if abs(fit.offset - best.offset) > slower and fit.residual < alike:
             raise InputError(
-                f"{best.offset:.6g} s and {fit.offset:.6g} s fit alike, since the drive repeats itself"
+                f"{best.offset:.6g} s and {fit.offset:.6g} s fit equally: the drive repeats"
             )
 
 

@@ -74,7 +74,7 @@ def import_extra(module: str, extra: str, path: str) -> Any:
         return importlib.import_module(module)
     except ImportError:
         raise InputError(
-            f"{path}: {module} is needed to read it: pip install 'dbo-cli[{extra}]'"
+            f"{path}: needs {module}: pip install 'dbo-cli[{extra}]'"
         ) from None
 
 
@@ -243,7 +243,7 @@ def no_columns(path: str, held: Iterable[str], advice: str = "") -> InputError:
 
 def _refuse_part(path: str, part: str) -> None:
     if part:
-        raise InputError(f"{path}::{part}: this format has no parts: write {path}")
+        raise InputError(f"{path}::{part}: this format has no parts: type {path}")
 
 
 # --- NumPy ---
@@ -376,7 +376,7 @@ def open_excel(path: str, part: str, reading: Reading) -> Source:
         names = list(book.sheet_names)
         if (part or len(names) > 1) and part not in names:
             raise InputError(
-                f"{path}: which sheet? it has {', '.join(names)} (write {path}::{names[0]})"
+                f"{path}: several sheets, {', '.join(names)}: type {path}::{names[0]}"
             )
         content = _sheet_as_text(book, part or names[0])
     stream = ByteStream(path, content)

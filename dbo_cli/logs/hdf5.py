@@ -75,7 +75,7 @@ class Hdf5Source(ArraySource):
         node = _node(path, file, part)
         if node is None:
             raise InputError(
-                f"{path}::{part}: there is no '{part}': it has {_listed(file)}"
+                f"{path}::{part}: no such part; the file has {_listed(file)}"
             )
         self._node = node
         if isinstance(node, h5py.Dataset):
@@ -131,7 +131,7 @@ def _node(path: str, base: Any, inner: str, hops: int = 0) -> Any:
         link = node.get(step, getlink=True) if isinstance(node, h5py.Group) else None
         if isinstance(link, h5py.ExternalLink):
             raise InputError(
-                f"{path}: '{inner}' leads to another file, {link.filename}: read that file itself"
+                f"{path}: '{inner}' links to another file: type {link.filename}"
             )
         if isinstance(link, h5py.SoftLink):
             rest = "/".join([link.path, *steps[number + 1 :]])
@@ -154,7 +154,7 @@ def _groups(path: str, group: Any, inner: str, seen: set[int]) -> Iterator[_Grou
         seen.add(-len(seen))
         if len(seen) > MOST_MEMBERS:
             raise InputError(
-                f"{path}: more than {MOST_MEMBERS:,} members: say which group is meant ({path}::/GROUP)"
+                f"{path}: more than {MOST_MEMBERS:,} members: type {path}::/GROUP"
             )
         is_external = isinstance(group.get(name, getlink=True), h5py.ExternalLink)
         if name.startswith("#") or is_external:
@@ -264,8 +264,7 @@ def _matrix_rows(dataset: Any, along: int, number: int) -> Fetch:
 def _refusing(name: str) -> Fetch:
     def fetch(start: int, stop: int) -> Any:
         raise InputError(
-            f"the data of '{name}' lie in other files (virtual or external storage): read those, or copy "
-            "them into one file (h5repack)"
+            f"'{name}' is stored in other files: copy them into one file with h5repack"
         )
 
     return fetch

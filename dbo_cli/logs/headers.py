@@ -140,7 +140,7 @@ def stated_rate(statements: Iterable[Statement], remarks: list[str]) -> float | 
         rate = _rate(kind, float(match[1].replace(",", ".")), unit)
         if rate is None:
             raise InputError(
-                f"'{key}' {text} is not in a unit of a {kind} (`sample_rate` HZ gives the rate)"
+                f"'{key}' {text} is not in a unit of a {kind}: type `sample_rate` HZ"
             )
         if not rate > 0.0 or not math.isfinite(rate):
             continue  # what an instrument writes when it does not know
@@ -152,9 +152,7 @@ def stated_rate(statements: Iterable[Statement], remarks: list[str]) -> float | 
         return None
     if max(rates.values()) > (1.0 + _SAME) * min(rates.values()):
         listed = " and ".join(rates)
-        raise InputError(
-            f"two sample rates are stated, {listed} (`sample_rate` HZ decides)"
-        )
+        raise InputError(f"two sample rates, {listed}: type `sample_rate` HZ")
     if assumed:
         remarks.append(assumed)
     return next(iter(rates.values()))
@@ -163,8 +161,8 @@ def stated_rate(statements: Iterable[Statement], remarks: list[str]) -> float | 
 def _refuse_thousands(key: str, text: str) -> None:
     if _THOUSANDS.fullmatch(text):
         raise InputError(
-            f"'{key}' {text} may be {text.split(',')[0]} or {text.replace(',', '')} "
-            "(`sample_rate` HZ gives the rate)"
+            f"'{key}' {text} may be {text.split(',')[0]} or {text.replace(',', '')}: type "
+            "`sample_rate` HZ"
         )
 
 

@@ -31,10 +31,8 @@ class ClockOffset:
 
     def describe(self) -> str:
         """Return what was done, as the line on what was read has it."""
-        text = f"clock of {self.name} moved by {self.seconds:.6g} s"
-        if self.auto:
-            text += f" (found, within {self.uncertainty:.2g} s)"
-        return text
+        found = f" ± {self.uncertainty:.1g}" if self.auto else ""
+        return f"clock of {self.name} moved by {self.seconds:.4g}{found} s"
 
 
 def joined(logs: Sequence[Log], clock_offset: float | str | None) -> Log:
@@ -82,7 +80,7 @@ def joined(logs: Sequence[Log], clock_offset: float | str | None) -> Log:
         rows = _beside(rows, time, other, place)
         if rows.rows < count:
             remarks.append(
-                f"{count - rows.rows:,} rows of {base.name} are left out: {log.name} has none there"
+                f"{count - rows.rows:,} rows of {base.name} left out: {log.name} has none there"
             )
         remarks += log.remarks
         columns |= log.columns
@@ -101,8 +99,8 @@ def _time_beside(
     for part in (base, log):
         if part.clock.kind == "none":
             raise InputError(
-                f"{part.name} has no clock, and files are joined by time: add a time column, or give "
-                "`sample_rate` HZ if both were recorded at one rate"
+                f"{part.name} has no clock to join by: add a time column, or `sample_rate` HZ if both "
+                "have one rate"
             )
     assert table.time is not None
     here, there = base.clock.first_stamp, log.clock.first_stamp
@@ -113,8 +111,8 @@ def _time_beside(
     if here is there or clock_offset is not None:
         return table.time
     raise InputError(
-        f"{base.name} and {log.name} count time from different beginnings, one by dates: give `clock_offset` "
-        "SECONDS, or auto"
+        f"{base.name} and {log.name}: only one clock has dates: give `clock_offset` SECONDS, or "
+        "auto"
     )
 
 
@@ -137,8 +135,8 @@ def _beside(rows: Table, time: FloatArray, other: Table, place: str) -> Table:
         covered &= ~in_gap | is_stamp
     if not covered.any():
         raise InputError(
-            f"{place} have no time in common: {at[0]:.9g} to {at[-1]:.9g} s and {time[0]:.9g} to "
-            f"{time[-1]:.9g} s (`clock_offset` {at[0] - time[0]:.9g} lets both begin together, auto finds it)"
+            f"{place}: no time in common, {at[0]:.9g} to {at[-1]:.9g} s and {time[0]:.9g} to "
+            f"{time[-1]:.9g} s: try `clock_offset` {at[0] - time[0]:.9g}, or auto"
         )
     kept = at[covered]
     values = {role: array[covered] for role, array in rows.values.items()}
@@ -196,8 +194,7 @@ def _warn_if_apart(
         return
     offset = 0.0 if pair is None else apart(pair)
     if offset:
-        side = "early" if offset > 0.0 else "late"
         warn(
-            f"{place}: drive and sensor do not line up in time: try `clock_offset` auto ({log.name} is some "
-            f"{abs(offset):.3g} s {side}; a delay of the actuator looks the same)"
+            f"{place}: drive and sensor do not line up in time (by {offset:+.3g} s): try "
+            "`clock_offset` auto"
         )

@@ -211,12 +211,10 @@ def open_log(
     elsewhere = {role: text for role, text in roles.items() if text and "::" in text}
     if "time" in elsewhere:
         raise UsageError(
-            f"`time` {elsewhere['time']}: the time stands in the log itself"
+            f"`time` {elsewhere['time']}: the time must be in the log itself"
         )
     if reading.resample is not None and not 0.0 < reading.resample < np.inf:
-        raise UsageError(
-            f"`resample` {reading.resample:g}: give a positive number of samples a second"
-        )
+        raise UsageError(f"`resample` {reading.resample:g}: give a rate above 0 Hz")
     for role in reading.scale:
         if role not in roles:
             raise UsageError(f"`scale` {role}=...: give one of {', '.join(roles)}")

@@ -204,8 +204,8 @@ def _refuse_unclear(name: str, above: Sequence[str], table: Table) -> None:
     figures = any(_is_figure(cell) for cell in cells)
     if (figures and not blank) or (not figures and len(cells) != table.width):
         raise InputError(
-            f"{name}: {len(cells)} cells in the last line above the rows of {table.width}: names, or a row? "
-            "(`skip_lines` leaves lines out; `delimiter` and `decimal` say how the rows are written)"
+            f"{name}: {len(cells)} names above rows of {table.width} cells: type `skip_lines` N, "
+            "`delimiter` or `decimal`"
         )
 
 

@@ -115,7 +115,7 @@ class Rows:
         if not self.skip_bad:
             others = int(np.count_nonzero(any_bad)) - 1
             more = f", and {others:,} more such rows near it" if others else ""
-            raise InputError(f"{place}{more} (`skip_bad` leaves such rows out)")
+            raise InputError(f"{place}{more} (`skip_bad` drops such rows)")
         self._first_dropped = self._first_dropped or place
         self._dropped += int(np.count_nonzero(any_bad))
         return np.asarray(~any_bad)
@@ -135,7 +135,7 @@ class Rows:
             raise InputError(
                 f"{self.source.name}: `rows` {self.first}: the log has {rows:,} data rows"
             )
-        raise InputError(f"{self.source.name}: no good data row")
+        raise InputError(f"{self.source.name}: no row holds only numbers")
 
 
 def _is_bad(array: NDArray[Any], column: Column) -> NDArray[np.bool_]:
@@ -161,9 +161,7 @@ def parse_rows(rows: str | None) -> tuple[int, int | None]:
     first = int(match[1] or 1)
     last = int(match[2]) if match[2] else None
     if first < 1 or (last is not None and last < first):
-        raise UsageError(
-            f"`rows` {rows}: rows are counted from 1, and the last is not before the first"
-        )
+        raise UsageError(f"`rows` {rows}: give A:B with 1 <= A <= B")
     return first, last
 
 
@@ -178,8 +176,7 @@ def parse_scale(text: str) -> tuple[str, str]:
     role, sign, factor = text.partition("=")
     if not sign or not role.strip() or _SCALE.fullmatch(factor) is None:
         raise UsageError(
-            f"`scale` {text}: give ROLE=FACTOR or ROLE=FACTORUNIT/UNIT, such as voltage=20 or "
-            "displacement=10um/V"
+            f"`scale` {text}: give ROLE=FACTOR, such as voltage=20 or displacement=10um/V"
         )
     return role.strip().lower(), factor.strip()
 
@@ -210,14 +207,14 @@ def scales_of(
             factor, unit = _wished(name, role, column, str(wishes[role]))
         wanted = units.get(role)
         if wanted is not None and unit is None:
-            remarks.append(f"{column.label} has no unit: {wanted} is assumed")
+            remarks.append(f"{column.label} has no unit: {wanted} assumed")
         if wanted is not None:
             try:
                 factor *= ratio(unit, wanted)
             except InputError:
                 raise InputError(
-                    f"{name}: {column.label} is in {unit}, and {wanted} is needed (`scale` "
-                    f"{role}=FACTOR{wanted}/{unit})"
+                    f"{name}: {column.label} is in {unit}, not {wanted}: add `scale` "
+                    f"{role}=FACTOR{wanted}/{unit}"
                 ) from None
             unit = spell(wanted)
         scales[role] = Scale(factor, unit)
@@ -231,7 +228,7 @@ def _wished(
     match = _SCALE.fullmatch(text)
     if match is None or float(match[1]) == 0.0 or not abs(float(match[1])) < 1e250:
         raise UsageError(
-            f"`scale` {role}={text}: give a factor that is not 0, or one with units such as 10um/V"
+            f"`scale` {role}={text}: give a factor other than 0, such as 20 or 10um/V"
         )
     factor = Fraction(match[1])
     if match[2] is None:
@@ -240,6 +237,6 @@ def _wished(
         factor *= ratio(column.unit, match[3])
     except InputError:
         raise InputError(
-            f"{name}: {column.label} is in {column.unit}, but `scale` {role}={text} takes {match[3]}"
+            f"{name}: {column.label} is in {column.unit}, `scale` {role}={text} expects {match[3]}"
         ) from None
     return factor, spell(match[2])

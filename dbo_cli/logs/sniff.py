@@ -125,8 +125,7 @@ def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
     layout = _best_layout(sample, reading)
     if layout is None:
         raise InputError(
-            f"{name}: no data rows: no line holds numbers (if it has any: `delimiter`, `decimal` or "
-            "`skip_lines`)"
+            f"{name}: no line holds numbers only: try `delimiter`, `decimal` or `skip_lines`"
         )
     if reading.decimal is None and layout.decimal == ",":
         refuse_thousands(name, [cell for line in sample for cell in layout.cells(line)])
@@ -151,8 +150,8 @@ def _refuse_numbers_as_names(name: str, layout: Layout, lines: Sequence[str]) ->
     if is_counted and any((layout.decimal or ".") in line for line in below):
         number = layout.first + 1
         raise InputError(
-            f"{name}:{number}: {', '.join(cells)}: names, or a row? (`skip_lines` {number} leaves them out, "
-            "`skip_lines` 0 takes them as a row)"
+            f"{name}:{number}: {', '.join(cells)}: names (type `skip_lines` {number}) or a row "
+            "(`skip_lines` 0)?"
         )
 
 
@@ -160,8 +159,8 @@ def _refuse_two_readings(name: str, layout: Layout, sample: Sequence[str]) -> No
     """Refuse ``0,5``, which may be two columns or a number, where no header says which."""
     if layout.delimiter == "," and all(_TWO_READINGS.fullmatch(x) for x in sample):
         raise InputError(
-            f"{name}: '{sample[-1].strip()}' may be two columns or one number (`delimiter` comma or "
-            "`decimal` comma)"
+            f"{name}: '{sample[-1].strip()}' may be two columns (`delimiter` comma) or one number "
+            "(`decimal` comma)"
         )
 
 
@@ -172,7 +171,7 @@ def _read_header(name: str, layout: Layout, lines: Sequence[str], skipped: int) 
     settings = read_settings([*above, *beside], layout.delimiter)
     if settings.get("X_Columns", [""])[0].lower() == "multi":
         raise InputError(
-            f"{name}: every channel has its own X column: write it with X_Columns One or No"
+            f"{name}: each channel has an X column: export with X_Columns One or No"
         )
     layout.clock = stated_clock(settings)
     first_row = layout.cells(lines[layout.first])
@@ -286,8 +285,8 @@ def refuse_thousands(name: str, cells: Sequence[str]) -> None:
     if commas and all(_THOUSANDS.fullmatch(cell) for cell in commas):
         cell = commas[0]
         raise InputError(
-            f"{name}: '{cell}' may be {cell.replace(',', '')} or {cell.replace(',', '.')} "
-            "(`decimal` point or `decimal` comma)"
+            f"{name}: '{cell}' may be {cell.replace(',', '')} (`decimal` point) or "
+            f"{cell.replace(',', '.')} (`decimal` comma)"
         )
 
 
@@ -319,8 +318,8 @@ def _refuse_other_rows(
         cells = [cell for cell in layout.cells(lines[n]) if cell]
         if cells and all(is_number(cell, layout.decimal or ".") for cell in cells):
             raise InputError(
-                f"{name}:{n + 1}: numbers above the rows of {layout.width} columns that begin in line "
-                f"{layout.first + 1} (`skip_lines` {n + 1} leaves them out)"
+                f"{name}:{n + 1}: numbers above the {layout.width} columns that begin in line "
+                f"{layout.first + 1}: type `skip_lines` {n + 1}"
             )
 
 
@@ -345,8 +344,8 @@ def describe_columns(name: str, layout: Layout) -> list[Column]:
         stated = split_header(header)[1]
         if stated and unit and stated != unit and kind_of(unit) == kind_of(stated):
             raise InputError(
-                f"{name}: column '{header}' is in {unit} by the line of units (`skip_lines` "
-                f"{layout.first} leaves out the header)"
+                f"{name}: column '{header}' is in {unit} by the units row: type `skip_lines` "
+                f"{layout.first}"
             )
         columns.append(Column(n + 1, header, unit or stated, kind))
     return columns

@@ -91,7 +91,7 @@ def _opened(name: str) -> IO[bytes]:
     except FileNotFoundError:
         raise InputError(f"{name}: no such file") from None
     except IsADirectoryError:
-        raise InputError(f"{name}: this is a folder, not a log") from None
+        raise InputError(f"{name}: is a folder, not a log") from None
     except (OSError, ValueError) as problem:
         reason = getattr(problem, "strerror", None) or problem
         raise InputError(f"{name}: cannot be read: {reason}") from None

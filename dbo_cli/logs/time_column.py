@@ -61,9 +61,7 @@ def find_clock(
                 "`time` and `sample_rate` exclude each other: leave one out"
             )
         if not 0.0 < rate < np.inf:
-            raise UsageError(
-                f"`sample_rate` {rate:g}: give a positive number of samples a second"
-            )
+            raise UsageError(f"`sample_rate` {rate:g}: give a rate above 0 Hz")
     if selector is not None:
         found = [named(source, selector, "time")]
     else:
@@ -79,7 +77,7 @@ def find_clock(
             f"`time` {column.number} ('{column.name}')" for column in found
         )
         raise InputError(
-            f"{source.name}: which column is the time? ({which}){source.hint}"
+            f"{source.name}: which column is the time? Type {which}{source.hint}"
         )
     if found:
         return _clock_of(source.name, found[0], reading.time_unit)
@@ -90,7 +88,7 @@ def _stated_clock(source: Source, reading: Reading) -> Clock:
     """Return the clock of a file without a time column."""
     if reading.time_unit is not None:
         raise InputError(
-            f"{source.name}: `time_unit` {reading.time_unit}: there is no time column: "
+            f"{source.name}: `time_unit` {reading.time_unit}: no time column: "
             f"{listed(source.columns)} (`time` NAME or NUMBER)"
         )
     stated = source.stated
@@ -122,8 +120,8 @@ def _time_columns(source: Source, used: Sequence[Column]) -> list[Column]:
     texts = [c for c in called if c.kind == "text"]
     if texts and not found:
         raise InputError(
-            f"{source.name}: {texts[0].label} holds neither numbers nor time stamps such as "
-            "2026-01-02T03:04:05.678 (`time` names another column, `sample_rate` HZ gives the time)"
+            f"{source.name}: {texts[0].label} holds neither numbers nor ISO time stamps: type `time` "
+            "COLUMN or `sample_rate` HZ"
         )
     if not found and free[:1] == source.columns[:1] and time_unit(free[0].unit):
         return [column for column in free[:1] if column.kind == "number"]
@@ -141,8 +139,7 @@ def _clock_of(name: str, column: Column, given: str | None) -> Clock:
     if column.kind == "stamp":
         if given is not None:
             raise InputError(
-                f"{name}: {column.label} holds time stamps, which say themselves what they count (leave out "
-                "`time_unit`)"
+                f"{name}: {column.label} holds time stamps: leave out `time_unit`"
             )
         return Clock(name, "stamps", column, unit="s")
     if given is not None:
@@ -175,8 +172,8 @@ def _stated_unit(name: str, column: Column) -> str | None:
 
 def _refuse_unit(name: str, column: Column, stated: str) -> None:
     raise InputError(
-        f"{name}: the time {column.label} counts '{stated}', which is no known unit of time (`time_unit` s, "
-        "ms, us, ns, min or a number of them such as 10us; or `sample_rate` HZ)"
+        f"{name}: {column.label}: '{stated}' is not a unit of time: type `time_unit` ms, 10us, "
+        "..., or `sample_rate` HZ"
     )
 
 
@@ -193,6 +190,6 @@ def parse_time_unit(text: str) -> Fraction:
     count = Fraction((match[1] if match else None) or 1)
     if unit is None or not count:
         raise UsageError(
-            f"`time_unit` {text}: give s, ms, us, ns, min, h or a number of them such as 10us"
+            f"`time_unit` {text}: give s, ms, us, ns, min, h, or a multiple such as 10us"
         )
     return count * ratio(unit, "s")

@@ -181,9 +181,7 @@ class Outputs:
         for other in self._files:
             is_same = file.temporary is not None and file.target == other.target
             if is_same or (file.is_stdout and other.is_stdout):
-                raise OutputError(
-                    f"{path}: two outputs go there: give each a file of its own"
-                )
+                raise OutputError(f"{path}: two outputs go there: type two names")
         self._files.append(file)
         return file
 
@@ -242,20 +240,18 @@ def _suffix_of(path: str) -> str:
     """Return the suffix that decides the format; refuse one that is of none (UsageError)."""
     if "::" in path:
         file = path.partition("::")[0]
-        raise UsageError(
-            f"{path}: an output is a whole file, not a part of one: write {file}"
-        )
+        raise UsageError(f"{path}: an output is a whole file: type {file}")
     stem, suffix = os.path.splitext(path)
     suffix = suffix.lower()
     if suffix == ".gz":
         suffix = os.path.splitext(stem)[1].lower()
         if suffix in HDF5_SUFFIXES:
-            raise UsageError(f"{path}: HDF5 is compressed inside: write {stem}")
+            raise UsageError(f"{path}: HDF5 compresses by itself: type {stem}")
     if suffix in DELIMITERS or suffix in HDF5_SUFFIXES:
         return suffix
     if not os.path.exists(path) or os.path.isfile(path):
         raise UsageError(
-            f"{path}: no format is called {suffix}: write {stem}.csv, .tsv or .h5"
+            f"{path}: {suffix} is not written: type {stem}.csv, .tsv or .h5"
         )
     return ""
 
@@ -339,8 +335,8 @@ class Writer:
             if not finite.all():
                 row = int(np.argmin(finite))
                 raise OutputError(
-                    f"{self.path}: row {self.rows + row + 1}: {name} would be {array[row]}, which is no "
-                    "number to write: look at the input there"
+                    f"{self.path}: row {self.rows + row + 1}: {name} would be {array[row]}: check the input "
+                    "there"
                 )
 
 

@@ -90,7 +90,7 @@ def _wav(signal: Signal) -> bytes:
     rate = round(signal.rate)
     if rate < 1 or abs(signal.rate - rate) > WHOLE_RATE * rate:
         raise UsageError(
-            f"a WAV file has whole points a second, not {signal.rate:.9g} (`rate` {max(rate, 1)})"
+            f"a WAV file needs a whole rate, not {signal.rate:.9g}: type `rate` {max(rate, 1)}"
         )
     buffer = io.BytesIO()
     with wave.open(buffer, "wb") as file:

@@ -33,14 +33,15 @@ class Waveform(NamedTuple):
         What it says at the generator's output.
     rate : float
         Points a second.
-    line : str
-        What has to be set at the generator.
+    line, codes : str
+        What has to be set at the generator, and what its codes mean.
     """
 
     data: bytes
     volts: Floats
     rate: float
     line: str
+    codes: str = ""
 
 
 def waveform(
@@ -98,26 +99,26 @@ def waveform(
     """
     form = FORMATS.get(to)
     if form is None:
-        raise UsageError(f"`to` {to}: there are {', '.join(FORMATS)}")
+        raise UsageError(f"`to` {to}: give one of {', '.join(FORMATS)}")
     _check_codes(form, to, codes, volts)
     _check_numbers(gain, points, rate, max_rounding)
     time = np.arange(voltage.size) / drive_rate
     check_drive(voltage, time, limits, name=name, doubts=doubts).require_passed()
     if voltage.size < 2:
-        raise UsageError(f"{name}: a drive of one row is nothing to play")
+        raise UsageError(f"{name}: one row is not a drive")
     most = 0.01 * max_rounding * float(np.ptp(voltage))
     played, rate, moved = _at_points(voltage, drive_rate, points, rate)
     if moved > most:
         raise LimitError(
-            f"{name}: {played.size:,} points move the drive by up to {moved:.3g} V, more than {most:.3g} V"
-            " (more `points`, a higher `rate`, or `max_rounding` PERCENT)"
+            f"{name}: {played.size:,} points change the drive by up to {moved:.3g} V, more than "
+            f"{most:.3g} V: raise `points`, `rate` or `max_rounding`"
         )
     exact = played / gain
     ends = volts or (float(exact.min()), float(exact.max()))
     if exact.min() < ends[0] or exact.max() > ends[1]:
         raise LimitError(
-            f"{name}: the drive takes {exact.min():.6g} to {exact.max():.6g} V of the generator, and"
-            f" `volts` gives {ends[0]:.6g} to {ends[1]:.6g} (wider `volts`, or another `gain` than {gain:g})"
+            f"{name}: needs {exact.min():.6g} to {exact.max():.6g} V of the generator, `volts` is "
+            f"{ends[0]:.6g}:{ends[1]:.6g}: widen it, or check `gain` {gain:g}"
         )
     allowed = _at_generator(limits, gain)
     if form.codes is None:
@@ -125,9 +126,7 @@ def waveform(
         Gate(allowed).admit(exact, 1.0 / rate, "return")
         return Waveform(form.write(Signal(exact, rate, ends)), exact, rate, line)
     if not ends[0] < ends[1]:
-        raise UsageError(
-            "`volts` LOW:HIGH: the drive is constant, so say what the codes mean"
-        )
+        raise UsageError("the drive is constant: type `volts` LOW:HIGH")
     low_code, high_code = codes or form.codes
     coding = Coding((int(low_code), int(high_code)), ends)
     content = coding.encode(exact, allowed.rating)
@@ -135,18 +134,19 @@ def waveform(
     rounding = abs(gain) * float(np.abs(heard - exact).max())
     if rounding > most and np.ptp(exact) > 0.0:
         raise LimitError(
-            f"{name}: rounding to codes moves the drive by up to {rounding:.3g} V, more than {most:.3g} V"
-            " (narrower `volts`, a wider span of `codes`, or `max_rounding` PERCENT)"
+            f"{name}: codes change the drive by up to {rounding:.3g} V, more than {most:.3g} V: "
+            "narrow `volts`, widen `codes`, or raise `max_rounding`"
         )
     if allowed.slew is not None:  # codes stand a step beside
         allowed = replace(allowed, slew=allowed.slew + coding.step * rate)
     Gate(allowed).admit(heard, 1.0 / rate, "return")
     line = _line(heard, rate, gain, moved)
-    line += (
-        f"; codes {coding.codes[0]} to {coding.codes[1]} mean {ends[0]:.6g} to {ends[1]:.6g} V; rounding"
-        f" moves the drive by {rounding:.3g} V"
+    meaning = (
+        f"codes {coding.codes[0]} to {coding.codes[1]} mean {ends[0]:.6g} to {ends[1]:.6g} V; rounding"
+        f" changes the drive by {rounding:.3g} V"
     )
-    return Waveform(form.write(Signal(content, rate, ends)), heard, rate, line)
+    data = form.write(Signal(content, rate, ends))
+    return Waveform(data, heard, rate, line, meaning)
 
 
 def _check_codes(form: Format, to: str, codes: Span | None, volts: Span | None) -> None:
@@ -154,12 +154,12 @@ def _check_codes(form: Format, to: str, codes: Span | None, volts: Span | None) 
     if form.codes is None:
         if codes or volts:
             raise UsageError(
-                f"`{'codes' if codes else 'volts'}`: {to} files hold volts, no codes"
+                f"`{'codes' if codes else 'volts'}`: {to} files hold volts, not codes"
             )
         return
     if form.volts_needed and volts is None:
         raise UsageError(
-            f"`volts` LOW:HIGH: say what the lowest and the highest code of {to} mean"
+            f"{to} needs `volts` LOW:HIGH, the voltages of the lowest and highest code"
         )
     if volts is not None and not -math.inf < volts[0] < volts[1] < math.inf:
         raise UsageError(f"`volts` {volts[0]:g}:{volts[1]:g}: give the lower end first")
@@ -168,8 +168,8 @@ def _check_codes(form: Format, to: str, codes: Span | None, volts: Span | None) 
         whole = codes[0] == round(codes[0]) and codes[1] == round(codes[1])
         if not (whole and least <= codes[0] < codes[1] <= most):
             raise UsageError(
-                f"`codes` {codes[0]:g}:{codes[1]:g}: give whole numbers from {least} to {most}, the lower"
-                " one first"
+                f"`codes` {codes[0]:g}:{codes[1]:g}: give whole numbers from {least} to {most}, the lower "
+                "first"
             )
 
 
@@ -180,13 +180,13 @@ def _check_numbers(
     if not math.isfinite(gain) or gain == 0.0:
         raise UsageError(f"`gain` {gain:g}: give a number other than 0")
     if points is not None and rate is not None:
-        raise UsageError("`points` and `rate` each say how many points: give one")
+        raise UsageError("`points` and `rate` exclude each other: leave one out")
     if points is not None and points < 2:
         raise UsageError(f"`points` {points}: give 2 or more")
     if rate is not None and not 0.0 < rate < math.inf:
         raise UsageError(f"`rate` {rate:g}: give a number above 0")
     if not 0.0 <= max_rounding < math.inf:
-        raise UsageError(f"`max_rounding` {max_rounding:g}: must not be below 0")
+        raise UsageError(f"`max_rounding` {max_rounding:g}: give 0 or more")
 
 
 def _at_points(
@@ -223,11 +223,11 @@ def _line(volts: Floats, rate: float, gain: float, moved: float) -> str:
     """Say what has to be set at the generator, and what another rate did."""
     low, high = float(volts.min()), float(volts.max())
     text = (
-        f"{volts.size:,} points at {rate:.9g} a second, {volts.size / rate:.6g} s; amplitude"
-        f" {high - low:.6g} Vpp, offset {0.5 * (high + low):.6g} V"
+        f"{volts.size:,} points at {rate:.9g} Hz, {volts.size / rate:.6g} s; {high - low:.6g} Vpp,"
+        f" offset {0.5 * (high + low):.6g} V"
     )
     if gain != 1.0:
         text += f" before a gain of {gain:g}"
     if moved:
-        text += f"; another rate moves the drive by {moved:.3g} V"
+        text += f"; resampling changes it by {moved:.3g} V"
     return text

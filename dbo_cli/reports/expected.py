@@ -32,8 +32,6 @@ class Expected:
     ----------
     rmse
         The expected error (RMS); None where it is not known.
-    span
-        Range of the model's output; None where it is not known.
     move
         Least and greatest desired value of the move it is stated for; None: any move.
     move_time
@@ -43,7 +41,6 @@ class Expected:
     """
 
     rmse: float | None
-    span: float | None = None
     move: Ends | None = None
     move_time: Ends | None = None
     footer: str = ""
@@ -80,7 +77,7 @@ def expected_of_drive(
     if model.input.min - slack <= low and high <= model.input.max + slack:
         rmse = expected_error(model, voltage, dt)
     footer = f"Model {name} ({model.digest[:12]})"
-    return Expected(rmse, float(model.output.span), footer=footer)
+    return Expected(rmse, footer=footer)
 
 
 def expected_in(path: str | os.PathLike[str], unit: str | None = None) -> Expected:
@@ -110,7 +107,7 @@ def expected_in(path: str | os.PathLike[str], unit: str | None = None) -> Expect
     if kind == "dbo-model":
         model = read_model(name).forward()
         rmse, stated_unit = model.fit.get("expected_rmse"), model.output.unit
-        expected = Expected(rmse, float(model.output.span))
+        expected = Expected(rmse)
     elif kind == "dbo-summary":
         stated_unit = content.get("unit")
         expected = _of_summary(name, content)
@@ -136,7 +133,7 @@ def _of_summary(name: str, content: Mapping[str, Any]) -> Expected:
         if limits.get("max_slew"):
             footer += f", {limits['max_slew']} {unit}/s"
         footer += f"; drive of model {str(content.get('model'))[:12]}"
-    return Expected(rmse, None, move, move_time, footer)
+    return Expected(rmse, move, move_time, footer)
 
 
 def _ends(name: str, content: Mapping[str, Any], key: str) -> Ends | None:

@@ -147,8 +147,7 @@ def _on_one_clock(
         return recording
     side = "ahead of" if offset > 0.0 else "behind"
     return shifted.noted(
-        f"its clock is {abs(offset):.4g} s {side} that of {trajectory}, which is taken off"
-        " (not with `match` time)"
+        f"its clock is {abs(offset):.4g} s {side} that of {trajectory}; this is taken off"
     )
 
 

@@ -173,7 +173,7 @@ def _chosen_rows(pair: Pair) -> Pair:
     if count in (0, len(pair)):
         return pair
     return pair.taken(inside).noted(
-        f"{rows_text(count)} before or after the move left out (`rows` 1: counts them)"
+        f"{rows_text(count)} before or after the move left out"
     )
 
 

@@ -92,16 +92,11 @@ def style(outlines: bool = True) -> Iterator[None]:
 
     ``outlines``: letters become outlines, which need no font; else they stay text.
     """
-    from matplotlib import rc_context, rc_params_from_file, rcParamsDefault
+    from matplotlib import style as styles
 
-    settings = {}
-    for key, value in rcParamsDefault.items():
-        if not key.startswith(("backend", "interactive", "toolbar", "webagg")):
-            settings[key] = value
-    own = Path(__file__).with_name("figures.mplstyle")
-    settings.update(rc_params_from_file(own, use_default_template=False))
-    settings["svg.fonttype"] = "path" if outlines else "none"
-    with rc_context(settings):
+    look = Path(__file__).with_name("figures.mplstyle")
+    fonts = {"svg.fonttype": "path" if outlines else "none"}
+    with styles.context([look, fonts], after_reset=True):
         yield
 
 
@@ -350,7 +345,7 @@ def spectrum_of(log: LogReport) -> tuple[Floats, Floats] | None:
 
 
 def _paint_spectrum(report: Report, log: LogReport, axes: Axes) -> None:
-    from matplotlib.ticker import LogFormatter
+    from matplotlib.ticker import NullFormatter
 
     curve = spectrum_of(log)
     assert curve is not None
@@ -363,8 +358,8 @@ def _paint_spectrum(report: Report, log: LogReport, axes: Axes) -> None:
     unit = f"{shown_unit(report.unit)}/√Hz" if report.unit else "1/√Hz"
     axes.set(xlabel="Frequency (Hz)", ylabel=f"Error density ({unit})")
     for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_formatter(LogFormatter())
-        axis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.5)))
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter(NullFormatter())
 
 
 # --- a model ---
@@ -374,7 +369,7 @@ def model_plots(model: Model) -> list[Plot]:
     """Return the figures of a model: its loop, and what is bent and wide in it."""
     drive = model.input if model.is_forward else model.output
     title = f"The model's loop, {quantity_range(drive)}"
-    straight = "The same less a straight line"
+    straight = "Deviation from a straight line"
     return [
         Plot("model-loop", title, TALL, partial(_paint_model_loop, model)),
         Plot("model-hysteresis", straight, WIDE, partial(_paint_hysteresis, model)),
@@ -422,9 +417,9 @@ def _paint_hysteresis(model: Model, axes: Axes) -> None:
     line = np.polyfit(np.tile(drive, 2), np.concatenate([rising, falling]), 1)
     axes.plot(drive, rising - np.polyval(line, drive), label="rising", **SOLID)
     axes.plot(drive, falling - np.polyval(line, drive), label="falling", **DASHED)
-    name = f"{forward.output.quantity.capitalize()} less a line"
     axes.set(
-        xlabel=_quantity(forward.input), ylabel=axis_label(name, forward.output.unit)
+        xlabel=_quantity(forward.input),
+        ylabel=axis_label("Deviation", forward.output.unit),
     )
 
 

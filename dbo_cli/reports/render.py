@@ -55,20 +55,11 @@ def json_text(content: Mapping[str, Any]) -> str:
 def to_csv(report: Report) -> str:
     """Return a line a log: the keys of the JSON form and the unit; what is undefined is empty."""
     rows = [{**log.record(), "unit": report.unit} for log in report.logs]
-    for row in rows:
-        row["name"] = no_formula(row["name"])
     out = io.StringIO()
     writer = csv.DictWriter(out, list(rows[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     return out.getvalue()
-
-
-def no_formula(name: str) -> str:
-    """Put an apostrophe before a name that a spreadsheet would calculate."""
-    if name.startswith(("=", "+", "@")) or (name.startswith("-") and name != "-"):
-        return f"'{name}"
-    return name
 
 
 def digits(value: float | None, places: int = 4) -> str:
@@ -129,9 +120,6 @@ def columns_of(report: Report) -> list[TableColumn]:
     if any(log.expected_rmse for log in report.logs):
         expected = TableColumn("expected", lambda log: digits(log.expected_rmse))
         columns.insert(3, expected)
-    if any(log.percent_of_range for log in report.logs):
-        percent = TableColumn("% of range", lambda log: digits(log.percent_of_range, 3))
-        columns.insert(4, percent)
     if len(report.logs) > 1:
         ratio = TableColumn("ratio", lambda log: digits(log.ratio_to_first, 3))
         columns.append(ratio)
@@ -188,20 +176,6 @@ def settings_line(report: Report) -> str:
     return line
 
 
-def headline(report: Report) -> str:
-    """Return the least error and, of several logs, what it is beside the first one."""
-    first = report.logs[0]
-    best = min(report.logs, key=lambda log: log.merits.rmse)
-    unit = f" {report.unit}" if report.unit else ""
-    line = f"{short_name(best.name)}: error {digits(best.merits.rmse, 3)}{unit} RMS"
-    if best is not first and best.merits.rmse > 0.0:
-        times = first.merits.rmse / best.merits.rmse
-        return f"{line}, {digits(times, 2)} times less than {short_name(first.name)}"
-    if best.merits.nrmse_percent is not None:
-        line += f" ({digits(best.merits.nrmse_percent, 2)} % of the move)"
-    return line
-
-
 # --- the page: no script, no network, the figures inside it ---
 
 
@@ -222,7 +196,7 @@ def to_html(report: Report) -> str:
             title += f" ({unit})"
         head.append(title)
     rows = [[column.cell(log) for column in columns] for log in report.logs]
-    parts = [_verdict(report), f'<p class="headline">{escape(headline(report))}</p>']
+    parts = [_verdict(report), f'<p class="headline">{escape(report.line())}</p>']
     for warning in report.warnings:
         parts.append(f'<p class="warning">Warning: {escape(warning)}</p>')
     parts.append(html_table(head, rows, chief=2))

@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.reports.expected import Expected
-from dbo_cli.reports.merits import Merits, merits, percent_of
+from dbo_cli.reports.merits import Merits, merits
 from dbo_cli.reports.pair import Pair, RowRange, predict, scored
-from dbo_cli.reports.render import FORMS, headline, short_name
+from dbo_cli.reports.render import FORMS, digits, short_name
 
 if TYPE_CHECKING:
     import pandas
@@ -61,13 +61,6 @@ class LogReport:
         return None if self.pair.expected is None else self.pair.expected.rmse
 
     @property
-    def percent_of_range(self) -> float | None:
-        """The RMSE in percent of the model's output range; None where no model is known."""
-        if self.pair.expected is None or self.pair.expected.span is None:
-            return None
-        return percent_of(self.merits.rmse, self.pair.expected.span)
-
-    @property
     def largest_row(self) -> int:
         """Row of the largest error in the file."""
         assert self.pair.numbers is not None
@@ -106,7 +99,6 @@ class LogReport:
             "not_finite": self.pair.missing,
             "clock_offset_s": self.pair.clock_offset,
             "ratio_to_first": self.ratio_to_first,
-            "rmse_percent_of_range": self.percent_of_range,
             "expected_rmse": self.expected_rmse,
         }
 
@@ -281,7 +273,16 @@ class Report:
 
     def line(self) -> str:
         """Return the least error and, of several logs, what it is beside the first."""
-        return headline(self)
+        first = self.logs[0]
+        best = min(self.logs, key=lambda log: log.merits.rmse)
+        error = f"error {digits(best.merits.rmse, 3)} {self.unit or ''}".rstrip()
+        line = f"{short_name(best.name)}: {error} RMS"
+        if best is not first and best.merits.rmse > 0.0:
+            times = digits(first.merits.rmse / best.merits.rmse, 2)
+            return f"{line}, {times} times less than {short_name(first.name)}"
+        if best.merits.nrmse_percent is not None:
+            line += f" ({digits(best.merits.nrmse_percent, 2)} % of the move)"
+        return line
 
     def render(self, form: str) -> str:
         """Return the report as ``text``, ``json``, ``csv`` or ``html``."""
@@ -388,16 +389,16 @@ def _evaluated(pair: Pair, lag: int, remove_offset: bool) -> LogReport:
         chosen = chosen.noted("the move has no range, so no percentage is known")
     if warning:
         chosen = replace(chosen, warnings=(*chosen.warnings, warning))
-    elif _is_offset(figures, OFFSET_ALONE * figures.rmse):
+    elif _without_mean(figures) < OFFSET_ALONE * figures.rmse:
         chosen = chosen.noted(
-            "most of the error is its mean; `remove_offset` takes off a sensor's zero"
+            f"most of the error is its mean; without it {_without_mean(figures):.3g} RMS is left"
         )
     return LogReport(chosen, figures, lag)
 
 
-def _is_offset(figures: Merits, limit: float) -> bool:
-    """Return whether the RMSE without the mean is below a limit."""
-    return math.sqrt(max(figures.rmse**2 - figures.mean**2, 0.0)) < limit
+def _without_mean(figures: Merits) -> float:
+    """Return the RMS of the error without its mean."""
+    return math.sqrt(max(figures.rmse**2 - figures.mean**2, 0.0))
 
 
 def _beyond_expected(pair: Pair, figures: Merits) -> str:
@@ -415,9 +416,9 @@ def _beyond_expected(pair: Pair, figures: Merits) -> str:
         return ""
     times = figures.rmse / expected.rmse
     warning = f"{pair.name}: the error is {times:.2g} times the expected one"
-    if figures.mean and _is_offset(figures, BEYOND_EXPECTED * expected.rmse):
-        return f"{warning}, most of it the mean: try `remove_offset`"
-    return f"{warning}: drive with `condition`, or identify again"
+    if figures.mean and _without_mean(figures) <= BEYOND_EXPECTED * expected.rmse:
+        return f"{warning}, most of it the mean, {figures.mean:.3g}"
+    return f"{warning}: sweep the range before the move, or identify again"
 
 
 def _verdicts(

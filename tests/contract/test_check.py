@@ -45,13 +45,13 @@ BROKEN = {
 }
 
 
-@pytest.mark.parametrize("words", BROKEN)
-def test_the_first_row_that_breaks_a_limit_is_named(words: str) -> None:
-    outcome = failed("drive.csv", *words.split())
-    assert BROKEN[words] in outcome.lines[-1] + outcome.out
-    found = json.loads(failed("drive.csv", *words.split(), "--format", "json").out)
-    assert found["format"] == "dbo-check" and found["passed"] is False
-    assert BROKEN[words] in " ".join(found["problems"])
+def test_the_first_row_that_breaks_a_limit_is_named() -> None:
+    for words, row in BROKEN.items():
+        outcome = failed("drive.csv", *words.split())
+        assert row in outcome.lines[-1] + outcome.out
+        found = json.loads(failed("drive.csv", *words.split(), "--format", "json").out)
+        assert found["format"] == "dbo-check" and found["passed"] is False
+        assert row in " ".join(found["problems"])
 
 
 def test_limits_touched_exactly_are_kept() -> None:

@@ -178,10 +178,10 @@ def test_q31_refuses_negative_gains() -> None:
     assert "gain" in refused(1, "export", model("soft"), *words)
 
 
-@pytest.mark.parametrize("name", ["int", "9lives", "a-b", ""])
-def test_names_that_c_does_not_take(name: str) -> None:
-    words = ("--sample-rate", RATE, "--name", name, "-o", "firmware")
-    assert "--name" in refused(2, "export", model("small"), *words)
+def test_names_that_c_does_not_take() -> None:
+    for name in ("int", "9lives", "a-b", ""):
+        words = ("--sample-rate", RATE, "--name", name, "-o", "firmware")
+        assert "--name" in refused(2, "export", model("small"), *words)
 
 
 def test_a_rate_is_needed_where_the_model_depends_on_time() -> None:

@@ -158,14 +158,6 @@ def test_report(options: str) -> None:
         assert merits[key] == pytest.approx(value, rel=1e-9, abs=1e-9), key
 
 
-def test_report_of_the_library() -> None:
-    stored = golden("pair")
-    found = dbo_cli.report(
-        stored["desired_um"], stored["measured_um"], time=stored["time_s"]
-    )
-    assert found.rmse == pytest.approx(REPORTS[""]["rmse"], rel=1e-9)
-
-
 def test_repeated_values_are_the_list_that_they_stand_for() -> None:
     values = values_of("creep")
     gears: dict[str, Any] = values["stages"][0]

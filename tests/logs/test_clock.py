@@ -86,7 +86,7 @@ def test_figures_without_a_unit_that_can_hardly_be_seconds(
 
 
 def test_time_s_that_may_count_milliseconds_is_asked_about(tmp_path: Path) -> None:
-    with pytest.warns(DboWarning, match="`time_unit` s if"):
+    with pytest.warns(DboWarning, match="`time_unit` s"):
         read(write(tmp_path, [str(n) for n in range(7200)]))
     read(write(tmp_path, [str(n) for n in range(7200)]), time_unit="s")
 

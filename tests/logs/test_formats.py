@@ -278,7 +278,7 @@ def test_parts_are_chosen_or_asked_for(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"Run 1, Run 2.*a\.xlsx::Run 1"):
         opened(tmp_path / "a.xlsx")
     np.testing.assert_array_equal(read(opened(tmp_path / "a.xlsx", "Run 2"))["u"], D)
-    with pytest.raises(InputError, match="which sheet"):
+    with pytest.raises(InputError, match="Run 1, Run 2"):
         opened(tmp_path / "a.xlsx", "Run 3")
     parquet(tmp_path / "a.parquet")
     with pytest.raises(InputError, match="no parts"):
