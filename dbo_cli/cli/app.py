@@ -21,19 +21,9 @@ from dbo_cli.errors import DboError
 INTERRUPTED = 130  # 128 and the number of SIGINT, as shells report it
 WRONG_COMMAND_LINE = 2
 
-COMMANDS = (
-    "excite",
-    "identify",
-    "show",
-    "invert",
-    "simulate",
-    "compensate",
-    "check",
-    "report",
-    "export",
-    "compare",
-    "trajectory",
-    "waveform",
+COMMANDS = tuple(
+    "excite identify show invert simulate compensate check report export compare "
+    "trajectory waveform".split()
 )
 """In the order of a working day; each is a function of that name in a module of that name."""
 HELP = ("-h, --help, --help-all", "This page; --help-all lists every option.")
