@@ -96,7 +96,7 @@ class Drive:
     history : tuple of PassRecord
         Of a move that is learned: the passes so far, the last one included.
     notes, warnings : tuple of str
-        What was said.
+        What a user should know.
     """
 
     limits: Limits
