@@ -218,10 +218,10 @@ class Model:
         """The same model without dynamics and delay: gears, relaxation and curves."""
         if self.dynamics is None and self.delay is None:
             return self
-        kept = [
+        parts = [
             stage for stage in self.stages if isinstance(stage, Gears | Points | Scale)
         ]
-        return self.with_stages(tuple(kept))
+        return self.with_stages(tuple(parts))
 
     def with_stages(self, stages: tuple[Stage, ...]) -> Model:
         """Return a model of the same quantities with other stages, without candidates."""
@@ -368,13 +368,13 @@ class Model:
             inner = np.clip(inner, *self._starts.ends)
         done = self.gears.run(inner, state.bits, state.memory, dt, extend=extend)
         y = through(self.tail, done.y)
-        sections, held = state.sections, state.delay
+        sections, waiting = state.sections, state.delay
         if self.dynamics is not None:
             y, sections = self.dynamics.run(y, _needed(dt), sections)
         if self.delay is not None:
-            y, held = self.delay.run(y, _needed(dt), held)
+            y, waiting = self.delay.run(y, _needed(dt), waiting)
         after = State(
-            done.bits, done.memory, float(x[-1]), sections=sections, delay=held
+            done.bits, done.memory, float(x[-1]), sections=sections, delay=waiting
         )
         return Run(y, after, *_outside(x, self._covered))
 
