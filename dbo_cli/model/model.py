@@ -337,14 +337,14 @@ class Model:
             if isinstance(state, State):
                 undoing = inverter.behind(state)
             ahead = np.full(inverter.ahead, signal[-1])
-            signal, undoing = inverter.run(np.concatenate([signal, ahead]), undoing)
+            signal, _ = inverter.run(np.concatenate([signal, ahead]), undoing)
         if not isinstance(state, State):
             first = float(signal[0]) if signal.size else 0.0
             state = self.start(first, state)
         done = self.run(signal, state, dt, outside)
         if outside == "error":
             self.require_inside(signal, done)
-        return done.y, replace(done.state, undoing=undoing)
+        return done.y, done.state
 
     def run(
         self, x: ArrayLike, state: State, dt: Steps = None, outside: Outside = "extend"
