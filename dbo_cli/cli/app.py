@@ -21,19 +21,9 @@ from dbo_cli.errors import DboError
 INTERRUPTED = 130  # 128 and the number of SIGINT, as shells report it
 WRONG_COMMAND_LINE = 2
 
-COMMANDS = (
-    "excite",
-    "identify",
-    "show",
-    "invert",
-    "simulate",
-    "compensate",
-    "check",
-    "report",
-    "export",
-    "compare",
-    "trajectory",
-    "waveform",
+COMMANDS = tuple(
+    "excite identify show invert simulate compensate check report export compare "
+    "trajectory waveform".split()
 )
 """In the order of a working day; each is a function of that name in a module of that name."""
 HELP = ("-h, --help, --help-all", "This page; --help-all lists every option.")
@@ -218,7 +208,10 @@ def _refused(problem: Any) -> str:
         best = difflib.get_close_matches(unknown, near, 1, 0.0)
         return f"no such option: {unknown}; did you mean {best[0]}?"
     text: str = problem.format_message()
-    return text.rstrip(".")
+    for words in ("Invalid value for ", "Value error, ", "Input "):
+        text = text.replace(words, "")
+    text = text.partition(", unable to parse")[0].rstrip(".")
+    return text[:1].lower() + text[1:]
 
 
 # --- what belongs to the process ---

@@ -61,19 +61,20 @@ def check(
     dbo check played.csv --against drive.csv
     """
     from dbo_cli.drive.check import check_drive, check_played, tolerance_of
+    from dbo_cli.drive.limits import figure_in
     from dbo_cli.logs import Reading, write_text
 
     if not math.isfinite(gain) or not gain or (gain != 1.0 and against is None):
         raise UsageError(f"`gain` {gain:g}: give a factor, together with `against`")
     signal = read_drive(drive, reading, {"time": time, "voltage": voltage}, None)
     limits = limits_in(signal.unit, v_min, v_max, max_slew)
-    position = None if start is None else in_unit("from", start, signal.unit)
+    position = None if start is None else figure_in("from", start, signal.unit)
     allowed, slack, played = None, 0.0, signal.voltage * gain
     if against is not None:
         roles: dict[str, str | None] = {"time": None, "voltage": None}
         meant = read_drive(against, Reading(), roles, signal.unit)
         if tolerance is not None:
-            allowed = in_unit("tolerance", tolerance, signal.unit)
+            allowed = figure_in("tolerance", tolerance, signal.unit)
         slack = tolerance_of(meant.voltage, played, allowed) / abs(gain)
     checked = check_drive(
         signal.voltage,
@@ -127,26 +128,11 @@ def limits_in(
     unit: str | None, v_min: str | None, v_max: str | None, max_slew: str | None
 ) -> Limits:
     """Return the limits in the unit of the drive; infinite where not given."""
-    from dbo_cli.drive.limits import Limits
+    from dbo_cli.drive.limits import Limits, figure_in
 
-    low = -math.inf if v_min is None else in_unit("v_min", v_min, unit)
-    high = math.inf if v_max is None else in_unit("v_max", v_max, unit)
+    low = -math.inf if v_min is None else figure_in("v_min", v_min, unit)
+    high = math.inf if v_max is None else figure_in("v_max", v_max, unit)
     if not low < high:
         raise UsageError(f"`v_min` {v_min} must be below `v_max` {v_max}")
-    slew = None if max_slew is None else in_unit("max_slew", max_slew, unit, "/s")
+    slew = None if max_slew is None else figure_in("max_slew", max_slew, unit, "/s")
     return Limits((low, high), (low, high), (low, high), slew, unit)
-
-
-def in_unit(name: str, typed: str, unit: str | None, per: str = "") -> float:
-    """Return a limit in the unit of a drive; a unit with a prefix has to be typed."""
-    from dbo_cli.units import parse_quantity, parse_unit
-
-    if unit is None:
-        return parse_quantity(typed, None, name)
-    known = parse_unit(unit)
-    is_plain = not any(letter.isalpha() and letter not in "eE" for letter in typed)
-    if known is not None and known.base != known.text and is_plain:
-        raise UsageError(
-            f"`{name}` {typed}: the drive is in {unit}: type {typed}{unit}{per}"
-        )
-    return parse_quantity(typed, unit + per, name)

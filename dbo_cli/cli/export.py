@@ -56,7 +56,7 @@ def export(
     )
     write_folder(output, made.files, made.figures)
     figures = made.figures
-    line = f"{figures['gears']} gears in {arithmetic}"
+    line = f"{figures['gears']:,} gears in {arithmetic}"
     if figures["ahead"]:
         line += f", {figures['ahead']} samples ahead"
     say_output(output, line)

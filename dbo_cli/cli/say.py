@@ -20,6 +20,7 @@ _PARAMETER = re.compile(r"`([a-z]\w*)`")
 _CONTROL = re.compile(
     "[\x00-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufeff]+"
 )
+WIDTH = 115  # characters of a default line, behind ``dbo: ``
 _PAUSE = 0.2  # seconds between two updates of a progress line
 _VALUE_HELD = TypeVar("_VALUE_HELD")
 
@@ -34,7 +35,9 @@ class Level:
 
 
 def say(text: str) -> None:
-    """Print a line that everybody needs."""
+    """Print a line that everybody needs, at most ``WIDTH`` characters of it without ``--verbose``."""
+    if len(text) > WIDTH and not Level.verbose:
+        text = text[: WIDTH - 1] + "…"
     if not Level.quiet and text:
         print_line(text)
 
@@ -98,7 +101,8 @@ def _show(message: Any, category: Any, *_: Any) -> None:
 def say_warnings() -> None:
     """Print the warnings, behind what the command said."""
     for text in Level.warnings:
-        say(f"warning: {text}")
+        if not Level.quiet:
+            print_line(f"warning: {text}")
     Level.warnings.clear()
 
 

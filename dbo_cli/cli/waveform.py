@@ -8,7 +8,7 @@ from typer import Argument
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.check import limits_in, read_drive
-from dbo_cli.cli.say import detail, say_output
+from dbo_cli.cli.say import detail, say, say_output
 from dbo_cli.errors import InputError
 
 if TYPE_CHECKING:
@@ -78,3 +78,4 @@ def waveform(
     write_bytes(output, made.data)
     detail(*signal.doubts)
     say_output(output, made.line)
+    say(made.codes)

@@ -219,7 +219,7 @@ def voltage_in(name: str, typed: float | str, quantity: Quantity) -> float:
         unit of the drive has a prefix.
     """
     largest = WRONG_UNIT * max(abs(quantity.min), abs(quantity.max))
-    return _figure_in(name, typed, quantity, "", largest)
+    return figure_in(name, typed, quantity.unit, largest=largest)
 
 
 def slew_in(name: str, typed: float | str, quantity: Quantity) -> float:
@@ -231,24 +231,28 @@ def slew_in(name: str, typed: float | str, quantity: Quantity) -> float:
         It cannot be read or is not above 0; or it is a plain number and the unit of the
         drive has a prefix.
     """
-    value = _figure_in(name, typed, quantity, "/s", 0.0)
+    value = figure_in(name, typed, quantity.unit, "/s")
     if not value > 0.0:
         raise UsageError(f"`{name}` {typed}: give a number above 0")
     return value
 
 
-def _figure_in(
-    name: str, typed: float | str, quantity: Quantity, per: str, largest: float
+def figure_in(
+    name: str,
+    typed: float | str,
+    unit: str | None,
+    per: str = "",
+    largest: float = 0.0,
 ) -> float:
     """Return a figure in a unit; refuse a plain one beyond ``largest`` where the unit has a prefix."""
-    unit = None if quantity.unit is None else quantity.unit + per
-    value = parse_quantity(typed, unit, name)
-    base = _without_prefix(quantity.unit)
+    whole = None if unit is None else unit + per
+    value = parse_quantity(typed, whole, name)
+    base = _without_prefix(unit)
     if base is None or not _is_plain(typed) or abs(value) <= largest:
         return value
     raise UsageError(
-        f"`{name}` {typed}: the model is in {quantity.unit}: type the unit, "
-        f"{value:.9g}{base}{per} or {value:.9g}{unit}"
+        f"`{name}` {typed}: the drive is in {unit}: type the unit, {value:.9g}{base}{per} or "
+        f"{value:.9g}{whole}"
     )
 
 

@@ -97,7 +97,7 @@ class Loss:
             return
         if self.on_limit == "error":
             raise LimitError(
-                f"{self.clipping()}{self.would_fit()} (`on_limit` clip writes it)"
+                f"{self.clipping()}{self.would_fit()} (or `on_limit` clip)"
             )
         lost = wanted - self.model.static.run(done.y, before, dt).y
         # a settled start may step over the first value: no limit does that
@@ -133,15 +133,15 @@ class Loss:
         if self.on_limit != "auto" or self.rms <= ALLOWED_PART * size:
             return
         raise LimitError(
-            f"{self.clipping()}: an error of {self.rms:.3g}{unit} RMS, {100.0 * self.rms / size:.2g} "
-            f"% of {what}{self.would_fit(period)} (`on_limit` clip writes it)"
+            f"{self.clipping()}, by {self.rms:.3g}{unit} RMS ({100.0 * self.rms / size:.2g} % of "
+            f"{what}){self.would_fit(period)} (or `on_limit` clip)"
         )
 
     def clipping(self) -> str:
         """Say how much of the move its limits do not allow."""
         return (
             f"{self.name}: {self.clipped:,} of {self.move.rows:,} rows (first: row "
-            f"{self.first_clipped:,}) exceed the limits, {self.limits.describe()}"
+            f"{self.first_clipped:,}) exceed {self.limits.describe()}"
         )
 
     def would_fit(self, period: float | None = None) -> str:

@@ -264,12 +264,11 @@ def _loss(full: Model, fewer: Model) -> Loss:
     step = None
     if full.gears.relaxation is not None:
         step = max(full.gears.relaxation.tau)
-    full, fewer = full.static, fewer.static
-    differences = []
+    moves = []
     for seed in range(TRIALS):
-        moves = trial_moves(full.input.min, full.input.max, seed)
-        exact, _ = full.simulate(moves, dt=step)
-        coarse, _ = fewer.simulate(moves, dt=step)
-        differences.append(coarse - exact)
-    every = np.concatenate(differences)
-    return Loss(float(np.abs(every).max()), float(np.sqrt(np.mean(every**2))))
+        moves.append(trial_moves(full.input.min, full.input.max, seed))
+    x = np.concatenate(moves)
+    exact, _ = full.static.simulate(x, dt=step)
+    coarse, _ = fewer.static.simulate(x, dt=step)
+    off = coarse - exact
+    return Loss(float(np.abs(off).max()), float(np.sqrt(np.mean(off**2))))

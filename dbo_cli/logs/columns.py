@@ -36,8 +36,6 @@ class Role:
     ----------
     names
         Names that are enough.
-    lesser
-        Names that need a unit of the proving kinds beside them.
     against
         Words that give a column another role.
     proving
@@ -51,11 +49,10 @@ class Role:
     """
 
     names: frozenset[str]
-    lesser: frozenset[str]
     against: frozenset[str]
-    proving: frozenset[str]
-    more: frozenset[str]
     allowed: frozenset[str]
+    proving: frozenset[str] = frozenset()
+    more: frozenset[str] = frozenset()
     preferred: frozenset[str] = frozenset()
 
 
@@ -65,14 +62,13 @@ _VOLTAGE = Role(
         "tensione tensão tensao spanning spänning napięcie napiecie napětí напряжение 电压 電圧 vpiezo "
         "upiezo vdrive vpzt"
     ),
-    lesser=_set("tension piezo pzt control vin uin hv"),
     against=_set(
         "sensor position displacement feedback photodiode interferometer supply "
         + _HEAT
     ),
+    allowed=frozenset(("voltage", "share", "count")),
     proving=frozenset(("voltage",)),
     more=DRIVING_KINDS,
-    allowed=frozenset(("voltage", "share", "count")),
 )
 _DISPLACEMENT = Role(
     names=_set(
@@ -80,23 +76,17 @@ _DISPLACEMENT = Role(
         "deplacement déplacement desplazamiento spostamento posición posizione verplaatsing przemieszczenie "
         "перемещение 位移 変位 deflection stroke elongation interferometer encoder capacitive lvdt"
     ),
-    lesser=_set(
-        "x z actual current ist istwert feedback readback laser ldv vibrometer meas travel height"
-    ),
     against=_set(_ORDERS + " " + _HEAT),
+    allowed=_PLACES,
     proving=frozenset(("length", "angle")),
     more=MOVED_KINDS,
-    allowed=_PLACES,
 )
 _DESIRED = Role(
     names=_set(
         "desired reference setpoint target trajectory wanted ref soll sollwert sollposition sollweg consigne "
         "demand commanded"
     ),
-    lesser=_set("command"),
     against=_set(_HEAT),
-    proving=frozenset(),
-    more=frozenset(),
     allowed=_PLACES,
 )
 ROLES = {
@@ -149,7 +139,10 @@ def listed(columns: Sequence[Column]) -> str:
     if not any(column.name for column in columns):
         s = "" if len(columns) == 1 else "s"
         return f"it has {len(columns)} column{s} without names"
-    shown = [f"{column.number} {column.name}".strip() for column in columns[:_LISTED]]
+    shown = []
+    for column in columns[:_LISTED]:
+        text = " (no numbers)" if column.kind == "text" else ""
+        shown.append(f"{column.number} {column.name}".strip() + text)
     more = f", ... ({len(columns)} in all)" if len(columns) > _LISTED else ""
     return f"it has {', '.join(shown)}{more}"
 
@@ -304,7 +297,8 @@ def _question(
         which = " or ".join(
             column.label.removeprefix("column ") for column in found[:_LISTED]
         )
-        asked.append(f"which column is the {role}{', ' + which if which else ''}?")
+        noun = f"{role} displacement" if role in ("desired", "measured") else role
+        asked.append(f"which column is the {noun}{', ' + which if which else ''}?")
     free = [c for c in columns if c.kind == "number" and c.number not in used]
     options: list[str] = []
     for role in unclear:
@@ -331,37 +325,24 @@ def _typed(column: Column | None, columns: Sequence[Column]) -> str:
 def candidates(columns: Sequence[Column], role: Role) -> list[Column]:
     """Return the columns that may have a role, by the surest reason that there is.
 
-    A preferred name; a whole name; a word of the name; a lesser name with a unit that
-    fits; the unit alone. Beside a word or a letter, every column counts whose unit fits
-    and whose name may be meant as well.
+    A preferred name; a whole name; a word or a letter of the name, beside which every
+    column counts whose unit fits; the unit alone.
     """
     fitting = [column for column in columns if _may_be(column, role)]
     preferred = [c for c in fitting if words(c.quantity) & role.preferred]
     if preferred:
         return preferred
-    proved = [c for c in fitting if kind_of(c.unit) in role.proving]
     whole = [c for c in fitting if c.quantity.lower() in role.names]
-    if whole and not all(len(c.quantity) == 1 for c in whole):
+    if any(len(c.quantity) > 1 for c in whole):
         return whole
     part = [c for c in fitting if words(c.quantity) & role.names]
-    if whole or part:
-        found = whole or part
-        rivals = [
-            c for c in proved if c not in found and _is_rival(c, role, bool(whole))
-        ]
-        return [*found, *rivals]
-    if any(words(c.quantity) & role.names and not _clashes(c, role) for c in columns):
+    proved = [c for c in fitting if kind_of(c.unit) in role.proving]
+    if part:
+        return part + [c for c in proved if c not in part]
+    free = [c for c in columns if c.kind == "number" and not _clashes(c, role)]
+    if any(words(c.quantity) & role.names for c in free):
         return []  # the column of that name is in a unit that cannot be meant
-    lesser = [c for c in proved if words(c.quantity) & role.lesser]
-    if lesser:
-        return proved if len(lesser) == 1 and len(proved) > 1 else lesser
-    if proved:
-        return proved
-    return [
-        c
-        for c in columns
-        if c.kind == "number" and kind_of(c.unit) in role.more and not _clashes(c, role)
-    ]
+    return proved or [c for c in free if kind_of(c.unit) in role.more]
 
 
 def _clashes(column: Column, role: Role) -> bool:
@@ -374,11 +355,3 @@ def _may_be(column: Column, role: Role) -> bool:
     if column.kind != "number" or _clashes(column, role):
         return False
     return kind is None or kind in role.allowed or kind in role.proving
-
-
-def _is_rival(column: Column, role: Role, beside_letter: bool) -> bool:
-    """Return whether a column with a fitting unit may be meant beside one with a better name."""
-    called = words(column.quantity)
-    if beside_letter and len(column.quantity) != 1:
-        return bool(called & role.names)
-    return bool(called & (role.names | role.lesser)) or len(called) <= 1

@@ -253,22 +253,11 @@ def open_npy(path: str, part: str, reading: Reading) -> Source:
     """Open an array: the fields of records, or the columns of a matrix by number (InputError)."""
     _refuse_part(path, part)
     with fenced(path, "NumPy"):
-        columns = _mapped(path)
-    found = []
-    for number, column in enumerate(columns):
-        found.append(replace(column, fetch=_mapped_rows(path, number)))
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    found = array_columns("", array)
     if not found:
-        raise no_columns(path, ["an array of another kind"])
+        raise no_columns(path, [f"{array.dtype} {array.shape}"])
     return ArraySource(path, found)
-
-
-def _mapped(path: str) -> list[Found]:
-    return array_columns("", np.load(path, mmap_mode="r", allow_pickle=False))
-
-
-def _mapped_rows(path: str, number: int) -> Fetch:
-    """Return what reads rows; the file is mapped anew for each block, so its pages are given back."""
-    return lambda start, stop: np.array(_mapped(path)[number].fetch(start, stop))
 
 
 def open_zip(path: str, part: str, reading: Reading) -> Source:

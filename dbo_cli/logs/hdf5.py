@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, warn
-from dbo_cli.logs.cells import stamp_format, to_stamp
 from dbo_cli.logs.formats import ArraySource, Fetch, Found, fenced, no_columns
 from dbo_cli.logs.headers import Statement, is_clock_setting
 from dbo_cli.logs.source import Column, Reading, Source
@@ -64,6 +63,10 @@ class _Group:
     def depth(self) -> int:
         return self.path.count("/") + bool(self.path)
 
+    @property
+    def width(self) -> int:
+        return sum(column.kind == "number" for column in self.columns)
+
 
 class Hdf5Source(ArraySource):
     """The columns of an HDF5 file."""
@@ -88,7 +91,8 @@ class Hdf5Source(ArraySource):
             for column in group.columns:
                 prefix = f"{group.path}/" if len(chosen) > 1 else ""
                 found.append(replace(column, name=prefix + column.name))
-        statements = chosen[0].statements or _stated_above(node, chosen[0].path)
+        above = groups[0].statements or _attributes(file)
+        statements = chosen[0].statements or above
         super().__init__(path, found, statements, file.close)
         if len(chosen) > 1:
             self.hint = f" (or one group alone: {path}::{chosen[0].path})"
@@ -170,10 +174,10 @@ def _groups(path: str, group: Any, inner: str, seen: set[int]) -> Iterator[_Grou
 
 def _holding(groups: Sequence[_Group]) -> list[_Group]:
     """Return the shallowest groups with columns; of several the only one that has more than one column."""
-    holding = [group for group in groups if group.columns]
+    holding = [group for group in groups if group.width]
     depth = min([group.depth for group in holding], default=0)
     holding = [group for group in holding if group.depth == depth]
-    wide = [group for group in holding if len(group.columns) > 1]
+    wide = [group for group in holding if group.width > 1]
     return wide if len(wide) == 1 else holding
 
 
@@ -187,7 +191,7 @@ def columns_of(dataset: Any, name: str) -> list[Found]:
     if kind.names is not None and len(shape) == 1:
         return _fields(dataset)
     if h5py.check_string_dtype(kind) is not None and len(shape) == 1:
-        return _stamps(dataset, name, len(dataset))
+        return [Found(name, len(dataset), _vector_rows(dataset), kind="text")]
     if kind.kind not in "fiub" or len(shape) not in (1, 2):
         return []
     if len(shape) == 1:
@@ -244,23 +248,7 @@ def _fields(dataset: Any) -> list[Found]:
         if kind.kind in "fiub" and not kind.shape:
             rows = _vector_rows(dataset.fields(name))
             found.append(_column(dataset, name, number, length, rows))
-        elif h5py.check_string_dtype(kind) is not None:
-            found += _stamps(dataset.fields(name), name, length)
     return found
-
-
-def _stamps(dataset: Any, name: str, length: int) -> list[Found]:
-    """Take texts as time stamps, if they are."""
-    first = [_plain(cell).strip() for cell in dataset[:20]]
-    form = stamp_format([(cell, 1.0) for cell in first])
-    if form is None:
-        return []
-
-    def fetch(start: int, stop: int) -> Any:
-        cells = [_plain(cell).strip() for cell in dataset[start:stop]]
-        return np.array([to_stamp(cell, form) for cell in cells], dtype=np.int64)
-
-    return [Found(name, length, fetch, None, "stamp")]
 
 
 def _vector_rows(dataset: Any) -> Fetch:
@@ -360,24 +348,3 @@ def _single_value(node: Any, name: str) -> list[Statement]:
         return []
     unit = _texts(node, "units", "unit")
     return [(name, _plain(np.ravel(node[()])[0]), "".join(unit))]
-
-
-def _stated_above(node: Any, inner: str) -> list[Statement]:
-    """Return what the nearest group above the columns states."""
-    top = node if isinstance(node, h5py.Group) else node.parent
-    place = _node("", top, inner)
-    while place is not None:
-        stated = _attributes(place)
-        for name in place:
-            member = _own_member(place, name) if is_clock_setting(name) else None
-            if isinstance(member, h5py.Dataset) and member.size == 1:
-                stated += _single_value(member, name)
-        if stated or place.name == "/":
-            return stated
-        place = place.parent
-    return []
-
-
-def _own_member(group: Any, name: str) -> Any:
-    is_own = group.get(name, getclass=True, getlink=True) is h5py.HardLink
-    return group[name] if is_own else None

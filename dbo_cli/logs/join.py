@@ -31,10 +31,8 @@ class ClockOffset:
 
     def describe(self) -> str:
         """Return what was done, as the line on what was read has it."""
-        text = f"clock of {self.name} moved by {self.seconds:.6g} s"
-        if self.auto:
-            text += f" (found, within {self.uncertainty:.2g} s)"
-        return text
+        found = f" ± {self.uncertainty:.1g}" if self.auto else ""
+        return f"clock of {self.name} moved by {self.seconds:.4g}{found} s"
 
 
 def joined(logs: Sequence[Log], clock_offset: float | str | None) -> Log:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from types import TracebackType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -122,10 +121,10 @@ class Log:
         blocks = list(self.blocks(rows=1 << 40))
         values = {}
         for role in self.columns:
-            values[role] = _joined([block.values[role] for block in blocks])
+            values[role] = np.concatenate([block.values[role] for block in blocks])
         times = [block.time for block in blocks if block.time is not None]
-        time = _joined(times) if times else None
-        return Table(time, values, _joined_dt(blocks), self.clock.origin)
+        time = np.concatenate(times) if times else None
+        return Table(time, values, _steps_of(blocks), self.clock.origin)
 
     def line(self) -> str:
         """Return one line on what was read; complete after the last block."""
@@ -146,12 +145,7 @@ class Log:
         """Use the log as a context manager."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        problem: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the file."""
         self.close()
 
@@ -166,22 +160,15 @@ def _part(block: Block, start: int, stop: int) -> Block:
     return Block(time, values, block.first_row + start, dt)
 
 
-def _joined(arrays: Sequence[FloatArray]) -> FloatArray:
-    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
-
-
-def _joined_dt(blocks: Sequence[Block]) -> float | FloatArray | None:
+def _steps_of(blocks: Sequence[Block]) -> float | FloatArray | None:
     """Return the steps of all blocks: one number where all have the same."""
-    steps = [block.dt for block in blocks]
-    first = steps[0]
-    if first is None:
-        return None
-    if all(isinstance(dt, float) and dt == first for dt in steps):
+    first = blocks[0].dt
+    if len(blocks) == 1 or first is None:
         return first
-    parts = []
-    for block, dt in zip(blocks, steps, strict=True):
-        parts.append(np.broadcast_to(np.asarray(dt, dtype=np.float64), (len(block),)))
-    return _joined(parts)
+    if all(isinstance(block.dt, float) and block.dt == first for block in blocks):
+        return first
+    steps = [np.broadcast_to(np.asarray(b.dt, np.float64), len(b)) for b in blocks]
+    return np.concatenate(steps)
 
 
 # --- opening ---

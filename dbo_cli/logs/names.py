@@ -213,37 +213,39 @@ def _fill_from_settings(
     names: Names, settings: dict[str, list[str]], places: Sequence[int], named: bool
 ) -> None:
     """Take names and units that are stated by channel where no line above the rows has them."""
-    numbered: list[str] = []
-    stated: list[str] = []
-    units: list[str] = []
-    time = ""
+    stated = _stated_by_channel(settings, len(names.names))
+    if stated["numbered"] or not named:
+        _give(names.names, stated["numbered"] or stated["names"], places)
+    if not any(names.units) and not any(split_header(cell)[1] for cell in names.names):
+        units, time = stated["units"], stated["time"]
+        _give(names.units, units, places)
+        if len(units) == len(places) - 1 and time and time_unit(time[0]):
+            names.units[places[0]] = time[0]
+
+
+def _stated_by_channel(
+    settings: dict[str, list[str]], width: int
+) -> dict[str, list[str]]:
+    """Return names, units and the unit of time that settings state, and names one a line (``Name1``)."""
+    kinds = {"names": NAME_KEYS, "units": UNIT_KEYS, "time": TIME_UNIT_KEYS}
+    stated: dict[str, list[str]] = {
+        "numbered": [],
+        "names": [],
+        "units": [],
+        "time": [],
+    }
     for key, values in settings.items():
-        plain = plain_key(key)
         filled = [value for value in values if value and value != key]
         if not filled:
             continue
-        if re.fullmatch(r"name\d+", plain):
-            numbered.append(filled[0])
-        elif plain in NAME_KEYS:
-            stated = _by_place(key, values, len(names.names)) or filled
-        elif plain in UNIT_KEYS:
-            units = _by_place(key, values, len(names.names)) or filled
-        elif plain in TIME_UNIT_KEYS:
-            time = filled[0]
-    if numbered or not named:
-        _give(names.names, numbered or stated, places)
-    if not any(names.units) and not any(split_header(cell)[1] for cell in names.names):
-        _give(names.units, units, places)
-        if len(units) == len(places) - 1 and time_unit(time):
-            names.units[places[0]] = time
-
-
-def _by_place(key: str, values: Sequence[str], width: int) -> list[str]:
-    """Return the values of a line that repeats its key, in the places of the columns; else nothing."""
-    cells = [key, *values]
-    if len(cells) != width or cells.count(key) < 2:
-        return []
-    return ["" if cell == key else cell for cell in cells]
+        if re.fullmatch(r"name\d+", plain_key(key)):
+            stated["numbered"].append(filled[0])
+        if len(values) + 1 == width and key in values:  # in the places of the columns
+            filled = ["" if value == key else value for value in (key, *values)]
+        for kind, keys in kinds.items():
+            if plain_key(key) in keys:
+                stated[kind] = filled
+    return stated
 
 
 def _give(cells: list[str], stated: Sequence[str], places: Sequence[int]) -> None:

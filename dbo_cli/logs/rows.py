@@ -145,7 +145,7 @@ def _is_bad(array: NDArray[Any], column: Column) -> NDArray[np.bool_]:
     return np.asarray(~np.isfinite(array))
 
 
-def parse_rows(rows: str | tuple[int, int | None] | None) -> tuple[int, int | None]:
+def parse_rows(rows: str | None) -> tuple[int, int | None]:
     """Read ``rows``: the first and the last data row, counted from 1; either may be left out.
 
     Raises
@@ -153,20 +153,15 @@ def parse_rows(rows: str | tuple[int, int | None] | None) -> tuple[int, int | No
     UsageError
         It is no range.
     """
-    if rows is None:
-        return 1, None
-    if isinstance(rows, str):
-        match = re.fullmatch(r"\s*(\d{0,15})\s*:\s*(\d{0,15})\s*", rows, re.ASCII)
-        if match is None:
-            raise UsageError(
-                f"`rows` {rows}: give A:B, data rows counted from 1, both ends included"
-            )
-        first = int(match[1] or 1)
-        last = int(match[2]) if match[2] else None
-    else:
-        first, last = rows
+    match = re.fullmatch(r"\s*(\d{0,15})\s*:\s*(\d{0,15})\s*", rows or ":", re.ASCII)
+    if match is None:
+        raise UsageError(
+            f"`rows` {rows}: give A:B, data rows counted from 1, both ends included"
+        )
+    first = int(match[1] or 1)
+    last = int(match[2]) if match[2] else None
     if first < 1 or (last is not None and last < first):
-        raise UsageError(f"`rows` {first}:{last}: give A:B with 1 <= A <= B")
+        raise UsageError(f"`rows` {rows}: give A:B with 1 <= A <= B")
     return first, last
 
 

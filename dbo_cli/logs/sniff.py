@@ -15,7 +15,6 @@ from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.cells import MISSING, STAMPS, is_number, split_cells, stamp_format
 from dbo_cli.logs.headers import (
     is_setting,
-    plain_key,
     read_settings,
     stated_clock,
 )
@@ -133,42 +132,32 @@ def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
     layout.first = _first_row(layout, lines, rows)
     _refuse_other_rows(name, layout, lines, rows)
     _read_header(name, layout, lines, skipped)
-    if not any(layout.names.names):
-        _refuse_numbers_as_names(name, layout, lines, reading)
-        _refuse_two_readings(name, layout, sample, reading)
+    is_named = any(layout.names.names)
+    if not is_named and reading.skip_lines is None:
+        _refuse_numbers_as_names(name, layout, lines)
+    if not is_named and reading.delimiter is None and reading.decimal is None:
+        _refuse_two_readings(name, layout, sample)
     return layout
 
 
-def _refuse_numbers_as_names(
-    name: str, layout: Layout, lines: Sequence[str], reading: Reading
-) -> None:
+def _refuse_numbers_as_names(name: str, layout: Layout, lines: Sequence[str]) -> None:
     """Refuse a first row 0, 1, 2 above rows with decimals: it may be the names of a frame."""
     cells = [cell for cell in layout.cells(lines[layout.first]) if cell]
     below = lines[layout.first + 1 : layout.first + 3]
-    counted = [str(n) for n in range(len(cells))]
-    named = [str(n) for n in range(1, len(cells) + 1)]
-    decimals = any((layout.decimal or ".") in line for line in below)
-    if (
-        reading.skip_lines is None
-        and len(cells) > 1
-        and decimals
-        and cells in (counted, named)
-    ):
+    is_counted = len(cells) > 1 and cells[0] in ("0", "1")
+    for number, cell in enumerate(cells, start=int(is_counted and cells[0] == "1")):
+        is_counted = is_counted and cell == str(number)
+    if is_counted and any((layout.decimal or ".") in line for line in below):
+        number = layout.first + 1
         raise InputError(
-            f"{name}:{layout.first + 1}: {', '.join(cells)}: names (type `skip_lines` "
-            f"{layout.first + 1}) or a row (`skip_lines` 0)?"
+            f"{name}:{number}: {', '.join(cells)}: names (type `skip_lines` {number}) or a row "
+            "(`skip_lines` 0)?"
         )
 
 
-def _refuse_two_readings(
-    name: str, layout: Layout, sample: Sequence[str], reading: Reading
-) -> None:
+def _refuse_two_readings(name: str, layout: Layout, sample: Sequence[str]) -> None:
     """Refuse ``0,5``, which may be two columns or a number, where no header says which."""
-    if reading.delimiter is not None or reading.decimal is not None:
-        return
-    if layout.delimiter == "," and all(
-        _TWO_READINGS.fullmatch(line) for line in sample
-    ):
+    if layout.delimiter == "," and all(_TWO_READINGS.fullmatch(x) for x in sample):
         raise InputError(
             f"{name}: '{sample[-1].strip()}' may be two columns (`delimiter` comma) or one number "
             "(`decimal` comma)"
@@ -185,11 +174,6 @@ def _read_header(name: str, layout: Layout, lines: Sequence[str], skipped: int) 
             f"{name}: each channel has an X column: export with X_Columns One or No"
         )
     layout.clock = stated_clock(settings)
-    for key, values in settings.items():
-        if plain_key(key) == "scalefactor" and set(values) - {"", "1", key}:
-            layout.clock.remarks.append(
-                f"'{key}' {values[0]}: the values may be scaled already"
-            )
     first_row = layout.cells(lines[layout.first])
     table = Table(layout.delimiter, layout.numeric, layout.width, first_row)
     layout.names = find_names(name, above, settings, table)
@@ -358,15 +342,7 @@ def describe_columns(name: str, layout: Layout) -> list[Column]:
             kind = "empty"
         header, unit = layout.names.names[n], spell(layout.names.units[n])
         stated = split_header(header)[1]
-        bracketed = header.rstrip().endswith((")", "]", "}", ">"))
-        same_kind = kind_of(stated) == kind_of(unit) is not None
-        if (
-            stated
-            and unit
-            and stated != unit
-            and kind_of(unit)
-            and (bracketed or same_kind)
-        ):
+        if stated and unit and stated != unit and kind_of(unit) == kind_of(stated):
             raise InputError(
                 f"{name}: column '{header}' is in {unit} by the units row: type `skip_lines` "
                 f"{layout.first}"

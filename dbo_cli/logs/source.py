@@ -69,7 +69,7 @@ class Reading:
     time_unit: str | None = None
     sample_rate: float | None = None
     scale: Mapping[str, str | float] = field(default_factory=dict)
-    rows: str | tuple[int, int | None] | None = None
+    rows: str | None = None
     skip_bad: bool = False
     resample: float | None = None
     delimiter: str | None = None

@@ -22,7 +22,7 @@ from dbo_cli.logs.source import NOT_A_TIME, Column, Reading, Source
 from dbo_cli.logs.stream import ByteStream
 
 _HEAD = 1 << 16  # bytes from which the layout is found; longer than any header
-_BLOCK = 1 << 21  # bytes of text at a time; 4 MB are as fast and take 10 MB more
+_BLOCK = 1 << 22  # bytes of text at a time; of 1 to 4 MB the fastest
 _ABOVE = 1 << 14  # bytes that are kept of a block, for a look back from the last line
 _COMPARED = 60  # rows that a last line is compared with
 _LONGEST_LINE = 1 << 24  # what is longer has no line ends
@@ -90,7 +90,7 @@ class TextSource(Source):
             data = self._stream.read(_HEAD - len(head))
             self._ended = not data
             head += data
-            if self._ended or (self._stream.is_stream and self._is_enough(head)):
+            if self._ended or (self._stream.is_pipe and self._is_enough(head)):
                 break
         self._encoding = self._find_encoding(head)
         for mark in _MARKS:
@@ -170,7 +170,7 @@ class TextSource(Source):
         """Return the whole text in blocks of whole lines."""
         data, tail = self._head, b""
         self._head = b""
-        if not self._ended and not self._stream.is_stream:
+        if not self._ended and not self._stream.is_pipe:
             data += self._next(_BLOCK)
         while True:
             end = data.rfind(b"\n") + 1

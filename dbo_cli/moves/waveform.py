@@ -33,14 +33,15 @@ class Waveform(NamedTuple):
         What it says at the generator's output.
     rate : float
         Points a second.
-    line : str
-        What has to be set at the generator.
+    line, codes : str
+        What has to be set at the generator, and what its codes mean.
     """
 
     data: bytes
     volts: Floats
     rate: float
     line: str
+    codes: str = ""
 
 
 def waveform(
@@ -140,11 +141,12 @@ def waveform(
         allowed = replace(allowed, slew=allowed.slew + coding.step * rate)
     Gate(allowed).admit(heard, 1.0 / rate, "return")
     line = _line(heard, rate, gain, moved)
-    line += (
-        f"; codes {coding.codes[0]} to {coding.codes[1]} mean {ends[0]:.6g} to {ends[1]:.6g} V; rounding"
-        f" moves the drive by {rounding:.3g} V"
+    meaning = (
+        f"codes {coding.codes[0]} to {coding.codes[1]} mean {ends[0]:.6g} to {ends[1]:.6g} V; rounding"
+        f" changes the drive by {rounding:.3g} V"
     )
-    return Waveform(form.write(Signal(content, rate, ends)), heard, rate, line)
+    data = form.write(Signal(content, rate, ends))
+    return Waveform(data, heard, rate, line, meaning)
 
 
 def _check_codes(form: Format, to: str, codes: Span | None, volts: Span | None) -> None:
@@ -221,11 +223,11 @@ def _line(volts: Floats, rate: float, gain: float, moved: float) -> str:
     """Say what has to be set at the generator, and what another rate did."""
     low, high = float(volts.min()), float(volts.max())
     text = (
-        f"{volts.size:,} points at {rate:.9g} a second, {volts.size / rate:.6g} s; amplitude"
-        f" {high - low:.6g} Vpp, offset {0.5 * (high + low):.6g} V"
+        f"{volts.size:,} points at {rate:.9g} Hz, {volts.size / rate:.6g} s; {high - low:.6g} Vpp,"
+        f" offset {0.5 * (high + low):.6g} V"
     )
     if gain != 1.0:
         text += f" before a gain of {gain:g}"
     if moved:
-        text += f"; another rate moves the drive by {moved:.3g} V"
+        text += f"; resampling changes it by {moved:.3g} V"
     return text

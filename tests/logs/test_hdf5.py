@@ -13,7 +13,7 @@ import pytest
 
 from dbo_cli.errors import DboWarning, InputError
 from dbo_cli.logs.hdf5 import open_hdf5
-from dbo_cli.logs.source import NOT_A_TIME, Reading, Source
+from dbo_cli.logs.source import Reading, Source
 from dbo_cli.logs.write import create
 
 T = np.arange(200.0) / 1000.0
@@ -237,22 +237,6 @@ def test_scale_offset_and_missing_values(tmp_path: Path) -> None:
         np.testing.assert_array_equal(values(source, "scaled"), [1.0, 2.0, 3.0])
     with pytest.warns(DboWarning, match="gain, 5, which is not applied"):
         np.testing.assert_array_equal(values(source, "gained"), [1.0, 2.0, 3.0])
-    source.close()
-
-
-def test_stamps_are_a_time(tmp_path: Path) -> None:
-    def fill(file: Any) -> None:
-        file["time"] = [f"2026-01-02T03:04:05.00{n}" for n in range(4)]
-        file["voltage"], file["note"] = V[:4], ["a", "b", "c", "d"]
-
-    source = opened(tmp_path, fill)
-    assert [(column.name, column.kind) for column in source.columns] == [
-        ("time", "stamp"), ("voltage", "number")]  # fmt: skip
-    stamps = values(source, "time")
-    assert stamps.dtype == np.int64
-    assert stamps[0] == 1_767_323_045_000_000_000
-    np.testing.assert_array_equal(np.diff(stamps), 1_000_000)
-    assert NOT_A_TIME not in stamps
     source.close()
 
 

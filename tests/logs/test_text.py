@@ -252,8 +252,7 @@ def test_a_cut_record_is_refused_or_said(
 def test_rows(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text(large(5000).replace("\n0.000,0.00,0.25", "\n0.000,x,0.25"))
-    for rows in ("2:4000", (2, 4000)):
-        assert read(path, rows=rows)[0]["voltage"].tolist() == list(range(1, 4000))
+    assert read(path, rows="2:4000")[0]["voltage"].tolist() == list(range(1, 4000))
     assert read(path, rows="4997:")[0].rows == 4
     with pytest.raises(InputError, match=r"`rows` 9000: the log has 5,000"):
         read(path, rows="9000:")
@@ -287,9 +286,10 @@ def test_cells() -> None:
     assert split_cells('"a, b", c ,"d"', ",") == ["a, b", "c", "d"]
     assert split_cells('1"2"3,"4', ",") == ['1"2"3', '"4']
     assert split_cells(' 1 \t "2 3"  4 ', " ") == ["1", "2 3", "4"]
-    assert to_number("1.234,5", ",") == 1234.5
-    assert to_number("1'234.5", ".") == 1234.5
     assert to_number("1.5D-3", ".") == 0.0015
     assert np.isnan(
-        [to_number(cell, ".") for cell in ("", "1,5", "0x1F", "1_0", "1.234.5", "١")]
+        [
+            to_number(cell, ".")
+            for cell in ("", "1,5", "0x1F", "1_0", "1.234.5", "1'234.5", "١")
+        ]
     ).all()
