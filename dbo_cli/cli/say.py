@@ -22,7 +22,7 @@ _CONTROL = re.compile(
 )
 WIDTH = 115  # characters of a default line, behind ``dbo: ``
 _PAUSE = 0.2  # seconds between two updates of a progress line
-_VALUE_HELD = TypeVar("_VALUE_HELD")
+_Block = TypeVar("_Block")
 
 
 class Level:
@@ -106,7 +106,7 @@ def say_warnings() -> None:
     Level.warnings.clear()
 
 
-def progress(blocks: Iterable[_VALUE_HELD], what: str) -> Iterator[_VALUE_HELD]:
+def progress(blocks: Iterable[_Block], what: str) -> Iterator[_Block]:
     """Hand blocks on, and say on a terminal how many rows have passed.
 
     A block is anything with a length.

@@ -56,13 +56,13 @@ def identify_paper(recording: Recording, options: Options) -> Model:
     voltage, displacement = recording.voltage, recording.displacement
     if float(np.cov(voltage, displacement)[0, 1]) < 0.0:
         raise FitError(
-            f"{recording.name}: the displacement falls as the voltage rises, and the paper's method knows "
-            "positive gains only: use `method` least-squares"
+            f"{recording.name}: the displacement falls as the voltage rises: use `method` "
+            "least-squares"
         )
     count = GEARS if options.gears == "auto" else int(options.gears)
     segments = SEGMENTS if options.points == "auto" else max(int(options.points), 1)
     if count < 1:
-        raise UsageError(f"`gears` {count}: the paper's method needs at least one")
+        raise UsageError(f"`gears` {count}: give 1 or more")
 
     low, swing = float(voltage.min()), float(np.ptp(voltage))
     least, stroke = float(displacement.min()), float(np.ptp(displacement))

@@ -81,7 +81,7 @@ class Reading:
 
 @dataclass
 class Block:
-    """Rows that travel together.
+    """Rows that travel together; a whole log in memory is one block, ``block["voltage"]``.
 
     Attributes
     ----------
@@ -98,25 +98,12 @@ class Block:
 
     time: FloatArray | None
     values: dict[str, FloatArray]
-    first_row: int
+    first_row: int = 1
     dt: float | FloatArray | None = None
 
     def __len__(self) -> int:
         """Return the number of rows."""
         return len(next(iter(self.values.values()), ()))
-
-
-@dataclass
-class Table:
-    """A whole log in memory: ``table["voltage"]``, and its clock as in a Block.
-
-    ``origin`` is what time 0 is in seconds since 1970, where the log states it.
-    """
-
-    time: FloatArray | None
-    values: dict[str, FloatArray]
-    dt: float | FloatArray | None = None
-    origin: float | None = None
 
     def __getitem__(self, role: str) -> FloatArray:
         """Return the array of a role."""
@@ -125,7 +112,7 @@ class Table:
     @property
     def rows(self) -> int:
         """The number of rows."""
-        return len(next(iter(self.values.values()), ()))
+        return len(self)
 
 
 @dataclass
