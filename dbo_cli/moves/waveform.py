@@ -227,7 +227,7 @@ def _line(volts: Floats, rate: float, gain: float, moved: float) -> str:
         f" offset {0.5 * (high + low):.6g} V"
     )
     if gain != 1.0:
-        text += f" before a gain of {gain:g}"
+        text += f" at gain {gain:g}"
     if moved:
-        text += f"; resampling changes it by {moved:.3g} V"
+        text += f"; resampled within {moved:.3g} V"
     return text
