@@ -121,8 +121,8 @@ def plan(
     if periodic:
         from dbo_cli.drive.loops import Loop
 
-        asked = limits, around, on_limit, name
-        drive = Loop(model, values, request, seconds, step, *asked).plan(passes)
+        terms = limits, around, on_limit, name
+        drive = Loop(model, values, request, seconds, step, *terms).plan(passes)
     else:
         blocks = _blocks(time, dt, values, request)
         drive = _whole(Stream(model, blocks, limits, around, on_limit, name))

@@ -152,8 +152,8 @@ class Loop:
         approach, dt, limits = self.around.approach, self.dt, self.limits
         voltage = NOTHING
         if approach is not None:
-            way = ramp("approach", begin, float(period[0]), dt, approach, limits)
-            voltage = np.concatenate([[begin], way, np.tile(period, passes)])
+            ascent = ramp("approach", begin, float(period[0]), dt, approach, limits)
+            voltage = np.concatenate([[begin], ascent, np.tile(period, passes)])
         elif passes:
             rise = soft_rise(np.linspace(0.0, 1.0, period.size))
             growing = begin + rise * (period - begin)
