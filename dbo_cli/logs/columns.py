@@ -158,46 +158,34 @@ def named(source: Source, selector: str, option: str) -> Column:
         The number is not above 0.
     """
     name, columns = source.name, source.columns
-    selector = str(selector)
-    how, separator, rest = selector.partition("=")
-    if separator and how in ("number", "name"):
-        selector = rest
-    else:
-        how = ""
-    by_name = _by_name(columns, selector) if how != "number" else []
+    how, _, rest = selector.partition("=")
+    is_said = how in ("number", "name")
+    typed = rest if is_said else selector
+    by_name = [] if how == "number" else _by_name(columns, typed)
     by_number: list[Column] = []
-    if how != "name" and re.fullmatch(r"[-+]?\d{1,9}", selector):
-        if int(selector) < 1:
-            raise UsageError(f"`{option}` {selector}: columns are counted from 1")
-        by_number = [column for column in columns if column.number == int(selector)]
-        if not by_number and not by_name:
-            raise InputError(
-                f"{name}: no column {selector}: {listed(columns)}{source.hint} (`{option}` NAME or NUMBER)"
-            )
+    if how != "name" and re.fullmatch(r"[-+]?\d{1,9}", typed):
+        if int(typed) < 1:
+            raise UsageError(f"`{option}` {typed}: columns are counted from 1")
+        by_number = [column for column in columns if column.number == int(typed)]
     if by_name and by_number and by_name != by_number:
         raise InputError(
-            f"{name}: `{option}` {selector}: {by_number[0].label}, or {by_name[0].number}, which is named "
-            f"'{selector}'? (`{option}` number={selector} or `{option}` name={selector})"
+            f"{name}: `{option}` {typed}: {by_number[0].label}, or {by_name[0].number}, which is named "
+            f"'{typed}'? (`{option}` number={typed} or `{option}` name={typed})"
         )
     found = by_number or by_name
     if len(found) > 1:
         numbers = " or ".join(f"`{option}` {column.number}" for column in found)
+        raise InputError(f"{name}: column '{typed}' occurs more than once ({numbers})")
+    column = found[0] if found else source.find(typed)
+    if column is None:
         raise InputError(
-            f"{name}: column '{selector}' occurs more than once ({numbers})"
+            f"{name}: no column '{typed}': {listed(columns)}{source.hint} (`{option}` NAME or NUMBER)"
         )
-    if not found:
-        elsewhere = source.find(selector)
-        if elsewhere is None:
-            raise InputError(
-                f"{name}: no column '{selector}': {listed(columns)}{source.hint} (`{option}` NAME or "
-                "NUMBER)"
-            )
-        return elsewhere
-    if found[0].kind in ("text", "empty"):
+    if column.kind in ("text", "empty"):
         raise InputError(
-            f"{name}: {found[0].label} holds neither numbers nor known time stamps: {listed(columns)}"
+            f"{name}: {column.label} holds neither numbers nor known time stamps: {listed(columns)}"
         )
-    return found[0]
+    return column
 
 
 def _by_name(columns: Sequence[Column], selector: str) -> list[Column]:

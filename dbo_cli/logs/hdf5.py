@@ -21,11 +21,13 @@ from dbo_cli.logs.headers import Statement, is_clock_setting
 from dbo_cli.logs.source import Column, Reading, Source
 
 MOST_HOPS = 16  # soft links behind each other; more are a circle
-MOST_MEMBERS = 20_000  # that are looked at: some seconds
 CHUNK_CACHE = (
     1 << 22
 )  # bytes a dataset: a compressed chunk is unpacked once, not once a block
-_NOT_APPLIED = ("scale", "offset", "gain", "factor", "sensitivity", "calibration")
+_NOT_APPLIED = {
+    "scale_factor": 1.0, "add_offset": 0.0, "scale": 1.0, "offset": 0.0, "gain": 1.0, "factor": 1.0,
+    "sensitivity": 1.0, "calibration": 1.0,
+}  # fmt: skip
 _MATLAB_NUMBERS = ("double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16",
                    "uint32", "uint64", "logical")  # fmt: skip
 _EMPTY_DIMENSION = "This is a netCDF dimension but not a netCDF variable"
@@ -151,11 +153,6 @@ def _groups(path: str, group: Any, inner: str, seen: set[int]) -> Iterator[_Grou
     found = _Group(inner, statements=_attributes(group))
     below = []
     for name in group:
-        seen.add(-len(seen))
-        if len(seen) > MOST_MEMBERS:
-            raise InputError(
-                f"{path}: more than {MOST_MEMBERS:,} members: type {path}::/GROUP"
-            )
         is_external = isinstance(group.get(name, getlink=True), h5py.ExternalLink)
         if name.startswith("#") or is_external:
             continue  # MATLAB's book-keeping, or another file
@@ -199,7 +196,7 @@ def columns_of(dataset: Any, name: str) -> list[Found]:
     is_matlab = "MATLAB_class" in dataset.attrs  # it stores matrices transposed
     along = 0 if shape[0] > shape[1] or (shape[0] == shape[1] and not is_matlab) else 1
     width = shape[1 - along]
-    labels = _texts(dataset, "columns", "column_names", "names", "channels", "labels")
+    labels = _texts(dataset, "columns", "column_names", "names")
     if len(labels) != width:
         labels = [f"{name}[{number + 1}]" for number in range(width)]
     if width == 1:
@@ -212,33 +209,31 @@ def columns_of(dataset: Any, name: str) -> list[Found]:
 
 
 def _column(dataset: Any, name: str, number: int, length: int, rows: Fetch) -> Found:
-    """Return a column with its unit; packed numbers are unpacked as netCDF says."""
-    factor = _number(dataset, "scale_factor")
-    shift = _number(dataset, "add_offset")
-    missing = [_number(dataset, key) for key in ("_FillValue", "missing_value")]
-
-    def unpacked(start: int, stop: int) -> Any:
-        stored = np.asarray(rows(start, stop), dtype=np.float64)
-        values = stored * (1.0 if factor is None else factor) + (shift or 0.0)
-        for value in missing:
-            if value is not None:
-                values[stored == value] = np.nan
-        return values
-
-    is_plain = factor is None and shift is None and missing == [None, None]
+    """Return a column with its unit, and a warning of each attribute that may belong to its values."""
     warnings = []
-    for key in _NOT_APPLIED:
-        value = _number(dataset, key)
-        if value not in (None, 0.0 if key == "offset" else 1.0):
+    for key, nothing in _NOT_APPLIED.items():
+        values = _attribute(dataset, key)
+        if len(values) == 1 and values[0] != nothing:
             warnings.append(
-                f"has an attribute {key}, {value:g}, which is not applied (`scale`)"
+                f"has an attribute {key}, {values[0]}: not applied (`scale`)"
             )
     units = _texts(dataset, "units", "unit", "Units", "Unit")
     if len(units) == 1:
         units = units * (number + 1)
     unit = units[number] if number < len(units) else None
-    fetch = rows if is_plain else unpacked
+    fill = _attribute(dataset, "_FillValue")
+    fetch = _without(rows, fill[0]) if len(fill) == 1 else rows
     return Found(name, length, fetch, unit, warnings=tuple(warnings))
+
+
+def _without(rows: Fetch, fill: Any) -> Fetch:
+    """Make NaN of what stands where a number is missing."""
+
+    def fetch(start: int, stop: int) -> Any:
+        stored = np.asarray(rows(start, stop), dtype=np.float64)
+        return np.where(stored == fill, np.nan, stored)
+
+    return fetch
 
 
 def _fields(dataset: Any) -> list[Found]:
@@ -324,12 +319,6 @@ def _texts(node: Any, *names: str) -> list[str]:
         if texts:
             return texts
     return []
-
-
-def _number(node: Any, name: str) -> float | None:
-    values = _attribute(node, name)
-    is_single = len(values) == 1 and isinstance(values[0], int | float)
-    return float(values[0]) if is_single else None
 
 
 def _attributes(node: Any) -> list[Statement]:

@@ -10,7 +10,7 @@ import numpy as np
 from dbo_cli.errors import InputError, UsageError, warn
 from dbo_cli.logs.clock_offset import Pair, apart, find_offset
 from dbo_cli.logs.log import Log
-from dbo_cli.logs.source import FloatArray, Table
+from dbo_cli.logs.source import Block, FloatArray
 
 SENSORS = ("displacement", "measured")  # the rows are those of their file
 DRIVES = ("voltage", "desired", "input")
@@ -32,7 +32,7 @@ class ClockOffset:
     def describe(self) -> str:
         """Return what was done, as the line on what was read has it."""
         found = f" ± {self.uncertainty:.1g}" if self.auto else ""
-        return f"clock of {self.name} moved by {self.seconds:.4g}{found} s"
+        return f"{self.name} moved by {self.seconds:.4g}{found} s"
 
 
 def joined(logs: Sequence[Log], clock_offset: float | str | None) -> Log:
@@ -93,7 +93,7 @@ def joined(logs: Sequence[Log], clock_offset: float | str | None) -> Log:
 
 
 def _time_beside(
-    base: Log, log: Log, table: Table, clock_offset: float | str | None
+    base: Log, log: Log, table: Block, clock_offset: float | str | None
 ) -> FloatArray:
     """Return a log's times on the clock of the base (InputError)."""
     for part in (base, log):
@@ -116,7 +116,7 @@ def _time_beside(
     )
 
 
-def _beside(rows: Table, time: FloatArray, other: Table, place: str) -> Table:
+def _beside(rows: Block, time: FloatArray, other: Block, place: str) -> Block:
     """Put another log's signals beside rows, where it has some; none in its gaps.
 
     Raises
@@ -149,10 +149,10 @@ def _beside(rows: Table, time: FloatArray, other: Table, place: str) -> Table:
     ):
         steps = np.diff(kept)
         dt = np.concatenate([steps[:1], steps])
-    return Table(kept, values, dt, rows.origin)
+    return Block(kept, values, dt=dt)
 
 
-def _pair(rows: Table, time: FloatArray, other: Table) -> Pair | None:
+def _pair(rows: Block, time: FloatArray, other: Block) -> Pair | None:
     """Return drive and displacement of two logs, if one has each (InputError)."""
     drives = [other.values[role] for role in DRIVES if role in other.values]
     sensors = [rows.values[role] for role in SENSORS if role in rows.values]
@@ -163,10 +163,10 @@ def _pair(rows: Table, time: FloatArray, other: Table) -> Pair | None:
 
 def _offset(
     place: str,
-    rows: Table,
+    rows: Block,
     log: Log,
     time: FloatArray,
-    other: Table,
+    other: Block,
     typed: float | str,
 ) -> ClockOffset:
     """Return the offset that the user gives, or the one that the signals show."""
@@ -185,7 +185,7 @@ def _offset(
 
 
 def _warn_if_apart(
-    place: str, rows: Table, log: Log, time: FloatArray, other: Table
+    place: str, rows: Block, log: Log, time: FloatArray, other: Block
 ) -> None:
     """Warn where the drive explains the displacement much better when its clock is moved."""
     try:

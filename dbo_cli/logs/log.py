@@ -24,7 +24,6 @@ from dbo_cli.logs.source import (
     FloatArray,
     Reading,
     Source,
-    Table,
 )
 from dbo_cli.logs.time_column import find_clock
 from dbo_cli.units import split_header
@@ -78,13 +77,12 @@ class Log:
         cls,
         name: str,
         columns: Mapping[str, Column],
-        table: Table,
+        table: Block,
         clock: Clock,
         remarks: list[str],
     ) -> Log:
         """Make a log of arrays in memory, as a joined or resampled one is."""
-        block = Block(table.time, table.values, 1, table.dt)
-        return cls(name, columns, clock, lambda: iter([block]), remarks)
+        return cls(name, columns, clock, lambda: iter([table]), remarks)
 
     def provided(self, role: str) -> bool:
         """Return whether the log has a column for a role, or a clock for ``time``."""
@@ -110,7 +108,7 @@ class Log:
             for start in range(0, len(block), rows):
                 yield _part(block, start, start + rows)
 
-    def read(self) -> Table:
+    def read(self) -> Block:
         """Return the whole log.
 
         Raises
@@ -124,7 +122,7 @@ class Log:
             values[role] = np.concatenate([block.values[role] for block in blocks])
         times = [block.time for block in blocks if block.time is not None]
         time = np.concatenate(times) if times else None
-        return Table(time, values, _steps_of(blocks), self.clock.origin)
+        return Block(time, values, dt=_steps_of(blocks))
 
     def line(self) -> str:
         """Return one line on what was read; complete after the last block."""

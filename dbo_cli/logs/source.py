@@ -81,7 +81,7 @@ class Reading:
 
 @dataclass
 class Block:
-    """Rows that travel together.
+    """Rows that travel together; a whole log in memory is one block, ``block["voltage"]``.
 
     Attributes
     ----------
@@ -98,25 +98,12 @@ class Block:
 
     time: FloatArray | None
     values: dict[str, FloatArray]
-    first_row: int
+    first_row: int = 1
     dt: float | FloatArray | None = None
 
     def __len__(self) -> int:
         """Return the number of rows."""
         return len(next(iter(self.values.values()), ()))
-
-
-@dataclass
-class Table:
-    """A whole log in memory: ``table["voltage"]``, and its clock as in a Block.
-
-    ``origin`` is what time 0 is in seconds since 1970, where the log states it.
-    """
-
-    time: FloatArray | None
-    values: dict[str, FloatArray]
-    dt: float | FloatArray | None = None
-    origin: float | None = None
 
     def __getitem__(self, role: str) -> FloatArray:
         """Return the array of a role."""
@@ -125,7 +112,7 @@ class Table:
     @property
     def rows(self) -> int:
         """The number of rows."""
-        return len(next(iter(self.values.values()), ()))
+        return len(self)
 
 
 @dataclass
@@ -176,13 +163,13 @@ class Source:
     def blocks(self, chosen: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
         """Return all rows of the chosen columns in blocks, one array a column.
 
-        Numbers are float64, with NaN for what is none; stamps are int64 nanoseconds
-        since 1970 or since midnight, with ``NOT_A_TIME`` for what is none.
+        Numbers are float64, NaN for other cells; stamps are int64 nanoseconds
+        since 1970 or since midnight, ``NOT_A_TIME`` for other cells.
         """
         raise NotImplementedError
 
     def where(self, row: int, column: Column) -> str:
-        """Say where a row (from 1) of the last block is, and what stands in a column of it."""
+        """Return the place of a row (from 1) of the last block, and its cell in a column."""
         raise NotImplementedError
 
     def find(self, name: str) -> Column | None:

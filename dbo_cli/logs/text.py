@@ -131,10 +131,7 @@ class TextSource(Source):
                 raise UsageError(
                     f"`encoding` {self._reading.encoding}: there is no such text encoding"
                 ) from None
-            if named not in (
-                "utf-16",
-                "utf-32",
-            ):  # else the mark tells the order of bytes
+            if named not in ("utf-16", "utf-32"):  # else the mark tells more
                 return named
         for mark, name in _MARKS.items():
             if head.startswith(mark):
@@ -258,7 +255,7 @@ class TextSource(Source):
         return [line for line in self._lines_of(text) if not is_comment(line)]
 
     def _read_lines(self, text: bytes, chosen: Sequence[Column]) -> list[NDArray[Any]]:
-        """Read a block in Python; what is no number is NaN, whatever the reason."""
+        """Read a block in Python; other cells become NaN."""
         sign = self.layout.decimal or "."
         width, delimiter = self.layout.width, self.layout.delimiter
         lines = self._data_lines(text)
@@ -266,17 +263,14 @@ class TextSource(Source):
         rows = [split_cells(line, delimiter) for line in lines]
         for column in chosen:
             n = column.number - 1
+            values: NDArray[Any] = np.full(len(rows), np.nan)
             if column.kind == "stamp":
-                form = self.layout.stamps[n]
                 values = np.full(len(rows), NOT_A_TIME, dtype=np.int64)
-                for k, cells in enumerate(rows):
-                    if len(cells) == width:
-                        values[k] = to_stamp(cells[n], form)
-            else:
-                values = np.full(len(rows), np.nan)
-                for k, cells in enumerate(rows):
-                    if len(cells) == width:
-                        values[k] = to_number(cells[n], sign)
+            for k, cells in enumerate(rows):
+                if len(cells) == width and column.kind == "stamp":
+                    values[k] = to_stamp(cells[n], self.layout.stamps[n])
+                elif len(cells) == width:
+                    values[k] = to_number(cells[n], sign)
             arrays.append(values)
         return arrays
 
@@ -291,14 +285,10 @@ class TextSource(Source):
             s = "" if len(cells) == 1 else "s"
             return f"{at}: {len(cells)} cell{s} where the other rows have {self.layout.width}"
         cell = cells[column.number - 1]
-        shown = cell if len(cell) < 40 else cell[:37] + "..."
         if not cell:
             return f"{at}: {column.label} is empty"
-        if column.kind == "stamp":
-            return (
-                f"{at}: {column.label} is not a time stamp like the others: '{shown}'"
-            )
-        return f"{at}: {column.label} is not a finite number: '{shown}'"
+        wanted = "a known time stamp" if column.kind == "stamp" else "a finite number"
+        return f"{at}: {column.label} is not {wanted}: '{cell[:40]}'"
 
     def _without_cut_record(self, text: bytes, above: bytes) -> bytes:
         """Refuse (or leave out) a last line that was cut in a cell; say that it has no line end."""

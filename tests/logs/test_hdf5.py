@@ -220,22 +220,21 @@ def test_a_single_value_is_a_statement_and_no_column(tmp_path: Path) -> None:
     source.close()
 
 
-def test_scale_offset_and_missing_values(tmp_path: Path) -> None:
+def test_attributes_that_are_not_applied_are_told(tmp_path: Path) -> None:
     def fill(file: Any) -> None:
-        file["packed"] = np.array([0, 100, -32768], dtype="i2")
-        file["packed"].attrs.update(
-            {"scale_factor": 0.125, "add_offset": 10.0, "_FillValue": -32768}
-        )
+        file["packed"] = np.array([0, 100, -1], dtype="i2")
+        file["packed"].attrs.update({"scale_factor": 0.125, "_FillValue": -1})
         file["scaled"] = np.array([1.0, 2.0, 3.0])
         file["scaled"].attrs["scale"] = 20.0
         file["gained"] = np.array([1.0, 2.0, 3.0])
         file["gained"].attrs["gain"] = 5.0
 
     source = opened(tmp_path, fill)
-    np.testing.assert_array_equal(values(source, "packed"), [10.0, 22.5, np.nan])
-    with pytest.warns(DboWarning, match="scale, 20, which is not applied"):
+    with pytest.warns(DboWarning, match=r"scale_factor, 0.125: not applied"):
+        np.testing.assert_array_equal(values(source, "packed"), [0.0, 100.0, np.nan])
+    with pytest.warns(DboWarning, match="scale, 20.0: not applied"):
         np.testing.assert_array_equal(values(source, "scaled"), [1.0, 2.0, 3.0])
-    with pytest.warns(DboWarning, match="gain, 5, which is not applied"):
+    with pytest.warns(DboWarning, match="gain, 5.0: not applied"):
         np.testing.assert_array_equal(values(source, "gained"), [1.0, 2.0, 3.0])
     source.close()
 

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs import Log, Reading, Table, open_log, text
+from dbo_cli.logs import Block, Log, Reading, open_log, text
 from dbo_cli.logs.cells import split_cells, to_number
 
 BOTH: dict[str, str | None] = {"voltage": None, "displacement": None}
 HEAD = "time_s,voltage_V,displacement_um\n"
 
 
-def read(path: Path | str, **reading: object) -> tuple[Table, Log]:
+def read(path: Path | str, **reading: object) -> tuple[Block, Log]:
     with open_log(str(path), BOTH, Reading(**reading)) as log:  # type: ignore[arg-type]
         return log.read(), log
 
