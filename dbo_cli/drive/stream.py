@@ -149,7 +149,7 @@ class Stream:
         self.drive = self.outlook.drive(self._state, lead.rows * (step or 0.0), known)
 
     def _checked(self, blocks: Iterable[Block]) -> Iterator[Block]:
-        """Yield the blocks that hold rows; refuse what is no number (InputError)."""
+        """Yield the blocks that hold rows; refuse values that are not numbers (InputError)."""
         rows = 0
         for block in blocks:
             bad = ~np.isfinite(block.wanted)
@@ -229,9 +229,9 @@ class Stream:
                 self.outlook.off = float(undone[0] - wanted[late])
             if block.time is not None:
                 self._time = float(block.time[-1])
-            yield self._driven(block, undone, undoing)
+            yield self._driven(block, undone)
 
-    def _driven(self, block: Block, wanted: Floats, undoing: Undoing | None) -> Rows:
+    def _driven(self, block: Block, wanted: Floats) -> Rows:
         """Return the drive of one block, ``wanted`` of the static part."""
         if self._state is None:
             self._state = self._started(float(wanted[0]))
@@ -241,7 +241,7 @@ class Stream:
             self.loss.see(block.desired, wanted, done, before, block.dt)
         self.outlook.missed = self.outlook.missed or done.missed
         self._admit(done.y, block.dt, block.part)
-        self._state = dataclasses.replace(done.state, undoing=undoing)
+        self._state = done.state
         return Rows(block.time, block.desired, done.y)
 
     def _started(self, first: float) -> State:

@@ -81,7 +81,7 @@ def is_number(cell: str, decimal: str) -> bool:
 
 
 def to_number(cell: str, decimal: str) -> float:
-    """Read a cell as a number; NaN for whatever is none."""
+    """Read a cell as a number; NaN for other text."""
     pattern = _POINT if decimal == "." else _COMMA
     if not pattern.fullmatch(cell):
         return np.nan

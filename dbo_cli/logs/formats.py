@@ -185,7 +185,7 @@ class ArraySource(Source):
         return stored
 
     def where(self, row: int, column: Column) -> str:
-        """Say where a row of the last block is, and what stands in a column of it."""
+        """Return the place of a row of the last block, and its cell in a column."""
         value = self._arrays[column.number][row - self._first]
         return f"{self.name}: row {row}: {column.label} is {value}"
 
@@ -338,7 +338,7 @@ class ArrowSource(Source):
             yield arrays
 
     def where(self, row: int, column: Column) -> str:
-        """Say where a row of the last block is, and what stands in a column of it."""
+        """Return the place of a row of the last block, and its cell in a column."""
         value = self._arrays[column.number][row - self._first]
         return f"{self.name}: row {row}: {column.label} is {value}"
 

@@ -32,7 +32,7 @@ class ClockOffset:
     def describe(self) -> str:
         """Return what was done, as the line on what was read has it."""
         within = f" ± {self.uncertainty:.1g}" if self.auto else ""
-        return f"clock of {self.name} moved by {self.seconds:.4g}{within} s"
+        return f"{self.name} moved by {self.seconds:.4g}{within} s"
 
 
 def joined(logs: Sequence[Log], clock_offset: float | str | None) -> Log:
