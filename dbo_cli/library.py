@@ -465,7 +465,7 @@ def floats(values: Any, name: str) -> Floats:
     Raises
     ------
     InputError
-        It is of another shape, or holds what is no number.
+        It has another shape, or holds a value that is not a number.
     """
     try:
         array = np.ascontiguousarray(np.asarray(values, dtype=np.float64))

@@ -26,7 +26,7 @@ _Block = TypeVar("_Block")
 
 
 class Level:
-    """How much is said: set once, by the options of the command; and the warnings that are due."""
+    """How much a command prints, set once by its options; and the pending warnings."""
 
     quiet = False
     verbose = False

@@ -96,7 +96,7 @@ class Drive:
     history : tuple of PassRecord
         Of a move that is learned: the passes so far, the last one included.
     notes, warnings : tuple of str
-        What was said.
+        What a user should know.
     """
 
     limits: Limits
@@ -146,12 +146,16 @@ class Drive:
         if self.expected_error is None:
             return ""
         unit = f" {self.unit}" if self.unit else ""
-        text = f"expected error {self.expected_error:.2g}{unit} RMS"
+        error = f"{self.expected_error:.2g}"
+        text = f"expected error {error}{unit} RMS"
         if self.past_known:
             return text
         if self.expected_known is None:
             return f"{text} (past unknown)"
-        return f"{text} (past unknown; {self.expected_known:.2g} with `condition`)"
+        known = f"{self.expected_known:.2g}"
+        if known == error:
+            return f"{text}, whatever the past"
+        return f"{text} (past unknown; {known} with `condition`)"
 
     def summary(self) -> dict[str, Any]:
         """Return the drive as plain values, for a summary in JSON."""

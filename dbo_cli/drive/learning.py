@@ -78,7 +78,7 @@ class PassRecord(NamedTuple):
 
 
 class Lesson(NamedTuple):
-    """What to ask for next, the history with this pass, and what was said."""
+    """What to ask for next, the history with this pass, and the notes."""
 
     request: Floats
     history: tuple[PassRecord, ...]

@@ -36,7 +36,7 @@ NOTHING = np.zeros(0)
 SAME_DRIVE = 1e-9
 # tries for a start or a run-in that leads to the loop it ends on; two are usual
 MOST_STARTS = 20
-# of the move: a loop that the model repeats further off than this is none
+# of the move: a loop that the model repeats further off than this is not settled
 LOOP_ERROR = 1e-6
 FEWEST_ROWS = 4  # of a period: fewer have no shape
 # times the largest step inside a period, from which on its last row does not meet its first

@@ -149,7 +149,7 @@ class Stream:
         self.drive = self.outlook.drive(self._state, lead.rows * (step or 0.0), known)
 
     def _checked(self, blocks: Iterable[Block]) -> Iterator[Block]:
-        """Yield the blocks that hold rows; refuse what is no number (InputError)."""
+        """Yield the blocks that hold rows; refuse values that are not numbers (InputError)."""
         rows = 0
         for block in blocks:
             bad = ~np.isfinite(block.wanted)

@@ -249,7 +249,7 @@ def _is_inside(resonance: Resonance, band: Band) -> bool:
     return lowest < beside.frequency < highest
 
 
-# --- what is said ---
+# --- warnings ---
 
 
 def _figures(

@@ -60,8 +60,8 @@ def split_cells(line: str, delimiter: str) -> list[str]:
 def _split_quoted(line: str, delimiter: str) -> list[str]:
     """Split a line in which cells may stand in quotes; a quote anywhere else is a letter of its cell."""
     if delimiter == " ":
-        found = re.findall(r'"([^"]*)"(?=\s|$)|(\S+)', line)
-        return [inner or plain for inner, plain in found]
+        cells = re.findall(r'"([^"]*)"(?=\s|$)|(\S+)', line)
+        return [inner or plain for inner, plain in cells]
     mark = re.escape(delimiter)
     pattern = re.compile(rf'\s*"([^"]*)"\s*(?={mark}|$)|([^{mark}]*)')
     cells, place = [], 0
@@ -81,7 +81,7 @@ def is_number(cell: str, decimal: str) -> bool:
 
 
 def to_number(cell: str, decimal: str) -> float:
-    """Read a cell as a number; NaN for whatever is none."""
+    """Read a cell as a number; NaN for other text."""
     pattern = _POINT if decimal == "." else _COMMA
     if not pattern.fullmatch(cell):
         return np.nan

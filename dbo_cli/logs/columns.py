@@ -159,8 +159,8 @@ def named(source: Source, selector: str, option: str) -> Column:
     """
     name, columns = source.name, source.columns
     how, _, rest = selector.partition("=")
-    is_said = how in ("number", "name")
-    typed = rest if is_said else selector
+    is_prefixed = how in ("number", "name")
+    typed = rest if is_prefixed else selector
     by_name = [] if how == "number" else _by_name(columns, typed)
     by_number: list[Column] = []
     if how != "name" and re.fullmatch(r"[-+]?\d{1,9}", typed):
@@ -172,11 +172,11 @@ def named(source: Source, selector: str, option: str) -> Column:
             f"{name}: `{option}` {typed}: {by_number[0].label}, or {by_name[0].number}, which is named "
             f"'{typed}'? (`{option}` number={typed} or `{option}` name={typed})"
         )
-    found = by_number or by_name
-    if len(found) > 1:
-        numbers = " or ".join(f"`{option}` {column.number}" for column in found)
+    matches = by_number or by_name
+    if len(matches) > 1:
+        numbers = " or ".join(f"`{option}` {column.number}" for column in matches)
         raise InputError(f"{name}: column '{typed}' occurs more than once ({numbers})")
-    column = found[0] if found else source.find(typed)
+    column = matches[0] if matches else source.find(typed)
     if column is None:
         raise InputError(
             f"{name}: no column '{typed}': {listed(columns)}{source.hint} (`{option}` NAME or NUMBER)"
@@ -201,9 +201,9 @@ def _by_name(columns: Sequence[Column], selector: str) -> list[Column]:
         lambda column: column.quantity.lower() == lower,
     )
     for is_meant in ways:
-        found = [column for column in columns if column.name and is_meant(column)]
-        if found:
-            return found
+        matches = [column for column in columns if column.name and is_meant(column)]
+        if matches:
+            return matches
     return []
 
 
@@ -249,11 +249,11 @@ def choose(
     for role in selectors:
         if role in chosen:
             continue
-        found = candidates(free, role_of(role, units.get(role)))
-        if len(found) == 1:
-            chosen[role] = found[0]
+        matches = candidates(free, role_of(role, units.get(role)))
+        if len(matches) == 1:
+            chosen[role] = matches[0]
         elif role not in optional:
-            unclear[role] = found
+            unclear[role] = matches
     _refuse_shared(name, columns, chosen)
     if unclear:
         used |= {column.number for column in chosen.values()}
@@ -266,11 +266,11 @@ def _refuse_shared(
 ) -> None:
     roles: dict[int, str] = {}
     for role, column in chosen.items():
-        other = roles.setdefault(column.number, role)
-        if other != role:
+        first = roles.setdefault(column.number, role)
+        if first != role:
             raise InputError(
-                f"{name}: {column.label} cannot be both {other} and {role}: {listed(columns)} "
-                f"(`{other}` and `{role}` NAME or NUMBER)"
+                f"{name}: {column.label} cannot be both {first} and {role}: {listed(columns)} "
+                f"(`{first}` and `{role}` NAME or NUMBER)"
             )
 
 
@@ -280,31 +280,31 @@ def _question(
     used: Collection[int],
 ) -> str:
     """Ask for all roles that are not clear, with the options to type."""
-    asked = []
-    for role, found in unclear.items():
+    questions = []
+    for role, matches in unclear.items():
         which = " or ".join(
-            column.label.removeprefix("column ") for column in found[:_LISTED]
+            column.label.removeprefix("column ") for column in matches[:_LISTED]
         )
         noun = f"{role} displacement" if role in ("desired", "measured") else role
-        asked.append(f"which column is the {noun}{', ' + which if which else ''}?")
+        questions.append(f"which column is the {noun}{', ' + which if which else ''}?")
     free = [c for c in columns if c.kind == "number" and c.number not in used]
     options: list[str] = []
     for role in unclear:
         against = role_of(role, None).against
         likely = [column for column in unclear[role] if column in free]
-        others = [column for column in free if not words(column.name) & against]
-        example = next(iter(likely or others), None)
+        rest = [column for column in free if not words(column.name) & against]
+        example = next(iter(likely or rest), None)
         if example is not None:
             free.remove(example)
         options.append(f"`{role}` {_typed(example, columns)}")
-    return f"{' '.join(asked)} {listed(columns)} (for example {' '.join(options)})"
+    return f"{' '.join(questions)} {listed(columns)} (for example {' '.join(options)})"
 
 
 def _typed(column: Column | None, columns: Sequence[Column]) -> str:
     """Return how a column is typed in the shell: its name, or its number where that is not enough."""
     if column is None:
         return "NAME"
-    same = [other for other in columns if other.name == column.name]
+    same = [twin for twin in columns if twin.name == column.name]
     if not column.name or len(same) > 1 or column.name.isdigit():
         return str(column.number)
     return shlex.quote(column.name)

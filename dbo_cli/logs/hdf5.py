@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, warn
-from dbo_cli.logs.formats import ArraySource, Fetch, Found, fenced, no_columns
+from dbo_cli.logs.formats import ArraySource, Fetch, StoredColumn, fenced, no_columns
 from dbo_cli.logs.headers import Statement, is_clock_setting
 from dbo_cli.logs.source import Column, Reading, Source
 
@@ -58,7 +58,7 @@ class _Group:
     """A group by its path from the part that is read, and what stands in it."""
 
     path: str
-    columns: list[Found] = field(default_factory=list)
+    columns: list[StoredColumn] = field(default_factory=list)
     statements: list[Statement] = field(default_factory=list)
 
     @property
@@ -88,14 +88,14 @@ class Hdf5Source(ArraySource):
         chosen = _holding(groups)
         if not chosen:
             raise no_columns(path, [_listed(file)])
-        found: list[Found] = []
+        members: list[StoredColumn] = []
         for group in chosen:
             for column in group.columns:
                 prefix = f"{group.path}/" if len(chosen) > 1 else ""
-                found.append(replace(column, name=prefix + column.name))
+                members.append(replace(column, name=prefix + column.name))
         above = groups[0].statements or _attributes(file)
         statements = chosen[0].statements or above
-        super().__init__(path, found, statements, file.close)
+        super().__init__(path, members, statements, file.close)
         if len(chosen) > 1:
             self.hint = f" (or one group alone: {path}::{chosen[0].path})"
 
@@ -106,15 +106,15 @@ class Hdf5Source(ArraySource):
                 _node(self.name, base, name) if isinstance(base, h5py.Group) else None
             )
             if isinstance(node, h5py.Dataset):
-                found = columns_of(node, name)
-                if len(found) == 1:
-                    return self.add(found[0])
+                members = columns_of(node, name)
+                if len(members) == 1:
+                    return self.add(members[0])
         return None
 
     def blocks(self, chosen: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
         """Return all rows of the chosen columns; see ``Source``."""
         for column in chosen:
-            for warning in self._found[column.number - 1].warnings:
+            for warning in self._members[column.number - 1].warnings:
                 warn(f"{self.name}: {column.label} {warning}")
         yield from super().blocks(chosen)
 
@@ -144,13 +144,13 @@ def _node(path: str, base: Any, inner: str, hops: int = 0) -> Any:
     return node
 
 
-def _groups(path: str, group: Any, inner: str, seen: set[int]) -> Iterator[_Group]:
+def _groups(path: str, group: Any, inner: str, visited: set[int]) -> Iterator[_Group]:
     """Return a group and all groups below it, each with its columns."""
     address = h5py.h5o.get_info(group.id).addr
-    if address in seen:
+    if address in visited:
         return  # a circle of hard links
-    seen.add(address)
-    found = _Group(inner, statements=_attributes(group))
+    visited.add(address)
+    place = _Group(inner, statements=_attributes(group))
     below = []
     for name in group:
         is_external = isinstance(group.get(name, getlink=True), h5py.ExternalLink)
@@ -160,13 +160,13 @@ def _groups(path: str, group: Any, inner: str, seen: set[int]) -> Iterator[_Grou
         if isinstance(node, h5py.Group):
             below.append((name, node))
         elif isinstance(node, h5py.Dataset) and node.size == 1:
-            found.statements += _single_value(node, name)
+            place.statements += _single_value(node, name)
         elif isinstance(node, h5py.Dataset):
-            found.columns += columns_of(node, name)
-            found.statements += _attributes(node)
-    yield found
+            place.columns += columns_of(node, name)
+            place.statements += _attributes(node)
+    yield place
     for name, node in below:
-        yield from _groups(path, node, f"{inner}/{name}".lstrip("/"), seen)
+        yield from _groups(path, node, f"{inner}/{name}".lstrip("/"), visited)
 
 
 def _holding(groups: Sequence[_Group]) -> list[_Group]:
@@ -178,17 +178,17 @@ def _holding(groups: Sequence[_Group]) -> list[_Group]:
     return wide if len(wide) == 1 else holding
 
 
-def columns_of(dataset: Any, name: str) -> list[Found]:
+def columns_of(dataset: Any, name: str) -> list[StoredColumn]:
     """Take a dataset apart into columns; none where it holds no numbers or stamps."""
     if not dataset.size or not _holds_numbers(dataset):
         return []
     if dataset.is_virtual or dataset.external:
-        return [Found(name, len(dataset), _refusing(name))]
+        return [StoredColumn(name, len(dataset), _refusing(name))]
     kind, shape = dataset.dtype, dataset.shape
     if kind.names is not None and len(shape) == 1:
         return _fields(dataset)
     if h5py.check_string_dtype(kind) is not None and len(shape) == 1:
-        return [Found(name, len(dataset), _vector_rows(dataset), kind="text")]
+        return [StoredColumn(name, len(dataset), _vector_rows(dataset), kind="text")]
     if kind.kind not in "fiub" or len(shape) not in (1, 2):
         return []
     if len(shape) == 1:
@@ -201,14 +201,16 @@ def columns_of(dataset: Any, name: str) -> list[Found]:
         labels = [f"{name}[{number + 1}]" for number in range(width)]
     if width == 1:
         labels = [name]
-    found = []
+    members = []
     for number, label in enumerate(labels):
         rows = _matrix_rows(dataset, along, number)
-        found.append(_column(dataset, label, number, shape[along], rows))
-    return found
+        members.append(_column(dataset, label, number, shape[along], rows))
+    return members
 
 
-def _column(dataset: Any, name: str, number: int, length: int, rows: Fetch) -> Found:
+def _column(
+    dataset: Any, name: str, number: int, length: int, rows: Fetch
+) -> StoredColumn:
     """Return a column with its unit, and a warning of each attribute that may belong to its values."""
     warnings = []
     for key, nothing in _NOT_APPLIED.items():
@@ -223,7 +225,7 @@ def _column(dataset: Any, name: str, number: int, length: int, rows: Fetch) -> F
     unit = units[number] if number < len(units) else None
     fill = _attribute(dataset, "_FillValue")
     fetch = _without(rows, fill[0]) if len(fill) == 1 else rows
-    return Found(name, length, fetch, unit, warnings=tuple(warnings))
+    return StoredColumn(name, length, fetch, unit, warnings=tuple(warnings))
 
 
 def _without(rows: Fetch, fill: Any) -> Fetch:
@@ -236,14 +238,14 @@ def _without(rows: Fetch, fill: Any) -> Fetch:
     return fetch
 
 
-def _fields(dataset: Any) -> list[Found]:
-    found = []
+def _fields(dataset: Any) -> list[StoredColumn]:
+    members = []
     for number, name in enumerate(dataset.dtype.names):
         kind, length = dataset.dtype[name], len(dataset)
         if kind.kind in "fiub" and not kind.shape:
             rows = _vector_rows(dataset.fields(name))
-            found.append(_column(dataset, name, number, length, rows))
-    return found
+            members.append(_column(dataset, name, number, length, rows))
+    return members
 
 
 def _vector_rows(dataset: Any) -> Fetch:

@@ -72,47 +72,47 @@ def find_names(
         The last line above the rows has another number of cells than they have.
     """
     names = Names([""] * table.width, [""] * table.width)
-    found = _header_lines(above, table)
-    units = next((k for k, cells in enumerate(found) if _are_units(cells)), None)
-    only_units = units is not None and len(found) == 1
+    headers = _header_lines(above, table)
+    units = next((k for k, cells in enumerate(headers) if _are_units(cells)), None)
+    only_units = units is not None and len(headers) == 1
     if units is not None:
-        names.units = found[units]
-        if units + 1 < len(found):
-            names.names = found[units + 1]
+        names.units = headers[units]
+        if units + 1 < len(headers):
+            names.names = headers[units + 1]
         else:
-            names.names = list(found[0])  # units in the place of names, or below them
-    elif found:
-        names.names = found[0]
+            names.names = list(headers[0])  # units in the place of names, or below them
+    elif headers:
+        names.names = headers[0]
     else:
         _refuse_unclear(name, above, table)
     _fill_from_settings(
-        names, settings, sorted(table.numeric), bool(found) and not only_units
+        names, settings, sorted(table.numeric), bool(headers) and not only_units
     )
     return names
 
 
 def _header_lines(above: Sequence[str], table: Table) -> list[list[str]]:
     """Return the lines right above the rows that have a cell for each column, the nearest first."""
-    found: list[list[str]] = []
+    headers: list[list[str]] = []
     passed = 0
     for line in reversed(above):
         plain = line.strip("\r\n ")
         if not plain.strip("#%,;\t| "):
-            if found and not plain.strip("#%"):
+            if headers and not plain.strip("#%"):
                 break  # what stands above a blank line is no header
             continue
         if is_channel_key(split_cells(plain, table.delimiter)[0]):
             break
-        cells = _as_header(plain, table, bool(found) and _are_units(found[-1]))
+        cells = _as_header(plain, table, bool(headers) and _are_units(headers[-1]))
         if cells is not None:
-            found.append(cells)
-            if len(found) == _LINES:
+            headers.append(cells)
+            if len(headers) == _LINES:
                 break
             continue
         passed += 1
-        if found or plain[0] not in "#%" or passed > _PASSED:
+        if headers or plain[0] not in "#%" or passed > _PASSED:
             break
-    return found
+    return headers
 
 
 def _as_header(line: str, table: Table, above_units: bool) -> list[str] | None:

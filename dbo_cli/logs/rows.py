@@ -66,7 +66,7 @@ class Rows:
         chosen = list(self.picks.values())
         if self.clock.kind in ("column", "stamps") and self.clock.column is not None:
             chosen.append(self.clock.column)
-        told = len(self.source.remarks)
+        noted = len(self.source.remarks)
         row, count = 1, 0
         for arrays in self.source.blocks(chosen):
             start = max(0, self.first - row)
@@ -83,7 +83,7 @@ class Rows:
                 yield self._block(numbers, arrays)
             if self.last is not None and row > self.last:
                 break
-        self.doubtful += self.source.remarks[told:]
+        self.doubtful += self.source.remarks[noted:]
         if self._dropped:
             s = "" if self._dropped == 1 else "s"
             text = (
@@ -113,8 +113,8 @@ class Rows:
         column = chosen[int(np.argmax([marks[at] for marks in bad]))]
         place = self.source.where(int(numbers[at]), column)
         if not self.skip_bad:
-            others = int(np.count_nonzero(any_bad)) - 1
-            more = f", and {others:,} more such rows near it" if others else ""
+            rest = int(np.count_nonzero(any_bad)) - 1
+            more = f", and {rest:,} more such rows near it" if rest else ""
             raise InputError(f"{place}{more} (`skip_bad` drops such rows)")
         self._first_dropped = self._first_dropped or place
         self._dropped += int(np.count_nonzero(any_bad))

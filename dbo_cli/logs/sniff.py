@@ -230,12 +230,12 @@ def _best_layout(sample: Sequence[str], reading: Reading) -> Layout | None:
         for sign in signs:
             if mark == sign and not quoted:
                 continue
-            share, found = _judged(sample, mark, sign)
+            share, candidate = _judged(sample, mark, sign)
             if mark == " ":
                 share *= _BLANKS  # stand around other delimiters, too
-            score = (round(share, 9), found.width > 1, mark != " ")
+            score = (round(share, 9), candidate.width > 1, mark != " ")
             if share > 0.0 and score > best:
-                best, layout = score, found
+                best, layout = score, candidate
     if layout is not None and reading.decimal is None:
         cells = [cell for line in sample for cell in layout.cells(line)]
         numbers = [cell for cell in cells if is_number(cell, layout.decimal or ".")]

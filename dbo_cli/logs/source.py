@@ -163,13 +163,13 @@ class Source:
     def blocks(self, chosen: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
         """Return all rows of the chosen columns in blocks, one array a column.
 
-        Numbers are float64, with NaN for what is none; stamps are int64 nanoseconds
-        since 1970 or since midnight, with ``NOT_A_TIME`` for what is none.
+        Numbers are float64, NaN for other cells; stamps are int64 nanoseconds
+        since 1970 or since midnight, ``NOT_A_TIME`` for other cells.
         """
         raise NotImplementedError
 
     def where(self, row: int, column: Column) -> str:
-        """Say where a row (from 1) of the last block is, and what stands in a column of it."""
+        """Return the place of a row (from 1) of the last block, and its cell in a column."""
         raise NotImplementedError
 
     def find(self, name: str) -> Column | None:

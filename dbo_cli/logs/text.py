@@ -255,7 +255,7 @@ class TextSource(Source):
         return [line for line in self._lines_of(text) if not is_comment(line)]
 
     def _read_lines(self, text: bytes, chosen: Sequence[Column]) -> list[NDArray[Any]]:
-        """Read a block in Python; what is no number is NaN, whatever the reason."""
+        """Read a block in Python; other cells become NaN."""
         sign = self.layout.decimal or "."
         width, delimiter = self.layout.width, self.layout.delimiter
         lines = self._data_lines(text)

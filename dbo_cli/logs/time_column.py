@@ -63,24 +63,24 @@ def find_clock(
         if not 0.0 < rate < np.inf:
             raise UsageError(f"`sample_rate` {rate:g}: give a rate above 0 Hz")
     if selector is not None:
-        found = [named(source, selector, "time")]
+        matches = [named(source, selector, "time")]
     else:
-        found = _time_columns(source, used)
+        matches = _time_columns(source, used)
     if rate is not None:
         clock = Clock(source.name, "rate", rate=rate)
-        if len(found) == 1:
-            clock.column = found[0]
-            clock.remarks.append(f"`sample_rate` replaces {found[0].label}")
+        if len(matches) == 1:
+            clock.column = matches[0]
+            clock.remarks.append(f"`sample_rate` replaces {matches[0].label}")
         return clock
-    if len(found) > 1:
+    if len(matches) > 1:
         which = " or ".join(
-            f"`time` {column.number} ('{column.name}')" for column in found
+            f"`time` {column.number} ('{column.name}')" for column in matches
         )
         raise InputError(
             f"{source.name}: which column is the time? Type {which}{source.hint}"
         )
-    if found:
-        return _clock_of(source.name, found[0], reading.time_unit)
+    if matches:
+        return _clock_of(source.name, matches[0], reading.time_unit)
     return _stated_clock(source, reading)
 
 
@@ -116,16 +116,16 @@ def _time_columns(source: Source, used: Sequence[Column]) -> list[Column]:
     called = called or [c for c in fitting if words(c.quantity) & _NAMES]
     figures = [c for c in called if c.kind == "number"]
     stamps = [c for c in called if c.kind == "stamp"]
-    found = figures or stamps or [c for c in free if c.kind == "stamp"]
+    matches = figures or stamps or [c for c in free if c.kind == "stamp"]
     texts = [c for c in called if c.kind == "text"]
-    if texts and not found:
+    if texts and not matches:
         raise InputError(
             f"{source.name}: {texts[0].label} holds neither numbers nor ISO time stamps: type `time` "
             "COLUMN or `sample_rate` HZ"
         )
-    if not found and free[:1] == source.columns[:1] and time_unit(free[0].unit):
+    if not matches and free[:1] == source.columns[:1] and time_unit(free[0].unit):
         return [column for column in free[:1] if column.kind == "number"]
-    return found
+    return matches
 
 
 def _clock_of(name: str, column: Column, given: str | None) -> Clock:

@@ -43,9 +43,7 @@ Outside = Literal["extend", "hold", "error"]
 Sign = Literal["rising", "falling"]
 
 MOST_CANDIDATES = 5
-_TIME_IS_NEEDED = (
-    "this model depends on time, and there is none (`time` COLUMN or `sample_rate` HZ)"
-)
+_TIME_IS_NEEDED = "this model needs a clock: add `time` COLUMN or `sample_rate` HZ"
 
 
 @dataclass(frozen=True)

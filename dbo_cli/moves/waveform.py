@@ -220,7 +220,7 @@ def _at_generator(limits: Limits, gain: float) -> Limits:
 
 
 def _line(volts: Floats, rate: float, gain: float, moved: float) -> str:
-    """Say what has to be set at the generator, and what another rate did."""
+    """Return what to set at the generator, and what resampling changed, in words."""
     low, high = float(volts.min()), float(volts.max())
     text = (
         f"{volts.size:,} points at {rate:.9g} Hz, {volts.size / rate:.6g} s; {high - low:.6g} Vpp,"

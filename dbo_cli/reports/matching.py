@@ -61,7 +61,7 @@ def match(
         The rates differ where rows are matched, a clock is missing, or no row of one
         belongs to a row of the other.
     UsageError
-        ``match`` is none of the three.
+        ``match`` is another word.
     """
     if match not in ("auto", "time", "rows"):
         raise UsageError(f"`match` {match}: give auto, time or rows")
