@@ -37,11 +37,11 @@ def identify(
     ] = None,
     prior: Annotated[
         opt.Text,
-        opt.value("MODEL", "Keep its shape; identify gain, offset and delay again."),
+        opt.value("MODEL", "Keep its shape; identify gain, offset, delay."),
     ] = None,
     sign: Annotated[
         Literal["rising", "falling"] | None,
-        opt.value(None, "Expected direction; exit 3 where the log shows the other."),
+        opt.value(None, "Expected direction; exit 3 if the log differs."),
     ] = None,
     skip: opt.Skip = "0",
     zero: Annotated[
