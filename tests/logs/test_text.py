@@ -204,20 +204,19 @@ def test_what_is_no_file(name: str, tmp_path: Path) -> None:
 
 
 def test_a_record_that_may_be_cut_is_told(tmp_path: Path) -> None:
-    content, path = (
-        HEAD + "0.0,1.25,2.5\n0.1,1.5,2.75\n0.2,1.75,3.25",
-        tmp_path / "a.csv",
-    )
+    path = tmp_path / "run.csv"
+    lines = [f"{n / 100:.2f},{n}.5,{n}.25" for n in range(20)]
+    content = HEAD + "\n".join(lines)
     for size in range(content.rindex("\n") + 2, len(content) + 1):
         path.write_text(content[:size])
         try:
             table, log = read(path)
         except InputError as problem:
-            assert "a.csv:4: " in str(problem) and size < len(content)
-            assert read(path, skip_bad=True)[0].rows == 2
+            assert "run.csv:21: " in str(problem) and size < len(content)
+            assert read(path, skip_bad=True)[0].rows == 19
             continue
-        assert log.doubtful[0].startswith("line 4, the last one, has no line end")
-        assert table["displacement"][:2].tolist() == [2.5, 2.75]
+        assert log.doubtful[0].startswith("line 21, the last one, has no line end")
+        assert table["displacement"][:19].tolist() == [n + 0.25 for n in range(19)]
 
 
 # --- options ---
