@@ -48,7 +48,8 @@ def compensate(
     ] = "auto",
     start: opt.From = None,
     approach: Annotated[
-        opt.Text, opt.value("SECONDS|auto", "Duration of the way to row 1.", opt.MOVE)
+        opt.Text,
+        opt.value("SECONDS|auto", "Time of a ramp from there to row 1.", opt.MOVE),
     ] = None,
     condition: Annotated[
         bool,
