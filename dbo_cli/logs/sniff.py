@@ -125,7 +125,7 @@ def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
     if reading.decimal is None:
         layout.decimal = _shown_decimal(layout, [lines[n] for n in rows])
     if reading.decimal is None and layout.decimal == ",":
-        refuse_thousands(name, [c for n in rows for c in layout.cells(lines[n])])
+        _refuse_thousands(name, [c for n in rows for c in layout.cells(lines[n])])
     layout.first = _first_row(layout, lines, rows)
     _refuse_other_rows(name, layout, lines, rows)
     _read_header(name, layout, lines, skipped)
@@ -281,7 +281,7 @@ def _judged(sample: Sequence[str], mark: str, sign: str) -> tuple[float, Layout]
     return (shares[layout.width] / sum(weights) if numeric else 0.0), layout
 
 
-def refuse_thousands(name: str, cells: Sequence[str]) -> None:
+def _refuse_thousands(name: str, cells: Sequence[str]) -> None:
     """Refuse commas that may stand between thousands as well as before decimals (InputError)."""
     commas = [cell for cell in cells if "," in cell and is_number(cell, ",")]
     if commas and all(_THOUSANDS.fullmatch(cell) for cell in commas):

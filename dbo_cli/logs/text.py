@@ -195,17 +195,23 @@ class TextSource(Source):
                 text = self._below_header(text)
             if not text:
                 continue
-            if self._ended and not text.endswith(b"\n"):
-                number = self._line + text.count(b"\n")
-                self.remarks.append(
-                    f"line {number}, the last one, has no line end: was the record cut there?"
-                )
+            if self._ended:
+                self._doubt_last_line(text)
             self._text = text
             arrays, lines = self._read_block(text, chosen)
             if len(arrays[0]):
                 yield arrays
             self.first_row += len(arrays[0])
             self._line += lines
+
+    def _doubt_last_line(self, text: bytes) -> None:
+        """Say that a row at the end has no line end."""
+        last = self._lines_of(text[text.rfind(b"\n") + 1 :])[0]
+        if not is_comment(last):
+            number = self._line + text.count(b"\n")
+            self.remarks.append(
+                f"line {number}, the last one, has no line end: was the record cut there?"
+            )
 
     def _below_header(self, text: bytes) -> bytes:
         """Return the rows of a text that begins above them."""
