@@ -78,6 +78,7 @@ class Rows:
             arrays = [array[start:stop] for array in arrays]
             good = self._good(numbers, chosen, arrays)
             if good is not None:
+                self._refuse_torn(numbers[good], chosen[0])
                 numbers = numbers[good]
                 arrays = [array[good] for array in arrays]
             if len(numbers):
@@ -121,6 +122,17 @@ class Rows:
         self._first_dropped = self._first_dropped or place
         self._dropped += int(np.count_nonzero(any_bad))
         return np.asarray(~any_bad)
+
+    def _refuse_torn(self, numbers: NDArray[np.int64], column: Column) -> None:
+        """Refuse lines that may be no samples between rows whose time is counted (InputError)."""
+        for row in (
+            self.source.torn if self.clock.kind == "rate" and len(numbers) else ()
+        ):
+            if numbers[0] < row < numbers[-1]:
+                raise InputError(
+                    f"{self.source.where(row, column)}: the time behind it is not known: cut with "
+                    f"`rows` {numbers[0]}:{row - 1}"
+                )
 
     def _block(
         self, numbers: NDArray[np.int64], arrays: Sequence[NDArray[Any]]

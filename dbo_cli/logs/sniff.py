@@ -150,6 +150,8 @@ def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
         raise InputError(
             f"{name}: no line holds numbers only: try `delimiter`, `decimal` or `skip_lines`"
         )
+    if reading.delimiter is None:
+        _refuse_other_delimiter(name, layout)
     if reading.decimal is None:
         layout.decimal = _shown_decimal(layout, [lines[n] for n in rows])
         _refuse_thousands(name, layout, [layout.cells(lines[n]) for n in rows])
@@ -163,6 +165,17 @@ def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
     if not is_named and reading.delimiter is None and reading.decimal is None:
         _refuse_two_readings(name, layout, sample)
     return layout
+
+
+def _refuse_other_delimiter(name: str, layout: Layout) -> None:
+    """Refuse a column of texts such as ``500;1`` (InputError)."""
+    for text in layout.texts.values():
+        for mark in ("semicolon", "tab", "pipe"):
+            sign = re.escape(DELIMITERS[mark])
+            if re.search(rf"\d{sign}|{sign}\d", text):
+                raise InputError(
+                    f"{name}: '{text}' holds another delimiter: type `delimiter` {mark}"
+                )
 
 
 def _refuse_numbers_as_names(name: str, layout: Layout, lines: Sequence[str]) -> None:
@@ -270,7 +283,8 @@ def _best_layout(sample: Sequence[str], reading: Reading) -> Layout | None:
 def _shown_decimal(layout: Layout, lines: Sequence[str]) -> str:
     """Return the decimal sign that the last number with one has; that of the layout where none has."""
     for line in reversed(lines):
-        for cell in layout.cells(line):
+        cells = layout.cells(line)
+        for cell in (cells[n] for n in sorted(layout.numeric) if n < len(cells)):
             for sign in ".,":
                 if sign in cell and is_number(cell, sign):
                     return sign
@@ -309,7 +323,7 @@ def _judged(sample: Sequence[str], mark: str, sign: str) -> tuple[float, Layout]
             if form is not None:
                 layout.stamps[n] = form
             texts = [cell for cell, _ in column if cell and not is_number(cell, sign)]
-            layout.texts[n] = texts[0][:20]
+            layout.texts[n] = texts[-1][:20]
     layout.numeric, layout.empty = frozenset(numeric), frozenset(empty)
     return (shares[layout.width] / sum(weights) if numeric else 0.0), layout
 
@@ -361,6 +375,8 @@ def _first_row(layout: Layout, lines: Sequence[str], rows: Sequence[int]) -> int
         place = next(partly, 0)
     while place > 0 and layout.partly_fits(layout.cells(lines[rows[place - 1]])):
         place -= 1
+    if lines[rows[min(place + 1, len(rows) - 1)]].rstrip().endswith(":"):
+        place = min(place + 2, len(rows) - 1)  # figures above "data:" are no row
     return rows[place]
 
 

@@ -155,10 +155,13 @@ class Source:
         What the user is to be told, without the file's name in front.
     last_block, first_row
         The arrays of the last block by the columns' numbers, and the number of its first row.
+    torn
+        The rows (from 1) of the last block that have another number of cells.
     """
 
     hint: str = ""
     first_row: int = 1
+    torn: Sequence[int] = ()
 
     def __init__(
         self, name: str, columns: Sequence[Column], stated: StatedClock | None = None

@@ -269,6 +269,7 @@ class TextSource(Source):
     ) -> tuple[list[NDArray[Any]], int]:
         """Read a block by polars, or line by line where it is small or not regular; count its lines."""
         self._seen += len(text)
+        self.torn = ()
         if len(text) <= _TINY or (self._seen <= _SMALL and "polars" not in sys.modules):
             return self._read_lines(text, chosen), text.count(b"\n")
         from dbo_cli.logs.fast_text import read_fast
@@ -292,6 +293,8 @@ class TextSource(Source):
         lines = self._data_lines(text)
         arrays: list[NDArray[Any]] = []
         rows = [split_cells(line, delimiter) for line in lines]
+        torn = [k for k, cells in enumerate(rows) if len(cells) != width]
+        self.torn = [self.first_row + k for k in torn]
         for column in chosen:
             n = column.number - 1
             values: NDArray[Any] = np.full(len(rows), np.nan)
