@@ -77,7 +77,9 @@ def _fits(problem: Problem, structure: Structure, curves: Sequence[float]) -> li
             first = solve(problem.rows(trial), trial, first)
         except FitError:
             continue
-        fits.append(judge(problem, first))
+        judged = judge(problem, first)
+        if judged.left:
+            fits.append(judged)
     return fits
 
 

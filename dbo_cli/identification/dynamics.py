@@ -45,7 +45,6 @@ NEAR = 0.03  # of the logarithms of two resonances that undo each other
 SEEN_DELAY = 0.1  # periods of the highest frequency: less is fitted as a lag
 FAST_LAGS = 2.0  # periods of the lowest frequency: shorter relaxation is dynamics
 UNEXPLAINED = 0.1  # of what the fast rows do: more is a warning
-STUDENT = 2.0  # standard errors of a 95 % interval
 
 
 def find(
@@ -257,31 +256,12 @@ def _figures(
     best: Fitted, signals: Sequence[Signals], fast: Sequence[FastPart]
 ) -> dict[str, Any]:
     """Return what the model file says of the dynamics."""
-    resonances = []
-    for k, resonance in enumerate(best.resonances):
-        frequency, damping = best.spread[2 * k : 2 * k + 2].tolist()
-        resonances.append(
-            {
-                "frequency": resonance.frequency,
-                "damping": resonance.damping,
-                "frequency_interval": _interval(resonance.frequency, frequency),
-                "damping_interval": _interval(resonance.damping, damping),
-            }
-        )
     return {
-        "resonances": resonances,
         "rmse": best.rmse,
         "left_out_rmse": best.left_out,
         "logs": [part.recording.name for part in fast],
-        "swept": list(_band(fast)),
         "warnings": _unexplained(signals, fast, best),
     }
-
-
-def _interval(value: float, spread: float) -> list[float]:
-    """Return both ends of the interval of a parameter, from the standard error of its logarithm."""
-    factor = float(np.exp(STUDENT * spread))
-    return [value / factor, value * factor]
 
 
 def _unexplained(

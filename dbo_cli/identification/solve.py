@@ -70,7 +70,6 @@ class Fit:
     penalised : what was minimised
     left : what is left of each part where that was left out (``judge``)
     score : mean logarithm of that, and the price of the terms (``judge``)
-    misfit : weighted mean square of what it leaves of a mean prediction (``distill``)
     """
 
     structure: Structure
@@ -83,7 +82,6 @@ class Fit:
     penalised: float = np.inf
     left: tuple[Floats, ...] = ()
     score: float = np.inf
-    misfit: float = np.inf
 
     @property
     def rmse(self) -> float:
