@@ -124,10 +124,14 @@ def in_blocks(
     for name in ("periodic", "passes", "bandwidth"):
         options.pop(name, None)
     rows = int(rng.integers(1, 100))
-    blocks = [(None, desired)]
+    clock = DT * np.arange(desired.size)
+    blocks = [
+        (clock[k : k + rows], DT, desired[k : k + rows])
+        for k in range(0, desired.size, rows)
+    ]
     sent = []
     try:
-        for part in stream(model, blocks, DT, limits, block_rows=rows, **options):
+        for part in stream(model, blocks, limits, **options):
             sent.append(part.voltage)
     except GateError:
         raise

@@ -102,10 +102,10 @@ def percent(error: Floats) -> float:
 
 def driven(model: Model, wanted: Floats, state: str = "auto") -> Floats:
     """Return the drive of a whole move without limits; the last value is held."""
-    ahead = np.full(model.ahead(DT), wanted[-1])
-    undone, _ = model.undo(np.concatenate([wanted, ahead]), None, DT)
+    ahead = np.full(model.inverter(DT).ahead, wanted[-1])
+    undone, _ = model.inverter(DT).run(np.concatenate([wanted, ahead]))
     begun = model.start_drive(float(undone[0]), state)
-    return np.asarray(model.drive(undone, begun, DT).voltage)
+    return np.asarray(model.drive(undone, begun, DT).y)
 
 
 def dynamics(count: int) -> float:

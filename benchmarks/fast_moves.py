@@ -25,8 +25,9 @@ import numpy as np
 import plants
 from numpy.typing import NDArray
 
+from dbo_cli.drive.lowpass import low_pass
 from dbo_cli.identification import Options, Recording, identify
-from dbo_cli.model import Model, VoltageWindow, ZeroPhaseLowPass
+from dbo_cli.model import Model, Window
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "sample_data"))
 from virtual_positioner import PRESETS, PositionerParameters, VirtualPositioner
@@ -47,8 +48,8 @@ def wave(shape: str, frequency: float) -> tuple[Floats, slice]:
     body = 0.5 + 0.3 * np.sin(2.0 * np.pi * phase)
     if shape == "triangle":
         corners = 0.5 + 0.6 / np.pi * np.arcsin(np.sin(2.0 * np.pi * phase))
-        smooth = ZeroPhaseLowPass(max(5.0 * frequency, rate / 2_000.0), 1.0 / rate)
-        body = smooth.whole(corners)
+        cutoff = max(5.0 * frequency, rate / 2_000.0)
+        body = low_pass(corners, cutoff, 1.0 / rate)
     up = 0.25 - 0.25 * np.cos(np.pi * np.arange(rise) / rise)
     fade = np.clip(np.minimum(phase, phase[::-1]), 0.0, 1.0)
     fade = fade**3 * (10.0 - 15.0 * fade + 6.0 * fade**2)
@@ -77,11 +78,11 @@ def sweep(low: float, high: float, highest: float) -> Floats:
 def compensated(model: Model, wanted: Floats) -> Floats:
     """Return the drive of a move, from the lower end, within the identified range."""
     dt = 1.0 / FAST_RATE
-    ahead = np.full(model.ahead(dt), wanted[-1])
-    undone, _ = model.undo(np.concatenate([wanted, ahead]), None, dt)
+    ahead = np.full(model.inverter(dt).ahead, wanted[-1])
+    undone, _ = model.inverter(dt).run(np.concatenate([wanted, ahead]))
     low, high = model.input.min, model.input.max
     state = model.start_drive(undone[0], "empty", low, high)
-    return np.asarray(model.drive(undone, state, dt, VoltageWindow(low, high)).voltage)
+    return np.asarray(model.drive(undone, state, dt, Window(low, high)).y)
 
 
 def models_of(p: PositionerParameters, seconds: float) -> tuple[Model, Model]:

@@ -69,20 +69,19 @@ def identified() -> Gears:
 def costs(gears: Gears, inputs: dict[str, Floats]) -> list[float]:
     """Return ns a sample of each input, forward and back."""
     relaxation = gears.relaxation
-    decay = None if relaxation is None else relaxation.decay(DT)
     back = gears.inverse()
     found = []
     for x in inputs.values():
         memory = None
         if relaxation is not None:
             memory = relaxation.lags(x[:1], DT)[1]
-        y = gears.run(x, 0, memory, decay).y
+        y = gears.run(x, 0, memory, DT).y
 
         def forward(x: Floats = x, memory: tuple[float, ...] | None = memory) -> object:
-            return gears.run(x, 0, memory, decay)
+            return gears.run(x, 0, memory, DT)
 
         def inverse(y: Floats = y, memory: tuple[float, ...] | None = memory) -> object:
-            return back.run(y, 0, memory, decay)
+            return back.run(y, 0, memory, DT)
 
         found.append(1e9 * best(forward) / x.size)
         found.append(1e9 * best(inverse) / x.size)

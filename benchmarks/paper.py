@@ -87,7 +87,7 @@ def fit_of(table: Floats, model: Model) -> Report:
     voltage = rows_of(table, rows, VOLTAGE)
     predicted, _ = model.simulate(voltage)
     pair = Pair("identification", predicted, rows_of(table, rows, MEASURED),
-                dt=1.0 / RATE, voltage=voltage, rows=(201, 400))  # fmt: skip
+                time=np.arange(len(voltage)) / RATE, voltage=voltage, rows=(201, 400))  # fmt: skip
     return Report.of([pair], unit="um", voltage_unit="V", remove_offset=True,
                      labels=("model", "measured"), model=model)  # fmt: skip
 
@@ -95,7 +95,7 @@ def fit_of(table: Floats, model: Model) -> Report:
 def tracking_of(table: Floats) -> Report:
     """Compare desired and measured displacement, uncompensated and, where it is there, compensated."""
     whole = Pair("log", table[:, DESIRED], table[:, MEASURED],
-                 dt=1.0 / RATE, voltage=table[:, VOLTAGE])  # fmt: skip
+                 time=np.arange(len(table)) / RATE, voltage=table[:, VOLTAGE])  # fmt: skip
     pairs = [replace(whole, name="uncompensated", rows=UNCOMPENSATED)]
     if len(table) >= COMPENSATED[1] + LAG:
         pairs.append(replace(whole, name="compensated", rows=COMPENSATED))
@@ -134,8 +134,8 @@ def reproduce(folder: Path, out: Path) -> bool:
     print(f"The model on its own cycle (Figs. 6 and 7): RMSE {fit.rmse:.4f} um")
     out.mkdir(parents=True, exist_ok=True)
     files = [*fit.figures(out / "fit"), *tracking.figures(out / "tracking")]
-    write_text(out / "fit.html", fit.html())
-    write_text(out / "tracking.html", tracking.html())
+    write_text(out / "fit.html", fit.to_html())
+    write_text(out / "tracking.html", tracking.to_html())
     print(f"{out}: {len(files)} figures, fit.html and tracking.html")
     return all(line.holds for line in lines)
 

@@ -9,7 +9,8 @@ table.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from dbo_cli.model import Model
 
 Floats = NDArray[np.float64]
+Result = tuple[str, str | None, Floats]
+"""A column of the result: its name, unit and values."""
 PLACE = "{}"
 
 
@@ -55,7 +58,7 @@ def names(
 
     path = paths[0]
     if path == "-":
-        raise UsageError("-: channels are read one after the other; give a file")
+        raise UsageError("-: channels need a file, not a pipe")
     headers = [column.name for column in columns_of(path, reading)]
     found: dict[str, list[str]] = {}
     for role, typed in columns.items():
@@ -63,7 +66,7 @@ def names(
             found[role] = _matches(typed, headers)
             if not found[role]:
                 raise InputError(
-                    f"{path}: no column fits `{role}` {typed}; there are: {', '.join(headers)}"
+                    f"{path}: no column matches `{role}` {typed}; columns: {', '.join(headers)}"
                 )
     first, *others = found.items()
     for role, channels in others:
@@ -98,7 +101,7 @@ def models_of(path: str, channels: Iterable[str]) -> dict[str, Model]:
     for name in channels:
         if name not in models:
             raise ModelError(
-                f"{path}: no model of channel {name}; there are: {', '.join(models)}"
+                f"{path}: no model for channel {name}; models: {', '.join(models)}"
             )
     return {name: models[name] for name in channels}
 
@@ -113,23 +116,18 @@ def simulate(
     outside: Any,
 ) -> str:
     """Run the model of each channel over its input, write all side by side; return what to say of it."""
+    _require_start(state)
     channels = names([log_path], reading, columns)
-    models = models_of(model_path, channels)
-    out = _SideBySide()
-    for name, model in models.items():
-        table = _read(
-            log_path, reading, filled(columns, name), {"input": model.input.unit}
-        )
-        try:
-            y, _ = model.simulate(
-                table["input"], dt=table.dt, state=_named_state(state), outside=outside
-            )
-        except DboError as problem:
-            raise type(problem)(f"channel {name}: {problem}") from problem
-        out.add(f"{model.input.quantity}_{name}", model.input.unit, table["input"])
-        out.add(f"{model.output.quantity}_{name}", model.output.unit, y)
-    out.write(output, table.time)
-    return f"{len(channels)} channels, {len(table['input']):,} rows"
+    results: list[Result] = []
+    for name, model in models_of(model_path, channels).items():
+        into, out = model.input, model.output
+        table = _read(log_path, reading, filled(columns, name), "input", into.unit)
+        x = table["input"]
+        with _naming(name):
+            y, _ = model.simulate(x, dt=table.dt, state=state, outside=outside)
+        results.append((f"{into.quantity}_{name}", into.unit, x))
+        results.append((f"{out.quantity}_{name}", out.unit, y))
+    return _write(output, table.time, results, len(channels))
 
 
 def compensate(
@@ -145,35 +143,22 @@ def compensate(
     """Drive each channel along its own displacement, write all drives side by side; return what to say."""
     from dbo_cli.drive import Limits, plan
 
+    _require_start(state)
     channels = names([log_path], reading, columns)
-    models = models_of(model_path, channels)
-    out = _SideBySide()
-    for name, model in models.items():
+    results: list[Result] = []
+    for name, model in models_of(model_path, channels).items():
         model.require("forward", f"{model_path}::{name}")
-        table = _read(
-            log_path,
-            reading,
-            filled(columns, name),
-            {"displacement": model.output.unit},
-        )
+        drive, moved = model.input, model.output
+        chosen = filled(columns, name)
+        table = _read(log_path, reading, chosen, "displacement", moved.unit)
         clock = table.dt if isinstance(table.dt, float) else table.time
-        try:
-            allowed = Limits.within(model.input, **limits)
-            drive = plan(
-                model,
-                table["displacement"],
-                clock,
-                allowed,
-                on_limit=on_limit,
-                state=_named_state(state),
-                name=f"channel {name}",
-            )
-        except DboError as problem:
-            raise type(problem)(f"channel {name}: {problem}") from problem
-        out.add(f"desired_{name}", model.output.unit, drive.desired)
-        out.add(f"{model.input.quantity}_{name}", model.input.unit, drive.voltage)
-    out.write(output, table.time)
-    return f"{len(channels)} channels, {len(table['displacement']):,} rows"
+        wanted = table["displacement"]
+        with _naming(name):
+            allowed = Limits.within(drive, **limits)
+            done = plan(model, wanted, clock, allowed, on_limit=on_limit, state=state)
+        results.append((f"desired_{name}", moved.unit, done.desired))
+        results.append((f"{drive.quantity}_{name}", drive.unit, done.voltage))
+    return _write(output, table.time, results, len(channels))
 
 
 def refuse(pieces: Mapping[str, object], **others: object) -> None:
@@ -181,48 +166,53 @@ def refuse(pieces: Mapping[str, object], **others: object) -> None:
     for option, value in {**pieces, **others}.items():
         if value:
             raise UsageError(
-                f"`{option}` is for one channel at a time: dbo compensate SET::NAME ..."
+                f"`{option}` needs a single channel: dbo compensate SET::NAME ..."
             )
 
 
-def _named_state(state: str) -> Any:
-    """Return the name of a start; a state file belongs to one model."""
+def _require_start(state: str) -> None:
+    """Refuse a state file, which belongs to one model."""
     if state not in ("auto", "empty", "full", "settled"):
-        raise UsageError(f"`state` {state}: a state file is of one channel (SET::NAME)")
-    return state
+        raise UsageError(
+            f"`state` {state}: a state file belongs to one channel: use SET::NAME"
+        )
 
 
 def _read(
     path: str,
     reading: Reading,
-    columns: Mapping[str, str | None],
-    units: Mapping[str, str | None],
+    columns: dict[str, str | None],
+    role: str,
+    unit: str | None,
 ) -> Table:
-    """Read one channel of a log."""
+    """Read one channel of a log, its signal in the unit of the model."""
     from dbo_cli.logs import open_log
 
-    wanted = {role: unit for role, unit in units.items() if unit}
-    with open_log(path, dict(columns), reading, wanted) as log:
+    units = {role: unit} if unit else {}
+    with open_log(path, columns, reading, units) as log:
         return log.read()
 
 
-class _SideBySide:
-    """Columns of all channels, collected for one table."""
+@contextmanager
+def _naming(channel: str) -> Iterator[None]:
+    """Name the channel in an error."""
+    try:
+        yield
+    except DboError as problem:
+        named = DboError(f"channel {channel}: {problem}")
+        named.exit_code = problem.exit_code
+        raise named from problem
 
-    def __init__(self) -> None:
-        self.columns: list[tuple[str, str | None]] = []
-        self.arrays: list[Floats] = []
 
-    def add(self, name: str, unit: str | None, values: Floats) -> None:
-        """Take a column."""
-        self.columns.append((name, unit))
-        self.arrays.append(values)
+def _write(
+    output: str, time: Floats | None, results: list[Result], channels: int
+) -> str:
+    """Write the columns of all channels side by side, behind the time if there is one."""
+    from dbo_cli.logs import create
 
-    def write(self, output: str, time: Floats | None) -> None:
-        """Write all columns, behind the time if there is one."""
-        from dbo_cli.logs import create
-
-        clock: list[tuple[str, str | None]] = [] if time is None else [("time", "s")]
-        arrays = self.arrays if time is None else [time, *self.arrays]
-        with create(output, [*clock, *self.columns]) as table:
-            table.write(*arrays)
+    rows = len(results[0][2])
+    if time is not None:
+        results = [("time", "s", time), *results]
+    with create(output, [(name, unit) for name, unit, _ in results]) as table:
+        table.write(*(values for _, _, values in results))
+    return f"{channels} channels, {rows:,} rows"

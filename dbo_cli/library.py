@@ -7,7 +7,7 @@ time, and back.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli import model as room
-from dbo_cli.errors import InputError, UsageError, warn
+from dbo_cli.errors import InputError, UsageError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from dbo_cli.reports import Report
 
 Floats = NDArray[np.float64]
-Clock = tuple["Floats | None", "float | None"]  # time in s, or seconds a sample
-SLOWEST = 100.0
-"""A clock this many times slower than the model's own logs is taken for another unit."""
+Clock = float | Floats | None
+"""Seconds a sample, or the time of each sample (s)."""
+STARTS = ("auto", "empty", "full", "settled")
 
 
 class Model:
@@ -42,7 +42,7 @@ class Model:
 
     Attributes
     ----------
-    direction, input, output, stages, fit, sign
+    direction, input, output, stages, fit, sign, provenance, digest
         Of the actuator: what goes in and comes out (quantity, unit, range), the stages,
         and the figures of its identification.
     """
@@ -52,22 +52,15 @@ class Model:
 
     def __getattr__(self, name: str) -> Any:
         """Return what the actuator has under a public name."""
-        if name in (
-            "direction",
-            "input",
-            "output",
-            "stages",
-            "fit",
-            "sign",
-            "provenance",
-            "digest",
-        ):
-            return getattr(self.actuator, name)
-        raise AttributeError(f"a dbo Model has no attribute {name!r}")
+        if name.startswith("_") or name == "actuator":
+            raise AttributeError(f"a dbo Model has no attribute {name!r}")
+        return getattr(self.actuator, name)
 
     def __eq__(self, other: object) -> bool:
-        """Return whether two models are the same file."""
-        return isinstance(other, Model) and self.actuator == other.actuator
+        """Return whether two models have the same direction and stages."""
+        if not isinstance(other, Model) or self.direction != other.direction:
+            return False
+        return bool(self.digest == other.digest)
 
     __hash__ = None  # type: ignore[assignment]
 
@@ -113,20 +106,16 @@ class Model:
         ndarray, or (ndarray, State)
         """
         values = floats(x, "x")
-        seconds, step = clock_of(x, time, sample_rate, len(values))
-        begun = self._state(state)
-        dt = steps(seconds, step)
-        if (
-            isinstance(begun, room.State)
-            and begun.time is not None
-            and seconds is not None
-        ):
-            dt = np.diff(seconds, prepend=begun.time)
+        dt = clock = clock_of(x, time, sample_rate, len(values))
+        begun, last = self._state(state), None
+        if isinstance(clock, np.ndarray):
+            dt, last = room.steps_of(clock), float(clock[-1])
+            if isinstance(begun, room.State) and begun.time is not None:
+                dt = np.diff(clock, prepend=begun.time)
         y, after = self.actuator.simulate(values, dt=dt, state=begun, outside=outside)
-        if not return_state:
-            return y
-        last = None if seconds is None else float(seconds[-1])
-        return y, dataclasses.replace(after, time=last)
+        if return_state:
+            return y, dataclasses.replace(after, time=last)
+        return y
 
     def compensate(
         self,
@@ -177,13 +166,12 @@ class Model:
 
         self.actuator.require("forward")
         values = floats(wanted, "wanted")
-        seconds, step = clock_of(wanted, time, sample_rate, len(values))
-        self._require_likely(seconds, step)
+        clock = clock_of(wanted, time, sample_rate, len(values))
         limits = Limits.within(self.input, v_min, v_max, max_slew, extrapolate)
         drive: Drive = plan(
             self.actuator,
             values,
-            seconds if step is None else step,
+            clock,
             limits,
             start=from_,
             return_to=return_,
@@ -227,55 +215,20 @@ class Model:
 
     def _state(self, state: str | room.State | Path) -> Any:
         """Return a state, or the name of a start."""
-        if isinstance(state, room.State) or state in (
-            "auto",
-            "empty",
-            "full",
-            "settled",
-        ):
+        if isinstance(state, room.State) or state in STARTS:
             return state
         return room.read_state(str(state), self.actuator)
 
-    def _require_likely(self, seconds: Floats | None, step: float | None) -> None:
-        """Warn where a clock is so slow that another unit is likely."""
-        if seconds is not None and len(seconds) > 1:
-            step = float(np.median(np.diff(seconds)))
-        usual = self.fit.get("sample_period")
-        if step is None or not isinstance(usual, float):
-            return
-        if step > SLOWEST * usual:
-            warn(
-                f"`time`: a sample every {step:g} s, but the model's logs have one every {usual:g} s;"
-                " time is taken in s, not in ms"
-            )
 
-
-class ModelSet(Mapping[str, Model]):
+class ModelSet(dict[str, Model]):
     """Models by the name of their channel."""
-
-    def __init__(self, models: Mapping[str, Model]) -> None:
-        self._models = dict(models)
-
-    def __getitem__(self, name: str) -> Model:
-        """Return the model of a channel."""
-        return self._models[name]
-
-    def __iter__(self) -> Iterator[str]:
-        """Go through the names of the channels."""
-        return iter(self._models)
-
-    def __len__(self) -> int:
-        """Return how many channels there are."""
-        return len(self._models)
 
     def save(self, path: str | Path) -> None:
         """Write all models into one file."""
         from dbo_cli.logs import write_text
 
-        write_text(
-            str(path),
-            room.dumps_set({name: one.actuator for name, one in self._models.items()}),
-        )
+        actuators = {name: model.actuator for name, model in self.items()}
+        write_text(str(path), room.dumps_set(actuators))
 
 
 def read_model(path: str | Path) -> Any:
@@ -287,11 +240,10 @@ def read_model(path: str | Path) -> Any:
         The file is no model of version 1; the message names the key.
     """
     name = str(path)
-    if "::" not in name and room.is_set(name):
-        return ModelSet(
-            {key: Model(one) for key, one in room.read_models(name).items()}
-        )
-    return Model(room.read_model(name))
+    if "::" in name or not room.is_set(name):
+        return Model(room.read_model(name))
+    models = room.read_models(name)
+    return ModelSet({key: Model(actuator) for key, actuator in models.items()})
 
 
 # --- logs ---
@@ -332,101 +284,26 @@ def read_log(
 
     from dbo_cli.logs import Reading, open_log
 
-    typed = {"time": time, "voltage": voltage, "displacement": displacement}
-    roles = {role: None if name is None else str(name) for role, name in typed.items()}
+    columns = {"time": time, "voltage": voltage, "displacement": displacement}
+    roles = {
+        role: None if name is None else str(name) for role, name in columns.items()
+    }
     absent = tuple(role for role, name in roles.items() if name is None)
     with open_log(str(path), roles, Reading(**reading), None, absent) as log:
-        found = [role for role in ("voltage", "displacement") if log.provided(role)]
-        if not found:
+        known = [role for role in ("voltage", "displacement") if log.provided(role)]
+        if not known:
             raise InputError(
-                f"{path}: no column is known as voltage or displacement (`voltage` NAME)"
+                f"{path}: no column is named voltage or displacement: give `voltage` NAME"
             )
         table = log.read()
-        columns: dict[str, Floats] = {} if table.time is None else {"time": table.time}
-        units: dict[str, str | None] = {} if table.time is None else {"time": "s"}
-        for role in found:
-            columns[role] = table[role]
-            units[role] = log.columns[role].unit
-        notes = list(log.remarks)
-    frame = pd.DataFrame(columns)
-    frame.attrs.update(name=str(path), units=units, notes=notes)
+    frame = pd.DataFrame()
+    units: dict[str, str | None] = {}
+    if table.time is not None:
+        frame["time"], units["time"] = table.time, "s"
+    for role in known:
+        frame[role], units[role] = table[role], log.columns[role].unit
+    frame.attrs.update(name=str(path), units=units, notes=list(log.remarks))
     return frame
-
-
-def recording_of(data: Any, options: Mapping[str, Any]) -> Recording:
-    """Return a frame, a file or a pair of arrays as a recording."""
-    from dbo_cli.identification import Recording
-
-    if isinstance(data, (str, Path)):
-        columns = {role: options.get(role) for role in ("voltage", "displacement")}
-        data = read_log(data, **columns)
-    if isinstance(data, tuple):
-        v, x, *rest = data
-        return _of_arrays(v, x, rest[0] if rest else options.get("time"), options)
-    frame, units = columns_by_role(data)
-    seconds, step = clock_of(
-        frame, frame.get("time"), options.get("sample_rate"), len(frame)
-    )
-    if seconds is None and step is not None:
-        seconds = np.arange(len(frame), dtype=np.float64) * step
-    return Recording(
-        name=str(data.attrs.get("name", "the frame")),
-        voltage=floats(frame["voltage"], "voltage"),
-        displacement=floats(frame["displacement"], "displacement"),
-        time=seconds,
-        input=_quantity("voltage", units.get("voltage")),
-        output=_quantity("displacement", units.get("displacement")),
-    )
-
-
-def _of_arrays(v: Any, x: Any, time: Any, options: Mapping[str, Any]) -> Recording:
-    """Return two arrays as a recording."""
-    from dbo_cli.identification import Recording
-
-    voltage, displacement = floats(v, "voltage"), floats(x, "displacement")
-    seconds, step = clock_of(v, time, options.get("sample_rate"), len(voltage))
-    if seconds is None and step is not None:
-        seconds = np.arange(len(voltage), dtype=np.float64) * step
-    return Recording(
-        name="the arrays",
-        voltage=voltage,
-        displacement=displacement,
-        time=seconds,
-        input=_quantity("voltage", options.get("voltage_unit", "V")),
-        output=_quantity("displacement", options.get("displacement_unit", "um")),
-    )
-
-
-def _quantity(role: str, unit: str | None) -> tuple[str, Any]:
-    """Return the name and the unit of a signal."""
-    from dbo_cli.units import quantity_name
-
-    return quantity_name(role, unit), unit
-
-
-def columns_by_role(frame: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, str | None]]:
-    """Return a frame with its columns named by role, and their units.
-
-    A frame of ``read_log`` has both; in others columns are found as in a log.
-
-    Raises
-    ------
-    InputError
-        It is not clear which column is which.
-    """
-    from dbo_cli.logs import columns_of_names
-
-    if {"voltage", "displacement"} <= set(frame.columns):
-        return frame, dict(
-            frame.attrs.get("units", {"voltage": "V", "displacement": "um"})
-        )
-    found = columns_of_names(
-        [str(name) for name in frame.columns],
-        dict.fromkeys(("time", "voltage", "displacement")),
-    )
-    names = {frame.columns[column.number - 1]: role for role, column in found.items()}
-    units = {role: column.unit for role, column in found.items()}
-    return frame.rename(columns=names), units
 
 
 def identify(
@@ -448,8 +325,8 @@ def identify(
     data
         A frame, a file's name, an array of voltages, or a list of frames or files of
         one actuator.
-    displacement : array_like, or str
-        With an array of voltages, the displacement; with files the name of its column.
+    displacement : array_like
+        With an array of voltages, the displacement.
     time, sample_rate
         Time in s, or a rate in Hz. A time index of a frame counts as its time.
     voltage_unit, displacement_unit : str
@@ -474,33 +351,77 @@ def identify(
     from dbo_cli.identification import Options
     from dbo_cli.identification import identify as fit
 
-    about: dict[str, Any] = {
-        "sample_rate": sample_rate,
-        "voltage_unit": voltage_unit,
-        "displacement_unit": displacement_unit,
-        "time": time,
-    }
-    if displacement is not None and not isinstance(displacement, str):
-        recordings = [_of_arrays(data, displacement, time, about)]
+    if displacement is None:
+        recordings = _recordings(data, time, sample_rate)
     else:
-        about["displacement"] = displacement
-        recordings = [recording_of(one, about) for one in _listed(data)]
-    others = (
-        []
-        if validate is None
-        else [recording_of(one, about) for one in _listed(validate)]
+        units = {"voltage": voltage_unit, "displacement": displacement_unit}
+        clock = clock_of(data, time, sample_rate, len(data))
+        recordings = [_recording("the arrays", data, displacement, clock, units)]
+    left_out = [] if validate is None else _recordings(validate, None, sample_rate)
+    if isinstance(prior, (str, Path)):
+        prior = Model(room.read_model(str(prior)))
+    shape = None if prior is None else prior.actuator
+    return Model(fit(recordings, Options(prior=shape, **options), left_out))
+
+
+def _recordings(data: Any, time: Any, sample_rate: float | None) -> list[Recording]:
+    """Return a frame, a file, or a list of them as recordings."""
+    recordings = []
+    for source in data if isinstance(data, list) else [data]:
+        frame = read_log(source) if isinstance(source, (str, Path)) else source
+        frame, units = columns_by_role(frame)
+        stamps = frame.get("time") if time is None and sample_rate is None else time
+        clock = clock_of(frame, stamps, sample_rate, len(frame))
+        name = str(frame.attrs.get("name", "the frame"))
+        columns = frame["voltage"], frame["displacement"]
+        recordings.append(_recording(name, *columns, clock, units))
+    return recordings
+
+
+def _recording(
+    name: str, v: Any, x: Any, clock: Clock, units: Mapping[str, str | None]
+) -> Recording:
+    """Return two signals as a recording."""
+    from dbo_cli.identification import Recording
+    from dbo_cli.units import quantity_name
+
+    voltage = floats(v, "voltage")
+    time = clock
+    if isinstance(time, float):
+        time = time * np.arange(float(len(voltage)))
+    quantities: dict[str, Any] = {}
+    for role, unit in units.items():
+        quantities[role] = quantity_name(role, unit), unit
+    return Recording(
+        name,
+        voltage,
+        floats(x, "displacement"),
+        time,
+        input=quantities["voltage"],
+        output=quantities["displacement"],
     )
-    shape = None
-    if isinstance(prior, Model):
-        shape = prior.actuator
-    elif prior is not None:
-        shape = read_model(prior).actuator
-    return Model(fit(recordings, Options(prior=shape, **options), others))
 
 
-def _listed(data: Any) -> Sequence[Any]:
-    """Return one thing as a list of it."""
-    return data if isinstance(data, list) else [data]
+def columns_by_role(frame: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, str | None]]:
+    """Return a frame with its columns named by role, and their units.
+
+    A frame of ``read_log`` has both; in others columns are found as in a log.
+
+    Raises
+    ------
+    InputError
+        It is not clear which column is which.
+    """
+    from dbo_cli.logs import columns_of_names
+
+    if {"voltage", "displacement"} <= set(frame.columns):
+        usual = {"voltage": "V", "displacement": "um"}
+        return frame, frame.attrs.get("units", usual)
+    roles = dict.fromkeys(("time", "voltage", "displacement"))
+    columns = columns_of_names([str(name) for name in frame.columns], roles)
+    names = {frame.columns[column.number - 1]: role for role, column in columns.items()}
+    units = {role: column.unit for role, column in columns.items()}
+    return frame.rename(columns=names), units
 
 
 def report(
@@ -526,13 +447,11 @@ def report(
     from dbo_cli.reports import report as compared
 
     values = floats(desired, "desired")
-    seconds, step = clock_of(
-        desired, time, options.pop("sample_rate", None), len(values)
-    )
-    rate = None if step is None else 1.0 / step
-    return compared(
-        values, floats(measured, "measured"), seconds, sample_rate=rate, **options
-    )
+    if "sample_rate" not in options:
+        time = clock_of(desired, time, None, len(values))
+    if isinstance(options.get("model"), Model):
+        options["model"] = options["model"].actuator
+    return compared(values, floats(measured, "measured"), time, **options)
 
 
 # --- arrays ---
@@ -551,9 +470,7 @@ def floats(values: Any, name: str) -> Floats:
     except (TypeError, ValueError):
         raise InputError(f"`{name}`: not an array of numbers") from None
     if array.ndim != 1 or array.size == 0:
-        raise InputError(
-            f"`{name}`: has the shape {array.shape}; a single row of numbers is needed"
-        )
+        raise InputError(f"`{name}`: has the shape {array.shape}, not (n,)")
     bad = np.flatnonzero(~np.isfinite(array))
     if bad.size:
         raise InputError(f"`{name}`[{bad[0]}]: {array[bad[0]]} is not a finite number")
@@ -561,7 +478,7 @@ def floats(values: Any, name: str) -> Floats:
 
 
 def clock_of(data: Any, time: Any, sample_rate: float | None, rows: int) -> Clock:
-    """Return the time of samples in s, or the seconds between them.
+    """Return the seconds between samples, or the time of each in s; None where neither is known.
 
     The time index of a pandas object counts where neither is given: seconds if it
     holds numbers other than a plain count, else durations or dates.
@@ -578,10 +495,12 @@ def clock_of(data: Any, time: Any, sample_rate: float | None, rows: int) -> Cloc
     if sample_rate is not None:
         if not sample_rate > 0.0:
             raise UsageError(f"`sample_rate`: {sample_rate!r} is not above 0")
-        return None, 1.0 / sample_rate
-    seconds = _index_seconds(data) if time is None else _seconds(time)
-    if seconds is None:
-        return None, None
+        return 1.0 / sample_rate
+    if time is None:
+        time = getattr(data, "index", None)
+        if getattr(getattr(time, "dtype", None), "kind", "O") not in "fmM":
+            return None
+    seconds = _seconds(time)
     if len(seconds) != rows:
         raise InputError(f"`time`: {len(seconds)} times for {rows} samples")
     back = np.flatnonzero(np.diff(seconds) < 0.0)
@@ -589,40 +508,15 @@ def clock_of(data: Any, time: Any, sample_rate: float | None, rows: int) -> Cloc
         raise InputError(
             f"`time`[{back[0] + 1}]: {seconds[back[0] + 1]!r} s goes backwards"
         )
-    return seconds, None
-
-
-def steps(seconds: Floats | None, step: float | None) -> float | Floats | None:
-    """Return what a model takes as dt."""
-    return step if seconds is None else room.steps_of(seconds)
-
-
-def _index_seconds(data: Any) -> Floats | None:
-    """Return the time index of a pandas object in s; None where it has none."""
-    index = getattr(data, "index", None)
-    if index is None or callable(index):
-        return None
-    import pandas as pd
-
-    if isinstance(index, pd.RangeIndex) or index.dtype.kind in "iuObOUT":
-        return None
-    if isinstance(index, pd.Index) and index.dtype == object:
-        return None
-    return _seconds(index)
+    return seconds
 
 
 def _seconds(time: Any) -> Floats:
     """Return times as seconds; dates count from the first."""
-    import pandas as pd
-
-    values = np.asarray(time)
-    if values.dtype.kind == "M" or isinstance(time, pd.DatetimeIndex):
-        stamps = pd.to_datetime(pd.Series(time))
-        return np.ascontiguousarray(
-            (stamps - stamps.iloc[0]).dt.total_seconds(), dtype=np.float64
-        )
-    if values.dtype.kind == "m":
-        return np.ascontiguousarray(
-            pd.Series(time).dt.total_seconds(), dtype=np.float64
-        )
-    return floats(values, "time")
+    kind = getattr(getattr(time, "dtype", None), "kind", "f")
+    if kind == "M":
+        dates = np.asarray(time, "M8[ns]")
+        time = (dates - dates[:1]) / np.timedelta64(1, "s")
+    elif kind == "m":
+        time = np.asarray(time) / np.timedelta64(1, "s")
+    return floats(time, "time")

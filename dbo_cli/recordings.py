@@ -104,8 +104,8 @@ def require_sign(recordings: Sequence[Recording], wanted: str | None) -> None:
         found = "rising" if shared > 0.0 else "falling"
         if wanted not in (None, found) and abs(shared) > CLEAR:
             raise LimitError(
-                f"{recording.name}: displacement is {found} as voltage rises, and `sign` is {wanted}"
-                " (`scale` displacement=-1 turns it)"
+                f"{recording.name}: displacement is {found} with voltage, `sign` is {wanted}: check "
+                "columns, or `scale` displacement=-1"
             )
 
 

@@ -286,7 +286,7 @@ def parse_quantity(figure: str | float, unit: str | None, name: str = "value") -
         own = match["unit"] if match else None
     if not math.isfinite(value):
         raise UsageError(
-            f"`{name}` {figure}: give a number, or one with its unit such as 5{unit or 'V'}"
+            f"`{name}` {figure}: give a number, such as 5 or 5{unit or 'V'}"
         )
     if own is None or (unit is None and parse_unit(own) is None):
         return value
@@ -294,7 +294,7 @@ def parse_quantity(figure: str | float, unit: str | None, name: str = "value") -
         return float(multiplied(value, _ratio_of_speeds(own, unit or own)))
     except InputError:
         raise UsageError(
-            f"`{name}` {figure}: cannot be converted; give a figure in {unit}"
+            f"`{name}` {figure}: not convertible; give a number in {unit}"
         ) from None
 
 

@@ -197,14 +197,13 @@ def relaxation(axes: Axes) -> None:
     gears = even_gears(64, RELAXING)
     time = np.arange(0.0, 8.0, step)
     wanted = np.select([time < 0.5, time < 3.0, time < 5.5], [0.0, 2.4, 0.8], 1.6)
-    decay = RELAXING.decay(step)
     plain = played(even_gears(64).inverse(), wanted)
-    known = played(gears.inverse(), wanted, decay=decay)
+    known = played(gears.inverse(), wanted, dt=step)
     for drive, label, look in (
         (plain, "gears alone inverted", DASHED),
         (known, "inverted with its memory", SOLID),
     ):
-        axes.plot(time, played(gears, drive, decay=decay), label=label, **look)
+        axes.plot(time, played(gears, drive, dt=step), label=label, **look)
     axes.set(xlabel="Time (s)", ylabel="Displacement")
 
 

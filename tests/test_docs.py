@@ -7,32 +7,29 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tomllib
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from contract.program import dbo, done, table, write
 
 from dbo_cli.cli.app import COMMANDS, program
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
+SAMPLES = ROOT / "sample_data"
 GENERATED = {"commands.md", "reference.md"}  # made by ``make site``
 PAGES = sorted(path for path in DOCS.glob("*.md") if path.name not in GENERATED)
 TEXTS = [*PAGES, ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 OPTION = re.compile(r"(?<![\w`-])--[a-z][a-z-]+")
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
-WITHDRAWN = (
-    "--settle --flush --sensor-lag --uncertainty --scale-uncertainty --max-current --capacitance --max-abs "
-    "--segment --header --shared-shape --coupling --keep-going --fmu --dwell-left --block-rows --fringes"
-).split()
+NUMBER = re.compile(r"-?\d[\d,]*(?:\.\d+)?(?:e-?\d+)?")
 UNEXPLAINED = frozenset(("--help", "--help-all", "--version", "--debug", "--output"))
 OTHERS = {"--strict", "--cores", "--config", "--seed"}  # of other programs
-
-
-def named(path: Path) -> str:
-    return path.name
 
 
 @cache
@@ -50,52 +47,36 @@ def all_options() -> frozenset[str]:
     return frozenset().union(*(options_of(command) for command in COMMANDS))
 
 
-def blocks(path: Path, language: str) -> list[str]:
-    """Return the fenced blocks of a page in a language."""
-    return [body for kind, body in FENCE.findall(path.read_text()) if kind == language]
-
-
 def command_lines(path: Path) -> list[str]:
-    """Return every line of a page that calls the program, without its comment."""
+    """Return the lines of a page that call the program."""
     text = re.sub(
         r"^```text\n.*?^```$", "", path.read_text(), flags=re.MULTILINE | re.DOTALL
     )
-    text = text.replace("\\\n", " ")
-    lines = []
-    for line in text.splitlines():
-        plain = line.strip().removeprefix("@")
-        if plain.startswith("dbo ") and (line.startswith(("    ", "dbo ", "\t"))):
-            lines.append(plain.partition("  #")[0])
-    return lines
+    found = []
+    for line in text.replace("\\\n", " ").splitlines():
+        if line.startswith(("    dbo ", "dbo ")):
+            found.append(" ".join(line.partition("  #")[0].split()))
+    return found
+
+
+def prose(path: Path) -> str:
+    """Return a page without its blocks of code."""
+    text = FENCE.sub("", path.read_text())
+    return "\n".join(line for line in text.splitlines() if not line.startswith("    "))
 
 
 # --- options ---
 
 
-@pytest.mark.parametrize("path", TEXTS, ids=named)
-def test_every_option_of_a_page_exists(path: Path) -> None:
-    used = set(OPTION.findall(re.sub(r"`+", " ", path.read_text())))
-    assert used - all_options() - OTHERS == set()
-
-
-@pytest.mark.parametrize("path", TEXTS, ids=named)
-def test_every_command_line_has_options_of_its_command(path: Path) -> None:
-    for line in command_lines(path):
-        parts = [part.strip() for part in re.split(r"\s\|\s", line)]
-        for part in parts:
-            if not part.startswith("dbo ") or part.split()[1] == "COMMAND":
-                continue
-            words = shlex.split(part)
+def test_options_of_the_pages_exist() -> None:
+    for path in TEXTS:
+        used = set(OPTION.findall(re.sub(r"`+", " ", path.read_text())))
+        assert used - all_options() - OTHERS == set(), path.name
+        for line in command_lines(path):
+            words = shlex.split(line)
             assert words[1] in COMMANDS, line
             typed = {word.split("=")[0] for word in words if word.startswith("--")}
             assert typed <= options_of(words[1]), line
-
-
-def test_no_withdrawn_option_is_anywhere() -> None:
-    assert not set(WITHDRAWN) & all_options()
-    for path in TEXTS:
-        words = set(re.findall(r"--[a-z][a-z-]+", path.read_text()))
-        assert not words & set(WITHDRAWN), path.name
 
 
 def test_every_option_is_explained_on_some_page() -> None:
@@ -104,7 +85,7 @@ def test_every_option_is_explained_on_some_page() -> None:
     assert missing - UNEXPLAINED == set()
 
 
-# --- links ---
+# --- links and lengths ---
 
 
 def anchors(path: Path) -> set[str]:
@@ -116,18 +97,32 @@ def anchors(path: Path) -> set[str]:
     return found
 
 
-@pytest.mark.parametrize("path", TEXTS, ids=named)
-def test_links_and_pictures_lead_somewhere(path: Path) -> None:
-    for target in LINK.findall(path.read_text()):
-        if target.startswith(("http://", "https://")):
-            continue
-        file, _, anchor = target.partition("#")
-        page = path.parent / file if file else path
-        if page.name in GENERATED:
-            continue
-        assert page.exists(), target
-        if anchor:
-            assert anchor in anchors(page), target
+def test_links_and_pictures_lead_somewhere() -> None:
+    for path in TEXTS:
+        for target in LINK.findall(path.read_text()):
+            file, _, anchor = target.partition("#")
+            page = path.parent / file if file else path
+            if target.startswith("https://") or page.name in GENERATED:
+                continue
+            assert page.exists(), f"{path.name}: {target}"
+            if anchor:
+                assert anchor in anchors(page), f"{path.name}: {target}"
+
+
+def test_links_of_the_first_page_lead_somewhere_on_a_package_index(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("README.md", "pyproject.toml"):
+        shutil.copy(ROOT / name, name)
+    monkeypatch.setenv("GITHUB_REPOSITORY", "owner/name")
+    monkeypatch.setenv("GITHUB_SHA", "0123abc")
+    shell(f"sh '{ROOT}/.github/absolute_links.sh'")
+    links = LINK.findall(Path("README.md").read_text())
+    assert len(links) == len(LINK.findall((ROOT / "README.md").read_text()))
+    assert all("owner/name" in link and "0123abc" in link for link in links)
+    urls = tomllib.loads(Path("pyproject.toml").read_text())["project"]["urls"]
+    assert urls["Repository"] == "https://github.com/owner/name"
 
 
 def test_every_figure_is_shown() -> None:
@@ -136,100 +131,138 @@ def test_every_figure_is_shown() -> None:
         assert f"figures/{figure.name}" in text
 
 
-def test_the_first_page_is_short() -> None:
+def test_pages_are_short_and_name_no_place_of_a_machine() -> None:
     assert len((ROOT / "README.md").read_text().split()) <= 450
-
-
-def test_pages_name_no_place_of_a_machine() -> None:
+    assert sum(len(re.findall(r"\S*\w\S*", prose(path))) for path in PAGES) <= 12_000
     for path in TEXTS:
-        assert not re.search(
-            r"(?<![\w.])/(?:work|tmp|root|home|opt)/", path.read_text()
-        )
+        place = r"(?<![\w.])/(?:work|tmp|root|home|opt)/"
+        assert not re.search(place, path.read_text()), path.name
 
 
 # --- what is shown runs ---
 
 
-@pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with the sample logs, as the pages want it."""
-    folder = tmp_path_factory.mktemp("docs")
-    shutil.copytree(ROOT / "sample_data", folder / "sample_data")
-    return folder
+def shell(line: str) -> str:
+    """Run a line of a page that is none of the program; return what it printed."""
+    line = re.sub(r"^python ", f"'{sys.executable}' ", line)
+    ended = subprocess.run(["sh", "-c", line], capture_output=True, text=True)
+    assert ended.returncode == 0, f"{line}\n{ended.stderr}"
+    return ended.stdout
 
 
-@pytest.fixture(scope="module")
-def environment() -> dict[str, str]:
-    """Return an environment in which ``dbo`` and ``python`` are those of the tests."""
-    import os
-
-    places = [str(Path(sys.executable).parent), os.environ.get("PATH", "")]
-    return {**os.environ, "PATH": os.pathsep.join(places)}
-
-
-def test_the_tutorial_runs_as_it_stands(
-    bench: Path, environment: dict[str, str]
-) -> None:
-    script = "\n".join(["set -e", *blocks(DOCS / "tutorial.md", "sh")])
-    done = subprocess.run(
-        ["sh", "-c", script], cwd=bench, env=environment, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    assert "<html" in (bench / "bench" / "report.html").read_text()
-
-
-def test_the_day_of_the_first_page_runs(
-    bench: Path, environment: dict[str, str]
-) -> None:
-    """Run the commands of README, a simulated bench between them."""
-    folder = bench / "day"
-    folder.mkdir()
-    for name in ("identification.csv", "trajectory.csv"):
-        shutil.copy(ROOT / "sample_data" / name, folder / name)
-    shutil.move(folder / "identification.csv", folder / "recorded.csv")
-    play = f"python {ROOT}/sample_data/virtual_actuator.py drive.csv --seed 3 -o"
-    for line in command_lines(ROOT / "README.md"):
-        words = line.split()
-        if words[1] == "COMMAND":
-            continue
-        if words[1] == "excite":
-            line += " --duration 6"
-        if words[1] == "check":
-            line = f"{play} played.csv && cp played.csv tracked.csv && {line}"
-        done = subprocess.run(
-            ["sh", "-c", line],
-            cwd=folder,
-            env=environment,
-            capture_output=True,
-            text=True,
-        )
-        assert done.returncode == 0, f"{line}\n{done.stderr}"
-    assert {"model.json", "drive.csv", "report.html"} <= {
-        p.name for p in folder.iterdir()
-    }
-
-
-def examples(path: Path) -> list[tuple[str, str | None]]:
-    """Return the Python blocks of a page, each with the output that stands behind it."""
+def blocks_with_output(path: Path, language: str) -> list[tuple[str, str | None]]:
+    """Return the blocks of a page in a language, each with the output that stands behind it."""
     found: list[tuple[str, str | None]] = []
     for kind, body in FENCE.findall(path.read_text()):
-        if kind == "python" and "import expand" not in body:
+        if kind == language:
             found.append((body, None))
         elif kind == "text" and found:
             found[-1] = (found[-1][0], body)
     return found
 
 
+def test_the_tutorial_runs_as_it_stands_and_shows_what_comes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(SAMPLES, "sample_data")
+    for block, shown in blocks_with_output(DOCS / "tutorial.md", "sh"):
+        came = ""
+        for line in block.replace("\\\n", " ").splitlines():
+            if line.startswith("dbo "):
+                outcome = done(*shlex.split(line)[1:])
+                came += outcome.err + outcome.out
+            elif "cd " in line:
+                monkeypatch.chdir(shell(f"{line} && pwd").strip())
+            else:
+                shell(line)
+        if shown:
+            require_alike(shown, came)
+    assert "<html" in Path("report.html").read_text()
+
+
+def require_alike(shown: str, came: str) -> None:
+    """Require each line of an example to have come, numbers of a message within a half."""
+    lines = {form(line): line for line in came.splitlines()}
+    for line in shown.splitlines():
+        assert form(line) in lines, f"{line}\n--- came:\n{came}"
+        if line.startswith("dbo: "):
+            new = numbers(lines[form(line)])
+            assert new == pytest.approx(numbers(line), rel=0.5), line
+
+
+def form(line: str) -> str:
+    """Return a line without its numbers and blanks."""
+    return " ".join(NUMBER.sub("#", line).split())
+
+
+def numbers(line: str) -> list[float]:
+    return [float(text.replace(",", "")) for text in NUMBER.findall(line)]
+
+
+# What a stage would record while a drive is played.
+RECORDED = {
+    "played.csv": "drive.csv",
+    "tracked.csv": "drive.csv",
+    "tracked1.csv": "pass1.csv",
+}
+WITH_COMMANDS = "files index limits moves live batches comparison".split()
+
+
+@pytest.fixture
+def logs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Work in a folder with the logs that the pages speak of, two seconds each."""
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(SAMPLES / "trajectory.csv", "trajectory.csv")
+    log = table(SAMPLES / "identification.csv")
+    time, volts, moved = (column[:1000] for column in log.values())
+    for name in ("recorded.csv", "other.csv"):
+        write(name, "time_s,voltage_V,displacement_um", time, volts, moved)
+    write("sensor.csv", "time_s,displacement_um", time, moved)
+    write("drive.csv", "time_s,CH1_V", time, volts)
+    columns = (time, volts, moved, volts, 0.8 * moved)
+    write("axes.csv", "time_s,Vx_V,Dx_um,Vy_V,Dy_um", *columns)
+    wanted = np.interp(time[:200], time[[0, 100, 199]], (2.0, 6.0, 3.0))
+    write("frames.csv", "time_s,Rx_um,Ry_um", time[:200], wanted, wanted)
+
+
+def record(name: str, gain: float) -> None:
+    """Play a drive on the simulated stage; the voltage is recorded before an amplifier."""
+    from virtual_actuator import VirtualActuator
+
+    drive = table(RECORDED[name])
+    time, volts = drive["time_s"], drive["voltage_V"]
+    moved = VirtualActuator().play(time, volts, 3)
+    write(name, "time_s,voltage_V,displacement_um", time, volts / gain, moved)
+
+
+@pytest.mark.usefixtures("logs")
+def test_the_commands_of_the_pages_run() -> None:
+    seen = set()
+    pages = [DOCS / f"{name}.md" for name in WITH_COMMANDS]
+    for path in [pages[0], ROOT / "README.md", *pages[1:]]:
+        for line in command_lines(path):
+            if line in seen:
+                continue
+            seen.add(line)
+            words = shlex.split(line)
+            for name in set(words) & set(RECORDED):
+                record(name, 20.0 if "--gain 20" in line else 1.0)
+            outcome = dbo(*words[1:])
+            assert outcome.code == 0, f"{path.name}: {line}\n{outcome.err}"
+
+
 @pytest.mark.filterwarnings("ignore::dbo_cli.DboWarning")
 def test_the_page_of_the_library_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for path in (ROOT / "sample_data").glob("*.csv"):
+    for path in SAMPLES.glob("*.csv"):
         shutil.copy(path, tmp_path)
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
-    for code, output in [*examples(DOCS / "python.md"), *examples(DOCS / "live.md")]:
-        exec(compile(code, "page", "exec"), names)
-        printed = capsys.readouterr().out
-        if output is not None:
-            assert printed == output
+    for page in ("python.md", "live.md"):
+        for code, output in blocks_with_output(DOCS / page, "python"):
+            exec(compile(code, page, "exec"), names)
+            printed = capsys.readouterr().out
+            if output is not None:
+                assert printed == output

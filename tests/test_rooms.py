@@ -1,17 +1,17 @@
 """Imports point downwards: rooms below know nothing of rooms above, nor model and logs of each other."""
 
+from __future__ import annotations
+
 import ast
-import pathlib
 import subprocess
 import sys
+from pathlib import Path
 
-import pytest
-
-PACKAGE = pathlib.Path(__file__).resolve().parent.parent / "dbo_cli"
+PACKAGE = Path(__file__).resolve().parent.parent / "dbo_cli"
 LEVELS = {
     "errors": 0,
-    "units": 0.5,
     "version": 0,
+    "units": 0.5,
     "model": 1,
     "logs": 1,
     "identification": 2,
@@ -25,64 +25,42 @@ LEVELS = {
     "library": 5,
     "cli": 6,
 }
-ARRAYS_ONLY = {
-    "model",
-    "identification",
-    "drive",
-    "reports",
-    "export",
-    "compare",
-    "moves",
-}
-FILES = sorted(PACKAGE.rglob("*.py"))
+ARRAYS_ONLY = "model identification drive reports export compare moves".split()
+HEAVY = {"numpy", "polars", "pandas", "scipy", "h5py", "matplotlib"}
 
 
-def room_of(path: pathlib.Path) -> str:
-    first = path.relative_to(PACKAGE).parts[0]
-    return first.removesuffix(".py")
-
-
-def imported_rooms(path: pathlib.Path) -> set[str]:
-    rooms = set()
+def imported_rooms(path: Path) -> set[str]:
+    """Return the rooms that a module imports, at its top or in a function."""
+    names = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        names = []
         if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
+            names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module == "dbo_cli":
-            names = [f"dbo_cli.{alias.name}" for alias in node.names]
+            names += [f"dbo_cli.{alias.name}" for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module:
-            names = [node.module]
-        for name in names:
-            if name.startswith("dbo_cli."):
-                rooms.add(name.split(".")[1])
-    return rooms
+            names.append(node.module)
+    return {name.split(".")[1] for name in names if name.startswith("dbo_cli.")}
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_imports_point_downwards(path):
-    room = room_of(path)
-    if room in ("__init__", "__main__"):
-        return
-    for other in imported_rooms(path) - {room}:
-        assert LEVELS[other] < LEVELS[room], f"{room} imports {other}"
-    if room in ARRAYS_ONLY:
-        assert "logs" not in imported_rooms(path)
+def test_imports_point_downwards() -> None:
+    for path in PACKAGE.rglob("*.py"):
+        room = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+        if room in ("__init__", "__main__"):
+            continue
+        rooms = imported_rooms(path)
+        for below in rooms - {room}:
+            assert LEVELS[below] < LEVELS[room], f"{path} imports {below}"
+        assert room not in ARRAYS_ONLY or "logs" not in rooms, path
 
 
-def test_asking_for_help_loads_nothing_heavy():
-    code = (
-        "import sys; from dbo_cli.cli.app import main; main(['compensate', '-h']);"
-        "print(sorted({'numpy', 'polars', 'pandas', 'scipy', 'h5py', 'matplotlib'} & set(sys.modules)))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.splitlines()[-1] == "[]"
+def loaded_by(code: str) -> set[str]:
+    """Return the heavy libraries that are loaded after some lines of Python."""
+    line = [sys.executable, "-c", f"import sys; {code}; print(*sys.modules)"]
+    ended = subprocess.run(line, capture_output=True, text=True, check=True)
+    return HEAVY & set(ended.stdout.splitlines()[-1].split())
 
 
-def test_importing_the_package_loads_nothing_heavy():
-    code = "import sys, dbo_cli; print('numpy' in sys.modules)"
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip() == "False"
+def test_the_package_and_its_help_load_no_library() -> None:
+    assert loaded_by("import dbo_cli") == set()
+    help_page = "from dbo_cli.cli.app import main; main(['compensate', '-h'])"
+    assert loaded_by(help_page) == set()

@@ -21,55 +21,40 @@ from dbo_cli.errors import DboError
 INTERRUPTED = 130  # 128 and the number of SIGINT, as shells report it
 WRONG_COMMAND_LINE = 2
 
-COMMANDS = (
-    "excite",
-    "identify",
-    "show",
-    "invert",
-    "simulate",
-    "compensate",
-    "check",
-    "report",
-    "export",
-    "compare",
-    "trajectory",
-    "waveform",
+COMMANDS = tuple(
+    "excite identify show invert simulate compensate check report export compare "
+    "trajectory waveform".split()
 )
 """In the order of a working day; each is a function of that name in a module of that name."""
+HELP = ("-h, --help, --help-all", "This page; --help-all lists every option.")
 
 
 class Command(TyperCommand):
     """A command whose ``-h`` is one screen, grouped; ``--help-all`` shows every option."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the options under the headings of their panels."""
-        groups: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
-        hidden = False
-        for parameter in self.get_params(ctx):
-            hidden = hidden or getattr(parameter, "hidden", False)
-            record = parameter.get_help_record(ctx)
-            if record is None:
-                continue
-            if parameter.param_type_name == "argument":
-                groups["Arguments"].append(
-                    (str(parameter.metavar), getattr(parameter, "help", ""))
-                )
-            else:
-                groups.setdefault(_heading(parameter), []).append(record)
-        groups[OUTPUT] = groups.pop(OUTPUT)  # last
-        for heading, records in groups.items():
-            if records:
-                with formatter.section(heading):
-                    formatter.write_dl(records, col_max=30)
-        if hidden:
-            formatter.write(f"\n{ctx.command_path} --help-all lists rarer options.\n")
+        """Write the arguments, and the options under their headings."""
+        write_options(self, ctx, formatter)
 
 
-def _heading(parameter: Any) -> str:
-    """Return the heading under which help lists an option."""
-    if "help" in parameter.name:
-        return OUTPUT
-    return getattr(parameter, "rich_help_panel", None) or "Options"
+def write_options(command: Any, ctx: Any, formatter: Any) -> None:
+    """Write arguments and options, each under its heading, those of the output last."""
+    groups: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+    for parameter in command.get_params(ctx):
+        record = parameter.get_help_record(ctx)
+        if record is None:
+            continue  # hidden
+        panel = getattr(parameter, "rich_help_panel", None) or "Options"
+        if parameter.param_type_name == "argument":
+            panel, record = "Arguments", (str(parameter.metavar), parameter.help or "")
+        elif "--help" in parameter.opts:
+            panel, record = (OUTPUT if OUTPUT in groups else "Options"), HELP
+        groups.setdefault(panel, []).append(record)
+    groups[OUTPUT] = groups.pop(OUTPUT, [])
+    for heading, records in groups.items():
+        if records:
+            with formatter.section(heading):
+                formatter.write_dl(records, col_max=30)
 
 
 class Commands(TyperGroup):
@@ -88,18 +73,19 @@ class Commands(TyperGroup):
         return None if foreign is None else _built(cmd_name, foreign.load())
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find the command that the first word names, or say which there are."""
-        names = self.list_commands(ctx)
-        if args[0] not in names and not args[0].startswith("-"):
-            near = difflib.get_close_matches(args[0], names, 1)
-            meant = f"did you mean dbo {near[0]}? " if near else ""
-            ctx.fail(
-                f"no such command: {args[0]} ({meant}there are: {', '.join(names)})"
-            )
+        """Find the command that the first word names."""
+        word = args[0]
+        if word not in COMMANDS and not word.startswith("-"):
+            names = self.list_commands(ctx)
+            near = difflib.get_close_matches(word, names, 1)
+            if word not in names:
+                hint = f"did you mean {near[0]}?" if near else f"try {', '.join(names)}"
+                ctx.fail(f"no such command: {word}; {hint}")
         return super().resolve_command(ctx, args)
 
-    def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write each command with the first line of its documentation."""
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the options, and each command with the first line of its documentation."""
+        write_options(self, ctx, formatter)
         rows = []
         for name in self.list_commands(ctx):
             rows.append((name, self.get_command(ctx, name).get_short_help_str(100)))
@@ -202,20 +188,16 @@ def _explained(problem: BaseException, words: Sequence[str]) -> tuple[str, int]:
     if isinstance(problem, DboError):
         return str(problem), problem.exit_code
     if hasattr(problem, "format_message"):  # the command line, refused by typer
-        return (
-            f"{_refused(problem)} ({_help_of(words)} lists the options)",
-            WRONG_COMMAND_LINE,
-        )
+        command = words[0] if words and words[0] in COMMANDS else ""
+        listing = f"dbo {command} --help-all" if command else "dbo --help"
+        return f"{_refused(problem)} ({listing})", WRONG_COMMAND_LINE
     if isinstance(problem, OSError):
         place = f"{problem.filename}: " if problem.filename else ""
         return f"{place}{problem.strerror or problem}", 1
     if isinstance(problem, MemoryError):
-        return "out of memory (`rows` A:B takes a part of a log)", 1
+        return "out of memory: take a part of the log with `rows` A:B", 1
     kind = type(problem).__name__
-    return (
-        f"internal error: {kind}: {problem} (--debug shows where; please report it)",
-        1,
-    )
+    return f"internal error: {kind}: {problem} (please report it with `debug`)", 1
 
 
 def _refused(problem: Any) -> str:
@@ -226,14 +208,10 @@ def _refused(problem: Any) -> str:
         best = difflib.get_close_matches(unknown, near, 1, 0.0)
         return f"no such option: {unknown}; did you mean {best[0]}?"
     text: str = problem.format_message()
-    return text.rstrip(".")
-
-
-def _help_of(words: Sequence[str]) -> str:
-    """Return the command line that lists the options."""
-    if words and words[0] in COMMANDS:
-        return f"dbo {words[0]} --help-all"
-    return "dbo --help"
+    for words in ("Invalid value for ", "Value error, ", "Input "):
+        text = text.replace(words, "")
+    text = text.partition(", unable to parse")[0].rstrip(".")
+    return text[:1].lower() + text[1:]
 
 
 # --- what belongs to the process ---

@@ -5,21 +5,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-from typer import Argument, Option
+from typer import Argument
 
-from dbo_cli.cli.options import (
-    From,
-    MaxSlew,
-    Output,
-    Text,
-    TextOrJson,
-    Time,
-    VMax,
-    VMin,
-    Voltage,
-    number,
-    reads_logs,
-)
+from dbo_cli.cli import options as opt
 from dbo_cli.cli.say import detail
 from dbo_cli.errors import InputError, LimitError, UsageError
 
@@ -29,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Signal(NamedTuple):
-    """A drive that was read whole: its unit, time (s), step (s), and what its reader doubts."""
+    """A drive that was read whole: its unit, time (s), step (s), and the reader's doubts."""
 
     voltage: Any
     unit: str | None
@@ -38,96 +26,70 @@ class Signal(NamedTuple):
     doubts: list[str]
 
 
-@reads_logs
+@opt.reads_logs
 def check(
-    drive: Annotated[
-        str, Argument(metavar="DRIVE", help="The drive, of any program; - is stdin.")
-    ],
+    drive: Annotated[str, Argument(metavar="DRIVE", help="The drive; - is stdin.")],
     reading: Reading,
-    output: Output = "-",
-    form: TextOrJson = None,
-    v_min: VMin = None,
-    v_max: VMax = None,
-    max_slew: MaxSlew = None,
-    start: From = None,
+    output: opt.Output = "-",
+    form: opt.TextOrJson = None,
+    v_min: opt.VMin = None,
+    v_max: opt.VMax = None,
+    max_slew: opt.MaxSlew = None,
+    start: opt.From = None,
     loop: Annotated[
-        bool, Option("--loop", help="The drive repeats: its seam counts, too.")
+        bool, opt.flag("--loop", "Also check the step from the last row to the first.")
     ] = False,
     against: Annotated[
-        Text,
-        Option(
-            metavar="FILE",
-            help="The drive is a recording; was this file what was played?",
-        ),
+        opt.Text, opt.value("FILE", "DRIVE is a recording; was this file played?")
     ] = None,
     gain: Annotated[
-        str,
-        Option(
-            metavar="FACTOR",
-            help="With --against: gain of an amplifier behind the recording.",
-            hidden=True,
-        ),
-    ] = "1",
+        float,
+        opt.value("FACTOR", "With --against: amplifier gain.", rare=True),
+    ] = 1.0,
     tolerance: Annotated[
-        Text,
-        Option(
-            metavar="VOLT",
-            help="With --against: largest difference; 0.1 % of the range, or the noise.",
-        ),
+        opt.Text,
+        opt.value("VOLT", "With --against: largest difference; 0.1 % of the range."),
     ] = None,
-    time: Time = None,
-    voltage: Voltage = None,
+    time: opt.Time = None,
+    voltage: opt.Voltage = None,
 ) -> None:
-    """Check a drive of any program against the limits of an amplifier, before it is played.
+    """Check a drive against the limits of an amplifier.
 
-    The exit code is 3 where a limit is broken, a row holds no number, or what was played
-    is another drive.
+    Exit code 3: a limit is broken, a row holds no number, or another drive was played.
 
     Examples: dbo check drive.csv --v-min 0 --v-max 100 --max-slew 2000 --from 0;
-    dbo check played.csv --against drive.csv --v-min 0 --v-max 100
+    dbo check played.csv --against drive.csv
     """
     from dbo_cli.drive.check import check_drive, check_played, tolerance_of
-    from dbo_cli.logs import write_text
+    from dbo_cli.drive.limits import figure_in
+    from dbo_cli.logs import Reading, write_text
 
-    factor = number("gain", gain) or 0.0
-    if not factor or (factor != 1.0 and against is None):
-        raise UsageError(
-            f"`gain` {gain}: give a number other than 0, together with `against` FILE"
-        )
-    columns = {"time": time, "voltage": voltage}
-    signal = read_drive(drive, reading, columns, None)
+    if not math.isfinite(gain) or not gain or (gain != 1.0 and against is None):
+        raise UsageError(f"`gain` {gain:g}: give a factor, together with `against`")
+    signal = read_drive(drive, reading, {"time": time, "voltage": voltage}, None)
     limits = limits_in(signal.unit, v_min, v_max, max_slew)
-    allowed, slack, meant = None, 0.0, None
+    position = None if start is None else figure_in("from", start, signal.unit)
+    allowed, slack, played = None, 0.0, signal.voltage * gain
     if against is not None:
-        meant = read_drive(
-            against, reading_of_drive(), {"time": None, "voltage": None}, signal.unit
-        )
-        allowed = (
-            None if tolerance is None else in_unit("tolerance", tolerance, signal.unit)
-        )
-        slack = tolerance_of(meant.voltage, signal.voltage * factor, allowed) / abs(
-            factor
-        )
+        roles: dict[str, str | None] = {"time": None, "voltage": None}
+        meant = read_drive(against, Reading(), roles, signal.unit)
+        if tolerance is not None:
+            allowed = figure_in("tolerance", tolerance, signal.unit)
+        slack = tolerance_of(meant.voltage, played, allowed) / abs(gain)
     checked = check_drive(
         signal.voltage,
         signal.time,
         limits,
         name=drive,
-        start=None if start is None else in_unit("from", start, signal.unit),
+        start=position,
         loop=loop,
         tolerance=slack,
         doubts=signal.doubts,
     )
-    if meant is not None:
-        check_played(
-            checked,
-            meant.voltage,
-            signal.voltage * factor,
-            (meant.step, signal.step),
-            allowed,
-        )
-    as_json = form == "json" or (form is None and output.endswith(".json"))
-    write_text(output, checked.json() if as_json else checked.text())
+    if against is not None:
+        steps = (meant.step, signal.step)
+        check_played(checked, meant.voltage, played, steps, allowed)
+    write_text(output, checked.json() if opt.as_json(form, output) else checked.text())
     detail(*signal.doubts)
     checked.require_passed()
 
@@ -146,11 +108,10 @@ def read_drive(
     """
     from dbo_cli.logs import open_log
 
-    typed = columns["voltage"]
-    if typed is not None and "::" in typed:
-        file, _, name = typed.rpartition("::")
+    file, _, name = (columns["voltage"] or "").rpartition("::")
+    if file:
         raise UsageError(
-            f"`voltage` {typed}: a drive is checked in its own file (dbo check {file} --voltage {name})"
+            f"`voltage` {columns['voltage']}: type dbo check {file} --voltage {name}"
         )
     units = {} if unit is None else {"voltage": unit}
     with open_log(path, columns, reading, units) as log:
@@ -159,55 +120,19 @@ def read_drive(
         except InputError as problem:
             raise LimitError(str(problem)) from problem
         step = table.dt if isinstance(table.dt, float) else None
-        return Signal(
-            table["voltage"],
-            log.columns["voltage"].unit,
-            table.time,
-            step,
-            list(log.doubtful),
-        )
-
-
-def reading_of_drive() -> Reading:
-    """Return how the drive is read that was to be played: as this program wrote it."""
-    from dbo_cli.logs import Reading
-
-    return Reading()
+        found = log.columns["voltage"].unit
+        return Signal(table["voltage"], found, table.time, step, log.doubtful)
 
 
 def limits_in(
     unit: str | None, v_min: str | None, v_max: str | None, max_slew: str | None
 ) -> Limits:
     """Return the limits in the unit of the drive; infinite where not given."""
-    from dbo_cli.drive.limits import Limits
+    from dbo_cli.drive.limits import Limits, figure_in
 
-    low = -math.inf if v_min is None else in_unit("v_min", v_min, unit)
-    high = math.inf if v_max is None else in_unit("v_max", v_max, unit)
+    low = -math.inf if v_min is None else figure_in("v_min", v_min, unit)
+    high = math.inf if v_max is None else figure_in("v_max", v_max, unit)
     if not low < high:
         raise UsageError(f"`v_min` {v_min} must be below `v_max` {v_max}")
-    slew = None if max_slew is None else in_unit("max_slew", max_slew, unit, "/s")
-    if slew is not None and not slew > 0.0:
-        raise UsageError(f"`max_slew` {max_slew}: give a number above 0")
+    slew = None if max_slew is None else figure_in("max_slew", max_slew, unit, "/s")
     return Limits((low, high), (low, high), (low, high), slew, unit)
-
-
-def in_unit(name: str, typed: str, unit: str | None, per: str = "") -> float:
-    """Return a limit in the unit of a drive; a unit with a prefix has to be typed."""
-    from dbo_cli.units import parse_quantity, parse_unit
-
-    known = parse_unit(unit)
-    prefixed = known is not None and known.base != known.text
-    if prefixed and number_like(typed):
-        raise UsageError(
-            f"`{name}` {typed}: the drive is in {unit}; give the unit ({typed}{unit}{per})"
-        )
-    return parse_quantity(typed, None if unit is None else unit + per, name)
-
-
-def number_like(text: str) -> bool:
-    """Return whether a text is a number without a unit."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

@@ -4,52 +4,34 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from typer import Option
-
-from dbo_cli.cli.identify import named
-from dbo_cli.cli.options import MaxSlew, Output, Text, VMin, hertz, quantity
-from dbo_cli.cli.say import say
+from dbo_cli.cli import options as opt
+from dbo_cli.cli.say import say_output
 
 
 def excite(
     v_max: Annotated[
-        str,
-        Option(
-            metavar="VOLT",
-            help="Highest voltage; with a unit for another drive (4bar).",
-        ),
+        str, opt.value("VOLT", "Highest voltage, or another drive: 4bar.")
     ],
-    v_min: VMin = "0",
-    max_slew: MaxSlew = None,
-    sample_rate: Annotated[str, Option(metavar="HZ", help="Rows a second.")] = "1000",
+    v_min: opt.VMin = "0",
+    max_slew: opt.MaxSlew = None,
+    sample_rate: Annotated[str, opt.value("HZ", "Rows per second.")] = "1000",
     duration: Annotated[
-        Text,
-        Option(
-            metavar="SECONDS",
-            help="Of the swings; 30 s, or longer where the slew is limited.",
-        ),
+        opt.Text,
+        opt.value("SECONDS", "Of the swings; 30 s, longer where slew is limited."),
     ] = None,
     sweep_to: Annotated[
-        Text,
-        Option(
-            metavar="HZ",
-            help="Append a small sweep up to this frequency, for the dynamics.",
-        ),
+        opt.Text, opt.value("HZ", "Append a small sweep up to this frequency.")
     ] = None,
     sweep_amplitude: Annotated[
-        Text,
-        Option(
-            metavar="VOLT",
-            help="Amplitude of the sweep; 1 % of the range where not given.",
-        ),
+        opt.Text, opt.value("VOLT", "Amplitude of the sweep; default 1 % of the range.")
     ] = None,
-    output: Output = "-",
+    output: opt.Output = "-",
 ) -> None:
     """Write a drive from which a model is identified well.
 
-    Play it, record drive and displacement, and give the log to dbo identify.
+    Play it, record drive and displacement, and pass the log to dbo identify.
 
-    Example: dbo excite --v-max 100 --max-slew 2000 --sample-rate 5000 -o excitation.csv
+    Example: dbo excite --v-max 100 --max-slew 2000 --sample-rate 5000 -o excite.csv
     """
     from dbo_cli.drive.excite import SAMPLE_RATE
     from dbo_cli.drive.excite import excite as make
@@ -57,21 +39,19 @@ def excite(
     from dbo_cli.units import drive_unit, quantity_name
 
     unit = drive_unit(v_max)
-    low = quantity("v_min", v_min, unit) or 0.0
-    high = quantity("v_max", v_max, unit) or 0.0
+    low = opt.quantity("v_min", v_min, unit) or 0.0
+    high = opt.quantity("v_max", v_max, unit) or 0.0
     time, voltage = make(
         low,
         high,
-        sample_rate=hertz("sample_rate", sample_rate) or SAMPLE_RATE,
-        duration=quantity("duration", duration, "s"),
-        max_slew=quantity("max_slew", max_slew, f"{unit}/s"),
-        sweep_to=hertz("sweep_to", sweep_to),
-        sweep_amplitude=quantity("sweep_amplitude", sweep_amplitude, unit),
+        sample_rate=opt.quantity("sample_rate", sample_rate, "Hz") or SAMPLE_RATE,
+        duration=opt.quantity("duration", duration, "s"),
+        max_slew=opt.quantity("max_slew", max_slew, f"{unit}/s"),
+        sweep_to=opt.quantity("sweep_to", sweep_to, "Hz"),
+        sweep_amplitude=opt.quantity("sweep_amplitude", sweep_amplitude, unit),
     )
-    with create(
-        output, [("time", "s"), (quantity_name("voltage", unit), unit)]
-    ) as table:
+    columns = [("time", "s"), (quantity_name("voltage", unit), unit)]
+    with create(output, columns) as table:
         table.write(time, voltage)
-    say(
-        f"{named(output)}: {len(voltage):,} rows, {time[-1]:.4g} s, {low:g} to {high:g} {unit}"
-    )
+    ends = f"{low:g} to {high:g} {unit}"
+    say_output(output, f"{len(voltage):,} rows, {time[-1]:.4g} s, {ends}")

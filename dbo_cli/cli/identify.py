@@ -3,24 +3,11 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from typer import Option
-
-from dbo_cli.cli.options import (
-    Displacement,
-    LogFiles,
-    Output,
-    Summary,
-    Text,
-    Time,
-    Voltage,
-    count,
-    quantity,
-    reads_logs,
-    seconds_or_auto,
-)
-from dbo_cli.cli.say import detail, say, working
+from dbo_cli.cli import options as opt
+from dbo_cli.cli.say import detail, say, say_output, working
 from dbo_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -31,185 +18,142 @@ if TYPE_CHECKING:
 STRUCTURE = "Structure of the model"
 
 
-def rare(metavar: str, text: str) -> Any:
-    """Return an option that few need: ``--help-all`` shows it."""
-    return Option(metavar=metavar, help=text, hidden=True, rich_help_panel=STRUCTURE)
+def structure(metavar: str | None, text: str) -> Any:
+    """Return an option that few need."""
+    return opt.value(metavar, text, STRUCTURE, rare=True)
 
 
-@reads_logs
+@opt.reads_logs
 def identify(
-    logs: LogFiles,
+    logs: opt.LogFiles,
     reading: Reading,
-    output: Output = "-",
-    summary: Summary = None,
-    time: Time = None,
-    voltage: Voltage = None,
-    displacement: Displacement = None,
+    output: opt.Output = "-",
+    summary: opt.Summary = None,
+    time: opt.Time = None,
+    voltage: opt.Voltage = None,
+    displacement: opt.Displacement = None,
     validate: Annotated[
-        list[str] | None,
-        Option(
-            metavar="LOG",
-            help="Another log, to say how well the model predicts it; repeatable.",
-        ),
+        list[str] | None, opt.value("LOG", "Log to test the model on; repeatable.")
     ] = None,
     prior: Annotated[
-        Text,
-        Option(
-            metavar="MODEL",
-            help="Keep the shape of this model; find gain, offset and delay again.",
-        ),
+        opt.Text,
+        opt.value("MODEL", "Keep its shape; identify gain, offset and delay again."),
     ] = None,
     sign: Annotated[
         Literal["rising", "falling"] | None,
-        Option(
-            help="How displacement goes with voltage: exit 3 where the log shows the other."
-        ),
+        opt.value(None, "Expected direction; exit 3 where the log shows the other."),
     ] = None,
-    skip: Annotated[
-        str, Option(metavar="SECONDS", help="Leave out the beginning of every log.")
-    ] = "0",
+    skip: opt.Skip = "0",
     zero: Annotated[
         str,
-        Option(
-            metavar="none|mean|first|VALUE",
-            help="What displacement counts as 0.",
-            hidden=True,
-        ),
+        opt.value("none|mean|first|VALUE", "Displacement to call 0.", rare=True),
     ] = "none",
     sensor_delay: Annotated[
         str,
-        Option(
-            metavar="SECONDS",
-            help="Delay of the sensor: taken off the log.",
-            hidden=True,
-        ),
+        opt.value("SECONDS", "Delay of the sensor, taken off.", opt.READING, rare=True),
     ] = "0",
-    gears: Annotated[str, rare("N|auto", "Number of gears.")] = "auto",
+    gears: Annotated[str, structure("N|auto", "Number of gears.")] = "auto",
     points: Annotated[
-        str, rare("M|auto", "Segments of the asymmetry; 0 for none.")
+        str, structure("M|auto", "Segments of the asymmetry; 0 for none.")
     ] = "auto",
     relaxation: Annotated[
         str,
-        rare("auto|0|T1,T2,...", "Time constants of lag and creep in s; 0 for none."),
+        structure("auto|0|T1,T2,...", "Time constants of creep in s; 0 for none."),
     ] = "auto",
     delay: Annotated[
-        str, rare("SECONDS|auto", "Delay of the displacement behind the drive.")
+        str, structure("SECONDS|auto", "Delay behind the drive.")
     ] = "auto",
     dynamics: Annotated[
-        str, rare("auto|0|1|2", "Resonances, from a log with a sweep.")
+        str, structure("auto|0|1|2", "Resonances; needs a sweep in the log.")
     ] = "auto",
     slopes: Annotated[
         Literal["auto", "growing", "falling", "free"],
-        Option(
-            help="How the slopes of the gears run.",
-            hidden=True,
-            rich_help_panel=STRUCTURE,
-        ),
+        structure(None, "Slopes of the gears."),
     ] = "auto",
     method: Annotated[
         Literal["least-squares", "paper"],
-        Option(
-            help="paper: the procedure of the 2018 publication.",
-            hidden=True,
-            rich_help_panel=STRUCTURE,
-        ),
+        structure(None, "paper: the procedure of the 2018 paper."),
     ] = "least-squares",
     force: Annotated[
-        bool, Option("--force", help="Keep a model no better than a straight line.")
+        bool, opt.flag("--force", "Keep a model no better than a straight line.")
     ] = False,
 ) -> None:
-    """Identify a model of an actuator from logs of drive voltage and displacement.
+    """Identify a model from logs of drive voltage and displacement.
 
-    Several logs of one actuator are fitted together. With {} in the names of columns
-    (--voltage 'V{}' --displacement 'D{}') every channel of a log gets a model; one file
-    holds them all.
+    All logs are of one actuator. {} in the column names stands for a channel's name:
+    with --voltage 'V{}' --displacement 'D{}' every channel gets a model.
 
-    Examples: dbo identify recorded.csv -o model.json;
-    dbo identify run.csv --voltage CH1 --displacement CH2 --scale displacement=10um/V -o model.json
+    Example: dbo identify run.csv --voltage CH1 --scale displacement=10um/V -o model.json
     """
     from dbo_cli import channels
-    from dbo_cli.identification import Options
+    from dbo_cli.identification import Options, describe
     from dbo_cli.logs import Outputs, check_outputs, write_text
     from dbo_cli.model import dumps_model, dumps_set, read_model
 
     check_outputs(*[path for path in (output, summary) if path is not None])
-
     options = Options(
         prior=None if prior is None else read_model(prior),
         sign=sign,
-        skip=quantity("skip", skip, "s") or 0.0,
+        skip=opt.quantity("skip", skip, "s") or 0.0,
         zero=zero_of(zero),
-        sensor_delay=quantity("sensor_delay", sensor_delay, "s") or 0.0,
-        gears=count_or_auto("gears", gears),
-        points=count_or_auto("points", points),
+        sensor_delay=opt.quantity("sensor_delay", sensor_delay, "s") or 0.0,
+        gears=opt.count_or_auto("gears", gears),
+        points=opt.count_or_auto("points", points),
         relaxation=relaxation_of(relaxation),
-        delay="auto" if delay == "auto" else seconds_of("delay", delay),
-        dynamics=count_or_auto("dynamics", dynamics),
+        delay=delay_of(delay),
+        dynamics=opt.count_or_auto("dynamics", dynamics),
         slopes=slopes,
         method=method,
         force=force,
     )
     columns = {"time": time, "voltage": voltage, "displacement": displacement}
     if not channels.is_pattern(columns):
-        model = one_model(logs, validate or [], reading, columns, options)
+        model = identified(logs, validate or [], reading, columns, options, say)
         with Outputs() as outputs:
             outputs.write_text(output, dumps_model(model))
             if summary is not None:
                 outputs.write_text(summary, summary_of(model))
-        say(f"{named(output)}: {expectation(model)}")
+        say_output(output, describe(model))
         return
     models = {}
     for name in channels.names(logs, reading, columns):
         chosen = channels.filled(columns, name)
-        models[name] = one_model(
-            logs, validate or [], reading, chosen, options, quiet=True
+        models[name] = identified(
+            logs, validate or [], reading, chosen, options, detail
         )
     write_text(output, dumps_set(models))
-    say(f"{named(output)}: {len(models)} models")
+    say_output(output, f"{len(models)} models")
     for name, model in models.items():
-        detail(f"{name}: {expectation(model)}")
+        detail(f"{name}: {describe(model)}")
 
 
-def one_model(
+def identified(
     paths: list[str],
     validate: list[str],
     reading: Reading,
     columns: dict[str, str | None],
     options: Options,
-    quiet: bool = False,
+    say_read: Any,
 ) -> Model:
-    """Identify one actuator, and say what was read."""
+    """Identify one actuator; ``say_read`` prints what was read."""
     from dbo_cli.identification import identify as fit
     from dbo_cli.recordings import read_recordings, require_sign, with_provenance
     from dbo_cli.reports import show_model
 
-    recordings, logs = read_recordings(paths, reading, columns)
-    others, _ = read_recordings(validate, reading, columns, units_of(recordings))
+    every, logs = read_recordings([*paths, *validate], reading, columns)
+    recordings, tests = every[: len(paths)], every[len(paths) :]
     require_sign(recordings, options.sign)
+    if options.delay == "auto" and any(log.has_found_offset for log in logs):
+        options = replace(options, delay=0.0)  # the offset between the clocks holds it
     working("identifying")
-    model = fit(recordings, options, others)
+    model = fit(recordings, options, tests)
+    logs = logs[: len(paths)]
     for log in logs:
-        if not quiet:
-            say(f"{log.line()} ({model.sign})")
+        say_read(f"{log.line()} ({model.sign})")
         detail(*log.remarks)
-    detail(*model.fit.get("notes", ()))
     model = with_provenance(model, recordings, logs)
     detail(*show_model(model).text().splitlines()[1:])
     return model
-
-
-def units_of(recordings: list[Any]) -> dict[str, str]:
-    """Return the units of the logs, for those that are to be read like them."""
-    first = recordings[0]
-    units = {"voltage": first.input[1], "displacement": first.output[1]}
-    return {role: unit for role, unit in units.items() if unit}
-
-
-def expectation(model: Model) -> str:
-    """Return what to expect of a model, in one line."""
-    from dbo_cli.identification import describe
-
-    return describe(model)
 
 
 def summary_of(model: Model) -> str:
@@ -223,11 +167,6 @@ def summary_of(model: Model) -> str:
     return json.dumps({**values, **model.fit}, indent=2) + "\n"
 
 
-def named(output: str) -> str:
-    """Return how messages call an output."""
-    return "standard output" if output == "-" else output
-
-
 def zero_of(text: str) -> Any:
     """Return ``--zero``: a word, or a value."""
     if text in ("none", "mean", "first"):
@@ -235,19 +174,14 @@ def zero_of(text: str) -> Any:
     try:
         return float(text)
     except ValueError:
-        raise UsageError(f"`zero` {text}: none, mean, first or a value") from None
+        raise UsageError(f"`zero` {text}: give none, mean, first or a value") from None
 
 
-def count_or_auto(name: str, text: str) -> Any:
-    """Return a whole number, or ``auto``."""
-    return "auto" if text == "auto" else count(name, text)
-
-
-def seconds_of(name: str, text: str) -> Any:
-    """Return seconds of at least 0."""
-    seconds = seconds_or_auto(name, text)
+def delay_of(text: str) -> Any:
+    """Return seconds of at least 0, or ``auto``."""
+    seconds = opt.seconds_or_auto("delay", text)
     if isinstance(seconds, float) and seconds < 0.0:
-        raise UsageError(f"`{name}` {text}: less than 0 s")
+        raise UsageError(f"`delay` {text}: give 0 s or more")
     return seconds
 
 
@@ -255,9 +189,11 @@ def relaxation_of(text: str) -> Any:
     """Return time constants in s, none for ``0``, or ``auto``."""
     if text == "auto":
         return "auto"
-    constants = [quantity("relaxation", part, "s") or 0.0 for part in text.split(",")]
+    constants = [
+        opt.quantity("relaxation", part, "s") or 0.0 for part in text.split(",")
+    ]
     if constants == [0.0]:
         return ()
     if min(constants) <= 0.0:
-        raise UsageError(f"`relaxation` {text}: give times above 0")
+        raise UsageError(f"`relaxation` {text}: give times above 0 s")
     return tuple(constants)

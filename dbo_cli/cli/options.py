@@ -1,7 +1,8 @@
 """The options that several commands share, each with its help in one place.
 
-A command is a typer function. ``@reads_logs`` gives it the options that say how a log
-is read, as one argument ``reading``; ``@speaks`` those that say how much is said.
+A command is a typer function. ``@reads_logs`` appends the options that say how a log is
+read, and hands them on as one argument ``reading``; ``@speaks`` appends those that say
+how much is said.
 """
 
 from __future__ import annotations
@@ -16,276 +17,221 @@ from typer import Argument, Option
 from dbo_cli.cli.say import Level
 from dbo_cli.errors import UsageError
 
-COLUMNS = "Columns: a header name, a dataset path, a number from 1, or FILE::COLUMN"
-READING = "Reading logs"
-LIMITS, STATE, OUTPUT = "Limits", "State", "Output and messages"
-
 Text = str | None
+LIMITS, MOVE, READING, OUTPUT = "Limits", "Move", "Log", "Output"
+START_NAMES = ("auto", "empty", "full", "settled")
+
+
+def value(
+    metavar: str | None,
+    text: str,
+    panel: str | None = None,
+    *names: str,
+    rare: bool = False,
+    least: int | None = None,
+) -> Any:
+    """Return an option under a heading of the help; ``--help-all`` alone shows a rare one."""
+    return Option(
+        *names,
+        metavar=metavar,
+        help=text,
+        hidden=rare,
+        rich_help_panel=panel,
+        show_default=False,
+        min=least,
+    )
+
+
+def flag(name: str, text: str, panel: str | None = None, rare: bool = False) -> Any:
+    """Return an option without a value."""
+    return value(None, text, panel, name, rare=rare)
+
+
+def column(text: str) -> Any:
+    """Return the option of a column's role."""
+    return value("COLUMN", text, READING)
+
 
 # --- arguments ---
 
 ModelFile = Annotated[
-    str,
-    Argument(metavar="MODEL", help="The model file; - is stdin, FILE::x one of a set."),
+    str, Argument(metavar="MODEL", help="Model file; - is stdin, FILE::x one of a set.")
 ]
 LogFile = Annotated[
     str, Argument(metavar="LOG", help="The log; FILE::/group in HDF5; - is stdin.")
 ]
 LogFiles = Annotated[
     list[str],
-    Argument(
-        metavar="LOG...", help="One or more logs; FILE::/group in HDF5; - is stdin."
-    ),
+    Argument(metavar="LOG...", help="Logs; FILE::/group in HDF5; - is stdin."),
 ]
 
 # --- output ---
 
 Output = Annotated[
     str,
-    Option(
-        "-o",
-        "--output",
-        metavar="FILE",
-        help="Where the result goes; - is stdout.",
-        rich_help_panel=OUTPUT,
-    ),
+    value("FILE", "Output file; - is stdout, the default.", OUTPUT, "-o", "--output"),
 ]
-Summary = Annotated[
-    Text,
-    Option(
-        metavar="FILE", help="Also write what was done as JSON.", rich_help_panel=OUTPUT
-    ),
-]
-Figures = Annotated[
-    Text,
-    Option(
-        metavar="DIR",
-        help="Draw the figures into this folder, PNG and SVG.",
-        rich_help_panel=OUTPUT,
-    ),
-]
+Summary = Annotated[Text, value("FILE", "Write the figures as JSON, too.", OUTPUT)]
+Figures = Annotated[Text, value("DIR", "Write PNG and SVG figures there.", OUTPUT)]
 TextOrJson = Annotated[
     Literal["text", "json"] | None,
-    Option(
-        "--format",
-        help="Form of the output; by its name where not given.",
-        rich_help_panel=OUTPUT,
-    ),
+    value(None, "Default: by the name of the output.", OUTPUT, "--format"),
 ]
 
-# --- columns ---
+# --- columns: a header name, a dataset path, a number from 1, or FILE::COLUMN ---
 
-
-def column(meaning: str, rare: bool = False) -> Any:
-    """Return the option of a column role."""
-    return Option(
-        metavar="COLUMN", help=f"{meaning}.", hidden=rare, rich_help_panel=COLUMNS
-    )
-
-
-Time = Annotated[Text, column("Time")]
-Voltage = Annotated[Text, column("The drive voltage")]
-Displacement = Annotated[Text, column("The displacement")]
+Time = Annotated[Text, column("The time.")]
+Voltage = Annotated[Text, column("The drive voltage: name, number or FILE::COLUMN.")]
+Displacement = Annotated[
+    Text, column("The displacement: name, number or FILE::COLUMN.")
+]
 
 # --- limits ---
 
-VMin = Annotated[
-    Text,
-    Option(
-        metavar="VOLT", help="Lowest voltage of the amplifier.", rich_help_panel=LIMITS
-    ),
-]
-VMax = Annotated[
-    Text,
-    Option(
-        metavar="VOLT", help="Highest voltage of the amplifier.", rich_help_panel=LIMITS
-    ),
-]
-MaxSlew = Annotated[
-    Text,
-    Option(
-        metavar="VOLT/S",
-        help="Fastest change of the drive; 2V/ms as well.",
-        rich_help_panel=LIMITS,
-    ),
-]
+VMin = Annotated[Text, value("VOLT", "Lowest voltage of the amplifier.", LIMITS)]
+VMax = Annotated[Text, value("VOLT", "Highest voltage of the amplifier.", LIMITS)]
+MaxSlew = Annotated[Text, value("VOLT/S", "Largest slew rate, or 2V/ms.", LIMITS)]
 From = Annotated[
-    Text,
-    Option(
-        "--from",
-        metavar="VOLT",
-        help="Where the amplifier stands before the first row.",
-        rich_help_panel=LIMITS,
-    ),
+    Text, value("VOLT", "Voltage of the amplifier before row 1.", MOVE, "--from")
 ]
 
 # --- state ---
 
 State = Annotated[
-    str,
-    Option(
-        metavar="NAME|FILE",
-        help="What was before: auto, empty, full, settled or a state file.",
-        rich_help_panel=STATE,
-    ),
+    str, value("NAME|FILE", "Start: auto, empty, full, settled or a file.", MOVE)
 ]
 SaveState = Annotated[
-    Text,
-    Option(
-        metavar="FILE",
-        help="Write the state after the last row.",
-        hidden=True,
-        rich_help_panel=STATE,
-    ),
+    Text, value("FILE", "Write the state after the last row.", OUTPUT, rare=True)
 ]
+Skip = Annotated[str, value("SECONDS", "Skip the beginning of every log.", READING)]
 
-# --- how a log is read ---
+# --- options that are appended ---
 
-_READING: dict[str, tuple[Any, Any]] = {
-    "time_unit": (
-        Text,
-        Option(
-            metavar="UNIT",
-            help="What the time column counts: s, ms, us, min, h.",
-            hidden=True,
-        ),
-    ),
-    "sample_rate": (
-        Text,
-        Option(metavar="HZ", help="Sample rate of a log without a time column."),
-    ),
-    "scale": (
+
+def read_as(
+    *,
+    sample_rate: Annotated[
+        Text, value("HZ", "Rate of a log without a time column.", READING)
+    ] = None,
+    scale: Annotated[
         list[str] | None,
-        Option(
-            metavar="ROLE=FACTOR",
-            help="Multiply: voltage=20, displacement=10um/V; repeatable.",
-        ),
-    ),
-    "rows": (
+        value("ROLE=FACTOR", "Factor: voltage=20, displacement=10um/V.", READING),
+    ] = None,
+    rows: Annotated[
+        Text, value("A:B", "Data rows A to B, counted from 1.", READING, rare=True)
+    ] = None,
+    time_unit: Annotated[
         Text,
-        Option(metavar="A:B", help="Data rows to take, from 1, both ends included."),
-    ),
-    "skip_bad": (
+        value("UNIT", "Unit of the time: s, ms, us, min, h.", READING, rare=True),
+    ] = None,
+    skip_bad: Annotated[
         bool,
-        Option(
-            "--skip-bad",
-            help="Drop rows that hold no number, and count them.",
-            hidden=True,
+        flag("--skip-bad", "Drop and count rows that hold no number.", READING, True),
+    ] = False,
+    resample: Annotated[
+        Text, value("HZ", "Interpolate to this rate first.", READING, rare=True)
+    ] = None,
+    delimiter: Annotated[
+        Text,
+        value("NAME", "comma, semicolon, tab, blanks or pipe.", READING, rare=True),
+    ] = None,
+    decimal: Annotated[
+        Text, value("point|comma", "Decimal sign.", READING, rare=True)
+    ] = None,
+    skip_lines: Annotated[
+        int | None,
+        value("N", "Lines before the header.", READING, rare=True, least=0),
+    ] = None,
+    encoding: Annotated[
+        Text, value("NAME", "Text encoding, if not UTF-8.", READING, rare=True)
+    ] = None,
+    clock_offset: Annotated[
+        Text,
+        value(
+            "SECONDS|auto",
+            "Added to the clock of the drive's file; auto finds it.",
+            READING,
+            rare=True,
         ),
-    ),
-    "resample": (
-        Text,
-        Option(metavar="HZ", help="Interpolate to an even clock first.", hidden=True),
-    ),
-    "delimiter": (
-        Text,
-        Option(
-            metavar="NAME",
-            help="comma, semicolon, tab, blanks, pipe or a character.",
-            hidden=True,
-        ),
-    ),
-    "decimal": (
-        Text,
-        Option(metavar="point|comma", help="The decimal sign.", hidden=True),
-    ),
-    "skip_lines": (
-        Text,
-        Option(metavar="N", help="Lines to pass over before the header.", hidden=True),
-    ),
-    "encoding": (
-        Text,
-        Option(metavar="NAME", help="The text encoding, if not UTF-8.", hidden=True),
-    ),
-    "clock_offset": (
-        Text,
-        Option(
-            metavar="SECONDS|auto",
-            help="Added to the clock of the drive's file where there are two; auto finds it.",
-            hidden=True,
-        ),
-    ),
-}
-_SPEAKING: dict[str, tuple[Any, Any]] = {
-    "quiet": (bool, Option("-q", "--quiet", help="Say nothing but errors.")),
-    "verbose": (bool, Option("--verbose", help="Also say what was found and assumed.")),
-    "debug": (
-        bool,
-        Option("--debug", help="Show the traceback of an error.", hidden=True),
-    ),
-}
+    ] = None,
+) -> Any:
+    """Return how a log is to be read."""
+    from dbo_cli.logs import Reading
+
+    offset = clock_offset
+    if offset != "auto":
+        offset = number("clock_offset", clock_offset)  # type: ignore[assignment]
+    return Reading(
+        time_unit=time_unit,
+        sample_rate=quantity("sample_rate", sample_rate, "Hz"),
+        scale=_scales(scale or []),
+        rows=rows,
+        skip_bad=skip_bad,
+        resample=quantity("resample", resample, "Hz"),
+        delimiter=delimiter,
+        decimal=decimal,
+        skip_lines=skip_lines,
+        encoding=encoding,
+        clock_offset=offset,
+    )
+
+
+def _scales(texts: list[str]) -> dict[str, str | float]:
+    """Return the factors of ``--scale ROLE=FACTOR`` by role."""
+    factors: dict[str, str | float] = {}
+    for text in texts:
+        role, _, factor = text.partition("=")
+        if not factor:
+            raise UsageError(f"`scale` {text}: type ROLE=FACTOR, such as voltage=20")
+        factors[role] = factor
+    return factors
+
+
+def speak(
+    *,
+    quiet: Annotated[
+        bool, value(None, "Print errors only.", OUTPUT, "-q", "--quiet")
+    ] = False,
+    verbose: Annotated[bool, flag("--verbose", "Print details.", OUTPUT)] = False,
+    debug: Annotated[
+        bool, flag("--debug", "Print the traceback of an error.", OUTPUT, True)
+    ] = False,
+) -> None:
+    """Set how much a command says."""
+    Level.quiet, Level.verbose, Level.debug = quiet, verbose, debug
 
 
 def reads_logs(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command the options that say how a log is read, as its argument ``reading``."""
-
-    def gather(values: dict[str, Any]) -> None:
-        from dbo_cli.logs import Reading
-
-        chosen = {name: values.pop(name) for name in _READING}
-        values["reading"] = Reading(
-            time_unit=chosen["time_unit"],
-            sample_rate=hertz("sample_rate", chosen["sample_rate"]),
-            scale=scales(chosen["scale"] or []),
-            rows=chosen["rows"],
-            skip_bad=chosen["skip_bad"],
-            resample=hertz("resample", chosen["resample"]),
-            delimiter=chosen["delimiter"],
-            decimal=chosen["decimal"],
-            skip_lines=count("skip_lines", chosen["skip_lines"]),
-            encoding=chosen["encoding"],
-            clock_offset=offset(chosen["clock_offset"]),
-        )
-
-    return _with_options(command, _READING, READING, gather, "reading")
+    """Append the options of ``read_as``; the command takes its result as ``reading``."""
+    return _appended(command, read_as, "reading")
 
 
 def speaks(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command ``--quiet``, ``--verbose`` and ``--debug``."""
-
-    def gather(values: dict[str, Any]) -> None:
-        for name in _SPEAKING:
-            setattr(Level, name, values.pop(name))
-
-    return _with_options(command, _SPEAKING, OUTPUT, gather, "")
+    """Append the options of ``speak``."""
+    return _appended(command, speak, "")
 
 
-def _with_options(
-    command: Callable[..., None],
-    options: dict[str, tuple[Any, Any]],
-    panel: str,
-    gather: Callable[[dict[str, Any]], None],
-    replaced: str,
+def _appended(
+    command: Callable[..., None], options: Callable[..., Any], argument: str
 ) -> Callable[..., None]:
-    """Return a command with further options, which ``gather`` turns into its argument ``replaced``."""
-    command.__annotations__.pop(replaced, None)  # a type that is not imported for help
-    signature = inspect.signature(command, eval_str=True)
-    parameters = [own for own in signature.parameters.values() if own.name != replaced]
-    for name, (kind, option) in options.items():
-        option.rich_help_panel = panel
-        default = False if kind is bool else None
-        annotation = Annotated[kind, option]  # type: ignore[valid-type]
-        parameters.append(
-            inspect.Parameter(
-                name,
-                inspect.Parameter.KEYWORD_ONLY,
-                default=default,
-                annotation=annotation,
-            )
-        )
+    """Return a command with the options of another function, whose result is one argument of it."""
+    command.__annotations__.pop(argument, None)  # a type that help does not import
+    parameters = dict(inspect.signature(command, eval_str=True).parameters)
+    parameters.pop(argument, None)
+    more = inspect.signature(options, eval_str=True).parameters
 
     @functools.wraps(command)
     def run(**values: Any) -> None:
-        gather(values)
+        result = options(**{name: values.pop(name) for name in more})
+        if argument:
+            values[argument] = result
         command(**values)
 
-    keyword = inspect.Parameter.KEYWORD_ONLY
-    run.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-        [parameter.replace(kind=keyword) for parameter in parameters]
-    )
-    run.__annotations__ = {
-        parameter.name: parameter.annotation for parameter in parameters
-    }
+    signature = []
+    for parameter in [*parameters.values(), *more.values()]:
+        signature.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
+    run.__signature__ = inspect.Signature(signature)  # type: ignore[attr-defined]
+    run.__annotations__ = {entry.name: entry.annotation for entry in signature}
     return run
 
 
@@ -294,38 +240,17 @@ def _with_options(
 
 def number(name: str, text: str | None) -> float | None:
     """Return the number of an option; UsageError where it is none."""
-    if text is None:
-        return None
     try:
-        return float(text)
+        return None if text is None else float(text)
     except ValueError:
         raise UsageError(f"`{name}` {text}: not a number") from None
 
 
-def hertz(name: str, text: str | None) -> float | None:
-    """Return a rate in Hz, with or without a unit (``2kHz``)."""
-    return quantity(name, text, "Hz")
-
-
 def quantity(name: str, text: str | None, unit: str | None) -> float | None:
-    """Return a typed quantity in ``unit``: a plain number, or one with a unit of that kind."""
+    """Return a typed quantity in ``unit``: a plain number, or one with a unit (``2kHz``)."""
     from dbo_cli.units import parse_quantity
 
     return None if text is None else parse_quantity(text, unit, name)
-
-
-def count(name: str, text: str | None) -> int | None:
-    """Return a whole number of at least 0; UsageError where it is none."""
-    if text is None:
-        return None
-    if not text.isdigit():
-        raise UsageError(f"`{name}` {text}: not a whole number of at least 0")
-    return int(text)
-
-
-def offset(text: str | None) -> float | Literal["auto"] | None:
-    """Return seconds, or ``auto``."""
-    return "auto" if text == "auto" else number("clock_offset", text)
 
 
 def seconds_or_auto(name: str, text: str | None) -> float | Literal["auto"] | None:
@@ -333,14 +258,48 @@ def seconds_or_auto(name: str, text: str | None) -> float | Literal["auto"] | No
     return "auto" if text == "auto" else quantity(name, text, "s")
 
 
-def scales(texts: list[str]) -> dict[str, str]:
-    """Return the factors of ``--scale ROLE=FACTOR`` by role."""
-    factors = {}
-    for text in texts:
-        role, equals, factor = text.partition("=")
-        if not equals or not factor:
-            raise UsageError(
-                f"`scale` {text}: type ROLE=FACTOR, for example voltage=20"
-            )
-        factors[role] = factor
-    return factors
+def count_or_auto(name: str, text: str) -> int | Literal["auto"]:
+    """Return a whole number of at least 0, or ``auto``."""
+    if text == "auto":
+        return "auto"
+    if not text.isdigit():
+        raise UsageError(f"`{name}` {text}: give auto or a whole number from 0")
+    return int(text)
+
+
+def span(name: str, text: str, unit: str | None) -> tuple[float, float]:
+    """Return the two numbers of ``LOW:HIGH``; a unit behind the second is that of both."""
+    from dbo_cli.units import parse_quantity
+
+    low, colon, high = text.partition(":")
+    if not colon:
+        raise UsageError(f"`{name}` {text}: type LOW:HIGH, such as 0:5")
+    if not unit_behind(low):
+        low += unit_behind(high)
+    return parse_quantity(low, unit, name), parse_quantity(high, unit, name)
+
+
+def unit_behind(text: str) -> str:
+    """Return the unit behind a number; empty where there is none."""
+    return text.strip().lstrip("+-.0123456789eE").strip()
+
+
+def state_of(text: str, model: Any) -> Any:
+    """Return a start: its name, or the state of a file."""
+    from dbo_cli.model import read_state
+
+    return text if text in START_NAMES else read_state(text, model)
+
+
+def as_json(form: str | None, output: str) -> bool:
+    """Return whether JSON is wanted: by ``--format``, else by the name of the output."""
+    return form == "json" or (form is None and output.endswith(".json"))
+
+
+def units_of(**quantities: Any) -> dict[str, str]:
+    """Return the unit of each role, of those that have one."""
+    units = {}
+    for role, quantity_of in quantities.items():
+        if quantity_of.unit:
+            units[role] = quantity_of.unit
+    return units

@@ -2,181 +2,125 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import sys
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from typer import Option
-
-from dbo_cli.cli.options import (
-    Figures,
-    LogFiles,
-    Output,
-    State,
-    Text,
-    Time,
-    column,
-    count,
-    number,
-    quantity,
-    reads_logs,
-)
-from dbo_cli.cli.say import detail, say, shell_line
-from dbo_cli.cli.simulate import START_NAMES
+from dbo_cli.cli import options as opt
+from dbo_cli.cli.say import detail, say
 from dbo_cli.errors import UsageError, warn
 
 if TYPE_CHECKING:
-    from dbo_cli.logs import Reading
+    from dbo_cli.logs import Reading, Table
     from dbo_cli.model import Model
     from dbo_cli.reports import Pair
 
-BESIDE, BOUNDS = "What is compared", "Bounds (exit 3)"
+COMPARED, BOUNDS = "Comparison", "Bounds (exit 3)"
 FORMS = {".json": "json", ".csv": "csv", ".html": "html", ".htm": "html"}
+Columns = dict[str, str | None]
+Units = dict[str, str]
 
 
-@reads_logs
+@opt.reads_logs
 def report(
-    logs: LogFiles,
+    logs: opt.LogFiles,
     reading: Reading,
-    output: Output = "-",
+    output: opt.Output = "-",
     form: Annotated[
         Literal["text", "json", "csv", "html"] | None,
-        Option(
-            "--format", help="Form of the report; by the output's name where not given."
-        ),
+        opt.value(None, "Default: by the name of the output.", opt.OUTPUT, "--format"),
     ] = None,
-    figures: Figures = None,
-    desired: Annotated[Text, column("What was wanted")] = None,
-    measured: Annotated[Text, column("What came")] = None,
-    voltage: Annotated[Text, column("The drive, for --model and the figures")] = None,
-    time: Time = None,
+    figures: opt.Figures = None,
+    desired: Annotated[opt.Text, opt.column("Desired displacement.")] = None,
+    measured: Annotated[opt.Text, opt.column("Measured displacement.")] = None,
+    voltage: Annotated[
+        opt.Text, opt.column("The drive, for --model and the figures.")
+    ] = None,
+    time: opt.Time = None,
     trajectory: Annotated[
-        Text,
-        Option(
-            metavar="FILE",
-            help="Where the wanted displacement is, if elsewhere.",
-            rich_help_panel=BESIDE,
-        ),
+        opt.Text, opt.value("FILE", "The desired displacement, if in a file.", COMPARED)
     ] = None,
     match: Annotated[
         Literal["auto", "time", "rows"],
-        Option(
-            help="How log and --trajectory belong together.",
-            hidden=True,
-            rich_help_panel=BESIDE,
-        ),
+        opt.value(None, "How rows of log and --trajectory match.", COMPARED, rare=True),
     ] = "auto",
     model: Annotated[
-        Text,
-        Option(
-            metavar="MODEL",
-            help="Compare this model's prediction with the log.",
-            rich_help_panel=BESIDE,
-        ),
+        opt.Text,
+        opt.value("MODEL", "Compare with the prediction of a model.", COMPARED),
     ] = None,
-    state: State = "auto",
+    state: Annotated[
+        str,
+        opt.value("NAME|FILE", "With --model: auto, empty, full, settled.", COMPARED),
+    ] = "auto",
     expected: Annotated[
-        Text,
-        Option(
-            metavar="SUMMARY",
-            help="What was expected: a --summary, or a model.",
-            rich_help_panel=BESIDE,
-        ),
+        opt.Text,
+        opt.value("SUMMARY", "Expected error: a --summary, or a model.", COMPARED),
     ] = None,
     lag: Annotated[
-        str,
-        Option(
-            metavar="N",
-            help="Rows by which measured is taken later.",
-            hidden=True,
-            rich_help_panel=BESIDE,
-        ),
-    ] = "0",
+        int,
+        opt.value("N", "Rows by which measured is taken later.", COMPARED, rare=True),
+    ] = 0,
     remove_offset: Annotated[
-        bool,
-        Option(
-            "--remove-offset",
-            help="Take the mean off the error.",
-            rich_help_panel=BESIDE,
-        ),
+        bool, opt.flag("--remove-offset", "Subtract the mean error.", COMPARED)
     ] = False,
     max_rmse: Annotated[
-        Text,
-        Option(
-            metavar="VALUE",
-            help="Greatest RMS error; 10nm as well.",
-            rich_help_panel=BOUNDS,
-        ),
+        opt.Text, opt.value("VALUE", "Largest RMS error, such as 10nm.", BOUNDS)
     ] = None,
     max_nrmse_percent: Annotated[
-        Text,
-        Option(
-            metavar="PERCENT",
-            help="Greatest RMS error, in % of the move.",
-            rich_help_panel=BOUNDS,
-        ),
+        opt.Text, opt.value("PERCENT", "Largest RMS error, in % of the move.", BOUNDS)
     ] = None,
 ) -> None:
-    """Report how well the measured displacement follows the wanted one.
+    """Report how well a measured displacement follows the desired one.
 
-    Several logs are put side by side. With --model the model's prediction takes the
-    place of the wanted displacement.
+    Several logs are put side by side.
 
     Examples: dbo report uncompensated.csv compensated.csv -o report.html;
     dbo report tracked.csv --trajectory drive.csv --max-nrmse-percent 1
     """
-    import dataclasses
-
-    from dbo_cli.logs import write_text
+    from dbo_cli.logs import parse_rows, write_text
     from dbo_cli.model import read_model
     from dbo_cli.reports import Report, expected_in
 
     if model is not None and trajectory is not None:
-        raise UsageError(
-            "`model` and `trajectory` both say what is compared: give one of them"
-        )
-    lag_rows = count("lag", lag) or 0
-    quantity("max_rmse", max_rmse, None)  # a wrong word is refused before any work
-    most_percent = number("max_nrmse_percent", max_nrmse_percent)
+        raise UsageError("give either `model` or `trajectory`")
+    opt.quantity("max_rmse", max_rmse, None)  # a wrong word is refused before any work
+    most_percent = opt.number("max_nrmse_percent", max_nrmse_percent)
     actuator = None if model is None else read_model(model)
-    columns = {
-        "time": time,
-        "desired": desired,
-        "measured": measured,
-        "voltage": voltage,
-    }
-    names = dict(zip(logs, short_names(logs), strict=True))
+    roles = {"time": time, "measured": measured, "voltage": voltage}
+    # a lag, a model and a match by rows need the rows around those that count
+    rows = None if reading.rows is None else parse_rows(reading.rows)
+    reading = dataclasses.replace(reading, rows=None)
     pairs: list[Pair] = []
-    units: dict[str, str] = {}
+    units: Units = {}
     for log in logs:
         if actuator is not None and model is not None:
-            pair, found = predicted(log, reading, columns, actuator, model, state)
+            pair, read = predicted(log, reading, roles, actuator, model, state)
         elif trajectory is not None:
-            pair, found = followed(log, reading, columns, trajectory, match, units)
+            roles["desired"] = desired
+            pair, read = followed(log, reading, roles, trajectory, match, units)
         else:
-            pair, found = beside(log, reading, columns, units)
-        units = units or found
-        pairs.append(dataclasses.replace(pair, name=names[log]))
+            roles["desired"] = desired
+            pair, read = side_by_side(log, reading, roles, units)
+        units = units or read
+        pairs.append(dataclasses.replace(pair, name=short_name(log, logs), rows=rows))
     unit = units.get("measured")
     result = Report.of(
         pairs,
         unit=unit,
-        voltage_unit=units.get("voltage"),
-        lag=lag_rows,
+        lag=lag,
         remove_offset=remove_offset,
-        labels=("desired", "measured") if actuator is None else ("model", "measured"),
-        model=actuator,
-        model_name=model,
         expected=None if expected is None else expected_in(expected, unit),
-        max_rmse=quantity("max_rmse", max_rmse, unit),
+        max_rmse=opt.quantity("max_rmse", max_rmse, unit),
         max_nrmse_percent=most_percent,
+        voltage_unit=units.get("voltage"),
+        labels=("desired" if actuator is None else "model", "measured"),
+        model=actuator,
         command=command_line(),
-        spell=shell_line,
     )
     write_text(output, result.render(form or form_of(output)))
     if figures is not None:
-        for path in result.figures(figures):
-            detail(str(path))
+        detail(*map(str, result.figures(figures)))
     if output != "-":
         say(result.line())
     detail(*result.notes)
@@ -185,155 +129,107 @@ def report(
     result.require_passed()
 
 
-def short_names(logs: list[str]) -> list[str]:
-    """Return the names of files without their folders, where those differ."""
-    short = [os.path.basename(log) or log for log in logs]
-    return short if len(set(short)) == len(logs) else logs
-
-
-def beside(
-    path: str, reading: Reading, columns: dict[str, str | None], units: dict[str, str]
-) -> tuple[Pair, dict[str, str]]:
-    """Read wanted and measured displacement of one log."""
+def read(
+    path: str, reading: Reading, roles: Columns, units: Units, *optional: str
+) -> tuple[Table, Units]:
+    """Return a whole log, and the units of its columns."""
     from dbo_cli.logs import open_log
+
+    with open_log(path, roles, reading, units, ("time", *optional)) as log:
+        table = log.read()
+        columns = {role: entry for role, entry in log.columns.items() if role != "time"}
+    for doubt in log.doubtful:
+        warn(f"{path}: {doubt}")
+    detail(*log.remarks)
+    return table, opt.units_of(**columns)
+
+
+def side_by_side(
+    path: str, reading: Reading, roles: Columns, units: Units
+) -> tuple[Pair, Units]:
+    """Read desired and measured displacement of one log, in the unit of the desired one."""
     from dbo_cli.reports import Pair
     from dbo_cli.units import conversion
 
-    whole, rows = without_rows(reading)
-    with open_log(path, columns, whole, units, optional=("time", "voltage")) as log:
-        table = log.read()
-        found = units_of(log)
-    unit = found.get("desired", found.get("measured"))
-    factor = conversion(found.get("measured"), unit)
+    table, read_units = read(path, reading, roles, units, "voltage")
+    unit = read_units.get("desired", read_units.get("measured"))
+    factor = conversion(read_units.get("measured"), unit)
     if unit is not None:
-        found.update(desired=unit, measured=unit)
-    pair = Pair(
-        path,
-        table["desired"],
-        table["measured"] * factor,
-        time=table.time,
-        voltage=table["voltage"] if log.provided("voltage") else None,
-        rows=rows,
-        notes=tuple(log.remarks),
-    )
-    return pair, found
-
-
-def without_rows(reading: Reading) -> tuple[Reading, Any]:
-    """Return how a log is read whole, and the rows of it that count."""
-    import dataclasses
-
-    from dbo_cli.logs import parse_rows
-
-    rows = None if reading.rows is None else parse_rows(reading.rows)
-    return dataclasses.replace(reading, rows=None), rows
+        read_units["measured"] = unit
+    measured = table["measured"] * factor
+    voltage = table.values.get("voltage")
+    return Pair(path, table["desired"], measured, table.time, voltage), read_units
 
 
 def followed(
     path: str,
     reading: Reading,
-    columns: dict[str, str | None],
+    roles: Columns,
     trajectory: str,
-    match_by: Any,
-    units: dict[str, str],
-) -> tuple[Pair, dict[str, str]]:
+    match_by: str,
+    units: Units,
+) -> tuple[Pair, Units]:
     """Read a measured log and the trajectory that it should have followed."""
-    import dataclasses
-
-    from dbo_cli.logs import open_log
     from dbo_cli.reports import match
 
-    whole, rows = without_rows(reading)
-    scale = dict(whole.scale)
-    scale_of_wanted = {"trajectory": scale.pop("desired")} if "desired" in scale else {}
-    whole = dataclasses.replace(whole, scale=scale)
-    roles = {
-        "time": columns["time"],
-        "measured": columns["measured"],
-        "voltage": columns["voltage"],
-    }
-    with open_log(path, roles, whole, units, optional=("time", "voltage")) as log:
-        table = log.read()
-        found = units_of(log)
-    wanted_units = {"trajectory": found["measured"]} if "measured" in found else {}
-    wanted_roles = {"time": None, "trajectory": columns["desired"]}
-    with open_log(
-        trajectory,
-        wanted_roles,
-        dataclasses.replace(whole, sample_rate=None, scale=scale_of_wanted),
-        wanted_units,
-    ) as wanted:
-        desired = wanted.read()
+    roles, scale = dict(roles), dict(reading.scale)
+    wanted_roles: Columns = {"time": None, "trajectory": roles.pop("desired")}
+    wanted_scale = {"trajectory": scale.pop("desired")} if "desired" in scale else {}
+    measured_reading = dataclasses.replace(reading, scale=scale)
+    wanted_reading = dataclasses.replace(reading, scale=wanted_scale, sample_rate=None)
+    table, read_units = read(path, measured_reading, roles, units, "voltage")
+    wanted_units = {}
+    if "measured" in read_units:
+        wanted_units["trajectory"] = read_units["measured"]
+    wanted, _ = read(trajectory, wanted_reading, wanted_roles, wanted_units)
     pair = match(
         path,
         table["measured"],
-        desired["trajectory"],
+        wanted["trajectory"],
         measured_time=table.time,
-        desired_time=desired.time,
+        desired_time=wanted.time,
         match=match_by,
         trajectory_name=trajectory,
-        voltage=table["voltage"] if log.provided("voltage") else None,
-        rows=rows,
+        voltage=table.values.get("voltage"),
     )
-    return pair, found
+    return pair, read_units
 
 
 def predicted(
     path: str,
     reading: Reading,
-    columns: dict[str, str | None],
+    roles: Columns,
     actuator: Model,
     model_name: str,
     state: str,
-) -> tuple[Pair, dict[str, str]]:
+) -> tuple[Pair, Units]:
     """Read a log of drive and displacement, and run the model over the drive."""
-    from dbo_cli.logs import open_log
-    from dbo_cli.model import read_state
     from dbo_cli.reports import predict
 
     actuator.require("forward", model_name)
-    units = {}
-    if actuator.input.unit:
-        units["voltage"] = actuator.input.unit
-    if actuator.output.unit:
-        units["measured"] = actuator.output.unit
-    roles = {
-        "time": columns["time"],
-        "voltage": columns["voltage"],
-        "measured": columns["measured"],
-    }
-    whole, rows = without_rows(reading)
-    with open_log(path, roles, whole, units) as log:
-        table = log.read()
-        found = units_of(log)
+    units = opt.units_of(voltage=actuator.input, measured=actuator.output)
+    table, read_units = read(path, reading, roles, units)
     pair = predict(
         actuator,
         table["voltage"],
         table["measured"],
         name=path,
         time=table.time,
-        state=state if state in START_NAMES else read_state(state, actuator),
-        rows=rows,
+        state=opt.state_of(state, actuator),
         model_name=model_name,
     )
-    return pair, found
+    return pair, read_units
 
 
-def units_of(log: Any) -> dict[str, str]:
-    """Return the units of a log by role, of those that have one."""
-    units = {}
-    for role, found in log.columns.items():
-        if found.unit and role != "time":
-            units[role] = found.unit
-    return units
+def short_name(log: str, logs: list[str]) -> str:
+    """Return the name of a file without its folder, where the names of all logs differ then."""
+    names = {os.path.basename(path) or path for path in logs}
+    return os.path.basename(log) or log if len(names) == len(logs) else log
 
 
 def form_of(output: str) -> str:
     """Return the form of a report that its name asks for."""
-    for ending, form in FORMS.items():
-        if output.lower().endswith(ending):
-            return form
-    return "text"
+    return FORMS.get(os.path.splitext(output.lower())[1], "text")
 
 
 def command_line() -> str:

@@ -13,13 +13,14 @@ import warnings
 from collections.abc import Iterable, Iterator
 from typing import Any, ClassVar, TypeVar
 
-from dbo_cli.errors import DboWarning
+from dbo_cli.errors import DboWarning, warn
 
 ERASE = "\r\x1b[K"
 _PARAMETER = re.compile(r"`([a-z]\w*)`")
 _CONTROL = re.compile(
     "[\x00-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufeff]+"
 )
+WIDTH = 115  # characters of a default line, behind ``dbo: ``
 _PAUSE = 0.2  # seconds between two updates of a progress line
 _VALUE_HELD = TypeVar("_VALUE_HELD")
 
@@ -34,9 +35,29 @@ class Level:
 
 
 def say(text: str) -> None:
-    """Print a line that everybody needs."""
+    """Print a line that everybody needs, at most ``WIDTH`` characters of it without ``--verbose``."""
+    if len(text) > WIDTH and not Level.verbose:
+        text = text[: WIDTH - 1] + "…"
     if not Level.quiet and text:
         print_line(text)
+
+
+def say_output(output: str, text: str) -> None:
+    """Print what is in an output."""
+    say(f"{'stdout' if output == '-' else output}: {text}")
+
+
+def say_log(log: Any) -> None:
+    """Print what was read; warn of rows that were left out, cut or guessed."""
+    for doubt in log.doubtful:
+        warn(f"{log.name}: {doubt}")
+    say(log.line())
+    detail(*log.remarks)
+
+
+def present(*values: Any) -> list[Any]:
+    """Return the values that are not None."""
+    return [value for value in values if value is not None]
 
 
 def detail(*texts: str) -> None:
@@ -80,7 +101,8 @@ def _show(message: Any, category: Any, *_: Any) -> None:
 def say_warnings() -> None:
     """Print the warnings, behind what the command said."""
     for text in Level.warnings:
-        say(f"warning: {text}")
+        if not Level.quiet:
+            print_line(f"warning: {text}")
     Level.warnings.clear()
 
 

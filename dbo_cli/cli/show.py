@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dbo_cli.cli.options import Figures, ModelFile, Output, TextOrJson
+from dbo_cli.cli import options as opt
 from dbo_cli.cli.say import detail
 
 
 def show(
-    model: ModelFile,
-    output: Output = "-",
-    form: TextOrJson = None,
-    figures: Figures = None,
+    model: opt.ModelFile,
+    output: opt.Output = "-",
+    form: opt.TextOrJson = None,
+    figures: opt.Figures = None,
 ) -> None:
-    """Show what is in a model: range and units, how good it is, lag, where it comes from.
+    """Show what is in a model, and how good it is.
 
     Examples: dbo show model.json;
     dbo show model.json --format json | jq .fit.expected_rmse
@@ -22,18 +22,14 @@ def show(
     from dbo_cli.reports import show_model
 
     if is_set(model):
-        pages = [
-            show_model(one, f"{model}::{name}")
-            for name, one in read_models(model).items()
-        ]
+        pages = []
+        for name, channel in read_models(model).items():
+            pages.append(show_model(channel, f"{model}::{name}"))
     else:
         pages = [show_model(read_model(model), model)]
-    as_json = form == "json" or (form is None and output.endswith(".json"))
-    texts = []
-    for page in pages:
-        texts.append(page.json() if as_json else page.text())
+    is_json = opt.as_json(form, output)
+    texts = [page.json() if is_json else page.text() for page in pages]
     write_text(output, "\n".join(texts))
     if figures is not None:
         for page in pages:
-            for path in page.figures(figures):
-                detail(str(path))
+            detail(*map(str, page.figures(figures)))

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from typer import Argument, Option
+from typer import Argument
 
-from dbo_cli.cli.identify import named
-from dbo_cli.cli.options import Output, Text, count, hertz, quantity
-from dbo_cli.cli.say import say
+from dbo_cli.cli import options as opt
+from dbo_cli.cli.say import say_output
 from dbo_cli.errors import UsageError
 
 UNIT = "um"  # without a model
@@ -19,63 +18,47 @@ def trajectory(
         str,
         Argument(metavar="SHAPE", help="raster, spiral, staircase, sine or triangle."),
     ],
-    rate: Annotated[str, Option(metavar="HZ", help="Rows a second.")],
+    rate: Annotated[str, opt.value("HZ", "Rows per second.")],
     range_: Annotated[
         str,
-        Option(
-            "--range",
-            metavar="LOW:HIGH",
-            help="From where to where, every axis; in the model's unit, else um, or typed: 0:5mrad.",
+        opt.value(
+            "LOW:HIGH", "Of each axis, in the model's unit or um.", None, "--range"
         ),
     ],
-    output: Output = "-",
+    output: opt.Output = "-",
     frequency: Annotated[
-        Text,
-        Option(metavar="HZ", help="Lines, turns of a spiral, or cycles a second."),
+        opt.Text, opt.value("HZ", "Lines, turns or cycles per second.")
     ] = None,
-    lines: Annotated[Text, Option(metavar="N", help="Of a raster.")] = None,
+    lines: Annotated[int | None, opt.value("N", "Lines of a raster.", least=0)] = None,
     steps: Annotated[
-        Text, Option(metavar="N", help="Of a staircase: up, and as many down.")
+        int | None,
+        opt.value("N", "Steps of a staircase: up, then down.", least=0),
     ] = None,
     dwell: Annotated[
-        Text, Option(metavar="SECONDS", help="At each level of a staircase.")
+        opt.Text, opt.value("SECONDS", "Time at each level of a staircase.")
     ] = None,
     duration: Annotated[
-        Text,
-        Option(
-            metavar="SECONDS",
-            help="Of a spiral, sine or triangle: whole turns or cycles; one if not given.",
-        ),
+        opt.Text,
+        opt.value("SECONDS", "Of a spiral, sine or triangle; default one cycle."),
     ] = None,
     loop: Annotated[
         bool,
-        Option(
-            "--loop",
-            help="One period that closes, for compensate --periodic; a raster: up and down.",
-        ),
+        opt.flag("--loop", "One closed period, for compensate --periodic."),
     ] = False,
     bandwidth: Annotated[
-        Text,
-        Option(
-            metavar="HZ",
-            help="Each turn, step, start and stop takes one period of it; sharp if not known.",
-        ),
+        opt.Text, opt.value("HZ", "Round corners, start and stop to this bandwidth.")
     ] = None,
     model: Annotated[
         list[str] | None,
-        Option(
-            metavar="MODEL",
-            help="Refuse what it does not reach, round to what it is trusted to; twice: x and y.",
-        ),
+        opt.value("MODEL", "Require its range, round to its bandwidth; twice: x, y."),
     ] = None,
 ) -> None:
-    """Write a move to be followed: raster, spiral, staircase, sine or triangle.
+    """Write a move: raster, spiral, staircase, sine or triangle.
 
     It starts and stops softly. Columns: time and displacement, or time, x and y
     (compensate takes one with --displacement x_um).
 
-    Example: dbo trajectory raster --rate 10000 --range 2:9 --lines 64 --frequency 5
-    --model model.json -o scan.csv
+    Example: dbo trajectory raster --rate 10kHz --range 2:9 --lines 64 --frequency 5
     """
     from dbo_cli.logs import create
     from dbo_cli.model import read_model
@@ -85,59 +68,36 @@ def trajectory(
     models = [read_model(path) for path in model or []]
     for path, actuator in zip(model or [], models, strict=True):
         actuator.require("forward", path)
-    units = {actuator.output.unit for actuator in models} or {_typed_unit(range_)}
+    typed = opt.unit_behind(range_.rpartition(":")[2]) or UNIT
+    units = {actuator.output.unit for actuator in models} or {typed}
     if len(units) > 1:
-        raise UsageError("`model`: the models have different units; write an axis each")
+        raise UsageError("`model`: the units differ; write one axis at a time")
     unit = units.pop()
-    ends = span("range", range_, unit)
-    limit = hertz("bandwidth", bandwidth)
+    ends = opt.span("range", range_, unit)
+    limit = opt.quantity("bandwidth", bandwidth, "Hz")
     if limit is None:
         limit = trusted_frequency(models)
     made = make(
         shape,
-        rate=hertz("rate", rate) or 0.0,
+        rate=opt.quantity("rate", rate, "Hz") or 0.0,
         range=ends,
-        frequency=hertz("frequency", frequency),
-        lines=count("lines", lines),
-        steps=count("steps", steps),
-        dwell=quantity("dwell", dwell, "s"),
-        duration=quantity("duration", duration, "s"),
+        frequency=opt.quantity("frequency", frequency, "Hz"),
+        lines=lines,
+        steps=steps,
+        dwell=opt.quantity("dwell", dwell, "s"),
+        duration=opt.quantity("duration", duration, "s"),
         loop=loop,
         bandwidth=limit,
     )
     if len(models) > len(made.axes):
-        raise UsageError(
-            f"`model`: a {shape} has {len(made.axes)} axis; give one model"
-        )
+        raise UsageError(f"`model`: a {shape} has one axis; give one model")
     if models:
         check_reach(made, ends, models)
     names = ("displacement",) if len(made.axes) == 1 else ("x", "y")
     columns = [("time", "s"), *((name, unit) for name in names)]
     with create(output, columns) as table:
         table.write(made.time, *made.axes)
-    rounded = "corners sharp (--bandwidth HZ rounds them)"
+    rounded = "sharp corners (`bandwidth` HZ rounds them)"
     if limit is not None:
         rounded = f"rounded to {limit:.4g} Hz"
-    say(f"{named(output)}: {made.time.size:,} rows, {made.note}; {rounded}")
-
-
-def span(name: str, text: str, unit: str | None) -> tuple[float, float]:
-    """Return the two numbers of ``LOW:HIGH``; a unit behind the second is that of both."""
-    from dbo_cli.units import parse_quantity
-
-    low, colon, high = text.partition(":")
-    if not colon:
-        raise UsageError(f"`{name}` {text}: type LOW:HIGH, for example 0:5")
-    own = _unit_behind(high)
-    if own and not _unit_behind(low):
-        low += own
-    return parse_quantity(low, unit, name), parse_quantity(high, unit, name)
-
-
-def _unit_behind(text: str) -> str:
-    return text.strip().lstrip("+-.0123456789eE").strip()
-
-
-def _typed_unit(text: str) -> str:
-    """Return the unit behind a typed range; um where there is none."""
-    return _unit_behind(text.rpartition(":")[2]) or UNIT
+    say_output(output, f"{made.time.size:,} rows, {made.note}; {rounded}")

@@ -4,102 +4,62 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated
 
-from typer import Argument, Option
+from typer import Argument
 
+from dbo_cli.cli import options as opt
 from dbo_cli.cli.check import limits_in, read_drive
-from dbo_cli.cli.identify import named
-from dbo_cli.cli.options import (
-    MaxSlew,
-    Output,
-    Text,
-    Time,
-    VMax,
-    VMin,
-    Voltage,
-    count,
-    hertz,
-    number,
-    reads_logs,
-)
-from dbo_cli.cli.say import detail, say
-from dbo_cli.cli.trajectory import span
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.cli.say import detail, say, say_output
+from dbo_cli.errors import InputError
 
 if TYPE_CHECKING:
     from dbo_cli.logs import Reading
 
 
-@reads_logs
+@opt.reads_logs
 def waveform(
     drive: Annotated[str, Argument(metavar="DRIVE", help="The drive; - is stdin.")],
     reading: Reading,
     to: Annotated[
-        str,
-        Option(
-            metavar="FORMAT",
-            help="npy, wav, int16, uint16, keysight-arb or pi-gcs.",
-        ),
+        str, opt.value("FORMAT", "npy, wav, int16, uint16, keysight-arb or pi-gcs.")
     ],
-    output: Output = "-",
-    gain: Annotated[
-        str,
-        Option(metavar="FACTOR", help="Of the amplifier behind it: divided out."),
-    ] = "1",
+    output: opt.Output = "-",
+    gain: Annotated[float, opt.value("FACTOR", "Amplifier gain, divided out.")] = 1.0,
     rate: Annotated[
-        Text, Option(metavar="HZ", help="Points a second; the drive's if not given.")
+        opt.Text, opt.value("HZ", "Points per second; default: the drive's.")
     ] = None,
     points: Annotated[
-        Text, Option(metavar="N", help="Points of the generator, over the same time.")
+        int | None, opt.value("N", "Points, over the same time.", least=0)
     ] = None,
     codes: Annotated[
-        Text,
-        Option(
-            metavar="LOW:HIGH",
-            help="Lowest and highest code; the format's if not given.",
-        ),
+        opt.Text, opt.value("LOW:HIGH", "Range of codes; default: the format's.")
     ] = None,
     volts: Annotated[
-        Text,
-        Option(
-            metavar="LOW:HIGH",
-            help="What they mean at the generator; the drive's ends if not given.",
-        ),
+        opt.Text,
+        opt.value("LOW:HIGH", "Output voltage of the codes; default: the drive's."),
     ] = None,
     max_rounding: Annotated[
-        str,
-        Option(
-            metavar="PERCENT",
-            help="By how much rounding or another rate may move it, of its range; more: exit 3.",
-        ),
-    ] = "1",
-    v_min: VMin = None,
-    v_max: VMax = None,
-    max_slew: MaxSlew = None,
-    time: Time = None,
-    voltage: Voltage = None,
+        float,
+        opt.value("PERCENT", "Allowed rounding, % of range; more: exit 3."),
+    ] = 1.0,
+    v_min: opt.VMin = None,
+    v_max: opt.VMax = None,
+    max_slew: opt.MaxSlew = None,
+    time: opt.Time = None,
+    voltage: opt.Voltage = None,
 ) -> None:
-    """Write a drive as the file that a generator, a wave table or a converter takes.
+    """Write a drive in the format of a generator or converter.
 
-    What is written is read back and keeps the limits. One line says what to set.
+    What is written keeps the limits. One line says what to set.
 
-    Examples: dbo waveform drive.csv --to keysight-arb --gain 20 --v-max 100 -o drive.arb;
-    dbo waveform drive.csv --to uint16 --gain 20 --volts 0:5 -o drive.bin
+    Example: dbo waveform drive.csv --to uint16 --gain 20 --volts 0:5 -o drive.bin
     """
     from dbo_cli.logs.write import write_bytes
     from dbo_cli.moves import waveform as make
-    from dbo_cli.moves.generators import FORMATS
 
-    if to not in FORMATS:
-        raise UsageError(f"`to` {to}: there are {', '.join(FORMATS)}")
-    endings = FORMATS[to].endings
-    if output != "-" and not output.lower().endswith(endings):
-        raise UsageError(
-            f"{output}: a {to} file is called {' or '.join('*' + ending for ending in endings)}"
-        )
     signal = read_drive(drive, reading, {"time": time, "voltage": voltage}, "V")
     if signal.step is None:
         raise InputError(
-            f"{drive}: a generator plays even steps (`resample` HZ, or `sample_rate` HZ without a clock)"
+            f"{drive}: needs an even clock: add `resample` HZ, or `sample_rate` HZ if it has none"
         )
     made = make(
         signal.voltage,
@@ -107,14 +67,15 @@ def waveform(
         to,
         limits_in("V", v_min, v_max, max_slew),
         name=drive,
-        gain=number("gain", gain) or 0.0,
-        points=count("points", points),
-        rate=hertz("rate", rate),
-        codes=None if codes is None else span("codes", codes, None),
-        volts=None if volts is None else span("volts", volts, "V"),
-        max_rounding=number("max_rounding", max_rounding) or 0.0,
+        gain=gain,
+        points=points,
+        rate=opt.quantity("rate", rate, "Hz"),
+        codes=None if codes is None else opt.span("codes", codes, None),
+        volts=None if volts is None else opt.span("volts", volts, "V"),
+        max_rounding=max_rounding,
         doubts=signal.doubts,
     )
     write_bytes(output, made.data)
     detail(*signal.doubts)
-    say(f"{named(output)}: {made.line}")
+    say_output(output, made.line)
+    say(made.codes)

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,14 +18,9 @@ from dbo_cli.identification import Options, Recording, identify
 from dbo_cli.model import Model, Points, kernel
 from dbo_cli.reports.render import digits, json_text, text_table
 
-if TYPE_CHECKING:
-    import pandas
-
 JSON_VERSION = 1  # of the form dbo-compare
 TIMED_SAMPLES = 100_000  # milliseconds, which a clock resolves
 TIMED_RUNS = 5  # the fastest counts: what else the machine does can only add
-TRIP_SAMPLES = 50_000  # of the first log that go through the inverse and the model
-EXACT = 1e-9  # of the range: a round trip within it is one to rounding
 
 
 @dataclass(frozen=True)
@@ -41,13 +36,8 @@ class Row:
         that took no part (offset off).
     parameters
         Numbers that were fitted.
-    fit_seconds, forward_ns, inverse_ns
-        CPU time: to fit, and of a sample without delay and dynamics.
-    round_trip
-        Largest difference between what is wanted and what the model does with the
-        drive of its inverse.
-    invertible
-        Whether that is rounding.
+    forward_ns, inverse_ns
+        CPU time of a sample, without delay and dynamics.
     refused
         Why it could not be fitted.
     """
@@ -58,11 +48,8 @@ class Row:
     expected_rmse: float | None = None
     validation_rmse: float | None = None
     parameters: int | None = None
-    fit_seconds: float | None = None
     forward_ns: float | None = None
     inverse_ns: float | None = None
-    round_trip: float | None = None
-    invertible: bool | None = None
     refused: str | None = None
 
 
@@ -168,7 +155,7 @@ class DboModel:
         still = self.model.static
         state = still.start(first)
         driven = still.drive(wanted, state, self._dt(clock))
-        return driven.voltage
+        return driven.y
 
     def predict(self, log: Recording) -> Floats:
         """Return the displacement that a log's drive leads to."""
@@ -222,40 +209,29 @@ class Comparison:
             heading += f"; validated on {', '.join(self.validation)}"
         if self.unit:
             heading += f"; errors (RMS) in {self.unit}"
-        head = ["operator", "fit", "expected", "validated", "numbers", "fit s"]
-        head += ["ns forward", "ns inverse", "round trip"]
+        head = ["operator", "fit", "expected", "validated", "numbers"]
+        head += ["ns forward", "ns inverse"]
         cells, remarks = [], []
         for row in self.rows:
             if row.refused is not None:
                 remarks.append(f"{row.name}: {row.refused}")
                 continue
             cells.append(_cells(row))
-            if not row.invertible:
-                remarks.append(f"{row.name}: its inverse is not exact")
         lines = [heading, "", text_table(head, cells), ""]
         lines += [f"{row.name}: {row.words}" for row in self.rows if not row.refused]
         lines += [f"note: {remark}" for remark in remarks]
         return "\n".join(lines) + "\n"
 
-    def to_frame(self) -> pandas.DataFrame:
-        """Return one row an operator under the keys of the JSON form, the name as index."""
-        import pandas as pd
-
-        return pd.DataFrame([asdict(row) for row in self.rows]).set_index("name")
-
 
 def _cells(row: Row) -> list[str]:
-    trip = "-" if row.round_trip is None else f"{row.round_trip:.0e}"
     return [
         row.name,
         digits(row.rmse),
         digits(row.expected_rmse),
         digits(row.validation_rmse),
         str(row.parameters),
-        digits(row.fit_seconds, 3),
         digits(row.forward_ns, 3),
         digits(row.inverse_ns, 3),
-        trip,
     ]
 
 
@@ -264,7 +240,6 @@ def compare(
     validation: Recording | Sequence[Recording] = (),
     *,
     options: Mapping[str, Any] | None = None,
-    timings: bool = True,
 ) -> Comparison:
     """Fit the DBO and its relatives to the same logs, and judge them alike.
 
@@ -274,8 +249,6 @@ def compare(
         Logs to fit, and logs that take no part.
     options
         Of ``identify`` (fields of ``Options``), for the DBO; ``skip`` is everyone's.
-    timings
-        Measure times; without them the same logs give the same bytes.
 
     Raises
     ------
@@ -290,7 +263,7 @@ def compare(
     # a DBO that is no better than a line is compared, too
     chosen = Options(**{"force": True, **(options or {})})
     problem = fitting.prepare(logs, chosen.skip)
-    judge = _Judge(logs, checks, problem, chosen, timings)
+    judge = _Judge(logs, checks, problem, chosen)
     rows = [judge.dbo()]
     for rival in RIVALS:
         rows.append(judge.rival(rival))
@@ -307,33 +280,26 @@ class _Judge:
     validation: Sequence[Recording]
     problem: Problem
     options: Options
-    timings: bool
 
     def dbo(self) -> Row:
         """Return the row of the DBO, or of why there is none."""
         name, words = "dbo", "Discrete Backlash Operator"
-        begun = time.process_time()
         try:
-            model = identify(self.logs, self.options)
+            dbo = DboModel(identify(self.logs, self.options))
         except DboError as problem:
             return Row(name, words, refused=str(problem))
-        seconds = time.process_time() - begun
-        dbo = DboModel(model)
-        expected = model.fit.get("expected_rmse")
-        return self._row(name, words, dbo, expected, dbo.parameters, seconds)
+        expected = dbo.model.fit.get("expected_rmse")
+        return self._row(name, words, dbo, expected, dbo.parameters)
 
     def rival(self, rival: Rival) -> Row:
         """Return the row of a rival, or of why there is none."""
-        begun = time.process_time()
         try:
             design, solution, ratio = fitting.fit(rival, self.problem)
             model = PlayModel.of(design, solution, self.problem)
         except (DboError, np.linalg.LinAlgError) as problem:
             return Row(rival.name, rival.words, refused=str(problem))
-        seconds = time.process_time() - begun
         expected = ratio * self._fitted(model)
-        count = design.parameters
-        return self._row(rival.name, rival.words, model, expected, count, seconds)
+        return self._row(rival.name, rival.words, model, expected, design.parameters)
 
     def _row(
         self,
@@ -342,14 +308,8 @@ class _Judge:
         model: PlayModel | DboModel,
         expected: float | None,
         parameters: int,
-        seconds: float,
     ) -> Row:
-        first = self.logs[0]
-        forward = inverse = None
-        if self.timings:
-            forward, inverse = self._times(model)
-        trip = self._round_trip(model)
-        span = float(np.ptp(first.displacement))
+        forward, inverse = self._times(model)
         return Row(
             name,
             words,
@@ -357,11 +317,8 @@ class _Judge:
             expected_rmse=expected,
             validation_rmse=self._validated(model),
             parameters=parameters,
-            fit_seconds=seconds if self.timings else None,
             forward_ns=forward,
             inverse_ns=inverse,
-            round_trip=trip,
-            invertible=trip <= EXACT * span,
         )
 
     def _fitted(self, model: PlayModel | DboModel) -> float:
@@ -398,15 +355,6 @@ class _Judge:
         forward = _fastest(lambda: model.simulate(voltage, clock))
         inverse = _fastest(lambda: model.invert(wanted, first, clock))
         return forward / TIMED_SAMPLES, inverse / TIMED_SAMPLES
-
-    def _round_trip(self, model: PlayModel | DboModel) -> float:
-        """Return the largest difference after inverse and model, on what the first log's drive leads to."""
-        log = self.logs[0]
-        voltage = log.voltage[:TRIP_SAMPLES]
-        clock = None if log.time is None else log.time[:TRIP_SAMPLES]
-        wanted = model.simulate(voltage, clock)
-        drive = model.invert(wanted, float(voltage[0]), clock)
-        return float(np.abs(model.simulate(drive, clock) - wanted).max())
 
 
 def _fastest(run: Callable[[], Any]) -> float:

@@ -163,7 +163,7 @@ def prepare(recordings: Sequence[Recording], skip: float = 0.0) -> Problem:
         swing_rows.append(swings.usual_rows)
         rows = np.flatnonzero(counted(log, skip))[::stride]
         if len(rows) < FOLDS:
-            raise FitError(f"{log.name}: {len(rows)} rows are left: use less `skip`")
+            raise FitError(f"{log.name}: only {len(rows)} rows left: reduce `skip`")
         drift = [np.ones(len(rows))]
         if len(swings.sizes) >= SWINGS_FOR_DRIFT:
             drift.append(np.linspace(-1.0, 1.0, len(rows)))
@@ -424,7 +424,7 @@ def _fastest(problem: Problem) -> float:
     rates = np.concatenate([log.rate for log in problem.logs])
     fastest = 2.0 * float(np.quantile(rates, FASTEST_SHARE))
     if not fastest > 0.0:
-        raise FitError("the drive rests nearly everywhere: its rate says nothing")
+        raise FitError("the drive is at rest nearly everywhere: no rate to fit")
     return fastest
 
 

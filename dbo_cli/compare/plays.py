@@ -83,7 +83,7 @@ class Plays:
         if self.by_rate.size:
             slopes = np.minimum(slopes, slopes + np.cumsum(self.by_rate))
         if not (slopes > FLATTEST * steepest).all():
-            raise FitError("what fits best has no inverse: a slope is not above 0")
+            raise FitError("the best fit has no inverse: one slope is not positive")
 
     @property
     def n(self) -> int:

@@ -164,7 +164,7 @@ def check_drive(
     """
     if limits.slew is not None and time is None:
         raise InputError(
-            f"{name}: no time column, and `max_slew` needs one (`time` or `sample_rate` HZ)"
+            f"{name}: no time column, which `max_slew` needs: add `time` COLUMN or `sample_rate` HZ"
         )
     checked = _figures(voltage, time, name, limits)
     checked.problems += doubts
@@ -175,7 +175,7 @@ def check_drive(
     low, high = limits.rating
     if start is not None and not low <= start <= high:
         checked.problems.append(
-            f"the amplifier stands at {start:g}, outside {low:g} to {high:g}"
+            f"the amplifier is at {start:g}, outside {low:g} to {high:g}"
         )
     gate = Gate(replace(limits, rating=(low - tolerance, high + tolerance)), start)
     waits = steps
@@ -264,7 +264,7 @@ def _seam(voltage: Floats, gate: Gate, waits: Floats | None) -> list[str]:
     inside = float(np.abs(np.diff(voltage)).max(initial=0.0))
     if abs(first - last) > OPEN_SEAM * inside:
         return [
-            f"the loop does not close: {last:.6g} to {first:.6g}, and the largest step inside is {inside:.3g}"
+            f"the loop is open: {last:.6g} to {first:.6g}; the largest step inside is {inside:.3g}"
         ]
     return []
 
@@ -339,9 +339,7 @@ def check_played(
         shared, lag + part, late, float(gain), float(offset), largest, most
     )
     if _alike(ours, theirs) < ANOTHER:
-        checked.problems.append(
-            "what was played is another drive: the two have nothing in common"
-        )
+        checked.problems.append("another drive was played: the two do not correlate")
         return
     if shared < drive.size:
         checked.problems.append(
@@ -349,8 +347,8 @@ def check_played(
         )
     if largest > most:
         checked.problems.append(
-            f"what was played differs by up to {largest:.4g}{unit}, more than {most:.3g}{unit}"
-            f" (gain {gain:.5g}, offset {offset:.3g}{unit})"
+            f"the recording differs by up to {largest:.4g}{unit}, more than {most:.3g}{unit} (gain "
+            f"{gain:.5g}, offset {offset:.3g}{unit})"
         )
 
 

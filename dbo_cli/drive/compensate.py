@@ -7,24 +7,27 @@ blocks, in constant memory. Both run the loop of ``drive/stream.py``.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.drive.drive import Drive
 from dbo_cli.drive.lead import Around, Seconds
-from dbo_cli.drive.learning import Lesson, PassRecord, RepeatedMove, Tracked
 from dbo_cli.drive.limits import Limits
-from dbo_cli.drive.loops import Loop
-from dbo_cli.drive.stream import BLOCK_ROWS, Block, OnLimit, Stream
+from dbo_cli.drive.loss import OnLimit, Steps
+from dbo_cli.drive.stream import Block, Stream
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.model import Model, State, ZeroPhaseLowPass
+from dbo_cli.model import Model, State, steps_of
+
+if TYPE_CHECKING:
+    from dbo_cli.drive.learning import PassRecord, Tracked
 
 Floats = NDArray[np.float64]
 Clock = float | ArrayLike | None
 
-JITTER = 0.05  # of a step: stamps this near to an even clock are those of one; chosen
+BLOCK_ROWS = 65_536  # that are driven at once: what they take stays in caches
 
 
 def plan(
@@ -97,98 +100,32 @@ def plan(
     """
     around = Around(state, start, approach, condition, lead, return_to)
     if passes and not periodic:
-        raise UsageError("`passes` is the run-in of a loop (`periodic`)")
+        raise UsageError("`passes` needs `periodic`")
     if history and not tracked:
-        raise UsageError(
-            "`history` keeps the passes that `tracked` recorded: give both"
-        )
+        raise UsageError("`history` needs `tracked` LOG")
     values = np.ascontiguousarray(desired, dtype=np.float64).reshape(-1)
-    time, step = read_clock(clock, values.size, name)
-    request = values
-    lesson: Lesson | None = None
-    if not (tracked or periodic or bandwidth is not None):
-        blocks = [Block(time, values, values)]
-        return _whole(Stream(model, blocks, step, limits, around, on_limit, name))
-    even = _require_step(
-        step, name, "`tracked`, `periodic` and `bandwidth` need an even clock"
-    )
+    time, dt = _clock(clock, values.size, name)
+    request, lesson = values, None
+    if tracked or periodic or bandwidth is not None:
+        seconds, step = _even(time, dt, name)
     if tracked:
-        begin = 0.0 if time is None else float(time[0])
-        move = RepeatedMove(model, values, begin, even, state, periodic, absolute)
+        from dbo_cli.drive.learning import RepeatedMove
+
+        move = RepeatedMove(model, values, seconds, step, state, periodic, absolute)
         lesson = move.lesson(tracked, history, bandwidth)
         request = lesson.request
-    low_pass = None
-    if bandwidth is not None and lesson is None:
-        low_pass = ZeroPhaseLowPass(bandwidth, even)
+    elif bandwidth is not None:
+        from dbo_cli.drive.lowpass import low_pass
+
+        request = low_pass(values, bandwidth, step, periodic)
     if periodic:
-        if low_pass is not None:
-            request = low_pass.loop(values)
-        loop = Loop(model, values, request, time, even, limits, around, on_limit, name)
-        return _learned(loop.plan(passes), lesson)
-    blocks = [Block(time, values, request)]
-    if low_pass is not None:
-        blocks = _rounded(time, values, low_pass)
-    return _learned(
-        _whole(Stream(model, blocks, even, limits, around, on_limit, name)),
-        lesson,
-    )
+        from dbo_cli.drive.loops import Loop
 
-
-def stream(
-    model: Model,
-    blocks: Iterable[tuple[Floats | None, Floats]],
-    step: float | None,
-    limits: Limits,
-    *,
-    state: str | State = "auto",
-    start: float | None = None,
-    approach: Seconds = None,
-    condition: bool = False,
-    lead: Seconds = None,
-    return_to: float | None = None,
-    on_limit: OnLimit = "auto",
-    block_rows: int = BLOCK_ROWS,
-    name: str = "trajectory",
-) -> Stream:
-    """Return the drive of a trajectory that comes in blocks; iterate over it once.
-
-    Parameters
-    ----------
-    blocks
-        Pairs of times (s; None without a clock) and displacements.
-    step
-        Seconds a row of an even clock; None: uneven, or no clock.
-    block_rows
-        Blocks are cut to so many rows; the values stay the same to rounding.
-
-    The other parameters are those of ``plan``. With ``on_limit`` auto a move that loses
-    more than one percent is refused at the end of the iteration.
-    """
-    around = Around(state, start, approach, condition, lead, return_to)
-    moves = (Block(time, desired, desired) for time, desired in blocks)
-    return Stream(model, moves, step, limits, around, on_limit, name, block_rows)
-
-
-def _whole(stream: Stream) -> Drive:
-    """Return all rows of a stream, with its figures."""
-    parts = list(stream)
-    drive = stream.drive
-    assert drive is not None
-    before = drive.lead.rows
-    time = None
-    if all(part.time is not None for part in parts):
-        time = np.concatenate([part.time for part in parts])
-    return dataclasses.replace(
-        drive,
-        time=time,
-        desired=np.concatenate([part.desired for part in parts]),
-        voltage=np.concatenate([part.voltage for part in parts]),
-        move=slice(before, before + stream.loss.move.rows),
-    )
-
-
-def _learned(drive: Drive, lesson: Lesson | None) -> Drive:
-    """Return a drive with what a lesson said and the history with its pass."""
+        asked = limits, around, on_limit, name
+        drive = Loop(model, values, request, seconds, step, *asked).plan(passes)
+    else:
+        blocks = _blocks(time, dt, values, request)
+        drive = _whole(Stream(model, blocks, limits, around, on_limit, name))
     if lesson is None:
         return drive
     return dataclasses.replace(
@@ -201,30 +138,71 @@ def _learned(drive: Drive, lesson: Lesson | None) -> Drive:
     )
 
 
-def _rounded(
-    time: Floats | None, desired: Floats, low_pass: ZeroPhaseLowPass
-) -> list[Block]:
-    """Return a rounded trajectory, and behind it the rows in which it comes to rest, to be read ahead."""
-    rest = np.full(low_pass.reach, desired[-1])
-    rounded = low_pass.whole(np.concatenate([desired, rest]))
-    tail = rounded[desired.size :]
-    return [
-        Block(time, desired, rounded[: desired.size]),
-        Block(None, tail, tail, "tail"),
-    ]
+def stream(
+    model: Model,
+    blocks: Iterable[tuple[Floats | None, Steps, Floats]],
+    limits: Limits,
+    *,
+    state: str | State = "auto",
+    start: float | None = None,
+    approach: Seconds = None,
+    condition: bool = False,
+    lead: Seconds = None,
+    return_to: float | None = None,
+    on_limit: OnLimit = "auto",
+    name: str = "trajectory",
+) -> Stream:
+    """Return the drive of a trajectory that comes in blocks; iterate over it once.
+
+    Parameters
+    ----------
+    blocks
+        Times (s; None without a clock), seconds since the row before (one number where
+        they are even, None without a clock), and displacements. The values do not
+        depend on how a trajectory is cut.
+
+    The other parameters are those of ``plan``. With ``on_limit`` auto a move that loses
+    more than one percent is refused at the end of the iteration.
+    """
+    around = Around(state, start, approach, condition, lead, return_to)
+    moves = (Block(time, dt, desired, desired) for time, dt, desired in blocks)
+    return Stream(model, moves, limits, around, on_limit, name)
 
 
-def _require_step(step: float | None, name: str, why: str) -> float:
-    """Return the step of an even clock (InputError: there is none)."""
-    if step is None:
-        raise InputError(f"{name}: {why} (`sample_rate` HZ, or `resample` HZ)")
-    return step
+def _blocks(
+    time: Floats | None, dt: Steps, desired: Floats, request: Floats
+) -> Iterator[Block]:
+    """Cut a trajectory into blocks."""
+    for begin in range(0, desired.size, BLOCK_ROWS):
+        rows = slice(begin, begin + BLOCK_ROWS)
+        yield Block(
+            None if time is None else time[rows],
+            dt[rows] if isinstance(dt, np.ndarray) else dt,
+            desired[rows],
+            request[rows],
+        )
 
 
-def read_clock(
-    clock: Clock, count: int, name: str
-) -> tuple[Floats | None, float | None]:
-    """Return the time of each row (None: not given) and the step of an even clock (None: uneven).
+def _whole(stream: Stream) -> Drive:
+    """Return all rows of a stream, with its figures."""
+    parts = list(stream)
+    drive = stream.drive
+    assert drive is not None
+    before = drive.lead.rows
+    time = None
+    if parts[0].time is not None:
+        time = np.concatenate([part.time for part in parts])
+    return dataclasses.replace(
+        drive,
+        time=time,
+        desired=np.concatenate([part.desired for part in parts]),
+        voltage=np.concatenate([part.voltage for part in parts]),
+        move=slice(before, before + stream.loss.move.rows),
+    )
+
+
+def _clock(clock: Clock, count: int, name: str) -> tuple[Floats | None, Steps]:
+    """Return the time of each row, and the seconds between rows; None of both without a clock.
 
     Raises
     ------
@@ -237,21 +215,23 @@ def read_clock(
         step = float(np.asarray(clock))
         if not 0.0 < step < np.inf:
             raise InputError(f"{name}: {step:g} s between rows: give seconds above 0")
-        return None, step
+        return np.asarray(step * np.arange(count), dtype=np.float64), step
     time = np.ascontiguousarray(clock, dtype=np.float64).reshape(-1)
     if time.size != count:
         raise InputError(f"{name}: {time.size:,} times for {count:,} rows")
     if not np.isfinite(time).all():
-        raise InputError(f"{name}: a time is no number")
-    return time, even_step(time)
+        raise InputError(f"{name}: one time is not a number")
+    try:
+        return time, steps_of(time)
+    except InputError as problem:
+        raise InputError(f"{name}: {problem}") from None
 
 
-def even_step(time: Floats) -> float | None:
-    """Return the step (s) of stamps on an even clock; None where they are not even."""
-    if time.size < 2:
-        return None
-    step = float(time[-1] - time[0]) / (time.size - 1)
-    if not step > 0.0:
-        return None
-    away = np.abs(time - (time[0] + step * np.arange(time.size)))
-    return step if away.max() <= JITTER * step else None
+def _even(time: Floats | None, dt: Steps, name: str) -> tuple[Floats, float]:
+    """Return the time of each row and the step of an even clock (InputError: it is none)."""
+    if time is None or not isinstance(dt, float):
+        raise InputError(
+            f"{name}: `tracked`, `periodic` and `bandwidth` need an even clock (`sample_rate` HZ, or "
+            "`resample` HZ)"
+        )
+    return time, dt

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.drive.learning import PassRecord
 from dbo_cli.drive.limits import Limits
 from dbo_cli.model import State
+
+if TYPE_CHECKING:
+    from dbo_cli.drive.learning import PassRecord
 
 Floats = NDArray[np.float64]
 NOTHING = np.zeros(0)
@@ -127,7 +129,7 @@ class Drive:
         text = f"{self.rows:,} rows, {self.least:.4g} to {self.greatest:.4g}{self.limits.suffix}"
         if self.clipped:
             rows = "row" if self.clipped == 1 else "rows"
-            return f"{text}, {self.clipped:,} {rows} clipped at the limits"
+            return f"{text}, {self.clipped:,} {rows} clipped"
         return f"{text}, within limits"
 
     def lead_line(self) -> str:

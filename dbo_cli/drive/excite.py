@@ -17,12 +17,12 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli.drive.swings import swing_rows, swings
 from dbo_cli.errors import LimitError, UsageError
 
 Floats = NDArray[np.float64]
@@ -126,7 +126,7 @@ def excite(
         if value is not None and not 0.0 < value < math.inf:
             raise UsageError(f"`{name}` {value:g}: give a number above 0")
     if sweep_amplitude is not None and sweep_to is None:
-        raise UsageError("`sweep_amplitude` is that of a sweep (`sweep_to` HZ)")
+        raise UsageError("`sweep_amplitude` needs `sweep_to` HZ")
     plan = _paced(v_min, v_max, sample_rate, duration, max_slew, sweep_to)
     legs = _legs(plan, round(plan.duration * sample_rate) - 1)
     part = swings([0.0, *(turn for turn, _ in legs)], [rows for _, rows in legs])
@@ -156,41 +156,14 @@ def _paced(
     if duration * frequency < FEWEST_CYCLES * (1.0 - 1e-9):
         least = math.ceil(FEWEST_CYCLES / frequency)
         raise UsageError(
-            f"`duration` {duration:g}: too short for {FEWEST_CYCLES} swings over the range"
-            f" (`duration` {least})"
+            f"`duration` {duration:g}: too short for {FEWEST_CYCLES} swings over the range; give "
+            f"{least} or more"
         )
     if duration * sample_rate > MOST_ROWS:
         raise UsageError(
             f"`duration` {duration:g} at `sample_rate` {sample_rate:g}: more than {MOST_ROWS:,} rows"
         )
     return Swings(v_min, v_max, sample_rate, duration, frequency, max_slew)
-
-
-def swings(turns: Sequence[float], rows: Sequence[int]) -> Floats:
-    """Return half-cosine swings through ``turns``, in order; swing i takes ``rows[i]`` steps."""
-    out = np.empty(1 + sum(rows))
-    out[0] = turns[0]
-    place = 1
-    for begin, end, count in zip(turns[:-1], turns[1:], rows, strict=True):
-        part = out[place : place + count]
-        phase = np.pi * np.arange(1, count + 1) / count
-        part[:] = begin + (end - begin) * (0.5 - 0.5 * np.cos(phase))
-        np.clip(part, min(begin, end), max(begin, end), out=part)
-        part[-1:] = end
-        place += count
-    return out
-
-
-def swing_rows(
-    distance: float, step: float, seconds: float, max_slew: float | None = None
-) -> int:
-    """Return how many rows a half-cosine swing takes: ``seconds``, or longer where the slew is limited.
-
-    The steepest part of the swing rises by pi/2 times its mean slope.
-    """
-    if max_slew is not None:
-        seconds = max(seconds, 0.5 * math.pi * abs(distance) / max_slew)
-    return max(math.ceil(seconds / step - 1e-9), 1)
 
 
 def _legs(plan: Swings, rows: int) -> list[Leg]:
@@ -260,16 +233,16 @@ def _check_sweep(plan: Swings, sweep_to: float, crest: float) -> None:
         raise UsageError(f"`sweep_to` {sweep_to:g}: give a frequency in Hz above 0")
     if plan.sample_rate < SWEEP_ROWS_A_PERIOD * sweep_to * (1.0 - 1e-9):
         raise UsageError(
-            f"`sweep_to` {sweep_to:g}: {plan.sample_rate:g} rows a second do not resolve it"
-            f" (`sample_rate` {SWEEP_ROWS_A_PERIOD * sweep_to:g})"
+            f"`sweep_to` {sweep_to:g}: needs `sample_rate` {SWEEP_ROWS_A_PERIOD * sweep_to:g} or "
+            f"more, not {plan.sample_rate:g}"
         )
     if not 0.0 < crest <= 0.5 * plan.span:
         raise UsageError(
-            f"`sweep_amplitude` {crest:g}: give one above 0, at most {0.5 * plan.span:g}"
+            f"`sweep_amplitude` {crest:g}: give more than 0, at most {0.5 * plan.span:g}"
         )
     fastest = 2.0 * math.pi * sweep_to * crest * SWEEP_FADED
     if plan.max_slew is not None and fastest > plan.max_slew:
         raise LimitError(
-            f"`sweep_amplitude` {crest:g}: at {sweep_to:g} Hz it needs {fastest:.6g}/s, `max_slew` allows"
-            f" {plan.max_slew:g} (`sweep_amplitude` {crest * plan.max_slew / fastest:.3g})"
+            f"`sweep_amplitude` {crest:g}: needs {fastest:.6g}/s at {sweep_to:g} Hz, more than "
+            f"`max_slew` {plan.max_slew:g}; {crest * plan.max_slew / fastest:.3g} fits"
         )

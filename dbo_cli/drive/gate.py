@@ -100,7 +100,7 @@ class Gate:
         row = int(np.argmax(bad))
         reason = self.reason(float(voltage[row]), float(before[row]), part)
         raise GateError(
-            f"this program computed a drive that breaks its limits: {reason}; nothing more is written "
+            f"internal error: a computed row breaks the limits: {reason}; the output ends here "
             "(please report it)"
         )
 
@@ -113,8 +113,8 @@ class Gate:
         if not low <= voltage <= high:
             return f"{voltage:.9g}{unit} is outside {low:.9g} to {high:.9g}{unit}"
         return (
-            f"from {before:.9g} to {voltage:.9g}{unit} in one row is faster than "
-            f"{self.limits.slew:g}{unit} per second"
+            f"{before:.9g} to {voltage:.9g}{unit} in one row is faster than "
+            f"{self.limits.slew:g}{unit}/s"
         )
 
     def require_reachable(
@@ -132,8 +132,8 @@ class Gate:
             unit = self.limits.suffix
             aim = f"{low:.6g}" if low == high else f"{low:.6g} to {high:.6g}"
             raise LimitError(
-                f"the amplifier stands at {self.last:.6g}{unit}, and {self.limits.slew:g}{unit}/s does not "
-                f"bring it to {aim}{unit} in one row (`approach` auto ramps there)"
+                f"the amplifier is at {self.last:.6g}{unit}; {self.limits.slew:g}{unit}/s does not reach "
+                f"{aim}{unit} in one row: add `approach` auto"
             )
 
     def _before(self, voltage: Floats) -> Floats:

@@ -12,17 +12,18 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.drive.lead import soft_rise
+from dbo_cli.drive.lowpass import low_pass
+from dbo_cli.drive.settled import settled_run
+from dbo_cli.drive.swings import soft_rise
 from dbo_cli.errors import InputError, warn
-from dbo_cli.model import Model, Resonance, State, ZeroPhaseLowPass
+from dbo_cli.model import Model, Resonance, State
 
 Floats = NDArray[np.float64]
 FORMAT, VERSION = "dbo-history", 1
@@ -31,8 +32,6 @@ FORMAT, VERSION = "dbo-history", 1
 ORDER = 4
 GROWTH = 1.2  # times the error of the last pass: beyond, learning diverges; chosen
 FROM_BEST = 2.0  # times the best pass's error: growth by less a pass shows after a few
-# of the move (RMS): a smaller request beyond the move was not learned
-LEARNED_BEFORE = 2e-3
 START_PROBLEM = 8.0  # times the expected error: a mean beyond it is no sensor's zero
 # of the drive's range (RMS): recordings further apart are not of one drive
 SAME_DRIVE = 0.02
@@ -79,19 +78,12 @@ class PassRecord(NamedTuple):
 
 
 class Lesson(NamedTuple):
-    """What to ask for next, the cut-off of Q (Hz), the history with this pass, and what was said."""
+    """What to ask for next, the history with this pass, and what was said."""
 
     request: Floats
-    cutoff: float
     history: tuple[PassRecord, ...]
     notes: tuple[str, ...]
     warnings: tuple[str, ...]
-
-
-class _Pass(NamedTuple):
-    voltage: Floats
-    believed: Floats
-    measured: Floats
 
 
 @dataclass(frozen=True)
@@ -102,8 +94,8 @@ class RepeatedMove:
     ----------
     model
         The forward model.
-    desired, begin, step
-        The trajectory, its first time and its even step (s).
+    desired, time, step
+        The trajectory, the time of each row and its even step (s).
     state
         In which the drives began.
     periodic, absolute
@@ -112,16 +104,11 @@ class RepeatedMove:
 
     model: Model
     desired: Floats
-    begin: float
+    time: Floats
     step: float
     state: str | State = "auto"
     periodic: bool = False
     absolute: bool = False
-
-    @property
-    def unit(self) -> str:
-        """The displacement's unit behind a blank."""
-        return self.model.output.suffix
 
     def lesson(
         self,
@@ -146,75 +133,81 @@ class RepeatedMove:
         InputError
             A recording is not of this trajectory, or the error grew.
         """
-        name = recordings[0].name
-        passes = [self._rows_of(recording) for recording in recordings]
-        self._require_same_drive(recordings, passes)
-        believed = np.mean([played.believed for played in passes], axis=0)
+        name, unit = recordings[0].name, self.model.output.suffix
+        voltage, believed, measured = self._mean_of(recordings)
         self._require_same_move(name, believed)
-        error = self.desired - np.mean([played.measured for played in passes], axis=0)
+        error = self.desired - measured
         zero = 0.0 if self.absolute else float(error.mean())
         error = error - zero
-        passed = PassRecord(_digest(passes[0].voltage), rms(error))
+        passed = PassRecord(_digest(voltage), rms(error))
         before = _passes_before(history, passed)
-        self._require_no_growth(name, passed, before, believed)
+        self._require_no_growth(name, passed, before)
         cutoff = bandwidth or self._trusted(name, believed, self.desired - error)
-        low_pass = ZeroPhaseLowPass(cutoff, self.step, ORDER)
-        smooth = low_pass.loop if self.periodic else low_pass.whole
-        learned = smooth(believed - self.desired + error)
+        change = believed - self.desired + error
+        learned = low_pass(change, cutoff, self.step, self.periodic, ORDER)
         if not self.absolute:
             learned = learned - learned.mean()
         if self.model.dynamics is not None and not self.periodic:
             learned = _resting_ends(learned, cutoff * self.step)
         percent = 100.0 * passed.rmse / float(np.ptp(self.desired))
         note = (
-            f"{name}: the last pass was {passed.rmse:.3g}{self.unit} off (RMS, {percent:.2g} % of the move); "
+            f"{name}: the last pass was {passed.rmse:.3g}{unit} off (RMS, {percent:.2g} % of the move); "
             f"learned below {cutoff:.4g} Hz"
         )
         warnings = self._start_problem(name, zero)
-        return Lesson(
-            self.desired + learned, cutoff, (*before, passed), (note,), warnings
-        )
+        return Lesson(self.desired + learned, (*before, passed), (note,), warnings)
 
-    def _rows_of(self, recording: Tracked) -> _Pass:
+    def _mean_of(self, recordings: Sequence[Tracked]) -> tuple[Floats, Floats, Floats]:
+        """Return the drive of the first recording, what the model makes of them, and the mean measured.
+
+        Raises
+        ------
+        InputError
+            A recording is of another drive than the first.
+        """
+        passes = [self._rows_of(recording) for recording in recordings]
+        voltage = passes[0][0]
+        for recording, played in zip(recordings, passes, strict=True):
+            if rms(played[0] - voltage) > SAME_DRIVE * self.model.input.span:
+                raise InputError(
+                    f"{recording.name}: not the drive of {recordings[0].name}: average recordings of one "
+                    "drive only"
+                )
+        believed = np.mean([played[1] for played in passes], axis=0)
+        return voltage, believed, np.mean([played[2] for played in passes], axis=0)
+
+    def _rows_of(self, recording: Tracked) -> tuple[Floats, Floats, Floats]:
         """Return drive, belief and measurement of the rows that belong to the trajectory."""
         count = self.desired.size
-        begin = 0
+        begin, rows = 0, recording.voltage.size
         if recording.time is not None:
             begin = self._first_row(recording.name, recording.time)
-        rows = recording.voltage.size - begin
-        if rows > count and not self.periodic and recording.time is not None:
-            rows = count  # what stands behind is a return
+            rows -= begin
+            if not self.periodic:
+                rows = min(rows, count)  # what stands behind is a return
+        whole = " or whole periods of it" if self.periodic else ""
         fits = rows % count == 0 if self.periodic else rows == count
         if rows < count or not fits:
-            whole = " or whole periods of it" if self.periodic else ""
             raise InputError(
-                f"{recording.name}: {rows:,} rows from the trajectory's first on, the trajectory has "
-                f"{count:,}{whole} (give the recording of this trajectory, row by row)"
+                f"{recording.name}: {rows:,} rows from the start of the move, the trajectory has "
+                f"{count:,}{whole}: record each row of it"
             )
+        voltage, measured = recording.voltage, recording.measured
         if self.periodic:
-            return self._period_of(recording, begin, rows)
-        state: str | State = self.state if begin == 0 else "auto"
-        if not isinstance(state, State):
-            state = self.model.start(float(recording.voltage[0]), state)
-        believed = self.model.run(recording.voltage, state, self.step).y
+            if rows > count:
+                begin += count  # not settled yet
+            voltage = voltage[begin:].reshape(-1, count).mean(axis=0)
+            measured = measured[begin:].reshape(-1, count).mean(axis=0)
+            begun = self._begun(float(voltage[0]), self.state)
+            believed = settled_run(self.model, voltage, self.step, begun)
+            return voltage, believed, measured
+        begun = self._begun(float(voltage[0]), self.state if begin == 0 else "auto")
+        believed = self.model.run(voltage, begun, self.step).y
         own = slice(begin, begin + count)
-        return _Pass(recording.voltage[own], believed[own], recording.measured[own])
+        return voltage[own], believed[own], measured[own]
 
-    def _period_of(self, recording: Tracked, begin: int, rows: int) -> _Pass:
-        """Return one period: the mean of those recorded, the first of several left out."""
-        from dbo_cli.drive.loops import settled_run
-
-        count = self.desired.size
-        if rows > count:
-            begin += count  # not settled yet
-        voltage = recording.voltage[begin:].reshape(-1, count).mean(axis=0)
-        measured = recording.measured[begin:].reshape(-1, count).mean(axis=0)
-        state = self.state
-        if not isinstance(state, State):
-            state = self.model.start(float(voltage[0]), state)
-        return _Pass(
-            voltage, settled_run(self.model, voltage, self.step, state), measured
-        )
+    def _begun(self, voltage: float, state: str | State) -> State:
+        return state if isinstance(state, State) else self.model.start(voltage, state)
 
     def _first_row(self, name: str, time: Floats) -> int:
         """Return the recording's row of the trajectory's first; what stands before is its lead."""
@@ -222,22 +215,10 @@ class RepeatedMove:
         step = float(np.median(steps)) if steps.size else self.step
         if abs(step / self.step - 1.0) > SAME_RATE:
             raise InputError(
-                f"{name}: has {1.0 / max(step, 1e-300):.6g} samples a second where the trajectory has "
-                f"{1.0 / self.step:.6g} (record at the rate of the drive, or `resample` HZ)"
+                f"{name}: {1.0 / max(step, 1e-300):.6g} Hz, the trajectory {1.0 / self.step:.6g} Hz: "
+                "record at its rate, or `resample` HZ"
             )
-        return int(np.searchsorted(time, self.begin - 0.5 * self.step))
-
-    def _require_same_drive(
-        self, recordings: Sequence[Tracked], passes: Sequence[_Pass]
-    ) -> None:
-        """Refuse to average recordings of different drives (InputError)."""
-        for recording, played in zip(recordings, passes, strict=True):
-            away = rms(played.voltage - passes[0].voltage)
-            if away > SAME_DRIVE * self.model.input.span:
-                raise InputError(
-                    f"{recording.name}: its drive differs from that of {recordings[0].name}; only recordings "
-                    "of one drive can be averaged"
-                )
+        return int(np.searchsorted(time, self.time[0] - 0.5 * self.step))
 
     def _require_same_move(self, name: str, believed: Floats) -> None:
         """Refuse a drive that asks for another shape, whatever its size, or for another mean (InputError)."""
@@ -252,38 +233,26 @@ class RepeatedMove:
             mean = float(believed.mean() - self.desired.mean())
         away = math.hypot(rms(shape - size * wanted), mean)
         if away > ANOTHER_MOVE * rms(wanted):
+            unit = self.model.output.suffix
             raise InputError(
-                f"{name}: its drive belongs to another trajectory: the model expects something {away:.3g}"
-                f"{self.unit} away from this one (RMS; the move has {rms(wanted):.3g}{self.unit})"
+                f"{name}: its drive belongs to another trajectory, {away:.3g}{unit} from this one (RMS; the "
+                f"move has {rms(wanted):.3g}{unit})"
             )
 
     def _require_no_growth(
-        self,
-        name: str,
-        passed: PassRecord,
-        before: Sequence[PassRecord],
-        believed: Floats,
+        self, name: str, passed: PassRecord, before: Sequence[PassRecord]
     ) -> None:
-        """Refuse to go on when the error grew (InputError).
-
-        Without a history, what was learned before stands for the error of the last
-        pass.
-        """
+        """Refuse to go on when the error grew (InputError)."""
         errors = [record.rmse for record in before]
         if not errors:
-            learned = rms(
-                believed - self.desired - float(np.mean(believed - self.desired))
-            )
-            wanted = rms(self.desired - self.desired.mean())
-            errors = [learned if learned > LEARNED_BEFORE * wanted else math.inf]
+            return
         best = min(errors)
         if passed.rmse <= min(GROWTH * errors[-1], FROM_BEST * best):
             return
-        number = 1 + errors.index(best)
+        number, unit = 1 + errors.index(best), self.model.output.suffix
         raise InputError(
-            f"{name}: the error grew: this pass is {passed.rmse:.3g}{self.unit} off (RMS), the last one was "
-            f"{errors[-1]:.3g}{self.unit}, and the best, pass {number}, {best:.3g}{self.unit} (learn from "
-            "that again, with a lower `bandwidth` or a better model)"
+            f"{name}: the error grew from {errors[-1]:.3g} to {passed.rmse:.3g}{unit} RMS: learn from "
+            f"pass {number} ({best:.3g}) with a lower `bandwidth`"
         )
 
     def _start_problem(self, name: str, zero: float) -> tuple[str, ...]:
@@ -292,18 +261,16 @@ class RepeatedMove:
         if not isinstance(expected, float) or abs(zero) <= START_PROBLEM * expected:
             return ()
         text = (
-            f"{name}: the mean of the error, {zero:.3g}{self.unit}, is {abs(zero) / expected:.2g} times the "
-            "expected error: the actuator did not start where the drive assumes (`condition` sweeps it "
-            "there, or `absolute` learns it)"
+            f"{name}: the mean error, {zero:.3g}{self.model.output.suffix}, is {abs(zero) / expected:.2g} "
+            "times the expected error: the drive assumes another start (`condition`, or `absolute` learns it)"
         )
         warn(text)
         return (text,)
 
     def _trusted(self, name: str, believed: Floats, measured: Floats) -> float:
         """Return the frequency (Hz) up to which a pass takes most of the error off, and nothing grows."""
-        resonances = (
-            () if self.model.dynamics is None else self.model.dynamics.resonances
-        )
+        dynamics = self.model.dynamics
+        resonances = () if dynamics is None else dynamics.resonances
         if resonances:
             frequency = resonances[0].frequency / RESONANCE_PART
         else:
@@ -387,8 +354,8 @@ def _trusted_by_bands(
         good = k
     if good < 0:
         raise InputError(
-            f"{name}: does not follow the drive's model at any frequency, so that nothing can be learned "
-            "(check columns, units and delay, or give `bandwidth` HZ)"
+            f"{name}: does not follow the model at any frequency: check columns, units and delay, or "
+            "give `bandwidth` HZ"
         )
     return float(frequency[0] * 2.0 ** ((good + 1) / 3.0))
 
@@ -397,7 +364,7 @@ def _trusted_by_bands(
 
 
 def parse_history(text: str, name: str) -> list[PassRecord]:
-    """Return the passes of a history file, the oldest first.
+    """Read the passes of a history file, the oldest first.
 
     Raises
     ------
@@ -406,27 +373,19 @@ def parse_history(text: str, name: str) -> list[PassRecord]:
     """
     try:
         content = json.loads(text)
-    except (ValueError, RecursionError):
-        raise InputError(f"{name}: is no history: it is not JSON") from None
-    known = isinstance(content, dict) and content.get("format") == FORMAT
-    if (
-        not known
-        or content.get("version") != VERSION
-        or not isinstance(content.get("passes"), list)
-    ):
+        passes = []
+        for record in content["passes"]:
+            passes.append(
+                PassRecord(str(record["drive_sha256"]), float(record["rmse"]))
+            )
+        known = content["format"] == FORMAT and content["version"] == VERSION
+    except (ValueError, KeyError, TypeError, RecursionError):
+        known = False
+    if not known or not all(0.0 <= record.rmse < math.inf for record in passes):
         raise InputError(
-            f'{name}: is no history ("format": "{FORMAT}", "version": {VERSION})'
+            f'{name}: not a history ("format": "{FORMAT}", "version": {VERSION}): give a new file'
         )
-    return [
-        _record(name, place, record) for place, record in enumerate(content["passes"])
-    ]
-
-
-def _record(name: str, place: int, values: Any) -> PassRecord:
-    rmse = values.get("rmse") if isinstance(values, dict) else None
-    if not isinstance(rmse, int | float) or not 0.0 <= rmse <= sys.float_info.max:
-        raise InputError(f"{name}: passes[{place}].rmse: is not a number of at least 0")
-    return PassRecord(str(values.get("drive_sha256", "")), float(rmse))
+    return passes
 
 
 def dumps_history(passes: Sequence[PassRecord]) -> str:

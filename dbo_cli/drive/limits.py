@@ -16,18 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, LimitError, UsageError
-from dbo_cli.model import Quantity, VoltageWindow
+from dbo_cli.model import Quantity, Window
 from dbo_cli.units import parse_quantity, parse_unit
 
 Floats = NDArray[np.float64]
 Figure = float | str | None
 """A limit: a number in the unit of the drive, or a text with a unit (``1.2kV``, ``2V/ms``)."""
 
+SAME_VOLTAGE = 1e-9
+"""Of the rating: a typed voltage and that of a state are one up to rounding."""
+
 WRONG_UNIT = 10.0
 """Times the largest identified voltage: a plain number beyond it was meant in another unit; chosen."""
-
-INWARDS = 1.0 - 2.0**-51
-"""Factor on a step: the step in time, the product and this factor are rounded by 2^-53 each."""
 
 
 @dataclass(frozen=True)
@@ -93,8 +93,7 @@ class Limits:
             A limit cannot be read, is probably in another unit, or leaves nothing of
             the range.
         """
-        identified = (quantity.min, quantity.max)
-        low, high = identified
+        identified = low, high = quantity.min, quantity.max
         if v_min is not None:
             low = voltage_in("v_min", v_min, quantity)
         if v_max is not None:
@@ -102,18 +101,21 @@ class Limits:
         slew = None
         if max_slew is not None:
             slew = slew_in("max_slew", max_slew, quantity)
-        if extrapolate and v_min is None and v_max is None:
-            raise UsageError(
-                "`extrapolate` goes as far as `v_min` and `v_max` say: give one of them"
-            )
-        if not extrapolate:
-            _require_overlap(quantity, low, high)
         if not low < high:
-            raise UsageError(f"`v_min` {low:g} must be below `v_max` {high:g}")
-        move = low, high
-        if not extrapolate:
-            move = max(low, quantity.min), min(high, quantity.max)
-        return cls((low, high), move, identified, slew, quantity.unit, extrapolate)
+            raise UsageError(
+                f"`v_min` {low:.6g} must be below `v_max` {high:.6g}{quantity.suffix}"
+            )
+        if extrapolate:
+            if v_min is None and v_max is None:
+                raise UsageError("`extrapolate` needs `v_min` or `v_max`")
+            return cls((low, high), (low, high), identified, slew, quantity.unit, True)
+        move = max(low, quantity.min), min(high, quantity.max)
+        if not move[0] < move[1]:
+            raise UsageError(
+                f"`v_min` {low:.6g} to `v_max` {high:.6g} leaves none of the identified range, "
+                f"{quantity.min:.6g} to {quantity.max:.6g}{quantity.suffix} (`extrapolate` goes beyond)"
+            )
+        return cls((low, high), move, identified, slew, quantity.unit)
 
     @property
     def suffix(self) -> str:
@@ -121,19 +123,13 @@ class Limits:
         return f" {self.unit}" if self.unit else ""
 
     @property
-    def window(self) -> VoltageWindow:
+    def window(self) -> Window:
         """What the rows of a move may do, as a model takes it."""
-        return VoltageWindow(*self.move, self.slew)
-
-    @property
-    def rating_window(self) -> VoltageWindow:
-        """What any row may do."""
-        return VoltageWindow(*self.rating, self.slew)
+        return Window(*self.move, self.slew)
 
     def range_of(self, part: str) -> tuple[float, float]:
-        """Return the range of a part of a drive: ``move``, or ``lead`` and ``return``."""
-        ranges = {"move": self.move, "lead": self.rating, "return": self.rating}
-        return ranges[part]
+        """Return the range of a part of a drive: ``move``, or another one, which may use the rating."""
+        return self.move if part == "move" else self.rating
 
     def largest_step(self, dt: float | Floats | None) -> float | Floats | None:
         """Return the largest change in a time step (s), rounded down; None where any change is allowed.
@@ -143,13 +139,11 @@ class Limits:
         InputError
             There is a slew limit and no clock.
         """
-        if self.slew is None:
-            return None
-        if dt is None:
+        if self.slew is not None and dt is None:
             raise InputError(
-                "`max_slew` needs the time between samples (a time column, or `sample_rate`)"
+                "`max_slew` needs a clock: a time column, or `sample_rate` HZ"
             )
-        return self.slew * dt * INWARDS
+        return self.window.largest_step(dt)
 
     def require_start(self, voltage: float, name: str = "`from`") -> None:
         """Refuse an amplifier that stands outside the rating.
@@ -167,9 +161,33 @@ class Limits:
                 f"{name} {voltage}: give the voltage at which the amplifier stands"
             )
         raise LimitError(
-            f"{name} {voltage:.6g}{self.suffix} is outside the limits, {low:.6g} to {high:.6g}{self.suffix}: "
-            "bring the amplifier inside first, or give its rating with `v_min` and `v_max`"
+            f"{name} {voltage:.6g}{self.suffix} is outside {low:.6g} to {high:.6g}{self.suffix}: "
+            "bring the amplifier inside, or give its rating (`v_min`, `v_max`)"
         )
+
+    def standing(
+        self, typed: float | None, left_at: float | None, name: str = "`from`"
+    ) -> float | None:
+        """Return where the amplifier stands: as typed, or as a state left it; None where neither is known.
+
+        Raises
+        ------
+        LimitError
+            It is outside the rating.
+        UsageError
+            The two contradict each other.
+        """
+        if typed is not None:
+            self.require_start(typed, name)
+        if left_at is None:
+            return typed
+        self.require_start(left_at, "`state`: the voltage at which it was left,")
+        span = self.rating[1] - self.rating[0]
+        if typed is not None and abs(typed - left_at) > SAME_VOLTAGE * span:
+            raise UsageError(
+                f"{name} {typed:g} contradicts `state`, which ends at {left_at:g}{self.suffix}"
+            )
+        return left_at
 
     def as_dict(self) -> dict[str, Any]:
         """Return the limits as plain values, for summaries."""
@@ -200,16 +218,8 @@ def voltage_in(name: str, typed: float | str, quantity: Quantity) -> float:
         It cannot be read; or it is a plain number far beyond the model's range, and the
         unit of the drive has a prefix.
     """
-    value = parse_quantity(typed, quantity.unit, name)
-    base = _without_prefix(quantity.unit)
-    largest = max(abs(quantity.min), abs(quantity.max))
-    if base is None or not _is_plain(typed) or abs(value) <= WRONG_UNIT * largest:
-        return value
-    raise UsageError(
-        f"`{name}` {typed}: plain numbers are read in {quantity.unit}, and the model goes from "
-        f"{quantity.min:.6g} to {quantity.max:.6g} {quantity.unit}: give the unit "
-        f"({value:.9g}{base}, {value:.9g}{quantity.unit})"
-    )
+    largest = WRONG_UNIT * max(abs(quantity.min), abs(quantity.max))
+    return figure_in(name, typed, quantity.unit, largest=largest)
 
 
 def slew_in(name: str, typed: float | str, quantity: Quantity) -> float:
@@ -221,16 +231,28 @@ def slew_in(name: str, typed: float | str, quantity: Quantity) -> float:
         It cannot be read or is not above 0; or it is a plain number and the unit of the
         drive has a prefix.
     """
-    unit = None if quantity.unit is None else f"{quantity.unit}/s"
-    value = parse_quantity(typed, unit, name)
+    value = figure_in(name, typed, quantity.unit, "/s")
     if not value > 0.0:
         raise UsageError(f"`{name}` {typed}: give a number above 0")
-    base = _without_prefix(quantity.unit)
-    if base is None or not _is_plain(typed):
+    return value
+
+
+def figure_in(
+    name: str,
+    typed: float | str,
+    unit: str | None,
+    per: str = "",
+    largest: float = 0.0,
+) -> float:
+    """Return a figure in a unit; refuse a plain one beyond ``largest`` where the unit has a prefix."""
+    whole = None if unit is None else unit + per
+    value = parse_quantity(typed, whole, name)
+    base = _without_prefix(unit)
+    if base is None or not _is_plain(typed) or abs(value) <= largest:
         return value
     raise UsageError(
-        f"`{name}` {typed}: the drive of the model is in {quantity.unit}: give the unit "
-        f"({value:.9g}{base}/s, {value:.9g}{unit})"
+        f"`{name}` {typed}: the drive is in {unit}: type the unit, {value:.9g}{base}{per} or "
+        f"{value:.9g}{whole}"
     )
 
 
@@ -249,18 +271,3 @@ def _is_plain(typed: float | str) -> bool:
     if not isinstance(typed, str):
         return True
     return not any(letter.isalpha() and letter not in "eE" for letter in typed)
-
-
-def _require_overlap(quantity: Quantity, low: float, high: float) -> None:
-    """Refuse limits that leave nothing of the identified range (UsageError)."""
-    if low >= quantity.max:
-        wrong = f"`v_min` {low:.6g}"
-    elif high <= quantity.min:
-        wrong = f"`v_max` {high:.6g}"
-    else:
-        return
-    raise UsageError(
-        f"{wrong}{quantity.suffix} leaves nothing of the range on which the model was identified, "
-        f"{quantity.min:.6g} to {quantity.max:.6g}{quantity.suffix} (another limit, or `extrapolate` with "
-        "`v_min` and `v_max`)"
-    )

@@ -9,28 +9,24 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections import deque
 from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dbo_cli.drive.gate import ROUNDING, GateError
 from dbo_cli.drive.limits import Figure, Limits, voltage_in
 from dbo_cli.errors import InputError, ModelError, UsageError
-from dbo_cli.model import NEGLIGIBLE, Model, State, Stepper, Undoing, Window
-from dbo_cli.model.points import inverse_curves, value_through
+from dbo_cli.model import Model, State, Undoing
+from dbo_cli.model.points import value_through
+from dbo_cli.model.stepper import Stepper
+
+Floats = NDArray[np.float64]
 
 WANTED_SPANS = 1e12
 """A wanted value so many ranges away is no displacement but a fault of the loop."""
 APPLIED_SPANS = 1e3
 """Likewise of an applied voltage."""
-
-
-class Ahead(NamedTuple):
-    """What is wanted from now on, and what undoing dynamics and delay remembers."""
-
-    wanted: deque[float]
-    undoing: Undoing | None
 
 
 class Pending(NamedTuple):
@@ -40,19 +36,21 @@ class Pending(NamedTuple):
     ----------
     voltage : float
         What was planned.
-    ahead : Ahead, or None
-        What is held after it.
-    begun, after : State, or None
-        The states before and after the first row; later ones are in the stepper.
     clipped : bool
         Whether a limit held it back.
+    wanted : array, or None
+        What is wanted from now on.
+    undoing : Undoing, or None
+        What undoing dynamics and delay remembers after it.
+    begun : State, or None
+        The state before the first row; later ones are in the stepper.
     """
 
     voltage: float
-    ahead: Ahead | None
     clipped: bool
+    wanted: Floats | None
+    undoing: Undoing | None
     begun: State | None = None
-    after: State | None = None
 
 
 class Controller:
@@ -114,39 +112,32 @@ class Controller:
             )
         self.limits = Limits.within(model.input, v_min, v_max, max_slew, extrapolate)
         self.clipped = 0
-        self._model = model
+        self._model, self._begin = model, state
         self._dt = 1.0 / sample_rate
-        self._step = (
-            None
-            if self.limits.slew is None
-            else float(self.limits.largest_step(self._dt) or 0.0)
-        )
-        self._window = self.limits.window
-        self._inverse = model.inverse()
-        self._to_gears = self._inverse.head
-        self._from_gears = self._inverse.tail
-        self._back_to_gears = inverse_curves(self._from_gears)
-        self._begin: State | str = state
-        self._last: float | None = state.drive if isinstance(state, State) else None
-        if from_ is not None:
-            self._last = voltage_in("from_", from_, model.input)
-            self.limits.require_start(self._last, "`from_`")
-        elif self._last is not None:
-            self.limits.require_start(self._last, "`state`")
+        step = self.limits.largest_step(self._dt)
+        self._step = math.inf if step is None else float(step)
+        inverse = model.inverse()
+        self._to_gears, self._from_gears = inverse.head, inverse.tail
+        self._back_to_gears = model.head
+        typed = None if from_ is None else voltage_in("from_", from_, model.input)
+        left_at = state.drive if isinstance(state, State) else None
+        self._last = self.limits.standing(typed, left_at, "`from_`")
         self._stepper: Stepper | None = None
         self._pending: Pending | None = None
-        self._ahead: Ahead | None = None
+        self._inverter = model.inverter(self._dt)
         self.lookahead = self._samples_ahead(lookahead)
+        self._wanted: Floats | None = None
+        self._undoing: Undoing | None = None
+        if isinstance(state, State):
+            self._undoing = self._inverter.behind(state)
 
     def _samples_ahead(self, lookahead: float | Literal["auto"] | None) -> int:
         """Return how many samples what is wanted is read ahead."""
-        needed = self._model.ahead(self._dt)
-        if self._model.dynamics is None and self._model.delay is None:
-            needed = 0
-        elif lookahead is None:
+        needed, model = self._inverter.ahead, self._model
+        looks_ahead = model.dynamics is not None or model.delay is not None
+        if looks_ahead and lookahead is None:
             raise ModelError(
-                "this model has a delay or dynamics, which only what is wanted later can undo"
-                ' (`lookahead` "auto", and pass what is wanted that much later)'
+                'this model has a delay or dynamics: set `lookahead` to "auto" and plan that far ahead'
             )
         if lookahead is None or lookahead == "auto":
             return needed
@@ -167,10 +158,8 @@ class Controller:
         """The state after the last sample committed, of gears and memories; None before the first."""
         if self._stepper is None:
             return self._begin if isinstance(self._begin, State) else None
-        undoing = None if self._ahead is None else self._ahead.undoing
-        return State(
-            self._stepper.bits, self._stepper.memory, drive=self._last, undoing=undoing
-        )
+        bits, memory = self._stepper.committed()
+        return State(bits, memory, drive=self._last, undoing=self._undoing)
 
     def plan(self, wanted: float) -> float:
         """Return the voltage for what is wanted now (or ``lookahead`` later); nothing has changed yet.
@@ -188,14 +177,16 @@ class Controller:
             self._model.output.max,
             WANTED_SPANS,
         )
-        u, ahead = self._undone(value)
+        u, queue, undoing = self._undone(value)
+        begun = None
         if self._stepper is None:
-            pending = self._planned_first(u, ahead)
+            begun = self._begun(u)
+            voltage, clipped = self._planned_first(u, begun)
         else:
-            pending = self._planned(u, ahead, self._stepper)
-        self._admit(pending.voltage)
-        self._pending = pending
-        return pending.voltage
+            voltage, clipped = self._planned(u, self._stepper)
+        self._admit(voltage)
+        self._pending = Pending(voltage, clipped, queue, undoing, begun)
+        return voltage
 
     def commit(self, applied: float | None = None) -> None:
         """Go on: the hardware took the planned voltage, or ``applied`` in its place.
@@ -215,13 +206,14 @@ class Controller:
             low, high = self.limits.rating
             voltage = _number(applied, "applied", low, high, APPLIED_SPANS)
         if self._stepper is None:
-            self._stepper = self._stepper_after(pending, voltage)
+            assert pending.begun is not None
+            self._stepper = self._stepper_after(pending.begun, voltage)
         else:
             if applied is not None:
                 self._stepper.follow(value_through(self._back_to_gears, voltage))
             self._stepper.commit()
         self._last = voltage
-        self._ahead = pending.ahead
+        self._wanted, self._undoing = pending.wanted, pending.undoing
         self.clipped += pending.clipped
         self._pending = None
 
@@ -231,85 +223,62 @@ class Controller:
         self.commit()
         return voltage
 
-    def _undone(self, wanted: float) -> tuple[float, Ahead | None]:
-        """Return what the gears are to reach now, and what is held then."""
-        if (
-            not self.lookahead
-            and self._model.dynamics is None
-            and self._model.delay is None
-        ):
-            return wanted, None
-        if self._ahead is None:
-            held = deque([wanted] * (self.lookahead + 1), self.lookahead + 1)
-            undoing = None
-            if isinstance(self._begin, State):
-                undoing = self._model.undoing_of(self._begin, self._dt)
+    def _undone(self, wanted: float) -> tuple[float, Floats | None, Undoing | None]:
+        """Return what the gears are to reach now, what is wanted from now on, and what undoing remembers."""
+        if not self.lookahead:
+            return wanted, None, None
+        if self._wanted is None:
+            queue = np.full(self.lookahead + 1, wanted)
         else:
-            held = self._ahead.wanted.copy()
-            held.append(wanted)
-            undoing = self._ahead.undoing
-        known = np.fromiter(held, np.float64, len(held))[
-            : self._model.ahead(self._dt) + 1
-        ]
-        undone, undoing = self._model.undo(known, undoing, self._dt)
-        return float(undone[0]), Ahead(held, undoing)
-
-    def _planned_first(self, u: float, ahead: Ahead | None) -> Pending:
-        """Plan the first row: the start is found for it."""
-        begun = self._begun(u)
-        if self._last is not None and self._is_outside(self._last):
-            voltage = self._inwards(self._last)
-            moved = self._model.static.run(np.array([voltage]), begun, self._dt)
-            return Pending(voltage, ahead, True, begun, moved.state)
-        done = self._model.drive(np.array([u]), begun, self._dt, self._window)
-        return Pending(
-            float(done.voltage[0]), ahead, bool(done.clipped), begun, done.state
-        )
+            queue = np.empty(self.lookahead + 1)
+            queue[:-1] = self._wanted[1:]
+            queue[-1] = wanted
+        known = queue[: self._inverter.ahead + 1]
+        undone, undoing = self._inverter.run(known, self._undoing)
+        return float(undone[0]), queue, undoing
 
     def _begun(self, u: float) -> State:
         """Return the state before the first row."""
         begun = self._model.start_drive(u, self._begin, *self.limits.move)
         if self._last is None or isinstance(self._begin, State):
             return begun
-        if (
-            begun.first is not None
-        ):  # a start that was chosen for the voltage at which the amplifier stands
-            name = self._begin if isinstance(self._begin, str) else "auto"
-            begun = self._model.static.start(self._last, name)
+        if begun.first is not None:
+            # chosen for the voltage at which the amplifier stands
+            begun = self._model.static.start(self._last, self._begin)
         return dataclasses.replace(begun, drive=self._last, first=None)
 
-    def _stepper_after(self, pending: Pending, voltage: float) -> Stepper:
-        """Return the stepper behind the first row."""
-        begun, after = pending.begun, pending.after
-        assert begun is not None and after is not None
-        bits, memory = after.bits, after.memory
-        if voltage != pending.voltage:
-            moved = self._model.static.run(
-                np.array([voltage]), dataclasses.replace(begun, first=None), self._dt
-            )
-            bits, memory = moved.state.bits, moved.state.memory
-        inner = self._inverse.inner_window(self._window)
-        gears = self._inverse.gears
-        low, high = gears.y_range
-        slack = NEGLIGIBLE * min(inner.high - inner.low, high - low)
-        window = Window(inner.low, inner.high, inner.largest_step(self._dt), slack)
-        last = value_through(self._back_to_gears, voltage)
-        return Stepper(gears, bits, memory, last, self._dt, window)
+    def _planned_first(self, u: float, begun: State) -> tuple[float, bool]:
+        """Return the voltage of the first row, and whether a limit held it back."""
+        if self._last is not None and self._is_outside(self._last):
+            return self._inwards(self._last), True
+        done = self._model.drive(np.array([u]), begun, self._dt, self.limits.window)
+        return float(done.y[0]), bool(done.clipped)
 
-    def _planned(self, u: float, ahead: Ahead | None, stepper: Stepper) -> Pending:
-        """Plan a row behind another one."""
+    def _stepper_after(self, begun: State, voltage: float) -> Stepper:
+        """Return the stepper behind the first row."""
+        start = dataclasses.replace(begun, first=None)
+        moved = self._model.static.run(np.array([voltage]), start, self._dt).state
+        return Stepper(
+            self._model.inverse().gears,
+            moved.bits,
+            moved.memory,
+            value_through(self._back_to_gears, voltage),
+            self._dt,
+            self._model.inner_window(self.limits.window),
+        )
+
+    def _planned(self, u: float, stepper: Stepper) -> tuple[float, bool]:
+        """Return the voltage of a row behind another one, and whether a limit held it back."""
         assert self._last is not None
         if self._is_outside(self._last):
             voltage = self._inwards(self._last)
             stepper.follow(value_through(self._back_to_gears, voltage))
-            return Pending(voltage, ahead, True)
-        y = stepper.plan(value_through(self._to_gears, u))
-        clipped = stepper.clipped
-        voltage = y
+            return voltage, True
+        voltage = stepper.plan(value_through(self._to_gears, u))
         if self._from_gears:
             low, high = self.limits.move
-            voltage = min(max(value_through(self._from_gears, y), low), high)
-        return Pending(voltage, ahead, clipped)
+            voltage = min(max(value_through(self._from_gears, voltage), low), high)
+        return voltage, stepper.clipped
 
     def _is_outside(self, voltage: float) -> bool:
         """Tell whether a voltage lies outside the range of a move."""
@@ -320,7 +289,7 @@ class Controller:
         """Return the next voltage on the way in from where the amplifier stands."""
         low, high = self.limits.move
         near = low if last < low else high
-        if self._step is None or abs(near - last) <= self._step:
+        if abs(near - last) <= self._step:
             return near
         return last + math.copysign(self._step, near - last)
 
@@ -328,18 +297,14 @@ class Controller:
         """Let a voltage pass as the gate does: range and slew, or inwards from outside."""
         low, high = self.limits.move
         last = self._last
-        inside = low <= voltage <= high
-        slow = True
+        inside, slow = low <= voltage <= high, True
         if last is not None:
             digits = ROUNDING * max(abs(voltage), abs(last))
-            slow = self._step is None or abs(voltage - last) <= self._step + digits
-            inwards = (last > high and high <= voltage < last) or (
-                last < low and last < voltage <= low
-            )
-            inside = inside or inwards
+            slow = abs(voltage - last) <= self._step + digits
+            inside = inside or high <= voltage < last or last < voltage <= low
         if not (inside and slow):
             raise GateError(
-                f"this program computed {voltage!r} after {last!r}: beyond its limits (please report it)"
+                f"internal error: {voltage} after {last} breaks the limits (please report it)"
             )
 
 

@@ -3,149 +3,149 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import Any
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.drive.drive import Extent
 from dbo_cli.drive.limits import Limits
-from dbo_cli.errors import InputError, LimitError
-from dbo_cli.model import Model, State, VoltageWindow
+from dbo_cli.errors import InputError, LimitError, UsageError
+from dbo_cli.model import Model, Run, State, Window
 
 Floats = NDArray[np.float64]
 Steps = float | Floats | None
+OnLimit = Literal["auto", "clip", "error"]
 
 ALLOWED_PART = 0.01
 """Of the move: so much of it (RMS) may be cut off unasked; the order of a good model's error; chosen."""
-# of the range: a trajectory this little outside is clipped like any other
 # of the range: a trajectory this little outside is clipped like any other
 REACH_SLACK = 0.01
 KEPT_ROWS = 131_072  # rows that a refusal looks at again; a longer move is not kept
 
 
-@dataclass
 class Loss:
-    """Counts what the limits cut off a move, block by block.
+    """Counts what the limits cut off a move, block by block, and refuses too much of it.
 
     Attributes
     ----------
-    model, limits, name
-        The forward model, what its drive may do, and the trajectory's name.
+    model, limits, on_limit, name
+        The forward model, what its drive may do, what happens at a limit, and the
+        trajectory's name.
     move : Extent
         The displacements of the move.
     clipped, first_clipped : int
         How many rows were clipped, and the first of them from 1.
     most : float
         The most that a row misses, in the displacement's unit.
+
+    Raises
+    ------
+    UsageError
+        ``on_limit`` is unknown.
     """
 
-    model: Model
-    limits: Limits
-    name: str
-    move: Extent = field(default_factory=Extent)
-    clipped: int = 0
-    first_clipped: int = 0
-    most: float = 0.0
-    _rows: int = 0
-    _unreachable: int = 0
-    _squares: float = 0.0
-    _sections: Any = None
-    _kept: list[tuple[Floats, Steps]] = field(default_factory=list)
-    _begun: State | None = None
-
-    def keep(self, wanted: Floats, dt: Steps, before: State) -> None:
-        """Keep rows of the static part, so that a refusal can look at them again; not of a long move."""
-        self._rows += wanted.size
-        if self.limits.slew is None or self._rows > KEPT_ROWS:
-            self._kept = []
-            return
-        self._begun = self._begun or before
-        self._kept.append((wanted, dt))
-
-    def see(self, desired: Floats, clipped: int, first: int) -> None:
-        """See rows of the move, of which ``clipped`` were clipped, the first at index ``first``."""
-        if clipped and not self.clipped:
-            self.first_clipped = self.move.rows + first + 1
-        self.clipped += clipped
-        self.move.see(desired)
-        reach = self.model.output
-        slack = REACH_SLACK * reach.span
-        beyond = (desired < reach.min - slack) | (desired > reach.max + slack)
-        self._unreachable += int(np.count_nonzero(beyond))
-
-    def add(self, wanted: Floats, voltage: Floats, before: State, dt: Steps) -> None:
-        """Add up what rows miss: what was wanted of the static part, less what the voltage reaches."""
-        lost = wanted - self.model.static.run(voltage, before, dt).y
-        begin = self.first_clipped - 1 - (self.move.rows - wanted.size)
-        lost[: max(begin, 0)] = (
-            0.0  # a settled start may step over the first value: no limit does
-        )
-        dynamics = self.model.dynamics
-        if dynamics is not None and dt is not None:
-            if self._sections is None:
-                self._sections = dynamics.run(np.zeros(1), 1.0)[1]
-            lost, self._sections = dynamics.run(lost, dt, self._sections)
-        self.add_displacement(lost)
-
-    def add_displacement(self, lost: Floats) -> None:
-        """Add rows of which the lost displacement is known."""
-        self._squares += float(np.square(lost).sum())
-        self.most = max(self.most, float(np.abs(lost).max(initial=0.0)))
+    def __init__(
+        self, model: Model, limits: Limits, on_limit: OnLimit, name: str
+    ) -> None:
+        if on_limit not in get_args(OnLimit):
+            raise UsageError(f"`on_limit` {on_limit}: give auto, clip or error")
+        self.model, self.limits = model, limits
+        self.on_limit, self.name = on_limit, name
+        self.move = Extent()
+        self.clipped = self.first_clipped = 0
+        self.most = 0.0
+        self._squares = 0.0
+        self._unreachable = 0
+        self._kept: list[tuple[Floats, State, Steps]] = []
 
     @property
     def rms(self) -> float:
         """What the move misses so far (RMS, in the displacement's unit)."""
         return math.sqrt(self._squares / max(self.move.rows, 1))
 
-    # --- refusals ---
+    def see(
+        self, desired: Floats, wanted: Floats, done: Run, before: State, dt: Steps
+    ) -> None:
+        """See rows of the move.
 
-    def require_none(self) -> None:
-        """Refuse any clipped row (LimitError)."""
-        if self.clipped:
-            raise LimitError(
-                f"{self.clipping()}{self.would_fit()} (`on_limit` clip goes on)"
-            )
+        Parameters
+        ----------
+        desired, wanted
+            The rows, and what was asked of the static part for them.
+        done
+            The drive of them, made from the state ``before``.
 
-    def require_reachable(self) -> None:
-        """Refuse a trajectory of which no row can be reached (InputError)."""
-        if not self.move.rows or self._unreachable < self.move.rows:
-            return
+        Raises
+        ------
+        LimitError
+            A row was clipped, and ``on_limit`` is ``error``.
+        """
+        begin = self.move.rows
+        if done.clipped and not self.clipped:
+            self.first_clipped = begin + done.first_clipped + 1
+        self.clipped += done.clipped
+        self.move.see(desired)
+        self._kept.append((wanted, before, dt))
+        if self.limits.slew is None or self.move.rows > KEPT_ROWS:
+            self._kept = []
         reach = self.model.output
-        raise InputError(
-            f"{self.name}: every row is outside what the model reaches, {reach.min:.6g} to {reach.max:.6g}"
-            f"{reach.suffix}: check unit, column and zero of the trajectory"
-        )
+        slack = REACH_SLACK * reach.span
+        beyond = (desired < reach.min - slack) | (desired > reach.max + slack)
+        self._unreachable += int(np.count_nonzero(beyond))
+        if not self.clipped:
+            return
+        if self.on_limit == "error":
+            raise LimitError(
+                f"{self.clipping()}{self.would_fit()} (or `on_limit` clip)"
+            )
+        lost = wanted - self.model.static.run(done.y, before, dt).y
+        # a settled start may step over the first value: no limit does that
+        lost[: max(self.first_clipped - 1 - begin, 0)] = 0.0
+        self._squares += float(np.square(lost).sum())
+        self.most = max(self.most, float(np.abs(lost).max()))
 
     def require_little(self, period: float | None = None) -> None:
-        """Refuse to cut off more than a hundredth of the move (LimitError); ``period``: see ``would_fit``."""
-        size, what = self.move.span, "the move"
-        if not size > 0.0:
-            size, what = self.model.output.span, "the model's range"
-        if self.rms <= ALLOWED_PART * size:
-            return
-        unit = self.model.output.suffix
-        raise LimitError(
-            f"{self.clipping()}: it would miss {self.rms:.3g}{unit} RMS, {100.0 * self.rms / size:.2g} % of "
-            f"{what}{self.would_fit(period)} (`on_limit` clip writes it)"
-        )
-
-    def clipping(self) -> str:
-        """Say how much of the move its limits do not allow."""
-        return (
-            f"{self.name}: {self.clipped:,} of {self.move.rows:,} rows (first in row {self.first_clipped:,}) "
-            f"are beyond what the limits allow, {self.limits.describe()}"
-        )
-
-    def would_fit(self, period: float | None = None) -> str:
-        """Say what would fit, where that is one number; empty where it is not.
+        """Refuse a move of which nothing can be reached, or of which the limits cut off too much.
 
         Parameters
         ----------
         period
             Seconds, where the move is one period of a loop.
+
+        Raises
+        ------
+        InputError
+            No row of the trajectory is within what the model reaches.
+        LimitError
+            More than a hundredth of the move would be missed, and ``on_limit`` is
+            ``auto``.
         """
+        reach, unit = self.model.output, self.model.output.suffix
+        if self._unreachable == self.move.rows:
+            raise InputError(
+                f"{self.name}: every row is outside the model's reach, {reach.min:.6g} to {reach.max:.6g}"
+                f"{unit}: check unit, column and zero of the trajectory"
+            )
+        size, what = self.move.span, "the move"
+        if not size > 0.0:
+            size, what = reach.span, "the model's range"
+        if self.on_limit != "auto" or self.rms <= ALLOWED_PART * size:
+            return
+        raise LimitError(
+            f"{self.clipping()}, by {self.rms:.3g}{unit} RMS ({100.0 * self.rms / size:.2g} % of "
+            f"{what}){self.would_fit(period)} (or `on_limit` clip)"
+        )
+
+    def clipping(self) -> str:
+        """Say how much of the move its limits do not allow."""
+        return (
+            f"{self.name}: {self.clipped:,} of {self.move.rows:,} rows (first: row "
+            f"{self.first_clipped:,}) exceed {self.limits.describe()}"
+        )
+
+    def would_fit(self, period: float | None = None) -> str:
+        """Say what would fit, where that is one number; empty where it is not."""
         texts = self._reach_texts()
         slower = self._times_slower()
         if not texts and slower > 1.0:
@@ -157,36 +157,33 @@ class Loss:
 
     def _reach_texts(self) -> list[str]:
         """Say what the ends of the move's range reach, where the move goes beyond that."""
-        model, unit = self.model, self.model.output.suffix
+        static = self.model.static
         ends = []
         for voltage, state in zip(self.limits.move, ("full", "empty"), strict=True):
-            begun = model.static.start(voltage, state)
-            ends.append(float(model.static.run(np.array([voltage]), begun, 1.0).y[0]))
+            begun = static.start(voltage, state)
+            ends.append(float(static.run(np.array([voltage]), begun, 1.0).y[0]))
         texts = []
         for voltage, end in zip(self.limits.move, ends, strict=True):
             above = end == max(ends) and self.move.greatest > end
             below = end == min(ends) and self.move.least < end
             if above or below:
                 texts.append(
-                    f"{voltage:.6g}{self.limits.suffix} reaches {end:.4g}{unit}"
+                    f"{voltage:.6g}{self.limits.suffix} reaches {end:.4g}{self.model.output.suffix}"
                 )
         return texts
 
     def _times_slower(self) -> float:
         """Return how many times the slew limit the move needs; 0 where that is not known."""
-        state = self._begun
-        if self.limits.slew is None or state is None:
+        if self.limits.slew is None or not self._kept:
             return 0.0
-        window = VoltageWindow(*self.limits.move)
-        fastest = 0.0
-        for wanted, dt in self._kept:
+        window = Window(*self.limits.move)
+        fastest, state = 0.0, self._kept[0][1]
+        for wanted, _, dt in self._kept:
             done = self.model.drive(wanted, state, dt, window)
             state = done.state
-            steps = np.abs(np.diff(done.voltage))
-            seconds = np.broadcast_to(np.asarray(dt, dtype=np.float64), wanted.shape)[
-                1:
-            ]
-            rates = steps[seconds > 0.0] / seconds[seconds > 0.0]
+            seconds = np.broadcast_to(np.asarray(dt), wanted.shape)[1:]
+            steps = np.abs(np.diff(done.y))[seconds > 0.0]
+            rates = steps / seconds[seconds > 0.0]
             fastest = max(fastest, float(rates.max(initial=0.0)))
         return fastest / self.limits.slew
 

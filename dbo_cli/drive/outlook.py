@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dbo_cli.drive.drive import Drive, Extent
 from dbo_cli.drive.loss import Loss, Steps
 from dbo_cli.errors import warn
-from dbo_cli.model import Model, State
+from dbo_cli.model import State
 
 Floats = NDArray[np.float64]
 
@@ -30,17 +30,18 @@ class Outlook:
     missed : float
         How far the first row starts off its displacement, because no settled actuator
         stands there.
+    off : float
+        By how much the first row of the static part is off what is desired there.
     """
 
-    def __init__(self, model: Model, loss: Loss) -> None:
-        self.model, self.limits, self.name = model, loss.limits, loss.name
+    def __init__(self, loss: Loss) -> None:
+        self.model, self.limits, self.name = loss.model, loss.limits, loss.name
         self.loss = loss
-        self.missed = 0.0
+        self.missed = self.off = 0.0
         self._whole, self._lead = Extent(), Extent()
         self._voltage: list[Floats] = []
         self._steps: list[Floats] = []
         self._rows = 0
-        self._off: float | None = None
 
     def see(self, voltage: Floats, dt: Steps, part: str) -> None:
         """See consecutive rows of a part of the drive (``lead``, ``move``, ``return``)."""
@@ -57,21 +58,21 @@ class Outlook:
             steps = dt[: voltage.size] if isinstance(dt, np.ndarray) else dt
             self._steps.append(np.broadcast_to(steps, voltage.shape))
 
-    def see_undone(self, off: float) -> None:
-        """See by how much the first row of the static part is off what is desired there."""
-        if self._off is None:
-            self._off = off
-
     def drive(
         self, state: State | None, lead_seconds: float, past_known: bool
     ) -> Drive:
         """Return the figures of what was seen, and warn of what is unusual."""
         loss = self.loss
+        voltage, dt = self._first_rows()
+        beyond = self._beyond()
         error = known = None
-        if not self._beyond():
-            error = self._expected(past_known)
-            known = None if past_known else self._expected(True)
-        warnings = self._warnings(state, error)
+        if not beyond:
+            error = self._expected(voltage, dt, past_known)
+            if not past_known:
+                known = self._expected(voltage, dt, True)
+        warnings = [*self._start_warnings(), *beyond]
+        warnings += self._move_warnings(voltage, dt, error)
+        warnings += self._creeping_hold(state)
         for text in warnings:
             warn(text)
         return Drive(
@@ -105,50 +106,33 @@ class Outlook:
             return voltage, float(steps[0])
         return voltage, steps
 
-    def _expected(self, past_known: bool) -> float | None:
+    def _expected(self, voltage: Floats, dt: Steps, past_known: bool) -> float | None:
         """Return the error to expect of the move (RMS), with what is clipped; None where it is not known."""
         from dbo_cli.model.expect import expected_error
 
-        if not self._voltage:
-            return None
-        voltage, dt = self._first_rows()
         begin = self._lead.rows
         error = expected_error(self.model, voltage, dt, past_known, begin)
         return None if error is None else math.hypot(error, self.loss.rms)
 
-    def _warnings(self, state: State | None, expected: float | None) -> list[str]:
-        """Return what is unusual."""
-        from dbo_cli.model.expect import move_warnings
-
+    def _start_warnings(self) -> list[str]:
+        """Say what was clipped, and how the drive begins."""
         loss, unit = self.loss, self.model.output.suffix
-        texts: list[str] = []
+        texts = []
         if loss.clipped:
             texts.append(
-                f"{loss.clipping()}: clipped, by which the move misses {loss.rms:.3g}{unit} RMS, "
-                f"{loss.most:.3g}{unit} at most"
+                f"{loss.clipping()}: clipped; the move misses {loss.rms:.3g}{unit} RMS, at most "
+                f"{loss.most:.3g}{unit}"
             )
         if self.missed:
             texts.append(
-                f"{self.name}: the first row starts {abs(self.missed):.3g}{unit} off its value, where an "
-                "actuator that has settled does not stand (`condition`, or `state` empty)"
+                f"{self.name}: row 1 starts {abs(self.missed):.3g}{unit} off, where no settled actuator "
+                "is: try `condition` or `state` empty"
             )
-        if abs(self._off or 0.0) > RINGS * self.model.output.span:
+        if abs(self.off) > RINGS * self.model.output.span:
             texts.append(
-                f"{self.name}: begins in motion, which an actuator at rest cannot: it rings at first (`lead` "
-                "auto lets it begin before)"
+                f"{self.name}: the move starts in motion and rings at first: add `lead` auto"
             )
-        texts += self._beyond()
-        if self._voltage:
-            for text in move_warnings(self.model, *self._first_rows()):
-                texts.append(f"{self.name}: {text}")
-        line = self.model.fit.get("line_rmse")
-        if expected is not None and isinstance(line, float):
-            if expected >= max(line, loss.rms):
-                texts.append(
-                    f"{self.name}: the expected error, {expected:.3g}{unit}, is no better than that of a "
-                    f"straight line, {line:.3g}{unit}: the logs do not show what this move does"
-                )
-        return texts + self._creeping_hold(state)
+        return texts
 
     def _beyond(self) -> list[str]:
         """Say that the drive leaves the identified range, where that was asked for."""
@@ -159,8 +143,27 @@ class Outlook:
         unit = self.limits.suffix
         return [
             f"{self.name}: the drive goes from {self._whole.least:.6g} to {self._whole.greatest:.6g}{unit}, "
-            f"beyond the {low:.6g} to {high:.6g}{unit} on which the model was identified"
+            f"beyond the identified range, {low:.6g} to {high:.6g}{unit}"
         ]
+
+    def _move_warnings(
+        self, voltage: Floats, dt: Steps, expected: float | None
+    ) -> list[str]:
+        """Say what of the move the logs did not show."""
+        from dbo_cli.model.expect import move_warnings
+
+        texts = [
+            f"{self.name}: {text}" for text in move_warnings(self.model, voltage, dt)
+        ]
+        line, unit = self.model.fit.get("line_rmse"), self.model.output.suffix
+        if expected is None or not isinstance(line, float):
+            return texts
+        if expected >= max(line, self.loss.rms):
+            texts.append(
+                f"{self.name}: expected error {expected:.3g}{unit}, a straight line's is {line:.3g}: "
+                "identify with a log of such moves"
+            )
+        return texts
 
     def _creeping_hold(self, state: State | None) -> list[str]:
         """Say where holding the last position drives the voltage out of the limits, in the long run."""
@@ -170,16 +173,15 @@ class Outlook:
         if min(relaxation.gain) >= 0.0:
             return []
         static = self.model.static
-        still = dataclasses.replace(state, sections=None, delay=None, undoing=None)
-        at = static.run(np.array([state.drive]), still, 0.0).y
-        held = float(
-            static.drive(at, still, LONG_HOLD * max(relaxation.tau)).voltage[0]
-        )
+        still = replace(state, sections=None, delay=None, undoing=None)
+        position = static.run(np.array([state.drive]), still, 0.0).y
+        seconds = LONG_HOLD * max(relaxation.tau)
+        voltage = float(static.drive(position, still, seconds).y[0])
         low, high = self.limits.move
-        if low <= held <= high:
+        if low <= voltage <= high:
             return []
         unit = self.limits.suffix
         return [
-            f"{self.name}: holding the last position takes the drive to {held:.6g}{unit} in the long run, "
+            f"{self.name}: holding the last position takes the drive to {voltage:.6g}{unit} in the long run, "
             f"outside {low:.6g} to {high:.6g}{unit}"
         ]

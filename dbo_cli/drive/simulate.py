@@ -5,15 +5,15 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, Literal
+from itertools import chain
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.model import Model, State, read_ahead
+from dbo_cli.model import Model, Outside, State, read_ahead
 
 Floats = NDArray[np.float64]
-Outside = Literal["extend", "hold", "error"]
 
 
 @dataclass
@@ -42,6 +42,7 @@ def simulate_blocks(
     run: Simulation,
     start: str = "auto",
     outside: Outside = "extend",
+    name: str = "",
 ) -> Iterator[tuple[Any, Floats]]:
     """Yield the output of a model for blocks of its input.
 
@@ -55,6 +56,8 @@ def simulate_blocks(
         ``auto``, ``empty``, ``full`` or ``settled``, where there is no state.
     outside : {"extend", "hold", "error"}
         What happens beyond the model's input range.
+    name : str
+        Of the input, in messages.
 
     Yields
     ------
@@ -68,40 +71,25 @@ def simulate_blocks(
     InputError
         A row is outside, and ``outside`` is ``error``.
     """
-    if not model.is_forward and (model.dynamics or model.delay):
-        blocks = _undone(model, blocks, run)
-    for payload, x, dt in blocks:
-        if not x.size:
-            continue
-        if run.state is None:
-            run.state = model.start(float(x[0]), start)
-        done = model.run(x, run.state, dt, outside)
-        if done.outside and not run.outside:
-            run.first_outside = run.rows + done.first_outside + 1
-        run.outside += done.outside
-        run.rows += x.size
-        run.state = done.state
-        yield payload, done.y
-
-
-def _undone(
-    model: Model, blocks: Iterable[tuple[Any, Floats, Any]], run: Simulation
-) -> Iterator[tuple[Any, Floats, Any]]:
-    """Undo dynamics and delay of an inverse model's input, which is read ahead for it."""
     stream = iter(blocks)
     first = next(stream, None)
     if first is None:
         return
-    step = first[2]
+    rows = 0 if model.is_forward else model.inverter(first[2]).ahead
     undoing = None if run.state is None else run.state.undoing
-
-    def pairs() -> Iterator[tuple[Any, Floats]]:
-        yield (first[0], first[2]), first[1]
-        for payload, x, dt in stream:
-            yield (payload, dt), x
-
-    for (payload, dt), ahead in read_ahead(pairs(), model.ahead(step)):
-        undone, undoing = model.undo(ahead, undoing, dt)
-        if run.state is not None:
-            run.state = dataclasses.replace(run.state, undoing=undoing)
-        yield payload, undone, dt
+    signal = (((payload, dt), x) for payload, x, dt in chain([first], stream))
+    for (payload, dt), ahead in read_ahead(signal, rows):
+        x = ahead
+        if not model.is_forward:
+            x, undoing = model.inverter(dt).run(ahead, undoing)
+        if run.state is None:
+            run.state = model.start(float(x[0]), start)
+        done = model.run(x, run.state, dt, outside)
+        if outside == "error":
+            model.require_inside(x, done, run.rows, name)
+        if done.outside and not run.outside:
+            run.first_outside = run.rows + done.first_outside + 1
+        run.outside += done.outside
+        run.rows += x.size
+        run.state = dataclasses.replace(done.state, undoing=undoing)
+        yield payload, done.y

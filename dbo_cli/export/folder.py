@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-import secrets
-import shutil
+import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,93 +12,51 @@ from typing import Any
 from dbo_cli.errors import OutputError
 
 MANIFEST = "export.json"
-FORMAT = "dbo-export"
-
-
-def check_folder(folder: str) -> None:
-    """Refuse a folder that cannot be written, before the work.
-
-    Raises
-    ------
-    OutputError
-        It cannot be written, or there is something of that name that no export wrote.
-    """
-    target = Path(folder)
-    if not target.parent.is_dir():
-        raise OutputError(
-            f"{folder}: there is no folder '{target.parent}': create it first"
-        )
-    if not os.access(target.parent, os.W_OK):
-        raise OutputError(f"{folder}: the folder '{target.parent}' is not writable")
-    if not os.path.lexists(target):
-        return
-    if not target.is_dir() or target.is_symlink():
-        raise OutputError(f"{folder}: is no folder: choose another name")
-    known = _written_by_export(target)
-    for path in sorted(target.rglob("*")):
-        name = path.relative_to(target).as_posix()
-        if name not in known:
-            raise OutputError(
-                f"{folder}: holds '{name}', which no export wrote: it is not overwritten (move it, or choose"
-                " another folder)"
-            )
-
-
-def _written_by_export(target: Path) -> set[str]:
-    """Return the names of an export's files, and of what a compiler makes of them."""
-    try:
-        listed = json.loads((target / MANIFEST).read_text(encoding="utf-8"))
-        if listed["format"] != FORMAT:
-            return set()
-        files = {str(name) for name in listed["files"]}
-        test = f"{listed['name']}_test"
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return set()
-    objects = {f"{name.removesuffix('.c')}.o" for name in files if name.endswith(".c")}
-    return files | objects | {test, MANIFEST}
 
 
 def write_folder(
     folder: str, files: Mapping[str, str], figures: Mapping[str, Any]
 ) -> None:
-    """Write files under a temporary name beside ``folder``, then rename; an old export makes way whole.
-
-    Beside the files lie their ``figures``, for programs.
+    """Write files, and their ``figures`` as export.json, into a folder; an older export is replaced.
 
     Raises
     ------
     OutputError
-        Writing failed; nothing new is left, and what stood there stays.
+        Writing failed, or the folder holds something else; what stood there stays.
     """
-    check_folder(folder)
-    target = Path(folder)
-    manifest = {
-        "format": FORMAT, "version": 1, **figures, "files": [*sorted(files), MANIFEST]
-    }  # fmt: skip
+    names = [*sorted(files), MANIFEST]
+    manifest = {"format": "dbo-export", "version": 1, **figures, "files": names}
     text = json.dumps(manifest, indent=2, ensure_ascii=False) + "\n"
-    mark = f"{os.getpid()}-{secrets.token_hex(4)}"
-    partial = target.parent / f".{target.name[:100]}.{mark}.partial"
-    old = target.parent / f".{target.name[:100]}.{mark}.old"
+    target = Path(folder)
     try:
-        partial.mkdir()
-        for name, content in {**files, MANIFEST: text}.items():
-            (partial / name).write_text(content, encoding="utf-8", newline="\n")
-        _replace(partial, target, old)
+        if target.exists():
+            _require_export(target, [*names, f"{figures['name']}_test"])
+        with tempfile.TemporaryDirectory(dir=target.parent, prefix=".") as scratch:
+            made = Path(scratch, "made")
+            made.mkdir()
+            for name, content in {**files, MANIFEST: text}.items():
+                (made / name).write_text(content, encoding="utf-8", newline="\n")
+            _replace(made, target, Path(scratch, "old"))
     except OSError as problem:
-        raise OutputError(
-            f"{folder}: cannot be written: {problem.strerror or problem}"
-        ) from None
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
-        shutil.rmtree(old, ignore_errors=True)
+        reason = problem.strerror or problem
+        raise OutputError(f"{folder}: cannot be written: {reason}") from None
 
 
-def _replace(partial: Path, target: Path, old: Path) -> None:
+def _require_export(target: Path, names: list[str]) -> None:
+    """Refuse to replace a folder that holds more than ``names`` and object files."""
+    for name in sorted(os.listdir(target)):
+        if name not in names and not name.endswith(".o"):
+            raise OutputError(
+                f"{target}: holds '{name}', which is not of an export: choose another folder"
+            )
+
+
+def _replace(made: Path, target: Path, old: Path) -> None:
     """Put a folder in the place of another; where that fails the other one stays."""
     if target.exists():
         target.rename(old)
     try:
-        partial.rename(target)
+        made.rename(target)
     except BaseException:
         if old.exists():
             old.rename(target)

@@ -5,23 +5,22 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.drive.limits import Limits
 from dbo_cli.errors import ModelError, UsageError
-from dbo_cli.model import Gears, Model, Quantity, State, VoltageWindow
+from dbo_cli.model import Gears, Model, State, Window
 from dbo_cli.model.delay import AFTER, whole_and_part
-from dbo_cli.model.points import Curves, through
+from dbo_cli.model.points import through
 from dbo_cli.model.start import Starts
 from dbo_cli.model.undoing import SectionInverse, section_inverse
 
 Floats = NDArray[np.float64]
 
 TRIALS = 20  # test moves over which the loss of fewer gears is taken: 5,000 samples
-IGNORED_BEYOND = 1e6
-"""Ranges: an input so far away counts as no number; what it leads to is not finite."""
 MORE_REST = 5  # samples before a move, from which on a delay knows its past
 
 
@@ -53,15 +52,10 @@ class Plan:
         """The inverse gears."""
         return self.model.gears
 
-    @property
-    def window(self) -> VoltageWindow:
-        """The limits of the drive."""
-        return self.limits.window
-
     @cached_property
-    def inner(self) -> VoltageWindow:
+    def inner(self) -> Window:
         """The limits of the drive as the gears meet them."""
-        return self.model.inner_window(self.window)
+        return self.model.inner_window(self.limits.window)
 
     @property
     def inner_step(self) -> float | None:
@@ -90,18 +84,14 @@ class Plan:
             return 0.0
         return self.gears.relaxation.reference
 
-    def kappa(self, decay: Floats) -> float:
-        """Return the immediate part of the memory, sum c_j (1 - a_j), term by term."""
-        return float(sum((self.gain * (1.0 - decay)).tolist()))
-
     @property
-    def drive_curves(self) -> Curves:
-        """The points and scales from a drive to the gears."""
-        return self.forward.head
+    def kappa(self) -> float:
+        """The immediate part of the memory, sum c_j (1 - a_j), added term by term as the kernel does."""
+        return float(sum((self.gain * (1.0 - self.decay)).tolist()))
 
     def at_gears(self, drive: float) -> float:
         """Return a drive as the gears meet it."""
-        return float(through(self.drive_curves, np.array([drive]))[0])
+        return float(through(self.forward.head, np.array([drive]))[0])
 
     @cached_property
     def starts(self) -> Starts:
@@ -150,11 +140,15 @@ class Plan:
         assert self.empty.drive is not None
         return self.empty.drive
 
-    def settled(self, drive: float) -> State:
-        """Return the state after ``NAME_reset``: settled, and at rest at a drive."""
-        inner = self.at_gears(drive)
-        moved = self.forward.gears.run([inner], self.starts.bits(inner, "settled"))
+    def resting(self, drive: float, bits: int) -> State:
+        """Return the state of an actuator that rests at a drive, its gears coming from ``bits``."""
+        moved = self.forward.gears.run([self.at_gears(drive)], bits)
         return State(moved.bits, moved.memory, drive)
+
+    def settled(self, drive: float) -> State:
+        """Return the state after ``NAME_reset``."""
+        bits = self.starts.bits(self.at_gears(drive), "settled")
+        return self.resting(drive, bits)
 
     @property
     def trimmed(self) -> float:
@@ -165,18 +159,18 @@ class Plan:
     def played(self, moves: Floats, state: State) -> Floats:
         """Return what the library drives for each input, as the exported step does, ahead."""
         rest = np.full(self.ahead + MORE_REST, moves[0])
-        rows = self.forward.ahead(self.dt)
+        rows = self.forward.inverter(self.dt).ahead
         after = np.full(rows - self.ahead, moves[-1])
         wanted = np.concatenate([rest, moves, after])
-        undone, _ = self.forward.undo(wanted, None, self.dt)
+        undone, _ = self.forward.inverter(self.dt).run(wanted)
         static = self.forward.static
-        return static.drive(undone[MORE_REST:], state, self.dt, self.window).voltage
+        return static.drive(undone[MORE_REST:], state, self.dt, self.limits.window).y
 
 
 def starts_of(forward: Model) -> Starts:
     """Return the states in which the gears of a forward model may begin."""
     source = forward.input
-    ends = forward.inner_window(VoltageWindow(source.min, source.max))
+    ends = forward.inner_window(Window(source.min, source.max))
     return Starts(forward.gears, ends.low, ends.high)
 
 
@@ -195,22 +189,14 @@ def plan_of(model: Model, sample_rate: float | None, limits: Limits) -> Plan:
     forward = model.forward()
     timed = forward.needs_time or limits.slew is not None
     if timed and sample_rate is None:
-        raise UsageError(
-            "the drive depends on the time between samples: give `sample_rate` in Hz"
-        )
+        raise UsageError("the drive depends on time: add `sample_rate` HZ")
     dt = None if sample_rate is None else 1.0 / sample_rate
     plan = Plan(replace(forward, candidates=()), dt, limits)
     if np.any(plan.decay >= 1.0):
         raise ModelError(
-            f"relaxation.tau: a memory is too slow for {sample_rate:g} Hz (`sample_rate` lower)"
+            f"relaxation.tau: too slow for {sample_rate:g} Hz: lower `sample_rate`"
         )
     return plan
-
-
-def ignored_beyond(quantity: Quantity) -> float:
-    """Return the value beyond which a number counts as none: a power of two."""
-    largest = max(quantity.span, abs(quantity.min), abs(quantity.max))
-    return float(2.0 ** math.ceil(math.log2(IGNORED_BEYOND * largest)))
 
 
 def trial_moves(low: float, high: float, seed: int = 1) -> Floats:
@@ -232,8 +218,7 @@ def trial_moves(low: float, high: float, seed: int = 1) -> Floats:
     return low + (high - low) * np.concatenate(parts)
 
 
-@dataclass(frozen=True)
-class Loss:
+class Loss(NamedTuple):
     """What fewer gears change, over test moves: the largest and the RMS difference of the output."""
 
     most: float
@@ -254,9 +239,7 @@ def with_fewer_gears(model: Model, gears: int) -> tuple[Model, Loss | None]:
     forward = model.forward()
     full = forward.gears
     if not 1 <= gears <= full.n:
-        raise UsageError(
-            f"`gears` {gears}: the model has {full.n}; give a number from 1 to that"
-        )
+        raise UsageError(f"`gears` {gears}: give 1 to {full.n}")
     if gears == full.n:
         return forward, None
     starts = starts_of(forward)
@@ -281,12 +264,11 @@ def _loss(full: Model, fewer: Model) -> Loss:
     step = None
     if full.gears.relaxation is not None:
         step = max(full.gears.relaxation.tau)
-    full, fewer = full.static, fewer.static
-    differences = []
+    moves = []
     for seed in range(TRIALS):
-        moves = trial_moves(full.input.min, full.input.max, seed)
-        exact, _ = full.simulate(moves, dt=step)
-        coarse, _ = fewer.simulate(moves, dt=step)
-        differences.append(coarse - exact)
-    every = np.concatenate(differences)
-    return Loss(float(np.abs(every).max()), float(np.sqrt(np.mean(every**2))))
+        moves.append(trial_moves(full.input.min, full.input.max, seed))
+    x = np.concatenate(moves)
+    exact, _ = full.static.simulate(x, dt=step)
+    coarse, _ = fewer.static.simulate(x, dt=step)
+    off = coarse - exact
+    return Loss(float(np.abs(off).max()), float(np.sqrt(np.mean(off**2))))

@@ -1,4 +1,4 @@
-"""Numbers of a model in whole counts: piecewise linear functions, axes, terms and limits.
+"""Numbers of a model in whole counts: piecewise linear functions, axes, memories and limits.
 
 A range is 2^30 counts to either side of its middle, which leaves a factor of two beyond
 it. Positions along the axes of the gears are finer than counts.
@@ -23,7 +23,6 @@ Floats = NDArray[np.float64]
 COUNTS = 2.0**30
 MOST_FINE_BITS = 12
 """Positions are finer than counts by so many bits at most: slopes keep the 16 bits that far inputs lose."""
-INT32 = (-(2**31), 2**31 - 1)
 APART = 1e-9  # of a range: nodes that are closer are one
 
 
@@ -43,36 +42,51 @@ class Folded(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Axes:
-    """The gears at the time step, and how counts hold them.
+class Axis:
+    """The gears along the input or the output, and how counts hold them.
 
-    ``wide`` and ``high`` are the widths wanted, per gear; ``widths`` and ``heights``
-    those of the tables, one a run, in the same units; positions are multiples of
-    ``x_unit`` and ``y_unit``. ``fine`` are the bits by which positions are finer than
-    counts, on either axis.
+    Attributes
+    ----------
+    exact : array of shape (n,)
+        The width of each gear; on the input kappa times its height is part of it.
+    widths : array of shape (rows,)
+        Those of the tables, one a run, in the same unit.
+    unit : float
+        Positions are multiples of it.
+    fine : int
+        A count is 2^fine positions.
     """
 
-    kappa: float
-    wide: Floats
-    high: Floats
+    exact: Floats
     widths: Floats
-    heights: Floats
-    x_unit: float
-    y_unit: float
-    fine: tuple[int, int]
+    unit: float
+    fine: int
+
+    @classmethod
+    def of(cls, exact: Floats, run: int) -> Axis:
+        """Return the axis of widths, ``run`` equal ones side by side."""
+        total, widest = float(exact.sum()), float(exact.max())
+        most = widest / total * COUNTS
+        fine = min(math.floor(math.log2((2.0**31 - 1024.0) / most)), MOST_FINE_BITS)
+        unit = total / COUNTS / 2.0**fine
+        return cls(exact, _quantised(exact, run, unit), unit, fine)
 
     @property
-    def y_count(self) -> float:
-        """One count of the output axis."""
-        return self.y_unit * 2.0 ** self.fine[1]
+    def count(self) -> float:
+        """One count."""
+        return self.unit * 2.0**self.fine
 
 
-class Remembered(NamedTuple):
-    """How memories hold the drive: the shift from positions, their unit, and where the axis begins."""
-
-    shift: int
-    unit: float
-    offset: float
+def _quantised(exact: Floats, run: int, unit: float) -> Floats:
+    """Return one width a run, whole multiples of ``unit``, whose running sums follow the exact ones."""
+    widths, total, reached = [], 0.0, 0.0
+    for begin in range(0, len(exact), run):
+        count = min(run, len(exact) - begin)
+        total += float(exact[begin]) * count
+        width = max(round((total - reached) / count / unit), 1) * unit
+        widths.append(width)
+        reached += width * count
+    return np.array(widths)
 
 
 def fold(curves: Curves, low: float, high: float) -> Folded:
@@ -98,43 +112,8 @@ def fold(curves: Curves, low: float, high: float) -> Folded:
     return Folded(x[:-1], y[:-1], np.diff(y) / np.diff(x))
 
 
-def axes_of(plan: Plan) -> Axes:
-    """Return the gears with kappa in their widths, and the units of positions."""
-    gears = plan.gears
-    kappa = plan.kappa(plan.decay)
-    wide = gears.table[:, 0] + kappa * gears.table[:, 1]
-    high = gears.table[:, 1].copy()
-    fine, units = [], []
-    for widths in (wide, high):
-        total = float(widths.sum())
-        most = float(widths.max()) / total * COUNTS
-        bits = min(math.floor(math.log2((2.0**31 - 1024.0) / most)), MOST_FINE_BITS)
-        fine.append(bits)
-        units.append(total / COUNTS / 2.0**bits)
-    run = gears.equal_run
-    widths = quantised(wide, run, units[0])
-    heights = quantised(high, run, units[1])
-    return Axes(
-        kappa, wide, high, widths, heights, units[0], units[1], (fine[0], fine[1])
-    )
-
-
-def quantised(wanted: Floats, run: int, unit: float) -> Floats:
-    """Return one width a run, whole multiples of ``unit``, whose running sums follow the exact ones."""
-    widths, total, reached = [], 0.0, 0.0
-    for begin in range(0, len(wanted), run):
-        count = min(run, len(wanted) - begin)
-        total += float(wanted[begin]) * count
-        width = max(round((total - reached) / count / unit), 1) * unit
-        widths.append(width)
-        reached += width * count
-    return np.array(widths)
-
-
 def shift_for(largest: float) -> int:
     """Return the shift, 62 at most, that brings a factor just below 2^31, as a whole number."""
-    if not largest > 0.0:
-        return 30
     return min(math.floor(math.log2((2.0**31 - 1.0) / largest)), 62)
 
 
@@ -149,7 +128,7 @@ def segments_of(
     shift = shift_for(float(np.abs(slopes).max()))
     if shift < 16 or float(np.abs(at).max()) >= 2.0**31:
         raise ModelError(
-            "points or scales beyond the range of q31 (`arithmetic` double)"
+            "points or scales beyond the range of q31: use `arithmetic` double"
         )
     rows = []
     for a, b, slope in zip(at.tolist(), up.tolist(), slopes.tolist(), strict=True):
@@ -165,56 +144,57 @@ def counts_of_range(quantity: Quantity) -> tuple[float, float]:
 def to_counts(value: float, quantity: Quantity) -> int:
     """Return a value in counts, saturating."""
     middle, unit = counts_of_range(quantity)
-    return min(max(round((value - middle) / unit), INT32[0]), INT32[1])
+    return min(max(round((value - middle) / unit), -(2**31)), 2**31 - 1)
 
 
-def begin_of_axis(plan: Plan, axes: Axes) -> float:
-    """Return where the gears begin on the input, which the memory widens."""
-    gears = plan.gears
-    return gears.x0 + axes.kappa * (gears.y0 - plan.reference)
+class Memory(NamedTuple):
+    """The relaxation terms in whole numbers.
 
-
-# ---- memories
-
-
-def remembered(plan: Plan, axes: Axes) -> Remembered:
-    """Return how memories hold the drive.
-
-    One of their counts is one of the output axis, or coarser where the reference is far
-    away: they have 31 bits.
+    Attributes
+    ----------
+    terms : list of (carried, rest, rest_shift)
+        Of each term, as dboq_term has them.
+    carried_shift : int
+        Of what all carry.
+    offset : float
+        The drive at Y_0, from the reference on.
+    unit, shift : float, int
+        The memories' count, and that it is 2^shift positions of the output.
     """
+
+    terms: list[tuple[int, int, int]]
+    carried_shift: int
+    offset: float
+    unit: float
+    shift: int
+
+
+def memory_of(plan: Plan, x_axis: Axis, y_axis: Axis) -> Memory | None:
+    """Return the memory of a plan.
+
+    One of its counts is one of the output axis, or coarser where the reference is far
+    away: it has 31 bits.
+    """
+    if not plan.gain.size:
+        return None
     offset = plan.gears.y0 - plan.reference
-    coarse = 0
-    if plan.gain.size:
-        coarse = max(math.frexp(abs(offset) / axes.y_count / COUNTS)[1], 0)
-    return Remembered(axes.fine[1] + coarse, axes.y_count * 2.0**coarse, offset)
-
-
-def carried(plan: Plan, axes: Axes) -> Floats:
-    """Return what each memory adds, in positions, for one of its counts."""
-    return plan.gain * plan.decay * (remembered(plan, axes).unit / axes.x_unit)
-
-
-def terms_of(plan: Plan, axes: Axes) -> tuple[list[tuple[int, int, int]], int]:
-    """Return (carried, rest, rest_shift) of each relaxation term, and the shift of what is carried."""
-    factors = carried(plan, axes)
-    shift = shift_for(float(factors.sum()))
+    coarse = max(math.frexp(abs(offset) / y_axis.count / COUNTS)[1], 0)
+    unit = y_axis.count * 2.0**coarse
+    carried = plan.gain * plan.decay * (unit / x_axis.unit)
+    shift = shift_for(float(carried.sum()))
     if shift < 0:
         raise ModelError(
-            "relaxation.gain: beyond the range of q31 (`arithmetic` double)"
+            "relaxation.gain: beyond the range of q31: use `arithmetic` double"
         )
     terms = []
-    for factor, rest in zip(factors.tolist(), (1.0 - plan.decay).tolist(), strict=True):
+    for factor, rest in zip(carried.tolist(), (1.0 - plan.decay).tolist(), strict=True):
         down = math.floor(math.log2(COUNTS / rest))
         terms.append((round(factor * 2.0**shift), round(rest * 2.0**down), down))
-    return terms, shift
-
-
-# ---- limits, rounded inwards
+    return Memory(terms, shift, offset, unit, y_axis.fine + coarse)
 
 
 class CountLimits(NamedTuple):
-    """What the drive may do: as it comes out, in counts, and as the gears meet it, in positions.
+    """What the drive may do, rounded inwards: as it comes out, in counts, and at the gears, in positions.
 
     ``change`` is the largest in a step, None without a slew limit; ``positions`` are
     low, high and step (-1: no limit).
@@ -226,46 +206,42 @@ class CountLimits(NamedTuple):
     positions: tuple[int, int, int]
 
 
-def limits_of(plan: Plan, axes: Axes) -> CountLimits:
-    """Return the limits of the drive; none of them is outside of the model's own.
+def limits_of(plan: Plan, y_axis: Axis) -> CountLimits:
+    """Return the limits of the drive.
 
     Raises
     ------
     ModelError
         They are beyond what counts hold, or finer than they resolve.
     """
-    low, high = _clip(plan)
-    inner, step, change = plan.inner, -1.0, None
-    largest, inner_largest = plan.window.largest_step(plan.dt), plan.inner_step
-    if largest is not None and inner_largest is not None:
-        unit = counts_of_range(plan.model.output)[1]
-        # 2^32: more than from one end to the other
-        change = min(math.floor(float(largest) / unit), 2**32)
-        kept = min(change * unit, float(largest)) / float(largest)
-        step = inner_largest * kept / axes.y_unit
-        if step < 4.0:
-            raise ModelError(
-                "`max_slew`: less than q31 resolves in one step (`sample_rate` lower)"
-            )
-    y0 = plan.gears.y0
-    least, most = (inner.low - y0) / axes.y_unit, (inner.high - y0) / axes.y_unit
-    if max(abs(least), abs(most), step) >= 2.0**59:
-        raise ModelError(
-            "`v_min`, `v_max`: beyond what q31 holds (`arithmetic` double)"
-        )
-    positions = (math.ceil(least), math.floor(most), math.floor(step))
-    return CountLimits(low, high, change, positions)
-
-
-def _clip(plan: Plan) -> tuple[int, int]:
-    """Return the range of the drive in counts; as ``NAME_OUT`` converts them, within that asked for."""
     middle, unit = counts_of_range(plan.model.output)
     least, most = plan.limits.move
     low, high = round((least - middle) / unit), round((most - middle) / unit)
+    # within the limits as NAME_OUT converts them
     while low * unit + middle < least:
         low += 1
     while high * unit + middle > most:
         high -= 1
-    if not low < high:
-        raise ModelError("`v_min`, `v_max`: too close for q31 (`arithmetic` double)")
-    return low, high
+    inner, y0 = plan.inner, plan.gears.y0
+    inner_low, inner_high = (
+        (inner.low - y0) / y_axis.unit,
+        (inner.high - y0) / y_axis.unit,
+    )
+    if not low < high or max(abs(inner_low), abs(inner_high)) >= 2.0**59:
+        raise ModelError(
+            "`v_min`, `v_max`: beyond the range of q31: use `arithmetic` double"
+        )
+    step, change = -1, None
+    largest, inner_largest = plan.limits.window.largest_step(plan.dt), plan.inner_step
+    if largest is not None and inner_largest is not None:
+        # 2^32: more than from one end to the other
+        change = min(math.floor(float(largest) / unit), 2**32)
+        share = min(change * unit / float(largest), 1.0)
+        step = math.floor(min(inner_largest * share / y_axis.unit, 2.0**59))
+        if step < 4:
+            raise ModelError(
+                "`max_slew`: below the resolution of q31: lower `sample_rate`"
+            )
+    return CountLimits(
+        low, high, change, (math.ceil(inner_low), math.floor(inner_high), step)
+    )

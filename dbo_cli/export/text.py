@@ -11,21 +11,19 @@ from string import Template
 
 from dbo_cli.errors import UsageError
 
-_IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-_LONGEST = 40  # characters of a name; linkers and disks hold more
-_TAKEN = ("dbo_", "dboq_", "int8_t", "int16_t", "int32_t", "int64_t", "size_t", "uint")
+_IDENTIFIER = re.compile(r"(?!dboq?_)[A-Za-z][A-Za-z0-9_]{0,39}")  # dbo_: the kernel's
 _RESERVED = frozenset(
     """
     alignas alignof and and_eq asm auto bitand bitor bool break case catch char char8_t char16_t
     char32_t class compl concept const consteval constexpr constinit const_cast continue co_await
     co_return co_yield decltype default delete do double dynamic_cast else enum explicit export
-    extern false float for friend goto if inline int long mutable namespace new noexcept not not_eq
-    nullptr operator or or_eq private protected public register reinterpret_cast requires restrict
-    return short signed sizeof static static_assert static_cast struct switch template this
-    thread_local throw true try typedef typeid typename typeof union unsigned using virtual void
-    volatile wchar_t while xor xor_eq main setup loop errno assert offsetof stdin stdout stderr
+    extern false float for friend goto if inline int int8_t int16_t int32_t int64_t long mutable
+    namespace new noexcept not not_eq nullptr operator or or_eq private protected public register
+    reinterpret_cast requires restrict return short signed size_t sizeof static static_assert
+    static_cast struct switch template this thread_local throw true try typedef typeid typename
+    typeof union unsigned using virtual void volatile wchar_t while xor xor_eq main setup loop
     """.split()
-)  # words of C and C++, and names that every program has
+)  # words of C and C++, and functions that every program has
 _LINE = 108  # characters of a line of numbers
 
 
@@ -45,7 +43,7 @@ class Sources:
     Attributes
     ----------
     values : dict
-        What the template of NAME.c is filled with.
+        What the templates are filled with.
     members : list of str
         Members of the state.
     kernel : list of str
@@ -60,22 +58,18 @@ class Sources:
     runs: list[Run]
 
 
-def own_file(name: str) -> str:
-    """Return the text of a file of ``templates``."""
-    folder = resources.files("dbo_cli.export") / "templates"
-    return (folder / name).read_text(encoding="utf-8")
-
-
 def kernel_file(name: str) -> str:
-    """Return the text of a file of the kernel: one of this room, or the package's own, unchanged."""
+    """Return the text of a file of the kernel: a template of this room, or the package's own."""
+    folder = resources.files("dbo_cli.model")
     if name.startswith(("dbo_q31", "dbo_lookup")):
-        return own_file(name)
-    return (resources.files("dbo_cli.model") / name).read_text(encoding="utf-8")
+        folder = resources.files("dbo_cli.export") / "templates"
+    return (folder / name).read_text(encoding="utf-8")
 
 
 def fill(template: str, values: Mapping[str, str]) -> str:
     """Return a file of ``templates`` filled in; lines on which nothing is left go."""
-    text = own_file(template)
+    folder = resources.files("dbo_cli.export") / "templates"
+    text = (folder / template).read_text(encoding="utf-8")
     for name, value in values.items():
         if not value:
             text = text.replace(f"\n${name}\n", "\n")
@@ -89,27 +83,18 @@ def plain(text: str) -> str:
 
 
 def check_name(name: str) -> None:
-    """Refuse a name that cannot begin the names of files, types and functions in C, C++ and on every disk.
+    """Refuse a name that cannot begin the names of files, types and functions.
 
     Raises
     ------
     UsageError
-        It is no identifier, reserved, or taken by the files that are exported beside
-        it.
+        It is no identifier of C and C++, or begins as the kernel's names do.
     """
-    why = ""
-    if not _IDENTIFIER.fullmatch(name):
-        why = (
-            "is no C identifier (a letter first, then letters, digits and underscores)"
+    if not _IDENTIFIER.fullmatch(name) or name.lower() in _RESERVED:
+        raise UsageError(
+            f"`name` {name}: give a C identifier of at most 40 letters, digits and underscores, no "
+            "keyword"
         )
-    elif len(name) > _LONGEST:
-        why = f"has {len(name)} characters; at most {_LONGEST} are allowed"
-    elif name.lower() in _RESERVED:
-        why = "is a reserved word of C or C++ (choose another)"
-    elif name.lower().startswith(_TAKEN):
-        why = "is taken by the files of the export (choose another)"
-    if why:
-        raise UsageError(f"`name` {name!r}: {why}")
 
 
 def real(value: float) -> str:
@@ -131,15 +116,11 @@ def whole(value: int) -> str:
 
 def array(kind: str, name: str, items: Sequence[str]) -> str:
     """Return the definition of a constant array, private to its file."""
-    lines = textwrap.fill(
-        ", ".join(items),
-        _LINE,
-        initial_indent="    ",
-        subsequent_indent="    ",
-        break_long_words=False,
-        break_on_hyphens=False,
+    lines = textwrap.wrap(
+        ", ".join(items), _LINE, break_long_words=False, break_on_hyphens=False
     )
-    return f"static const {kind} {name}[{len(items)}] = {{\n{lines}}};\n"
+    body = textwrap.indent("\n".join(lines), "    ")
+    return f"static const {kind} {name}[{len(items)}] = {{\n{body}}};\n"
 
 
 def reals(name: str, values: Iterable[float]) -> str:
@@ -155,6 +136,11 @@ def structs(rows: Iterable[Iterable[str]]) -> list[str]:
 def real_structs(rows: Iterable[Iterable[float]]) -> list[str]:
     """Return initialisers of structures of float64."""
     return structs([real(value) for value in row] for row in rows)
+
+
+def whole_structs(rows: Iterable[Iterable[int]]) -> list[str]:
+    """Return initialisers of structures of whole numbers."""
+    return structs([whole(value) for value in row] for row in rows)
 
 
 def words_of(bits: int, gears: int, width: int) -> list[str]:

@@ -87,8 +87,7 @@ def _freed(problem: Problem, creep: tuple[Lag, ...]) -> Problem:
     """Return the problem of displacements that have not crept."""
     logs = []
     for log in problem.logs:
-        inverter = Inverter(Dynamics(creep), log.dt)
-        output, _ = inverter.run(log.output, inverter.rest(float(log.output[0])))
+        output, _ = Inverter(Dynamics(creep), None, log.dt).run(log.output)
         logs.append(replace(log, output=output))
     return replace(problem, logs=tuple(logs))
 

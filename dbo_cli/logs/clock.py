@@ -14,19 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, warn
-from dbo_cli.logs.source import NOT_A_TIME, Column, FloatArray
+from dbo_cli.logs.source import Column, FloatArray
 from dbo_cli.units import multiplied
 
 _DAY = 86400 * 10**9  # ns
 # s; whoever logs a hysteresis loop at one sample a second or slower states the unit
 _LONG_STEP = 1.0
-_LONGEST_STEP = 3600.0  # s; no loop is recorded at less than a sample an hour
-_LATEST = (
-    1e8  # s, three years; a clock that counts the seconds of a run never gets there
-)
-_EPOCH = (1e9, 4.1e9)  # s since 1970: the years 2001 to 2100
-_SHORTEST = 1e-3  # s; no piezo under load passes its range in less
 _LONG_LOG = 3600.0  # s
+_LATEST = 1e8  # s, three years; a clock that counts a run never gets there
+_EPOCH = (1e9, 4.1e9)  # s since 1970: the years 2001 to 2100
 # steps are even where they differ by no more than this part of a step, or by the
 # rounding of the file's decimals
 _EVEN = 1e-6
@@ -49,12 +45,14 @@ class Clock:
         By what its figures become seconds.
     unit
         The unit that is stated; None where nothing states it.
+    given
+        Whether the user states it.
     rate, start
         Samples a second (Hz) and the time (s) of the first row, without a column.
     step, uneven
         Seconds between rows where they are even so far; whether they are not.
-    origin
-        What time 0 is in seconds since 1970, where dates say it.
+    origin, first_stamp
+        What time 0 is in seconds since 1970, where dates say it; the first stamp (ns).
     """
 
     name: str
@@ -68,8 +66,8 @@ class Clock:
     step: float | None = None
     uneven: bool = False
     origin: float | None = None
+    first_stamp: int | None = None
     remarks: list[str] = field(default_factory=list)
-    doubtful: list[str] = field(default_factory=list)
     rows: int = 0
     first: float = 0.0
     last: float = 0.0
@@ -78,15 +76,23 @@ class Clock:
     gaps: int = 0
     first_gap: int = 0
     largest_gap: float = 0.0
-    first_stamp: int | None = None
-    last_stamp: int = 0
-    days: int = 0
-    digits: float = 0.0
 
-    def times(
-        self, numbers: NDArray[np.int64], stored: NDArray[Any] | None
-    ) -> FloatArray | None:
-        """Return the times (s) of rows, by their numbers (from 1) or by what the column holds.
+    def read(
+        self, numbers: NDArray[np.int64], stored: NDArray[Any]
+    ) -> tuple[FloatArray | None, float | FloatArray | None]:
+        """Return the times of rows (s), and the time since the row before each.
+
+        Parameters
+        ----------
+        numbers
+            The numbers of the rows, from 1; at least one.
+        stored
+            What the time column holds.
+
+        Returns
+        -------
+        time, dt
+            ``dt`` is a number where the steps are even. Both are None without a clock.
 
         Raises
         ------
@@ -94,73 +100,59 @@ class Clock:
             Time goes back, or the figures can hardly be what they are taken for.
         """
         if self.kind == "none":
-            return None
+            return None, None
+        time = self._seconds(numbers, stored)
+        steps = np.diff(time, prepend=self.last if self.rows else time[0])
+        known = steps if self.rows else steps[1:]
+        if not self.rows:
+            self.first = float(time[0])
+        if not self.rows and len(known):
+            steps[0] = steps[1]
+        if self.kind != "rate" and len(known):
+            self._watch(known, time, numbers)
+        self.rows += len(time)
+        self.last = float(time[-1])
+        if len(known) and not self.uneven:
+            self.step = self._even_step(known, time)
+            self.uneven = self.step is None
+        return time, steps if self.step is None else self.step
+
+    def _seconds(self, numbers: NDArray[np.int64], stored: NDArray[Any]) -> FloatArray:
         if self.kind == "rate":
             assert self.rate is not None
-            time = np.asarray(
+            return np.asarray(
                 self.start + (numbers - 1.0) / self.rate, dtype=np.float64
             )
-            self._count(time)
-            return time
-        assert stored is not None
-        if self.kind == "stamps":
-            time = self._since_first(stored)
-        else:
-            time = multiplied(stored, self.factor)
-        if len(time):
-            self._watch(time, numbers)
-        return time
-
-    def _since_first(self, stamps: NDArray[np.int64]) -> FloatArray:
-        """Turn stamps (ns) into seconds since the first; a clock without dates goes on past midnight."""
-        if not len(stamps):
-            return stamps.astype(np.float64)
+        if self.kind == "column":
+            return np.asarray(multiplied(stored, self.factor))
         if self.first_stamp is None:
-            self.first_stamp = int(stamps[0])
-            self.last_stamp = int(stamps[0])
+            self.first_stamp = int(stored[0])
             if self.first_stamp >= _DAY:
                 self.origin = self.first_stamp / 1e9
-        if self.origin is None:
-            steps = np.diff(stamps, prepend=self.last_stamp)
-            self.last_stamp = int(stamps[-1])
-            passed = self.days + np.cumsum(steps < -_DAY // 2)
-            if passed[-1] and not self.days:
-                self.doubtful.append("the clock passes midnight and goes on")
-            self.days = int(passed[-1])
-            stamps = stamps + passed * _DAY
-        return (stamps - self.first_stamp) / 1e9
+        return np.asarray((stored - self.first_stamp) / 1e9)
 
-    def _count(self, time: FloatArray) -> None:
-        if len(time):
-            self.first = float(time[0]) if not self.rows else self.first
-            self.last = float(time[-1])
-            self.rows += len(time)
-
-    def _watch(self, time: FloatArray, numbers: NDArray[np.int64]) -> None:
+    def _watch(
+        self, steps: FloatArray, time: FloatArray, numbers: NDArray[np.int64]
+    ) -> None:
         """Refuse a time that goes back; count repeats and gaps, and find the usual step."""
-        steps = np.diff(time, prepend=time[0] if not self.rows else self.last)
-        if (steps < 0.0).any():
+        numbers = numbers[len(numbers) - len(steps) :]
+        if steps.min() < 0.0:
             at = int(np.argmax(steps < 0.0))
-            before = time[at] - steps[at]
+            after = float(time[at - len(steps)])
             raise InputError(
-                f"{self.called}: row {numbers[at]}: time goes back from {before:.9g} to {time[at]:.9g} s "
-                "(`rows` A:B cuts the log there, or `sample_rate` HZ gives the time instead)"
+                f"{self.called}: row {numbers[at]}: time goes back from {after - steps[at]:.9g} to "
+                f"{after:.9g} s: cut with `rows` A:B, or add `sample_rate` HZ"
             )
-        known = steps[1:] if not self.rows else steps
-        fresh = self.rows < 3
-        self._count(time)
-        if fresh and len(known):
-            self.usual_step = float(np.median(known))
-            self._require_seconds()
-        self.repeats += int(np.count_nonzero(known == 0.0))
+        if self.rows < 2:
+            self.usual_step = float(np.sort(steps)[len(steps) // 2])
+            self._require_seconds(float(time[-1]))
+        self.repeats += int(np.count_nonzero(steps == 0.0))
         if self.usual_step > 0.0:
-            gaps = known > _GAP * self.usual_step
-            if gaps.any() and not self.gaps:
-                self.first_gap = int(
-                    numbers[len(numbers) - len(known) + int(np.argmax(gaps))]
-                )
+            gaps = steps > _GAP * self.usual_step
+            if not self.gaps and gaps.any():
+                self.first_gap = int(numbers[np.argmax(gaps)])
             self.gaps += int(np.count_nonzero(gaps))
-            self.largest_gap = max(self.largest_gap, float(known.max(initial=0.0)))
+            self.largest_gap = max(self.largest_gap, float(steps.max()))
 
     @property
     def called(self) -> str:
@@ -168,43 +160,13 @@ class Clock:
         assert self.column is not None
         return f"{self.name}: the time {self.column.label}"
 
-    def steps(
-        self, time: FloatArray | None, before: float | None
-    ) -> float | FloatArray | None:
-        """Return the seconds since the sample before for each row of a block: a number where they are even.
-
-        Parameters
-        ----------
-        time
-            The times of the block.
-        before
-            The time of the row before it; None at the start of the log.
-        """
-        if time is None or not len(time):
-            return None
-        if self.kind == "rate" and self.rate is not None:
-            contiguous = (
-                len(time) < 2 or time[-1] - time[0] < (len(time) - 0.5) / self.rate
-            )
-            late = before is not None and time[0] - before > 1.5 / self.rate
-            if contiguous and not late:
-                self.step = 1.0 / self.rate
-                return self.step
-        steps = np.diff(time, prepend=time[0] if before is None else before)
-        if before is None and len(steps) > 1:
-            steps[0] = steps[1]
-        fresh = steps if before is not None else steps[1:]
-        if not len(fresh):
-            return steps if self.step is None else self.step
-        if not self.uneven:
-            self.step = self._even_step(fresh, time)
-            self.uneven = self.step is None
-        return steps if self.step is None else self.step
-
     def _even_step(self, steps: FloatArray, time: FloatArray) -> float | None:
         """Return the one step of rows that are even to rounding; None where they are not."""
+        if self.rate is not None:
+            is_whole = steps.max() < _GAP / self.rate
+            return 1.0 / self.rate if is_whole else None
         mean = float(steps.mean())
-        rounding = 4.0 * np.spacing(abs(time).max()) + self._resolution(time)
+        rounding = 4.0 * np.spacing(np.abs(time).max()) + self._resolution(time)
         if mean <= 0.0 or np.abs(steps - mean).max() > _EVEN * mean + rounding:
             return None
         step = mean if self.step is None else self.step
@@ -212,82 +174,50 @@ class Clock:
 
     def _resolution(self, time: FloatArray) -> float:
         """Return the last decimal place of the times, where it is a small part of a step."""
-        if not self.digits and len(time) > 2:
-            span = time[: min(len(time), 50)]
-            for power in range(1, 13):
-                rounded = np.round(span, power)
-                if np.abs(span - rounded).max() < 10.0 ** (
-                    -power - 3
-                ) + 4.0 * np.spacing(span.max()):
-                    self.digits = 10.0**-power
-                    break
-        usual = self.usual_step or (1.0 / self.rate if self.rate else 0.0)
-        return 1.01 * self.digits if self.digits < 0.05 * usual else 0.0
+        times = time[:50]
+        for places in range(1, 13):
+            place = 10.0**-places
+            off = np.abs(times - np.round(times, places)).max()
+            if off < 1e-3 * place + 4.0 * np.spacing(np.abs(times).max()):
+                return 1.01 * place if place < 0.05 * self.usual_step else 0.0
+        return 0.0
 
-    def _require_seconds(self) -> None:
+    def _require_seconds(self, reach: float) -> None:
         """Refuse figures without a unit that can hardly be seconds."""
         if self.kind != "column" or self.unit is not None:
             return
-        step, reach = self.usual_step, max(abs(self.first), abs(self.last))
         is_epoch = _EPOCH[0] < self.first < _EPOCH[1]
-        if step >= _LONG_STEP:
-            odd = f"its usual step would be {step:.6g} s"
+        if self.usual_step >= _LONG_STEP:
+            odd = f"its usual step would be {self.usual_step:.6g} s"
         elif reach > _LATEST and not is_epoch:
-            odd = f"its stamps would reach {self.last:.6g} s"
+            odd = f"its stamps would reach {reach:.6g} s"
         else:
             return
-        self._refuse_bare(odd)
-
-    def _refuse_bare(self, odd: str) -> None:
         raise InputError(
-            f"{self.called} has no unit: read as seconds, {odd} (`time_unit` s, ms, us or ns says what it "
-            "counts; `sample_rate` HZ gives the time instead)"
+            f"{self.called} has no unit: in seconds, {odd}: add `time_unit` s, ms, us or ns, or "
+            "`sample_rate` HZ"
         )
 
     def close(self) -> None:
-        """Say what is doubtful once all rows went by.
-
-        Raises
-        ------
-        InputError
-            Figures without a unit end before any piezo has moved.
-        """
-        if self.kind not in ("column", "stamps") or self.rows < 2:
-            return
-        if 2 * self.repeats > self.rows:
+        """Say what is doubtful once all rows went by."""
+        if self.repeats:
             warn(
-                f"{self.called} repeats its stamps in {self.repeats:,} of {self.rows:,} rows: they have too "
-                "few digits (`sample_rate` HZ gives the time instead)"
+                f"{self.name}: {self.repeats:,} of {self.rows:,} time stamps repeat: `sample_rate` HZ "
+                "replaces them"
             )
-        elif self.repeats:
-            s = " is" if self.repeats == 1 else "s are"
-            warn(f"{self.name}: {self.repeats:,} time stamp{s} repeated")
-        if self.gaps and 2 * self.repeats <= self.rows:
+        if self.gaps:
             s = "" if self.gaps == 1 else "s"
             warn(
-                f"{self.name}: {self.gaps:,} gap{s} in time, the first before row {self.first_gap:,}, the "
-                f"largest {self.largest_gap:.4g} s"
+                f"{self.name}: {self.gaps:,} gap{s} in time, first before row {self.first_gap:,}, largest "
+                f"{self.largest_gap:.4g} s"
             )
-        if self.kind == "column" and not self.given:
-            self._doubt_unit()
-
-    def _doubt_unit(self) -> None:
-        """Warn of a stated unit that can hardly be right; refuse seconds that nobody stated."""
-        span, step = self.last - self.first, self.usual_step
-        if 0.0 < span < _SHORTEST:
-            odd = f"the whole log would last {span:.3g} s"
-            if self.unit is None:
-                self._refuse_bare(odd)
-        elif step > _LONGEST_STEP:
-            odd = f"its usual step would be {step:.3g} s"
-        elif self.unit == "s" and step >= _LONG_STEP and span >= _LONG_LOG:
-            odd = f"its usual step would be {step:.6g} s, and the log {span / 3600.0:.3g} h long"
-        else:
-            return
-        warn(
-            f"{self.called} is stated in {self.unit}, but {odd} (`time_unit` {self.unit} if that is "
-            "right, or what it counts: ms, us, ns)"
-        )
+        hours = (self.last - self.first) / 3600.0
+        is_slow = self.usual_step >= _LONG_STEP and 3600.0 * hours >= _LONG_LOG
+        if self.kind == "column" and self.unit == "s" and not self.given and is_slow:
+            warn(
+                f"{self.called} in s makes steps of {self.usual_step:.6g} s and a log of {hours:.3g} h: "
+                "confirm with `time_unit` s, or type ms or us"
+            )
 
     def describe(self) -> str:
         """Return how long a log lasts and at which rate: ``12 s at 2 kHz``."""
@@ -308,10 +238,3 @@ def hertz(rate: float) -> str:
         if rate >= size:
             return f"{rate / size:.5g} {unit}"
     return f"{rate:.5g} Hz"
-
-
-def is_bad(array: NDArray[Any], column: Column) -> NDArray[np.bool_]:
-    """Return which rows of a column hold no number or no stamp."""
-    if column.kind == "stamp":
-        return np.asarray(array == NOT_A_TIME)
-    return np.asarray(~np.isfinite(array))

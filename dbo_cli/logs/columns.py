@@ -125,7 +125,7 @@ def role_of(role: str, unit: str | None) -> Role:
     known = ROLES.get(role)
     if known is None:
         raise UsageError(
-            f"`{role}`: there is no such role (voltage, displacement, desired, measured)"
+            f"`{role}`: no such role; give voltage, displacement, desired or measured"
         )
     if kind is None or kind in known.allowed:
         return known
@@ -179,8 +179,7 @@ def named(source: Source, selector: str, option: str) -> Column:
         by_number = [column for column in columns if column.number == int(selector)]
         if not by_number and not by_name:
             raise InputError(
-                f"{name}: there is no column {selector}: {listed(columns)}{source.hint} "
-                f"(`{option}` NAME or NUMBER)"
+                f"{name}: no column {selector}: {listed(columns)}{source.hint} (`{option}` NAME or NUMBER)"
             )
     if by_name and by_number and by_name != by_number:
         raise InputError(
@@ -197,8 +196,8 @@ def named(source: Source, selector: str, option: str) -> Column:
         elsewhere = source.find(selector)
         if elsewhere is None:
             raise InputError(
-                f"{name}: there is no column '{selector}': {listed(columns)}{source.hint} "
-                f"(`{option}` NAME or NUMBER)"
+                f"{name}: no column '{selector}': {listed(columns)}{source.hint} (`{option}` NAME or "
+                "NUMBER)"
             )
         return elsewhere
     if found[0].kind in ("text", "empty"):
@@ -305,7 +304,8 @@ def _question(
         which = " or ".join(
             column.label.removeprefix("column ") for column in found[:_LISTED]
         )
-        asked.append(f"which column is the {role}{', ' + which if which else ''}?")
+        noun = f"{role} displacement" if role in ("desired", "measured") else role
+        asked.append(f"which column is the {noun}{', ' + which if which else ''}?")
     free = [c for c in columns if c.kind == "number" and c.number not in used]
     options: list[str] = []
     for role in unclear:

@@ -1,6 +1,8 @@
 """Blocks of regular text by polars; None wherever a block is not regular.
 
-Nothing is believed that polars does not check: see ``text.py`` for what it lets pass.
+polars makes null rows of blank lines and nulls of short rows, takes ``2.5`` under a
+decimal comma, passes long rows where it reads some columns only, and panics at a lone
+quote. So it reads all columns, and nothing is believed that it does not check.
 """
 
 from __future__ import annotations
@@ -9,7 +11,6 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
@@ -40,76 +41,52 @@ def read_fast(
         float64, or int64 nanoseconds, for each chosen column.
     """
     if layout.decimal == "," and b"." in text and not layout.stamps:
-        return None  # polars takes 2.5 for a number under a decimal comma, too
+        return None
     if layout.delimiter == " ":
         text = _single_blanks(text)
     if b'"' in text:
         text = _unquoted(text, layout.delimiter)
         if b'"' in text:
-            return None  # polars panics at a lone quote
+            return None
     if cleaned:
         text = _cleaned(text, layout.delimiter)
-    return _parsed(text, layout, chosen)
+    frame = _frame(text, layout)
+    if frame is None:
+        return None
+    arrays: list[NDArray[Any]] = []
+    for column in chosen:
+        series = frame[f"{column.number}"]
+        if column.kind == "stamp":
+            series = _stamps(series, layout.stamps[column.number - 1])
+            series = series.fill_null(NOT_A_TIME)
+        if series.null_count():
+            return None
+        arrays.append(series.to_numpy())
+    return arrays
 
 
-def _parsed(
-    text: bytes, layout: Layout, chosen: Sequence[Column]
-) -> list[NDArray[Any]] | None:
-    """Read lines as they are; None where polars refuses or a cell is missing."""
-    wanted = {column.number - 1 for column in chosen}
+def _frame(text: bytes, layout: Layout) -> pl.DataFrame | None:
+    """Read all columns; None where polars refuses, or a line has too few cells."""
     schema: dict[str, Any] = {}
     for n in range(layout.width):
-        schema[f"column_{n + 1}"] = pl.Float64 if n in layout.numeric else pl.String
-    names = None
-    if len(wanted) < layout.width:
-        names = [f"column_{n + 1}" for n in sorted(wanted | {layout.width - 1})]
+        schema[f"{n + 1}"] = pl.Float64 if n in layout.numeric else pl.String
     try:
         frame = pl.read_csv(
             text,
             has_header=False,
             separator=layout.delimiter,
             schema=schema,
-            columns=names,
             quote_char=None,
             decimal_comma=layout.decimal == ",",
         )
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException, ValueError):
         return None
-    # polars counts the cells of a line itself where it reads all of them as numbers
-    checked = names is None and len(layout.numeric) == layout.width
-    if not checked and not _has_all_cells(text, layout, len(frame)):
-        return None
-    arrays: list[NDArray[Any]] = []
-    for column in chosen:
-        series = frame[f"column_{column.number}"]
-        if column.kind == "stamp":
-            series = _stamps(series, layout.stamps[column.number - 1])
-            arrays.append(series.fill_null(NOT_A_TIME).to_numpy())
-            continue
-        if series.null_count():
+    if frame.to_series(-1).null_count():
+        # no line has too many cells, so the delimiters in all tell whether one has too few
+        marks = text.count(layout.delimiter.encode())
+        if marks != (layout.width - 1) * len(frame):
             return None
-        arrays.append(series.to_numpy())
-    if checked and layout.width - 1 not in wanted:
-        return arrays if not frame[:, -1].null_count() else None
-    return arrays
-
-
-def _has_all_cells(text: bytes, layout: Layout, rows: int) -> bool:
-    """Return whether every line has a cell for each column, by the count of delimiters in all.
-
-    A short line and a long one together could pass: each line is counted where the sum
-    is right and lines differ.
-    """
-    letters = np.frombuffer(text, np.uint8)
-    ends = np.flatnonzero(letters == 10)
-    marks = letters == ord(layout.delimiter)
-    total = int(np.count_nonzero(marks))
-    if total != (layout.width - 1) * rows:
-        return False
-    counts = np.add.reduceat(
-        marks, np.concatenate(([0], ends[:-1] + 1)), dtype=np.int64
-    )
-    return bool((counts[: len(ends)] == layout.width - 1).all())
+    return frame
 
 
 def _stamps(series: pl.Series, form: str) -> pl.Series:
@@ -136,15 +113,8 @@ def _single_blanks(text: bytes) -> bytes:
 def _unquoted(text: bytes, delimiter: str) -> bytes:
     """Take the quotes off cells that hold no delimiter; others keep theirs."""
     mark = re.escape(delimiter.encode())
-    pattern = (
-        rb"(?m)(?:(?<=^)|(?<="
-        + mark
-        + rb'))"([^"\n'
-        + mark
-        + rb']*)"(?='
-        + mark
-        + rb"|$)"
-    )
+    cell = rb'"([^"\n' + mark + rb']*)"'
+    pattern = rb"(?m)(?:^|(?<=" + mark + rb"))" + cell + rb"(?=" + mark + rb"|$)"
     return re.sub(pattern, rb"\1", text)
 
 

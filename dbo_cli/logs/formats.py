@@ -1,7 +1,8 @@
 """Files that are no text, each read by the library that owns its format.
 
 A reader is a function ``open_X(path, part, reading) -> Source``; ``part`` is what stands
-behind ``::``. Its library is imported when such a file is opened. A reader of another
+behind ``::``. Its library is imported when such a file is opened. A plain table of
+columns is read: vectors, columns of a matrix, fields of records. A reader of another
 package joins as an entry point of the group ``dbo_cli.readers``, named by the suffix of
 its files (``.xyz``).
 """
@@ -12,25 +13,23 @@ import contextlib
 import importlib
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dbo_cli.errors import DboError, InputError
-from dbo_cli.logs.headers import is_clock_key, stated_rate
-from dbo_cli.logs.source import NOT_A_TIME, ArraySource, Column, Fetch, Reading, Source
+from dbo_cli.logs.headers import Statement, clock_of, is_clock_setting
+from dbo_cli.logs.source import BLOCK_ROWS, NOT_A_TIME, Column, Reading, Source
 from dbo_cli.units import spell, split_header
 
 Reader = Callable[[str, str, Reading], Source]
-Statement = tuple[str, object, str]  # what a file states: key, value, unit
+Fetch = Callable[[int, int], Any]
 
 PLAIN_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".lvm", ".gz", "")
-STRETCH = 1 << 20  # rows of one column that polars hands out at once (8 MB)
+STRETCH = 1 << 19  # rows that polars hands out at once
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
-PICKLES = "Python pickles are not read (they can run code): df.to_parquet(), or dbo.identify(df)"
-_START_KEYS = ("tstart", "t0", "x0", "wf_start_offset")  # s, the time of the first row
 
 
 def reader_of(path: str, start: bytes) -> Reader | None:
@@ -50,12 +49,17 @@ def reader_of(path: str, start: bytes) -> Reader | None:
     """
     suffix = os.path.splitext(path)[1].lower()
     if suffix not in PLAIN_SUFFIXES:
-        foreign = _foreign_reader(suffix)
-        if foreign is not None:
+        from importlib.metadata import entry_points
+
+        for point in entry_points(group="dbo_cli.readers", name=suffix):
+            foreign: Reader = point.load()
             return foreign
     if HDF5_MAGIC in (start[:8], start[512:520]):
-        return _open_hdf5
-    _refuse(path, start, suffix)
+        from dbo_cli.logs.hdf5 import open_hdf5
+
+        return open_hdf5
+    if suffix in _REFUSED or start[:2] in _PICKLES:
+        raise InputError(f"{path}: {_REFUSED.get(suffix, _REFUSED['.pkl'])}")
     for magic, reader in _BY_MAGIC.items():
         if start.startswith(magic):
             return reader
@@ -64,42 +68,13 @@ def reader_of(path: str, start: bytes) -> Reader | None:
     return None
 
 
-def _refuse(path: str, start: bytes, suffix: str) -> None:
-    """Refuse the formats that are not read, each with what to do (InputError)."""
-    for magic, advice in _REFUSED.items():
-        if start.startswith(magic):
-            raise InputError(f"{path}: {advice}")
-    if suffix in _REFUSED_SUFFIXES:
-        raise InputError(f"{path}: {_REFUSED_SUFFIXES[suffix]}")
-    if suffix in (".h5", ".hdf5", ".nxs"):
-        raise InputError(
-            f"{path}: this is no HDF5 file: write it again, or look at its name"
-        )
-
-
-def _foreign_reader(suffix: str) -> Reader | None:
-    """Return the reader that another package has for a suffix."""
-    from importlib.metadata import entry_points
-
-    for point in entry_points(group="dbo_cli.readers", name=suffix):
-        reader: Reader = point.load()
-        return reader
-    return None
-
-
-def _open_hdf5(path: str, part: str, reading: Reading) -> Source:
-    from dbo_cli.logs.hdf5 import open_hdf5
-
-    return open_hdf5(path, part, reading)
-
-
 def import_extra(module: str, extra: str, path: str) -> Any:
     """Import a library that is not always installed (InputError)."""
     try:
         return importlib.import_module(module)
     except ImportError:
         raise InputError(
-            f"{path}: {module} is needed to read it: pip install 'dbo-cli[{extra}]'"
+            f"{path}: needs {module}: pip install 'dbo-cli[{extra}]'"
         ) from None
 
 
@@ -120,165 +95,155 @@ def fenced(path: str, kind: str) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Found:
-    """A column that was found: its rows come from ``fetch(start, stop)``."""
+    """A column that was found: its rows come from ``fetch(start, stop)``, counted from 0.
+
+    ``warnings`` are due where it is read.
+    """
 
     name: str
     length: int
     fetch: Fetch
     unit: str | None = None
     kind: str = "number"
+    warnings: tuple[str, ...] = ()
 
 
-@dataclass
-class Group:
-    """A place in a file that may hold columns, and what is stated there."""
+class ArraySource(Source):
+    """Columns that a library hands out by rows.
 
-    path: str
-    depth: int
-    columns: list[Found] = field(default_factory=list)
-    statements: list[Statement] = field(default_factory=list)
-
-
-class LibrarySource(ArraySource):
-    """The columns of a file that a library reads.
-
-    Attributes
+    Parameters
     ----------
-    rate_problem, rate_remarks
-        Why the stated rate cannot be used where one is needed, and what it assumes.
-    hint
-        What else may be typed where the columns are not clear, behind a blank.
+    path
+        The file, for messages.
+    found
+        Its columns.
+    statements
+        What it states beside them of the sample rate and the first row's time.
+    close
+        Called at the end.
     """
 
     def __init__(
         self,
         path: str,
         found: Sequence[Found],
-        statements: Iterable[Statement] = (),
-        close: Callable[[], object] | None = None,
-        remarks: Sequence[str] = (),
+        statements: Sequence[Statement] = (),
+        close: Callable[[], object] = lambda: None,
     ) -> None:
-        columns = []
-        for number, one in enumerate(found, 1):
-            unit = spell(one.unit) or split_header(one.name.rsplit("/", 1)[-1])[1]
-            columns.append(Column(number, one.name, unit, one.kind))
-        fetch = [one.fetch for one in found]
-        lengths = [one.length for one in found]
-        super().__init__(path, columns, fetch, lengths, None, 0.0, remarks, close)
-        self.rate_problem = ""
-        self.rate_remarks: list[str] = []
-        self.hint = ""
-        stated = list(statements)
-        try:
-            self.rate = stated_rate(stated, self.rate_remarks)
-        except InputError as problem:
-            self.rate_problem = str(problem)
-        for key, value, _ in stated:
-            if key.lower() in _START_KEYS and isinstance(value, int | float):
-                self.start = float(value)
+        self.name = path
+        self.columns = []
+        self.stated = clock_of(statements)
+        self.remarks = []
+        self._found: list[Found] = []
+        self._close = close
+        self._arrays: dict[int, NDArray[Any]] = {}
+        self._first = 1
+        for column in found:
+            self.add(column)
 
     def add(self, found: Found) -> Column:
-        """Add a column that the user named by its path."""
+        """Add a column."""
         unit = spell(found.unit) or split_header(found.name.rsplit("/", 1)[-1])[1]
         column = Column(len(self.columns) + 1, found.name, unit, found.kind)
         self.columns.append(column)
-        self._fetch = [*self._fetch, found.fetch]
-        self._lengths = [*self._lengths, found.length]
+        self._found.append(found)
         return column
 
+    def blocks(self, chosen: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
+        """Return all rows of the chosen columns; see ``Source``.
 
-def choose(groups: Sequence[Group]) -> tuple[list[Group], bool]:
-    """Return the groups whose columns are meant, and whether it is one group alone.
-
-    The shallowest groups with columns count; of several the only one that has more than
-    one column. Where that does not decide, all of them are returned.
-    """
-    longest = 0
-    for group in groups:
-        longest = max([longest, *(column.length for column in group.columns)])
-    holding = []
-    for group in groups:
-        rows = max((column.length for column in group.columns), default=0)
-        if rows > min(1, longest - 1):  # single values beside longer columns are none
-            holding.append(group)
-    if not holding:
-        return [], True
-    depth = min(group.depth for group in holding)
-    holding = [group for group in holding if group.depth == depth]
-    wide = [group for group in holding if len(group.columns) > 1]
-    if len(wide) == 1:
-        holding = wide
-    return holding, len(holding) == 1
-
-
-def chosen_columns(
-    path: str, groups: Sequence[Group], separator: str
-) -> tuple[list[Found], str]:
-    """Return the columns that are meant, and a hint where several groups have some.
-
-    Columns of several groups are called by their paths.
-    """
-    chosen, is_alone = choose(groups)
-    found: list[Found] = []
-    for group in chosen:
-        for column in group.columns:
-            name = column.name
-            if not is_alone:
-                name = f"{group.path}{separator}{name}".lstrip(separator)
-            found.append(
-                Found(name, column.length, column.fetch, column.unit, column.kind)
+        Raises
+        ------
+        InputError
+            The columns are of unequal length, or the library fails.
+        """
+        lengths = [self._found[column.number - 1].length for column in chosen]
+        if len(set(lengths)) > 1:
+            pairs = zip(chosen, lengths, strict=True)
+            listed = ", ".join(f"{column.label} {rows}" for column, rows in pairs)
+            raise InputError(
+                f"{self.name}: the columns are of unequal length: {listed}"
             )
-    if is_alone:
-        return found, ""
-    return found, f" (or one group alone: {path}::{chosen[0].path})"
+        for start in range(0, lengths[0], BLOCK_ROWS):
+            stop = min(lengths[0], start + BLOCK_ROWS)
+            self._first = start + 1
+            self._arrays = {}
+            for column in chosen:
+                self._arrays[column.number] = self._read(column, start, stop)
+            yield [self._arrays[column.number] for column in chosen]
 
+    def _read(self, column: Column, start: int, stop: int) -> NDArray[Any]:
+        """Read rows of one column as float64, or dates as int64 nanoseconds."""
+        with fenced(self.name, column.label):
+            stored = np.asarray(self._found[column.number - 1].fetch(start, stop))
+            if stored.dtype.kind == "M":
+                stored = stored.astype("datetime64[ns]").astype(np.int64)
+            elif column.kind == "number":
+                stored = np.ascontiguousarray(stored, dtype=np.float64)
+        if len(stored) != stop - start:
+            raise InputError(f"{self.name}: {column.label} ends early: damaged?")
+        return stored
 
-def without_single_values(found: Sequence[Found]) -> list[Found]:
-    """Leave out columns of one row beside longer ones: a rate, a count."""
-    longest = max((one.length for one in found), default=0)
-    if longest < 2:
-        return list(found)
-    return [one for one in found if one.length > 1]
+    def where(self, row: int, column: Column) -> str:
+        """Say where a row of the last block is, and what stands in a column of it."""
+        value = self._arrays[column.number][row - self._first]
+        return f"{self.name}: row {row}: {column.label} is {value}"
+
+    def close(self) -> None:
+        """Close the file."""
+        self._close()
 
 
 def array_columns(name: str, array: Any, unit: str | None = None) -> list[Found]:
     """Take a vector, a matrix (its longer axis is time) or records apart; nothing for text."""
+    columns: list[Found] = []
     if array.dtype.names is not None:
-        columns = []
         for label in array.dtype.names:
-            path = f"{name}/{label}" if name else label
-            columns += array_columns(path, array[label], unit)
+            columns += array_columns(label, array[label], unit)
         return columns
-    if array.dtype.kind not in "fiubmM" or array.ndim not in (1, 2) or not array.size:
+    if array.dtype.kind not in "fiubM" or array.ndim not in (1, 2) or not array.size:
         return []
-    if array.ndim == 1:
-        return [_vector(name, array, unit)]
-    table = array if array.shape[0] >= array.shape[1] else array.T
-    if table.shape[1] == 1:
-        return [_vector(name, table[:, 0], unit)]
-    columns = []
+    table = array[:, None] if array.ndim == 1 else array
+    if table.shape[0] < table.shape[1]:
+        table = table.T
     for number in range(table.shape[1]):
-        label = f"{name}[{number + 1}]" if name else ""
-        columns.append(_vector(label, table[:, number], unit))
+        label = name if table.shape[1] == 1 else f"{name}[{number + 1}]"
+        columns.append(_vector(label if name else "", table[:, number], unit))
     return columns
 
 
 def _vector(name: str, array: Any, unit: str | None) -> Found:
-    if array.dtype.kind == "m":
-        array = array / np.timedelta64(1, "s")
-        unit = "s"
     kind = "stamp" if array.dtype.kind == "M" else "number"
     return Found(name, len(array), lambda start, stop: array[start:stop], unit, kind)
 
 
-def _nothing(path: str, held: Iterable[str]) -> InputError:
+def source_of(path: str, members: Mapping[str, Any], advice: str = "") -> Source:
+    """Return a source of arrays by name; a single value beside longer ones is a statement."""
+    found: list[Found] = []
+    statements: list[Statement] = []
+    for name, array in members.items():
+        columns = array_columns(name, np.asarray(array))
+        if is_clock_setting(name) and np.size(array) == 1:
+            statements.append((name, np.ravel(array)[0].item(), ""))
+        elif columns and columns[0].length > 1:
+            found += columns
+    if not found:
+        held = [
+            f"{name} ({np.asarray(array).dtype})" for name, array in members.items()
+        ]
+        raise no_columns(path, held, advice)
+    return ArraySource(path, found, statements)
+
+
+def no_columns(path: str, held: Iterable[str], advice: str = "") -> InputError:
+    """Return the refusal of a file without columns of numbers."""
     listed = ", ".join(held) or "nothing"
-    return InputError(f"{path}: no columns of numbers: it holds {listed[:300]}")
+    return InputError(f"{path}: no columns of numbers: it has {listed[:300]}{advice}")
 
 
 def _refuse_part(path: str, part: str) -> None:
     if part:
-        raise InputError(f"{path}::{part}: this format has no parts: write {path}")
+        raise InputError(f"{path}::{part}: this format has no parts: type {path}")
 
 
 # --- NumPy ---
@@ -289,28 +254,20 @@ def open_npy(path: str, part: str, reading: Reading) -> Source:
     _refuse_part(path, part)
     with fenced(path, "NumPy"):
         columns = _mapped(path)
-        if not columns:
-            array = np.load(path, mmap_mode="r", allow_pickle=False)
-            raise _nothing(path, [f"{array.dtype} {array.shape}"])
     found = []
     for number, column in enumerate(columns):
-        fetch = _mapped_rows(path, number)
-        found.append(Found(column.name, column.length, fetch, None, column.kind))
-    return LibrarySource(path, found)
+        found.append(replace(column, fetch=_mapped_rows(path, number)))
+    if not found:
+        raise no_columns(path, ["an array of another kind"])
+    return ArraySource(path, found)
 
 
 def _mapped(path: str) -> list[Found]:
-    """Map an array; it is mapped anew for each stretch, so its pages are given back."""
-    try:
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
-    except ValueError as problem:
-        if "pickle" in str(problem) or "Python objects" in str(problem):
-            raise InputError(f"{path}: {PICKLES}") from None
-        raise
-    return array_columns("", array)
+    return array_columns("", np.load(path, mmap_mode="r", allow_pickle=False))
 
 
 def _mapped_rows(path: str, number: int) -> Fetch:
+    """Return what reads rows; the file is mapped anew for each block, so its pages are given back."""
     return lambda start, stop: np.array(_mapped(path)[number].fetch(start, stop))
 
 
@@ -325,238 +282,116 @@ def open_zip(path: str, part: str, reading: Reading) -> Source:
     if not any(name.endswith(".npy") for name in names):
         raise InputError(f"{path}: this is a zip archive: unpack it")
     _refuse_part(path, part)
-    arrays = {}
     with fenced(path, "NumPy"), np.load(path, allow_pickle=False) as stored:
-        for name in stored.files:
-            try:
-                arrays[name] = stored[name]
-            except ValueError as problem:
-                if "pickle" not in str(problem):
-                    raise
-                arrays[name] = np.array("pickled objects")
-    found = []
-    for name, array in arrays.items():
-        found += array_columns(name, array)
-    found = without_single_values(found)
-    if not found:
-        raise _nothing(
-            path, [f"{name} ({array.dtype})" for name, array in arrays.items()]
-        )
-    return LibrarySource(path, found, _single_values(arrays))
-
-
-def _single_values(members: Mapping[str, Any]) -> list[Statement]:
-    """Return what single values state of the sample rate and the first row's time."""
-    statements: list[Statement] = []
-    for name, value in members.items():
-        is_key = is_clock_key(name) or name.lower() in _START_KEYS
-        if is_key and not isinstance(value, dict | list) and np.size(value) == 1:
-            statements.append((name, np.ravel(value)[0].item(), ""))
-    return statements
+        arrays = {name: stored[name] for name in stored.files}
+    return source_of(path, arrays)
 
 
 # --- MATLAB ---
 
 
 def open_matlab(path: str, part: str, reading: Reading) -> Source:
-    """Open a MATLAB file before version 7.3: vectors, columns of matrices, fields of structs.
-
-    ``FILE::run.first`` is one struct.
-
-    Raises
-    ------
-    InputError
-        It is damaged, holds no columns of numbers, or has no such struct.
-    """
+    """Open a MATLAB file before version 7.3: vectors, and columns of matrices (InputError)."""
     import scipy.io
 
+    _refuse_part(path, part)
     with fenced(path, "MATLAB"):
         try:
-            stored = scipy.io.loadmat(path, simplify_cells=True)
+            stored = scipy.io.loadmat(path, squeeze_me=True, struct_as_record=False)
         except (IndexError, EOFError):
             raise ValueError("it ends early") from None
-    top: dict[str, Any] = {}
-    for name, value in stored.items():
-        if not name.startswith("__"):
-            top[name] = value
-    statements = _single_values(top)
-    struct: Any = top
-    for step in filter(None, part.replace("/", ".").split(".")):
-        struct = struct.get(step) if isinstance(struct, dict) else None
-        if not isinstance(struct, dict):
-            names = [name for name, value in top.items() if isinstance(value, dict)]
-            raise InputError(
-                f"{path}::{part}: there is no struct '{step}': it has {', '.join(names) or 'none'}"
-            )
-    groups = list(_structs(struct, part, 0))
-    found, hint = chosen_columns(path, groups, ".")
-    if not found:
-        advice = ""
-        if "__function_workspace__" in stored:
-            advice = "; MATLAB's own objects are not read: save vectors, save('run.mat', 't', 'voltage')"
-        held = [f"{name} ({type(value).__name__})" for name, value in struct.items()]
-        raise InputError(f"{_nothing(path, held)}{advice}")
-    nearest = choose(groups)[0][0].statements
-    source = LibrarySource(path, found, nearest or statements)
-    source.hint = hint
-    return source
-
-
-def _structs(struct: Mapping[str, Any], name: str, depth: int) -> Iterator[Group]:
-    """Return a struct and all structs in it."""
-    group = Group(name, depth, statements=_single_values(struct))
-    for key, value in struct.items():
-        if isinstance(value, np.ndarray):
-            unit = _text(struct.get(f"{key}_unit", struct.get(f"{key}_units")))
-            group.columns += array_columns(key, value, unit)
-    group.columns = without_single_values(group.columns)
-    yield group
-    for key, value in struct.items():
-        if isinstance(value, dict):
-            yield from _structs(value, f"{name}.{key}".lstrip("."), depth + 1)
-
-
-def _text(value: Any) -> str | None:
-    return value if isinstance(value, str) and value else None
+    arrays = {name: value for name, value in stored.items() if name[:2] != "__"}
+    advice = " (structs and objects are not read: save('run.mat', '-struct', 'NAME') saves the fields)"
+    return source_of(path, arrays, advice)
 
 
 # --- Parquet and Feather ---
 
 
-def open_arrow(path: str, part: str, reading: Reading) -> Source:
-    """Open a Parquet or Feather file, read in stretches of rows (InputError)."""
-    import polars as pl
+class ArrowSource(Source):
+    """The columns of a Parquet or Feather file, read in stretches of rows."""
 
-    _refuse_part(path, part)
-    with fenced(path, "Parquet or Feather"):
-        with open(path, "rb") as file:
-            is_parquet = file.read(4) == b"PAR1"
-        scan = pl.scan_parquet(path) if is_parquet else pl.scan_ipc(path)
-        schema = scan.collect_schema()
-        rows = int(scan.select(pl.len()).collect().item())
-    metadata = _parquet_metadata(path) if is_parquet else {}
-    units = metadata.pop("units", {})
-    found = []
-    for name, stored in schema.items():
-        if name == "__index_level_0__" and stored.is_integer():
-            continue  # pandas' row numbers
-        kind = "number"
-        if stored in (pl.Datetime, pl.Time):
-            kind = "stamp"
-        elif not stored.is_numeric() and stored not in (pl.Boolean, pl.Duration):
-            continue
-        unit = "s" if stored == pl.Duration else units.get(name)
-        label = "time" if name == "__index_level_0__" else name
-        found.append(Found(label, rows, _arrow_rows(path, scan, name), unit, kind))
-    if not found:
-        raise _nothing(path, [f"{name} ({stored})" for name, stored in schema.items()])
-    statements: list[Statement] = []
-    for key, value in metadata.items():
-        statements.append((key, value, str(metadata.get(f"{key}_unit", ""))))
-    return LibrarySource(path, found, statements)
+    def __init__(self, path: str) -> None:
+        import polars as pl
 
-
-def _arrow_rows(path: str, scan: Any, name: str) -> Fetch:
-    """Return what reads rows of a column; the last stretch is kept for the next rows."""
-    import polars as pl
-
-    @lru_cache(maxsize=1)
-    def stretch(number: int) -> Any:
+        self.name = path
+        self.columns = []
+        self.stated = clock_of(())
+        self.remarks = []
+        self._arrays: dict[int, NDArray[Any]] = {}
+        self._first = 1
         with fenced(path, "Parquet or Feather"):
-            part = scan.select(pl.col(name)).slice(number * STRETCH, STRETCH)
-            series = part.collect().to_series()
-        if series.dtype == pl.Datetime:  # in UTC, whatever zone it is shown in
-            return (
-                series.dt.cast_time_unit("ns")
-                .to_physical()
-                .fill_null(NOT_A_TIME)
-                .to_numpy()
-            )
-        if series.dtype == pl.Time:
-            return series.to_physical().fill_null(NOT_A_TIME).to_numpy()
-        if series.dtype == pl.Duration:
-            return series.dt.total_nanoseconds().to_numpy() / 1e9
-        return series.cast(pl.Float64).to_numpy()
+            with open(path, "rb") as file:
+                is_parquet = file.read(4) == b"PAR1"
+            self._scan = pl.scan_parquet(path) if is_parquet else pl.scan_ipc(path)
+            schema = self._scan.collect_schema()
+            self._rows = int(self._scan.select(pl.len()).collect().item())
+        for number, (name, stored) in enumerate(schema.items(), start=1):
+            kind = "text"
+            if stored in (pl.Datetime, pl.Time):
+                kind = "stamp"
+            elif stored.is_numeric() or stored == pl.Boolean:
+                kind = "number"
+            self.columns.append(Column(number, name, split_header(name)[1], kind))
 
-    def fetch(start: int, stop: int) -> Any:
-        pieces = []
-        for number in range(start // STRETCH, (stop - 1) // STRETCH + 1):
-            first = number * STRETCH
-            pieces.append(stretch(number)[max(0, start - first) : stop - first])
-        return np.concatenate(pieces)
+    def blocks(self, chosen: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
+        """Return all rows of the chosen columns; see ``Source``."""
+        names = [column.name for column in chosen]
+        for start in range(0, self._rows, STRETCH):
+            with fenced(self.name, "Parquet or Feather"):
+                frame = self._scan.select(names).slice(start, STRETCH).collect()
+                arrays = [_arrow_array(frame[name]) for name in names]
+            self._first = start + 1
+            for column, array in zip(chosen, arrays, strict=True):
+                self._arrays[column.number] = array
+            yield arrays
 
-    return fetch
+    def where(self, row: int, column: Column) -> str:
+        """Say where a row of the last block is, and what stands in a column of it."""
+        value = self._arrays[column.number][row - self._first]
+        return f"{self.name}: row {row}: {column.label} is {value}"
 
 
-def _parquet_metadata(path: str) -> dict[str, Any]:
-    """Return ``DataFrame.attrs`` as pandas stores them: ``units`` by column, a rate."""
-    import json
-
+def _arrow_array(series: Any) -> NDArray[Any]:
+    """Return a series as float64, or as int64 nanoseconds."""
     import polars as pl
 
-    with fenced(path, "Parquet"):
-        stored = pl.read_parquet_metadata(path)
-    try:
-        attributes = json.loads(stored.get("PANDAS_ATTRS", "{}"))
-    except ValueError:
-        return {}
-    if not isinstance(attributes, dict):
-        return {}
-    if not isinstance(attributes.get("units", {}), dict):
-        attributes["units"] = {}
-    return attributes
+    if series.dtype == pl.Datetime:  # in UTC, whatever zone it is shown in
+        series = series.dt.cast_time_unit("ns")
+    if series.dtype in (pl.Datetime, pl.Time):
+        stamps = series.to_physical().fill_null(NOT_A_TIME)
+        return np.asarray(stamps.to_numpy())
+    return np.asarray(series.cast(pl.Float64).to_numpy())
+
+
+def open_arrow(path: str, part: str, reading: Reading) -> Source:
+    """Open a Parquet or Feather file (InputError)."""
+    _refuse_part(path, part)
+    return ArrowSource(path)
 
 
 # --- Excel ---
 
 
 def open_excel(path: str, part: str, reading: Reading) -> Source:
-    """Open a workbook's only sheet with numbers, or ``FILE::SHEET`` (InputError).
+    """Open the only sheet of a workbook, or ``FILE::SHEET`` (InputError).
 
     The sheet becomes text with tabs, which is read as any text.
     """
-    from dbo_cli.logs.text import ByteStream, TextSource
+    from dbo_cli.logs.stream import ByteStream
+    from dbo_cli.logs.text import TextSource
 
     fastexcel = import_extra("fastexcel", "excel", path)
     with fenced(path, "a workbook"):
         book = fastexcel.read_excel(path)
         names = list(book.sheet_names)
-        if part and part not in names:
-            listed = ", ".join(f"'{name}'" for name in names)
+        if (part or len(names) > 1) and part not in names:
             raise InputError(
-                f"{path}: there is no sheet '{part}': the sheets are {listed}"
+                f"{path}: several sheets, {', '.join(names)}: type {path}::{names[0]}"
             )
-        texts = {}
-        for name in [part] if part else names:
-            text = _sheet_as_text(book, name)
-            if part or _has_numbers(text):
-                texts[name] = text
-    if len(texts) != 1:
-        listed = ", ".join(f"'{name}'" for name in texts) or "none"
-        example = next(iter(texts), names[0] if names else "SHEET")
-        raise InputError(
-            f"{path}: sheets that hold numbers: {listed}: which one? (write {path}::{example})"
-        )
-    stream = ByteStream(path, next(iter(texts.values())))
-    return TextSource(path, stream, replace(reading, delimiter="tab", encoding=None))
-
-
-def _has_numbers(text: bytes) -> bool:
-    """Tell whether a sheet has a row of two numbers or more among its first."""
-    for line in text.split(b"\n")[:200]:
-        filled = [cell for cell in line.split(b"\t") if cell]
-        numbers = [cell for cell in filled if _is_number(cell)]
-        if len(numbers) > 1 or (numbers and len(filled) == 1):
-            return True
-    return False
-
-
-def _is_number(cell: bytes) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
+        content = _sheet_as_text(book, part or names[0])
+    stream = ByteStream(path, content)
+    return TextSource(stream, replace(reading, delimiter="tab", encoding=None))
 
 
 def _sheet_as_text(book: Any, name: str) -> bytes:
@@ -568,19 +403,10 @@ def _sheet_as_text(book: Any, name: str) -> bytes:
     exact = book.load_sheet(name, dtypes="float", **plain).to_polars()
     columns = []
     for text, number in zip(shown.get_columns(), exact.get_columns(), strict=True):
-        frame = pl.DataFrame({"text": text, "number": number})
-        is_date = pl.col("text").str.contains(r"^\d{4}-\d\d-\d\d")
-        is_number = pl.col("number").is_not_null() & ~is_date
-        words = pl.col("text").str.replace_all(r"[\t\r\n]", " ")
-        words = words.str.replace(
-            r"^1899-12-3[01] ", ""
-        )  # a time of day without a date
-        cell = (
-            pl.when(is_number).then(pl.col("number").cast(pl.String)).otherwise(words)
-        )
-        columns.append(frame.select(cell.alias(text.name)).to_series())
-    if not columns:
-        return b""
+        words = text.str.replace_all(r"[\t\r\n]", " ")
+        figures = number.cast(pl.String).fill_null(words)
+        is_date = text.str.contains(r"^\d{4}-\d\d-\d\d").fill_null(False)
+        columns.append(figures.zip_with(~is_date, words))
     table = pl.DataFrame(columns)
     written: str = table.write_csv(
         include_header=False, separator="\t", quote_style="never"
@@ -601,12 +427,14 @@ def open_tdms(path: str, part: str, reading: Reading) -> Source:
             groups = [group for group in file.groups() if part in ("", group.name)]
             found, statements = _channels(groups)
         if not found:
-            held = [group.name for group in file.groups()]
-            raise _nothing(f"{path}::{part}" if part else path, held)
+            raise no_columns(path, [f"::{group.name}" for group in file.groups()])
     except BaseException:
         stream.close()
         raise
-    return LibrarySource(path, found, statements, stream.close)
+    source = ArraySource(path, found, statements, stream.close)
+    if len(groups) > 1:
+        source.hint = f" (or one group alone: {path}::{groups[0].name})"
+    return source
 
 
 def _channels(groups: Sequence[Any]) -> tuple[list[Found], list[Statement]]:
@@ -642,22 +470,19 @@ _BY_MAGIC: dict[bytes, Reader] = {
     b"ARROW1": open_arrow,
     b"TDSm": open_tdms,
 }
-_REFUSED = {
-    b"\x80\x02": PICKLES,
-    b"\x80\x03": PICKLES,
-    b"\x80\x04": PICKLES,
-    b"\x80\x05": PICKLES,
-    b"CDF": "netCDF-3 is not read: make it netCDF-4 (nccopy -k nc4 IN OUT), which is HDF5",
-    b"FEA1": "Feather version 1 is not read: df.to_feather() of today writes version 2",
-    b"SQLite format 3": "data bases are not read: export the table as CSV",
-}
+_PICKLES = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")
+_PICKLED = "Python pickles are not read (they can run code): df.to_parquet(), or dbo.identify(df)"
 _JSON = "JSON is not read: pandas.read_json(FILE).to_csv(OUT, index=False)"
-_REFUSED_SUFFIXES = {
-    ".pkl": PICKLES,
-    ".pickle": PICKLES,
+_EXPORT = "this format is not read: export it as CSV"
+_REFUSED = {
+    ".pkl": _PICKLED,
+    ".pickle": _PICKLED,
     ".json": _JSON,
     ".jsonl": _JSON,
-    ".uff": "universal files are not read: export it as CSV",
-    ".unv": "universal files are not read: export it as CSV",
-    ".itx": "Igor text is not read: Save/J writes columns with tabs",
+    ".uff": _EXPORT,
+    ".unv": _EXPORT,
+    ".itx": _EXPORT,
+    ".h5": "this is no HDF5 file: write it again, or look at its name",
+    ".hdf5": "this is no HDF5 file: write it again, or look at its name",
 }
+"""By suffix, what to do with a file of a format that is not read."""

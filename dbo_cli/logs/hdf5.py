@@ -7,47 +7,29 @@ because a file says so. MATLAB's files of version 7.3 and netCDF-4 are HDF5, too
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
-from dbo_cli.errors import InputError
+from dbo_cli.errors import InputError, warn
 from dbo_cli.logs.cells import stamp_format, to_stamp
-from dbo_cli.logs.formats import (
-    Found,
-    Group,
-    LibrarySource,
-    Statement,
-    choose,
-    chosen_columns,
-    fenced,
-    without_single_values,
-)
-from dbo_cli.logs.headers import is_clock_key
-from dbo_cli.logs.source import Column, Fetch, Reading, Source
+from dbo_cli.logs.formats import ArraySource, Fetch, Found, fenced, no_columns
+from dbo_cli.logs.headers import Statement, is_clock_setting
+from dbo_cli.logs.source import Column, Reading, Source
 
 MOST_HOPS = 16  # soft links behind each other; more are a circle
 MOST_MEMBERS = 20_000  # that are looked at: some seconds
-LONGEST_STAMP = 80  # bytes of a text that may be a date and a time
 CHUNK_CACHE = (
-    1 << 25
+    1 << 22
 )  # bytes a dataset: a compressed chunk is unpacked once, not once a block
-_UNITS = ("units", "unit", "Units", "Unit")
-_NAMES = ("columns", "column_names", "names", "channels", "labels")
-_UNUSED = (
-    "offset",
-    "gain",
-    "factor",
-    "sensitivity",
-    "calibration",
-    "conversion_factor",
-)
+_NOT_APPLIED = ("scale", "offset", "gain", "factor", "sensitivity", "calibration")
 _MATLAB_NUMBERS = ("double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16",
-                   "uint32", "uint64", "logical", "")  # fmt: skip
-_OBJECTS = "; MATLAB's own objects are not read: save vectors, save('run.mat', 't', 'voltage', '-v7.3')"
+                   "uint32", "uint64", "logical")  # fmt: skip
+_EMPTY_DIMENSION = "This is a netCDF dimension but not a netCDF variable"
 
 
 def open_hdf5(path: str, part: str, reading: Reading) -> Source:
@@ -70,399 +52,332 @@ def open_hdf5(path: str, part: str, reading: Reading) -> Source:
         raise
 
 
-class Hdf5Source(LibrarySource):
+@dataclass
+class _Group:
+    """A group by its path from the part that is read, and what stands in it."""
+
+    path: str
+    columns: list[Found] = field(default_factory=list)
+    statements: list[Statement] = field(default_factory=list)
+
+    @property
+    def depth(self) -> int:
+        return self.path.count("/") + bool(self.path)
+
+
+class Hdf5Source(ArraySource):
     """The columns of an HDF5 file."""
 
     def __init__(self, path: str, part: str, file: Any) -> None:
-        self._file = _Tree(path, file)
-        node = self._file.node(file, part or "/")
+        node = _node(path, file, part)
         if node is None:
             raise InputError(
-                f"{path}::{part}: there is no '{part}': it has {self._file.listed()}"
+                f"{path}::{part}: no such part; the file has {_listed(file)}"
             )
         self._node = node
-        groups = self._groups(node)
-        found, hint = chosen_columns(path, groups, "/")
-        if not found:
-            place = f"{path}::{part}" if part else path
-            raise InputError(
-                f"{place}: no columns of numbers: it has {self._file.listed()}"
-            )
-        level = choose(groups)[0][0]
-        statements = level.statements or self._stated_above(part, level)
-        super().__init__(path, found, statements, file.close, self._file.remarks)
-        self.hint = hint
+        if isinstance(node, h5py.Dataset):
+            name = node.name.rsplit("/", 1)[-1]
+            groups = [_Group("", columns_of(node, name), _attributes(node))]
+        else:
+            groups = list(_groups(path, node, "", set()))
+        chosen = _holding(groups)
+        if not chosen:
+            raise no_columns(path, [_listed(file)])
+        found: list[Found] = []
+        for group in chosen:
+            for column in group.columns:
+                prefix = f"{group.path}/" if len(chosen) > 1 else ""
+                found.append(replace(column, name=prefix + column.name))
+        statements = chosen[0].statements or _stated_above(node, chosen[0].path)
+        super().__init__(path, found, statements, file.close)
+        if len(chosen) > 1:
+            self.hint = f" (or one group alone: {path}::{chosen[0].path})"
 
     def find(self, name: str) -> Column | None:
         """Return the column that a dataset's path names, from the part that is read or from the top."""
-        for base in (self._node, self._node.file["/"]):
-            if isinstance(base, h5py.Group):
-                node = self._file.node(base, name)
-                found = self._file.columns(node, name) if _is_dataset(node) else []
+        for base in (self._node, self._node.file):
+            node = (
+                _node(self.name, base, name) if isinstance(base, h5py.Group) else None
+            )
+            if isinstance(node, h5py.Dataset):
+                found = columns_of(node, name)
                 if len(found) == 1:
                     return self.add(found[0])
         return None
 
-    def _groups(self, node: Any) -> list[Group]:
-        if _is_dataset(node):
-            group = Group("", 0, statements=_statements(node))
-            group.columns = self._file.columns(node, node.name.rsplit("/", 1)[-1])
-            return [group]
-        return list(self._file.groups(node, "", 0, set()))
+    def blocks(self, chosen: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
+        """Return all rows of the chosen columns; see ``Source``."""
+        for column in chosen:
+            for warning in self._found[column.number - 1].warnings:
+                warn(f"{self.name}: {column.label} {warning}")
+        yield from super().blocks(chosen)
 
-    def _stated_above(self, part: str, level: Group) -> list[Statement]:
-        """Return what the nearest level above the columns states."""
-        top = self._node.parent if _is_dataset(self._node) else self._node
-        node = self._file.node(top, level.path) if level.path else top
-        while node is not None:
-            stated = self._file.statements(node)
-            if stated or node.name == "/":
-                return stated
-            node = node.parent
+
+def _node(path: str, base: Any, inner: str, hops: int = 0) -> Any:
+    """Return the group or dataset at an inner path, or None.
+
+    Raises
+    ------
+    InputError
+        The inner path leads to another file.
+    """
+    node = base.file if inner.startswith("/") else base
+    steps = [step for step in inner.split("/") if step not in ("", ".")]
+    for number, step in enumerate(steps):
+        link = node.get(step, getlink=True) if isinstance(node, h5py.Group) else None
+        if isinstance(link, h5py.ExternalLink):
+            raise InputError(
+                f"{path}: '{inner}' links to another file: type {link.filename}"
+            )
+        if isinstance(link, h5py.SoftLink):
+            rest = "/".join([link.path, *steps[number + 1 :]])
+            return None if hops >= MOST_HOPS else _node(path, node, rest, hops + 1)
+        if link is None:
+            return None
+        node = node[step]
+    return node
+
+
+def _groups(path: str, group: Any, inner: str, seen: set[int]) -> Iterator[_Group]:
+    """Return a group and all groups below it, each with its columns."""
+    address = h5py.h5o.get_info(group.id).addr
+    if address in seen:
+        return  # a circle of hard links
+    seen.add(address)
+    found = _Group(inner, statements=_attributes(group))
+    below = []
+    for name in group:
+        seen.add(-len(seen))
+        if len(seen) > MOST_MEMBERS:
+            raise InputError(
+                f"{path}: more than {MOST_MEMBERS:,} members: type {path}::/GROUP"
+            )
+        is_external = isinstance(group.get(name, getlink=True), h5py.ExternalLink)
+        if name.startswith("#") or is_external:
+            continue  # MATLAB's book-keeping, or another file
+        node = _node(path, group, name)
+        if isinstance(node, h5py.Group):
+            below.append((name, node))
+        elif isinstance(node, h5py.Dataset) and node.size == 1:
+            found.statements += _single_value(node, name)
+        elif isinstance(node, h5py.Dataset):
+            found.columns += columns_of(node, name)
+            found.statements += _attributes(node)
+    yield found
+    for name, node in below:
+        yield from _groups(path, node, f"{inner}/{name}".lstrip("/"), seen)
+
+
+def _holding(groups: Sequence[_Group]) -> list[_Group]:
+    """Return the shallowest groups with columns; of several the only one that has more than one column."""
+    holding = [group for group in groups if group.columns]
+    depth = min([group.depth for group in holding], default=0)
+    holding = [group for group in holding if group.depth == depth]
+    wide = [group for group in holding if len(group.columns) > 1]
+    return wide if len(wide) == 1 else holding
+
+
+def columns_of(dataset: Any, name: str) -> list[Found]:
+    """Take a dataset apart into columns; none where it holds no numbers or stamps."""
+    if not dataset.size or not _holds_numbers(dataset):
+        return []
+    if dataset.is_virtual or dataset.external:
+        return [Found(name, len(dataset), _refusing(name))]
+    kind, shape = dataset.dtype, dataset.shape
+    if kind.names is not None and len(shape) == 1:
+        return _fields(dataset)
+    if h5py.check_string_dtype(kind) is not None and len(shape) == 1:
+        return _stamps(dataset, name, len(dataset))
+    if kind.kind not in "fiub" or len(shape) not in (1, 2):
+        return []
+    if len(shape) == 1:
+        return [_column(dataset, name, 0, len(dataset), _vector_rows(dataset))]
+    is_matlab = "MATLAB_class" in dataset.attrs  # it stores matrices transposed
+    along = 0 if shape[0] > shape[1] or (shape[0] == shape[1] and not is_matlab) else 1
+    width = shape[1 - along]
+    labels = _texts(dataset, "columns", "column_names", "names", "channels", "labels")
+    if len(labels) != width:
+        labels = [f"{name}[{number + 1}]" for number in range(width)]
+    if width == 1:
+        labels = [name]
+    found = []
+    for number, label in enumerate(labels):
+        rows = _matrix_rows(dataset, along, number)
+        found.append(_column(dataset, label, number, shape[along], rows))
+    return found
+
+
+def _column(dataset: Any, name: str, number: int, length: int, rows: Fetch) -> Found:
+    """Return a column with its unit; packed numbers are unpacked as netCDF says."""
+    factor = _number(dataset, "scale_factor")
+    shift = _number(dataset, "add_offset")
+    missing = [_number(dataset, key) for key in ("_FillValue", "missing_value")]
+
+    def unpacked(start: int, stop: int) -> Any:
+        stored = np.asarray(rows(start, stop), dtype=np.float64)
+        values = stored * (1.0 if factor is None else factor) + (shift or 0.0)
+        for value in missing:
+            if value is not None:
+                values[stored == value] = np.nan
+        return values
+
+    is_plain = factor is None and shift is None and missing == [None, None]
+    warnings = []
+    for key in _NOT_APPLIED:
+        value = _number(dataset, key)
+        if value not in (None, 0.0 if key == "offset" else 1.0):
+            warnings.append(
+                f"has an attribute {key}, {value:g}, which is not applied (`scale`)"
+            )
+    units = _texts(dataset, "units", "unit", "Units", "Unit")
+    if len(units) == 1:
+        units = units * (number + 1)
+    unit = units[number] if number < len(units) else None
+    fetch = rows if is_plain else unpacked
+    return Found(name, length, fetch, unit, warnings=tuple(warnings))
+
+
+def _fields(dataset: Any) -> list[Found]:
+    found = []
+    for number, name in enumerate(dataset.dtype.names):
+        kind, length = dataset.dtype[name], len(dataset)
+        if kind.kind in "fiub" and not kind.shape:
+            rows = _vector_rows(dataset.fields(name))
+            found.append(_column(dataset, name, number, length, rows))
+        elif h5py.check_string_dtype(kind) is not None:
+            found += _stamps(dataset.fields(name), name, length)
+    return found
+
+
+def _stamps(dataset: Any, name: str, length: int) -> list[Found]:
+    """Take texts as time stamps, if they are."""
+    first = [_plain(cell).strip() for cell in dataset[:20]]
+    form = stamp_format([(cell, 1.0) for cell in first])
+    if form is None:
         return []
 
+    def fetch(start: int, stop: int) -> Any:
+        cells = [_plain(cell).strip() for cell in dataset[start:stop]]
+        return np.array([to_stamp(cell, form) for cell in cells], dtype=np.int64)
 
-class _Tree:
-    """The groups and datasets of a file, with links checked before they are followed."""
-
-    def __init__(self, path: str, file: Any) -> None:
-        self.path = path
-        self.file = file
-        self.remarks: list[str] = []
-        self._seen = 0
-
-    def node(self, base: Any, path: str, hops: int = 0) -> Any:
-        """Return the group or dataset at a path, or None.
-
-        Raises
-        ------
-        InputError
-            The path leads to another file.
-        """
-        node = self.file["/"] if path.startswith("/") else base
-        steps = [step for step in path.split("/") if step not in ("", ".")]
-        for number, step in enumerate(steps):
-            if not isinstance(node, h5py.Group) or step not in node.keys():
-                return None
-            link = node.get(step, getlink=True)
-            if isinstance(link, h5py.ExternalLink):
-                raise InputError(
-                    f"{self.path}: '{path}' leads to another file, {link.filename}: read that file itself"
-                )
-            if isinstance(link, h5py.SoftLink):
-                rest = "/".join([link.path, *steps[number + 1 :]])
-                return None if hops >= MOST_HOPS else self.node(node, rest, hops + 1)
-            node = node[step]
-        return node
-
-    def groups(
-        self, group: Any, path: str, depth: int, seen: set[Any]
-    ) -> Iterator[Group]:
-        """Return a group and all groups below it, each with its columns."""
-        address = h5py.h5o.get_info(group.id).addr
-        if address in seen:
-            return  # a circle of hard links
-        seen.add(address)
-        if "pandas_type" in group.attrs:
-            raise InputError(
-                f"{self.path}: pandas' to_hdf wrote it: df.to_parquet(OUT), or dbo.identify(df)"
-            )
-        found = Group(path, depth, statements=self.statements(group))
-        below = []
-        for name, node in self._members(group):
-            if _is_dataset(node):
-                beside = _stored_text(_own_member(group, f"{name}_unit"))
-                for column in self.columns(node, name):
-                    found.columns.append(replace(column, unit=column.unit or beside))
-                if node.size and node.size > 1:
-                    found.statements += _statements(node)
-            elif isinstance(node, h5py.Group):
-                below.append((name, node))
-        found.columns = without_single_values(found.columns)
-        yield found
-        for name, node in below:
-            yield from self.groups(node, f"{path}/{name}".lstrip("/"), depth + 1, seen)
-
-    def _members(self, group: Any) -> Iterator[tuple[str, Any]]:
-        for name in group:
-            self._seen += 1
-            if self._seen > MOST_MEMBERS:
-                raise InputError(
-                    f"{self.path}: more than {MOST_MEMBERS:,} members: say which group is meant "
-                    f"({self.path}::/GROUP)"
-                )
-            if name.startswith("#"):
-                continue  # MATLAB's book-keeping
-            if isinstance(group.get(name, getlink=True), h5py.ExternalLink):
-                self.remarks.append(
-                    f"the link '{name}' leads to another file and is not followed"
-                )
-                continue
-            node = self.node(group, name)
-            if node is not None:
-                yield name, node
-
-    def statements(self, group: Any) -> list[Statement]:
-        """Return what a group's attributes and single values state of the sample rate."""
-        stated = _statements(group)
-        for name in group:
-            node: Any = _own_member(group, name) if is_clock_key(name) else None
-            if _is_dataset(node) and node.size == 1 and not _leads_out(node):
-                value = np.ravel(node[()])[0]
-                stated.append((name, _plain(value), _attribute_text(node, _UNITS)))
-        return stated
-
-    def columns(self, dataset: Any, name: str) -> list[Found]:
-        """Take a dataset apart into columns; none where it holds no numbers or stamps."""
-        kind, shape = dataset.dtype, dataset.shape
-        if not dataset.size or not _holds_numbers(dataset):
-            return []
-        if _leads_out(dataset):
-            length = shape[0] if shape else 1
-            return [Found(name, length, self._refusing(name))]
-        if kind.names is not None:
-            return self._fields(dataset, name) if len(shape) == 1 else []
-        if h5py.check_string_dtype(kind) is not None and len(shape) == 1:
-            return self._stamps(dataset, name)
-        if kind.kind not in "fiub" or len(shape) not in (0, 1, 2):
-            return []
-        if not shape:
-            return [Found(name, 1, lambda start, stop: np.ravel(dataset[()]))]
-        axis = _time_axis(dataset)
-        width = dataset.size // shape[axis]
-        found = []
-        for number, label in enumerate(_labels(dataset, name, width)):
-            fetch = self._scaled(dataset, label, number, _rows(dataset, axis, number))
-            found.append(Found(label, shape[axis], fetch, _unit(dataset, number)))
-        return found
-
-    def listed(self) -> str:
-        """Return the datasets of the file for a message, and why MATLAB's objects are none."""
-        names: list[str] = []
-        has_objects = "#subsystem#" in self.file
-
-        def visit(name: str, node: Any) -> bool | None:
-            if _is_dataset(node) and not name.startswith("#"):
-                names.append(
-                    f"/{name} ({'x'.join(map(str, node.shape or ()))} {node.dtype})"
-                )
-            return True if len(names) > 8 else None
-
-        self.file.visititems(visit)
-        return (", ".join(names) or "nothing") + (_OBJECTS if has_objects else "")
-
-    def _refusing(self, name: str) -> Fetch:
-        def fetch(start: int, stop: int) -> Any:
-            raise InputError(
-                f"{self.path}: the data of '{name}' lie in other files (virtual or external storage): "
-                "read those, or copy them into one file (h5repack)"
-            )
-
-        return fetch
-
-    def _fields(self, dataset: Any, name: str) -> list[Found]:
-        found = []
-        for number, field in enumerate(dataset.dtype.names):
-            kind, length = dataset.dtype[field], len(dataset)
-            rows = _field_rows(dataset, field)
-            if kind.kind in "fiub" and not kind.shape:
-                found.append(Found(field, length, rows, _unit(dataset, number)))
-            elif h5py.check_string_dtype(kind) is not None:
-                found += self._stamps(dataset.fields(field), field, length)
-        return found
-
-    def _stamps(
-        self, dataset: Any, name: str, length: int | None = None
-    ) -> list[Found]:
-        """Take texts as time stamps, if they all are."""
-        shape = len(dataset) if length is None else length
-        first = [_plain(cell).strip() for cell in dataset[:20]]
-        if any(len(cell) > LONGEST_STAMP for cell in first):
-            return []
-        form = stamp_format([(cell, 1.0) for cell in first])
-        if form is None:
-            return []
-
-        def fetch(start: int, stop: int) -> Any:
-            cells = [_plain(cell).strip() for cell in dataset[start:stop]]
-            return np.array([to_stamp(cell, form) for cell in cells], dtype=np.int64)
-
-        return [Found(name, shape, fetch, None, "stamp")]
-
-    def _scaled(self, dataset: Any, name: str, number: int, rows: Fetch) -> Fetch:
-        """Apply ``scale_factor``, ``add_offset`` (or a lone ``scale``) and fill values."""
-        factor = _attribute_number(dataset, "scale_factor", number)
-        shift = _attribute_number(dataset, "add_offset", number)
-        scale = _attribute_number(dataset, "scale", number)
-        if factor is None and scale not in (None, 0.0, 1.0):
-            if _attribute_number(dataset, "offset", number):
-                return self._unclear(name)
-            factor = scale
-            self.remarks.append(
-                f"column '{name}' is multiplied by its attribute scale, {scale:g}"
-            )
-        for key in _UNUSED:
-            value = _attribute_number(dataset, key, number)
-            if value not in (None, 0.0 if key == "offset" else 1.0):
-                self.remarks.append(
-                    f"column '{name}' has an attribute {key}, {value:g}, which is not applied"
-                )
-        fills = [
-            _attribute_number(dataset, key, number)
-            for key in ("_FillValue", "missing_value")
-        ]
-        missing = [value for value in fills if value is not None]
-        if factor is None and shift is None and not missing:
-            return rows
-
-        def fetch(start: int, stop: int) -> Any:
-            stored = np.asarray(rows(start, stop), dtype=np.float64)
-            values = stored * (1.0 if factor is None else factor) + (shift or 0.0)
-            values[np.isin(stored, missing)] = np.nan
-            return values
-
-        return fetch
-
-    def _unclear(self, name: str) -> Fetch:
-        def fetch(start: int, stop: int) -> Any:
-            raise InputError(
-                f"{self.path}: column '{name}' has the attributes scale and offset, and nothing says which "
-                "applies first: write scale_factor and add_offset (value * scale_factor + add_offset)"
-            )
-
-        return fetch
+    return [Found(name, length, fetch, None, "stamp")]
 
 
-# --- what a dataset says ---
+def _vector_rows(dataset: Any) -> Fetch:
+    return lambda start, stop: dataset[start:stop]
 
 
-def _is_dataset(node: Any) -> bool:
-    return isinstance(node, h5py.Dataset)
+def _matrix_rows(dataset: Any, along: int, number: int) -> Fetch:
+    if along == 0:
+        return lambda start, stop: dataset[start:stop, number]
+    return lambda start, stop: dataset[number, start:stop]
 
 
-def _own_member(group: Any, name: str) -> Any:
-    """Return what a group holds itself, not behind a link, or None."""
-    is_own = group.get(name, getclass=True, getlink=True) is h5py.HardLink
-    return group[name] if is_own else None
+def _refusing(name: str) -> Fetch:
+    def fetch(start: int, stop: int) -> Any:
+        raise InputError(
+            f"'{name}' is stored in other files: copy them into one file with h5repack"
+        )
+
+    return fetch
 
 
-def _stored_text(node: Any) -> str | None:
-    """Return a text of MATLAB's, which is a short array of character codes."""
-    if not _is_dataset(node) or _attribute_text(node, ("MATLAB_class",)) != "char":
-        return None
-    if _leads_out(node) or not 0 < node.size <= LONGEST_STAMP:
-        return None
-    return "".join(chr(int(code)) for code in np.ravel(node[()]))
+# --- what a node says ---
 
 
-def _leads_out(dataset: Any) -> bool:
-    """Tell whether the data lie in other files."""
-    return bool(dataset.is_virtual or dataset.external)
+def _listed(file: Any) -> str:
+    """Return the datasets of the file for a message."""
+    names: list[str] = []
+
+    def visit(name: str, node: Any) -> bool | None:
+        if isinstance(node, h5py.Dataset) and not name.startswith("#"):
+            shape = "x".join(map(str, node.shape or ()))
+            names.append(f"/{name} ({shape} {node.dtype})")
+        return True if len(names) > 8 else None
+
+    file.visititems(visit)
+    return ", ".join(names) or "nothing"
+
+
+def _holds_numbers(dataset: Any) -> bool:
+    """Leave out what only looks like numbers: MATLAB's text and objects, netCDF's bare dimensions."""
+    name = _texts(dataset, "NAME")
+    if name and name[0].startswith(_EMPTY_DIMENSION):
+        return False
+    matlab = _texts(dataset, "MATLAB_class")
+    is_number = not matlab or matlab[0] in _MATLAB_NUMBERS
+    return is_number and "MATLAB_empty" not in dataset.attrs
 
 
 def _plain(value: Any) -> Any:
     """Return a text as str, and a number as Python's."""
     if isinstance(value, bytes):
-        try:
-            return value.decode()
-        except UnicodeDecodeError:
-            return value.decode("latin-1")
+        return value.decode("utf-8", "replace")
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _attribute(node: Any, *names: str) -> Any:
-    for name in names:
-        if name in node.attrs:
-            try:
-                return node.attrs[name]
-            except UnicodeDecodeError:  # Latin-1 in a type that claims UTF-8
-                return node.attrs.get_id(name).asstr("latin-1")
-    return None
-
-
-def _texts(value: Any) -> list[str]:
-    """Return an attribute as texts; a text with commas is a list."""
+def _attribute(node: Any, name: str) -> Any:
+    """Return an attribute as a flat list of texts and numbers; empty where there is none."""
+    try:
+        value = node.attrs.get(name)
+    except UnicodeDecodeError:  # Latin-1 in a type that claims UTF-8
+        value = node.attrs.get_id(name).asstr("latin-1")
     if value is None or isinstance(value, h5py.Empty):
         return []
-    texts = [str(_plain(one)).strip() for one in np.ravel(value)]
-    if len(texts) == 1 and "," in texts[0]:
-        return [text.strip() for text in texts[0].split(",")]
-    return texts
+    return [_plain(part) for part in np.ravel(value)]
 
 
-def _attribute_text(node: Any, names: tuple[str, ...]) -> str:
-    texts = _texts(_attribute(node, *names))
-    return texts[0] if len(texts) == 1 else ""
+def _texts(node: Any, *names: str) -> list[str]:
+    """Return the first of several attributes as texts; a text with commas is a list."""
+    for name in names:
+        texts = [str(part).strip() for part in _attribute(node, name)]
+        if len(texts) == 1:
+            return [text.strip() for text in texts[0].split(",")]
+        if texts:
+            return texts
+    return []
 
 
-def _attribute_number(node: Any, name: str, number: int) -> float | None:
-    """Return a number of an attribute; of a list the one of a column."""
-    value = _attribute(node, name)
-    if value is None or isinstance(value, h5py.Empty):
-        return None
-    values = np.ravel(value)
-    if values.dtype.kind not in "fiu" or number >= len(values) > 1 or not len(values):
-        return None
-    return float(values[number if len(values) > 1 else 0])
+def _number(node: Any, name: str) -> float | None:
+    values = _attribute(node, name)
+    is_single = len(values) == 1 and isinstance(values[0], int | float)
+    return float(values[0]) if is_single else None
 
 
-def _unit(dataset: Any, number: int) -> str | None:
-    """Return the unit of a column; a list of units belongs to the columns in order."""
-    units = _texts(_attribute(dataset, *_UNITS))
-    if len(units) == 1:
-        return units[0]
-    return units[number] if number < len(units) else None
-
-
-def _statements(node: Any) -> list[Statement]:
+def _attributes(node: Any) -> list[Statement]:
     """Return what attributes state of the sample rate."""
     stated: list[Statement] = []
     for key in node.attrs:
-        if is_clock_key(key):
-            values = np.ravel(_attribute(node, key))
-            unit = _attribute_text(node, (f"{key}_units", f"{key}_unit"))
-            if len(values) == 1:
-                stated.append((key, _plain(values[0]), unit))
+        values = _attribute(node, key) if is_clock_setting(key) else []
+        if len(values) == 1:
+            unit = _texts(node, f"{key}_units", f"{key}_unit")
+            stated.append((key, values[0], "".join(unit)))
     return stated
 
 
-def _holds_numbers(dataset: Any) -> bool:
-    """Leave out what only looks like numbers: MATLAB's text and objects, netCDF's bare dimensions."""
-    if _attribute_text(dataset, ("NAME",)).startswith(
-        "This is a netCDF dimension but not"
-    ):
-        return False
-    if _attribute_text(dataset, ("MATLAB_class",)) not in _MATLAB_NUMBERS:
-        return False
-    return "MATLAB_empty" not in dataset.attrs
+def _single_value(node: Any, name: str) -> list[Statement]:
+    if not is_clock_setting(name) or node.is_virtual or node.external:
+        return []
+    unit = _texts(node, "units", "unit")
+    return [(name, _plain(np.ravel(node[()])[0]), "".join(unit))]
 
 
-def _time_axis(dataset: Any) -> int:
-    """Return the longer axis; MATLAB stores matrices transposed, so a square one runs the other way."""
-    shape = dataset.shape
-    if len(shape) == 1 or shape[0] > shape[1]:
-        return 0
-    if shape[0] == shape[1]:
-        return 1 if "MATLAB_class" in dataset.attrs else 0
-    return 1
+def _stated_above(node: Any, inner: str) -> list[Statement]:
+    """Return what the nearest group above the columns states."""
+    top = node if isinstance(node, h5py.Group) else node.parent
+    place = _node("", top, inner)
+    while place is not None:
+        stated = _attributes(place)
+        for name in place:
+            member = _own_member(place, name) if is_clock_setting(name) else None
+            if isinstance(member, h5py.Dataset) and member.size == 1:
+                stated += _single_value(member, name)
+        if stated or place.name == "/":
+            return stated
+        place = place.parent
+    return []
 
 
-def _labels(dataset: Any, name: str, width: int) -> list[str]:
-    if width == 1:
-        return [name]
-    names = _texts(_attribute(dataset, *_NAMES))
-    if len(names) == width:
-        return names
-    return [f"{name}[{number}]" for number in range(1, width + 1)]
-
-
-def _rows(dataset: Any, axis: int, number: int) -> Fetch:
-    if len(dataset.shape) == 1:
-        return lambda start, stop: dataset[start:stop]
-    if axis == 0:
-        return lambda start, stop: dataset[start:stop, number]
-    return lambda start, stop: dataset[number, start:stop]
-
-
-def _field_rows(dataset: Any, field: str) -> Fetch:
-    return lambda start, stop: dataset.fields(field)[start:stop]
+def _own_member(group: Any, name: str) -> Any:
+    is_own = group.get(name, getclass=True, getlink=True) is h5py.HardLink
+    return group[name] if is_own else None

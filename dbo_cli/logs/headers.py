@@ -8,11 +8,13 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.cells import is_number, split_cells
+from dbo_cli.logs.cells import is_number, split_cells, to_number
+from dbo_cli.logs.source import StatedClock
 from dbo_cli.units import conversion, split_header, time_unit
+
+Statement = tuple[str, object, str]  # what a file states: key, value, unit
 
 # keys without blanks and signs, in lower case
 RATES = frozenset(
@@ -25,12 +27,13 @@ STEPS = frozenset(
     "deltat deltax timeincrement tinterval xincrement xinc tinc increment abtastintervall abtastzeit "
     "abtastperiode timeinterval timeresolution hresolution".split()
 )
-STARTS = frozenset("x0 hoffset xorg t0 start xorigin".split())
+STARTS = frozenset("x0 hoffset xorg t0 start xorigin tstart wfstartoffset".split())
 NAME_KEYS = frozenset("tracename name source channelname label".split())
 UNIT_KEYS = frozenset(
     "vunit yunitlabel verticalunits verticalunit unit units yunits yunit".split()
 )
 TIME_UNIT_KEYS = frozenset("hunit horizontalunits horizontalunit xunits xunit".split())
+_IN_TIME_UNIT = ("xinc", "hresolution", "xincrement")
 _BARE = {"rate": "rate", "sampling": "rate", "interval": "step"}  # with a unit only
 _HERTZ = frozenset(
     "hz hertz s/s sa/s sps samples/s sample/s samples/sec samples/second scans/s 1/s s^-1 s-1 /s fps "
@@ -50,16 +53,6 @@ _AMOUNT = re.compile(r"([-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?)\s*([^\d,;
 _THOUSANDS = re.compile(r"[1-9]\d{0,2},\d{3}\D*")
 
 
-@dataclass
-class StatedClock:
-    """What the settings say of the clock: a rate (Hz) or why it cannot be used, and a start (s)."""
-
-    rate: float | None = None
-    problem: str = ""
-    start: float = 0.0
-    remarks: list[str] = field(default_factory=list)
-
-
 def plain_key(key: str) -> str:
     """Return a key without blanks, signs and capitals: ``Sample Interval`` is ``sampleinterval``."""
     return re.sub(r"[\s_\-.]+", "", key).lower()
@@ -70,6 +63,11 @@ def is_clock_key(key: str) -> bool:
     return _kind_of(key)[0] != ""
 
 
+def is_clock_setting(key: str) -> bool:
+    """Return whether a key states a rate, a step or the time of the first row."""
+    return is_clock_key(key) or plain_key(key) in STARTS
+
+
 def is_channel_key(key: str) -> bool:
     """Return whether a line with this key has the names or the units of the channels."""
     return plain_key(key) in NAME_KEYS | UNIT_KEYS | TIME_UNIT_KEYS
@@ -77,7 +75,7 @@ def is_channel_key(key: str) -> bool:
 
 def is_setting(key: str) -> bool:
     """Return whether a line that begins with a key is a setting and no row."""
-    return is_channel_key(key) or is_clock_key(key) or plain_key(key) in STARTS
+    return is_channel_key(key) or is_clock_setting(key)
 
 
 def _kind_of(key: str) -> tuple[str, str]:
@@ -96,9 +94,22 @@ def _kind_of(key: str) -> tuple[str, str]:
 # --- the rate ---
 
 
-def stated_rate(
-    statements: Iterable[tuple[str, object, str]], remarks: list[str]
-) -> float | None:
+def clock_of(statements: Sequence[Statement]) -> StatedClock:
+    """Return the clock that statements give: a rate, or why it cannot be used, and a start."""
+    clock = StatedClock()
+    try:
+        clock.rate = stated_rate(statements, clock.remarks)
+    except InputError as problem:
+        clock.problem = str(problem)
+    for key, value, _ in statements:
+        text = str(value).replace(",", ".")
+        if plain_key(key) in STARTS and is_number(text, "."):
+            start = to_number(text, ".")
+            clock.start = start if abs(start) < _LATEST_START else 0.0
+    return clock
+
+
+def stated_rate(statements: Iterable[Statement], remarks: list[str]) -> float | None:
     """Return the one sample rate (Hz) that statements give; None where none does.
 
     Parameters
@@ -129,7 +140,7 @@ def stated_rate(
         rate = _rate(kind, float(match[1].replace(",", ".")), unit)
         if rate is None:
             raise InputError(
-                f"'{key}' {text} is not in a unit of a {kind} (`sample_rate` HZ gives the rate)"
+                f"'{key}' {text} is not in a unit of a {kind}: type `sample_rate` HZ"
             )
         if not rate > 0.0 or not math.isfinite(rate):
             continue  # what an instrument writes when it does not know
@@ -141,9 +152,7 @@ def stated_rate(
         return None
     if max(rates.values()) > (1.0 + _SAME) * min(rates.values()):
         listed = " and ".join(rates)
-        raise InputError(
-            f"two sample rates are stated, {listed} (`sample_rate` HZ decides)"
-        )
+        raise InputError(f"two sample rates, {listed}: type `sample_rate` HZ")
     if assumed:
         remarks.append(assumed)
     return next(iter(rates.values()))
@@ -152,8 +161,8 @@ def stated_rate(
 def _refuse_thousands(key: str, text: str) -> None:
     if _THOUSANDS.fullmatch(text):
         raise InputError(
-            f"'{key}' {text} may be {text.split(',')[0]} or {text.replace(',', '')} "
-            "(`sample_rate` HZ gives the rate)"
+            f"'{key}' {text} may be {text.split(',')[0]} or {text.replace(',', '')}: type "
+            "`sample_rate` HZ"
         )
 
 
@@ -187,8 +196,7 @@ def read_settings(lines: Sequence[str], delimiter: str) -> dict[str, list[str]]:
             continue
         cells = split_cells(line, delimiter)
         for n, key in enumerate(before[: len(cells)]):
-            is_known = is_clock_key(key) or plain_key(key) in STARTS
-            if is_known and is_number(cells[n], "."):
+            if is_clock_setting(key) and is_number(cells[n], "."):
                 settings.setdefault(key, [cells[n]])  # Increment above its value
         for cell in cells[1:]:
             match = _KEYED.fullmatch(cell)
@@ -213,34 +221,19 @@ def _values(text: str, mark: str, delimiter: str) -> list[str]:
 
 def stated_clock(settings: dict[str, list[str]]) -> StatedClock:
     """Return the rate and the start that settings state."""
-    clock = StatedClock()
-    unit = _first(v for k, v in settings.items() if plain_key(k) in TIME_UNIT_KEYS)
-    statements = []
+    beside = ""
     for key, values in settings.items():
-        if not is_clock_key(key):
+        if plain_key(key) in TIME_UNIT_KEYS:
+            beside = beside or values[0].strip('" ')
+    statements: list[Statement] = []
+    for key, values in settings.items():
+        if not is_clock_setting(key):
             continue
         filled = [value for value in dict.fromkeys(values) if value and value != key]
-        beside = ""
-        if plain_key(key) in ("xinc", "hresolution", "xincrement"):
-            beside = unit
+        unit = beside if plain_key(key) in _IN_TIME_UNIT else ""
         if len(filled) == 2 and re.fullmatch(r"[^\d=:\[]{1,12}", filled[1]):
-            beside = filled.pop()  # 1,kHz
-        statements += [(key, value, beside) for value in filled]
-    try:
-        clock.rate = stated_rate(statements, clock.remarks)
-    except InputError as problem:
-        clock.problem = str(problem)
-    for key, values in settings.items():
-        text = _first([values]).replace(",", ".")
-        if plain_key(key) in STARTS and is_number(text, "."):
-            start = float(text.upper().replace("D", "E"))
-            clock.start = start if abs(start) < _LATEST_START else 0.0
-    return clock
-
-
-def _first(values: Iterable[Sequence[str]]) -> str:
-    """Return the first cell of the first values; nothing where there are none."""
-    for cells in values:
-        if cells:
-            return cells[0].strip('" ')
-    return ""
+            unit = filled.pop()  # 1,kHz
+        if plain_key(key) in STARTS:
+            filled = filled[:1]
+        statements += [(key, value, unit) for value in filled]
+    return clock_of(statements)

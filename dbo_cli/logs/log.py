@@ -33,7 +33,6 @@ from dbo_cli.units import split_header
 if TYPE_CHECKING:
     from dbo_cli.logs.join import ClockOffset
 
-_TEXT_ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".lvm", ".gz", ".asc", ".prn")
 _FIRST_BYTES = 1024  # MATLAB 7.3 has the mark of HDF5 at byte 512
 
 
@@ -51,7 +50,7 @@ class Log:
     remarks
         What was assumed, skipped or noticed; complete after the last block.
     doubtful
-        The remarks about rows that were left out, cut or guessed.
+        The remarks about rows that were left out or cut.
     clock_offset
         What was added to the clock of a second file, if any.
     """
@@ -64,14 +63,12 @@ class Log:
         stream: Callable[[], Iterator[Block]],
         remarks: list[str],
         close: Callable[[], object] = lambda: None,
-        doubtful: list[str] | None = None,
     ) -> None:
         self.name = name
         self.columns = dict(columns)
         self.clock = clock
         self.remarks = remarks
-        self.doubtful = doubtful if doubtful is not None else []
-        self.origin: float | None = None
+        self.doubtful: list[str] = []
         self.clock_offset: ClockOffset | None = None
         self._stream = stream
         self._close = close
@@ -87,15 +84,19 @@ class Log:
         remarks: list[str],
     ) -> Log:
         """Make a log of arrays in memory, as a joined or resampled one is."""
-        log = cls(name, columns, clock, lambda: iter([_block_of(table)]), remarks)
-        log.origin = table.origin
-        return log
+        block = Block(table.time, table.values, 1, table.dt)
+        return cls(name, columns, clock, lambda: iter([block]), remarks)
 
     def provided(self, role: str) -> bool:
         """Return whether the log has a column for a role, or a clock for ``time``."""
         if role == "time":
             return self.clock.kind != "none"
         return role in self.columns
+
+    @property
+    def has_found_offset(self) -> bool:
+        """Whether a clock offset was found from the signals, so that the actuator's delay is in it."""
+        return self.clock_offset is not None and self.clock_offset.auto
 
     def blocks(self, rows: int = BLOCK_ROWS) -> Iterator[Block]:
         """Return the log once, in blocks of at most so many rows.
@@ -124,8 +125,7 @@ class Log:
             values[role] = _joined([block.values[role] for block in blocks])
         times = [block.time for block in blocks if block.time is not None]
         time = _joined(times) if times else None
-        self.origin = self.clock.origin if self.origin is None else self.origin
-        return Table(time, values, _joined_dt(blocks), self.origin)
+        return Table(time, values, _joined_dt(blocks), self.clock.origin)
 
     def line(self) -> str:
         """Return one line on what was read; complete after the last block."""
@@ -133,7 +133,10 @@ class Log:
         for role, column in self.columns.items():
             names.append(column.name or f"column {column.number} ({role})")
         s = "" if self._rows == 1 else "s"
-        return f"{self.name}: {self._rows:,} row{s}, {self.clock.describe()}; {', '.join(names)}"
+        line = f"{self.name}: {self._rows:,} row{s}, {self.clock.describe()}; {', '.join(names)}"
+        if self.clock_offset is not None:
+            line += f"; {self.clock_offset.describe()}"
+        return line
 
     def close(self) -> None:
         """Close the file."""
@@ -151,10 +154,6 @@ class Log:
     ) -> None:
         """Close the file."""
         self.close()
-
-
-def _block_of(table: Table) -> Block:
-    return Block(table.time, table.values, 1, table.dt)
 
 
 def _part(block: Block, start: int, stop: int) -> Block:
@@ -222,24 +221,20 @@ def open_log(
     reading = reading or Reading()
     units = units or {}
     name = os.fspath(path)
-    elsewhere = {
-        role: text for role, text in roles.items() if text and "::" in str(text)
-    }
+    elsewhere = {role: text for role, text in roles.items() if text and "::" in text}
     if "time" in elsewhere:
         raise UsageError(
-            f"`time` {elsewhere['time']}: the time stands in the log itself"
+            f"`time` {elsewhere['time']}: the time must be in the log itself"
         )
     if reading.resample is not None and not 0.0 < reading.resample < np.inf:
-        raise UsageError(
-            f"`resample` {reading.resample:g}: give a positive number of samples a second"
-        )
+        raise UsageError(f"`resample` {reading.resample:g}: give a rate above 0 Hz")
     for role in reading.scale:
         if role not in roles:
             raise UsageError(f"`scale` {role}=...: give one of {', '.join(roles)}")
-    own = {role: text for role, text in roles.items() if role not in elsewhere}
-    log = _open_file(name, own, _scaled(reading, own), units, optional)
+    here = {role: text for role, text in roles.items() if role not in elsewhere}
+    log = _open_file(name, here, reading, units, optional)
     if elsewhere:
-        log = _with_others(log, elsewhere, reading, units)
+        log = _with_columns_of(log, elsewhere, reading, units)
     if reading.resample is not None:
         from dbo_cli.logs.resample import resampled
 
@@ -247,31 +242,24 @@ def open_log(
     return log
 
 
-def _scaled(reading: Reading, roles: Mapping[str, str | None]) -> Reading:
-    """Return how a file with some of the roles is read."""
-    own = {role: factor for role, factor in reading.scale.items() if role in roles}
-    return replace(reading, scale=own)
-
-
-def _with_others(
+def _with_columns_of(
     log: Log, elsewhere: Mapping[str, str], reading: Reading, units: Mapping[str, str]
 ) -> Log:
-    """Join columns of other files to a log, one file after the other."""
+    """Join columns of other files to a log."""
     from dbo_cli.logs.join import joined
 
+    by_file: dict[str, dict[str, str | None]] = {}
+    for role, text in elsewhere.items():
+        file, _, column = text.rpartition("::")
+        by_file.setdefault(file, {})[role] = column
     logs = [log]
     try:
-        by_file: dict[str, dict[str, str | None]] = {}
-        for role, text in elsewhere.items():
-            file, _, column = text.rpartition("::")
-            by_file.setdefault(file, {})[role] = column
         for file, roles in by_file.items():
-            other = replace(_scaled(reading, roles), rows=None, resample=None)
-            logs.append(_open_file(file, roles, other, units, ()))
-        return joined(logs, replace(reading, resample=None))
+            logs.append(_open_file(file, roles, replace(reading, rows=None), units, ()))
+        return joined(logs, reading.clock_offset)
     finally:
-        for one in logs:
-            one.close()
+        for part in logs:
+            part.close()
 
 
 def columns_of(
@@ -313,42 +301,26 @@ def columns_of_names(
 
 
 def open_source(name: str, reading: Reading) -> Source:
-    """Open a file with the reader that its first bytes ask for.
+    """Open a file with the reader that its first bytes ask for (InputError)."""
+    from dbo_cli.logs.text import open_text
 
-    Raises
-    ------
-    InputError
-        It cannot be read.
-    """
     path, _, part = name.partition("::")
-    if path != "-" and not _is_text(path):
+    if os.path.isfile(path):
         from dbo_cli.logs.formats import reader_of
 
         reader = reader_of(path, _start_of(path))
         if reader is not None:
             return reader(path, part, reading)
-    from dbo_cli.logs.text import open_text
-
     return open_text(path, part, reading)
 
 
 def _start_of(path: str) -> bytes:
     """Return the first bytes of a file; none where it cannot be read, which the reader says."""
     try:
-        if not os.path.isfile(path):
-            return b""
         with open(path, "rb") as file:
             return file.read(_FIRST_BYTES)
     except OSError:
         return b""
-
-
-def _is_text(path: str) -> bool:
-    """Return whether a file is text by its ending, and nothing in its first bytes speaks against it."""
-    if not path.lower().endswith(_TEXT_ENDINGS):
-        return False
-    start = _start_of(path)
-    return b"\0" not in start or start.startswith(b"\x1f\x8b")
 
 
 def _open_file(
@@ -360,24 +332,19 @@ def _open_file(
 ) -> Log:
     """Open one file as a log."""
     rows = parse_rows(reading.rows)
+    factors = {role: text for role, text in reading.scale.items() if role in roles}
     source = open_source(name, reading)
     try:
         clock, picks = _chosen(source, roles, reading, units, optional)
-        scales = scales_of(source.name, picks, reading.scale, units, source.remarks)
+        scales = scales_of(source.name, picks, factors, units, source.remarks)
     except BaseException:
         source.close()
         raise
     stream = Rows(source, clock, picks, scales, rows, reading.skip_bad)
     columns = {role: replace(picks[role], unit=scales[role].unit) for role in picks}
-    return Log(
-        source.name,
-        columns,
-        clock,
-        stream.blocks,
-        source.remarks,
-        source.close,
-        stream.doubtful,
-    )
+    log = Log(source.name, columns, clock, stream.blocks, source.remarks, source.close)
+    log.doubtful = stream.doubtful
+    return log
 
 
 def _chosen(

@@ -15,11 +15,10 @@ from dbo_cli.errors import InputError
 from dbo_cli.logs.cells import is_number, split_cells
 from dbo_cli.logs.headers import (
     NAME_KEYS,
-    STARTS,
     TIME_UNIT_KEYS,
     UNIT_KEYS,
     is_channel_key,
-    is_clock_key,
+    is_clock_setting,
     is_setting,
     plain_key,
 )
@@ -160,7 +159,7 @@ def _fitted(cells: list[str], table: Table) -> list[str]:
         cells.pop()
     for n, cell in enumerate(cells[: table.width]):
         is_key = "=" in cell or not "".join(table.first_row[n : n + 1])
-        if is_key and _is_clock_setting(cell.split("=")[0]):
+        if is_key and is_clock_setting(cell.split("=")[0]):
             cells[n] = ""
     if len(cells) == table.width - 1 and cells:
         if not table.first_row[-1]:
@@ -172,13 +171,9 @@ def _fitted(cells: list[str], table: Table) -> list[str]:
 
 def _is_beside(cell: str, beside_units: bool) -> bool:
     """Return whether a cell belongs to no column: blank, a remark, a key, or its value beside units."""
-    if cell.lower() in ("", "comment") or _is_clock_setting(cell):
+    if cell.lower() in ("", "comment") or is_clock_setting(cell):
         return True
     return beside_units and is_number(cell, ".")
-
-
-def _is_clock_setting(key: str) -> bool:
-    return is_clock_key(key) or plain_key(key) in STARTS
 
 
 def _are_units(cells: Sequence[str]) -> bool:
@@ -209,8 +204,8 @@ def _refuse_unclear(name: str, above: Sequence[str], table: Table) -> None:
     figures = any(_is_figure(cell) for cell in cells)
     if (figures and not blank) or (not figures and len(cells) != table.width):
         raise InputError(
-            f"{name}: {len(cells)} cells in the last line above the rows of {table.width}: names, or a row? "
-            "(`skip_lines` leaves lines out; `delimiter` and `decimal` say how the rows are written)"
+            f"{name}: {len(cells)} names above rows of {table.width} cells: type `skip_lines` N, "
+            "`delimiter` or `decimal`"
         )
 
 

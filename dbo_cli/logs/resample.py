@@ -32,14 +32,17 @@ def resampled(log: Log, rate: float) -> Log:
     values = {}
     for role, array in table.values.items():
         values[role] = np.interp(time, table.time, array)
+    first, last = float(time[0]), float(time[-1])
+    step = 1.0 / rate
     clock = Clock(
-        log.name, "rate", rate=rate, start=float(table.time[0]), step=1.0 / rate
+        log.name, "rate", rate=rate, start=first, step=step, origin=table.origin
     )
-    clock.rows, clock.first, clock.last = count, float(time[0]), float(time[-1])
+    clock.rows, clock.first, clock.last = count, first, last
     log.remarks.append(
         f"{table.rows:,} rows are interpolated to {count:,} at {rate:g} Hz"
     )
-    even = Table(time, values, 1.0 / rate, table.origin)
-    even_log = Log.of_table(log.name, log.columns, even, clock, log.remarks)
-    even_log.doubtful, even_log.clock_offset = log.doubtful, log.clock_offset
-    return even_log
+    even = Table(time, values, step, table.origin)
+    resampled_log = Log.of_table(log.name, log.columns, even, clock, log.remarks)
+    resampled_log.doubtful = log.doubtful
+    resampled_log.clock_offset = log.clock_offset
+    return resampled_log

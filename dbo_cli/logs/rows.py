@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.clock import Clock, is_bad
-from dbo_cli.logs.source import Block, Column, Source
+from dbo_cli.logs.clock import Clock
+from dbo_cli.logs.source import NOT_A_TIME, Block, Column, Source
 from dbo_cli.units import multiplied, ratio, spell
 
 _SCALE = re.compile(
@@ -30,108 +30,119 @@ class Scale:
     unit: str | None = None
 
 
-@dataclass
 class Rows:
     """The rows of one file as blocks by role.
 
-    ``doubtful`` holds the remarks about rows that were left out, cut or guessed.
+    ``doubtful`` holds the remarks about rows that were left out or cut.
     """
 
-    source: Source
-    clock: Clock
-    picks: Mapping[str, Column]
-    scales: Mapping[str, Scale]
-    rows: tuple[int, int | None]
-    skip_bad: bool
-    dropped: int = 0
-    first_dropped: str = ""
-    doubtful: list[str] = field(default_factory=list)
+    def __init__(
+        self,
+        source: Source,
+        clock: Clock,
+        picks: Mapping[str, Column],
+        scales: Mapping[str, Scale],
+        rows: tuple[int, int | None],
+        skip_bad: bool,
+    ) -> None:
+        self.source = source
+        self.clock = clock
+        self.picks = picks
+        self.scales = scales
+        self.first, self.last = rows
+        self.skip_bad = skip_bad
+        self.doubtful: list[str] = []
+        self._dropped = 0
+        self._first_dropped = ""
 
     def blocks(self) -> Iterator[Block]:
-        """Read the file once."""
-        stamped = self.clock.kind in ("column", "stamps")
+        """Read the file once.
+
+        Raises
+        ------
+        InputError
+            A row holds no number, time goes back, or there is no row.
+        """
         chosen = list(self.picks.values())
-        if stamped and self.clock.column is not None:
+        if self.clock.kind in ("column", "stamps") and self.clock.column is not None:
             chosen.append(self.clock.column)
-        first, last = self.rows
-        row, kept, told = 1, 0, len(self.source.remarks)
-        before: float | None = None
+        told = len(self.source.remarks)
+        row, count = 1, 0
         for arrays in self.source.blocks(chosen):
-            count = len(arrays[0])
-            part = slice(
-                max(0, first - row), None if last is None else max(0, last - row + 1)
-            )
-            numbers = np.arange(row, row + count)[part]
-            good = self._good(numbers, chosen, [array[part] for array in arrays])
-            row += count
+            start = max(0, self.first - row)
+            stop = None if self.last is None else self.last - row + 1
+            numbers = np.arange(row, row + len(arrays[0]))[start:stop]
+            row += len(arrays[0])
+            arrays = [array[start:stop] for array in arrays]
+            good = self._good(numbers, chosen, arrays)
             if good is not None:
-                block = self._block(numbers[good[0]], good[1], stamped, before)
-                kept += len(block)
-                if block.time is not None:
-                    before = float(block.time[-1])
-                yield block
-            if last is not None and row > last:
+                numbers = numbers[good]
+                arrays = [array[good] for array in arrays]
+            if len(numbers):
+                count += len(numbers)
+                yield self._block(numbers, arrays)
+            if self.last is not None and row > self.last:
                 break
         self.doubtful += self.source.remarks[told:]
-        self._finish(kept, row)
+        if self._dropped:
+            s = "" if self._dropped == 1 else "s"
+            text = (
+                f"{self._dropped:,} row{s} left out, the first: {self._first_dropped}"
+            )
+            self.source.remarks.append(text)
+            self.doubtful.append(text)
+        if not count:
+            self._refuse_nothing(row - 1)
+        self.clock.close()
+        self.source.remarks += self.clock.remarks
 
     def _good(
         self,
         numbers: NDArray[np.int64],
         chosen: Sequence[Column],
-        arrays: list[NDArray[Any]],
-    ) -> tuple[Any, list[NDArray[Any]]] | None:
-        """Return which rows hold numbers, and their arrays; None where none does."""
-        bad = np.zeros(len(numbers), dtype=bool)
-        for column, array in zip(chosen, arrays, strict=True):
-            bad |= is_bad(array, column)
-        if not bad.any():
-            return (slice(None), arrays) if len(numbers) else None
-        at = int(np.argmax(bad))
-        place = ""
-        for column, array in zip(chosen, arrays, strict=True):
-            if not place and is_bad(array[at : at + 1], column)[0]:
-                place = self.source.where(int(numbers[at]), column)
-        if not self.skip_bad:
-            others = int(np.count_nonzero(bad)) - 1
-            more = f", and {others:,} more such rows near it" if others else ""
-            raise InputError(f"{place}{more} (`skip_bad` leaves such rows out)")
-        self.first_dropped = self.first_dropped or place
-        self.dropped += int(np.count_nonzero(bad))
-        if bad.all():
+        arrays: Sequence[NDArray[Any]],
+    ) -> NDArray[np.bool_] | None:
+        """Return which rows hold numbers; None where all do."""
+        bad = [
+            _is_bad(array, column) for array, column in zip(arrays, chosen, strict=True)
+        ]
+        any_bad = np.logical_or.reduce(bad)
+        if not any_bad.any():
             return None
-        return ~bad, [array[~bad] for array in arrays]
+        at = int(np.argmax(any_bad))
+        column = chosen[int(np.argmax([marks[at] for marks in bad]))]
+        place = self.source.where(int(numbers[at]), column)
+        if not self.skip_bad:
+            others = int(np.count_nonzero(any_bad)) - 1
+            more = f", and {others:,} more such rows near it" if others else ""
+            raise InputError(f"{place}{more} (`skip_bad` drops such rows)")
+        self._first_dropped = self._first_dropped or place
+        self._dropped += int(np.count_nonzero(any_bad))
+        return np.asarray(~any_bad)
 
     def _block(
-        self,
-        numbers: NDArray[np.int64],
-        arrays: list[NDArray[Any]],
-        stamped: bool,
-        before: float | None,
+        self, numbers: NDArray[np.int64], arrays: Sequence[NDArray[Any]]
     ) -> Block:
         """Turn arrays into a block: times in seconds, values in the units asked for."""
-        time = self.clock.times(numbers, arrays[-1] if stamped else None)
+        time, dt = self.clock.read(numbers, arrays[-1])
         values = {}
         for role, array in zip(self.picks, arrays, strict=False):
             values[role] = multiplied(array, self.scales[role].factor)
-        return Block(time, values, int(numbers[0]), self.clock.steps(time, before))
+        return Block(time, values, int(numbers[0]), dt)
 
-    def _finish(self, kept: int, row: int) -> None:
-        """Tell what was skipped, and refuse a log without a row."""
-        if self.dropped:
-            s = "" if self.dropped == 1 else "s"
-            text = f"{self.dropped:,} row{s} left out, the first: {self.first_dropped}"
-            self.source.remarks.append(text)
-            self.doubtful.append(text)
-        if not kept and self.rows[0] >= row > 1:
+    def _refuse_nothing(self, rows: int) -> None:
+        if self.first > rows > 0:
             raise InputError(
-                f"{self.source.name}: `rows` {self.rows[0]}: the log has {row - 1:,} data rows"
+                f"{self.source.name}: `rows` {self.first}: the log has {rows:,} data rows"
             )
-        if not kept:
-            raise InputError(f"{self.source.name}: no good data row")
-        self.clock.close()
-        self.source.remarks += self.clock.doubtful + self.clock.remarks
-        self.doubtful += self.clock.doubtful
+        raise InputError(f"{self.source.name}: no row holds only numbers")
+
+
+def _is_bad(array: NDArray[Any], column: Column) -> NDArray[np.bool_]:
+    """Return which rows of a column hold no number or no stamp."""
+    if column.kind == "stamp":
+        return np.asarray(array == NOT_A_TIME)
+    return np.asarray(~np.isfinite(array))
 
 
 def parse_rows(rows: str | tuple[int, int | None] | None) -> tuple[int, int | None]:
@@ -155,9 +166,7 @@ def parse_rows(rows: str | tuple[int, int | None] | None) -> tuple[int, int | No
     else:
         first, last = rows
     if first < 1 or (last is not None and last < first):
-        raise UsageError(
-            f"`rows` {first}:{last}: rows are counted from 1, and the last is not before the first"
-        )
+        raise UsageError(f"`rows` {first}:{last}: give A:B with 1 <= A <= B")
     return first, last
 
 
@@ -172,8 +181,7 @@ def parse_scale(text: str) -> tuple[str, str]:
     role, sign, factor = text.partition("=")
     if not sign or not role.strip() or _SCALE.fullmatch(factor) is None:
         raise UsageError(
-            f"`scale` {text}: give ROLE=FACTOR or ROLE=FACTORUNIT/UNIT, such as voltage=20 or "
-            "displacement=10um/V"
+            f"`scale` {text}: give ROLE=FACTOR, such as voltage=20 or displacement=10um/V"
         )
     return role.strip().lower(), factor.strip()
 
@@ -204,14 +212,14 @@ def scales_of(
             factor, unit = _wished(name, role, column, str(wishes[role]))
         wanted = units.get(role)
         if wanted is not None and unit is None:
-            remarks.append(f"{column.label} has no unit: {wanted} is assumed")
+            remarks.append(f"{column.label} has no unit: {wanted} assumed")
         if wanted is not None:
             try:
                 factor *= ratio(unit, wanted)
             except InputError:
                 raise InputError(
-                    f"{name}: {column.label} is in {unit}, and {wanted} is needed (`scale` "
-                    f"{role}=FACTOR{wanted}/{unit})"
+                    f"{name}: {column.label} is in {unit}, not {wanted}: add `scale` "
+                    f"{role}=FACTOR{wanted}/{unit}"
                 ) from None
             unit = spell(wanted)
         scales[role] = Scale(factor, unit)
@@ -225,7 +233,7 @@ def _wished(
     match = _SCALE.fullmatch(text)
     if match is None or float(match[1]) == 0.0 or not abs(float(match[1])) < 1e250:
         raise UsageError(
-            f"`scale` {role}={text}: give a factor that is not 0, or one with units such as 10um/V"
+            f"`scale` {role}={text}: give a factor other than 0, such as 20 or 10um/V"
         )
     factor = Fraction(match[1])
     if match[2] is None:
@@ -234,6 +242,6 @@ def _wished(
         factor *= ratio(column.unit, match[3])
     except InputError:
         raise InputError(
-            f"{name}: {column.label} is in {column.unit}, but `scale` {role}={text} takes {match[3]}"
+            f"{name}: {column.label} is in {column.unit}, `scale` {role}={text} expects {match[3]}"
         ) from None
     return factor, spell(match[2])

@@ -14,14 +14,13 @@ from dataclasses import dataclass, field
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.cells import MISSING, STAMPS, is_number, split_cells, stamp_format
 from dbo_cli.logs.headers import (
-    StatedClock,
     is_setting,
     plain_key,
     read_settings,
     stated_clock,
 )
 from dbo_cli.logs.names import Names, Table, find_names
-from dbo_cli.logs.source import Column, Reading
+from dbo_cli.logs.source import Column, Reading, StatedClock
 from dbo_cli.units import kind_of, spell, split_header
 
 COMMENTS = "#%"
@@ -127,10 +126,10 @@ def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
     layout = _best_layout(sample, reading)
     if layout is None:
         raise InputError(
-            f"{name}: no data rows: no line holds numbers (if it has any: `delimiter`, `decimal` or "
-            "`skip_lines`)"
+            f"{name}: no line holds numbers only: try `delimiter`, `decimal` or `skip_lines`"
         )
-    _refuse_thousands(name, layout, sample, reading)
+    if reading.decimal is None and layout.decimal == ",":
+        refuse_thousands(name, [cell for line in sample for cell in layout.cells(line)])
     layout.first = _first_row(layout, lines, rows)
     _refuse_other_rows(name, layout, lines, rows)
     _read_header(name, layout, lines, skipped)
@@ -156,8 +155,8 @@ def _refuse_numbers_as_names(
         and cells in (counted, named)
     ):
         raise InputError(
-            f"{name}:{layout.first + 1}: {', '.join(cells)}: names, or a row? (`skip_lines` "
-            f"{layout.first + 1} leaves them out, `skip_lines` 0 takes them as a row)"
+            f"{name}:{layout.first + 1}: {', '.join(cells)}: names (type `skip_lines` "
+            f"{layout.first + 1}) or a row (`skip_lines` 0)?"
         )
 
 
@@ -171,8 +170,8 @@ def _refuse_two_readings(
         _TWO_READINGS.fullmatch(line) for line in sample
     ):
         raise InputError(
-            f"{name}: '{sample[-1].strip()}' may be two columns or one number (`delimiter` comma or "
-            "`decimal` comma)"
+            f"{name}: '{sample[-1].strip()}' may be two columns (`delimiter` comma) or one number "
+            "(`decimal` comma)"
         )
 
 
@@ -183,13 +182,13 @@ def _read_header(name: str, layout: Layout, lines: Sequence[str], skipped: int) 
     settings = read_settings([*above, *beside], layout.delimiter)
     if settings.get("X_Columns", [""])[0].lower() == "multi":
         raise InputError(
-            f"{name}: every channel has its own X column: write it with X_Columns One or No"
+            f"{name}: each channel has an X column: export with X_Columns One or No"
         )
     layout.clock = stated_clock(settings)
     for key, values in settings.items():
         if plain_key(key) == "scalefactor" and set(values) - {"", "1", key}:
             layout.clock.remarks.append(
-                f"'{key}' {values[0]}: it is not known whether the values are scaled already"
+                f"'{key}' {values[0]}: the values may be scaled already"
             )
     first_row = layout.cells(lines[layout.first])
     table = Table(layout.delimiter, layout.numeric, layout.width, first_row)
@@ -296,19 +295,14 @@ def _judged(sample: Sequence[str], mark: str, sign: str) -> tuple[float, Layout]
     return (shares[layout.width] / sum(weights) if numeric else 0.0), layout
 
 
-def _refuse_thousands(
-    name: str, layout: Layout, sample: Sequence[str], reading: Reading
-) -> None:
-    """Refuse commas that may stand between thousands as well as before decimals."""
-    if reading.decimal is not None or layout.decimal != ",":
-        return
-    cells = [cell for line in sample for cell in layout.cells(line)]
+def refuse_thousands(name: str, cells: Sequence[str]) -> None:
+    """Refuse commas that may stand between thousands as well as before decimals (InputError)."""
     commas = [cell for cell in cells if re.search(r"\d,\d|,\d|\d,", cell)]
     if commas and all(_THOUSANDS.fullmatch(cell) for cell in commas):
         cell = commas[0]
         raise InputError(
-            f"{name}: '{cell}' may be {cell.replace(',', '')} or {cell.replace(',', '.')} "
-            "(`decimal` point or `decimal` comma)"
+            f"{name}: '{cell}' may be {cell.replace(',', '')} (`decimal` point) or "
+            f"{cell.replace(',', '.')} (`decimal` comma)"
         )
 
 
@@ -340,8 +334,8 @@ def _refuse_other_rows(
         cells = [cell for cell in layout.cells(lines[n]) if cell]
         if cells and all(is_number(cell, layout.decimal or ".") for cell in cells):
             raise InputError(
-                f"{name}:{n + 1}: numbers above the rows of {layout.width} columns that begin in line "
-                f"{layout.first + 1} (`skip_lines` {n + 1} leaves them out)"
+                f"{name}:{n + 1}: numbers above the {layout.width} columns that begin in line "
+                f"{layout.first + 1}: type `skip_lines` {n + 1}"
             )
 
 
@@ -374,8 +368,8 @@ def describe_columns(name: str, layout: Layout) -> list[Column]:
             and (bracketed or same_kind)
         ):
             raise InputError(
-                f"{name}: column '{header}' is in {unit} by the line of units (`skip_lines` "
-                f"{layout.first} leaves out the header)"
+                f"{name}: column '{header}' is in {unit} by the units row: type `skip_lines` "
+                f"{layout.first}"
             )
         columns.append(Column(n + 1, header, unit or stated, kind))
     return columns

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.errors import InputError
 from dbo_cli.units import split_header
 
 FloatArray = NDArray[np.float64]
@@ -129,6 +128,28 @@ class Table:
         return len(next(iter(self.values.values()), ()))
 
 
+@dataclass
+class StatedClock:
+    """What a file states of its clock beside the rows.
+
+    Attributes
+    ----------
+    rate
+        Samples a second (Hz), or None.
+    problem
+        Why a stated rate cannot be used; a refusal where the rate is needed.
+    start
+        The time (s) of the first row.
+    remarks
+        What was assumed; told where the rate is needed.
+    """
+
+    rate: float | None = None
+    problem: str = ""
+    start: float = 0.0
+    remarks: list[str] = field(default_factory=list)
+
+
 class Source:
     """What a reader makes of a file: columns, and their arrays in blocks.
 
@@ -138,25 +159,17 @@ class Source:
         How messages call the file.
     columns
         All of its columns.
-    rate
-        The sample rate (Hz) that the file states, or None.
-    rate_problem, rate_remarks
-        Why a stated rate cannot be used, and what was assumed for it; told only where
-        the rate is needed.
-    start
-        The time (s) of the first row where the rate is used.
+    stated
+        The clock of a file without a time column.
     hint
-        What is appended to a refusal about columns (`` (or run.h5::/run1)``).
+        What is appended to a refusal about columns, behind a blank.
     remarks
         What the user is to be told, without the file's name in front.
     """
 
     name: str
     columns: list[Column]
-    rate: float | None = None
-    rate_problem: str = ""
-    rate_remarks: Sequence[str] = ()
-    start: float = 0.0
+    stated: StatedClock
     hint: str = ""
     remarks: list[str]
 
@@ -178,95 +191,3 @@ class Source:
 
     def close(self) -> None:
         """Close the file."""
-
-
-Fetch = Callable[[int, int], Any]
-
-
-class ArraySource(Source):
-    """Columns that a library hands out by rows.
-
-    Parameters
-    ----------
-    fetch
-        For each column, what returns its rows start to stop (from 0, stop not
-        included).
-    lengths
-        The number of rows of each column.
-    close
-        Called at the end.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        columns: Sequence[Column],
-        fetch: Sequence[Fetch],
-        lengths: Sequence[int],
-        rate: float | None = None,
-        start: float = 0.0,
-        remarks: Sequence[str] = (),
-        close: Callable[[], object] | None = None,
-    ) -> None:
-        self.name = name
-        self.columns = list(columns)
-        self.rate = rate
-        self.start = start
-        self.remarks = list(remarks)
-        self._fetch = fetch
-        self._lengths = lengths
-        self._close = close
-        self._arrays: dict[int, NDArray[Any]] = {}
-        self._first = 1
-
-    def blocks(self, chosen: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
-        """Return all rows of the chosen columns; see ``Source``.
-
-        Raises
-        ------
-        InputError
-            The columns are of unequal length, or the library fails.
-        """
-        lengths = [self._lengths[column.number - 1] for column in chosen]
-        if len(set(lengths)) > 1:
-            pairs = zip(chosen, lengths, strict=True)
-            listed = ", ".join(f"{column.label} {rows}" for column, rows in pairs)
-            raise InputError(
-                f"{self.name}: the columns are of unequal length: {listed}"
-            )
-        end = lengths[0] if lengths else 0
-        for start in range(0, end, BLOCK_ROWS):
-            stop = min(end, start + BLOCK_ROWS)
-            self._first = start + 1
-            self._arrays = {}
-            for column in chosen:
-                self._arrays[column.number] = self._read(column, start, stop)
-            yield [self._arrays[column.number] for column in chosen]
-
-    def _read(self, column: Column, start: int, stop: int) -> NDArray[Any]:
-        """Read rows of one column as float64, or dates as int64 nanoseconds."""
-        try:
-            stored = np.asarray(self._fetch[column.number - 1](start, stop))
-            if stored.dtype.kind == "M":
-                return stored.astype("datetime64[ns]").astype(np.int64)
-            if column.kind == "stamp":
-                return stored.astype(np.int64)
-            values = np.ascontiguousarray(stored, dtype=np.float64)
-        except (OSError, ValueError, TypeError, RuntimeError) as problem:
-            reason = str(problem).splitlines()[0] if str(problem) else "no reason given"
-            raise InputError(
-                f"{self.name}: {column.label} cannot be read: {reason}"
-            ) from None
-        if len(values) != stop - start:
-            raise InputError(f"{self.name}: {column.label} ends early: damaged?")
-        return values
-
-    def where(self, row: int, column: Column) -> str:
-        """Say where a row of the last block is, and what stands in a column of it."""
-        value = self._arrays[column.number][row - self._first]
-        return f"{self.name}: row {row}: {column.label} is {value}"
-
-    def close(self) -> None:
-        """Close the file."""
-        if self._close is not None:
-            self._close()

@@ -33,7 +33,8 @@ class ByteStream:
         InputError
             It cannot be opened, or its first bytes are those of no text.
         """
-        self.name = name
+        self.name = "standard input" if name == "-" else name
+        self._is_ours = name != "-"
         self._pipe: int | None = None
         self._looked_ahead = True
         self._raw = self._opened(name) if content is None else io.BytesIO(content)
@@ -42,7 +43,7 @@ class ByteStream:
         for magic, what in _UNREAD.items():
             if start.startswith(magic):
                 self.close()
-                raise InputError(f"{name}: this is not a text log but {what}")
+                raise InputError(f"{self.name}: not a text log but {what}")
         self.is_stream = self._pipe is not None
         if start.startswith(b"\x1f\x8b"):
             self._file = cast(IO[bytes], gzip.GzipFile(fileobj=self._file))
@@ -58,7 +59,7 @@ class ByteStream:
             except FileNotFoundError:
                 raise InputError(f"{name}: no such file") from None
             except IsADirectoryError:
-                raise InputError(f"{name}: this is a folder, not a log") from None
+                raise InputError(f"{name}: is a folder, not a log") from None
             except (OSError, ValueError) as problem:
                 reason = getattr(problem, "strerror", None) or problem
                 raise InputError(f"{name}: cannot be read: {reason}") from None
@@ -122,5 +123,5 @@ class ByteStream:
 
     def close(self) -> None:
         """Close the file (never standard input)."""
-        if self.name != "-":
+        if self._is_ours:
             self._raw.close()

@@ -61,9 +61,7 @@ def find_clock(
                 "`time` and `sample_rate` exclude each other: leave one out"
             )
         if not 0.0 < rate < np.inf:
-            raise UsageError(
-                f"`sample_rate` {rate:g}: give a positive number of samples a second"
-            )
+            raise UsageError(f"`sample_rate` {rate:g}: give a rate above 0 Hz")
     if selector is not None:
         found = [named(source, selector, "time")]
     else:
@@ -78,7 +76,9 @@ def find_clock(
         which = " or ".join(
             f"`time` {column.number} ('{column.name}')" for column in found
         )
-        raise InputError(f"{source.name}: which column is the time? ({which})")
+        raise InputError(
+            f"{source.name}: which column is the time? Type {which}{source.hint}"
+        )
     if found:
         return _clock_of(source.name, found[0], reading.time_unit)
     return _stated_clock(source, reading)
@@ -88,16 +88,20 @@ def _stated_clock(source: Source, reading: Reading) -> Clock:
     """Return the clock of a file without a time column."""
     if reading.time_unit is not None:
         raise InputError(
-            f"{source.name}: `time_unit` {reading.time_unit}: there is no time column: "
+            f"{source.name}: `time_unit` {reading.time_unit}: no time column: "
             f"{listed(source.columns)} (`time` NAME or NUMBER)"
         )
-    if source.rate_problem:
-        raise InputError(f"{source.name}: {source.rate_problem}")
-    if source.rate is None:
+    stated = source.stated
+    if stated.problem:
+        raise InputError(f"{source.name}: {stated.problem}")
+    if stated.rate is None:
         return Clock(source.name)
-    remarks = list(source.rate_remarks)
     return Clock(
-        source.name, "rate", rate=source.rate, start=source.start, remarks=remarks
+        source.name,
+        "rate",
+        rate=stated.rate,
+        start=stated.start,
+        remarks=list(stated.remarks),
     )
 
 
@@ -130,8 +134,8 @@ def _time_columns(source: Source, used: Sequence[Column]) -> list[Column]:
         plain += [c for c in texts if _is_called(c, _MORE_NAMES, whole=True)]
     if plain:
         raise InputError(
-            f"{source.name}: {plain[0].label} holds neither numbers nor time stamps such as "
-            "2026-01-02T03:04:05.678 (`time` names another column, `sample_rate` HZ gives the time)"
+            f"{source.name}: {plain[0].label} holds neither numbers nor ISO time stamps: type `time` "
+            "COLUMN or `sample_rate` HZ"
         )
     if figures or stamps:
         return figures or stamps
@@ -163,8 +167,7 @@ def _clock_of(name: str, column: Column, given: str | None) -> Clock:
     if column.kind == "stamp":
         if given is not None:
             raise InputError(
-                f"{name}: {column.label} holds time stamps, which say themselves what they count (leave out "
-                "`time_unit`)"
+                f"{name}: {column.label} holds time stamps: leave out `time_unit`"
             )
         return Clock(name, "stamps", column, unit="s")
     if given is not None:
@@ -197,8 +200,8 @@ def _stated_unit(name: str, column: Column) -> str | None:
 
 def _refuse_unit(name: str, column: Column, stated: str) -> None:
     raise InputError(
-        f"{name}: the time {column.label} counts '{stated}', which is no known unit of time (`time_unit` s, "
-        "ms, us, ns, min or a number of them such as 10us; or `sample_rate` HZ)"
+        f"{name}: {column.label}: '{stated}' is not a unit of time: type `time_unit` ms, 10us, "
+        "..., or `sample_rate` HZ"
     )
 
 
@@ -215,6 +218,6 @@ def parse_time_unit(text: str) -> Fraction:
     count = Fraction((match[1] if match else None) or 1)
     if unit is None or not count:
         raise UsageError(
-            f"`time_unit` {text}: give s, ms, us, ns, min, h or a number of them such as 10us"
+            f"`time_unit` {text}: give s, ms, us, ns, min, h, or a multiple such as 10us"
         )
     return count * ratio(unit, "s")

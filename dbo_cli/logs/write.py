@@ -21,20 +21,15 @@ import errno
 import gzip
 import io
 import os
-import re
-import stat
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.units import split_header
-
-if TYPE_CHECKING:
-    from concurrent.futures import Future, ThreadPoolExecutor
 
 FloatArray = NDArray[np.float64]
 Named = tuple[str, str | None]  # a column's name and its unit
@@ -43,13 +38,11 @@ Attributes = dict[str, str | float]
 BLOCK_ROWS = 1 << 16  # rows that are formatted at once
 # Cells that Python formats sooner than polars is imported (0.1 s, measured).
 PLAIN_CELLS = 1 << 16
-WORTH_A_THREAD = 1 << 14  # rows of a block; chosen
 GZIP_LEVEL = 1  # three times as fast as 6, and 8 % larger (measured)
 NAME_BYTES = 100  # of the output's name in a temporary one; file systems allow 255
+STDOUT = ("-", "/dev/stdout")
 HDF5_SUFFIXES = (".h5", ".hdf5")
 DELIMITERS = {"": ",", ".csv": ",", ".txt": ",", ".dat": ",", ".tsv": "\t"}
-_DESCRIPTOR = re.compile(r"/dev/fd/(\d{1,6})")
-_ERRNO = re.compile(r"errno = (\d+)")  # in the texts of HDF5
 
 
 @contextlib.contextmanager
@@ -110,35 +103,36 @@ def check_outputs(*paths: str | os.PathLike[str]) -> None:
 
 
 class _File:
-    """One output: the name that it shall have, and what is written meanwhile."""
+    """One output: the name that it shall have, and what is written meanwhile.
+
+    ``temporary`` and ``backup`` (of the file that is replaced) are names beside it;
+    standard output, pipes and devices have none.
+    """
 
     def __init__(self, path: str) -> None:
         self.path = path  # as typed
-        self.descriptor = _descriptor_of(path)
+        self.is_stdout = path in STDOUT
         self.target = os.path.realpath(path)
         self.stream: IO[bytes] | None = None
+        self.temporary: str | None = None
         self.backup: str | None = None
         self.renamed = False
-        self.is_new = False  # no file of this name was replaced
-        replaceable = os.path.isfile(path) or not os.path.exists(path)
-        self.direct = self.descriptor is not None or not replaceable
-        self.temporary = None if self.direct else _hidden_name(self.target)
-        if not self.direct:
-            _require_place(path, self.target)
-        elif os.path.isdir(path):
+        if self.is_stdout:
+            return
+        if os.path.isdir(path):
             raise OutputError(f"{path}: this is a folder: give a file name")
+        if os.path.isfile(path) or not os.path.exists(path):
+            _require_place(path, self.target)
+            self.temporary = _hidden_name(self.target)
 
-    def open(self, readable: bool = False) -> IO[bytes]:
-        """Open the temporary file, or the pipe, device or descriptor itself."""
+    def open(self) -> IO[bytes]:
+        """Open the temporary file, or the pipe or device itself."""
         with telling(self.path):
-            if self.descriptor == 1:
+            if self.is_stdout:
                 sys.stdout.flush()
                 self.stream = sys.stdout.buffer
-            elif self.descriptor is not None:
-                # opened anew by its name, a file behind it would be cut to nothing
-                self.stream = os.fdopen(os.dup(self.descriptor), "wb")
             elif self.temporary is not None:
-                self.stream = open(self.temporary, "xb+" if readable else "xb")
+                self.stream = open(self.temporary, "xb")
             else:
                 self.stream = open(self.path, "wb")
         return self.stream
@@ -150,29 +144,23 @@ class _File:
             if self.temporary is None:
                 return
             if os.path.exists(self.target):
-                os.chmod(self.temporary, stat.S_IMODE(os.stat(self.target).st_mode))
-            handle = os.open(self.temporary, os.O_RDWR)
-            try:
-                os.fsync(handle)
-            finally:
-                os.close(handle)
+                os.chmod(self.temporary, os.stat(self.target).st_mode & 0o7777)
+            with open(self.temporary, "rb") as written:
+                os.fsync(written.fileno())
 
     def close(self) -> None:
         """Close the stream; standard output stays open."""
-        if self.stream is None or self.stream.closed:
-            return
-        if self.descriptor == 1:
-            self.stream.flush()
-        else:
+        if self.is_stdout:
+            sys.stdout.buffer.flush()
+        elif self.stream is not None:
             self.stream.close()
 
-    def rename(self, keep: bool) -> None:
-        """Give the output its name; with ``keep`` the old file is kept until all have theirs."""
+    def rename(self) -> None:
+        """Give the output its name; the old file is kept until all have theirs."""
         if self.temporary is None:
             return
         with telling(self.path):
-            self.is_new = not os.path.exists(self.target)
-            if keep and not self.is_new:
+            if os.path.exists(self.target):
                 self.backup = _hidden_name(self.target)
                 with contextlib.suppress(OSError):  # a file system without hard links
                     os.link(self.target, self.backup)
@@ -181,13 +169,13 @@ class _File:
 
     def take_back(self) -> None:
         """Leave no trace: the old file stands where it stood, and the new one is gone."""
-        if self.backup is not None:
-            with contextlib.suppress(OSError):
-                os.replace(self.backup, self.target)
-        elif self.renamed and self.is_new:
-            _remove(self.target)
         with contextlib.suppress(OSError, ValueError):
             self.close()
+        if self.renamed and self.backup is None:
+            _remove(self.target)
+        elif self.renamed and self.backup is not None:
+            with contextlib.suppress(OSError):
+                os.replace(self.backup, self.target)
         _remove(self.backup)
         _remove(self.temporary)
 
@@ -196,24 +184,19 @@ class Outputs:
     """Files that appear together when the block is left, or none of them."""
 
     def __init__(self) -> None:
-        """Begin without any."""
         self._files: list[_File] = []
         self._writers: list[Writer] = []
         self._complete = False
 
     def register(self, path: str) -> _File:
-        """Note an output; refuse it where it cannot be written or is noted already."""
+        """Note an output; refuse it where it cannot be written or is noted already (OutputError)."""
         if "\0" in path or not path:
             raise OutputError(f"{path!r}: this is no file name")
         file = _File(path)
         for other in self._files:
             is_same = file.temporary is not None and file.target == other.target
-            if is_same or (
-                file.descriptor is not None and file.descriptor == other.descriptor
-            ):
-                raise OutputError(
-                    f"{path}: two outputs go there: give each a file of its own"
-                )
+            if is_same or (file.is_stdout and other.is_stdout):
+                raise OutputError(f"{path}: two outputs go there: type two names")
         self._files.append(file)
         return file
 
@@ -230,12 +213,8 @@ class Outputs:
         """Return a writer of columns; see :func:`create`."""
         path = os.fspath(path)
         suffix = _suffix_of(path)
-        file = self.register(path)
-        writer: Writer
-        if suffix in HDF5_SUFFIXES:
-            writer = Hdf5Writer(file, columns, attributes)
-        else:
-            writer = TextWriter(file, columns, attributes)
+        kind = Hdf5Writer if suffix in HDF5_SUFFIXES else TextWriter
+        writer = kind(self.register(path), columns, attributes)
         self._writers.append(writer)
         return writer
 
@@ -245,9 +224,8 @@ class Outputs:
 
     def write_bytes(self, path: str | os.PathLike[str], data: bytes) -> None:
         """Write a small file of bytes."""
-        file = self.register(os.fspath(path))
-        stream = file.open()
-        with telling(file.path):
+        stream = self.open(path)
+        with telling(os.fspath(path)):
             stream.write(data)
             stream.flush()
 
@@ -260,11 +238,12 @@ class Outputs:
         try:
             if kind is None:
                 self._commit()
-        except BaseException:
-            self._give_up()
-            raise
-        if kind is not None:
-            self._give_up()
+        finally:
+            if self._complete:
+                for file in self._files:
+                    _remove(file.backup)
+            else:
+                self._give_up()
 
     def _commit(self) -> None:
         for writer in self._writers:
@@ -272,52 +251,33 @@ class Outputs:
         for file in self._files:
             file.finish()
         for file in self._files:
-            file.rename(keep=len(self._files) > 1)
+            file.rename()
         self._complete = True
-        for file in self._files:
-            _remove(file.backup)
 
     def _give_up(self) -> None:
         for writer in self._writers:
             with contextlib.suppress(Exception):
                 writer.close()
         for file in self._files:
-            if self._complete:  # Ctrl-C came when all had their names
-                _remove(file.backup)
-            else:
-                file.take_back()
-
-
-def _descriptor_of(path: str) -> int | None:
-    """Return the open descriptor that a path stands for (``-``, ``/dev/stdout``), or None."""
-    if path in ("-", "/dev/stdout"):
-        return 1
-    if path == "/dev/stderr":
-        return 2
-    match = _DESCRIPTOR.fullmatch(path)
-    return int(match[1]) if match else None
+            file.take_back()
 
 
 def _suffix_of(path: str) -> str:
     """Return the suffix that decides the format; refuse one that is of none (UsageError)."""
     if "::" in path:
         file = path.partition("::")[0]
-        raise UsageError(
-            f"{path}: an output is a whole file, not a part of one: write {file}"
-        )
-    if _descriptor_of(path) is not None:
-        return ""
+        raise UsageError(f"{path}: an output is a whole file: type {file}")
     stem, suffix = os.path.splitext(path)
     suffix = suffix.lower()
     if suffix == ".gz":
         suffix = os.path.splitext(stem)[1].lower()
         if suffix in HDF5_SUFFIXES:
-            raise UsageError(f"{path}: HDF5 is compressed inside: write {stem}")
+            raise UsageError(f"{path}: HDF5 compresses by itself: type {stem}")
     if suffix in DELIMITERS or suffix in HDF5_SUFFIXES:
         return suffix
     if not os.path.exists(path) or os.path.isfile(path):
         raise UsageError(
-            f"{path}: no format is called {suffix}: write {stem}.csv, .tsv or .h5"
+            f"{path}: {suffix} is not written: type {stem}.csv, .tsv or .h5"
         )
     return ""
 
@@ -357,20 +317,10 @@ def telling(path: str) -> Iterator[None]:
         raise
     except OSError as problem:
         place = "standard output" if path == "-" else path
-        raise OutputError(f"{place}: {_reason(problem)}") from None
-
-
-def _reason(problem: OSError) -> str:
-    """Return why writing failed; HDF5 gives the error's number only in its text."""
-    number = problem.errno
-    inside = _ERRNO.search(str(problem))
-    if inside:
-        number = int(inside[1])
-    if number in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-        return "the disk is full, so nothing was written: free some space, or write elsewhere"
-    if number:
-        return f"cannot be written: {os.strerror(number)}"
-    return f"cannot be written: {str(problem).splitlines()[0]}"
+        reason = f"cannot be written: {problem.strerror or problem}"
+        if problem.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            reason = "the disk is full, so nothing was written: free some space, or write elsewhere"
+        raise OutputError(f"{place}: {reason}") from None
 
 
 # --- columns ---
@@ -382,7 +332,6 @@ class Writer:
     def __init__(
         self, file: _File, columns: Sequence[Named], attributes: Attributes | None
     ) -> None:
-        """Take the columns (names and units) of an output."""
         self.path = file.path
         self.columns = list(columns)
         self.attributes = dict(attributes or {})
@@ -396,13 +345,9 @@ class Writer:
         OutputError
             A number is not finite, or the rows cannot be written.
         """
-        values = []
-        for array in arrays:
-            values.append(np.ascontiguousarray(array, dtype=np.float64))
-        if len(values) != len(self.columns) or {a.shape for a in values} != {
-            (len(values[0]),)
-        }:
-            shapes = [a.shape for a in values]
+        values = [np.ascontiguousarray(array, dtype=np.float64) for array in arrays]
+        shapes = {array.shape for array in values}
+        if len(values) != len(self.columns) or shapes != {(len(values[0]),)}:
             raise ValueError(f"{len(self.columns)} columns of one length, not {shapes}")
         self._require_finite(values)
         with telling(self.path):
@@ -423,28 +368,22 @@ class Writer:
             if not finite.all():
                 row = int(np.argmin(finite))
                 raise OutputError(
-                    f"{self.path}: row {self.rows + row + 1}: {name} would be {array[row]}, which is no "
-                    "number to write: look at the input there"
+                    f"{self.path}: row {self.rows + row + 1}: {name} would be {array[row]}: check the input "
+                    "there"
                 )
 
 
 class TextWriter(Writer):
-    """Appends rows of delimited text; each number is the shortest that reads back.
-
-    A file's rows are formatted and written in a thread while the caller makes the next.
-    """
+    """Appends rows of delimited text; each number is the shortest that reads back."""
 
     def __init__(
         self, file: _File, columns: Sequence[Named], attributes: Attributes | None
     ) -> None:
-        """Open the output and write the header."""
         super().__init__(file, columns, attributes)
         self.delimiter = DELIMITERS[_suffix_of(file.path)]
-        self._flush = file.direct
+        self._at_once = file.temporary is None
         self._stream = file.open()
         self._packed: gzip.GzipFile | None = None
-        self._thread: ThreadPoolExecutor | None = None
-        self._pending: Future[None] | None = None
         if file.path.lower().endswith(".gz"):
             # no name and no time: the same numbers give the same bytes
             self._packed = gzip.GzipFile("", "wb", GZIP_LEVEL, self._stream, 0)
@@ -453,37 +392,18 @@ class TextWriter(Writer):
             self._send((self.delimiter.join(cells) + "\n").encode())
 
     def close(self) -> None:
-        """Wait for the last rows, and end a compressed stream."""
-        try:
+        """End a compressed stream."""
+        if self._packed is not None:
             with telling(self.path):
-                self._finish()
-                if self._packed is not None:
-                    self._packed.close()
-        finally:
-            if self._thread is not None:
-                self._thread.shutdown()
+                self._packed.close()
 
     def _append(self, block: Sequence[FloatArray]) -> None:
-        self._finish()
         cells = (self.rows + len(block[0])) * len(block)
         if cells < PLAIN_CELLS and "polars" not in sys.modules:
-            self._send(_plain_rows(block, self.delimiter))
-        elif self._flush or len(block[0]) < WORTH_A_THREAD:
-            self._format(block)
-        else:
-            from concurrent.futures import ThreadPoolExecutor
-
-            self._thread = self._thread or ThreadPoolExecutor(1)
-            copies = [array.copy() for array in block]  # the caller goes on
-            self._pending = self._thread.submit(self._format, copies)
-
-    def _finish(self) -> None:
-        """Wait until the rows so far are handed to the stream; raise what went wrong there."""
-        pending, self._pending = self._pending, None
-        if pending is not None:
-            pending.result()
-
-    def _format(self, block: Sequence[FloatArray]) -> None:
+            columns = [map(repr, array.tolist()) for array in block]
+            lines = map(self.delimiter.join, zip(*columns, strict=True))
+            self._send(("\n".join(lines) + "\n").encode())
+            return
         import polars as pl
 
         frame = pl.DataFrame({str(n): array for n, array in enumerate(block)})
@@ -492,10 +412,9 @@ class TextWriter(Writer):
         self._send(buffer.getbuffer())
 
     def _send(self, data: bytes | memoryview) -> None:
-        stream = self._packed or self._stream
-        stream.write(data)
-        if self._flush:
-            stream.flush()
+        (self._packed or self._stream).write(data)
+        if self._at_once:
+            (self._packed or self._stream).flush()
             self._stream.flush()
 
 
@@ -511,35 +430,12 @@ def header_cell(name: str, unit: str | None, delimiter: str) -> str:
     return text
 
 
-def _plain_rows(block: Sequence[FloatArray], delimiter: str) -> bytes:
-    columns = []
-    for array in block:
-        columns.append([shortest(value) for value in array.tolist()])
-    lines = []
-    for cells in zip(*columns, strict=True):
-        lines.append(delimiter.join(cells) + "\n")
-    return "".join(lines).encode()
-
-
-def shortest(value: float) -> str:
-    """Write a finite number with the fewest digits that read back, as polars spells it."""
-    text = repr(value)
-    if "e" not in text:
-        return text
-    digits, exponent = text.split("e")
-    if exponent == "-05":  # polars writes exponents only below 1e-5
-        sign = "-" if digits[0] == "-" else ""
-        return f"{sign}0.0000{digits.lstrip('-').replace('.', '')}"
-    return f"{digits}e{exponent[0]}{exponent[1:].lstrip('0')}"
-
-
 class Hdf5Writer(Writer):
     """Appends rows to one dataset a column of a new HDF5 file."""
 
     def __init__(
         self, file: _File, columns: Sequence[Named], attributes: Attributes | None
     ) -> None:
-        """Open the new file and make its datasets."""
         super().__init__(file, columns, attributes)
         if file.temporary is None:
             raise UsageError(
@@ -547,8 +443,10 @@ class Hdf5Writer(Writer):
             )
         import h5py
 
+        with telling(self.path):
+            self._stream = _PatientFile(file.temporary, "xb+")
+        file.stream = self._stream
         self._datasets: list[Any] = []
-        self._stream = _PatientStream(file.open(readable=True))
         self._store = h5py.File(self._stream, "w")
         for name, unit in columns:
             dataset = self._store.create_dataset(
@@ -573,42 +471,34 @@ class Hdf5Writer(Writer):
         self._stream.tell_problem()
 
 
-class _PatientStream:
+class _PatientFile(io.FileIO):
     """A file for HDF5 that keeps what goes wrong for later.
 
     HDF5 ends the process when it cannot write while it closes a file (a full disk).
     """
 
-    def __init__(self, stream: IO[bytes]) -> None:
-        """Take a file that can be read and written."""
-        self._stream = stream
-        self._problem: BaseException | None = None
-        self.seek = stream.seek
-        self.tell = stream.tell
-        self.read = stream.read
-        self.readinto = stream.readinto  # type: ignore[attr-defined]
+    problem: BaseException | None = None
 
-    def write(self, data: bytes) -> int:
+    def write(self, data: Any) -> int:
         """Write, or pretend to after a failure."""
-        return self._tried(self._stream.write, data) or len(data)
+        if self._tried(super().write, data) != len(data) and self.problem is None:
+            self.problem = OSError(errno.ENOSPC, "the disk is full")
+        return len(data)
 
-    def truncate(self, size: int) -> int:
+    def truncate(self, size: int | None = None) -> int:
         """Give the file a size."""
-        return self._tried(self._stream.truncate, size) or size
-
-    def flush(self) -> None:
-        """Hand everything to the system."""
-        self._tried(self._stream.flush)
+        self._tried(super().truncate, size)
+        return size or 0
 
     def tell_problem(self) -> None:
         """Raise what went wrong."""
-        if self._problem is not None:
-            raise self._problem
+        if self.problem is not None:
+            raise self.problem
 
-    def _tried(self, function: Callable[..., Any], *values: Any) -> Any:
-        if self._problem is None:
+    def _tried(self, function: Callable[[Any], int], value: Any) -> int:
+        if self.problem is None:
             try:
-                return function(*values)
+                return function(value)
             except BaseException as problem:  # Ctrl-C, too
-                self._problem = problem
-        return None
+                self.problem = problem
+        return 0

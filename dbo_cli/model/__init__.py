@@ -8,7 +8,6 @@ from dbo_cli.model.file import (
     dumps_set,
     is_set,
     model_values,
-    parse_model,
     read_model,
     read_models,
 )
@@ -16,31 +15,19 @@ from dbo_cli.model.gears import Gears, Window
 from dbo_cli.model.model import Candidate, Model, Outside, Steps
 from dbo_cli.model.points import Points, Scale
 from dbo_cli.model.relaxation import Relaxation
-from dbo_cli.model.state import (
-    NEGLIGIBLE,
-    OutsideError,
-    Quantity,
-    Run,
-    State,
-    VoltageWindow,
-    steps_of,
-)
+from dbo_cli.model.state import Quantity, Run, State, steps_of
 from dbo_cli.model.state_file import dumps_state, read_state
-from dbo_cli.model.stepper import Stepper
-from dbo_cli.model.undoing import Inverter, Undoing, ZeroPhaseLowPass, read_ahead
+from dbo_cli.model.undoing import Undoing, read_ahead
 
 __all__ = [
-    "NEGLIGIBLE",
     "Candidate",
     "Delay",
     "Dynamics",
     "Gears",
-    "Inverter",
     "Lag",
     "Mode",
     "Model",
     "Outside",
-    "OutsideError",
     "Points",
     "Quantity",
     "Relaxation",
@@ -50,18 +37,14 @@ __all__ = [
     "Section",
     "Stage",
     "State",
-    "Stepper",
     "Steps",
     "Undoing",
-    "VoltageWindow",
     "Window",
-    "ZeroPhaseLowPass",
     "dumps_model",
     "dumps_set",
     "dumps_state",
     "is_set",
     "model_values",
-    "parse_model",
     "read_ahead",
     "read_model",
     "read_models",

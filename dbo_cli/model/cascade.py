@@ -18,27 +18,6 @@ Stage = Gears | Curve | Dynamics | Delay
 Direction = Literal["forward", "inverse"]
 
 
-def turned(stages: Sequence[Stage], direction: Direction) -> tuple[Stage, ...]:
-    """Return the stages with gears whose drive is on the side that the direction tells.
-
-    Raises
-    ------
-    ModelError
-        They relax, and follow the other side.
-    """
-    on: Literal["input", "output"] = "input" if direction == "forward" else "output"
-    result: list[Stage] = []
-    for place, stage in enumerate(stages):
-        if isinstance(stage, Gears) and stage.on != on:
-            if stage.relaxation is not None:
-                raise ModelError(
-                    f"stages[{place}].relaxation.on: must be {on!r} in this direction"
-                )
-            stage = Gears(stage.dx, stage.dy, stage.x0, stage.y0, None, on)
-        result.append(stage)
-    return tuple(result)
-
-
 def check_order(stages: Sequence[Stage], direction: Direction) -> None:
     """See that stages stand as a model has them.
 
@@ -52,9 +31,15 @@ def check_order(stages: Sequence[Stage], direction: Direction) -> None:
     """
     gears = [place for place, stage in enumerate(stages) if isinstance(stage, Gears)]
     if not gears:
-        raise ModelError("stages: no backlash stage is among them")
+        raise ModelError("stages: one of type backlash is missing")
     if len(gears) > 1:
-        raise ModelError(f"stages[{gears[1]}]: only one backlash stage is possible")
+        raise ModelError(f"stages[{gears[1]}]: a second backlash stage")
+    turned = stages[gears[0]]
+    on = "input" if direction == "forward" else "output"
+    if isinstance(turned, Gears) and turned.on != on:
+        raise ModelError(
+            f"stages[{gears[0]}].relaxation.on: must be {on!r} in this direction"
+        )
     places = list(range(len(stages)))
     if direction == "inverse":
         places.reverse()
@@ -69,8 +54,8 @@ def check_order(stages: Sequence[Stage], direction: Direction) -> None:
             _check_delay(stage, place, direction)
         if rank < beyond or rank == beyond > 0:
             raise ModelError(
-                f"stages[{place}]: the order is points and scales around the gears, one dynamics, one delay"
-                " (an inverse model has it mirrored)"
+                f"stages[{place}]: wrong order; points and scales around the gears, one dynamics, one "
+                "delay (inverse: mirrored)"
             )
         beyond = rank
 

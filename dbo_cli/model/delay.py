@@ -164,8 +164,8 @@ class Delay:
         samples = abs(self.seconds) / dt
         if samples > MOST_DELAYED:
             raise InputError(
-                f"time step: {dt:g} s: the delay of {abs(self.seconds):g} s takes more than"
-                f" {MOST_DELAYED:,} samples of it (lower the sample rate)"
+                f"time step: {dt:g} s: a delay of {abs(self.seconds):g} s has more than {MOST_DELAYED:,} "
+                "samples: lower the sample rate"
             )
         return whole_and_part(samples)
 
@@ -202,23 +202,13 @@ class Delay:
 
     def late_loop(self, x: Floats, dt: float) -> Floats:
         """Return one period of a signal that repeats, late by the delay."""
-        whole, part = self._samples(dt)
-        if not part:
-            return np.roll(x, whole)
-        return _six_of_loop(x, -whole - 1, _place_of(whole), 1.0 - part)
+        periods = 2 + math.ceil(self._samples(dt)[0] / x.size)
+        return self.run(np.tile(x, periods + WINDOW // x.size), dt)[0][-x.size :]
 
     def early_loop(self, x: Floats, dt: float) -> Floats:
         """Return one period of a signal that repeats, earlier by the delay."""
-        whole, part = self._samples(dt)
-        if not part:
-            return np.roll(x, -whole)
-        return _six_of_loop(x, whole, BEFORE, part)
-
-
-def _six_of_loop(x: Floats, first: int, place: int, part: float) -> Floats:
-    """Return the values of a loop a part behind the samples from ``first`` on, one for each sample."""
-    rows = np.arange(first - place, first - place + x.size + WINDOW - 1)
-    return between_even(x[rows % x.size], place, part)
+        known = np.resize(x, x.size + self.rows_ahead(dt))
+        return self.read_ahead(known, dt, tuple(x[-BEFORE:].tolist()))
 
 
 def _with_rest_before(

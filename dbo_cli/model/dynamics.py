@@ -260,18 +260,12 @@ class Dynamics:
 
     def loop(self, x: Floats, dt: float) -> Floats:
         """Return one period behind all sections when it has been repeated for ever."""
-        signal = np.ascontiguousarray(x, dtype=np.float64)
-        for section in self.sections:
-            alone = Dynamics((section,))
 
-            def after(
-                p: float, q: float, alone: Dynamics = alone, x: Floats = signal
-            ) -> tuple[Floats, Floats]:
-                y, state = alone.run(x, dt, ((p, q, float(x[-1])),))
-                return y, np.array(state).reshape(-1)[:2]
+        def run(x: Floats, states: SectionStates) -> tuple[Floats, SectionStates]:
+            y, after = self.run(x, dt, states)
+            return y, after or states
 
-            signal = repeated(after)
-        return signal
+        return repeated(run, x, len(self.sections))
 
 
 def _step_rows(sections: tuple[Section, ...], steps: Floats) -> Floats:
@@ -291,15 +285,23 @@ def as_states(memories: Floats) -> SectionStates:
     return tuple((float(a), float(b), float(c)) for a, b, c in memories)
 
 
-def repeated(after: Callable[[float, float], tuple[Floats, Floats]]) -> Floats:
-    """Return a period from the two numbers of a section's state that it leaves unchanged.
+def repeated(
+    run: Callable[[Floats, SectionStates], tuple[Floats, SectionStates]],
+    period: Floats,
+    sections: int,
+) -> Floats:
+    """Return what ``run`` makes of a period that is repeated for ever.
 
-    ``after`` gives the period and the state behind it from the state before it. That is
-    linear: the state that stays solves two equations.
+    The state of all sections after a period is linear in that before it: the state that
+    stays solves as many equations as it has numbers.
     """
-    base = after(0.0, 0.0)[1]
-    by_first = after(1.0, 0.0)[1] - base
-    by_second = after(0.0, 1.0)[1] - base
-    columns = np.column_stack([by_first, by_second])
-    first, second = np.linalg.solve(np.eye(2) - columns, base).tolist()
-    return after(first, second)[0]
+
+    def after(numbers: Floats) -> tuple[Floats, Floats]:
+        y, states = run(period, as_states(numbers.reshape(sections, 3)))
+        return y, np.array(states).reshape(-1)
+
+    base = after(np.zeros(3 * sections))[1]
+    unit = np.eye(3 * sections)
+    columns = np.column_stack([after(row)[1] - base for row in unit])
+    begun = np.asarray(np.linalg.solve(unit - columns, base), dtype=np.float64)
+    return after(begun)[0]

@@ -91,14 +91,14 @@ def move_warnings(
     speed = fastest_drive(voltage, steps)
     if fastest and speed > LONGER * float(fastest):
         found.append(
-            f"the move is faster than the logs ({speed:.3g} {unit}/s, they {float(fastest):.3g}): the error"
-            " may be larger than stated; identify with a log as fast"
+            f"{speed:.3g} {unit}/s, the logs at most {float(fastest):.3g}: the error may be larger; "
+            "identify with a faster log"
         )
     held = longest_rest(voltage, steps)
     if rest is not None and held > LONGER * float(rest):
         found.append(
-            f"the move holds for {held:.3g} s and the logs for {float(rest):.3g} s: the error may be larger"
-            " than stated; identify with a log that holds as long"
+            f"holds for {held:.3g} s, the logs at most {float(rest):.3g}: the error may be larger; "
+            "identify with a longer hold"
         )
     return found
 

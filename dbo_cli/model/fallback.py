@@ -12,6 +12,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli.model import kernel
+
 Floats = NDArray[np.float64]
 Words = NDArray[np.uint64]
 
@@ -220,86 +222,43 @@ def dynamics_undo(
 
 def between_even(values: Floats, out: Floats, place: int, part: float) -> None:
     """Fill ``out`` with values the ``part`` of a step behind sample ``place`` of each six."""
-    times = np.arange(6.0)
-    for k in range(out.size):
-        out[k] = _between(times, values[k : k + 6], place, part)
-
-
-def between(
-    times: Floats,
-    values: Floats,
-    wanted: Floats,
-    out: Floats,
-    newest: int,
-    whole: float,
-) -> int:
-    """Fill ``out`` with a signal at other times, of samples up to ``newest`` and one more for each.
-
-    Before the first sample the first value holds, after the last one the last. Where
-    fewer than six samples are known, or two of them have one stamp, it is linear.
-    """
-    last = times.size - 1
-    before = 0
-    for k, at in enumerate(wanted.tolist()):
-        before = int(np.searchsorted(times, at, side="right")) - 1
-        before = max(before, 0)
-        after = min(before + 1, last)
-        gap = times[after] - times[before]
-        part = (at - times[before]) / gap if gap > 0.0 else 0.0
-        known = max(min(newest + k, last), after)
-        begin = max(min(before - 2, known - 5), 0)
-        six = slice(begin, begin + 6)
-        if part < whole:
-            out[k] = values[before]
-        elif part > 1.0 - whole:
-            out[k] = values[after]
-        elif begin + 5 <= known and (np.diff(times[six]) > 0.0).all():
-            out[k] = _between(times[six], values[six], before - begin, part)
-        else:
-            out[k] = values[before] + part * (values[after] - values[before])
-    return before
-
-
-def _between(times: Floats, values: Floats, place: int, part: float) -> float:
-    """Return the cubic with limited slopes the ``part`` of a step behind one of six samples."""
-    step = float(times[place + 1] - times[place])
-    rise = float(values[place + 1] - values[place])
-    begins = _slope(times, values, place) * step - rise
-    ends = _slope(times, values, place + 1) * step - rise
+    six = np.lib.stride_tricks.sliding_window_view(values, 6)
+    rise = six[:, place + 1] - six[:, place]
+    begins = _slopes(six, place) - rise
+    ends = _slopes(six, place + 1) - rise
     rest = 1.0 - part
-    return float(values[place]) + part * (rise + rest * (rest * begins - part * ends))
+    out[:] = six[:, place] + part * (rise + rest * (rest * begins - part * ends))
 
 
-def _slope(times: Floats, values: Floats, at: int) -> float:
-    """Return the slope at one of six samples, limited (Huynh's scheme M3-A)."""
-    secant = np.diff(values) / np.diff(times)
-    bends = np.diff(secant) / (times[2:] - times[:-2])
+def _slopes(six: Floats, at: int) -> Floats:
+    """Return the slope at one of each six samples, limited (Huynh's scheme M3-A)."""
+    secant = np.diff(six)
     # around each sample; at the ends the neighbour's
-    curve = np.concatenate([bends[:1], bends, bends[-1:]])
-    five = slice(0, 5) if at < 3 else slice(1, 6)
-    span = times[5] - times[0]
-    polynomial = np.polyfit((times[five] - times[at]) / span, values[five], 4)
-    slope = polynomial[3] / span
+    curve = np.pad(0.5 * np.diff(secant), ((0, 0), (1, 1)), mode="edge")
+    first = 0 if at < 3 else 1
+    weights = np.polyfit(np.arange(first, first + 5.0) - at, np.eye(5), 4)[3]
+    slope = six[:, first : first + 5] @ weights
     chords, parabolas = [], []
     if at > 0:
-        bend = _nearer(curve[at - 1], curve[at])
-        chords.append(secant[at - 1])
-        parabolas.append(secant[at - 1] + bend * (times[at] - times[at - 1]))
+        chords.append(secant[:, at - 1])
+        parabolas.append(chords[-1] + _nearer(curve[:, at - 1], curve[:, at]))
     if at < 5:
-        bend = _nearer(curve[at], curve[at + 1])
-        chords.append(secant[at])
-        parabolas.append(secant[at] - bend * (times[at + 1] - times[at]))
-    chord = _nearer(chords[0], chords[-1])
-    parabola = _nearer(parabolas[0], parabolas[-1])
-    low = min(0.0, 3.0 * chord, 1.5 * parabola)
-    high = max(0.0, 3.0 * chord, 1.5 * parabola)
-    return float(min(max(slope, low), high))
+        chords.append(secant[:, at])
+        parabolas.append(chords[-1] - _nearer(curve[:, at], curve[:, at + 1]))
+    chord = 3.0 * _nearer(chords[0], chords[-1])
+    parabola = 1.5 * _nearer(parabolas[0], parabolas[-1])
+    low = np.minimum(np.minimum(chord, parabola), 0.0)
+    limited: Floats = np.clip(slope, low, np.maximum(np.maximum(chord, parabola), 0.0))
+    return limited
 
 
-def _nearer(a: float, b: float) -> float:
+def _nearer(a: Floats, b: Floats) -> Floats:
     """Return the number of two that is nearer to zero; zero where their signs differ."""
-    if a > 0.0 and b > 0.0:
-        return min(a, b)
-    if a < 0.0 and b < 0.0:
-        return max(a, b)
-    return 0.0
+    nearer: Floats = np.where(np.abs(a) < np.abs(b), a, b)
+    nearer[a * b <= 0.0] = 0.0
+    return nearer
+
+
+def between(*arguments: object) -> int:
+    """Refuse what only the compiled part does (DboError)."""
+    return int(kernel.require("a delay on an uneven clock"))

@@ -50,9 +50,7 @@ def read_model(path: str) -> Model:
     if separator and not os.path.exists(path):
         models = read_models(file)
         if channel not in models:
-            raise InputError(
-                f"{file}: no model is called {channel!r}; there are: {', '.join(models)}"
-            )
+            raise InputError(f"{file}: no model {channel}; models: {', '.join(models)}")
         return models[channel]
     name, values = load(path, "model")
     return parse_model(values, name)
@@ -93,8 +91,7 @@ def parse_model(values: object, name: str = "the model") -> Model:
     """
     if isinstance(values, dict) and values.get("format") == SET_FORMAT:
         raise ModelError(
-            f"{name}: is a set of models: name one of them ({name}::CHANNEL), or all columns with a pattern"
-            " ('V{}')"
+            f"{name}: is a set of models: type {name}::CHANNEL, or a pattern of columns"
         )
     return _model(Node(name, "", values))
 
@@ -111,7 +108,7 @@ def _model(node: Node) -> Model:
         cast(Direction, direction),
         _quantity(node.node("input")),
         _quantity(node.node("output")),
-        _stages(node),
+        _stages(node, direction),
         _fit(node),
         tuple(candidates),
         node.notes("provenance"),
@@ -136,20 +133,22 @@ def _quantity(node: Node) -> Quantity:
 
 
 def _candidate(node: Node) -> Candidate:
-    return node.build(Candidate, node.number("weight"), _stages(node))
+    return node.build(Candidate, node.number("weight"), _stages(node, "forward"))
 
 
-def _stages(node: Node) -> tuple[Stage, ...]:
-    stages = []
+def _stages(node: Node, direction: str) -> tuple[Stage, ...]:
+    stages: list[Stage] = []
     for part in node.nodes("stages"):
-        kind = part.choice("type", *_READERS)
-        stages.append(_READERS[kind](part))
+        kind = part.choice("type", "backlash", *_READERS)
+        if kind == "backlash":
+            stages.append(_gears(part, "input" if direction == "forward" else "output"))
+        else:
+            stages.append(_READERS[kind](part))
     return tuple(stages)
 
 
-def _gears(node: Node) -> Gears:
+def _gears(node: Node, axis: str) -> Gears:
     terms: Relaxation | None = None
-    axis = "input"
     if node.has("relaxation"):
         part = node.node("relaxation")
         axis = part.choice("on", "input", "output")
@@ -192,7 +191,6 @@ def _section(node: Node) -> Section:
 
 
 _READERS: dict[str, Callable[[Node], Stage]] = {
-    "backlash": _gears,
     "point": _points,
     "scale": _scale,
     "dynamics": _dynamics,

@@ -33,35 +33,51 @@ Floats = NDArray[np.float64]
 Words = NDArray[np.uint64]
 Axis = Literal["input", "output"]
 
+NEGLIGIBLE = 1e-9
+"""Clipping, and missing a first value, count from this fraction of the range on."""
+
+INWARDS = 1.0 - 2.0**-51
+"""Factor on a step: the step in time, the product and this factor are rounded by 2^-53 each."""
+
 _WORD = 64  # bits of a uint64, in which the kernel keeps the states of gears
 _NO_NUMBERS = np.empty(0)
 
 
 @dataclass(frozen=True)
 class Window:
-    """Limits on the output of inverse gears, the drive.
+    """What a drive may do: its range and its change per second; the range wins over the slew.
 
-    Attributes
-    ----------
-    low, high : float
-        The range of the output; it wins over the largest step.
-    step : float, array, or None
-        Largest change of the output since the sample before, one number or one a sample.
-    slack : float
-        A sample counts as clipped when clipping moved it by more than this.
+    Raises
+    ------
+    ModelError
+        The range is empty, or the slew is not above 0.
     """
 
     low: float = -math.inf
     high: float = math.inf
-    step: float | Floats | None = None
-    slack: float = 0.0
+    slew: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse an empty range and a slew that forbids every move."""
+        if not self.low < self.high:
+            raise ModelError(
+                f"the lower voltage limit, {self.low!r}, is not below the upper, {self.high!r}"
+            )
+        if self.slew is not None and not self.slew > 0.0:
+            raise ModelError(f"the largest slew, {self.slew!r}, is not greater than 0")
+
+    def largest_step(self, dt: float | Floats | None) -> float | Floats | None:
+        """Return the largest change of the drive in a time step (s), rounded down; None where any is."""
+        if self.slew is None or self.slew == math.inf or dt is None:
+            return None
+        return self.slew * dt * INWARDS
 
 
-_OPEN = Window()
+OPEN = Window()
 
 
 class GearsRun(NamedTuple):
-    """The output of one block, the state after it, and what was unusual.
+    """The output of one block, the state after it, and what was clipped.
 
     Attributes
     ----------
@@ -71,8 +87,6 @@ class GearsRun(NamedTuple):
         B = b_{n-1} ... b_0 after the block.
     memory : tuple of float, or None
         L_j after the block.
-    outside, first_outside : int
-        How many samples lie beyond the gears, and the first of them.
     clipped, first_clipped : int
         How many samples the window clipped, and the first of them.
     """
@@ -80,8 +94,6 @@ class GearsRun(NamedTuple):
     y: Floats
     bits: int
     memory: tuple[float, ...] | None
-    outside: int = 0
-    first_outside: int = 0
     clipped: int = 0
     first_clipped: int = 0
 
@@ -141,7 +153,7 @@ class Gears:
         for key, (low, high) in (("x0", self.x_range), ("y0", self.y_range)):
             if not low < high:
                 raise ModelError(
-                    f"{key}: rounding leaves nothing of the gears beside {low:.6g}, where they begin"
+                    f"{key}: the gears are lost in rounding beside their origin, {low:.6g}"
                 )
 
     def __repr__(self) -> str:
@@ -207,11 +219,6 @@ class Gears:
         return Gears(self.dy, self.dx, self.y0, self.x0, self.relaxation, on)
 
     @property
-    def all_bits(self) -> int:
-        """B = 2^n - 1: the actuator has been at or above its upper end."""
-        return (1 << self.n) - 1
-
-    @property
     def equal_run(self) -> int:
         """How many neighbouring gears are equal, from every multiple of that number on."""
         return equal_run(self.table)
@@ -254,7 +261,7 @@ class Gears:
         if voltage <= low:
             return 0
         if voltage >= high:
-            return self.all_bits
+            return (1 << self.n) - 1
         words = self.words(0)
         kernel.recursions().backlash_decay(*self.constants(True), words, float(voltage))
         return bits_of(words)
@@ -264,13 +271,13 @@ class Gears:
         x: ArrayLike,
         bits: int,
         memory: tuple[float, ...] | None = None,
-        decay: Floats | None = None,
+        dt: float | Floats | None = None,
         *,
         extend: bool = True,
         window: Window | None = None,
         last: float | None = None,
     ) -> GearsRun:
-        """Return the output of (1)-(12) for one block, the state after it, and what was unusual.
+        """Return the output of (1)-(12) for one block, the state after it, and what was clipped.
 
         Parameters
         ----------
@@ -278,97 +285,94 @@ class Gears:
             One block of the input.
         bits, memory
             The state before it; without memory the actuator rests at the first sample.
-        decay : array, optional
-            ``Relaxation.decay`` of the time steps: one row, or one a sample. Needed with
-            relaxation and more than one sample.
+        dt : float or array, optional
+            Seconds since the sample before, one number or one a sample; needed with
+            relaxation, and with a slew.
         extend : bool
             Beyond the gears go on with the last slope; else keep Y_B.
         window : Window, optional
             Clip the output of inverse gears; the state is then that of the forward gears
             driven by the clipped output.
         last : float, optional
-            The output before this block, for the largest step.
+            The output before this block, for the slew.
 
         Raises
         ------
         ModelError
-            The state is not of these gears, or ``decay`` is missing.
+            The state is not of these gears, or ``dt`` is missing.
         """
         x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
         if x.size == 0:
             return GearsRun(x, bits, memory)
-        if self.relaxation is not None and memory is None:
-            return self._from_rest(x, bits, decay, extend, window, last)
-        y = np.empty_like(x)
-        words = self.words(bits)
-        memories = self._memories(memory)
-        factors = self._factors(decay, x.size)
-        bound = window or _OPEN
+        decay = self._decay(dt, x.size)
         steps = _NO_NUMBERS
-        if bound.step is not None:
-            steps = np.array(bound.step, dtype=np.float64).reshape(-1)
-        before = math.nan if last is None else last
-        counts = kernel.recursions().backlash_run(
-            *self.constants(extend), words, memories, before, x, y, factors,
-            window is not None, bound.low, bound.high, bound.slack, steps,
+        if window is not None and dt is not None and window.slew is not None:
+            steps = np.array(window.largest_step(dt), dtype=np.float64).reshape(-1)
+        if self.relaxation is None or memory is not None:
+            known = memory or ()
+            return self._run(x, bits, known, decay, extend, window, steps, last)
+        # at rest at the first sample: without decay nothing of the past is left
+        nothing, now = (0.0,) * self.gain.size, 0.0 * decay[:1]
+        first = self._run(x[:1], bits, nothing, now, extend, window, steps[:1], last)
+        if x.size == 1:
+            return first
+        later = decay if len(decay) == 1 else np.ascontiguousarray(decay[1:])
+        steps = steps if steps.size == 1 else steps[1:]
+        others = self._run(
+            x[1:], first.bits, first.memory or (), later, extend, window, steps, float(first.y[0])
         )  # fmt: skip
-        if self.relaxation is not None:
-            memory = tuple(memories.tolist())
-        return GearsRun(y, bits_of(words), memory, *counts)
+        y = np.concatenate([first.y, others.y])
+        clipped = first.clipped + others.clipped
+        place = 0 if first.clipped or not clipped else others.first_clipped + 1
+        return GearsRun(y, others.bits, others.memory, clipped, place)
 
-    def _from_rest(
+    def slack(self, window: Window) -> float:
+        """Return by how much clipping has to move an output to count."""
+        low, high = self.y_range
+        return NEGLIGIBLE * min(window.high - window.low, high - low)
+
+    def _run(
         self,
         x: Floats,
         bits: int,
-        decay: Floats | None,
+        memory: tuple[float, ...],
+        decay: Floats,
         extend: bool,
         window: Window | None,
+        steps: Floats,
         last: float | None,
     ) -> GearsRun:
-        """Run a block whose first sample is at rest: no decay factor there, so nothing of the past."""
-        rest = np.zeros((1, self.gain.size))
-        nothing = (0.0,) * self.gain.size
-        first = self.run(
-            x[:1], bits, nothing, rest, extend=extend, window=_rows_of(window, 0, 1), last=last
-        )  # fmt: skip
-        if x.size == 1:
-            return first
-        if decay is not None and len(decay) > 1:
-            decay = decay[1:]
-        others = self.run(
-            x[1:],
-            first.bits,
-            first.memory,
-            decay,
-            extend=extend,
-            window=_rows_of(window, 1, x.size),
-            last=float(first.y[0]),
-        )
-        y = np.concatenate([first.y, others.y])
-        outside = joined(first.outside, others.outside, others.first_outside)
-        clipped = joined(first.clipped, others.clipped, others.first_clipped)
-        return GearsRun(y, others.bits, others.memory, *outside, *clipped)
-
-    def _memories(self, memory: tuple[float, ...] | None) -> Floats:
-        """Return the kernel's buffer of what relaxation remembers."""
-        memories = np.array(memory or (), dtype=np.float64)
+        """Run the kernel over a block whose memory is known."""
+        memories = np.array(memory, dtype=np.float64)
         if memories.size != self.gain.size:
             raise ModelError(
-                f"state: remembers {memories.size} relaxation terms where this model has {self.gain.size}"
+                f"state: has {memories.size} relaxation terms, the model {self.gain.size}"
             )
-        return memories
+        y = np.empty_like(x)
+        words = self.words(bits)
+        bound = window or OPEN
+        before = math.nan if last is None else last
+        counts = kernel.recursions().backlash_run(
+            *self.constants(extend), words, memories, before, x, y, decay,
+            window is not None, bound.low, bound.high, self.slack(bound), steps,
+        )  # fmt: skip
+        after = None if self.relaxation is None else tuple(memories.tolist())
+        return GearsRun(y, bits_of(words), after, *counts[2:])
 
-    def _factors(self, decay: Floats | None, count: int) -> Floats:
+    def _decay(self, dt: float | Floats | None, count: int) -> Floats:
         """Return the decay factors of a block, one row or ``count``."""
         if self.relaxation is None:
             return _NO_NUMBERS
-        if decay is None:
-            raise ModelError(
-                "this model needs the time between samples (`sample_rate`, or a time column)"
-            )
+        if dt is None:
+            if count > 1:
+                raise ModelError(
+                    "this model needs a clock: a time column, or `sample_rate` HZ"
+                )
+            dt = math.inf  # at rest
+        decay = self.relaxation.decay(dt)
         if len(decay) not in (1, count):
             raise ModelError(f"{len(decay)} time steps for {count} samples")
-        return np.ascontiguousarray(decay)
+        return decay
 
     def engagement(
         self, x: ArrayLike, bits: int = 0, group_size: int = 1
@@ -394,18 +398,3 @@ class Gears:
 def bits_of(words: Words) -> int:
     """Return B out of the kernel's buffer."""
     return int.from_bytes(words.astype("<u8").tobytes(), "little")
-
-
-def _rows_of(window: Window | None, begin: int, end: int) -> Window | None:
-    """Return the window of some rows of a block."""
-    if window is None or not isinstance(window.step, np.ndarray):
-        return window
-    steps = np.ascontiguousarray(window.step[begin:end])
-    return Window(window.low, window.high, steps, window.slack)
-
-
-def joined(first: int, others: int, first_other: int) -> tuple[int, int]:
-    """Return the count of a sample and those behind it, and the place of the first that counts."""
-    if first or not others:
-        return first + others, 0
-    return others, first_other + 1

@@ -38,7 +38,7 @@ def require(what: str) -> Any:
     """Return the extension, which ``what`` needs (DboError where it was not built)."""
     if extension is None:
         raise DboError(
-            f"{what} needs the compiled part of dbo: install dbo-cli again where a C compiler is"
+            f"{what} needs the compiled part of dbo: reinstall dbo-cli with a C compiler"
         )
     return extension
 
@@ -55,7 +55,7 @@ def _fallback() -> Any:
     from dbo_cli.model import fallback
 
     warn(
-        "the compiled part of dbo is missing: the model runs in Python, some hundred times slower"
-        " (install dbo-cli again where a C compiler is)"
+        "the compiled part of dbo is missing: some 100 times slower; reinstall dbo-cli with a C "
+        "compiler"
     )
     return fallback

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import InputError, ModelError
-from dbo_cli.model.cascade import Direction, Stage, check_order, digest_of, turned
-from dbo_cli.model.delay import BEFORE, Delay
+from dbo_cli.model.cascade import Direction, Stage, check_order, digest_of
+from dbo_cli.model.delay import Delay
 from dbo_cli.model.dynamics import Dynamics
-from dbo_cli.model.gears import Gears, GearsRun, Window, joined
+from dbo_cli.model.gears import NEGLIGIBLE, Gears, Window
 from dbo_cli.model.points import (
     Curves,
     Points,
@@ -32,17 +32,8 @@ from dbo_cli.model.points import (
     value_through,
 )
 from dbo_cli.model.start import Starts, require_start
-from dbo_cli.model.state import (
-    NEGLIGIBLE,
-    Driven,
-    OutsideError,
-    Quantity,
-    Run,
-    State,
-    VoltageWindow,
-    steps_of,
-)
-from dbo_cli.model.undoing import Inverter, Undoing
+from dbo_cli.model.state import Quantity, Run, State, steps_of
+from dbo_cli.model.undoing import Inverter
 
 Floats = NDArray[np.float64]
 Steps = (
@@ -108,9 +99,7 @@ class Model:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check the cascade; the direction tells on which side of the gears the drive is."""
-        object.__setattr__(self, "stages", turned(self.stages, self.direction))
-        object.__setattr__(self, "candidates", tuple(self.candidates))
+        """Check the cascade."""
         check_order(self.stages, self.direction)
         if len(self.candidates) > MOST_CANDIDATES:
             raise ModelError(
@@ -169,13 +158,6 @@ class Model:
         return abs(self.delay.seconds)
 
     @property
-    def drive_quantity(self) -> Quantity:
-        """The voltages that the model covers: what goes into it, or comes out of an inverse."""
-        if self.is_forward:
-            return self.input
-        return self.output
-
-    @property
     def sign(self) -> Sign:
         """Whether the displacement rises or falls as the voltage rises."""
         gains = [stage.gain for stage in self.stages if isinstance(stage, Scale)]
@@ -202,8 +184,8 @@ class Model:
         if self.direction == direction:
             return
         raise ModelError(
-            f"{name}: the model is {self.direction}, but a model of direction {direction} is needed"
-            " (dbo invert turns it)"
+            f"{name}: a {direction} model is needed, this is an {self.direction} one: dbo invert "
+            "turns it"
         )
 
     # ---- other models made of it ----
@@ -246,8 +228,7 @@ class Model:
         return replace(self, stages=stages, candidates=())
 
     def candidate_models(self) -> list[tuple[float, Model]]:
-        """Return weight and model of every candidate; ModelError for an inverse model."""
-        self.require("forward")
+        """Return weight and model of every candidate of a forward model."""
         return [
             (part.weight, self.with_stages(part.stages)) for part in self.candidates
         ]
@@ -287,7 +268,7 @@ class Model:
         Parameters
         ----------
         first : float
-            The first displacement that the static part is to reach (after ``undo``).
+            The first displacement that the static part is to reach (after ``inverter``).
         state : State or name of a start
             An actuator that starts ``empty`` or ``full`` stands at that end of the
             drive's range, so a slew limit holds from the first row on.
@@ -337,12 +318,13 @@ class Model:
         state : State or name of a start
             Before the first sample.
         outside : {"extend", "hold", "error"}
-            Beyond the range: go on with the last slope, hold, or raise OutsideError.
+            Beyond the range: go on with the last slope, hold, or refuse.
 
         Raises
         ------
         InputError
-            Time goes backwards, or is not even where it must be.
+            Time goes backwards, or is not even where it must be; or a sample is outside
+            the range and that is refused.
         ModelError
             The time between samples is needed and not given.
         """
@@ -351,17 +333,17 @@ class Model:
             dt = steps_of(time)
         undoing = None
         if not self.is_forward and signal.size:
+            inverter = self.inverter(dt)
             if isinstance(state, State):
-                undoing = self.undoing_of(state, dt)
-            ahead = np.full(self.ahead(dt), signal[-1])
-            known = np.concatenate([signal, ahead])
-            signal, undoing = self.undo(known, undoing, dt)
+                undoing = inverter.behind(state)
+            ahead = np.full(inverter.ahead, signal[-1])
+            signal, undoing = inverter.run(np.concatenate([signal, ahead]), undoing)
         if not isinstance(state, State):
             first = float(signal[0]) if signal.size else 0.0
             state = self.start(first, state)
         done = self.run(signal, state, dt, outside)
-        if undoing is None:
-            return done.y, done.state
+        if outside == "error":
+            self.require_inside(signal, done)
         return done.y, replace(done.state, undoing=undoing)
 
     def run(
@@ -369,103 +351,77 @@ class Model:
     ) -> Run:
         """Return the output for one block; cut a signal as you like, the values stay the same.
 
-        Of an inverse model this is the part without dynamics and delay: ``undo`` comes
-        first. ``dt`` and errors are as of ``simulate``; the first one of a state that
-        has just been started does not matter.
+        Of an inverse model this is the part without dynamics and delay: ``inverter``
+        comes first. ``dt`` is as of ``simulate``; the first one of a state that has just been
+        started does not matter. What lies outside is counted; ``require_inside`` refuses
+        it.
         """
-        x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
-        steps = self._steps(dt, x.size, state)
         if not self.is_forward:
-            done = self._drive_block(x, state, steps, None, outside)
-            y, after = done.voltage, done.state
-            count, first = done.outside, done.first_outside
-        else:
-            y, after, count, first = self._forward_block(x, state, steps, outside)
-        if outside == "error" and count:
-            raise OutsideError(first, float(x[first]), *self._covered)
-        return Run(y, after, count, first)
-
-    def _forward_block(
-        self, x: Floats, state: State, steps: Steps, outside: Outside
-    ) -> tuple[Floats, State, int, int]:
-        """Return a block of a forward model, the state after it, and what lies outside."""
+            return self.forward().drive(x, state, dt, outside=outside)
+        x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
+        self._require_steps(dt, x.size)
         if x.size == 0:
-            return x, state, 0, 0
+            return Run(x, state)
         inner = through(self.head, x)
-        if outside == "hold" and self._starts.some_are_spare:
+        extend = outside != "hold"
+        if not extend and self._starts.some_are_spare:
             inner = np.clip(inner, *self._starts.ends)
-        done = self._gears_block(self.gears, inner, state, steps, outside != "hold")
+        done = self.gears.run(inner, state.bits, state.memory, dt, extend=extend)
         y = through(self.tail, done.y)
         sections, held = state.sections, state.delay
         if self.dynamics is not None:
-            y, sections = self.dynamics.run(y, _needed(steps), sections)
+            y, sections = self.dynamics.run(y, _needed(dt), sections)
         if self.delay is not None:
-            y, held = self.delay.run(y, _needed(steps), held)
+            y, held = self.delay.run(y, _needed(dt), held)
         after = State(
             done.bits, done.memory, float(x[-1]), sections=sections, delay=held
         )
-        return y, after, *self._outside(x, done)
+        return Run(y, after, *_outside(x, self._covered))
 
-    def _gears_block(
-        self,
-        gears: Gears,
-        x: Floats,
-        state: State,
-        steps: Steps,
-        extend: bool,
-        window: Window | None = None,
-        last: float | None = None,
-    ) -> GearsRun:
-        """Run the gears over a block."""
-        decay = None
-        if gears.relaxation is not None:
-            decay = gears.relaxation.decay(_needed(steps))
-        return gears.run(
-            x, state.bits, state.memory, decay, extend=extend, window=window, last=last
-        )
-
-    def _steps(self, dt: Steps, count: int, state: State) -> Steps:
-        """Return the time steps, checked; the first of a state that has just been started becomes 0."""
-        if dt is None:
-            if self.needs_time:
-                raise ModelError(_TIME_IS_NEEDED)
-            return None
-        if not isinstance(dt, np.ndarray):
-            return float(dt)
-        if dt.shape != (count,):
+    def _require_steps(self, dt: Steps, count: int) -> None:
+        """Refuse time steps that are missing, or more or fewer than samples (ModelError)."""
+        if dt is None and self.needs_time:
+            raise ModelError(_TIME_IS_NEEDED)
+        if isinstance(dt, np.ndarray) and dt.shape != (count,):
             raise ModelError(f"{dt.size} time steps for {count} samples")
-        begun = state.drive is not None or state.delay or state.sections
-        if count and not begun:
-            dt = dt.copy()
-            dt[0] = 0.0
-        return dt
 
     @functools.cached_property
     def _covered(self) -> tuple[float, float]:
         """The range of this model's input: what it was identified on, or less where its gears end."""
         low, high = self.input.min, self.input.max
-        if not self.is_forward:
-            return low, high
-        ends = [self._from_gears(end) for end in self.gears.x_range]
-        return max(low, min(ends)), min(high, max(ends))
-
-    def _outside(self, x: Floats, done: GearsRun) -> tuple[int, int]:
-        """Return how many samples lie outside the model's range, and the first of them."""
-        low, high = self._covered
+        if self.is_forward:
+            ends = [self._from_gears(end) for end in self.gears.x_range]
+            low, high = max(low, min(ends)), min(high, max(ends))
         slack = NEGLIGIBLE * self.input.span
-        low, high = low - slack, high + slack
-        if x.min() >= low and x.max() <= high:
-            return done.outside, done.first_outside
-        beyond = np.flatnonzero((x < low) | (x > high))
-        first = int(beyond[0])
-        if done.outside:
-            first = min(first, done.first_outside)
-        return max(beyond.size, done.outside), first
+        return low - slack, high + slack
+
+    def require_inside(
+        self, x: Floats, done: Run, before: int = 0, name: str = ""
+    ) -> None:
+        """Refuse a block of input with a sample outside the model's range (InputError).
+
+        Parameters
+        ----------
+        x, done
+            The block, and what ``run`` made of it.
+        before
+            Rows before the block.
+        name
+            Of the signal, for the message.
+        """
+        if not done.outside:
+            return
+        row = done.first_outside
+        low, high = self._covered
+        raise InputError(
+            f"{name}{': ' if name else ''}row {before + row + 1:,}: {x[row]:.6g} is outside the "
+            f"model's range, {low:.6g} to {high:.6g} (`outside` extend)"
+        )
 
     # ---- drive ----
 
-    def ahead(self, dt: Steps) -> int:
-        """Return how many rows beyond a block ``undo`` needs; 0 without dynamics and delay.
+    def inverter(self, dt: Steps) -> Inverter:
+        """Return what undoes dynamics and delay on an even clock (``dt`` in s); nothing where there are none.
 
         Raises
         ------
@@ -473,67 +429,16 @@ class Model:
             The clock is not even, or does not resolve the dynamics.
         """
         if self.dynamics is None and self.delay is None:
-            return 0
-        step = _even(dt)
-        rows = 0
-        if self.delay is not None:
-            rows += self.delay.rows_ahead(step)
-        if self.dynamics is not None:
-            rows += _inverter(self.dynamics, step).ahead
-        return rows
-
-    def undo(
-        self, wanted: Floats, undoing: Undoing | None, dt: Steps
-    ) -> tuple[Floats, Undoing | None]:
-        """Return what the static part must reach for a wanted displacement, and what comes next goes on from.
-
-        Parameters
-        ----------
-        wanted : array
-            A block and ``ahead(dt)`` rows of what follows it.
-        undoing : Undoing, or None
-            From the block before, or ``undoing_of``; None: at rest at the first value.
-        dt : float
-            Seconds between samples.
-        """
-        if self.dynamics is None and self.delay is None:
-            return wanted, None
-        step = _even(dt)
-        count = wanted.size - self.ahead(step)
-        if undoing is not None and undoing.dt != step:
-            undoing = None
-        past = () if undoing is None else undoing.past
-        signal = wanted
-        if self.delay is not None:
-            signal = self.delay.read_ahead(wanted, step, past)
-            past = (*past, *wanted[max(count - BEFORE, 0) : count].tolist())[-BEFORE:]
-        memory = () if undoing is None else undoing.sections
-        if self.dynamics is not None:
-            inverter = _inverter(self.dynamics, step)
-            if not memory:
-                memory = inverter.rest(float(signal[0]))
-            signal, memory = inverter.run(signal, memory)
-        return signal, Undoing(step, memory, past)
-
-    def undoing_of(self, state: State, dt: Steps) -> Undoing | None:
-        """Return what ``undo`` goes on from behind a state; None where nothing is known of it."""
-        if self.dynamics is None and self.delay is None:
-            return None
-        step = _even(dt)
-        if state.undoing is not None and state.undoing.dt == step:
-            return state.undoing
-        if self.dynamics is None or state.sections is None:
-            return None
-        return Undoing(step, _inverter(self.dynamics, step).memory_of(state.sections))
-
-    def undo_loop(self, wanted: Floats, dt: float) -> Floats:
-        """Return what ``undo`` does, for one period of a displacement that repeats for ever."""
-        signal = wanted
-        if self.delay is not None:
-            signal = self.delay.early_loop(signal, dt)
-        if self.dynamics is not None:
-            signal = _inverter(self.dynamics, dt).loop(signal)
-        return signal
+            return _inverter(None, None, 0.0)
+        if dt is None:
+            raise ModelError(_TIME_IS_NEEDED)
+        if isinstance(dt, np.ndarray):
+            raise InputError(
+                "the model's delay and dynamics need an even clock: add `resample` HZ"
+            )
+        if not dt > 0.0:
+            raise InputError(f"time step: {dt!r} s is not greater than 0")
+        return _inverter(self.dynamics, self.delay, float(dt))
 
     def follow_loop(self, y: Floats, dt: float) -> Floats:
         """Return the displacement behind dynamics and delay, for one period of a static one that repeats."""
@@ -548,8 +453,9 @@ class Model:
         wanted: ArrayLike,
         state: State,
         dt: Steps = None,
-        window: VoltageWindow | None = None,
-    ) -> Driven:
+        window: Window | None = None,
+        outside: Outside = "extend",
+    ) -> Run:
         """Return the drive that makes the static part reach one block of displacement.
 
         Where the window clips, the state is that of the model driven by what is left.
@@ -558,27 +464,56 @@ class Model:
         Parameters
         ----------
         wanted : array_like
-            Displacement, with dynamics and delay undone (``undo``).
+            Displacement, with dynamics and delay undone (``inverter``).
         state : State
             From ``start_drive``, ``drive`` or ``run``.
         dt : float, array, or None
             Seconds since the sample before; needed with relaxation or a slew limit.
-        window : VoltageWindow, optional
+        window : Window, optional
             Limits. The range wins over the slew: begin inside it.
+        outside : {"extend", "hold"}
+            Beyond the range: go on with the last slope, or hold.
         """
-        self.require("forward")
-        wanted = np.ascontiguousarray(wanted, dtype=np.float64).reshape(-1)
+        x = np.ascontiguousarray(wanted, dtype=np.float64).reshape(-1)
+        self._require_steps(dt, x.size)
         if dt is None and window is not None and window.slew is not None:
             raise ModelError(_TIME_IS_NEEDED)
-        steps = self._steps(dt, wanted.size, state)
-        done = self.inverse()._drive_block(wanted, state, steps, window, "extend")
-        if wanted.size == 0 or (self.dynamics is None and self.delay is None):
-            return done
-        moved = self._forward_block(done.voltage, state, steps, "extend")[1]
-        after = replace(done.state, sections=moved.sections, delay=moved.delay)
-        return done._replace(state=after)
+        if x.size == 0:
+            return Run(x, state)
+        beyond = _outside(x, self.inverse()._covered)
+        first, missed, clipped = state.first, 0.0, 0
+        if first is not None:
+            reached = float(self.static.run([first], state, 0.0).y[0])
+            missed = float(x[0]) - reached
+            if abs(missed) <= NEGLIGIBLE * self.output.span:
+                missed = 0.0
+            if missed and window is not None:
+                clipped = int(first <= window.low or first >= window.high)
+            x = np.concatenate([[reached], x[1:]])
+        last = None
+        if state.drive is not None:
+            last = value_through(self.head, state.drive)
+        inner = None if window is None else self.inner_window(window)
+        done = self.gears.inverse().run(
+            through(self._tail_inverse, x), state.bits, state.memory, dt,
+            extend=outside != "hold", window=inner, last=last,
+        )  # fmt: skip
+        voltage = through(self._head_inverse, done.y)
+        if window is not None and self.head:
+            # rounding on the way back through the points
+            voltage = np.clip(voltage, window.low, window.high)
+        after = State(done.bits, done.memory, float(voltage[-1]))
+        if self.dynamics is not None or self.delay is not None:
+            moved = self.run(voltage, state, dt).state
+            after = replace(after, sections=moved.sections, delay=moved.delay)
+        first_clipped = 0 if clipped else done.first_clipped
+        if clipped or (beyond[0] and beyond[1] == 0):
+            missed = 0.0
+        return Run(
+            voltage, after, *beyond, done.clipped + clipped, first_clipped, missed
+        )
 
-    def inner_window(self, window: VoltageWindow) -> VoltageWindow:
+    def inner_window(self, window: Window) -> Window:
         """Return limits on the drive as the gears meet them, behind what stands before them.
 
         The slew limit counts on the steepest step everywhere, so that it is kept with
@@ -594,85 +529,7 @@ class Model:
                 slew *= curve.least_slope
             slew *= 1.0 - NEGLIGIBLE  # the points round
         # a window of a last digit may be empty behind the points
-        return VoltageWindow(low, max(high, math.nextafter(low, math.inf)), slew)
-
-    def _drive_block(
-        self,
-        x: Floats,
-        state: State,
-        steps: Steps,
-        window: VoltageWindow | None,
-        outside: Outside,
-    ) -> Driven:
-        """Return a block of an inverse model's voltage; see ``drive``."""
-        if x.size == 0:
-            return Driven(x, state)
-        if state.first is not None:
-            return self._first_block(x, state, state.first, steps, window, outside)
-        bound = None
-        if window is not None:
-            inner = self.inner_window(window)
-            low, high = self.gears.y_range
-            slack = NEGLIGIBLE * min(inner.high - inner.low, high - low)
-            bound = Window(inner.low, inner.high, inner.largest_step(steps), slack)
-        last = None
-        if state.drive is not None:
-            last = value_through(self.inverse().head, state.drive)
-        inner_x = through(self.head, x)
-        done = self._gears_block(
-            self.gears, inner_x, state, steps, outside != "hold", bound, last
-        )
-        voltage = through(self.tail, done.y)
-        if window is not None and self.tail:
-            # rounding on the way back through the points
-            voltage = np.clip(voltage, window.low, window.high)
-        after = State(
-            done.bits,
-            done.memory,
-            float(voltage[-1]),
-            sections=state.sections,
-            delay=state.delay,
-        )
-        beyond = self._outside(x, done)
-        return Driven(voltage, after, done.clipped, done.first_clipped, *beyond)
-
-    def _first_block(
-        self,
-        x: Floats,
-        state: State,
-        first: float,
-        steps: Steps,
-        window: VoltageWindow | None,
-        outside: Outside,
-    ) -> Driven:
-        """Return a block of an inverse model whose first voltage ``start_drive`` has found."""
-        forward = self.inverse()
-        inner = value_through(forward.head, first)
-        moved = forward.gears.run([inner], state.bits)
-        reached = value_through(forward.tail, float(moved.y[0]))
-        begun = replace(
-            state, bits=moved.bits, memory=moved.memory, drive=first, first=None
-        )
-        later = steps
-        if isinstance(steps, np.ndarray):
-            later = steps[1:]
-        rest = self._drive_block(x[1:], begun, later, window, outside)
-        beyond = int(not self.input.min <= x[0] <= self.input.max)
-        missed = float(x[0]) - reached
-        if abs(missed) <= NEGLIGIBLE * self.input.span:
-            missed = 0.0
-        clipped = 0
-        if missed and window is not None:
-            clipped = int(first <= window.low or first >= window.high)
-        if clipped or beyond:
-            missed = 0.0
-        return Driven(
-            np.concatenate([[first], rest.voltage]),
-            rest.state,
-            *joined(clipped, rest.clipped, rest.first_clipped),
-            *joined(beyond, rest.outside, rest.first_outside),
-            missed,
-        )
+        return Window(low, max(high, math.nextafter(low, math.inf)), slew)
 
     # ---- between the voltage and the gears of a forward model ----
 
@@ -681,7 +538,11 @@ class Model:
         return min(ends), max(ends)
 
     def _from_gears(self, value: float) -> float:
-        return value_through(inverse_curves(self.head), value)
+        return value_through(self._head_inverse, value)
+
+    @functools.cached_property
+    def _head_inverse(self) -> Curves:
+        return inverse_curves(self.head)
 
     @functools.cached_property
     def _tail_inverse(self) -> Curves:
@@ -689,9 +550,9 @@ class Model:
 
 
 @functools.lru_cache(maxsize=8)
-def _inverter(dynamics: Dynamics, dt: float) -> Inverter:
-    """Return what undoes dynamics on a clock; a stream asks for it at every block."""
-    return Inverter(dynamics, dt)
+def _inverter(dynamics: Dynamics | None, delay: Delay | None, dt: float) -> Inverter:
+    """Return what undoes dynamics and delay; a stream asks for it at every block."""
+    return Inverter(dynamics, delay, dt)
 
 
 def _curves(stages: tuple[Stage, ...]) -> Curves:
@@ -699,21 +560,17 @@ def _curves(stages: tuple[Stage, ...]) -> Curves:
     return tuple(stage for stage in stages if isinstance(stage, Points | Scale))
 
 
+def _outside(x: Floats, covered: tuple[float, float]) -> tuple[int, int]:
+    """Return how many samples lie outside a range, and the first of them."""
+    low, high = covered
+    if x.min() >= low and x.max() <= high:
+        return 0, 0
+    beyond = (x < low) | (x > high)
+    return int(np.count_nonzero(beyond)), int(np.argmax(beyond))
+
+
 def _needed(steps: Steps) -> float | Floats:
     """Return time steps, or raise ModelError where there are none."""
     if steps is None:
         raise ModelError(_TIME_IS_NEEDED)
     return steps
-
-
-def _even(dt: Steps) -> float:
-    """Return the step (s) of an even clock; InputError where it is not even."""
-    if dt is None:
-        raise ModelError(_TIME_IS_NEEDED)
-    if isinstance(dt, np.ndarray):
-        raise InputError(
-            "undoing the model's dynamics and delay needs an even clock (`resample` HZ interpolates)"
-        )
-    if not dt > 0.0:
-        raise InputError(f"time step: {dt!r} s is not greater than 0")
-    return float(dt)

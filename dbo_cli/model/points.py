@@ -74,6 +74,12 @@ class Points:
         kernel.recursions().point_run(self.segments, self.x0, self.y0, x, y)
         return y
 
+    def value(self, x: float) -> float:
+        """Return the output for one number."""
+        y = np.array([x])
+        kernel.recursions().point_run(self.segments, self.x0, self.y0, y, y)
+        return float(y[0])
+
 
 @dataclass(frozen=True)
 class Scale:
@@ -107,6 +113,10 @@ class Scale:
         """Return the stage that undoes this one, to rounding."""
         return Scale(1.0 / self.gain, -self.offset / self.gain)
 
+    def value(self, x: float) -> float:
+        """Return the output for one number."""
+        return self.gain * x + self.offset
+
     @property
     def least_slope(self) -> float:
         """The gain without its sign."""
@@ -126,9 +136,9 @@ def through(curves: Sequence[Curve], x: Floats) -> Floats:
 
 def value_through(curves: Sequence[Curve], x: float) -> float:
     """Pass one number through stages without memory."""
-    if not curves:
-        return x
-    return float(through(curves, np.array([x]))[0])
+    for curve in curves:
+        x = curve.value(x)
+    return x
 
 
 def inverse_curves(curves: Sequence[Curve]) -> Curves:

@@ -99,9 +99,8 @@ class Relaxation:
         left = float(slopes[gear]) + negative
         if left < LEAST_SLOPE * mean:
             raise ModelError(
-                f"relaxation.gain: the negative gains add up to {negative:.6g} and leave {left:.6g} of the"
-                f" slope of gear {gear}; at least 3 % of the mean slope, {LEAST_SLOPE * mean:.6g}, must be"
-                " left"
+                f"relaxation.gain: negative gains leave gear {gear} a slope of {left:.6g}, less than 3 % "
+                f"of the mean, {LEAST_SLOPE * mean:.6g}"
             )
 
     def decay(self, dt: float | ArrayLike) -> Floats:

@@ -24,9 +24,7 @@ from dbo_cli.model.widths import CROSSING_TOLERANCE
 def require_start(name: str) -> None:
     """Refuse a name that no start has (ModelError)."""
     if name not in START_NAMES:
-        raise ModelError(
-            f"no start is called {name!r}; there are: {', '.join(START_NAMES)}"
-        )
+        raise ModelError(f"`state` {name}: give {', '.join(START_NAMES)} or a file")
 
 
 class Starts:

@@ -1,4 +1,4 @@
-"""Values that go into and come out of a model: quantities, states, limits, and blocks of output."""
+"""Values that go into and come out of a model: quantities, states, blocks of output, and time steps."""
 
 from __future__ import annotations
 
@@ -18,33 +18,10 @@ Floats = NDArray[np.float64]
 StartName = Literal["auto", "empty", "full", "settled"]
 START_NAMES: tuple[StartName, ...] = ("auto", "empty", "full", "settled")
 
-NEGLIGIBLE = 1e-9
-"""Clipping, and missing a first value, count from this fraction of the range on."""
-
 _EVEN = 1e-6  # of a step: stamps this near to an even clock are one
 # of a step: decimals no coarser than this are the rounding of an even clock
 _COARSE = 0.05
 _LOOKED_AT = 50  # stamps that tell in how many decimals they are written
-
-_INWARDS = 1.0 - 2.0**-51
-"""Three roundings (the step in time, the product, this factor) of one part in 2^53 each stay inside it."""
-
-
-class OutsideError(InputError):
-    """A sample lies outside the model's range, and that was to be refused.
-
-    Attributes
-    ----------
-    index : int
-        Position of the first such sample in the block, from 0.
-    """
-
-    def __init__(self, index: int, value: float, low: float, high: float) -> None:
-        super().__init__(
-            f"sample {index + 1}: {value:.6g} is outside the model's range, {low:.6g} to {high:.6g}"
-            " (`outside` extend or hold)"
-        )
-        self.index = index
 
 
 @dataclass(frozen=True)
@@ -106,8 +83,6 @@ class State:
         What undoing dynamics and delay remembers; put there by the caller of ``undo``.
     first : float, or None
         Of a drive about to start: its first voltage.
-    model : str, or None
-        The digest of the model that it belongs to, where it was handed out.
     """
 
     bits: int
@@ -118,82 +93,32 @@ class State:
     delay: Held | None = None
     undoing: Undoing | None = None
     first: float | None = None
-    model: str | None = None
-
-
-@dataclass(frozen=True)
-class VoltageWindow:
-    """What a drive may do: its range (V) and its change (V/s); the range wins over the slew.
-
-    Raises
-    ------
-    ModelError
-        The range is empty, or the slew is not above 0.
-    """
-
-    low: float = -math.inf
-    high: float = math.inf
-    slew: float | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse an empty range and a slew that forbids every move."""
-        if not self.low < self.high:
-            raise ModelError(
-                f"the lower voltage limit, {self.low!r}, is not below the upper, {self.high!r}"
-            )
-        if self.slew is not None and not self.slew > 0.0:
-            raise ModelError(f"the largest slew, {self.slew!r}, is not greater than 0")
-
-    def largest_step(self, dt: float | Floats | None) -> float | Floats | None:
-        """Return the largest change of the drive in a time step (s), rounded down; None where any is."""
-        if self.slew is None or self.slew == math.inf or dt is None:
-            return None
-        return self.slew * dt * _INWARDS
 
 
 class Run(NamedTuple):
-    """One block of output and the state after it.
+    """One block of output, or of a drive, and the state after it; places count from 0 in the block.
 
     Attributes
     ----------
     y : array
-        The output.
+        The output: displacement of a forward model, voltage of a drive.
     state : State
         After the block.
     outside, first_outside : int
-        How many samples lie outside the model's range, and the first of them, from 0.
+        How many samples lie outside the model's range, and the first of them.
+    clipped, first_clipped : int
+        How many rows of a drive the window clipped, and the first of them.
+    missed : float
+        How far the first row of a drive is from the first value wanted, in its unit,
+        because the settled curve steps over it; 0 where it does not.
     """
 
     y: Floats
     state: State
     outside: int = 0
     first_outside: int = 0
-
-
-class Driven(NamedTuple):
-    """One block of a drive and the state after it; places count from 0 in the block.
-
-    Attributes
-    ----------
-    voltage : array
-        The drive.
-    state : State
-        After the block.
-    clipped, first_clipped : int
-        How many rows the window clipped, and the first of them.
-    outside, first_outside : int
-        How many rows lie outside the model's range, and the first of them.
-    missed : float
-        How far the first row is from the first value wanted, in its unit, because the
-        settled curve steps over it; 0 where it does not.
-    """
-
-    voltage: Floats
-    state: State
     clipped: int = 0
     first_clipped: int = 0
-    outside: int = 0
-    first_outside: int = 0
     missed: float = 0.0
 
 

@@ -63,7 +63,6 @@ def read_state(path: str, model: Model) -> State:
         _sections(root, model),
         _held(root, model),
         _undoing(root, model),
-        model=model.digest,
     )
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from dbo_cli.model import kernel
-from dbo_cli.model.gears import Gears, Window, bits_of
+from dbo_cli.model.gears import OPEN, Gears, Window, bits_of
 
 
 class Stepper:
@@ -20,16 +20,14 @@ class Stepper:
     ----------
     gears : Gears
         Those of an inverse model for a drive.
-    bits : int
-        Where they start.
-    memory : tuple of float, or None
-        What relaxation remembers there; needed where the gears relax.
+    bits, memory
+        The state; with relaxation, what is remembered.
     last : float, or None
-        The output before (for the largest step).
-    dt : float, optional
-        Seconds between samples; needed with relaxation.
+        The output before, for the slew.
+    dt : float
+        Seconds between samples.
     window : Window, optional
-        Limits on the output, with one number as largest step.
+        Limits on the output.
 
     Attributes
     ----------
@@ -37,10 +35,9 @@ class Stepper:
         ``plan(x) -> y``: the output for an input; nothing changes yet.
     follow : callable
         ``follow(y)``: work out the state that this output leads to, whatever was asked
-        for; nothing changes yet. ValueError where memory follows the input.
+        for; nothing changes yet.
     commit : callable
-        ``commit()``: go on to the state that was worked out last. ValueError where none
-        was.
+        ``commit()``: go on to the state that was worked out last.
 
     Raises
     ------
@@ -54,57 +51,35 @@ class Stepper:
         self,
         gears: Gears,
         bits: int,
-        memory: tuple[float, ...] | None = None,
-        last: float | None = None,
-        dt: float | None = None,
+        memory: tuple[float, ...] | None,
+        last: float | None,
+        dt: float,
         window: Window | None = None,
     ) -> None:
         decay = np.zeros((0, 0))
-        if gears.relaxation is not None and dt is not None:
+        if gears.relaxation is not None:
             decay = gears.relaxation.decay(dt)
-        bound = window or Window()
-        step = math.nan
-        if bound.step is not None:
-            step = float(np.asarray(bound.step))
+        bound = window or OPEN
+        step = bound.largest_step(dt)
         self._gears = gears
         self._inner = kernel.require("live control").Stepper(
-            *gears.constants(True), decay, window is not None, bound.low, bound.high, bound.slack, step
+            *gears.constants(True), decay, window is not None, bound.low, bound.high,
+            gears.slack(bound), math.nan if step is None else float(step),
         )  # fmt: skip
+        memories = np.array(memory or (), dtype=np.float64)
+        self._inner.set(gears.words(bits), memories, math.nan if last is None else last)
         self.plan = self._inner.plan
         self.follow = self._inner.follow
         self.commit = self._inner.commit
-        self.set(bits, memory, last)
 
-    def set(
-        self, bits: int, memory: tuple[float, ...] | None, last: float | None
-    ) -> None:
-        """Take a state over from these gears or their inverse: bits and memory mean the same."""
-        memories = np.array(memory or (), dtype=np.float64)
-        before = math.nan if last is None else last
-        self._inner.set(self._gears.words(bits), memories, before)
-
-    def _committed(self) -> tuple[int, tuple[float, ...]]:
+    def committed(self) -> tuple[int, tuple[float, ...] | None]:
+        """Return bits and memory (None without relaxation) of the committed state."""
         words = self._gears.words(0)
         memory = np.zeros(self._gears.gain.size)
         self._inner.get(words, memory)
-        return bits_of(words), tuple(memory.tolist())
-
-    @property
-    def bits(self) -> int:
-        """The committed bits."""
-        return self._committed()[0]
-
-    @property
-    def memory(self) -> tuple[float, ...] | None:
-        """What relaxation remembers in the committed state; None without relaxation."""
         if self._gears.relaxation is None:
-            return None
-        return self._committed()[1]
-
-    @property
-    def last(self) -> float:
-        """The output of the last step committed, or NaN."""
-        return float(self._inner.last)
+            return bits_of(words), None
+        return bits_of(words), tuple(memory.tolist())
 
     @property
     def clipped(self) -> bool:

@@ -1,4 +1,4 @@
-"""Dynamics undone on an even clock, reading ahead; and a low-pass without phase.
+"""Dynamics and delay undone on an even clock, reading ahead.
 
 With the output of a section given, u - p and q follow a recursion of two eigenvalues,
 the zeros of the discretised section. For a resonance one lies near -0.268 and is run
@@ -9,18 +9,18 @@ rest. The zeros of an antiresonance are both inside, and run forward.
 
 from __future__ import annotations
 
-import cmath
 import math
 from collections import deque
 from collections.abc import Iterable, Iterator
 from itertools import chain
-from typing import NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import InputError
 from dbo_cli.model import kernel
+from dbo_cli.model.delay import BEFORE, Delay
 from dbo_cli.model.dynamics import (
     Dynamics,
     Lag,
@@ -30,6 +30,9 @@ from dbo_cli.model.dynamics import (
     repeated,
 )
 
+if TYPE_CHECKING:
+    from dbo_cli.model.state import State
+
 Floats = NDArray[np.float64]
 Payload = TypeVar("Payload")
 
@@ -38,10 +41,6 @@ HIGHEST_PART = 0.3
 LEFT_OVER = 1e-17  # of the whole sum over the future: less than rounding does to it
 # samples; beyond, the zero is so near the unit circle that the inverse rings
 LONGEST_AHEAD = 2000
-# of a low-pass's weight in the middle, at which its weights are cut off
-LOW_PASS_LEFT_OVER = 1e-10
-# samples of a low-pass on either side; the work of a sample grows with them
-LONGEST_REACH = 20_000
 
 
 class SectionInverse(NamedTuple):
@@ -171,7 +170,7 @@ class Undoing(NamedTuple):
 
 
 class Inverter:
-    """Undoes dynamics on an even clock of ``dt`` (s), reading ahead by ``ahead`` samples.
+    """Undoes dynamics and a delay on an even clock of ``dt`` (s), reading ahead by ``ahead`` samples.
 
     Raises
     ------
@@ -179,29 +178,63 @@ class Inverter:
         The clock does not resolve a section.
     """
 
-    def __init__(self, dynamics: Dynamics, dt: float) -> None:
-        self.dynamics = dynamics
-        self.parts = [section_inverse(part, dt) for part in dynamics.sections]
+    def __init__(
+        self, dynamics: Dynamics | None, delay: Delay | None, dt: float
+    ) -> None:
+        self.sections = () if dynamics is None else dynamics.sections
+        self.delay, self.dt = delay, dt
+        self.parts = [section_inverse(part, dt) for part in self.sections]
         self.ahead = sum(part.weight.size for part in self.parts)
+        if delay is not None:
+            self.ahead += delay.rows_ahead(dt)
 
-    def rest(self, value: float) -> SectionStates:
-        """Return the memory after a long rest at ``value``."""
-        return ((value, 0.0, 0.0),) * len(self.parts)
+    def run(
+        self, wanted: Floats, undoing: Undoing | None = None
+    ) -> tuple[Floats, Undoing | None]:
+        """Return what the static part must reach for a wanted displacement, and what comes next goes on from.
 
-    def memory_of(self, states: SectionStates) -> SectionStates:
-        """Return the memory with which the inverse goes on from a state of the forward dynamics."""
+        Parameters
+        ----------
+        wanted : array
+            A block and ``ahead`` samples of what follows it.
+        undoing : Undoing, or None
+            From the block before, or ``behind``; None: at rest at the first value.
+        """
+        if not self.parts and self.delay is None:
+            return wanted, None
+        memory: SectionStates = ()
+        past: tuple[float, ...] = ()
+        if undoing is not None and undoing.dt == self.dt:
+            memory, past = undoing.sections, undoing.past
+        signal = wanted
+        if self.delay is not None:
+            signal = self.delay.read_ahead(wanted, self.dt, past)
+            count = wanted.size - self.ahead
+            before = wanted[max(count - BEFORE, 0) : count].tolist()
+            past = (*past, *before)[-BEFORE:]
+        if self.parts:
+            rest = ((float(signal[0]), 0.0, 0.0),) * len(self.parts)
+            signal, memory = self._undone(signal, memory or rest)
+        return signal, Undoing(self.dt, memory, past)
+
+    def behind(self, state: State) -> Undoing | None:
+        """Return what ``run`` goes on from behind a state; None where nothing is known of it."""
+        if state.undoing is not None and state.undoing.dt == self.dt:
+            return state.undoing
+        if not self.parts or state.sections is None:
+            return None
         memories = []
         for part, (p, q, u), section in zip(
-            self.parts, states, self.dynamics.sections, strict=True
+            self.parts, state.sections, self.sections, strict=True
         ):
             by_lead, by_q = section.output
             a, b = (part.from_state @ np.array([u - p, q])).tolist()
             memories.append((p + (by_lead * (u - p) + by_q * q), a, b))
-        return tuple(memories)
+        return Undoing(self.dt, tuple(memories))
 
-    def run(self, y: Floats, memory: SectionStates) -> tuple[Floats, SectionStates]:
-        """Return the input for all but the last ``ahead`` samples of an output, and the memory after them."""
-        count = y.size - self.ahead
+    def _undone(self, y: Floats, memory: SectionStates) -> tuple[Floats, SectionStates]:
+        """Return the input of all sections but for what they read ahead, and the memory after it."""
+        count = y.size - sum(part.weight.size for part in self.parts)
         undo = kernel.recursions().dynamics_undo
         signal = np.ascontiguousarray(y)
         states = list(memory)
@@ -210,30 +243,23 @@ class Inverter:
             state = np.array(states[place])
             out = np.empty(signal.size - ahead)
             undo(part.numbers, part.weight, state, signal[: count + ahead], out[:count])
-            states[place] = (float(state[0]), float(state[1]), float(state[2]))
+            states[place] = tuple(state.tolist())
             # what the next section reads ahead, without going on from there
             if out.size > count:
                 undo(part.numbers, part.weight, state, signal[count:], out[count:])
             signal = out
         return signal, tuple(states)
 
-    def loop(self, y: Floats) -> Floats:
-        """Return the input of one period of an output that is repeated for ever."""
-        undo = kernel.recursions().dynamics_undo
-        signal = np.ascontiguousarray(y)
-        for part in reversed(self.parts):
-
-            def after(
-                a: float, b: float, part: SectionInverse = part, y: Floats = signal
-            ) -> tuple[Floats, Floats]:
-                wrapped = np.pad(y, (0, part.weight.size), mode="wrap")
-                memory = np.array([y[-1], a, b])
-                u = np.empty(y.size)
-                undo(part.numbers, part.weight, memory, wrapped, u)
-                return u, memory[1:]
-
-            signal = repeated(after)
-        return signal
+    def loop(self, wanted: Floats) -> Floats:
+        """Return what ``run`` does, for one period of a displacement that repeats for ever."""
+        signal, ahead = wanted, self.ahead
+        if self.delay is not None:
+            signal = self.delay.early_loop(signal, self.dt)
+            ahead -= self.delay.rows_ahead(self.dt)
+        if not self.parts:
+            return signal
+        wrapped = np.pad(signal, (0, ahead), mode="wrap")
+        return repeated(self._undone, wrapped, len(self.parts))
 
 
 def read_ahead(
@@ -257,72 +283,3 @@ def read_ahead(
             payload, count = waiting.popleft()
             yield payload, values[: count + rows]
             values = values[count:]
-
-
-class ZeroPhaseLowPass:
-    """A symmetric low-pass of gain 1/(1 + (f/f_c)^2n): a Butterworth filter of order n, run both ways.
-
-    Its weights are the two-sided impulse response, the sum over the stable poles s of
-    Re(-s e^(s|t|)), taken at the samples and made to add up to 1. A constant comes
-    through unchanged, to the last bit. Of order 2 nothing overshoots a step by more
-    than 3.4 % of it.
-
-    Parameters
-    ----------
-    cutoff : float
-        f_c in Hz, where half of the amplitude is left.
-    dt : float
-        Seconds between samples.
-    order : int
-        n, an even number.
-
-    Raises
-    ------
-    UsageError
-        The cut-off is above half the sampling rate, or so low that a sample would need
-        20,000 neighbours.
-    """
-
-    def __init__(self, cutoff: float, dt: float, order: int = 2) -> None:
-        rate = 1.0 / dt
-        if not 0.0 < cutoff <= 0.5 * rate:
-            raise UsageError(
-                f"`bandwidth` {cutoff:g}: must be above 0 and at most half the sample rate, {0.5 * rate:.6g}"
-            )
-        turn = 2.0 * math.pi * cutoff * dt
-        poles = []
-        for k in range(order // 2):
-            angle = math.pi * (2 * k + 1 + order) / (2 * order)
-            poles.append(turn * cmath.exp(1j * angle))
-        slowest = max(pole.real for pole in poles)
-        self.reach = math.ceil(math.log(LOW_PASS_LEFT_OVER) / slowest)
-        if self.reach > LONGEST_REACH:
-            lowest = cutoff * self.reach / LONGEST_REACH
-            raise UsageError(
-                f"`bandwidth` {cutoff:g}: too low for a sample rate of {rate:.6g} Hz (at least {lowest:.3g},"
-                " or a lower rate)"
-            )
-        samples = np.arange(1.0, self.reach + 1.0)
-        middle = -sum(pole.real for pole in poles)
-        response = np.zeros(self.reach)
-        for pole in poles:
-            response = response + (-pole * np.exp(pole * samples)).real
-        weight = response / middle
-        weight /= 1.0 + 2.0 * math.fsum(weight.tolist())
-        # of the changes from sample to sample, of which a rest has none
-        farther = np.cumsum(weight[::-1])
-        self._of_changes = np.concatenate([-farther, farther[::-1]])
-
-    def run(self, x: Floats) -> Floats:
-        """Return all but the first and the last ``reach`` samples, smoothed."""
-        changes = np.correlate(np.diff(x), self._of_changes, "valid")
-        smooth: Floats = x[self.reach : x.size - self.reach] + changes
-        return smooth
-
-    def whole(self, x: Floats) -> Floats:
-        """Return a whole signal smoothed; the first and the last value hold beyond its ends."""
-        return self.run(np.pad(x, self.reach, mode="edge"))
-
-    def loop(self, x: Floats) -> Floats:
-        """Return one period of a signal that repeats, smoothed."""
-        return self.run(np.pad(x, self.reach, mode="wrap"))

@@ -25,7 +25,7 @@ def checked_widths(key: str, widths: ArrayLike) -> Floats:
     """Return a read-only copy of ``widths``; raise ModelError naming the key of what is wrong in it."""
     values = np.array(widths, dtype=np.float64).reshape(-1)
     if values.size == 0:
-        raise ModelError(f"{key}: is empty; at least one width is needed")
+        raise ModelError(f"{key}: is empty")
     wrong = np.flatnonzero(~(np.isfinite(values) & (values > 0.0)))
     if wrong.size:
         place = int(wrong[0])

@@ -1,7 +1,6 @@
-"""The files that generators, wave tables and converters take: numbers to bytes, and back.
+"""The files that generators, wave tables and converters take: numbers to bytes.
 
-One function a format writes its bytes, and one reads them back. ``npy`` and ``pi-gcs``
-hold volts, the others codes, whose ends stand for two voltages.
+``npy`` and ``pi-gcs`` hold volts, the others codes, whose ends stand for two voltages.
 """
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ from dbo_cli.errors import UsageError
 
 Floats = NDArray[np.float64]
 Codes = NDArray[np.int64]
-Values = NDArray[np.float64 | np.int64]
 Span = tuple[float, float]
 
 BUNCH = 10  # points a command, as in PI's own example: every controller takes so many
@@ -28,7 +26,7 @@ WHOLE_RATE = 1e-6  # of a rate: closer to a whole number, it is that
 class Signal(NamedTuple):
     """What is written: volts or codes, points a second, and the volts of the lowest and highest code."""
 
-    values: Values
+    values: NDArray[np.float64 | np.int64]
     rate: float
     volts: Span
 
@@ -38,19 +36,15 @@ class Format(NamedTuple):
 
     Attributes
     ----------
-    endings : tuple of str
-        What its files are called.
-    write, read : callable
-        From a signal to bytes; from bytes to volts or codes.
+    write : callable
+        From a signal to bytes.
     codes : (int, int), optional
         The lowest and the highest code; None where volts are written.
     volts_needed : bool
         Codes of a converter, whose volts nobody can guess.
     """
 
-    endings: tuple[str, ...]
     write: Callable[[Signal], bytes]
-    read: Callable[[bytes], Values]
     codes: tuple[int, int] | None = None
     volts_needed: bool = False
 
@@ -74,7 +68,7 @@ class Coding(NamedTuple):
         codes = codes - (self.decode(codes) > within[1])
         return codes + (self.decode(codes) < within[0])
 
-    def decode(self, codes: Values) -> Floats:
+    def decode(self, codes: Codes) -> Floats:
         """Return the voltages of codes."""
         part = (codes - self.codes[0]) / (self.codes[1] - self.codes[0])
         low, high = self.volts
@@ -92,50 +86,27 @@ def _npy(signal: Signal) -> bytes:
     return buffer.getvalue()
 
 
-def _read_npy(data: bytes) -> Values:
-    values: Floats = np.load(io.BytesIO(data))
-    return values
-
-
-def whole_rate(rate: float) -> int:
-    """Return a rate as the whole number that a WAV file has room for (UsageError)."""
-    if abs(rate - round(rate)) > WHOLE_RATE * rate or rate < 0.5:
-        raise UsageError(
-            f"a WAV file has whole points a second, not {rate:.9g} (`rate` {max(round(rate), 1)})"
-        )
-    return round(rate)
-
-
 def _wav(signal: Signal) -> bytes:
+    rate = round(signal.rate)
+    if rate < 1 or abs(signal.rate - rate) > WHOLE_RATE * rate:
+        raise UsageError(
+            f"a WAV file needs a whole rate, not {signal.rate:.9g}: type `rate` {max(rate, 1)}"
+        )
     buffer = io.BytesIO()
     with wave.open(buffer, "wb") as file:
         file.setnchannels(1)
         file.setsampwidth(2)
-        file.setframerate(whole_rate(signal.rate))
+        file.setframerate(rate)
         file.writeframes(signal.values.astype("<i2").tobytes())
     return buffer.getvalue()
-
-
-def _read_wav(data: bytes) -> Values:
-    with wave.open(io.BytesIO(data)) as file:
-        frames = file.readframes(file.getnframes())
-    return np.frombuffer(frames, "<i2").astype(np.int64)
 
 
 def _int16(signal: Signal) -> bytes:
     return signal.values.astype("<i2").tobytes()
 
 
-def _read_int16(data: bytes) -> Values:
-    return np.frombuffer(data, "<i2").astype(np.int64)
-
-
 def _uint16(signal: Signal) -> bytes:
     return signal.values.astype("<u2").tobytes()
-
-
-def _read_uint16(data: bytes) -> Values:
-    return np.frombuffer(data, "<u2").astype(np.int64)
 
 
 def _pi_gcs(signal: Signal) -> bytes:
@@ -149,37 +120,23 @@ def _pi_gcs(signal: Signal) -> bytes:
     return "".join(lines).encode()
 
 
-def _read_pi_gcs(data: bytes) -> Values:
-    values: list[str] = []
-    for line in data.decode().splitlines():
-        values += line.split()[6:]
-    return np.array(values, dtype=np.float64)
-
-
 def _keysight(signal: Signal) -> bytes:
     low, high = signal.volts
-    head = [
+    lines = [
         "File Format:1.10", "Channel Count:1", "Column Char:TAB", f"Sample Rate:{_positional(signal.rate)}",
         f"High Level:{_positional(high)}", f"Low Level:{_positional(low)}", 'Data Type:"Short"',
         'Filter:"OFF"', f"Data Points:{signal.values.size}", "Data:",
     ]  # fmt: skip
-    codes = map(str, signal.values.tolist())
-    return "".join(f"{line}\r\n" for line in [*head, *codes]).encode()
-
-
-def _read_keysight(data: bytes) -> Values:
-    body = data.decode().partition("Data:\r\n")[2]
-    return np.array(body.split(), dtype=np.int64)
+    lines += map(str, signal.values.tolist())
+    return "".join(f"{line}\r\n" for line in lines).encode()
 
 
 FORMATS = {
-    "npy": Format((".npy",), _npy, _read_npy),
-    "wav": Format((".wav",), _wav, _read_wav, (-32767, 32767)),
-    "int16": Format(
-        (".bin", ".raw", ".i16"), _int16, _read_int16, (-32768, 32767), True
-    ),
-    "uint16": Format((".bin", ".raw", ".u16"), _uint16, _read_uint16, (0, 65535), True),
-    "keysight-arb": Format((".arb",), _keysight, _read_keysight, (-32767, 32767)),
-    "pi-gcs": Format((".txt", ".gcs"), _pi_gcs, _read_pi_gcs),
+    "npy": Format(_npy),
+    "wav": Format(_wav, (-32767, 32767)),
+    "int16": Format(_int16, (-32768, 32767), True),
+    "uint16": Format(_uint16, (0, 65535), True),
+    "keysight-arb": Format(_keysight, (-32767, 32767)),
+    "pi-gcs": Format(_pi_gcs),
 }
 """By the name that ``to`` takes; the codes are all of a word, or those of the maker's description."""

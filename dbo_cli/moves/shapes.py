@@ -37,7 +37,6 @@ SHAPES = tuple(NEEDS)
 
 START = 2.0 / math.pi
 """Of a turn's rows: a start of so many reaches as far outside a line as a turn does, more gently than it."""
-MOST_ROWS = 100_000_000  # 800 MB a column
 FEWEST_ROWS = 4  # of a line or cycle: a triangle of fewer has no rows between its turns
 
 
@@ -126,23 +125,20 @@ def trajectory(
     if shape == "staircase":
         assert steps is not None
         assert dwell is not None
-        seconds = 2.0 * steps * (dwell + max(turn, 1) / rate)
-        _check_rows(seconds * rate)
         axes, note = _staircase(range, steps, round(dwell * rate), max(turn, 1), rate)
         return _clocked(axes, rate, note)
     assert frequency is not None
     count = lines or max(round((duration or 0.0) * frequency), 1)
-    _check_rows((2 if shape == "raster" and loop else 1) * count * rate / frequency)
     if bandwidth is not None and frequency >= bandwidth:
         raise UsageError(
-            f"`frequency` {frequency:g}: a {shape} as fast as the bandwidth of {bandwidth:g} Hz is all"
-            f" turns (below {bandwidth:g}, or a higher `bandwidth`)"
+            f"`frequency` {frequency:g}: give less than the bandwidth, {bandwidth:g} Hz, or raise "
+            "`bandwidth`"
         )
     period = round(rate / frequency)
     if period < FEWEST_ROWS:
         raise UsageError(
-            f"`frequency` {frequency:g}: {period} rows each at a `rate` of {rate:g} (at most"
-            f" {rate / FEWEST_ROWS:g})"
+            f"`frequency` {frequency:g}: {period} rows each at `rate` {rate:g}; give at most "
+            f"{rate / FEWEST_ROWS:g}"
         )
     plan = _Plan(range, period, turn, count, loop, rate)
     axes, note = _MAKERS[shape](plan)
@@ -158,14 +154,14 @@ def _check_options(
 ) -> None:
     """Refuse a shape that there is not, and options that are missing or of another shape."""
     if shape not in NEEDS:
-        raise UsageError(f"'{shape}' is none of {', '.join(SHAPES)}")
+        raise UsageError(f"SHAPE {shape}: give one of {', '.join(SHAPES)}")
     for name in NEEDS[shape]:
         if figures[name] is None:
             raise UsageError(f"a {shape} needs `{name}`")
     taken = NEEDS[shape] + TAKES.get(shape, ())
     for name, value in [*figures.items(), ("loop", loop or None)]:
         if value is not None and name not in taken:
-            raise UsageError(f"`{name}` belongs to another shape than {shape}")
+            raise UsageError(f"`{name}`: a {shape} has none")
 
 
 def _check_numbers(
@@ -178,20 +174,11 @@ def _check_numbers(
     low, high = ends
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         raise UsageError(
-            f"`range` {low:g}:{high:g}: give the lower end first, both finite"
+            f"`range` {low:g}:{high:g}: give two finite numbers, the lower first"
         )
     for name, value in {"rate": rate, "bandwidth": bandwidth, **figures}.items():
         if value is not None and not 0.0 < value < math.inf:
             raise UsageError(f"`{name}` {value:g}: give a number above 0")
-
-
-def _check_rows(rows: float) -> None:
-    """Refuse a move that nobody has memory for."""
-    if rows > MOST_ROWS:
-        raise UsageError(
-            f"`rate`: the move takes {rows:,.0f} rows, and {MOST_ROWS:,} are written at most (a lower"
-            " `rate`, or a shorter move)"
-        )
 
 
 # --- the pieces: rows after the one that they begin at ---
@@ -269,8 +256,8 @@ def _raster(plan: _Plan) -> tuple[tuple[Floats, ...], str]:
     flat = plan.period - turn
     if flat < 2:
         raise UsageError(
-            f"`frequency` {plan.rate / plan.period:g}: a line of {plan.period} rows has no room for a turn"
-            f" of {turn} (at most {plan.rate / (turn + 2):.4g} lines a second)"
+            f"`frequency` {plan.rate / plan.period:g}: lines of {plan.period} rows are too short for "
+            f"turns of {turn}; give at most {plan.rate / (turn + 2):.4g}"
         )
     levels = np.linspace(*plan.ends, count)
     if count == 1:
@@ -303,8 +290,8 @@ def _triangle(plan: _Plan) -> tuple[tuple[Floats, ...], str]:
     flat = half - turn
     if flat < 1:
         raise UsageError(
-            f"`frequency` {plan.rate / plan.period:g}: a flank of {half} rows has no room for a turn of"
-            f" {turn} (at most {0.5 * plan.rate / (turn + 1):.4g})"
+            f"`frequency` {plan.rate / plan.period:g}: flanks of {half} rows are too short for turns "
+            f"of {turn}; give at most {0.5 * plan.rate / (turn + 1):.4g}"
         )
     tip = (high - low) * turn / math.pi / (flat + 2.0 * turn / math.pi)
     waves = _strokes((low + tip, high - tip), flat, turn, 2 * plan.cycles, plan.loop)

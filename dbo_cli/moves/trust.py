@@ -57,9 +57,8 @@ def check_reach(move: Trajectory, ends: Range, models: Sequence[Model]) -> None:
             first, last = max(first, ends[0]), min(last, ends[1])
         fitting = _rounded_inwards(first, last)
         raise UsageError(
-            f"`range` {ends[0]:g}:{ends[1]:g}: the move goes from {least:.6g} to {most:.6g}"
-            f"{model.output.suffix}, and the model reaches {low:.6g} to {high:.6g}"
-            f"{model.output.suffix} (`range` {fitting} fits)"
+            f"`range` {ends[0]:g}:{ends[1]:g}: the move, {least:.6g} to {most:.6g}, exceeds the "
+            f"model, {low:.6g} to {high:.6g}{model.output.suffix}: {fitting} fits"
         )
 
 

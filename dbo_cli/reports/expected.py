@@ -21,6 +21,8 @@ SAME_MOVE = 0.01
 SLACK = 1e-9
 """Part of the range that rounding may add to a drive which ends at its limit."""
 
+Ends = tuple[float, float]
+
 
 @dataclass(frozen=True)
 class Expected:
@@ -30,18 +32,18 @@ class Expected:
     ----------
     rmse
         The expected error (RMS); None where it is not known.
-    span
-        Range of the model's output; None where it is not known.
-    source
-        Who says so.
     move
         Least and greatest desired value of the move it is stated for; None: any move.
+    move_time
+        First and last time (s) of the move in its drive; None where they are not known.
+    footer
+        What the page says of the drive.
     """
 
     rmse: float | None
-    span: float | None
-    source: str
-    move: tuple[float, float] | None = None
+    move: Ends | None = None
+    move_time: Ends | None = None
+    footer: str = ""
 
     def is_of(self, low: float, high: float) -> bool:
         """Return whether it is stated for a move of this range."""
@@ -52,7 +54,7 @@ class Expected:
 
 
 def expected_of_drive(
-    model: Model, voltage: Floats, dt: Floats | float | None, name: str
+    model: Model, voltage: Floats, dt: Floats | None, name: str
 ) -> Expected:
     """Return what a model states for this very drive; unknown where the drive leaves its range.
 
@@ -62,97 +64,87 @@ def expected_of_drive(
         Forward.
     voltage : array of shape (rows,)
         In the model's unit.
-    dt
-        Seconds since the row before; None: no clock.
+    dt : array of shape (rows,), optional
+        Seconds since the row before.
     name
         How the report calls the model.
     """
     from dbo_cli.model.expect import expected_error
 
-    span = float(model.output.span)
     slack = SLACK * model.input.span
     low, high = float(voltage.min()), float(voltage.max())
     rmse = None
     if model.input.min - slack <= low and high <= model.input.max + slack:
         rmse = expected_error(model, voltage, dt)
-    return Expected(rmse, span, f"{name} for this drive")
+    footer = f"Model {name} ({model.digest[:12]})"
+    return Expected(rmse, footer=footer)
 
 
-def expected_in(
-    source: str | os.PathLike[str] | Mapping[str, Any], unit: str | None = None
-) -> Expected:
+def expected_in(path: str | os.PathLike[str], unit: str | None = None) -> Expected:
     """Return the expected error that a summary of ``compensate`` or a model file states.
 
     Parameters
     ----------
-    source
-        A file name, or what is in it.
+    path
+        The file.
     unit
         Of what is compared.
 
     Raises
     ------
-    InputError
+    InputError, ModelError
         It is neither, or it is in another unit.
     """
-    if isinstance(source, Mapping):
-        name, content = "expected", dict(source)
-    else:
-        name = os.fspath(source)
-        content = _read(name)
-    kind = content.get("format")
-    if kind == "dbo-summary":
+    from dbo_cli.model import read_model
+
+    name = os.fspath(path)
+    try:
+        content = json.loads(Path(name).read_text("utf-8"))
+        kind = content.get("format")
+    except (OSError, ValueError, AttributeError, RecursionError) as problem:
+        reason = getattr(problem, "strerror", None) or "no JSON object"
+        raise InputError(f"{name}: {reason}") from None
+    if kind == "dbo-model":
+        model = read_model(name).forward()
+        rmse, stated_unit = model.fit.get("expected_rmse"), model.output.unit
+        expected = Expected(rmse)
+    elif kind == "dbo-summary":
         stated_unit = content.get("unit")
-        move = _ends(name, content.get("move_range"))
-        rmse = _error(name, content.get("expected_rmse"))
-        expected = Expected(rmse, None, f"{name} for its move", move)
-    elif kind == "dbo-model":
-        output = content.get("output", {})
-        stated_unit = output.get("unit")
-        rmse = _error(name, content.get("fit", {}).get("expected_rmse"))
-        ends = _ends(name, [output.get("min"), output.get("max")])
-        span = ends[1] - ends[0] if ends else None
-        expected = Expected(rmse, span, f"{name} for any move in its range")
+        expected = _of_summary(name, content)
     else:
         raise InputError(
-            f"{name}: states no expected error: give the `summary` of compensate, or a model"
+            f"{name}: states no expected error: give a summary of compensate, or a model"
         )
     if stated_unit and unit and stated_unit != unit:
         raise InputError(f"{name}: is in {stated_unit}, the comparison in {unit}")
     return expected
 
 
-def _read(name: str) -> dict[str, Any]:
-    try:
-        content = json.loads(Path(name).read_text("utf-8"))
-    except (OSError, ValueError, RecursionError) as problem:
-        reason = getattr(problem, "strerror", None) or "it is not JSON"
-        raise InputError(
-            f"{name}: cannot be read as a summary or a model: {reason}"
-        ) from None
-    if not isinstance(content, dict):
-        raise InputError(f"{name}: is neither a summary nor a model")
-    return content
+def _of_summary(name: str, content: Mapping[str, Any]) -> Expected:
+    rmse = content.get("expected_rmse")
+    if rmse is not None and (type(rmse) not in (int, float) or not rmse > 0.0):
+        raise InputError(f"{name}: expected_rmse: {rmse!r} is not above 0")
+    move, move_time = (_ends(name, content, key) for key in ("move_range", "move_time"))
+    limits = content.get("limits") or {}
+    footer, rating = "", _ends(name, limits, "rating")
+    if rating is not None:
+        unit = limits.get("unit") or ""
+        footer = f"Limits {rating[0]:g} to {rating[1]:g} {unit}"
+        if limits.get("max_slew"):
+            footer += f", {limits['max_slew']} {unit}/s"
+        footer += f"; drive of model {str(content.get('model'))[:12]}"
+    return Expected(rmse, move, move_time, footer)
 
 
-def _error(name: str, value: object) -> float | None:
-    """Return a stated error, None where there is none (InputError: it is no number above 0)."""
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"{name}: expected_rmse is {value!r}, and not a number")
-    if not 0.0 < value < math.inf:
-        raise InputError(f"{name}: expected_rmse is {value!r}, and not above 0")
-    return float(value)
-
-
-def _ends(name: str, value: object) -> tuple[float, float] | None:
+def _ends(name: str, content: Mapping[str, Any], key: str) -> Ends | None:
     """Return the two ends of a range; None where there is none."""
+    value = content.get(key)
     if value is None:
         return None
-    if isinstance(value, list) and len(value) == 2:
-        low, high = value
-        numbers = isinstance(low, int | float) and isinstance(high, int | float)
-        if numbers and low <= high:
-            return float(low), float(high)
-    raise InputError(f"{name}: {value!r} is not a range [least, greatest]")
+    try:
+        low, high = map(float, value)
+    except (TypeError, ValueError):
+        low = high = math.nan
+    if not low <= high:
+        raise InputError(f"{name}: {key}: {value!r} is not [least, greatest]")
+    return low, high

@@ -36,13 +36,11 @@ class Pair:
         In one unit. NaN: no number; such a row takes no part.
     time : array of shape (rows,), optional
         Seconds.
-    dt : float, optional
-        Seconds a row, of a log without times.
     voltage : array of shape (rows,), optional
         The drive, for the figures.
     rows : (first, last), optional
         The rows that count, by the numbers of ``numbers``, both ends included.
-    numbers : array of int, optional
+    numbers : array, optional
         Row numbers in the file; 1, 2, 3 ... where not given.
     expected : Expected, optional
         The error that was to be expected.
@@ -58,7 +56,6 @@ class Pair:
     desired: Floats
     measured: Floats
     time: Floats | None = None
-    dt: float | None = None
     voltage: Floats | None = None
     rows: RowRange | None = None
     numbers: Floats | None = None
@@ -71,29 +68,25 @@ class Pair:
     def __post_init__(self) -> None:
         """Turn the columns into arrays of one length (InputError)."""
         count = len(np.atleast_1d(self.desired))
+        if self.numbers is None:
+            object.__setattr__(self, "numbers", np.arange(1.0, count + 1.0))
         for key in ("desired", "measured", "time", "voltage", "numbers"):
             values = getattr(self, key)
             if values is None:
                 continue
             column = np.asarray(values, dtype=np.float64)
-            if column.ndim != 1:
+            if column.shape != (count,):
                 raise InputError(
-                    f"{self.name}: {key} has {column.ndim} dimensions, not 1"
-                )
-            if len(column) != count:
-                raise InputError(
-                    f"{self.name}: {key} has {len(column):,} rows, desired {count:,}"
+                    f"{self.name}: {key} has the shape {column.shape}, desired has {count:,} rows"
                 )
             object.__setattr__(self, key, column)
-        if self.numbers is None:
-            object.__setattr__(self, "numbers", np.arange(1.0, count + 1.0))
 
     def __len__(self) -> int:
         """Return the number of rows."""
         return len(self.desired)
 
     def taken(self, which: slice | NDArray[np.bool_]) -> Pair:
-        """Return the rows that an index, a mask or a slice chooses."""
+        """Return the rows that a mask or a slice chooses."""
         assert self.numbers is not None
         return replace(
             self,
@@ -104,32 +97,30 @@ class Pair:
             numbers=self.numbers[which],
         )
 
+    def noted(self, note: str) -> Pair:
+        """Return the pair with a further note."""
+        return replace(self, notes=(*self.notes, f"{self.name}: {note}"))
+
     def step(self) -> float | None:
         """Return the seconds from row to row; None where no clock is known."""
-        if self.dt is not None:
-            return self.dt
         return mean_step(self.time)
 
 
 def rows_text(count: int) -> str:
     """Return a number of rows in words."""
-    if count == 1:
-        return "1 row"
-    return f"{count:,} rows"
+    return "1 row" if count == 1 else f"{count:,} rows"
 
 
 def mean_step(time: Floats | None) -> float | None:
-    """Return the seconds from row to row of a clock; None where it tells none."""
+    """Return the seconds from row to row of a clock; None without one."""
     if time is None or len(time) < 2:
         return None
     step = float(np.median(np.diff(time)))
-    if not math.isfinite(step) or step <= 0.0:
-        return None
-    return step
+    return step if 0.0 < step < math.inf else None
 
 
 def scored(pair: Pair, lag: int) -> Pair:
-    """Return the rows that count: measured ``lag`` rows later, ``rows`` alone, none before the move.
+    """Return the rows that count: measured ``lag`` rows later, ``rows`` alone, none beside the move.
 
     Raises
     ------
@@ -139,8 +130,7 @@ def scored(pair: Pair, lag: int) -> Pair:
     count = len(pair) - abs(lag)
     if count < 1:
         raise InputError(
-            f"{pair.name}: a lag of {lag} leaves nothing of {len(pair):,} rows: "
-            "give a smaller `lag`"
+            f"{pair.name}: has {rows_text(len(pair))}; give a smaller `lag` than {lag}"
         )
     late, early = max(lag, 0), max(-lag, 0)
     shifted = replace(
@@ -150,18 +140,16 @@ def scored(pair: Pair, lag: int) -> Pair:
     chosen = _chosen_rows(shifted)
     finite = np.isfinite(chosen.desired) & np.isfinite(chosen.measured)
     if not finite.any():
-        raise InputError(
-            f"{pair.name}: no row has a number in both columns: choose others or other `rows`"
-        )
+        raise InputError(f"{pair.name}: no row has a number in both columns")
     missing = int(len(chosen) - np.count_nonzero(finite))
-    if not missing:
-        return chosen
-    note = f"{pair.name}: {rows_text(missing)} without a number left out"
-    return replace(chosen.taken(finite), missing=missing, notes=(*chosen.notes, note))
+    if missing:
+        chosen = replace(chosen.taken(finite), missing=missing)
+        chosen = chosen.noted(f"{rows_text(missing)} without a number left out")
+    return chosen
 
 
 def _chosen_rows(pair: Pair) -> Pair:
-    """Return the rows of ``rows``, or those of the move where some stand before it."""
+    """Return the rows of ``rows``; without it those of the move, if rows stand before or behind it."""
     assert pair.numbers is not None
     if pair.rows is not None:
         first, last = pair.rows
@@ -175,12 +163,18 @@ def _chosen_rows(pair: Pair) -> Pair:
         return pair.taken(inside)
     if pair.time is None:
         return pair
-    before = pair.time < 0.0
-    count = int(np.count_nonzero(before))
+    begin, end = 0.0, math.inf
+    if pair.expected is not None and pair.expected.move_time is not None:
+        begin, end = pair.expected.move_time
+        slack = 0.5 * (pair.step() or 0.0)
+        begin, end = min(begin - slack, 0.0), end + slack
+    inside = (pair.time >= begin) & (pair.time <= end)
+    count = int(np.count_nonzero(~inside))
     if count in (0, len(pair)):
         return pair
-    note = f"{pair.name}: {rows_text(count)} before time 0 left out (`rows` 1: counts them)"
-    return replace(pair.taken(~before), notes=(*pair.notes, note))
+    return pair.taken(inside).noted(
+        f"{rows_text(count)} before or after the move left out"
+    )
 
 
 def predict(
@@ -190,7 +184,6 @@ def predict(
     *,
     name: str = "log",
     time: ArrayLike | None = None,
-    dt: float | None = None,
     state: str | State = "auto",
     rows: RowRange | None = None,
     model_name: str = "the model",
@@ -205,8 +198,8 @@ def predict(
         Forward.
     voltage, measured : array of shape (rows,)
         In the model's units.
-    time, dt
-        Seconds of every row, or seconds a row.
+    time : array of shape (rows,), optional
+        Seconds.
     state
         What was before the first row.
     rows : (first, last), optional
@@ -224,23 +217,10 @@ def predict(
     model.require("forward", model_name)
     drive = np.asarray(voltage, dtype=np.float64)
     clock = None if time is None else np.asarray(time, dtype=np.float64)
-    predicted, _ = model.simulate(drive, time=clock, dt=dt, state=state)
-    pair = Pair(
-        name,
-        predicted,
-        np.asarray(measured, dtype=np.float64),
-        time=clock,
-        dt=dt,
-        voltage=drive,
-        rows=rows,
-    )
-    step = _steps(clock, dt)
-    return replace(pair, expected=expected_of_drive(model, drive, step, model_name))
-
-
-def _steps(time: Floats | None, dt: float | None) -> Floats | float | None:
-    """Return the seconds since the row before; the first row's are those of the second."""
-    if time is None or len(time) < 2:
-        return dt
-    steps = np.diff(time)
-    return np.concatenate([steps[:1], steps])
+    predicted, _ = model.simulate(drive, time=clock, state=state)
+    steps = None
+    if clock is not None and len(clock) > 1:
+        steps = np.diff(clock, prepend=2.0 * clock[0] - clock[1])
+    expected = expected_of_drive(model, drive, steps, model_name)
+    column = np.asarray(measured, dtype=np.float64)
+    return Pair(name, predicted, column, clock, drive, rows, expected=expected)

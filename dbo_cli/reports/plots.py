@@ -60,7 +60,6 @@ TALL = (5.0, 4.0)  # inches: as wide as those; for loops
 COLUMNS = 1000  # of a figure; a curve keeps the least and the greatest value in each
 MOST_POINTS = 20_000  # of a loop that stays lines in an SVG; more become a picture
 LOOP_POINTS = 501  # each way of a model's loop
-RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 Kind = Literal["png", "svg", "inline"]
 
@@ -93,16 +92,11 @@ def style(outlines: bool = True) -> Iterator[None]:
 
     ``outlines``: letters become outlines, which need no font; else they stay text.
     """
-    from matplotlib import rc_context, rc_params_from_file, rcParamsDefault
+    from matplotlib import style as styles
 
-    settings = {}
-    for key, value in rcParamsDefault.items():
-        if not key.startswith(("backend", "interactive", "toolbar", "webagg")):
-            settings[key] = value
-    own = Path(__file__).with_name("figures.mplstyle")
-    settings.update(rc_params_from_file(own, use_default_template=False))
-    settings["svg.fonttype"] = "path" if outlines else "none"
-    with rc_context(settings):
+    look = Path(__file__).with_name("figures.mplstyle")
+    fonts = {"svg.fonttype": "path" if outlines else "none"}
+    with styles.context([look, fonts], after_reset=True):
         yield
 
 
@@ -259,8 +253,6 @@ def _clock_of(log: LogReport) -> tuple[Floats, str]:
     if pair.time is not None:
         return pair.time, "Time (s)"
     assert pair.numbers is not None
-    if pair.dt is not None:
-        return (pair.numbers - 1.0) * pair.dt, "Time (s)"
     return pair.numbers, "Row"
 
 
@@ -353,6 +345,8 @@ def spectrum_of(log: LogReport) -> tuple[Floats, Floats] | None:
 
 
 def _paint_spectrum(report: Report, log: LogReport, axes: Axes) -> None:
+    from matplotlib.ticker import NullFormatter
+
     curve = spectrum_of(log)
     assert curve is not None
     frequency, density = curve
@@ -363,28 +357,9 @@ def _paint_spectrum(report: Report, log: LogReport, axes: Axes) -> None:
         axes.set_ylim(bottom=max(float(density.min()), floor))
     unit = f"{shown_unit(report.unit)}/√Hz" if report.unit else "1/√Hz"
     axes.set(xlabel="Frequency (Hz)", ylabel=f"Error density ({unit})")
-    label_decades(axes)
-
-
-def label_decades(axes: Axes) -> None:
-    """Label logarithmic axes in plain letters: decades, and 2 and 5 where there are few decades."""
     for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_formatter(_decade)
-        axis.set_minor_formatter(partial(_between, axis))
-
-
-def _decade(value: float, _: float = 0.0) -> str:
-    if 0.0005 < value < 50_000.0:
-        return f"{value:g}"
-    return "10" + f"{math.log10(value):.0f}".translate(RAISED)
-
-
-def _between(axis: Any, value: float, _: float = 0.0) -> str:
-    low, high = sorted(axis.get_view_interval())
-    lead = f"{value:.0e}"[0]
-    if high > 100.0 * low or lead not in ("2", "5"):
-        return ""
-    return f"{value:.3g}"
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter(NullFormatter())
 
 
 # --- a model ---
@@ -394,7 +369,7 @@ def model_plots(model: Model) -> list[Plot]:
     """Return the figures of a model: its loop, and what is bent and wide in it."""
     drive = model.input if model.is_forward else model.output
     title = f"The model's loop, {quantity_range(drive)}"
-    straight = "The same less a straight line"
+    straight = "Deviation from a straight line"
     return [
         Plot("model-loop", title, TALL, partial(_paint_model_loop, model)),
         Plot("model-hysteresis", straight, WIDE, partial(_paint_hysteresis, model)),
@@ -442,9 +417,9 @@ def _paint_hysteresis(model: Model, axes: Axes) -> None:
     line = np.polyfit(np.tile(drive, 2), np.concatenate([rising, falling]), 1)
     axes.plot(drive, rising - np.polyval(line, drive), label="rising", **SOLID)
     axes.plot(drive, falling - np.polyval(line, drive), label="falling", **DASHED)
-    name = f"{forward.output.quantity.capitalize()} less a line"
     axes.set(
-        xlabel=_quantity(forward.input), ylabel=axis_label(name, forward.output.unit)
+        xlabel=_quantity(forward.input),
+        ylabel=axis_label("Deviation", forward.output.unit),
     )
 
 

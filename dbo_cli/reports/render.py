@@ -55,20 +55,11 @@ def json_text(content: Mapping[str, Any]) -> str:
 def to_csv(report: Report) -> str:
     """Return a line a log: the keys of the JSON form and the unit; what is undefined is empty."""
     rows = [{**log.record(), "unit": report.unit} for log in report.logs]
-    for row in rows:
-        row["name"] = no_formula(row["name"])
     out = io.StringIO()
     writer = csv.DictWriter(out, list(rows[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     return out.getvalue()
-
-
-def no_formula(name: str) -> str:
-    """Put an apostrophe before a name that a spreadsheet would calculate."""
-    if name.startswith(("=", "+", "@")) or (name.startswith("-") and name != "-"):
-        return f"'{name}"
-    return name
 
 
 def digits(value: float | None, places: int = 4) -> str:
@@ -129,9 +120,6 @@ def columns_of(report: Report) -> list[TableColumn]:
     if any(log.expected_rmse for log in report.logs):
         expected = TableColumn("expected", lambda log: digits(log.expected_rmse))
         columns.insert(3, expected)
-    if any(log.percent_of_range for log in report.logs):
-        percent = TableColumn("% of range", lambda log: digits(log.percent_of_range, 3))
-        columns.insert(4, percent)
     if len(report.logs) > 1:
         ratio = TableColumn("ratio", lambda log: digits(log.ratio_to_first, 3))
         columns.append(ratio)
@@ -139,10 +127,8 @@ def columns_of(report: Report) -> list[TableColumn]:
 
 
 def _lag_in_ms(log: LogReport) -> str:
-    step = log.pair.step()
-    if step is None or log.merits.lag is None:
-        return "-"
-    return digits(1000.0 * step * log.merits.lag, 3)
+    lag = log.seconds(log.merits.lag)
+    return digits(None if lag is None else 1000.0 * lag, 3)
 
 
 def to_text(report: Report) -> str:
@@ -190,20 +176,6 @@ def settings_line(report: Report) -> str:
     return line
 
 
-def headline(report: Report) -> str:
-    """Return the least error and, of several logs, what it is beside the first one."""
-    first = report.logs[0]
-    best = min(report.logs, key=lambda log: log.merits.rmse)
-    unit = f" {report.unit}" if report.unit else ""
-    line = f"{short_name(best.name)}: error {digits(best.merits.rmse, 3)}{unit} RMS"
-    if best is not first and best.merits.rmse > 0.0:
-        times = first.merits.rmse / best.merits.rmse
-        return f"{line}, {digits(times, 2)} times less than {short_name(first.name)}"
-    if best.merits.nrmse_percent is not None:
-        line += f" ({digits(best.merits.nrmse_percent, 2)} % of the move)"
-    return line
-
-
 # --- the page: no script, no network, the figures inside it ---
 
 
@@ -216,16 +188,15 @@ def to_html(report: Report) -> str:
     for verdict in report.verdicts:
         verdicts.append(replace(verdict, unit=verdict.unit.replace(" um", " µm")))
     report = replace(report, unit=unit or None, verdicts=tuple(verdicts))
+    columns = columns_of(report)
     head = []
-    for column in columns_of(report):
+    for column in columns:
         title = column.title
         if unit and title in ("RMSE", "expected", "largest", "mean", "offset", "loop"):
             title += f" ({unit})"
         head.append(title)
-    rows = []
-    for log in report.logs:
-        rows.append([column.cell(log) for column in columns_of(report)])
-    parts = [_verdict(report), f'<p class="headline">{escape(headline(report))}</p>']
+    rows = [[column.cell(log) for column in columns] for log in report.logs]
+    parts = [_verdict(report), f'<p class="headline">{escape(report.line())}</p>']
     for warning in report.warnings:
         parts.append(f'<p class="warning">Warning: {escape(warning)}</p>')
     parts.append(html_table(head, rows, chief=2))
@@ -252,12 +223,10 @@ def footer_lines(report: Report) -> list[str]:
     lines = [f"dbo {__version__}"]
     if report.command:
         lines.append(report.command)
-    if report.model is not None:
-        name = report.model_name or "model"
-        lines.append(f"Model {name} ({report.model.digest[:12]})")
-    if report.limits:
-        limits = [f"{key} {value}" for key, value in report.limits.items()]
-        lines.append(f"Limits: {', '.join(limits)}")
+    for log in report.logs:
+        expected = log.pair.expected
+        if expected is not None and expected.footer not in ("", *lines):
+            lines.append(expected.footer)
     return lines
 
 
@@ -294,3 +263,11 @@ def page(title: str, parts: Sequence[str]) -> str:
     frame = Template(here.joinpath("page.html").read_text("utf-8"))
     body = "\n".join(part for part in parts if part)
     return frame.substitute(title=escape(title), style=style, body=body)
+
+
+FORMS: dict[str, Callable[[Report], str]] = {
+    "text": to_text,
+    "json": to_json,
+    "csv": to_csv,
+    "html": to_html,
+}

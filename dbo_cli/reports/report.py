@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.reports.expected import Expected
-from dbo_cli.reports.merits import Merits, merits, percent_of, root_mean_square
+from dbo_cli.reports.merits import Merits, merits
 from dbo_cli.reports.pair import Pair, RowRange, predict, scored
-from dbo_cli.reports.render import short_name
+from dbo_cli.reports.render import FORMS, digits, short_name
 
 if TYPE_CHECKING:
     import pandas
@@ -35,37 +35,30 @@ class LogReport:
 
     Attributes
     ----------
-    name
-        Of the log.
-    merits
-        The figures.
     pair
         The rows that were compared.
+    merits
+        The figures.
     lag
         Rows by which measured was taken later.
     ratio_to_first
         RMSE over that of the first log; None where that is 0.
     """
 
-    name: str
-    merits: Merits
     pair: Pair
+    merits: Merits
     lag: int = 0
     ratio_to_first: float | None = None
 
     @property
-    def expected_rmse(self) -> float | None:
-        """The error that was to be expected; None where it is not known."""
-        if self.pair.expected is None:
-            return None
-        return self.pair.expected.rmse
+    def name(self) -> str:
+        """The name of the log."""
+        return self.pair.name
 
     @property
-    def percent_of_range(self) -> float | None:
-        """The RMSE in percent of the model's output range; None where no model is known."""
-        if self.pair.expected is None or self.pair.expected.span is None:
-            return None
-        return percent_of(self.merits.rmse, self.pair.expected.span)
+    def expected_rmse(self) -> float | None:
+        """The error that was to be expected; None where it is not known."""
+        return None if self.pair.expected is None else self.pair.expected.rmse
 
     @property
     def largest_row(self) -> int:
@@ -73,18 +66,14 @@ class LogReport:
         assert self.pair.numbers is not None
         return int(self.pair.numbers[self.merits.max_abs_place])
 
-    @property
-    def largest_time(self) -> float | None:
-        """Time of the largest error (s); None where no clock is known."""
-        if self.pair.time is not None:
-            return float(self.pair.time[self.merits.max_abs_place])
-        if self.pair.dt is not None:
-            return (self.largest_row - 1) * self.pair.dt
-        return None
+    def seconds(self, samples: float | None) -> float | None:
+        """Return a number of samples in seconds; None where no clock is known."""
+        step = self.pair.step()
+        return None if samples is None or step is None else samples * step
 
     def record(self) -> dict[str, Any]:
         """Return the figures as plain values under the keys of the JSON form."""
-        figures, step = self.merits, self.pair.step()
+        figures, time = self.merits, self.pair.time
         return {
             "name": self.name,
             "samples": figures.samples,
@@ -92,31 +81,26 @@ class LogReport:
             "nrmse_percent": figures.nrmse_percent,
             "max_abs": figures.max_abs,
             "max_abs_row": self.largest_row,
-            "max_abs_time_s": self.largest_time,
+            "max_abs_time_s": None
+            if time is None
+            else float(time[figures.max_abs_place]),
             "mean": figures.mean,
             "p95_abs": figures.p95_abs,
             "loop_width": figures.loop_width,
             "loop_width_percent": figures.loop_width_percent,
             "lag_left_samples": figures.lag,
-            "lag_left_s": _seconds(figures.lag, step),
+            "lag_left_s": self.seconds(figures.lag),
             "desired_min": figures.desired_min,
             "desired_max": figures.desired_max,
             "lag_samples": self.lag,
-            "lag_s": _seconds(self.lag, step),
+            "lag_s": self.seconds(self.lag),
             "offset_removed": figures.offset,
-            "sample_period_s": step,
+            "sample_period_s": self.pair.step(),
             "not_finite": self.pair.missing,
             "clock_offset_s": self.pair.clock_offset,
             "ratio_to_first": self.ratio_to_first,
-            "rmse_percent_of_range": self.percent_of_range,
             "expected_rmse": self.expected_rmse,
         }
-
-
-def _seconds(samples: float | None, step: float | None) -> float | None:
-    if samples is None or step is None:
-        return None
-    return samples * step
 
 
 @dataclass(frozen=True)
@@ -147,15 +131,12 @@ class Verdict:
         return self.value is not None and self.value <= self.limit
 
     def words(self) -> str:
-        """Say what came of it."""
+        """Return the verdict as a sentence."""
         name = short_name(self.name)
         if self.value is None:
-            return f"{name}: the move has no range, so `max_{self.figure}` is missed"
-        relation = "is within" if self.passed else "is above"
-        return (
-            f"{name}: RMSE {self.value:.4g}{self.unit} {relation} the limit of "
-            f"{self.limit:g}{self.unit}"
-        )
+            return f"{name}: the move has no range: no percentage for the limit of {self.limit:g} %"
+        relation = "is within" if self.passed else "exceeds"
+        return f"{name}: RMSE {self.value:.4g}{self.unit} {relation} the limit, {self.limit:g}{self.unit}"
 
     def record(self) -> dict[str, Any]:
         """Return it as plain values under the keys of the JSON form."""
@@ -184,12 +165,10 @@ class Report:
         Whether the mean of each error was taken off.
     verdicts
         The limits that were set, for each log.
-    model, model_name
-        The model that was compared, for the figures and the footer.
-    limits, command
-        The drive's limits and the command line, for the footer of the page.
-    spell
-        How notes and warnings name a parameter: as they are, or as the shell's option.
+    model
+        The model that was compared, for its figures.
+    command
+        The command line, for the footer of the page.
     """
 
     logs: tuple[LogReport, ...]
@@ -199,10 +178,7 @@ class Report:
     remove_offset: bool = False
     verdicts: tuple[Verdict, ...] = ()
     model: Model | None = None
-    model_name: str | None = None
-    limits: Mapping[str, Any] | None = None
     command: str | None = None
-    spell: Callable[[str], str] = str
 
     @classmethod
     def of(
@@ -210,18 +186,12 @@ class Report:
         pairs: Sequence[Pair],
         *,
         unit: str | None = None,
-        voltage_unit: str | None = None,
         lag: int = 0,
         remove_offset: bool = False,
-        labels: tuple[str, str] = ("desired", "measured"),
-        model: Model | None = None,
-        model_name: str | None = None,
         expected: Expected | None = None,
         max_rmse: float | None = None,
         max_nrmse_percent: float | None = None,
-        limits: Mapping[str, Any] | None = None,
-        command: str | None = None,
-        spell: Callable[[str], str] = str,
+        **about: Any,
     ) -> Report:
         """Compare the signals of one or several logs, and put the logs side by side.
 
@@ -229,24 +199,18 @@ class Report:
         ----------
         pairs
             One a log.
-        unit, voltage_unit
-            Of the two signals, and of the drive.
+        unit
+            Of the two signals.
         lag
             Rows by which measured is taken later than desired.
         remove_offset
             Take the mean of each error off first (a sensor's arbitrary zero).
-        labels
-            ("desired", "measured"), or ("model", "measured").
-        model, model_name
-            What predicted, for the figures and the footer.
         expected
             The error that was to be expected, of pairs that have none of their own.
         max_rmse, max_nrmse_percent
             Limits for each log, in the unit and in percent of the move.
-        limits, command
-            For the footer of the page.
-        spell
-            How notes and warnings name a parameter.
+        **about
+            ``voltage_unit, labels, model, command``: see the class.
 
         Raises
         ------
@@ -265,23 +229,17 @@ class Report:
                 pair = replace(pair, expected=expected)
             log = _evaluated(pair, lag, remove_offset)
             first = logs[0] if logs else log
-            ratio = None
             if first.merits.rmse > 0.0:
                 ratio = log.merits.rmse / first.merits.rmse
-            logs.append(replace(log, ratio_to_first=ratio))
+                log = replace(log, ratio_to_first=ratio)
+            logs.append(log)
         verdicts = _verdicts(logs, unit, max_rmse, max_nrmse_percent)
         return cls(
-            logs=tuple(logs),
+            tuple(logs),
             unit=unit or None,
-            voltage_unit=voltage_unit or None,
-            labels=labels,
             remove_offset=remove_offset,
             verdicts=verdicts,
-            model=model,
-            model_name=model_name,
-            limits=limits,
-            command=command,
-            spell=spell,
+            **about,
         )
 
     @property
@@ -299,68 +257,48 @@ class Report:
     @property
     def notes(self) -> list[str]:
         """What a reader of the figures must know, all logs together."""
-        return [self.spell(note) for log in self.logs for note in log.pair.notes]
+        return [note for log in self.logs for note in log.pair.notes]
 
     @property
     def warnings(self) -> list[str]:
         """What is wrong with the logs, all of them together."""
-        return [self.spell(text) for log in self.logs for text in log.pair.warnings]
+        return [text for log in self.logs for text in log.pair.warnings]
 
     def require_passed(self) -> None:
         """Raise LimitError where a limit is missed."""
         missed = [verdict for verdict in self.verdicts if not verdict.passed]
-        if not missed:
-            return
-        words = missed[0].words()
-        if len(missed) > 1:
-            words += f"; {len(missed) - 1} more missed"
-        raise LimitError(words)
+        if missed:
+            more = f" (and {len(missed) - 1} more)" if len(missed) > 1 else ""
+            raise LimitError(missed[0].words() + more)
 
     def line(self) -> str:
         """Return the least error and, of several logs, what it is beside the first."""
-        from dbo_cli.reports.render import headline
-
-        return headline(self)
+        first = self.logs[0]
+        best = min(self.logs, key=lambda log: log.merits.rmse)
+        error = f"error {digits(best.merits.rmse, 3)} {self.unit or ''}".rstrip()
+        line = f"{short_name(best.name)}: {error} RMS"
+        if best is not first and best.merits.rmse > 0.0:
+            times = digits(first.merits.rmse / best.merits.rmse, 2)
+            return f"{line}, {times} times less than {short_name(first.name)}"
+        if best.merits.nrmse_percent is not None:
+            line += f" ({digits(best.merits.nrmse_percent, 2)} % of the move)"
+        return line
 
     def render(self, form: str) -> str:
         """Return the report as ``text``, ``json``, ``csv`` or ``html``."""
-        from dbo_cli.reports import render
-
-        if form == "text":
-            return render.to_text(self)
-        if form == "json":
-            return render.to_json(self)
-        if form == "csv":
-            return render.to_csv(self)
-        if form == "html":
-            return render.to_html(self)
-        raise UsageError(f"`format` {form}: give text, json, csv or html")
-
-    def text(self) -> str:
-        """Return a verdict and an aligned table."""
-        return self.render("text")
-
-    def json(self) -> str:
-        """Return the JSON form, ``dbo-report`` version 1."""
-        return self.render("json")
-
-    def csv(self) -> str:
-        """Return a line a log under the keys of the JSON form."""
-        return self.render("csv")
-
-    def html(self) -> str:
-        """Return a page that needs no other file."""
-        return self.render("html")
+        if form not in FORMS:
+            raise UsageError(f"`format` {form}: give {', '.join(FORMS)}")
+        return FORMS[form](self)
 
     def to_html(self) -> str:
-        """Return the same as ``html``, under pandas' name for it."""
+        """Return a page that needs no other file."""
         return self.render("html")
 
     def _repr_html_(self) -> str:
         """Show a notebook the page in a frame of its own."""
         from html import escape
 
-        page = escape(self.html())
+        page = escape(self.to_html())
         return (
             f'<iframe srcdoc="{page}" style="width:100%;height:40em;border:0"></iframe>'
         )
@@ -388,13 +326,9 @@ def report(
     model: Model | None = None,
     state: Any = "auto",
     rows: RowRange | None = None,
-    lag: int = 0,
-    remove_offset: bool = False,
     unit: str | None = None,
     name: str = "log",
-    expected: Expected | None = None,
-    max_rmse: float | None = None,
-    max_nrmse_percent: float | None = None,
+    **options: Any,
 ) -> Report:
     """Report how well what was measured follows what was desired, or what a model predicts.
 
@@ -412,8 +346,10 @@ def report(
         A forward model, and what was before the first row.
     rows : (first, last), optional
         The rows that count, from 1, both ends included.
-    lag, remove_offset, unit, name, expected, max_rmse, max_nrmse_percent
-        See ``Report.of``.
+    unit, name
+        Of both signals, and of the log.
+    **options
+        ``lag, remove_offset, expected, max_rmse, max_nrmse_percent``: see ``Report.of``.
 
     Raises
     ------
@@ -422,45 +358,23 @@ def report(
     UsageError
         An option is not what it must be.
     """
-    dt = None
     if sample_rate is not None:
         if time is not None or not sample_rate > 0.0:
             raise UsageError("`sample_rate`: give a rate above 0 Hz, or `time`")
-        dt = 1.0 / sample_rate
-    if model is not None:
-        pair = predict(
-            model,
-            desired,
-            measured,
-            name=name,
-            time=time,
-            dt=dt,
-            state=state,
-            rows=rows,
-        )
-        unit = model.output.unit
-    else:
-        columns = [None if a is None else np.asarray(a) for a in (time, voltage)]
-        pair = Pair(
-            name,
-            np.asarray(desired),
-            np.asarray(measured),
-            time=columns[0],
-            dt=dt,
-            voltage=columns[1],
-            rows=rows,
-        )
+        time = np.arange(len(np.atleast_1d(measured))) / sample_rate
+    if model is None:
+        pair = Pair(name, desired, measured, time, voltage, rows)  # type: ignore[arg-type]
+        return Report.of([pair], unit=unit, **options)
+    pair = predict(
+        model, desired, measured, name=name, time=time, state=state, rows=rows
+    )
     return Report.of(
         [pair],
-        unit=unit,
-        voltage_unit=None if model is None else model.input.unit,
-        lag=lag,
-        remove_offset=remove_offset,
-        labels=("desired" if model is None else "model", "measured"),
+        unit=model.output.unit,
+        voltage_unit=model.input.unit,
+        labels=("model", "measured"),
         model=model,
-        expected=expected,
-        max_rmse=max_rmse,
-        max_nrmse_percent=max_nrmse_percent,
+        **options,
     )
 
 
@@ -470,40 +384,41 @@ def _evaluated(pair: Pair, lag: int, remove_offset: bool) -> LogReport:
         raise InputError(f"{pair.name}: has no rows to compare")
     chosen = scored(pair, lag)
     figures = merits(chosen.desired, chosen.measured, remove_offset)
-    notes = list(chosen.notes)
+    warning = _beyond_expected(chosen, figures)
     if figures.nrmse_percent is None:
-        notes.append(f"{pair.name}: the move has no range, so no percentage is known")
-    warnings = [*chosen.warnings, *_beyond_expected(chosen, figures)]
-    left = math.sqrt(max(figures.rmse**2 - figures.mean**2, 0.0))
-    if left < OFFSET_ALONE * figures.rmse and not warnings:
-        notes.append(
-            f"{pair.name}: most of the error is its mean: `remove_offset` takes a sensor's zero off"
+        chosen = chosen.noted("the move has no range, so no percentage is known")
+    if warning:
+        chosen = replace(chosen, warnings=(*chosen.warnings, warning))
+    elif _without_mean(figures) < OFFSET_ALONE * figures.rmse:
+        chosen = chosen.noted(
+            f"most of the error is its mean; without it {_without_mean(figures):.3g} RMS is left"
         )
-    chosen = replace(chosen, notes=tuple(notes), warnings=tuple(warnings))
-    return LogReport(pair.name, figures, chosen, lag)
+    return LogReport(chosen, figures, lag)
 
 
-def _beyond_expected(pair: Pair, figures: Merits) -> list[str]:
-    """Return warnings where the error is far above the expected one, or that is another move's."""
+def _without_mean(figures: Merits) -> float:
+    """Return the RMS of the error without its mean."""
+    return math.sqrt(max(figures.rmse**2 - figures.mean**2, 0.0))
+
+
+def _beyond_expected(pair: Pair, figures: Merits) -> str:
+    """Return a warning where the error is far above the expected one, or that is another move's."""
     expected = pair.expected
     if expected is None:
-        return []
-    if not expected.is_of(figures.desired_min, figures.desired_max):
-        assert expected.move is not None
-        low, high = expected.move
-        return [
-            f"{pair.name}: the expected error is of a move from {low:.4g} to {high:.4g}, this one goes from "
-            f"{figures.desired_min:.4g} to {figures.desired_max:.4g}: give its own summary"
-        ]
+        return ""
+    low, high = figures.desired_min, figures.desired_max
+    if expected.move is not None and not expected.is_of(low, high):
+        return (
+            f"{pair.name}: the move is {low:.4g} to {high:.4g}, the expected error is for"
+            f" {expected.move[0]:.4g} to {expected.move[1]:.4g}: use the summary of this move"
+        )
     if expected.rmse is None or figures.rmse <= BEYOND_EXPECTED * expected.rmse:
-        return []
+        return ""
     times = figures.rmse / expected.rmse
     warning = f"{pair.name}: the error is {times:.2g} times the expected one"
-    error = pair.measured - pair.desired
-    without_mean = root_mean_square(error - np.mean(error))
-    if figures.offset == 0.0 and without_mean <= BEYOND_EXPECTED * expected.rmse:
-        return [f"{warning}: most of it is the mean (`remove_offset`)"]
-    return [f"{warning}: drive with `condition`, or identify again"]
+    if figures.mean and _without_mean(figures) <= BEYOND_EXPECTED * expected.rmse:
+        return f"{warning}, most of it the mean, {figures.mean:.3g}"
+    return f"{warning}: sweep the range before the move, or identify again"
 
 
 def _verdicts(
@@ -514,21 +429,17 @@ def _verdicts(
 ) -> tuple[Verdict, ...]:
     """Return what comes of the limits that are set."""
     suffix = f" {unit}" if unit else ""
-    for name, limit in (
-        ("max_rmse", max_rmse),
-        ("max_nrmse_percent", max_nrmse_percent),
-    ):
-        if limit is not None and not 0.0 <= limit < math.inf:
-            raise UsageError(f"`{name}` {limit:g}: give a number of 0 or more")
+    limits = [
+        ("rmse", max_rmse, suffix),
+        ("nrmse_percent", max_nrmse_percent, " % of the move"),
+    ]
     verdicts = []
     for log in logs:
-        figures = log.merits
-        if max_rmse is not None:
-            verdicts.append(Verdict(log.name, "rmse", figures.rmse, max_rmse, suffix))
-        if max_nrmse_percent is not None:
-            value = figures.nrmse_percent
-            verdict = Verdict(
-                log.name, "nrmse_percent", value, max_nrmse_percent, " % of the move"
-            )
-            verdicts.append(verdict)
+        for figure, limit, behind in limits:
+            if limit is None:
+                continue
+            if not 0.0 <= limit < math.inf:
+                raise UsageError(f"`max_{figure}` {limit:g}: give a number from 0")
+            value = getattr(log.merits, figure)
+            verdicts.append(Verdict(log.name, figure, value, limit, behind))
     return tuple(verdicts)

@@ -10,8 +10,8 @@ import pytest
 from dbo_cli.compare import Comparison, Row, compare
 from dbo_cli.identification import Recording
 
-KEYS = """name words rmse expected_rmse validation_rmse parameters fit_seconds forward_ns inverse_ns
-round_trip invertible refused""".split()
+KEYS = """name words rmse expected_rmse validation_rmse parameters forward_ns inverse_ns
+refused""".split()
 NAMES = ["dbo", "line", "pi", "modified", "rate", "extended", "asymmetric"]
 
 
@@ -42,8 +42,7 @@ def test_every_operator_has_a_row(table):
         assert row.refused is None
         assert row.rmse > 0.0 and row.expected_rmse > 0.0
         assert row.validation_rmse > 0.0 and row.parameters > 1
-        assert row.fit_seconds > 0.0 and row.forward_ns > 0.0 and row.inverse_ns > 0.0
-        assert row.invertible is (row.name != "rate")
+        assert row.forward_ns > 0.0 and row.inverse_ns > 0.0
     line = rows["line"].validation_rmse
     assert rows["dbo"].validation_rmse < line
     # the plant is of plays
@@ -62,15 +61,11 @@ def test_json_and_text(table):
     text = table.text()
     for name in NAMES:
         assert f"\n{name} " in text
-    assert "its inverse is not exact" in text
-    assert list(table.to_frame().columns) == KEYS[1:]
 
 
 @pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
-def test_without_times_the_same_bytes_and_a_row_says_why(tmp_path):
-    logs = [log("a.csv", 5.0, clock=False)]
-    first, second = compare(logs, timings=False), compare(logs, timings=False)
-    assert first.json() == second.json()
+def test_a_row_says_why_there_is_none():
+    first = compare(log("a.csv", 5.0, clock=False))
     rate = next(row for row in first.rows if row.name == "rate")
     assert "clock" in rate.refused and rate.rmse is None
     assert f"rate: {rate.refused}" in first.text()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import csv
 import io
 import json
 import os
@@ -18,6 +17,7 @@ from typing import Any, NamedTuple
 from unittest import mock
 
 import numpy as np
+import polars as pl
 from numpy.typing import NDArray
 
 HERE = Path(__file__).resolve().parent
@@ -182,10 +182,8 @@ def write(name: str, header: str, *columns: Iterable[float]) -> Path:
 def table(source: str | Path | Outcome) -> dict[str, Floats]:
     """Return the columns of a CSV, a file or what a command wrote, by header; an empty cell is NaN."""
     text = source.out if isinstance(source, Outcome) else Path(source).read_text()
-    header, *rows = csv.reader(io.StringIO(text))
-    cells = [[float(cell or "nan") for cell in row] for row in rows]
-    body = np.array(cells).reshape(-1, len(header))
-    return dict(zip(header, body.T, strict=True))
+    frame = pl.read_csv(text.encode(), infer_schema=False).cast(pl.Float64)
+    return {name: frame[name].to_numpy(writable=True) for name in frame.columns}
 
 
 def rms(values: Floats) -> float:

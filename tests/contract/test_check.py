@@ -45,13 +45,13 @@ BROKEN = {
 }
 
 
-@pytest.mark.parametrize("words", BROKEN)
-def test_the_first_row_that_breaks_a_limit_is_named(words: str) -> None:
-    outcome = failed("drive.csv", *words.split())
-    assert BROKEN[words] in outcome.lines[-1] + outcome.out
-    found = json.loads(failed("drive.csv", *words.split(), "--format", "json").out)
-    assert found["format"] == "dbo-check" and found["passed"] is False
-    assert BROKEN[words] in " ".join(found["problems"])
+def test_the_first_row_that_breaks_a_limit_is_named() -> None:
+    for words, row in BROKEN.items():
+        outcome = failed("drive.csv", *words.split())
+        assert row in outcome.lines[-1] + outcome.out
+        found = json.loads(failed("drive.csv", *words.split(), "--format", "json").out)
+        assert found["format"] == "dbo-check" and found["passed"] is False
+        assert row in " ".join(found["problems"])
 
 
 def test_limits_touched_exactly_are_kept() -> None:
@@ -69,7 +69,6 @@ BAD_ROWS = {
     "three cells": (21, "0.020,50,50"),
     "a repeated stamp": (21, "0.019,52"),
     "a stamp that goes back": (21, "0.001,52"),
-    "an empty line": (21, ""),
 }
 
 
@@ -81,9 +80,6 @@ def test_what_a_reader_would_drop_is_a_problem(fault: str) -> None:
     lines[row] = text
     Path("drive.csv").write_text("\n".join(lines) + "\n")
     outcome = dbo("check", "drive.csv", "--v-min", 0, "--v-max", 100)
-    if fault == "an empty line":
-        assert outcome.code in (0, 1, 3)
-        return
     assert outcome.code in (1, 3), outcome.err
     assert "2" in outcome.lines[-1]
 

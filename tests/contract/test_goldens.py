@@ -58,31 +58,20 @@ def test_simulate(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_compensate(name: str) -> None:
+    """Free, by the inverse model, and within limits."""
     stored = golden(name)
     write("wish.csv", "time_s,displacement_um", stored["time_s"], stored["desired_um"])
     done("compensate", model(name), "wish.csv", "-o", "drive.csv")
     written = table("drive.csv")
     assert list(written) == ["time_s", "desired_um", "voltage_V"]
     close(written["voltage_V"], stored["drive_V"])
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_compensate_within_limits(name: str) -> None:
-    stored = golden(name)
-    write("wish.csv", "time_s,displacement_um", stored["time_s"], stored["desired_um"])
+    done("invert", model(name), "-o", "inverse.json")
+    written = table(done("simulate", "inverse.json", "wish.csv"))
+    close(written["voltage_V"], stored["drive_V"])
     highest, slew = limits_of(name)
     words = ("--v-max", highest, "--max-slew", slew, "--on-limit", "clip")
     done("compensate", model(name), "wish.csv", *words, "-o", "drive.csv")
     close(table("drive.csv")["voltage_V"], stored["limited_V"])
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_the_inverse_model_gives_the_same_drive(name: str) -> None:
-    stored = golden(name)
-    write("wish.csv", "time_s,displacement_um", stored["time_s"], stored["desired_um"])
-    done("invert", model(name), "-o", "inverse.json")
-    written = table(done("simulate", "inverse.json", "wish.csv"))
-    close(written["voltage_V"], stored["drive_V"])
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -167,14 +156,6 @@ def test_report(options: str) -> None:
     merits = written["logs"][0]
     for key, value in REPORTS[options].items():
         assert merits[key] == pytest.approx(value, rel=1e-9, abs=1e-9), key
-
-
-def test_report_of_the_library() -> None:
-    stored = golden("pair")
-    found = dbo_cli.report(
-        stored["desired_um"], stored["measured_um"], time=stored["time_s"]
-    )
-    assert found.rmse == pytest.approx(REPORTS[""]["rmse"], rel=1e-9)
 
 
 def test_repeated_values_are_the_list_that_they_stand_for() -> None:

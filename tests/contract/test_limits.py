@@ -37,14 +37,12 @@ STARTS = {
 
 
 @pytest.mark.parametrize("case", STARTS)
-@pytest.mark.parametrize("on_limit", ["auto", "clip", "error"])
-def test_a_start_outside_the_rating_is_refused(
-    move: Path, case: str, on_limit: str
-) -> None:
-    words = (*STARTS[case].split(), "--on-limit", on_limit, "-o", "drive.csv")
-    error = refused(3, "compensate", model("creep"), move, *words)
+def test_a_start_outside_the_rating_is_refused(move: Path, case: str) -> None:
     typed = STARTS[case].split()[1].replace("1kV", "1000")
-    assert typed in error.replace("1,000", "1000")
+    for on_limit in ("auto", "clip", "error"):
+        words = (*STARTS[case].split(), "--on-limit", on_limit, "-o", "drive.csv")
+        error = refused(3, "compensate", model("creep"), move, *words)
+        assert typed in error.replace("1,000", "1000")
 
 
 def test_a_start_outside_the_rating_is_refused_in_python() -> None:
@@ -110,36 +108,31 @@ def test_a_lone_quote_at_the_end_is_no_internal_error(blank: str) -> None:
 # --- 4: Python warns where the shell warns ---
 
 
-def test_milliseconds_taken_for_seconds_are_warned_of(sample_model: Path) -> None:
-    actuator = dbo_cli.read_model(sample_model)
+def test_milliseconds_taken_for_seconds_are_warned_of() -> None:
+    actuator = dbo_cli.read_model(model("known"))
     trajectory = table(SAMPLES / "trajectory.csv")
     wanted, time = trajectory["displacement_um"], trajectory["time_s"]
     with pytest.warns(dbo_cli.DboWarning):
-        actuator.compensate(wanted, time=time * 1e3)
+        actuator.compensate(0.4 * wanted, time=time * 1e3)
 
 
 # --- 5: a time index counts ---
 
 
-@pytest.mark.parametrize("index", ["seconds", "stamps", "durations"])
-def test_a_time_index_of_a_frame_counts(log: Path, index: str) -> None:
+def test_a_time_index_of_a_frame_counts(log: Path) -> None:
     values = table(log)
-    time: Any = values["time_s"]
-    if index == "stamps":
-        time = pd.Timestamp("2026-01-02T03:04:05") + pd.to_timedelta(time, unit="s")
-    if index == "durations":
-        time = pd.to_timedelta(time, unit="s")
-    frame = pd.DataFrame(
-        {"voltage": values["voltage_V"], "displacement": values["displacement_um"]},
-        index=pd.Index(time, name="time"),
-    )
-    frame.attrs["units"] = {"voltage": "V", "displacement": "um"}
+    seconds = values["time_s"]
+    lasting = pd.to_timedelta(seconds, unit="s")
+    voltage, displacement = values["voltage_V"], values["displacement_um"]
     plain = {"gears": 20, "points": 0, "delay": 0.0, "relaxation": (0.01, 0.3)}
-    found = dbo_cli.identify(frame, **plain)
-    arrays = dbo_cli.identify(
-        values["voltage_V"], values["displacement_um"], time=values["time_s"], **plain
-    )
-    assert found.fit["rmse"] == pytest.approx(arrays.fit["rmse"], rel=1e-6)
+    arrays = dbo_cli.identify(voltage, displacement, time=seconds, **plain)
+    for index in (seconds, lasting, pd.Timestamp("2026-01-02T03:04:05") + lasting):
+        frame = pd.DataFrame(
+            {"voltage": voltage, "displacement": displacement},
+            index=pd.Index(index, name="time"),
+        )
+        found = dbo_cli.identify(frame, **plain)
+        assert found.fit["rmse"] == pytest.approx(arrays.fit["rmse"], rel=1e-6)
 
 
 # --- odd moves against limits ---

@@ -23,20 +23,19 @@ def signal(rows: int, seed: int = 3) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", ["small", *CLOCKED])
-@pytest.mark.parametrize("cut", [1, 77, 300])
-def test_a_saved_state_goes_on_where_it_ended(name: str, cut: int) -> None:
+def test_a_saved_state_goes_on_where_it_ended(name: str) -> None:
     time = np.arange(400) / 1000.0
     drive = signal(400) / (10.0 if name == "small" else 1.0)
     write("whole.csv", "time_s,voltage_V", time, drive)
-    write("first.csv", "time_s,voltage_V", time[:cut], drive[:cut])
-    write("second.csv", "time_s,voltage_V", time[cut:], drive[cut:])
-    whole = table(done("simulate", model(name), "whole.csv"))
-    words = ("--save-state", "state.json")
-    first = table(done("simulate", model(name), "first.csv", *words))
-    words = ("--state", "state.json")
-    second = table(done("simulate", model(name), "second.csv", *words))
-    parts = np.concatenate([first["displacement_um"], second["displacement_um"]])
-    np.testing.assert_allclose(parts, whole["displacement_um"], rtol=0, atol=1e-12)
+    whole = table(done("simulate", model(name), "whole.csv"))["displacement_um"]
+    for cut in (1, 77):
+        write("first.csv", "time_s,voltage_V", time[:cut], drive[:cut])
+        write("second.csv", "time_s,voltage_V", time[cut:], drive[cut:])
+        parts = []
+        for word, part in (("--save-state", "first.csv"), ("--state", "second.csv")):
+            written = table(done("simulate", model(name), part, word, "state.json"))
+            parts.append(written["displacement_um"])
+        np.testing.assert_allclose(np.concatenate(parts), whole, rtol=0, atol=1e-12)
 
 
 def test_a_state_belongs_to_one_model(drive: Path) -> None:
@@ -56,18 +55,18 @@ def test_a_state_that_is_none_is_refused(drive: Path) -> None:
     assert outcome.code in (1, 2) and "half" in outcome.lines[-1]
 
 
-@pytest.mark.parametrize("state", ["auto", "empty", "full", "settled"])
-def test_where_a_run_starts(state: str) -> None:
+def test_where_a_run_starts() -> None:
     """At 2 V: coming from 0 V, from 10 V, or after swings that faded."""
     write("drive.csv", "voltage_V", [2.0, 2.0])
-    written = table(done("simulate", model("small"), "drive.csv", "--state", state))
+    first = {}
+    for state in ("auto", "empty", "full", "settled"):
+        written = table(done("simulate", model("small"), "drive.csv", "--state", state))
+        first[state] = written["displacement_um"][0]
     rising, falling = 2.0, 3.0
-    value = written["displacement_um"][0]
-    assert rising - 1e-12 <= value <= falling + 1e-12
-    if state == "empty":
-        assert value == pytest.approx(rising)
-    if state == "full":
-        assert value == pytest.approx(falling)
+    assert first["empty"] == pytest.approx(rising)
+    assert first["full"] == pytest.approx(falling)
+    assert rising < first["settled"] < falling
+    assert first["auto"] == first["settled"]
 
 
 def test_auto_is_empty_at_the_lower_end() -> None:

@@ -94,6 +94,13 @@ def gentle(model: Model, rows: int, part: float = 0.3) -> np.ndarray:
     return base + part * model.output.span * np.sin(math.pi * t) ** 4
 
 
+def blocks_of(values: np.ndarray, dt: float, rows: int) -> list[Any]:
+    """Return a trajectory in blocks of so many rows, as ``stream`` takes it."""
+    time = dt * np.arange(values.size)
+    places = range(0, values.size, rows)
+    return [(time[k : k + rows], dt, values[k : k + rows]) for k in places]
+
+
 MEMORIES = st.sampled_from(
     [
         ((), ()),

@@ -14,7 +14,7 @@ from dbo_cli.drive import Limits, plan, stream
 from dbo_cli.errors import DboWarning, InputError, LimitError, UsageError
 from dbo_cli.model import Lag, Model, Resonance
 
-from .actuators import actuator, actuators, gentle, ripple
+from .actuators import actuator, actuators, blocks_of, gentle, ripple
 
 pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 RATE = 1000.0
@@ -69,9 +69,7 @@ def test_values_do_not_depend_on_blocks(model: Model, rows: int, slow: bool) -> 
     slew = 3.0 * model.input.span if slow else None
     limits = limits_of(model, max_slew=slew)
     whole = plan(model, wanted, DT, limits, on_limit="clip")
-    parts = stream(
-        model, [(None, wanted)], DT, limits, block_rows=rows, on_limit="clip"
-    )
+    parts = stream(model, blocks_of(wanted, DT, rows), limits, on_limit="clip")
     voltage = np.concatenate([part.voltage for part in parts])
     assert parts.drive is not None
     assert np.abs(voltage - whole.voltage).max() <= 1e-12 * model.input.span
@@ -161,15 +159,13 @@ def test_a_stream_counts_its_loss_and_refuses_in_the_end() -> None:
     model = actuator()
     wanted = ripple(model, 1000, 0.9)
     limits = limits_of(model, 0, 60)
-    parts = stream(model, [(None, wanted)], DT, limits, block_rows=100)
+    parts = stream(model, blocks_of(wanted, DT, 100), limits)
     voltage = []
     with pytest.raises(LimitError):
         for part in parts:
             voltage.append(part.voltage)
     assert sum(rows.size for rows in voltage) == 1000
-    clipping = stream(
-        model, [(None, wanted)], DT, limits, block_rows=100, on_limit="clip"
-    )
+    clipping = stream(model, blocks_of(wanted, DT, 100), limits, on_limit="clip")
     list(clipping)
     assert clipping.drive is not None
     assert clipping.drive.clipped > 100
@@ -182,8 +178,9 @@ def test_a_stream_takes_constant_memory() -> None:
     limits = limits_of(model, 0, 60, 2000)
 
     def peak(blocks: int) -> int:
-        moves = ((None, block) for _ in range(blocks))
-        rows = stream(model, moves, DT, limits, on_limit="clip")
+        time = DT * np.arange(block.size)
+        moves = ((time + 20.0 * k, DT, block) for k in range(blocks))
+        rows = stream(model, moves, limits, on_limit="clip")
         tracemalloc.start()
         count = sum(part.voltage.size for part in rows)
         _, most = tracemalloc.get_traced_memory()
@@ -211,7 +208,7 @@ def test_what_cannot_be_driven() -> None:
         plan(model, np.full(10, 1e4), DT, limits)
     with pytest.raises(InputError, match="row 3"):
         plan(model, [1.0, 2.0, np.nan, 2.0], DT, limits)
-    with pytest.raises(InputError, match="backwards in row 3"):
+    with pytest.raises(InputError, match="row 3: time goes backwards"):
         plan(model, [1.0, 2.0, 3.0, 4.0], [0.0, 0.2, 0.1, 0.3], limits)
     with pytest.raises(InputError):
         plan(model, [], DT, limits)
@@ -262,7 +259,7 @@ def test_first_row_from_where_the_amplifier_stands() -> None:
     assert drive.voltage[0] <= 0.5 * (1 + 1e-12)
     with pytest.raises(LimitError, match="approach"):
         plan(model, wanted, DT, limits_of(model, -20, 120, 500), start=-10.0)
-    with pytest.raises(LimitError, match="outside the limits"):
+    with pytest.raises(LimitError, match="outside"):
         plan(model, wanted, DT, limits, start=1000.0)
     with pytest.raises(LimitError, match="state"):
         outside = plan(

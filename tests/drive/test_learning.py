@@ -5,14 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from dbo_cli.drive import (
-    Limits,
+from dbo_cli.drive import Limits, plan
+from dbo_cli.drive.learning import (
     PassRecord,
     Tracked,
     dumps_history,
     parse_history,
-    plan,
 )
+from dbo_cli.drive.lowpass import low_pass
 from dbo_cli.errors import DboWarning, InputError, UsageError
 from dbo_cli.model import Model, Resonance
 
@@ -181,5 +181,12 @@ def test_history_file() -> None:
         with pytest.raises(InputError, match=r"h\.json"):
             parse_history(text, "h.json")
     broken = '{"format": "dbo-history", "version": 1, "passes": [{"rmse": -1}]}'
-    with pytest.raises(InputError, match=r"passes\[0\]"):
+    with pytest.raises(InputError, match="history"):
         parse_history(broken, "h.json")
+
+
+def test_a_low_pass_keeps_rests_and_halves_its_cutoff() -> None:
+    rest = np.full(50, 0.1)
+    assert np.array_equal(low_pass(rest, 50.0, 1e-3, order=4), rest)
+    wave = np.cos(2 * np.pi * 50.0 * np.arange(2000) * 1e-3)
+    assert np.ptp(low_pass(wave, 50.0, 1e-3, loop=True)) == pytest.approx(1.0, rel=0.02)

@@ -72,8 +72,6 @@ def test_limits_made_by_hand_are_looked_at() -> None:
     for move, slew in (((-1.0, 3.0), None), ((2.0, 1.0), None), ((0.0, 1.0), math.nan)):
         with pytest.raises(UsageError):
             Limits((0.0, 5.0), move, (0.0, 5.0), slew)
-    with pytest.raises(KeyError):
-        Limits((0.0, 5.0), (0.0, 5.0), (0.0, 5.0)).range_of("moves")
 
 
 def test_start_inside_the_rating_and_outside_the_move() -> None:

@@ -91,6 +91,17 @@ def test_a_state_goes_on_where_it_stopped():
     )
 
 
+def test_a_typed_start_that_contradicts_the_state_is_refused():
+    model = actuator()
+    first = Controller(model, RATE)
+    stepped(first, ripple(model, 50))
+    with pytest.raises(UsageError, match="contradicts"):
+        Controller(model, RATE, state=first.state, from_=first.last + 1.0)
+    assert (
+        Controller(model, RATE, state=first.state, from_=first.last).last == first.last
+    )
+
+
 def test_a_plan_without_commit_leaves_no_trace():
     model = actuator(tau=(0.02,), gain=(0.02,))
     wanted = ripple(model, 50)

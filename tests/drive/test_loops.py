@@ -126,7 +126,7 @@ def test_what_is_no_loop() -> None:
     model = actuator()
     limits = limits_of(model)
     wanted = ripple(model, 200, 0.5, 1.0)
-    with pytest.raises(InputError, match="close"):
+    with pytest.raises(InputError, match="open"):
         plan(model, wanted[:120], DT, limits, periodic=True)
     with pytest.raises(InputError):
         plan(model, wanted[:3], DT, limits, periodic=True)

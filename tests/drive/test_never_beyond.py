@@ -15,7 +15,7 @@ from dbo_cli.drive.gate import GateError
 from dbo_cli.errors import DboError, InputError, LimitError, ModelError, UsageError
 from dbo_cli.model import Model
 
-from .actuators import actuators
+from .actuators import actuators, blocks_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 MANY = int(os.environ.get("DBO_DRIVES", "400"))  # by hand: DBO_DRIVES=100000
@@ -176,9 +176,7 @@ def test_a_stream_keeps_limits_row_by_row(data: st.DataObject, rows: int) -> Non
         clock = 1e-3
     sent: list[np.ndarray] = []
     try:
-        for part in stream(
-            model, [(None, desired)], clock, limits, block_rows=rows, **options
-        ):
+        for part in stream(model, blocks_of(desired, clock, rows), limits, **options):
             sent.append(part.voltage)
     except GateError:
         raise

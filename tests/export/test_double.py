@@ -95,7 +95,11 @@ def test_less_code_and_less_memory_change_no_bit(flags, tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "kept"),
-    [("bent, falling", "limited"), ("negative gains", "free"), ("dynamics", "limited")],
+    [
+        ("bent, falling", "limited"),
+        ("points behind", "free"),
+        ("short delay", "limited"),
+    ],
 )
 def test_a_table_of_all_states(name, kept, tmp_path):
     fewer, _ = with_fewer_gears(MODELS[name], 9)
@@ -106,9 +110,11 @@ def test_a_table_of_all_states(name, kept, tmp_path):
     assert firmware.self_test()[0] == 0
 
 
-def test_too_many_gears_for_a_table_are_refused(tmp_path):
+def test_too_many_gears_for_a_table_and_a_memory_are_refused(tmp_path):
     with pytest.raises(ModelError, match="`gears` 12"):
         exported(MODELS["gears"], tmp_path, lookup=True)
+    with pytest.raises(ModelError, match="`relaxation` 0"):
+        exported(MODELS["creep"], tmp_path, lookup=True, gears=12)
 
 
 def test_what_is_no_number_repeats_the_last_output(tmp_path):

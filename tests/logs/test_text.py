@@ -136,7 +136,7 @@ def test_whole_numbers_first_and_decimal_commas_later(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     rows = ["0;1;2"] * 30_000 + ["1;1,5;2,25"] * 30_000
     path.write_text("\n".join(["time_s;voltage_V;displacement_um", *rows]) + "\n")
-    with pytest.warns(Warning, match="repeats"):
+    with pytest.warns(Warning, match="repeat"):
         table, _ = read(path)
     assert table["voltage"].sum() == 75_000.0
     path.write_text(

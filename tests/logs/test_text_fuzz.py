@@ -142,10 +142,10 @@ def misread(
     after = want[lines[1] - written.first_line + 1 :]
     if got[:before] != want[:before]:
         return True
-    if (
-        lines[0] < written.first_line
-    ):  # of a header torn into the rows nothing may be left
-        return got not in (want, after, want[lines[1] - written.first_line :])
+    if lines[0] < written.first_line:
+        # a header torn into the rows: of the torn row nothing is left, or what stands there now
+        last = want[lines[1] - written.first_line :]
+        return got not in (want, after, last) and got[1:] != after
     between = len(got) - before - len(after)
     # the damaged rows are one with other numbers, or none: a comment
     return (

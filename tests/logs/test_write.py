@@ -15,11 +15,8 @@ import h5py
 import numpy as np
 import polars as pl
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from dbo_cli.errors import DboError, OutputError, UsageError
-from dbo_cli.logs import write
 from dbo_cli.logs.write import (
     Outputs,
     check_outputs,
@@ -88,14 +85,15 @@ def test_the_same_numbers_give_the_same_bytes(tmp_path: Path, name: str) -> None
     assert first.read_bytes() == second.read_bytes()
 
 
-@given(
-    st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=50)
-)
-@settings(max_examples=200, deadline=None, derandomize=True)
-def test_a_few_rows_look_as_polars_writes_them(values: list[float]) -> None:
-    plain = write._plain_rows([np.array(values)], ",").decode()
-    by_polars = pl.DataFrame({"x": values}).write_csv(include_header=False)
-    assert plain == by_polars
+def test_a_few_rows_read_back_without_polars(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delitem(sys.modules, "polars")
+    values = np.array([0.1, -1e-5, 1e22, 5e-324, 1.0, 123456789.123456789])
+    with create(tmp_path / "a.csv", [("x", None)]) as out:
+        out.write(values)
+    lines = (tmp_path / "a.csv").read_text().splitlines()
+    assert [float(line) for line in lines[1:]] == values.tolist()
 
 
 @pytest.mark.parametrize(
@@ -335,17 +333,6 @@ def test_a_pipe_gets_each_block_at_once(path: str) -> None:
     assert process.wait(20) == 0
     process.stdout.close()
     process.stdin.close()
-
-
-def test_a_closed_pipe_is_left_to_the_caller() -> None:
-    reading, writing = os.pipe()
-    os.close(reading)
-    with (
-        pytest.raises(BrokenPipeError),
-        create(f"/dev/fd/{writing}", [("x", "V")]) as out,
-    ):
-        out.write([1.0])
-    os.close(writing)
 
 
 def test_a_redirection_that_appends_is_not_cut(tmp_path: Path) -> None:

@@ -16,12 +16,10 @@ from dbo_cli.model import (
     Model,
     Quantity,
     Resonance,
-    Stepper,
-    VoltageWindow,
     Window,
-    ZeroPhaseLowPass,
     kernel,
 )
+from dbo_cli.model.stepper import Stepper
 from tests.model.random_models import (
     DT,
     Floats,
@@ -42,17 +40,16 @@ def everything(seed: int) -> list[Floats]:
     drive = random_drive(rng, low, high, 250)
     y, state = model.simulate(drive, dt=DT, outside="hold")
     clock = np.cumsum(rng.uniform(0.5 * DT, 1.5 * DT, 250))
-    uneven, _ = model.simulate(drive, time=clock)
-    known = np.concatenate([y, np.full(model.ahead(DT), y[-1])])
-    u, _ = model.undo(known, None, DT)
+    uneven, _ = model.static.simulate(drive, time=clock)
+    known = np.concatenate([y, np.full(model.inverter(DT).ahead, y[-1])])
+    u, _ = model.inverter(DT).run(known)
     width = 0.9 * (high - low)
-    window = VoltageWindow(low, low + width, 20.0 * width)
+    window = Window(low, low + width, 20.0 * width)
     begun = model.start_drive(float(u[0]), "auto", low, low + width)
     driven = model.drive(u, begun, DT, window)
     counts = np.array([driven.clipped, driven.first_clipped, state.bits % 2**30])
     inverse, _ = model.inverse().simulate(y, dt=DT)
-    smooth = ZeroPhaseLowPass(100.0, DT).whole(y)
-    return [y, uneven, u, driven.voltage, counts, inverse, smooth]
+    return [y, uneven, u, driven.y, counts, inverse]
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -74,7 +71,9 @@ def test_what_needs_the_compiled_part_says_so(monkeypatch: pytest.MonkeyPatch) -
     with pytest.raises(DboError, match="identification needs the compiled part"):
         Gears([1.0], [1.0]).engagement([0.5])
     with pytest.raises(DboError, match="live control"):
-        Stepper(Gears([1.0], [1.0]).inverse(), 0)
+        Stepper(Gears([1.0], [1.0]).inverse(), 0, None, None, DT)
+    with pytest.raises(DboError, match="uneven clock needs the compiled part"):
+        Delay(0.0015).run(np.arange(9.0), np.full(9, 1e-3))
 
 
 @pytest.mark.parametrize("seed", range(30))
@@ -83,13 +82,11 @@ def test_steps_are_those_of_blocks(seed: int) -> None:
     inverse = random_gears(rng).inverse()
     wanted = random_drive(rng, *inverse.x_range, 200)
     low, high = inverse.y_range
-    window = Window(low, low + 0.8 * (high - low), 0.05 * (high - low), 1e-9)
+    window = Window(low, low + 0.8 * (high - low), 0.05 * (high - low) / DT)
     memory = None
-    decay = None
     if inverse.relaxation is not None:
         memory = (0.1,) * inverse.gain.size
-        decay = inverse.relaxation.decay(DT)
-    whole = inverse.run(wanted, 0, memory, decay, window=window, last=low)
+    whole = inverse.run(wanted, 0, memory, DT, window=window, last=low)
     live = Stepper(inverse, 0, memory, low, DT, window)
     values = []
     for value in wanted.tolist():
@@ -97,11 +94,7 @@ def test_steps_are_those_of_blocks(seed: int) -> None:
         values.append(live.plan(value))
         live.commit()
     assert np.array_equal(values, whole.y)
-    assert (live.bits, live.memory, live.last) == (
-        whole.bits,
-        whole.memory,
-        whole.y[-1],
-    )
+    assert live.committed() == (whole.bits, whole.memory)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -117,20 +110,12 @@ def test_another_voltage_that_was_applied_is_followed(seed: int) -> None:
         live.plan(float(forward.y_range[0]))
         live.follow(value)
         live.commit()
-    done = forward.run(applied, 0, memory, forward.relaxation.decay(DT))
-    assert live.bits == done.bits
-    assert live.memory == pytest.approx(done.memory, rel=1e-12, abs=1e-12)
-    assert live.last == applied[-1]
+    done = forward.run(applied, 0, memory, DT)
+    bits, remembered = live.committed()
+    assert bits == done.bits
+    assert remembered == pytest.approx(done.memory, rel=1e-12, abs=1e-12)
     with pytest.raises(ValueError, match="nothing was planned"):
         live.commit()
-
-
-def test_a_low_pass_keeps_rests_and_halves_its_cutoff() -> None:
-    smooth = ZeroPhaseLowPass(50.0, DT, order=4)
-    rest = np.full(50, 0.1)
-    assert np.array_equal(smooth.whole(rest), rest)
-    wave = np.cos(2 * np.pi * 50.0 * np.arange(2000) * DT)
-    assert np.ptp(smooth.loop(wave)) == pytest.approx(1.0, rel=0.02)
 
 
 def test_a_model_of_many_gears_runs() -> None:

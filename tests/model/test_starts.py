@@ -14,7 +14,7 @@ from dbo_cli.model import (
     Quantity,
     Relaxation,
     Scale,
-    VoltageWindow,
+    Window,
     dumps_state,
     read_state,
 )
@@ -69,9 +69,9 @@ def test_inside_the_range_spare_gears_play_no_part(seed: int, start: str) -> Non
 
 def driven(model: Model, wanted: Floats, start: str) -> Floats:
     """The drive within limits, which a slow one clips."""
-    window = VoltageWindow(0.5, 9.5, 2000.0)
+    window = Window(0.5, 9.5, 2000.0)
     state = model.start_drive(float(wanted[0]), start, window.low, window.high)
-    return model.drive(wanted, state, DT, window).voltage
+    return model.drive(wanted, state, DT, window).y
 
 
 def test_starts_of_spare_gears_are_those_of_the_range() -> None:

@@ -128,7 +128,7 @@ def test_the_range_that_a_refusal_proposes_fits(ends):
     made = trajectory("raster", range=ends, **options)
     with pytest.raises(UsageError) as refusal:
         check_reach(made, ends, [actuator()])
-    fitting = str(refusal.value).split("(`range` ")[1].removesuffix(" fits)")
+    fitting = str(refusal.value).split(": ")[-1].removesuffix(" fits")
     low, high = map(float, fitting.split(":"))
     again = trajectory("raster", range=(low, high), **options)
     check_reach(again, (low, high), [actuator()])
@@ -139,7 +139,7 @@ def test_the_range_that_a_refusal_proposes_fits(ends):
 def test_each_axis_has_its_own_model():
     made = trajectory("raster", rate=RATE, range=ENDS, frequency=5.0, lines=3)
     check_reach(made, ENDS, [actuator(), actuator(1.0, 9.0)])
-    with pytest.raises(UsageError, match="reaches 3 to 9"):
+    with pytest.raises(UsageError, match="3 to 9"):
         check_reach(made, ENDS, [actuator(), actuator(3.0, 9.0)])
 
 
@@ -153,10 +153,9 @@ def test_each_axis_has_its_own_model():
         ("spiral", {"frequency": 5.0, "duration": 1.0, "loop": True}, "`loop`"),
         ("sine", {"frequency": -5.0}, "`frequency`"),
         ("sine", {"frequency": 300.0}, "at most 250"),
-        ("sine", {"frequency": 50.0, "bandwidth": 40.0}, "below 40"),
+        ("sine", {"frequency": 50.0, "bandwidth": 40.0}, "40 Hz"),
         ("triangle", {"frequency": 30.0, "bandwidth": 40.0}, "at most 19.23"),
         ("raster", {"frequency": 39.0, "lines": 4, "bandwidth": 39.8}, "at most 35.71"),
-        ("sine", {"frequency": 0.001, "duration": 1e9}, "rows"),
     ],
 )  # fmt: skip
 def test_refusals_name_the_option_and_the_number_that_fits(shape, options, named):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.reports import Pair, Report, match
+from dbo_cli.reports import Expected, Pair, Report, match
 
 RATE = 1000.0
 
@@ -33,9 +33,9 @@ def rmse(pair, **options):
 
 
 def test_lengths_must_agree():
-    with pytest.raises(InputError, match="run: measured has 3 rows"):
+    with pytest.raises(InputError, match=r"run: measured has the shape \(3,\)"):
         Pair("run", np.zeros(4), np.zeros(3))
-    with pytest.raises(InputError, match="dimensions"):
+    with pytest.raises(InputError, match="shape"):
         Pair("run", np.zeros((2, 2)), np.zeros(2))
 
 
@@ -88,6 +88,12 @@ def test_rows_before_time_0_take_no_part():
     pair = Pair("run", np.zeros(150), error, time=time)
     assert rmse(pair) == 1.0
     assert rmse(Pair("run", np.zeros(150), error, time=time, rows=(1, 50))) == 9.0
+    # nor do those after the move, where a summary tells its end
+    late = np.where((time < 0.0) | (time > 0.5), 9.0, 1.0)
+    expected = Expected(1.0, move_time=(0.0, 0.5))
+    pair = Pair("run", np.zeros(150), late, time=time)
+    assert rmse(pair, expected=expected) == 1.0
+    assert rmse(pair) > 1.0
     # where all are before 0, they are the move
     assert rmse(Pair("run", np.zeros(50), error[:50], time=time[:50])) == 9.0
 
@@ -98,7 +104,7 @@ def test_match_by_rows_takes_the_trajectory_s_time():
         "run",
         np.ones(90),
         np.zeros(100),
-        dt=0.01,
+        measured_time=np.arange(90) / 100.0,
         desired_time=wanted_time,
         match="rows",
     )
@@ -109,12 +115,13 @@ def test_match_by_rows_takes_the_trajectory_s_time():
 
 def test_match_by_rows_at_two_rates_is_refused():
     with pytest.raises(InputError, match=r"1000 Hz.*500 Hz.*`match` time"):
-        match("run", np.ones(9), np.ones(9), dt=1e-3, desired_dt=2e-3, match="rows")
+        match("run", np.ones(9), np.ones(9), measured_time=1e-3 * np.arange(9),
+              desired_time=2e-3 * np.arange(9), match="rows")  # fmt: skip
 
 
 def test_match_needs_clocks_for_time():
     with pytest.raises(InputError, match="run: has no time"):
-        match("run", np.ones(9), np.ones(9), desired_dt=1e-3, match="time")
+        match("run", np.ones(9), np.ones(9), desired_time=np.arange(9), match="time")
     with pytest.raises(UsageError):
         match("run", np.ones(9), np.ones(9), match="speed")
     with pytest.raises(InputError, match="no row lies within"):
@@ -153,7 +160,7 @@ def test_another_start_of_the_clock_is_found(ahead, rate, loop):
                  desired_time=drive_time)  # fmt: skip
     assert pair.clock_offset == pytest.approx(ahead, abs=1e-3)
     assert rmse(pair) == pytest.approx(rmse(same), rel=0.05, abs=0.02)
-    assert any("`match` time" in note for note in pair.notes)
+    assert any("clock" in note for note in pair.notes)
     as_it_is = match("run", measured, move(drive_time), measured_time=time + ahead,
                      desired_time=drive_time, match="time")  # fmt: skip
     assert rmse(as_it_is) > 5.0

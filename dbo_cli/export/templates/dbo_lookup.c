@@ -10,17 +10,15 @@ static uint32_t next_gear(const dbo_lookup *t, uint32_t state, int rising) {
 }
 
 /* Cross gears one way, (6)-(9): the bit of the next one changes, the table knows where that leads. */
-static uint32_t pass_gears(const dbo_lookup *t, dbo_lookup_state *s, double u, double kappa, double bound,
-                           int rising) {
+static uint32_t pass_gears(const dbo_lookup *t, dbo_lookup_state *s, double u, double bound, int rising) {
     const uint32_t n = (uint32_t)t->op->n;
     uint32_t last = n;
     for (uint32_t next = next_gear(t, s->state, rising); next < n; next = next_gear(t, s->state, rising)) {
         const dbo_corner *corner = t->corners + s->state;
-        const double d = u - (corner->x + kappa * corner->y), travelled = rising ? d : -d;
+        const dbo_gear *gear = t->op->gears + next;
+        const double travelled = rising ? u - corner->x : corner->x - u;
         const double room = rising ? bound - corner->y : corner->y - bound;
-        const double reach = kappa == 0.0 ? t->op->gears[next].dx * t->op->gears[next].crossing_fraction
-                                          : t->fixed->gears[next].reach;
-        if (!(travelled >= reach && room >= t->fixed->gears[next].room)) break;
+        if (!(travelled >= gear->dx * gear->crossing_fraction && room >= gear->dy * gear->crossing_fraction)) break;
         last = next;
         s->state ^= (uint32_t)1 << next;
     }
@@ -28,25 +26,24 @@ static uint32_t pass_gears(const dbo_lookup *t, dbo_lookup_state *s, double u, d
 }
 
 static void follow_output(const dbo_lookup *t, dbo_lookup_state *s, double y, int rising) {
-    (void)pass_gears(t, s, rising ? ENDLESS : -ENDLESS, 0.0, y, rising);
+    (void)pass_gears(t, s, rising ? ENDLESS : -ENDLESS, y, rising);
 }
 
 static double solve(const dbo_lookup *t, dbo_lookup_state *s, double u, double low, double high) {
     const uint32_t n = (uint32_t)t->op->n;
-    const double kappa = t->fixed->kappa;
-    const int rising = u - (t->corners[s->state].x + kappa * t->corners[s->state].y) >= 0.0;
-    const uint32_t last = pass_gears(t, s, u, kappa, rising ? high : low, rising);
+    const int rising = u - t->corners[s->state].x >= 0.0;
+    const uint32_t last = pass_gears(t, s, u, rising ? high : low, rising);
     const dbo_corner *corner = t->corners + s->state;
-    const double d = u - (corner->x + kappa * corner->y);
+    const double d = u - corner->x;
     uint32_t next = next_gear(t, s->state, rising);
     if (last < n && (rising ? d < 0.0 : d > 0.0)) next = last; /* crossed by the tolerance */
-    return corner->y + d * t->fixed->gears[next < n ? next : n - 1U].slope;
+    return corner->y + d * t->op->gears[next < n ? next : n - 1U].slope;
 }
 
 static double solve_within(const dbo_lookup *t, dbo_lookup_state *s, double u, double low, double high) {
     const dbo_corner *corner = t->corners + s->state;
     const double low_part = low - t->op->y0, high_part = high - t->op->y0;
-    const double d = u - (corner->x + t->fixed->kappa * corner->y);
+    const double d = u - corner->x;
     double y;
     if (d >= 0.0 ? high_part < corner->y : low_part > corner->y) {
         follow_output(t, s, d >= 0.0 ? high_part : low_part, d < 0.0);
@@ -64,13 +61,6 @@ static double solve_within(const dbo_lookup *t, dbo_lookup_state *s, double u, d
     return y;
 }
 
-/* L_j after a sample of the drive. */
-static void remember(const dbo_lookup *t, double *memory, double drive) {
-    const double way = drive - t->op->reference;
-    for (size_t j = 0; j < t->op->terms; j++)
-        memory[j] = t->fixed->decay[j] * memory[j] + t->fixed->rest[j] * way;
-}
-
 /* last + step, rounded towards `last`, as in the kernel: a slew limit is kept to the last bit. */
 static double towards(double last, double step) {
     const double sum = last + step, part = sum - last;
@@ -81,19 +71,14 @@ static double towards(double last, double step) {
 
 double dbo_lookup_step(const dbo_lookup *t, dbo_lookup_state *s, double x, const dbo_limits *limits) {
     const dbo_backlash *op = t->op;
-    double remembered = 0.0, u = x - op->x0, low = limits->low, high = limits->high, y;
-    for (size_t j = 0; j < op->terms; j++)
-        remembered += op->gain[j] * (t->fixed->decay[j] * s->memory[j]);
-    u = (u - remembered) - t->fixed->kappa * (op->y0 - op->reference);
+    double low = limits->low, high = limits->high;
     if (limits->step) { /* the range wins over the slew limit */
         const double least = towards(s->last, -*limits->step), most = towards(s->last, *limits->step);
         low = least < low ? low : least > high ? high : least;
         high = most > high ? high : most < limits->low ? limits->low : most;
     }
-    y = solve_within(t, s, u, low, high);
-    remember(t, s->memory, y);
-    s->last = y;
-    return y;
+    s->last = solve_within(t, s, x - op->x0, low, high);
+    return s->last;
 }
 
 void dbo_lookup_settle(const dbo_lookup *t, dbo_lookup_state *s, uint32_t covered, uint32_t spare,
@@ -112,7 +97,6 @@ void dbo_lookup_settle(const dbo_lookup *t, dbo_lookup_state *s, uint32_t covere
             high -= width;
         }
     }
-    for (size_t j = 0; j < op->terms; j++) s->memory[j] = drive - op->reference;
     s->last = drive;
     follow_output(t, s, place, place >= t->corners[s->state].y);
 }

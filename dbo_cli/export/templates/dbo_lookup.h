@@ -1,5 +1,5 @@
 /* The Discrete Backlash Operator of few gears, inverse, with every state's corner in a table (the paper, Section VI):
- * nothing is added up, a transition is an index. The same bits as dbo_kernel.c. C99, no library calls. */
+ * nothing is added up, a transition is an index. The same bits as dbo_kernel.c. Without relaxation. C99, no library. */
 #ifndef DBO_LOOKUP_H
 #define DBO_LOOKUP_H
 
@@ -14,14 +14,12 @@ typedef struct {
 /* `op` has one row a gear; `corners` has 2^n rows. */
 typedef struct {
     const dbo_backlash *op;
-    const dbo_fixed_step *fixed;
     const dbo_corner *corners;
     const uint8_t *lowest; /* index of the lowest one of a number below 2^n; n for 0 */
 } dbo_lookup;
 
 typedef struct {
     uint32_t state; /* B (1) */
-    double *memory;
     double last;
 } dbo_lookup_state;
 

@@ -67,8 +67,6 @@ typedef struct {
     int32_t drive_offset;    /* Y_0 from the reference on, in memories' counts */
     uint32_t drive_shift;    /* one of those is 2^shift positions */
     uint32_t slope_shift;
-    uint32_t x_shift;        /* a count is 2^shift positions */
-    uint32_t y_shift;
     dboq_position least; /* inputs are kept within least ... most */
     dboq_position most;
 } dboq_backlash;

@@ -16,7 +16,7 @@ $MEMBERS
     $NUMBER output; /* the last one */
 } ${NAME}_state;
 
-/* The start after the drive has been at or below its lower end: $EMPTY. */
+/* The start after the drive has been at or below its lower end for a while: no gear is engaged, and it rests. */
 void ${NAME}_init(${NAME}_state *state);
 
 /* The start of an actuator that was switched on and trimmed to this drive, and rests there;

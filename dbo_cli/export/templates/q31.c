@@ -18,7 +18,7 @@ void ${NAME}_reset(${NAME}_state *state, int32_t drive) {
     if (drive == ${GUARD}_IGNORED) return;
     state->output = drive < $LEAST ? $LEAST : drive > $MOST ? $MOST : drive;
     dboq_backlash_settle(&op, &state->gears, ${COVERED}U, $SPARE,
-                         dboq_segments_step(drives, ${DRIVE_ROWS}U, ${DRIVE_SHIFT}U, &state->segments[2], drive));
+                         dboq_segments_step(drive_segments, ${DRIVE_ROWS}U, ${DRIVE_SHIFT}U, &state->segments[2], drive));
 }
 
 int32_t ${NAME}_step(${NAME}_state *state, int32_t input) {
@@ -30,9 +30,9 @@ int32_t ${NAME}_step(${NAME}_state *state, int32_t input) {
     state->gears.checkpoints = $CHECKPOINTS;
     state->gears.memory = $MEMORY;
 $STEP
-    u = dboq_segments_step(before, ${BEFORE_ROWS}U, ${BEFORE_SHIFT}U, &state->segments[0], x);
+    u = dboq_segments_step(before_segments, ${BEFORE_ROWS}U, ${BEFORE_SHIFT}U, &state->segments[0], x);
     y = dboq_backlash_step(&op, &state->gears, u, &limits);
-    u = dboq_segments_step(behind, ${BEHIND_ROWS}U, ${BEHIND_SHIFT}U, &state->segments[1], dboq_counts_of(y, ${Y_SHIFT}U));
+    u = dboq_segments_step(behind_segments, ${BEHIND_ROWS}U, ${BEHIND_SHIFT}U, &state->segments[1], dboq_counts_of(y, ${Y_SHIFT}U));
     x = dboq_counts_of(u, 0U);
 $SLEW
     x = x < $LEAST ? $LEAST : x > $MOST ? $MOST : x;

@@ -1,0 +1,282 @@
+"""How far the clocks of two recorders are apart: one has the drive, the other the displacement.
+
+A displacement follows the drive through a loop: it turns where the drive turns, but is no
+function of it, so a plain correlation takes a loop of 18 % for a delay of 17 ms. Here the
+displacement is described by the drive, its powers and plays of it (a Prandtl-Ishlinskii
+sum, linear in its weights) and a straight drift. The offset is the one that leaves least
+of it, found by Gauss and Newton from the places where a correlation is high. A delay of
+the actuator or its sensor looks the same, and is part of what is found.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.errors import InputError
+from dbo_cli.logs.source import FloatArray
+
+PLAYS = np.geomspace(0.003, 0.7, 24)  # half widths, in parts of the drive's range
+FINE = 20_000  # places at which the drive is followed
+MOST_ROWS = 3_000  # of the sensor that are used (means of neighbours)
+COARSE = 2_000  # steps of the coarse search over the shorter record
+CANDIDATES = 6  # best places of the coarse search that are refined
+STEPS = 12  # of Gauss and Newton at most
+COVERED = 0.5  # of the shorter record must be covered by both
+FEWEST_ROWS = 40  # of the sensor, and a tenth of them, where the drive's past is known
+PARTS = 8  # of a record: the scatter of their offsets is the uncertainty
+EXPLAINED = 0.09  # of the displacement's variance may be left unexplained
+ALIKE = 1.3  # times the least residual: a second place that explains as well
+PERFECT = 1e-6  # of the variance: below that, no place fits better than another
+KNOWN_TO = 0.5  # samples of the slower clock, two standard deviations
+APART = 5.0  # standard deviations from which on two clocks count as apart
+# times less unexplained variance, where the drive's clock is moved: an amplifier's lag
+# of 3 ms made 2 to 6 of a cycle of a second, 10 ms between clocks 14 to 42
+BETTER = 10.0
+
+
+@dataclass(frozen=True)
+class Fit:
+    """An offset (s), its standard deviation (s), and the part of the variance left unexplained."""
+
+    offset: float
+    deviation: float
+    residual: float
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A drive on a fine clock with what the displacement may be made of, and the sensor's rows.
+
+    ``slower`` is the usual step (s) of the slower recorder.
+    """
+
+    drive_time: FloatArray
+    drive: FloatArray
+    columns: FloatArray
+    time: FloatArray
+    displacement: FloatArray
+    slower: float
+
+    @classmethod
+    def of(
+        cls,
+        drive_time: FloatArray,
+        drive: FloatArray,
+        time: FloatArray,
+        displacement: FloatArray,
+    ) -> Pair:
+        """Prepare two records, whose times (s) do not fall.
+
+        Raises
+        ------
+        InputError
+            One is too short, or stands still. The message has no files in front.
+        """
+        if min(len(drive_time), len(time)) < FEWEST_ROWS or np.ptp(drive_time) == 0.0:
+            raise InputError(f"{FEWEST_ROWS} rows of each are needed")
+        if np.ptp(drive) == 0.0 or np.ptp(displacement) == 0.0:
+            raise InputError("one of the two stands still")
+        usual = [np.ptp(times) / (len(times) - 1) for times in (drive_time, time)]
+        fine = np.linspace(drive_time[0], drive_time[-1], FINE)
+        drive = np.interp(fine, drive_time, drive)
+        group = -(-len(time) // MOST_ROWS)
+        count = len(time) // group * group
+        time = time[:count].reshape(-1, group).mean(axis=1)
+        displacement = displacement[:count].reshape(-1, group).mean(axis=1)
+        return cls(fine, drive, _columns(drive), time, displacement, float(max(usual)))
+
+    def fits(self) -> list[Fit]:
+        """Return the fits near the places that look alike, the best first."""
+        fits: list[Fit] = []
+        for start in self._coarse():
+            fit = self._refined(start)
+            if fit is not None:
+                fits.append(fit)
+        fits.sort(key=lambda fit: fit.residual)
+        if fits:
+            # every second play: what the description of the loop does to the offset
+            fewer = np.hstack([self.columns[:, :3], self.columns[:, 3::2]])
+            again = replace(self, columns=fewer)._refined(fits[0].offset)
+            change = 0.0 if again is None else again.offset - fits[0].offset
+            deviation = math.hypot(fits[0].deviation, change)
+            fits[0] = replace(fits[0], deviation=deviation)
+        return fits
+
+    def residual(self, offset: float) -> float:
+        """Return what part of the variance an offset leaves; 0 where too little is in common."""
+        inside = self._inside(offset)
+        return 0.0 if inside is None else self._part(self._left(offset, inside), inside)
+
+    def _part(self, left: FloatArray, inside: NDArray[np.bool_]) -> float:
+        variance = max(float(np.var(self.displacement[inside])), 1e-300)
+        return float(np.mean(left**2)) / variance
+
+    def _coarse(self) -> list[float]:
+        """Return offsets (s) at which the two correlate most, whatever the sign, the best first."""
+        from scipy.signal import correlate
+
+        shorter = min(float(np.ptp(self.drive_time)), float(np.ptp(self.time)))
+        step = max(self.slower, shorter / COARSE)
+        grid = np.arange(self.drive_time[0], self.drive_time[-1], step)
+        v = np.interp(grid, self.drive_time, self.drive)
+        grid = np.arange(self.time[0], self.time[-1], step)
+        y = np.interp(grid, self.time, self.displacement)
+        v, y = v - v.mean(), y - y.mean()
+        v_there, y_there = np.ones(len(v)), np.ones(len(y))
+        count = np.rint(correlate(y_there, v_there))
+        enough = count >= COVERED * min(len(v), len(y))
+        count = np.maximum(count, 1.0)
+        mean_v = correlate(y_there, v) / count
+        mean_y = correlate(y, v_there) / count
+        scatter_v = correlate(y_there, v * v) / count - mean_v**2
+        scatter_y = correlate(y * y, v_there) / count - mean_y**2
+        both = correlate(y, v) / count - mean_v * mean_y
+        floor = 1e-6 * float(np.mean(v * v)) * float(np.mean(y * y))
+        alike = np.where(
+            enough, both**2 / np.maximum(scatter_v * scatter_y, floor), 0.0
+        )
+        inner = alike[1:-1]
+        is_peak = (inner >= alike[:-2]) & (inner >= alike[2:]) & (inner > 0.0)
+        peaks = 1 + np.flatnonzero(is_peak)
+        best = peaks[np.argsort(-alike[peaks], kind="stable")][:CANDIDATES]
+        begin = float(self.time[0] - self.drive_time[0])
+        return [begin + (int(k) - (len(v) - 1)) * step for k in best]
+
+    def _refined(self, start: float) -> Fit | None:
+        """Return the best fit near an offset; None where too little is in common."""
+        span = float(np.ptp(self.drive_time))
+        step = span / (FINE - 1)
+        offset = start
+        fit: Fit | None = None
+        for _ in range(STEPS):
+            inside = self._inside(offset)
+            if inside is None:
+                return None
+            left = self._left(offset, inside)
+            later = self._left(offset + step, inside)
+            slope = (later - self._left(offset - step, inside)) / (2.0 * step)
+            steepness = max(float(slope @ slope), 1e-300)
+            change = -float(slope @ left) / steepness
+            farthest = 2.0 * step + 0.01 * span  # that one step of the search goes
+            change = min(max(change, -farthest), farthest)
+            offset += change
+            deviation = _scatter(left, slope) / steepness
+            part = self._part(left + slope * change, inside)
+            fit = Fit(offset, deviation, part)
+            if abs(change) < 0.02 * deviation + 1e-9 * span:
+                break
+        return fit
+
+    def _inside(self, offset: float) -> NDArray[np.bool_] | None:
+        """Return which rows of the sensor the drive covers, once its past no longer matters."""
+        margin = 2.0 * float(self.drive_time[1] - self.drive_time[0])
+        at = self.time - offset
+        known = float(self.drive_time[_known_from(self.columns[:, 0])])
+        inside = (at >= known + margin) & (at <= self.drive_time[-1] - margin)
+        is_enough = np.count_nonzero(inside) >= max(0.1 * len(at), FEWEST_ROWS)
+        return inside if is_enough else None
+
+    def _left(self, offset: float, inside: NDArray[np.bool_]) -> FloatArray:
+        """Return what the columns, moved by an offset (s), cannot explain of the displacement."""
+        place = (self.time[inside] - offset - self.drive_time[0]) / (
+            self.drive_time[1] - self.drive_time[0]
+        )
+        row = place.astype(np.intp)
+        part = (place - row)[:, None]
+        made = self.columns[row] * (1.0 - part) + self.columns[row + 1] * part
+        made = np.column_stack([made, np.ones(len(row)), place / FINE])
+        y = self.displacement[inside]
+        left: FloatArray = y - made @ np.linalg.lstsq(made, y, rcond=1e-9)[0]
+        return left
+
+
+def find_offset(pair: Pair) -> Fit:
+    """Return what is to be added to the drive's clock.
+
+    Raises
+    ------
+    InputError
+        The records do not tell it to half a sample of the slower clock.
+    """
+    fits = pair.fits()
+    if not fits:
+        raise InputError("the two overlap too little")
+    best = fits[0]
+    if best.residual > EXPLAINED:
+        share = 100.0 * (1.0 - best.residual)
+        raise InputError(
+            f"the drive explains at most {share:.0f} % of the displacement"
+        )
+    if 2.0 * best.deviation > KNOWN_TO * pair.slower:
+        raise InputError(
+            f"{best.offset:.6g} s is uncertain by {2.0 * best.deviation:.2g} s, more than half a "
+            "sample"
+        )
+    _require_single(fits, pair.slower)
+    return best
+
+
+def _require_single(fits: Sequence[Fit], slower: float) -> None:
+    """Refuse a second place that explains the records as well (InputError)."""
+    best = fits[0]
+    alike = ALIKE * max(best.residual, PERFECT)
+    for fit in fits[1:]:
+        if abs(fit.offset - best.offset) > slower and fit.residual < alike:
+            raise InputError(
+                f"{best.offset:.6g} s and {fit.offset:.6g} s fit equally: the drive repeats"
+            )
+
+
+def apart(pair: Pair) -> float:
+    """Return the offset (s) by which clocks are clearly apart; 0 where they may agree."""
+    fits = pair.fits()
+    if not fits or fits[0].residual > EXPLAINED:
+        return 0.0
+    best = fits[0]
+    is_better = pair.residual(0.0) > BETTER * max(best.residual, PERFECT)
+    is_apart = abs(best.offset) > pair.slower + APART * best.deviation
+    return best.offset if is_better and is_apart else 0.0
+
+
+def _columns(drive: FloatArray) -> FloatArray:
+    """Return what the displacement may be made of: powers of the drive, and plays of it.
+
+    The plays begin where a drive of this range leaves them: one that starts at the lower
+    end has come down to it, and each play lags by its half width.
+    """
+    u = (drive - drive.min()) / np.ptp(drive)
+    plays = np.empty((len(u), len(PLAYS)))
+    half = np.minimum(PLAYS, 0.5)
+    play = np.clip(u[0], half, 1.0 - half)
+    for row, value in enumerate(u.tolist()):
+        play = np.minimum(np.maximum(play, value - PLAYS), value + PLAYS)
+        plays[row] = play
+    return np.column_stack([u, u**2, u**3, plays])
+
+
+def _scatter(left: FloatArray, slope: FloatArray) -> float:
+    """Return how the pull on the offset scatters between parts of the record.
+
+    What is wrong with the description of the loop scatters so, and so does a clock that
+    runs faster than the other.
+    """
+    parts = np.array_split(slope * left, PARTS)
+    pulls = np.array([float(part.sum()) for part in parts])
+    return math.sqrt(float(pulls @ pulls) * PARTS / (PARTS - 1))
+
+
+def _known_from(part: FloatArray) -> int:
+    """Return the first place whose past no longer matters.
+
+    That is where the drive has been at both ends of its range, if more than half of the
+    record follows; else where it has been at one, as if it had never gone farther.
+    """
+    low = int(np.argmax(part <= 0.005))
+    high = int(np.argmax(part >= 0.995))
+    both = max(low, high)
+    return both if both < 0.5 * len(part) else min(low, high)
