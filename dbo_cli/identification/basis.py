@@ -288,7 +288,7 @@ def _play_table(reach: Floats, first: float, start: str) -> tuple[Floats, Floats
 def _late(log: PreparedLog, delay: float, places: Integers) -> Floats:
     """Return where the drive of these places, which lie between rows, was earlier; before the log below 0."""
     if delay == 0.0 or isinstance(log.steps, float):
-        return places - delay / log.dt
+        return places.astype(np.float64) - delay / log.dt
     clock = np.append(log.time, log.time[-1] + log.dt)
     clock = clock + RISING * log.dt * np.arange(len(clock))
     late = clock[places] - delay

@@ -73,8 +73,12 @@ class Average:
         for fit, weight in zip(self.fits, self.weights.tolist(), strict=True):
             total[frame(fit)] = total.get(frame(fit), 0.0) + weight
         heaviest = max(total, key=lambda key: total[key])
-        delay, bend = self.weights @ np.asarray([frame(fit) for fit in self.fits])
-        return [heaviest, (round(float(delay) / dt) * dt, float(bend))]
+        frames = np.asarray([frame(fit) for fit in self.fits])
+        delay, bend = (self.weights @ frames).tolist()
+        delay = round(delay / dt) * dt
+        if np.ptp(frames[:, 0]) == 0.0:
+            delay = heaviest[0]
+        return [heaviest, (delay, bend)]
 
 
 def frame(fit: Fit) -> tuple[float, float]:
@@ -93,10 +97,10 @@ def distill(problem: Problem, average: Average) -> Fit:
     invented = invented_log(problem)
     mean = np.zeros(len(problem.output) + len(invented.rows))
     tables: dict[tuple[float, float], Floats] = {}
-    for fit, weight in zip(average.fits, average.weights, strict=True):
-        if frame(fit) not in tables:
-            tables[frame(fit)] = _table(problem, invented, fit.structure)
-        mean += weight * fit.predict(tables[frame(fit)])
+    for part, weight in zip(average.fits, average.weights, strict=True):
+        if frame(part) not in tables:
+            tables[frame(part)] = _table(problem, invented, part.structure)
+        mean += weight * part.predict(tables[frame(part)])
     weights = np.full(len(mean), INVENTED_WEIGHT)
     weights[: len(problem.output)] = 1.0
     weights /= weights.sum()
@@ -106,7 +110,7 @@ def distill(problem: Problem, average: Average) -> Fit:
         table = _table(problem, invented, structure)
         free = np.zeros((len(mean), 0))
         rows = Rows(table, mean, weights, free, problem.cells.shares, len(problem.taus))
-        fit = None
+        fit: Fit | None = None
         for smooth in CURVES:
             fit = solve(rows, replace(structure, smooth_curve=smooth), fit)
         assert fit is not None

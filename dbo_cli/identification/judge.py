@@ -87,13 +87,13 @@ def error_left_out(left: Sequence[Floats]) -> float:
 
 
 def score(problem: Problem, fit: Fit, left: Sequence[Floats]) -> float:
-    """Return the mean over the parts of the logarithm of what is left of them, and the price of the terms.
+    """Return the logarithm of what is left of a part, the mean of the RMS errors, and the price of the terms.
 
-    The logarithm, since a part that nothing predicts must not decide alone.
+    Not the mean of their squares, since a part that nothing predicts must not decide alone.
     """
     floor = FLOOR * float(problem.output.std())
     errors = [math.sqrt(float(np.mean(values**2))) for values in left]
-    return float(np.mean(np.log(np.maximum(errors, floor)))) + price(problem, fit)
+    return math.log(max(float(np.mean(errors)), floor)) + price(problem, fit)
 
 
 def least_score(problem: Problem, fit: Fit) -> float:

@@ -217,7 +217,7 @@ def thinned(logs: Sequence[Recording]) -> list[Recording]:
             "voltage": mean(log.voltage),
             "displacement": mean(log.displacement),
             "time": None if log.time is None else mean(log.time),
-            "good": mean(log.usable) == 1.0,
+            "good": mean(log.usable.astype(float)) == 1.0,
         }
         shorter.append(replace(log, **means))
     return shorter

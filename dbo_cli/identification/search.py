@@ -196,7 +196,6 @@ class Search:
             curves.insert(0, min(structure.smooth_curve * 100.0, 1e9))
         trials = [replace(structure, bend=bend) for bend in (0.0, *choices.bends)]
         trials += [replace(structure, drift=order) for order in (0, *choices.drifts)]
-        trials += [replace(structure, smooth_slopes=s) for s in choices.smoothness]
         if choices.delay is None and self.problem.clock:
             dt, swing = self.problem.dt, self.problem.swing
             for part in DELAYS:
