@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError
 from dbo_cli.identification.fast import FastPart
@@ -31,8 +30,6 @@ from dbo_cli.identification.sections import (
 )
 from dbo_cli.identification.spectra import peak_of, phase_delay
 from dbo_cli.model import Gears, Lag, Model, Relaxation, Resonance, Section
-
-Floats = NDArray[np.float64]
 
 MOST_RESONANCES = 2  # one sweep does not tell more apart
 EARNED = 0.9  # of the error left out: what a resonance must lower it to

@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from dbo_cli.identification.fast import FastPart
+from dbo_cli.identification.recording import Floats
 from dbo_cli.model import Delay, Dynamics, Lag, Mode, Model, Resonance, Section
 
-Floats = NDArray[np.float64]
 Band = tuple[float, float]  # lowest and highest frequency swept, Hz
 
 BLOCKS, FOLDS = 40, 5  # blocks of the fast rows, dealt out to the folds in turn

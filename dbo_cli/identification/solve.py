@@ -113,11 +113,6 @@ def travelled(u: Floats, segments: int) -> Floats:
     return part
 
 
-def used_columns(rows: Rows, structure: Structure) -> int:
-    """Return how many of the columns a structure uses."""
-    return rows.cells + rows.terms * len(structure.memories)
-
-
 def bending(columns: Floats) -> Floats:
     """Return the products of all pairs of columns' second differences."""
     if len(columns) < 3:
@@ -169,7 +164,7 @@ class Equations:
 
     def __init__(self, rows: Rows, structure: Structure) -> None:
         self.rows, self.structure = rows, structure
-        self.inner = used_columns(rows, structure)
+        self.inner = rows.cells + rows.terms * len(structure.memories)
         self.segments = structure.segments if np.isfinite(structure.smooth_curve) else 1
         self.curved = self.segments > 1
         self.free = self.inner + self.segments * self.curved
