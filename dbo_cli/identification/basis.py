@@ -207,21 +207,22 @@ class Basis:
     cells: Cells
     taus: Floats
 
-    def columns(self, log: PreparedLog, structure: Structure) -> Floats:
+    def columns(
+        self, log: PreparedLog, structure: Structure, sums: Floats | None = None
+    ) -> Floats:
         """Return the table (rows, cells + 2 terms): engaged parts, lags, and drive less its lags.
 
-        A mean is a difference of sums from the first row on; a delay shifts both ends.
+        A mean is a difference of ``sums``; a delay shifts both ends.
         """
-        drive = bent(log.drive, structure.bend)
+        if sums is None:
+            sums = self.sums(log, structure.bend)
         ends = np.concatenate((log.rows, log.ends))
         position = _late(log, structure.delay, ends)
         inside = np.maximum(position, 0.0)
-        whole = np.minimum(inside.astype(np.int64), len(drive) - 1)
-        needed, place = np.unique((whole, whole + 1), return_inverse=True)
-        sums, first = self._sums(log, drive, needed)
-        before, behind = np.split(sums[place.reshape(-1)], 2)
+        whole = np.minimum(inside.astype(np.int64), len(log.drive) - 1)
+        before, behind = sums[whole], sums[whole + 1]
         late = before + (inside - whole)[:, None] * (behind - before)
-        late += np.minimum(position, 0.0)[:, None] * first
+        late += np.minimum(position, 0.0)[:, None] * sums[1]
         begun, ended = np.split(late, 2)
         first_rows, last_rows = np.split(position, 2)
         table = (ended - begun) / (last_rows - first_rows)[:, None]
@@ -231,23 +232,14 @@ class Basis:
         engaged[:, -1:] += beyond
         return np.hstack((engaged, lags, table[:, :1] + beyond - lags))
 
-    def _sums(
-        self, log: PreparedLog, drive: Floats, places: Integers
-    ) -> tuple[Floats, Floats]:
-        """Return the sums of all rows before each of these places (in order), and the first row."""
-        parts: list[Floats] = []
-        first: Floats | None = None
-        total = np.zeros(0)
-        for begin, table in self._full_rate(log, drive):
-            if first is None:
-                first, total = table[0], np.zeros(table.shape[1])
-            sums = np.vstack((total, table)).cumsum(axis=0)
-            final = begin + len(table) == len(drive)
-            low, high = np.searchsorted(places, (begin, begin + len(table) + final))
-            parts.append(sums[places[low:high] - begin])
-            total = sums[-1]
-        assert first is not None
-        return np.vstack(parts), first
+    def sums(self, log: PreparedLog, bend: float) -> Floats:
+        """Return the sums of plays, lags and what is beyond the gears over the rows before each row."""
+        rows = len(log.drive)
+        sums = np.zeros((rows + 1, self.cells.count + len(self.taus) + 2))
+        for begin, table in self._full_rate(log, bent(log.drive, bend)):
+            table[0] += sums[begin]
+            np.cumsum(table, axis=0, out=sums[begin + 1 : begin + 1 + len(table)])
+        return sums
 
     def _full_rate(
         self, log: PreparedLog, drive: Floats

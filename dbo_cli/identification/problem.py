@@ -57,6 +57,7 @@ class Problem:
     taus: Floats
     clock: bool
     _columns: dict[object, Floats] = field(default_factory=dict, init=False)
+    _sums: dict[float, list[Floats]] = field(default_factory=dict, init=False)
 
     @property
     def dt(self) -> float:
@@ -126,10 +127,20 @@ class Problem:
         """Return the columns of the fitted rows; stored for each delay and bend."""
         key = structure.delay, structure.bend
         if key not in self._columns:
-            basis = Basis(self.cells, self.taus)
-            tables = [basis.columns(log, structure) for log in self.logs]
+            tables = []
+            for log, sums in zip(self.logs, self._sums_of(structure.bend), strict=True):
+                basis = Basis(self.cells, self.taus)
+                tables.append(basis.columns(log, structure, sums))
             self._columns[key] = np.vstack(tables)
         return self._columns[key]
+
+    def _sums_of(self, bend: float) -> list[Floats]:
+        """Return the sums that columns of all delays are made of, the last bend's stored."""
+        if bend not in self._sums:
+            self._sums.clear()
+            basis = Basis(self.cells, self.taus)
+            self._sums[bend] = [basis.sums(log, bend) for log in self.logs]
+        return self._sums[bend]
 
     def drift(self, order: int) -> Floats:
         """Return a polynomial in time for each log, and an offset for each but the first; (rows, k)."""
