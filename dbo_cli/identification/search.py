@@ -15,7 +15,7 @@ from dbo_cli.identification.recording import Options
 from dbo_cli.identification.solve import Equations, Fit, solve
 
 RULES = ("growing", "falling")  # for the slopes
-CURVES = (np.inf, 1e-1, 1e-4, 1e-7)
+CURVES = (np.inf, 1e1, 1e-1, 1e-4, 1e-7)
 SLOPE_SMOOTHNESS = (2e-1, 2e-4, 1e-8)  # the last for springs that slip at a few forces
 ONE_AMPLITUDE_SMOOTHNESS = 1e5  # times what a first fit leaves of the output's variance
 BENDS = (-0.4, -0.25, -0.12, 0.12, 0.25, 0.4)
@@ -89,7 +89,7 @@ def _for_one_amplitude(problem: Problem, choices: Choices) -> tuple[Problem, Cho
         slopes=(RULES[int(np.argmin(errors))],),
         memories=("", "t"),
         smoothness=(smooth,),
-        curves=CURVES[:3],
+        curves=CURVES[:4],
         drifts=choices.drifts[:1],
     )
     return replace(problem, taus=fast), choices
@@ -191,9 +191,6 @@ class Search:
     def _neighbours(self, fit: Fit) -> None:
         """Fit what differs from a good fit in one thing."""
         structure, choices = fit.structure, self.choices
-        curves = [structure.smooth_curve]
-        if np.isfinite(structure.smooth_curve):
-            curves.insert(0, min(structure.smooth_curve * 100.0, 1e9))
         trials = [replace(structure, bend=bend) for bend in (0.0, *choices.bends)]
         trials += [replace(structure, drift=order) for order in (0, *choices.drifts)]
         if choices.delay is None and self.problem.clock:
@@ -203,7 +200,7 @@ class Search:
                 trials.append(replace(structure, delay=steps * dt))
         for trial in trials:
             if trial != structure:
-                self._path(trial, curves)
+                self._path(trial, [structure.smooth_curve])
 
     def _finer_delay(self, factor: float) -> None:
         """Try a delay beside the best one."""
